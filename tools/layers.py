@@ -33,7 +33,7 @@ LAYERS = {
         worth
         preflight
         fit
-        stages prediction
+        stages prediction profile
         validation
         cross_validation
         report export
@@ -89,7 +89,7 @@ LAYERS = {
         settings
         cost experiment fit minimize model py_system stages
         calibration fit_report optimizer solve
-        recordings share validation worth
+        profile recordings share validation worth
     """,
 }
 

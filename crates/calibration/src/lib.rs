@@ -9,7 +9,7 @@
 //! `measurements` (which of them count), `residual` (measured against simulated), `assignment` (what an entry of `x` sets),
 //! `simulation` (of an experiment), `evaluate` (residuals and cost at a point), `objective` (other costs); `race` and `solver` (which method integrates);
 //! `calibration`; `check` (what does not fit, before a fit); `effect` and `spot_checks` (checks after a fit), `fit`, `stages`,
-//! `prediction`, `validation`, `cross_validation`; `report` (what it found, for people);
+//! `prediction`, `profile` (how the cost rises beside the optimum), `validation`, `cross_validation`; `report` (what it found, for people);
 //! `export` (files, tables, other programs).
 #![forbid(unsafe_code)]
 
@@ -39,6 +39,7 @@ mod prediction;
 mod preflight;
 mod prior;
 mod problem;
+mod profile;
 mod race;
 mod report;
 mod residual;
@@ -71,6 +72,7 @@ pub use prediction::{BandOptions, PredictionBand};
 pub use preflight::{ParameterCheck, Preflight, PreflightOptions};
 pub use prior::Prior;
 pub use problem::{ModelFile, Problem};
+pub use profile::{ParameterProfile, Profile, ProfileEnd, ProfileOptions, ProfilePoint};
 pub use race::{Entry, Race, RaceOutcome, RaceTask, Verdict, race};
 pub use report::{ExperimentCurves, OutputCurves, Signal};
 pub use residual::quad_err;

@@ -80,6 +80,28 @@ impl PyCalibration {
         }
     }
 
+    /// The same on another thread; the work ends on its own when Ctrl-C asks for it. Whether it did comes with its result.
+    pub(crate) fn compute_to_end<T: Send + 'static>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&calibration::Calibration, &dyn Fn() -> bool) -> Result<T, CalibrationError>
+        + Send
+        + 'static,
+    ) -> PyResult<(T, bool)> {
+        let (watch, inner) = (Watch::new(py)?, Arc::clone(&self.inner));
+        let flag = watch.stop().flag();
+        let result = watch.run(move |_| work(&inner, &|| flag.load(Ordering::Relaxed)))?;
+        logs::pass_on(py)?;
+        if let Some(e) = watch.stop().take_raised().or_else(|| self.callbacks.take_raised()) {
+            return Err(e);
+        }
+        match (result, watch.stop().is_asked()) {
+            (Some(Ok(result)), is_asked) => Ok((result, is_asked)),
+            (Some(Err(e)), false) => Err(error::calibration(py, &e)),
+            (Some(Err(_)) | None, _) => Err(error::interrupted(py, None, None)),
+        }
+    }
+
     /// One that was built, unless a function of time has raised an exception.
     pub(crate) fn finish(
         py: Python<'_>,

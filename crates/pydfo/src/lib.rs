@@ -21,6 +21,7 @@ mod minimize;
 mod model;
 mod objective;
 mod optimizer;
+mod profile;
 mod py_system;
 mod quad_err;
 mod recordings;
@@ -66,6 +67,8 @@ mod core_module {
     use super::model::Model;
     #[pymodule_export]
     use super::optimizer::PyOptimizer;
+    #[pymodule_export]
+    use super::profile::profile;
     #[pymodule_export]
     use super::quad_err::quad_err;
     #[pymodule_export]

@@ -40,7 +40,7 @@ impl fmt::Display for Estimator {
     }
 }
 
-/// How [`Calibration::worth`] is found out.
+/// How [`Calibration::worth`](crate::Calibration::worth) is found out.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct WorthOptions {

@@ -39,6 +39,7 @@ from ._minimize import minimize
 from ._model import FMUModel, load_fmu
 from ._optimizer import Above, Asked, Optimizer
 from ._parameter import LogNormal, Normal, Parameter
+from ._profile import Profile
 from ._progress import Progress
 from ._result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
 from ._scipy import scipy_method
@@ -81,6 +82,7 @@ __all__ = [
     "ParameterCheck",
     "Preflight",
     "PredictionBand",
+    "Profile",
     "Progress",
     "PydfoError",
     "Raced",

@@ -63,6 +63,7 @@ __all__ = [
     "solve",
     "cross_validate",
     "prediction_bands",
+    "profile",
     "validate",
     "Worth",
     "preflight_at",
@@ -183,6 +184,15 @@ def cross_validate(
 def prediction_bands(
     calibration: Calibration, fit: Fit, times: list[float] | None, level: float, outputs: list[str] | None
 ) -> list[dict[str, Any]]: ...
+def profile(
+    calibration: Calibration,
+    fit: Fit,
+    parameters: list[int] | None,
+    level: float,
+    max_points: int | None,
+    workers: int | None,
+    checkpoint: str | None,
+) -> dict[str, Any]: ...
 def validate(
     calibration: Calibration, fit: Fit, windows: list[tuple[float, float]], experiments: list[Experiment] | None
 ) -> dict[str, Any]: ...

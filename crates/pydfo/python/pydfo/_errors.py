@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from ._profile import Profile
     from ._result import OptimizeResult, Trace
     from .ode import OdeResult
 
@@ -124,9 +125,9 @@ class Interrupted(KeyboardInterrupt):
 
     Attributes
     ----------
-    result : OptimizeResult or OdeResult or None
-        The result up to the interrupt (of a fit: a `Fit`, of `pydfo.ode.solve`: an `OdeResult`); None if no point had a
-        finite cost yet.
+    result : OptimizeResult, OdeResult, Profile or None
+        The result up to the interrupt (of a fit: a `Fit`, of `pydfo.ode.solve`: an `OdeResult`, of
+        `Fit.profile`: a `Profile`); None if no point had a finite cost yet.
     """
 
-    result: OptimizeResult | OdeResult | None = None
+    result: OptimizeResult | OdeResult | Profile | None = None

@@ -6,15 +6,16 @@ import json
 import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, SupportsFloat
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
-from . import _core, _share, _validation, _worth
+from . import _core, _profile, _share, _validation, _worth
 from ._errors import CalibrationError
 from ._experiment import Experiment
 from ._keywords import also_called
+from ._profile import Profile
 from ._result import OptimizeResult
 from ._share import PathLike
 from ._stages import Windows
@@ -275,6 +276,52 @@ class Fit(OptimizeResult):
         """
         return _validation.prediction_band(self, times, level, outputs)
 
+    def profile(
+        self,
+        parameters: str | Sequence[str] | None = None,
+        level: SupportsFloat = 0.95,
+        max_points: SupportsFloat | None = None,
+        workers: SupportsIndex | None = None,
+        checkpoint: PathLike | None = None,
+    ) -> Profile:
+        """Profile likelihoods: each parameter is held at values farther and farther from its best one, and the others are fitted
+        again, until the cost has risen so much that the data exclude the value.
+
+        The intervals need not be symmetric as those of `confidence_intervals` are, and they are open where the data do not bound a
+        parameter. The cost is the sum of the squared residuals, those of each output over its residual variance at the fit (with
+        ``covariance="pooled"``: over one variance for all); the threshold is the quantile of F with 1 and N - p degrees of freedom
+        (Bates and Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1).
+
+        Parameters
+        ----------
+        parameters : str or list of str, optional
+            Names; default: all that were fitted.
+        level : float
+            The level of the intervals, between 0 and 1.
+        max_points : int, optional
+            Points on each side before a side that has not reached the threshold is said to be open; default 20.
+        workers : int, optional
+            Sides that run at once; default: all cores. The result does not depend on it.
+        checkpoint : path, optional
+            A file that keeps the sides that are complete. If it exists, the profile is continued from it.
+
+        Returns
+        -------
+        Profile
+            ``intervals``, ``values``, ``costs`` by parameter; ``print`` and ``plot``.
+
+        Raises
+        ------
+        Interrupted
+            Ctrl-C; what there is so far is in its ``result``.
+        ValueError
+            The fit minimised something else than a sum of squares, or its residuals are all zero; parameters that were not
+            fitted; a level that does not lie between 0 and 1; a file of another problem.
+        OSError
+            The file cannot be read or written.
+        """
+        return _profile.of_fit(self, parameters, level, max_points, workers, checkpoint)
+
     def residuals(self) -> FloatArray:
         """The residuals at the fitted values, simulated minus measured times weight; see `Calibration.residuals`."""
         return self._calibration.residuals(self.x)
@@ -315,6 +362,11 @@ class Fit(OptimizeResult):
         from . import _plot
 
         return _plot.correlation(self.correlation, self._calibration.names)
+
+    def plot_profiles(self, profile: Profile | None = None) -> Figure:
+        """Draws the rise of the cost over each parameter, with the threshold and the interval; as `plot`. Without a `profile` that
+        was found before, it is found now, of all parameters."""
+        return (self.profile() if profile is None else profile).plot()
 
     def plot_sensitivity(self) -> Figure:
         """Draws what a relative change of each parameter makes of each output, over time, or for more than six parameters its root

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from .fit import fit
+from .profile import profiles
 from .search import convergence, waterfall
 from .simplex import SimplexWalk
 from .style import pyplot
 from .worth import correlation, sensitivity
 
-__all__ = ["SimplexWalk", "convergence", "correlation", "fit", "pyplot", "sensitivity", "waterfall"]
+__all__ = ["SimplexWalk", "convergence", "correlation", "fit", "profiles", "pyplot", "sensitivity", "waterfall"]

@@ -1,0 +1,291 @@
+//! Profile likelihood: how the cost rises as one parameter is held away from its best value and the others are fitted again.
+
+mod refit;
+mod result;
+mod saved;
+mod walk;
+
+use crate::calibration::Calibration;
+use crate::effect::{AT, BoundSide, inner};
+use crate::error::CalibrationError;
+use crate::fit::Fit;
+use crate::measurements::scaled_weight;
+use crate::objective::CostKind;
+use crate::parallel;
+use crate::parameter::Parameter;
+use crate::simulations::Simulations;
+use crate::worth::{Estimator, KnownPoint, Noise, Worth, check_level};
+use dfo::{Kind, RobustLoss};
+use refit::{NoFit, Refits};
+pub use result::{ParameterProfile, Profile, ProfileEnd, ProfilePoint};
+use saved::{SavedSides, Side};
+use sha2::{Digest, Sha256};
+use std::path::PathBuf;
+use std::sync::Mutex;
+use std::thread::available_parallelism;
+use walk::{Origin, walk};
+
+/// How [`Calibration::profile`] is made.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ProfileOptions {
+    /// The parameters, by number; default: all that were fitted.
+    pub parameters: Option<Vec<usize>>,
+    /// The level of the intervals; default 0.95.
+    pub level: f64,
+    /// Points on each side of the optimum before a side that has not crossed the threshold is said to be open; default 20. Refits that
+    /// find the crossing come on top.
+    pub max_points: usize,
+    /// Sides that are walked at once; default: all cores. The result does not depend on it.
+    pub workers: Option<usize>,
+    /// A file that keeps the sides that are complete, and from which a profile is continued.
+    pub checkpoint: Option<PathBuf>,
+}
+
+impl Default for ProfileOptions {
+    fn default() -> Self {
+        Self { parameters: None, level: 0.95, max_points: 20, workers: None, checkpoint: None }
+    }
+}
+
+impl Calibration {
+    /// The profile likelihoods of parameters of a fit, and their confidence intervals: unlike those of
+    /// [`Worth::confidence_intervals`](crate::Worth::confidence_intervals) they need not be symmetric, and they are open where the data
+    /// do not bound a parameter.
+    ///
+    /// Each parameter is held at values farther and farther from the optimum, and the others are fitted again by least squares. The
+    /// statistic is the rise of the sum of the squared residuals, those of each output divided by their standard deviation
+    /// (`r'r / N_o N / (N - p)` at the fit is its square, and stays; with the pooled estimator of [`Fit::worth`] there is one for all). An
+    /// interval ends where the statistic is the quantile of F with 1 and N - p degrees of freedom, the square of that of Student's t
+    /// (Bates and Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1; Raue et al., Bioinformatics 25, 2009,
+    /// with the quantile of chi-square, its limit for many measurements). It is about the optimum of the weighted sum, which is found
+    /// first: with outputs of different variances it differs a little from that of the fit. For a linear model and one output the interval
+    /// is that of the covariance.
+    ///
+    /// The sides of the parameters run in parallel. `cancelled` is asked on the calling thread; after the optimum is found, an
+    /// interrupt leaves what is there in hand ([`Profile::is_interrupted`]).
+    ///
+    /// # Errors
+    /// Parameters that there are not, or that were not fitted; a level that does not lie between 0 and 1; a fit of something else than
+    /// a plain sum of squares; residuals that are all zero, or no more of them than parameters; no optimum; a file of another problem,
+    /// or that cannot be read or written; [`CalibrationError::Cancelled`] before there is an optimum.
+    pub fn profile(
+        &self,
+        fit: &Fit,
+        options: &ProfileOptions,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Profile, CalibrationError> {
+        let setup = |message: String| Err(CalibrationError::Setup(message));
+        self.check_length(&fit.x)?;
+        if fit.objective != CostKind::default().name() || !fit.report.loss.is_linear() {
+            let what =
+                if fit.report.loss.is_linear() { &fit.objective } else { &fit.report.loss.to_string() };
+            return setup(format!(
+                "a profile likelihood is that of a plain sum of squares, and the fit minimised another cost ({what})"
+            ));
+        }
+        let held = self.held_in(fit);
+        let (n, is_free) = (fit.x.len(), |i: &usize| !held.contains(i));
+        let asked = match &options.parameters {
+            None => (0..n).filter(is_free).collect(),
+            Some(asked) => asked.clone(),
+        };
+        if let Some(index) = asked.iter().find(|i| **i >= n) {
+            return setup(format!("there is no parameter {index}, there are only {n}"));
+        }
+        if let Some(index) = asked.iter().find(|i| !is_free(i)) {
+            return setup(format!(
+                "parameter '{}' was not fitted (it is fixed, held or no continuous number), and has no profile",
+                fit.names[*index]
+            ));
+        }
+        if let Some(k) = (1..asked.len()).find(|k| asked[..*k].contains(&asked[*k])) {
+            return setup(format!("parameter '{}' is named twice", fit.names[asked[k]]));
+        }
+        if asked.is_empty() {
+            return setup("no parameter is free, so there is no profile".to_owned());
+        }
+        if options.max_points == 0 {
+            return setup("a profile needs one point or more on each side of the optimum, not 0".to_owned());
+        }
+        if self.known_solver().is_none() {
+            self.set_solver(fit.solver.clone())?;
+        }
+        let n_free = n - held.len();
+        let quantile = check_level(options.level, self.n_residuals().saturating_sub(n_free))?;
+        let threshold = quantile * quantile;
+        let by_output = fit.worth.as_ref().is_none_or(|worth| worth.estimator == Estimator::Sandwich);
+        let weighted = self.weighted_by_variance(&fit.x, n_free, by_output, cancelled)?;
+        let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
+        let size = |i: usize| weighted.size_of(&self.parameters()[i], fit.x[i]);
+        let mut refits = Refits {
+            calibration: &weighted,
+            held: &held,
+            sizes: (0..n).map(|i| step_of(fit.worth.as_ref(), i).unwrap_or_else(|| 0.01 * size(i))).collect(),
+            threshold,
+            cost: self.n_residuals() as f64,
+            stats: Mutex::default(),
+        };
+        let problem = self.profile_hash(fit, (&held, by_output), options);
+        let saved = SavedSides::open(options.checkpoint.as_deref(), problem, n)?;
+        let mut n_simulations = 0;
+        let (x, cost) = refits.refit(&fit.x, n, &mut n_simulations, cancelled).map_err(|e| match e {
+            NoFit::Cancelled => CalibrationError::Cancelled,
+            NoFit::Failed(message) => CalibrationError::Setup(format!(
+                "the optimum of the sum of squares weighted by the variances of the outputs is not found: {message}"
+            )),
+        })?;
+        let mut simulations = Simulations::new(&weighted, (RobustLoss::default(), workers), cancelled)?;
+        let known = KnownPoint { held: held.clone(), f_tol: 1e-4, ..KnownPoint::default() };
+        let worth = weighted.worth_of(&x, Estimator::Pooled, &known, &mut simulations)?;
+        n_simulations += simulations.n;
+        refits.sizes = (0..n).map(|i| step_of(Some(&worth), i).unwrap_or(refits.sizes[i])).collect();
+        let origins: Vec<Origin<'_>> = (asked.iter())
+            .map(|&i| Origin {
+                x: &x,
+                cost,
+                threshold,
+                max_points: options.max_points,
+                standard_error: refits.sizes[i],
+                direction: direction(&worth, i),
+            })
+            .collect();
+        let sides: Vec<(usize, BoundSide)> = (0..asked.len())
+            .flat_map(|k| [BoundSide::Lower, BoundSide::Upper].map(|side| (k, side)))
+            .collect();
+        let saved = Mutex::new(saved);
+        let task = |s: usize, cancelled: &dyn Fn() -> bool| {
+            let (k, side) = sides[s];
+            // A poisoned lock is no reason to fail: the list is whole at every instant.
+            let lock = || saved.lock().unwrap_or_else(|e| e.into_inner());
+            if let Some(side) = lock().of(asked[k], side) {
+                return side.clone();
+            }
+            let walked = walk(&refits, (asked[k], side), &origins[k], cancelled);
+            if walked.end != ProfileEnd::Interrupted {
+                lock().add(walked.clone());
+            }
+            walked
+        };
+        let mut walked = parallel::map((sides.len(), workers), cancelled, &task).into_iter();
+        let mut parameters = Vec::with_capacity(asked.len());
+        for &i in &asked {
+            let mut next = |side| {
+                let none = || Side {
+                    parameter: i,
+                    side,
+                    points: Vec::new(),
+                    end: ProfileEnd::Interrupted,
+                    n_simulations: 0,
+                };
+                walked.next().flatten().unwrap_or_else(none)
+            };
+            let (lower, upper) = (next(BoundSide::Lower), next(BoundSide::Upper));
+            n_simulations += lower.n_simulations + upper.n_simulations;
+            let optimum = ProfilePoint { value: x[i], statistic: 0.0, x: x.clone() };
+            let mut points: Vec<ProfilePoint> = lower.points.into_iter().rev().collect();
+            points.push(optimum);
+            points.extend(upper.points);
+            parameters.push(ParameterProfile {
+                parameter: i,
+                name: fit.names[i].clone(),
+                optimum: x[i],
+                points,
+                lower: lower.end,
+                upper: upper.end,
+            });
+        }
+        let is_cut = |p: &ParameterProfile| [&p.lower, &p.upper].contains(&&ProfileEnd::Interrupted);
+        let mut stats = simulations.stats;
+        drop(origins);
+        stats += refits.stats.into_inner().unwrap_or_else(|e| e.into_inner());
+        Ok(Profile {
+            level: options.level,
+            threshold,
+            degrees_of_freedom: self.n_residuals() - n_free,
+            is_interrupted: parameters.iter().any(is_cut),
+            parameters,
+            n_simulations,
+            stats,
+            cost,
+            x,
+        })
+    }
+
+    /// Parameters that the fit took as known, by number: not those that it found at a bound.
+    fn held_in(&self, fit: &Fit) -> Vec<usize> {
+        let is_at_bound = |i: usize, p: &Parameter| {
+            let at = inner(p, fit.x[i]);
+            (at - inner(p, p.lower())).min(inner(p, p.upper()) - at) <= AT * self.size_of(p, fit.x[i])
+        };
+        let is_known = |i: usize| fit.worth.as_ref().is_some_and(|worth| worth.held.contains(&i));
+        let is_held = |(i, p): &(usize, &Parameter)| {
+            let is_found = fit.at_bound.iter().any(|(index, _)| index == i) || is_at_bound(*i, p);
+            let is_fixed = p.is_fixed() || p.lower() == p.upper() || p.value_kind() != Kind::Continuous;
+            is_fixed || (is_known(*i) && !is_found)
+        };
+        self.parameters().iter().enumerate().filter(is_held).map(|(i, _)| i).collect()
+    }
+
+    /// The same problem with the residuals divided by their standard deviations at `x`.
+    fn weighted_by_variance(
+        &self,
+        x: &[f64],
+        n_free: usize,
+        by_output: bool,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Self, CalibrationError> {
+        let residuals = self.residuals_until(x, cancelled)?;
+        let layout = self.residual_layout();
+        let noise = Noise::estimate(layout, &residuals, n_free, by_output);
+        if noise.degrees_of_freedom == 0 {
+            let n = residuals.len();
+            return Err(CalibrationError::Setup(format!(
+                "{n} residuals say nothing of the noise of a fit of {n_free} parameters: there is no profile without more of them"
+            )));
+        }
+        let mut problem = self.problem().clone();
+        for output in &layout.outputs {
+            let variance = noise.variances.get(output.range.start).copied().unwrap_or(1.0);
+            if !(variance > 0.0 && variance.is_finite()) {
+                return Err(CalibrationError::Setup(format!(
+                    "the residuals of {} are all zero: without noise there is no profile likelihood",
+                    output.variable
+                )));
+            }
+            let experiment = &mut problem.experiments[output.experiment];
+            let weight = scaled_weight(experiment, output.output, 1.0 / variance.sqrt())?;
+            experiment.outputs[output.output].weight = weight;
+        }
+        self.derived(problem)
+    }
+
+    /// What the sides of profiles depend on but their parameter, as a hash.
+    fn profile_hash(
+        &self,
+        fit: &Fit,
+        (held, by_output): (&[usize], bool),
+        options: &ProfileOptions,
+    ) -> String {
+        let bounds: Vec<_> =
+            self.parameters().iter().map(|p| (p.lower(), p.upper(), p.scale_kind())).collect();
+        let costs = self.problem_hash(&fit.solver);
+        let (level, points) = (options.level, options.max_points);
+        let words = format!("{costs} {:?} {bounds:?} {held:?} {by_output} {level:?} {points}", fit.x);
+        Sha256::digest(words).iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+}
+
+/// The standard error of a parameter in the coordinate of the search, where it is known.
+fn step_of(worth: Option<&Worth>, i: usize) -> Option<f64> {
+    let worth = worth?;
+    let error = worth.standard_errors[i] / if worth.is_log[i] { worth.x[i] } else { 1.0 };
+    (error > 0.0 && error.is_finite()).then_some(error)
+}
+
+/// How the best values of all parameters change with one of them, in the coordinates of the search: the covariances over its variance.
+fn direction(worth: &Worth, i: usize) -> Vec<f64> {
+    let n = worth.x.len();
+    let scale = |k: usize| if worth.is_log[k] { worth.x[k] } else { 1.0 };
+    let of = |k: usize| worth.covariance[i * n + k] / worth.covariance[i * n + i] * scale(i) / scale(k);
+    (0..n).map(|k| if of(k).is_finite() { of(k) } else { 0.0 }).collect()
+}

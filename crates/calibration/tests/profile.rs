@@ -1,0 +1,225 @@
+//! Profile likelihoods, against closed forms.
+
+#![allow(clippy::unwrap_used)]
+
+use calibration::{
+    Calibration, CalibrationError, Data, Estimator, Experiment, Fit, FitOptions, Parameter, Profile,
+    ProfileEnd, ProfileOptions, Scale, WorthOptions,
+};
+use example_models::example_fmu;
+use std::path::Path;
+
+fn open(name: &str) -> fmi::Fmu {
+    fmi::Fmu::open(example_fmu(name).unwrap()).unwrap()
+}
+
+fn data(time: &[f64], columns: &[(&str, Vec<f64>)]) -> Data {
+    let columns = columns.iter().map(|(name, values)| ((*name).to_owned(), values.clone()));
+    Data::from_columns(time.to_vec(), columns).unwrap()
+}
+
+fn near(got: f64, expected: f64, within: f64) {
+    assert!((got - expected).abs() <= within, "{got} instead of {expected}");
+}
+
+/// Numbers between -1 and 1 that look like chance.
+fn noise(n: usize) -> impl Iterator<Item = f64> {
+    (0..n).map(|k| ((k as f64 * 12.9898).sin() * 43758.5453).fract())
+}
+
+fn fitted(calibration: &Calibration, options: FitOptions<'_>) -> Fit {
+    calibration.fit(options).unwrap()
+}
+
+fn profile(calibration: &Calibration, fit: &Fit, options: &ProfileOptions) -> Profile {
+    calibration.profile(fit, options, &|| false).unwrap()
+}
+
+/// x = x0 exp(-k t), with noise.
+fn decay(parameters: impl IntoIterator<Item = Parameter>) -> Calibration {
+    let time: Vec<f64> = (0..30).map(|k| 0.1 * f64::from(k)).collect();
+    let x = time.iter().zip(noise(30)).map(|(t, e)| (-1.5 * t).exp() + 0.1 * e).collect();
+    let builder = Calibration::builder(open("dahlquist"))
+        .experiment(Experiment::new(data(&time, &[("x", x)])).output("x", "x"));
+    parameters.into_iter().fold(builder, |builder, p| builder.parameter(p)).build().unwrap()
+}
+
+/// h = h0 + v0 t without gravity, and v = v0: a linear model with two outputs, the weights of which say nothing of their errors.
+fn line() -> Calibration {
+    let time: Vec<f64> = (0..50).map(|k| 0.01 * f64::from(k)).collect();
+    let e: Vec<f64> = noise(100).collect();
+    let h = time.iter().zip(&e).map(|(t, e)| 10.0 + 2.0 * t + 0.3 * e).collect();
+    let v = e[50..].iter().map(|e| 2.0 + 0.05 * e).collect();
+    let rows = (0..50).map(|_| 2.0).collect();
+    let experiment = Experiment::new(data(&time, &[("h", h), ("v", v), ("w", rows)]))
+        .output("h", "h")
+        .weighted_output("v", "v", calibration::Weight::Column("w".to_owned()))
+        .start_value("g", 0.0);
+    Calibration::builder(open("bouncing_ball"))
+        .experiment(experiment)
+        .parameter(Parameter::new("h", 9.0))
+        .parameter(Parameter::new("v", 1.0))
+        .build()
+        .unwrap()
+}
+
+#[test]
+fn the_interval_of_a_linear_model_is_that_of_weighted_least_squares() {
+    let calibration = line();
+    for (estimator, weigh) in [(Estimator::Sandwich, true), (Estimator::Pooled, false)] {
+        let worth = Some(WorthOptions { estimator, ..WorthOptions::default() });
+        let fit = fitted(&calibration, FitOptions { worth, ..FitOptions::default() });
+        let found = profile(&calibration, &fit, &ProfileOptions::default());
+        let r = calibration.residuals(&fit.x).unwrap();
+        let sum = |part: &[f64]| part.iter().map(|r| r * r).sum::<f64>();
+        let variance = match weigh {
+            true => [&r[..50], &r[50..]].map(|part| sum(part) / 50.0 * 100.0 / 98.0),
+            false => [sum(&r) / 98.0; 2],
+        };
+        let mut normal = [0.0; 3];
+        for t in (0..50).map(|k| 0.01 * f64::from(k)) {
+            normal[0] += 1.0 / variance[0];
+            normal[1] += t / variance[0];
+            normal[2] += t * t / variance[0] + 4.0 / variance[1];
+        }
+        let determinant = normal[0] * normal[2] - normal[1] * normal[1];
+        let errors = [(normal[2] / determinant).sqrt(), (normal[0] / determinant).sqrt()];
+        // The quantile of Student's t for 98 degrees of freedom.
+        let t = 1.984_467_5;
+        near(found.threshold, t * t, 1e-5);
+        assert_eq!(found.degrees_of_freedom, 98);
+        for (k, p) in found.parameters.iter().enumerate() {
+            let (low, high) = p.interval();
+            near(low, found.x[k] - t * errors[k], 0.01 * errors[k]);
+            near(high, found.x[k] + t * errors[k], 0.01 * errors[k]);
+            // A parabola, in four steps or so on each side.
+            assert!((7..=17).contains(&p.points.len()), "{}", p.points.len());
+            for point in &p.points {
+                let z = (point.value - found.x[k]) / errors[k];
+                near(point.statistic, z * z, 0.01);
+                assert_eq!(point.x[k], point.value);
+            }
+            assert!(p.points.is_sorted_by(|a, b| a.value < b.value) && p.message().is_empty());
+        }
+        assert!(!found.is_interrupted && found.stats.right_hand_sides > 0 && found.n_simulations > 50);
+        // Without weights it is the optimum of the fit.
+        assert!(weigh || (found.x[0] - fit.x[0]).abs() < 0.02 * errors[0]);
+    }
+}
+
+#[test]
+fn one_parameter_and_scales() {
+    // The statistic of the only parameter is the cost itself.
+    for scale in [Scale::Linear, Scale::Log] {
+        let calibration = decay([Parameter::new("k", 1.0).bounds(0.1, 5.0).scale(scale)]);
+        let fit = fitted(&calibration, FitOptions::default());
+        let found = profile(&calibration, &fit, &ProfileOptions { level: 0.9, ..ProfileOptions::default() });
+        let (low, high) = found.parameters[0].interval();
+        let variance = fit.cost / 29.0;
+        for end in [low, high] {
+            let rise = (calibration.cost(&[end]).unwrap() - fit.cost) / variance;
+            near(rise, found.threshold, 0.01 * found.threshold);
+        }
+        // Fast decays are told apart worse than slow ones.
+        assert!(high - fit.x[0] > 1.02 * (fit.x[0] - low), "{low} {high}");
+        let text = found.to_string();
+        assert!(text.contains("90 % intervals") && text.contains("29 degrees of freedom"), "{text}");
+    }
+}
+
+#[test]
+fn what_is_open_is_said() {
+    let calibration = decay([Parameter::new("k", 1.0).bounds(0.1, 1.55), Parameter::new("x", 1.0)]);
+    let fit = fitted(&calibration, FitOptions::default());
+    let found = profile(&calibration, &fit, &ProfileOptions::default());
+    let [k, x] = &found.parameters[..] else { panic!("{found}") };
+    assert_eq!((&k.upper, k.interval().1), (&ProfileEnd::AtBound(1.55), f64::INFINITY));
+    assert!(k.interval().0 > 0.5 && x.interval().0.is_finite() && x.interval().1.is_finite());
+    let said = "k: open towards larger values: reaches its upper bound, 1.55";
+    assert!(found.to_string().contains(said), "{found}");
+    // A parameter at its bound has one side; the other one moves away from its bound where it helps.
+    let calibration = decay([Parameter::new("k", 1.0).bounds(0.1, 1.2), Parameter::new("x", 1.0)]);
+    let fit = fitted(&calibration, FitOptions::default());
+    let found = profile(&calibration, &fit, &ProfileOptions::default());
+    assert_eq!((fit.at_bound.len(), &found.parameters[0].upper), (1, &ProfileEnd::AtBound(1.2)));
+    assert!(found.parameters[0].interval().0 < 1.2);
+    // Nothing moves the first coefficient of restitution before the ball has fallen.
+    let time: Vec<f64> = (0..40).map(|k| 0.01 * f64::from(k)).collect();
+    let h = time.iter().zip(noise(40)).map(|(t, e)| 1.0 - 0.5 * 9.81 * t * t + 1e-3 * e).collect();
+    let calibration = Calibration::builder(open("bouncing_ball"))
+        .experiment(Experiment::new(data(&time, &[("h", h)])).output("h", "h"))
+        .parameter(Parameter::new("e", 0.7).bounds(0.1, 0.95))
+        .parameter(Parameter::new("g", -9.0).bounds(-15.0, -5.0))
+        .build()
+        .unwrap();
+    let fit = fitted(&calibration, FitOptions::default());
+    let few = ProfileOptions { max_points: 2, ..ProfileOptions::default() };
+    let found = profile(&calibration, &fit, &few);
+    assert!(matches!(found.parameters[0].lower, ProfileEnd::PointLimit(_)), "{found}");
+    let found = profile(&calibration, &fit, &ProfileOptions::default());
+    assert_eq!(
+        (&found.parameters[0].lower, &found.parameters[0].upper),
+        (&ProfileEnd::AtBound(0.1), &ProfileEnd::AtBound(0.95))
+    );
+    assert!(found.parameters[1].message().is_empty(), "{found}");
+}
+
+fn without_stats(mut profile: Profile) -> Profile {
+    profile.stats = ode::Stats::default();
+    profile
+}
+
+#[test]
+fn workers_interrupts_and_files_change_no_number() {
+    let calibration = decay([Parameter::new("k", 1.0).bounds(0.1, 5.0), Parameter::new("x", 1.2)]);
+    let fit = fitted(&calibration, FitOptions::default());
+    let with = |workers, checkpoint: Option<&Path>| ProfileOptions {
+        workers: Some(workers),
+        checkpoint: checkpoint.map(Path::to_owned),
+        ..ProfileOptions::default()
+    };
+    let whole = without_stats(profile(&calibration, &fit, &with(1, None)));
+    assert_eq!(whole, without_stats(profile(&calibration, &fit, &with(3, None))));
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("profile.json");
+    let n_saved = || std::fs::read_to_string(&file).unwrap_or_default().matches("\"side\"").count();
+    let cut = calibration.profile(&fit, &with(1, Some(&file)), &|| n_saved() > 1).unwrap();
+    assert!(cut.is_interrupted && cut.to_string().contains("interrupted"), "{cut}");
+    assert_eq!((n_saved(), &cut.parameters[0]), (2, &whole.parameters[0]));
+    assert_eq!(cut.parameters[1].upper, ProfileEnd::Interrupted);
+    let resumed = profile(&calibration, &fit, &with(3, Some(&file)));
+    assert_eq!((n_saved(), &without_stats(resumed)), (4, &whole));
+    let again = profile(&calibration, &fit, &with(1, Some(&file)));
+    assert!(again.n_simulations == whole.n_simulations && n_saved() == 4);
+    let cancelled = calibration.profile(&fit, &with(1, None), &|| true).unwrap_err();
+    assert!(matches!(cancelled, CalibrationError::Cancelled));
+
+    let refused = |options: ProfileOptions| {
+        calibration.profile(&fit, &options, &|| false).map(|_| ()).unwrap_err().to_string()
+    };
+    let said = refused(ProfileOptions { level: 0.9, ..with(1, Some(&file)) });
+    assert!(said.contains("another fit") && said.contains("profile.json"), "{said}");
+    std::fs::write(&file, "x").unwrap();
+    assert!(refused(with(1, Some(&file))).contains("no file of profiles"));
+    assert!(refused(with(1, Some(&folder.path().join("none/p.json")))).contains("none"));
+    assert!(refused(ProfileOptions { level: 95.0, ..with(1, None) }).contains("between 0 and 1"));
+    assert!(refused(ProfileOptions { parameters: Some(vec![2]), ..with(1, None) }).contains("only 2"));
+    assert!(refused(ProfileOptions { parameters: Some(vec![1, 1]), ..with(1, None) }).contains("twice"));
+    assert!(refused(ProfileOptions { max_points: 0, ..with(1, None) }).contains("one point or more"));
+}
+
+#[test]
+fn fits_that_have_no_profile_are_refused() {
+    let calibration =
+        decay([Parameter::new("k", 1.0).bounds(0.1, 5.0), Parameter::new("x", 1.0).fixed(true)]);
+    let fit = fitted(&calibration, FitOptions::default());
+    let fixed = ProfileOptions { parameters: Some(vec![1]), ..ProfileOptions::default() };
+    let said = calibration.profile(&fit, &fixed, &|| false).unwrap_err().to_string();
+    assert!(said.contains("'x' was not fitted"), "{said}");
+    assert_eq!(profile(&calibration, &fit, &ProfileOptions::default()).parameters.len(), 1);
+    let robust =
+        FitOptions { loss: dfo::RobustLoss::new(dfo::Loss::SoftL1, 0.1).unwrap(), ..FitOptions::default() };
+    let fit = fitted(&calibration, robust);
+    let said = calibration.profile(&fit, &ProfileOptions::default(), &|| false).unwrap_err().to_string();
+    assert!(said.contains("plain sum of squares"), "{said}");
+}

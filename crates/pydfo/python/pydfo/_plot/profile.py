@@ -1,0 +1,50 @@
+"""Profile likelihoods, as a picture."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .style import FITTED, MEASURED, START, pyplot, short
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from .._profile import Profile
+
+#: The panels end at this multiple of the threshold.
+HEIGHT = 1.6
+
+
+def profiles(profile: Profile) -> Figure:
+    """The rise of the cost over each parameter, with the threshold and the interval, shaded."""
+    plt = pyplot()
+    names = list(profile.values)
+    columns = min(len(names), 3)
+    rows = -(-len(names) // columns)
+    figure: Figure
+    figure, grid = plt.subplots(rows, columns, squeeze=False, figsize=(1.0 + 3.6 * columns, 0.8 + 2.9 * rows), layout="constrained")
+    for axes, name in zip(grid.flat, names):
+        values, costs = profile.values[name], profile.costs[name]
+        shown = costs <= HEIGHT * profile.threshold
+        low, high = profile.intervals[name]
+        left, right = (end if np.isfinite(end) else values[k] for end, k in ((low, 0), (high, -1)))
+        axes.axvspan(left, right, color=FITTED, alpha=0.12, linewidth=0)
+        axes.axhline(profile.threshold, color=START, linestyle="--", linewidth=1.0)
+        for end in (low, high):
+            if np.isfinite(end):
+                axes.axvline(end, color=FITTED, linewidth=0.8)
+        axes.plot(values[shown], costs[shown], ".-", color=FITTED, linewidth=1.1)
+        axes.axvline(profile.parameters[name], color=MEASURED, linewidth=0.8)
+        axes.set_ylim(-0.05 * profile.threshold, HEIGHT * profile.threshold)
+        axes.set_xlabel(short(name))
+        axes.tick_params(axis="x", labelsize="small", rotation=30)
+        interval = ", ".join(f"{end:.5g}" if np.isfinite(end) else "open" for end in (low, high))
+        axes.set_title(f"({interval})", fontsize="small")
+    for axes in grid.flat[len(names) :]:
+        axes.set_visible(False)
+    for row in grid:
+        row[0].set_ylabel("rise of the cost [variances]")
+    figure.suptitle(f"Profile likelihood, {100.0 * profile.level:g} % intervals", fontsize="medium")
+    return figure

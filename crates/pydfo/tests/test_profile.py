@@ -1,0 +1,101 @@
+"""Profile likelihoods: against the standard errors of the pendulum, and what users meet."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+import recordings
+
+from pydfo import Calibration, Interrupted, Parameter, Profile, example_fmu
+
+FRICTION = [Parameter("armFriction", 0.012, 0, 0.022), Parameter("pendulumFriction", 0.002, 0, 0.012)]
+ANGLES = {"armJoint.phi": "phi", "pendulumJoint.phi": "theta"}
+
+
+def decay(upper=5.0):
+    times = np.linspace(0, 3, 30)
+    x = np.exp(-1.5 * times) + np.random.default_rng(7).normal(0, 0.05, times.size)
+    parameters = [Parameter("k", 1.0, 0.1, upper), Parameter("x", 1.0)]
+    return Calibration(example_fmu("dahlquist"), {"time": times, "x": x}, ["x"], parameters)
+
+
+@pytest.mark.parametrize("which", recordings.at_hand("FurutaData.mat"))
+def test_the_profile_of_the_pendulum_agrees_with_its_standard_errors(which):
+    fit = Calibration(example_fmu("furuta"), recordings.furuta(which), ANGLES, FRICTION).fit()
+    profile = fit.profile()
+    assert list(profile.intervals) == fit._calibration.names and profile.message == "" and not profile.interrupted
+    widths = np.diff(list(profile.intervals.values()))[:, 0]
+    expected = np.diff(fit.confidence_intervals())[:, 0]
+    np.testing.assert_allclose(widths, expected, rtol=0.15)
+    if which == "published":
+        np.testing.assert_allclose(widths / (2 * np.sqrt(profile.threshold)), [1.375e-5, 1.094e-6], rtol=0.15)
+
+
+def test_intervals_values_costs_text_and_picture(tmp_path):
+    fit = decay().fit()
+    profile = fit.profile(checkpoint=tmp_path / "profile.json", workers=2)
+    for name, (low, high) in profile.intervals.items():
+        values, costs = profile.values[name], profile.costs[name]
+        assert (np.diff(values) > 0).all() and costs.min() == 0 == costs[values == profile.parameters[name]][0]
+        assert profile.points[name].shape == (len(values), 2) and low < fit.parameters[name] < high
+        np.testing.assert_allclose(np.interp([low, high], values, costs), profile.threshold, rtol=0.05)
+    assert profile.degrees_of_freedom == 28 and profile.stats.right_hand_sides > 0
+    assert repr(profile).startswith("profile likelihood: 95 % intervals") and "k  " in repr(profile)
+    again = fit.profile("x", checkpoint=tmp_path / "profile.json")
+    assert again.intervals == {"x": profile.intervals["x"]} and again.stats.right_hand_sides < profile.stats.right_hand_sides
+    pytest.importorskip("matplotlib").use("Agg")
+    panels = fit.plot_profiles(profile).axes
+    assert [axes.get_xlabel() for axes in panels] == ["k", "x"]
+    (axes,) = again.plot().axes
+    assert "open" not in axes.get_title() and axes.get_lines()
+
+
+def test_an_open_side_is_infinite_and_said():
+    fit = decay(upper=1.5).fit()
+    profile = fit.profile("k")
+    low, high = profile.intervals["k"]
+    assert np.isfinite(low) and high == np.inf
+    assert profile.messages["k"] == "open towards larger values: reaches its upper bound, 1.5"
+    assert profile.message in repr(profile)
+
+
+def test_an_interrupt_has_what_there_is(tmp_path):
+    calibration = Calibration(
+        example_fmu("furuta"), recordings.furuta("own"), ANGLES, FRICTION, relative_tolerance=1e-11, solver="tsit5"
+    )
+    fit, file = calibration.fit(), tmp_path / "profile.json"
+
+    def interrupt():
+        # One side is complete, three are not.
+        while '"side"' not in (file.read_text() if file.exists() else ""):
+            time.sleep(1e-3)
+        signal.raise_signal(signal.SIGINT)
+
+    thread = threading.Thread(target=interrupt, daemon=True)
+    thread.start()
+    with pytest.raises(Interrupted) as caught:
+        fit.profile(workers=1, checkpoint=file)
+    thread.join()
+    found = caught.value.result
+    assert isinstance(found, Profile) and found.interrupted and "interrupted" in found.message
+    assert np.isfinite(found.intervals["armFriction"][0]) and found.intervals["pendulumFriction"][1] == np.inf
+
+
+def test_mistakes_are_named(tmp_path):
+    fit = decay().fit()
+    for options, said in (
+        ({"parameters": ["q"]}, "there is no parameter 'q'; there are: k, x"),
+        ({"level": 95}, "between 0 and 1"),
+        ({"max_points": 0}, "max_points = 0"),
+        ({"workers": 0}, "workers = 0"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            fit.profile(**options)
+    with pytest.raises(OSError):
+        fit.profile(checkpoint=tmp_path)
+    with pytest.raises(ValueError, match="another cost"):
+        decay().fit(objective="mae").profile()
