@@ -7,7 +7,7 @@ use crate::parallel;
 use crate::validation::{Validation, ValidationSet};
 use crate::worth::digits;
 use dfo::{AnyMethod, RobustLoss, RunOptions};
-use ode::Stats;
+use ode::{Number, Stats};
 use std::fmt;
 use std::thread::available_parallelism;
 use std::time::{Duration, Instant};
@@ -19,7 +19,7 @@ pub struct CrossValidationOptions {
     /// recordings, so that one is held out at a time.
     pub folds: Option<usize>,
     /// How each fit is made. `workers` (default: all cores) are shared by the fits, which run at once; `max_time` holds for all of them
-    /// together; there are no checkpoints.
+    /// together, and folds that it cuts short are left out; there are no checkpoints.
     pub run: RunOptions<AnyMethod>,
     /// What a residual counts.
     pub loss: RobustLoss,
@@ -47,8 +47,10 @@ pub struct Fold {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct CrossValidation {
-    /// The folds.
+    /// The folds that were done.
     pub folds: Vec<Fold>,
+    /// Names of the recordings that were to be held out in folds for which the time did not suffice.
+    pub unfinished: Vec<Vec<String>>,
     /// Root of the mean squared weighted residual of all recordings, each when it was held out.
     pub rms: f64,
     /// The shared parameters: name, mean over the folds, standard deviation between them.
@@ -64,7 +66,8 @@ impl Calibration {
     /// fitted to it, all others held, as in [`validate`](Self::validate).
     ///
     /// # Errors
-    /// Fewer than two recordings, folds that are none or too many, an error of one of the fits.
+    /// Fewer than two recordings, folds that are none or too many, an error of one of the fits, a time limit before the end of the
+    /// first fold.
     pub fn cross_validate(
         &self,
         options: &CrossValidationOptions,
@@ -105,11 +108,27 @@ impl Calibration {
                 let left = late.saturating_duration_since(Instant::now());
                 run.limits.max_time = Some(left.max(Duration::from_millis(1)));
             }
-            self.fold((fold, k), run, options.loss, cancelled)
+            let is_late = || late.is_some_and(|late| Instant::now() >= late);
+            match self.fold((fold, k), run, options.loss, &|| cancelled() || is_late()) {
+                // What it was when the time was up says nothing.
+                _ if is_late() && !cancelled() => Ok(None),
+                fold => fold.map(Some),
+            }
         };
-        let folds = parallel::map((k, workers), cancelled, &task).into_iter();
-        let folds: Vec<Fold> =
-            folds.map(|fold| fold.unwrap_or(Err(CalibrationError::Cancelled))).collect::<Result<_, _>>()?;
+        let made = parallel::map((k, workers), cancelled, &task).into_iter();
+        let made: Vec<Option<Fold>> =
+            made.map(|fold| fold.unwrap_or(Err(CalibrationError::Cancelled))).collect::<Result<_, _>>()?;
+        let names = self.problem().experiment_names();
+        let unfinished: Vec<Vec<String>> = (made.iter().enumerate().filter(|(_, fold)| fold.is_none()))
+            .map(|(fold, _)| names.iter().skip(fold).step_by(k).cloned().collect())
+            .collect();
+        let folds: Vec<Fold> = made.into_iter().flatten().collect();
+        if folds.is_empty() {
+            let limit = Number(options.run.limits.max_time.map_or(f64::NAN, |limit| limit.as_secs_f64()));
+            return setup(format!(
+                "the time limit of {limit} s was over before one of {k} folds was done: give more time"
+            ));
+        }
         let counted: usize = folds.iter().map(|fold| fold.validation.n).sum();
         let sum: f64 =
             folds.iter().map(|f| f.validation.n as f64 * f.validation.rms * f.validation.rms).sum();
@@ -127,7 +146,7 @@ impl Calibration {
             (name.to_owned(), mean, (squares / (values.len() as f64 - 1.0)).sqrt())
         };
         let parameters = shared.map(|p| spread(p.name())).collect();
-        Ok(CrossValidation { rms: (sum / counted as f64).sqrt(), parameters, stats, folds })
+        Ok(CrossValidation { rms: (sum / counted as f64).sqrt(), parameters, stats, folds, unfinished })
     }
 
     /// The fit without the recordings of a fold, validated on them.
@@ -193,6 +212,9 @@ impl fmt::Display for CrossValidation {
         write!(f, "\n{:<width$}  {:>10}  {:>10}", "spread", "", "")?;
         for ((.., spread), column) in self.parameters.iter().zip(&columns) {
             write!(f, "  {:>column$}", digits(*spread).to_string())?;
+        }
+        for held_out in &self.unfinished {
+            write!(f, "\n{}: not done in time", held_out.join(", "))?;
         }
         Ok(())
     }

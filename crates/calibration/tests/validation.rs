@@ -2,8 +2,12 @@
 
 #![allow(clippy::unwrap_used)]
 
-use calibration::{Calibration, Data, Experiment, Fit, FitOptions, Parameter, ValidationSet};
+use calibration::dfo::Limits;
+use calibration::{
+    Calibration, CrossValidationOptions, Data, Experiment, Fit, FitOptions, Parameter, ValidationSet,
+};
 use example_models::example_fmu;
+use std::time::Duration;
 
 /// x' = -k x from x0, every 0.1 s.
 fn decay(k: f64, x0: f64) -> Data {
@@ -89,4 +93,18 @@ fn sets_that_cannot_be_used_are_named() {
     }
     let error = calibration.validate_until(&fit, &ValidationSet::Windows(vec![(0.0, 1.0)]), &|| true);
     assert!(matches!(error, Err(calibration::CalibrationError::Cancelled)));
+}
+
+#[test]
+fn a_cross_validation_ends_when_the_time_is_up() {
+    let (calibration, _) = fitted(vec![experiment(2.0, 1.0), experiment(2.1, 1.5)], true);
+    let mut options = CrossValidationOptions::default();
+    options.run.limits = Limits { max_time: Some(Duration::from_nanos(1)), ..Limits::default() };
+    let error = calibration.cross_validate(&options).unwrap_err().to_string();
+    assert!(error.contains("before one of 2 folds was done"), "{error}");
+    options.run.limits.max_time = Some(Duration::from_secs(600));
+    let found = calibration.cross_validate(&options).unwrap();
+    assert!(
+        found.folds.len() == 2 && found.unfinished.is_empty() && begun.elapsed() < Duration::from_secs(600)
+    );
 }

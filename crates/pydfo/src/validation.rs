@@ -127,6 +127,7 @@ pub(crate) fn cross_validate<'py>(
         Ok(fields)
     };
     fields.set_item("folds", found.folds.iter().map(of_fold).collect::<PyResult<Vec<_>>>()?)?;
+    fields.set_item("unfinished", &found.unfinished)?;
     fields.set_item("rms", found.rms)?;
     let spread = found.parameters.iter().map(|(name, mean, spread)| (name, (*mean, *spread)));
     fields.set_item("parameters", spread.into_py_dict(py)?)?;

@@ -178,6 +178,8 @@ class CrossValidation:
     ----------
     folds : list of Fold
         Each fit, in the order of the recordings.
+    unfinished : list of list of str
+        Recordings that were to be held out in folds for which the time did not suffice.
     rms : float
         Root of the mean squared weighted residual of all recordings, each when it was held out.
     parameters : dict of str to (float, float)
@@ -190,12 +192,14 @@ class CrossValidation:
         self,
         *,
         folds: Sequence[dict[str, Any]],
+        unfinished: list[list[str]],
         rms: float,
         parameters: dict[str, tuple[float, float]],
         stats: dict[str, Any],
         text: str,
     ) -> None:
         self.folds = [Fold(**{**fold, "validation": Validation(**fold["validation"])}) for fold in folds]
+        self.unfinished = unfinished
         self.rms = rms
         self.parameters = parameters
         self.stats = SimulationStats(**stats)
