@@ -56,6 +56,7 @@ fn to_python<'py>(py: Python<'py>, found: &Profile) -> PyResult<Bound<'py, PyDic
     fields.set_item("degrees_of_freedom", found.degrees_of_freedom)?;
     fields.set_item("x", PyArray1::from_slice(py, &found.x))?;
     fields.set_item("interrupted", found.is_interrupted)?;
+    fields.set_item("autocorrelated", found.is_autocorrelated)?;
     fields.set_item("n_simulations", found.n_simulations)?;
     fields.set_item("stats", Counts::new(&found.stats))?;
     fields.set_item("text", found.to_string())?;
