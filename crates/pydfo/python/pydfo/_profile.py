@@ -135,8 +135,7 @@ def of_fit(
             fit._calibration._native,
             _share.native_of(fit),
             chosen,
-            _options.number("level", level),
-            _options.limit("max_points", max_points, 1),
+            (_options.number("level", level), _options.limit("max_points", max_points, 1)),
             _options.worker_count("workers", workers, None),
             None if checkpoint is None else os.fspath(checkpoint),
         )
