@@ -51,9 +51,7 @@ def by_a_calibration() -> pydfo.Fit:
         parameters=[pydfo.Parameter(name, start, 0.0, start + WIDEST) for name, start in NOMINAL.items()],
     )
     fit = calibration.fit()
-    print(f"With a calibration: {fit.parameters}")
-    print(f"RMS {fit.start_rms:.4f} rad nominal, {fit.rms:.4f} rad fitted; {fit.nfev} evaluations")
-    print(fit.message)
+    print(f"With a calibration:\n{fit}")
     return fit
 
 
@@ -66,4 +64,4 @@ if __name__ == "__main__":
         print(error)
     else:
         figure.savefig("furuta.png", dpi=120)
-        print("drawn into furuta.png")
+        print("\ndrawn into furuta.png")

@@ -20,12 +20,9 @@ def calibrate(outlets, levels):
         parameters=[pydfo.Parameter(f"qt.a{i}", 3e-6, 2e-6, 4e-6) for i in outlets],
     )
     fit = calibration.fit()
-    print(f"{len(fit.parameters)} outlets to {len(levels)} levels:")
-    for name, value in fit.parameters.items():
-        print(f"  {name} = {1e6 * value:.4f}e-6 m2")
-    print(f"  cost {calibration.cost():.4e} at the start, {fit.cost:.4e} fitted, RMS {1e3 * fit.rms:.3f} mm")
-    final = calibration.simulate(list(fit.parameters.values()))
-    print("  final levels " + ", ".join(f"{final[f'qt.x{i}'][-1]:.5f}" for i in levels) + f" m; {fit.nfev} evaluations")
+    print(f"{len(fit.parameters)} outlets to {len(levels)} levels:\n{fit}")
+    final = fit.simulate(outputs="all")
+    print("final levels " + ", ".join(f"{final[f'qt.x{i}'][-1]:.5f}" for i in (1, 2, 3, 4)) + " m\n")
     return fit
 
 

@@ -148,6 +148,19 @@ pub(crate) fn give_functions(problem: &mut Problem, functions: SignalFunctions) 
     callbacks
 }
 
+/// What a fit is asked for beside the options of its run.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct FitFields {
+    start: Option<Vec<f64>>,
+    observer: Option<Py<PyAny>>,
+    loss: Option<LossFields>,
+    stages: Option<Vec<StageFields>>,
+    covariance: Option<String>,
+    objective: Option<CostFields>,
+    preflight: bool,
+}
+
 /// The model: as it was opened, or where it is.
 #[derive(FromPyObject)]
 enum Source<'py> {
@@ -373,23 +386,12 @@ impl PyCalibration {
         cost::series(py, &self.inner.problem().experiment_names(), measured)
     }
 
-    #[pyo3(signature = (options, *, start=None, observer=None, loss=None, stages=None, covariance=None, objective=None, preflight=false))]
-    fn fit<'py>(
-        &self,
-        py: Python<'py>,
-        options: Options,
-        start: Option<Vec<f64>>,
-        observer: Option<Py<PyAny>>,
-        loss: Option<LossFields>,
-        stages: Option<Vec<StageFields>>,
-        covariance: Option<&str>,
-        objective: Option<CostFields>,
-        preflight: bool,
-    ) -> PyResult<Bound<'py, PyAny>> {
+    fn fit<'py>(&self, py: Python<'py>, options: Options, asked: FitFields) -> PyResult<Bound<'py, PyAny>> {
+        let FitFields { start, observer, loss, stages, covariance, objective, preflight } = asked;
         let check = |stages: Vec<StageFields>| stages.into_iter().map(|stage| stage.check(py)).collect();
         let stages: Option<Vec<calibration::Stage>> = stages.map(check).transpose()?;
         let loss = settings::loss(loss)?.unwrap_or_default();
-        let worth = settings::worth(covariance)?;
+        let worth = settings::worth(covariance.as_deref())?;
         let Settings { run, .. } = options.check(py, FitOptions::default_run().tolerances)?;
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());

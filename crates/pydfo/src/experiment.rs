@@ -164,6 +164,8 @@ enum InputFields {
 }
 
 /// What a state is at the start.
+// It lives as long as it is read.
+#[allow(clippy::large_enum_variant)]
 #[derive(FromPyObject)]
 enum StateFields {
     #[pyo3(transparent)]

@@ -278,7 +278,7 @@ def test_a_check_names_mistakes(change, own, said):
 def test_a_check_is_silent_on_sound_recordings(which):
     check = tank(recordings.quad_tank(which)).check()
     assert check.ok and not check, str(check)
-    assert [f.severity for f in check] == ["note"] and list(check) == check[:]
+    assert [f.severity for f in check] == ["note"] and tuple(check) == check[:]
     outputs = {"armJoint.phi": "phi", "pendulumJoint.phi": "theta"}
     frictions = [Parameter("armFriction", 0.012, 0, 0.022), Parameter("pendulumFriction", 0.002, 0, 0.012)]
     assert not Calibration(example_fmu("furuta"), recordings.furuta(which), outputs, frictions).check()

@@ -17,11 +17,11 @@ const LARGE: f64 = 30.0;
 const RATIOS: [(f64, &str, bool); 7] = [
     (180.0 / PI, "deg against rad", true),
     (100.0, "cm against m, or % against 1", false),
-    (1e3, "mm against m, or kilo against none", false),
+    (1e3, "mm against m, or kPa against Pa", false),
     (1e4, "cm2 against m2", false),
     (1e5, "bar against Pa", false),
-    (1e6, "mega or mm2 against none", false),
-    (1e9, "giga or mm3 against none", false),
+    (1e6, "MPa against Pa, or mm2 against m2", false),
+    (1e9, "GPa against Pa, or mm3 against m3", false),
 ];
 
 /// Smaller ratios, which parameters explain as well: only where the simulation, times the ratio, is this part of the size of the
@@ -132,7 +132,7 @@ fn unit(series: &Series<'_>, subject: &Subject<'_>) -> Option<Finding> {
     };
     // Neither ratio is that of the parameters alone, if both are so large: a gain that is wrong by so much is worth the same words.
     let ratio = (m / s, range_m / range_s);
-    let is_large = |r: f64| r > LARGE || r < 1.0 / LARGE;
+    let is_large = |r: f64| !(1.0 / LARGE..=LARGE).contains(&r);
     if range_s > 0.0
         && is_large(ratio.0)
         && is_large(ratio.1)
@@ -144,9 +144,9 @@ fn unit(series: &Series<'_>, subject: &Subject<'_>) -> Option<Finding> {
             (middle.ln().abs() - factor.ln()).abs() < 2f64.ln() && (!*only_angles || is_angle)
         };
         let hint = RATIOS.iter().find(near).map_or_else(String::new, |(_, units, _)| format!(" ({units})"));
-        let numbers = [range_m, range_s].map(Number);
+        let numbers = [range_m, range_s].map(|range| Number(rounded(range)));
         return finding(format!(
-            "the measurements range over {}, the simulation at the start values over {}: the ratio is about {:.2}, as of another unit{hint}, \
+            "the measurements range over {}, the simulation at the start values over {}: the ratio is about {}, as of another unit{hint}, \
              or of parameters that start far off",
             numbers[0],
             numbers[1],
@@ -180,6 +180,9 @@ fn unit(series: &Series<'_>, subject: &Subject<'_>) -> Option<Finding> {
 
 /// Three digits.
 fn rounded(value: f64) -> f64 {
+    if value == 0.0 {
+        return value;
+    }
     let ten = 10f64.powi(2 - value.abs().log10().floor() as i32);
     if ten.is_finite() && ten > 0.0 { (value * ten).round() / ten } else { value }
 }
@@ -194,8 +197,8 @@ fn held(series: &Series<'_>, subject: &Subject<'_>) -> Option<Finding> {
             series.name(subject),
             format!(
                 "the simulation at the start values holds it at {}, the measurements range over {}",
-                Number(simulated[0]),
-                Number(range(measured))
+                Number(rounded(simulated[0])),
+                Number(rounded(range(measured)))
             ),
             "is an input missing, or an initial value? Is it the right variable?",
         )

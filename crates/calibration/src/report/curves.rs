@@ -83,7 +83,7 @@ impl Calibration {
         self.solver_until(cancelled)?;
         let workers = available_parallelism().map_or(1, usize::from);
         let simulate = |k: usize, cancelled: &dyn Fn() -> bool| {
-            self.response(k / 2, if k % 2 == 0 { &fit.start } else { &fit.x }, cancelled)
+            self.response(k / 2, if k.is_multiple_of(2) { &fit.start } else { &fit.x }, cancelled)
         };
         let mut responses = parallel::map((2 * names.len(), workers), cancelled, &simulate).into_iter();
         let mut response = || responses.next().flatten().unwrap_or(Err(CalibrationError::Cancelled));

@@ -608,16 +608,16 @@ class Calibration:
             setattr(observer, "tick", live.tick)
         try:
             with closing(live) if live else nullcontext():
-                result = self._native.fit(
-                    built,
-                    start=begin,
-                    observer=observer,
-                    loss=counted,
-                    stages=of_stages,
-                    objective=cost,
-                    covariance=covariance,
-                    preflight=_options.flag("preflight", preflight),
-                )
+                asked = {
+                    "start": begin,
+                    "observer": observer,
+                    "loss": counted,
+                    "stages": of_stages,
+                    "objective": cost,
+                    "covariance": covariance,
+                    "preflight": _options.flag("preflight", preflight),
+                }
+                result = self._native.fit(built, asked)
         except BaseException as e:
             # What the native code attached becomes a fit, too.
             for name in ("result", "partial_result"):

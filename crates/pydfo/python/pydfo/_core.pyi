@@ -172,18 +172,7 @@ class Calibration:
         self,
     ) -> list[tuple[npt.NDArray[np.float64], list[tuple[str, npt.NDArray[np.float64]]]]]: ...
     def measured_series(self) -> dict[str, Any]: ...
-    def fit(
-        self,
-        options: Options,
-        *,
-        start: list[float] | None = None,
-        observer: Callable[[Progress], Any] | None = None,
-        loss: tuple[str, float] | None = None,
-        stages: list[BuiltStage] | None = None,
-        covariance: str | None = None,
-        objective: CostFields | None = None,
-        preflight: bool = False,
-    ) -> OptimizeResult: ...
+    def fit(self, options: Options, asked: dict[str, Any]) -> OptimizeResult: ...
 @final
 class Fit:
     @property
