@@ -164,6 +164,34 @@ fn what_is_open_is_said() {
     assert!(found.parameters[1].message().is_empty(), "{found}");
 }
 
+#[test]
+fn confounded_parameters_reach_as_far_as_the_bounds_of_the_others() {
+    // The data tell the sum of a height and an offset between -0.5 and 1.
+    let (n, time) = (40_u32, (0..40).map(|k| 0.01 * f64::from(k)).collect::<Vec<f64>>());
+    let h: Vec<f64> = noise(40).map(|e| 10.0 + 0.05 * e).collect();
+    let mean = h.iter().sum::<f64>() / f64::from(n);
+    let calibration = Calibration::builder(open("bouncing_ball"))
+        .experiment(
+            Experiment::new(data(&time, &[("h", h)]))
+                .output("h", "h")
+                .start_value("g", 0.0)
+                .start_value("v", 0.0),
+        )
+        .parameter(Parameter::new("h", 9.9))
+        .parameter(Parameter::new("o", 0.1).bounds(-0.5, 1.0).offset_of("h"))
+        .build()
+        .unwrap();
+    let fit = fitted(&calibration, FitOptions::default());
+    assert_eq!(fit.worth.as_ref().unwrap().undetermined, [0, 1]);
+    let found = profile(&calibration, &fit, &ProfileOptions::default());
+    let beyond = (found.threshold * fit.cost / f64::from(n - 2) / f64::from(n)).sqrt();
+    let (low, high) = found.parameters[0].interval();
+    near(low, mean - 1.0 - beyond, 2e-3);
+    near(high, mean + 0.5 + beyond, 2e-3);
+    let open = [&found.parameters[1].lower, &found.parameters[1].upper];
+    assert_eq!(open, [&ProfileEnd::AtBound(-0.5), &ProfileEnd::AtBound(1.0)]);
+}
+
 fn without_stats(mut profile: Profile) -> Profile {
     profile.stats = ode::Stats::default();
     profile

@@ -10,19 +10,19 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
 
-/// `Fit.profile`; an interrupt carries the fields of what there is.
+/// `Fit.profile`, to an extent of a level and a number of points per side; an interrupt carries the fields of what there is.
 #[pyfunction]
 pub(crate) fn profile<'py>(
     py: Python<'py>,
     calibration: &PyCalibration,
     fit: &PyFit,
     parameters: Option<Vec<usize>>,
-    level: f64,
-    max_points: Option<usize>,
+    extent: (f64, Option<usize>),
     workers: Option<usize>,
     checkpoint: Option<PathBuf>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let fit = fit.inner.clone();
+    let (level, max_points) = extent;
     let max_points = max_points.unwrap_or_else(|| ProfileOptions::default().max_points);
     let options = ProfileOptions { parameters, level, max_points, workers, checkpoint };
     let work = move |calibration: &calibration::Calibration, cancelled: &dyn Fn() -> bool| {
@@ -56,6 +56,7 @@ fn to_python<'py>(py: Python<'py>, found: &Profile) -> PyResult<Bound<'py, PyDic
     fields.set_item("degrees_of_freedom", found.degrees_of_freedom)?;
     fields.set_item("x", PyArray1::from_slice(py, &found.x))?;
     fields.set_item("interrupted", found.is_interrupted)?;
+    fields.set_item("autocorrelated", found.is_autocorrelated)?;
     fields.set_item("n_simulations", found.n_simulations)?;
     fields.set_item("stats", Counts::new(&found.stats))?;
     fields.set_item("text", found.to_string())?;

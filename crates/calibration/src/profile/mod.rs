@@ -203,6 +203,7 @@ impl Calibration {
             threshold,
             degrees_of_freedom: self.n_residuals() - n_free,
             is_interrupted: parameters.iter().any(is_cut),
+            is_autocorrelated: worth.corrected_errors.is_some(),
             parameters,
             n_simulations,
             stats,

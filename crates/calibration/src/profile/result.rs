@@ -120,6 +120,8 @@ pub struct Profile {
     pub parameters: Vec<ParameterProfile>,
     /// Whether it was interrupted: some sides are not complete.
     pub is_interrupted: bool,
+    /// Whether residuals of an output are autocorrelated: the intervals suppose independent ones, and are too narrow then.
+    pub is_autocorrelated: bool,
     /// Points that were simulated, those of a file that was continued included.
     pub n_simulations: usize,
     /// What the simulations took, without those of a file that was continued.
@@ -145,6 +147,11 @@ impl fmt::Display for Profile {
         }
         for profile in self.parameters.iter().filter(|p| !p.message().is_empty()) {
             write!(f, "\n- {}: {}", profile.name, profile.message())?;
+        }
+        if self.is_autocorrelated {
+            f.write_str(
+                "\n- the residuals are autocorrelated: intervals that suppose independent ones are too narrow",
+            )?;
         }
         if self.is_interrupted { f.write_str("\n- interrupted: not all sides are complete") } else { Ok(()) }
     }

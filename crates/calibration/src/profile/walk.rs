@@ -17,8 +17,12 @@ const BELOW: f64 = 0.05;
 /// The crossing is known where the statistic is this near to the threshold, as a part of it.
 const CROSSING: f64 = 1e-3;
 
-/// Refits that look for the crossing between two points.
-const REFINEMENTS: usize = 3;
+/// ... or lies between two points that are this near to each other, as a part of their distance from the optimum.
+const WIDTH: f64 = 1e-3;
+
+/// Refits that look for the crossing between two points: two, unless the statistic is no parabola there, for another parameter has come
+/// to its bound.
+const REFINEMENTS: usize = 16;
 
 /// After a failure a shorter step is made, so often.
 const RETRIES: usize = 3;
@@ -61,7 +65,7 @@ pub(super) fn walk(
     let start: Vec<f64> = parameters.iter().zip(origin.x).map(|(p, x)| inner(p, *x)).collect();
     let size = refits.calibration.size_of(parameter, origin.x[index]);
     let is_at_limit = |u: f64| (limit - u) * sign <= AT * size;
-    let goal = origin.threshold.sqrt();
+    let (goal, center) = (origin.threshold.sqrt(), start[index]);
     // At `u`, the others from where those of `from` and `to` lead.
     let at = |u: f64, from: &[f64], slope: &[f64], done: &mut Side| -> Result<Place, ProfileEnd> {
         let along = |(i, value): (usize, &f64)| {
@@ -112,7 +116,6 @@ pub(super) fn walk(
             Err(end) => break end,
         };
         let (rise, length) = (next.root - last.root, ((next.u[index] - last.u[index]) * sign).max(0.0));
-        toward = slope(&last, &next);
         if next.root >= goal {
             // The statistic is about quadratic, so its root is about linear.
             let (mut low, mut high) = (last, next);
@@ -121,12 +124,17 @@ pub(super) fn walk(
                 low.u[index] + part * (high.u[index] - low.u[index])
             };
             let mut end = None;
-            for _ in 0..REFINEMENTS {
+            for n in 0..REFINEMENTS {
                 let nearest = (high.root - goal).min(goal - low.root);
-                if 2.0 * nearest <= CROSSING * goal {
+                let width = (high.u[index] - low.u[index]).abs();
+                if 2.0 * nearest <= CROSSING * goal || width <= WIDTH * (high.u[index] - center).abs() {
                     break;
                 }
-                match at(crossing(&low, &high), &low.u, &slope(&low, &high), &mut done) {
+                // Of a kink the line knows nothing.
+                let is_bent = high.root > 2.0 * goal || n % 3 == 2;
+                let middle = 0.5 * (low.u[index] + high.u[index]);
+                let u = if is_bent { middle } else { crossing(&low, &high) };
+                match at(u, &low.u, &toward, &mut done) {
                     Ok(found) if found.root >= goal => high = found,
                     Ok(found) => low = found,
                     // Without a refinement the crossing is less accurate.
@@ -143,6 +151,7 @@ pub(super) fn walk(
         // A little beyond the threshold rather than just below it.
         let target = if target > 0.95 * goal { 1.02 * goal } else { target };
         let asked = if rise > 0.0 { (target - next.root) * length / rise } else { f64::INFINITY };
+        toward = slope(&last, &next);
         step = asked.clamp(GROWTH.0 * length, GROWTH.1 * length);
         last = next;
     };

@@ -188,8 +188,7 @@ def profile(
     calibration: Calibration,
     fit: Fit,
     parameters: list[int] | None,
-    level: float,
-    max_points: int | None,
+    extent: tuple[float, int | None],
     workers: int | None,
     checkpoint: str | None,
 ) -> dict[str, Any]: ...

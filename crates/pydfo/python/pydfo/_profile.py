@@ -47,6 +47,8 @@ class Profile:
         Residuals less parameters that were fitted.
     interrupted : bool
         Whether Ctrl-C ended it: some sides are not complete.
+    autocorrelated : bool
+        Whether residuals of an output are autocorrelated: the intervals suppose independent ones, and are too narrow then.
     n_simulations : int
         Points that were simulated, those of a file that was continued included.
     stats : SimulationStats
@@ -63,6 +65,7 @@ class Profile:
         degrees_of_freedom: int,
         x: FloatArray,
         interrupted: bool,
+        autocorrelated: bool,
         n_simulations: int,
         stats: dict[str, Any],
         text: str,
@@ -80,6 +83,7 @@ class Profile:
         self.threshold = threshold
         self.degrees_of_freedom = degrees_of_freedom
         self.interrupted = interrupted
+        self.autocorrelated = autocorrelated
         self.n_simulations = n_simulations
         self.stats = SimulationStats(**stats)
         self._text = text
@@ -131,8 +135,7 @@ def of_fit(
             fit._calibration._native,
             _share.native_of(fit),
             chosen,
-            _options.number("level", level),
-            _options.limit("max_points", max_points, 1),
+            (_options.number("level", level), _options.limit("max_points", max_points, 1)),
             _options.worker_count("workers", workers, None),
             None if checkpoint is None else os.fspath(checkpoint),
         )
