@@ -1,6 +1,7 @@
 //! The fit: the objective meets an optimiser; parameters with names come out.
 
 use crate::calibration::Calibration;
+use crate::check::{Check, Finding};
 use crate::effect::{BoundSide, Findings, is_over};
 use crate::error::CalibrationError;
 use crate::objective::CostKind;
@@ -157,6 +158,8 @@ pub struct Fit {
     pub outputs: Vec<OutputFit>,
     /// What was found before the fit, where it was asked for.
     pub preflight: Option<Preflight>,
+    /// What a [check](Calibration::check) says of the problem beyond notes; empty where the fit is not asked what it is worth.
+    pub findings: Vec<Finding>,
     /// What the fit is worth; `None` where it was not asked for, or the run was ended from outside.
     pub worth: Option<Worth>,
     /// What the simulations of the fit took in all: right-hand sides, steps, events, seconds (added up over all workers).
@@ -379,6 +382,8 @@ impl Calibration {
             described.known.iter_mut().for_each(|known| known.problem = None);
         };
         report.message += &(self.remarks(&found) + &raised);
+        let is_whole = worth.is_some() && held.is_empty();
+        let findings = if is_whole { self.findings_of_check(&mut report, &cancelled) } else { Vec::new() };
         let worth = worth.filter(|_| objective.is_sum_of_squares()).and_then(|mut options| {
             options.workers = options.workers.or(described.workers);
             options.held.extend(&held);
@@ -410,6 +415,7 @@ impl Calibration {
             names,
             outputs,
             preflight,
+            findings,
             worth,
             cost: report.fun,
             rms: rms(&report.x, Some(report.fun)).unwrap_or(f64::NAN),
@@ -441,6 +447,22 @@ impl Calibration {
         let sum = self.evaluate_into(x, CostRule::whole(loss, cancelled), &mut residuals, stats).ok()?;
         let outcome = kind.outcome(self.residual_layout(), (sum, &residuals), &mut Vec::new());
         Some((outcome.value()?, self.rms(x, sum, loss)))
+    }
+
+    /// What is likely not meant as it was given, added to the message of a run: no fit ends as converged without it.
+    pub(crate) fn findings_of_check(
+        &self,
+        report: &mut Report,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Vec<Finding> {
+        if !is_over(&report.termination) || cancelled() {
+            return Vec::new();
+        }
+        let found = self.check_until(true, cancelled).map(Check::into_doubts).unwrap_or_default();
+        for finding in &found {
+            report.message += &format!("; {}: {}", finding.subject, finding.sentence);
+        }
+        found
     }
 
     /// What the result of a run is worth, with what is to be said of it added to its message; `None` where it cannot be found out, or

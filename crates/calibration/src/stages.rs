@@ -250,6 +250,9 @@ impl Calibration {
             (fit.cost, fit.report.fun, fit.rms) = (cost, cost, rms);
         }
         let is_late = || late.is_some_and(|late| Instant::now() >= late) || is_asked();
+        if worth.is_some() {
+            fit.findings = self.findings_of_check(&mut fit.report, &is_late);
+        }
         fit.worth = worth.filter(|_| objective.is_sum_of_squares()).and_then(|mut options| {
             options.workers = options.workers.or(Some(fit.report.workers));
             options.held.extend((0..x.len()).filter(|i| !freed.iter().any(|freed| freed.contains(i))));

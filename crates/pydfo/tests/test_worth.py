@@ -96,3 +96,15 @@ def test_what_cannot_be_told_is_said(furuta):
         fit.confidence_intervals(95)
     with pytest.raises(pydfo.SimulationError):
         furuta.worth([0.01, np.inf])
+
+
+def test_a_fit_to_a_model_whose_inputs_nothing_drives_says_so():
+    data = recordings.quad_tank("own")
+    recording = {"time": data["time"], "level": data["qt.x1"]}
+    calibration = Calibration(
+        example_fmu("quad_tank"), recording, {"qt.x1": "level"}, [Parameter("qt.a1", 3e-6, 2e-6, 4e-6)]
+    )
+    fit = calibration.fit()
+    for text in (fit.message, repr(fit)):
+        assert "input 'u1': nothing drives it" in text
+    assert "nothing drives it" not in calibration.fit(covariance=None).message

@@ -3,6 +3,9 @@
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
+/// What warnings of the construction are about.
+pub(super) const SETUP: &str = "setup";
+
 /// How grave a finding is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -69,6 +72,12 @@ pub struct Check {
 }
 
 impl Check {
+    /// What is likely not meant: no notes, and not what was said already when the calibration was built.
+    pub(crate) fn into_doubts(self) -> Vec<Finding> {
+        let is_doubt = |finding: &Finding| finding.severity != Severity::Note && finding.subject != SETUP;
+        self.findings.into_iter().filter(is_doubt).collect()
+    }
+
     /// Whether there are no errors and no warnings.
     pub fn is_ok(&self) -> bool {
         self.findings.iter().all(|finding| finding.severity == Severity::Note)

@@ -148,6 +148,7 @@ fn doubts(fit: &Fit) -> Vec<String> {
     let is_said = |i: &usize| fit.worth.as_ref().is_some_and(|worth| worth.undetermined.contains(i));
     let mut all: Vec<String> = fit.at_bound.iter().map(at_bound).collect();
     all.extend(fit.without_effect.iter().filter(|i| !is_said(i)).map(without_effect));
+    all.extend(fit.findings.iter().map(|finding| format!("{}: {}", finding.subject, finding.sentence)));
     all.extend(fit.worth.iter().flat_map(|worth| worth.verdict.iter().cloned()));
     all
 }
