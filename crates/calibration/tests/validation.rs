@@ -104,7 +104,5 @@ fn a_cross_validation_ends_when_the_time_is_up() {
     assert!(error.contains("before one of 2 folds was done"), "{error}");
     options.run.limits.max_time = Some(Duration::from_secs(600));
     let found = calibration.cross_validate(&options).unwrap();
-    assert!(
-        found.folds.len() == 2 && found.unfinished.is_empty() && begun.elapsed() < Duration::from_secs(600)
-    );
+    assert!(found.folds.len() == 2 && found.unfinished.is_empty());
 }
