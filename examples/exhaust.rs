@@ -40,14 +40,12 @@ fn main() -> Result<(), Box<dyn Error>> {
         builder = builder.parameter(Parameter::new(name, nominal).bounds(1e-4 * nominal, upper));
     }
     let calibration = builder.build()?;
-    let validated =
-        |fit: &Fit| calibration.validate(fit, &ValidationSet::Windows(vec![(501.0, 1200.0)]));
+    let validated = |fit: &Fit| calibration.validate(fit, &ValidationSet::Windows(vec![(501.0, 1200.0)]));
 
     let stages = [Stage::new(["C2", "G2"]), Stage::new(["C1", "G1"])];
     let fit = calibration.fit_stages(&stages, FitOptions::default())?;
     let simulated = "the simulation failed at the nominal parameters";
-    let nominal =
-        (fit.start_rms.ok_or(simulated)?, validated(&fit)?.start_rms.ok_or(simulated)?);
+    let nominal = (fit.start_rms.ok_or(simulated)?, validated(&fit)?.start_rms.ok_or(simulated)?);
     for (stage, volume) in fit.stages.iter().zip(["right volume", "then left"]) {
         show(volume, stage, &validated(stage)?, nominal);
     }
