@@ -153,12 +153,15 @@ impl Calibration {
             check.moved_to = Some(point.x[i]);
             match found {
                 Ok(changed) => {
-                    let part = (inner(p, point.x[i]) - inner(p, start[i])).abs() / self.size_of(p, start[i]);
+                    let step = inner(p, point.x[i]) - inner(p, start[i]);
                     let change = norm(changed);
-                    check.sensitivity = Some(change / n_root / part / range);
+                    check.sensitivity =
+                        Some(change / n_root / (step.abs() / self.size_of(p, start[i])) / range);
                     check.has_effect = change > ABOVE_ERROR * error && change > 0.0;
                     if check.has_effect {
-                        columns.push((i, changed.iter().zip(&residuals).map(|(c, r)| c - r).collect()));
+                        // Of a step upward, wherever the bounds let it go.
+                        let by = |(c, r): (&f64, &f64)| step.signum() * (c - r);
+                        columns.push((i, changed.iter().zip(&residuals).map(by).collect()));
                     }
                 }
                 Err(reason) => check.failure = Some(reason.clone()),

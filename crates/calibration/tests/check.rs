@@ -148,6 +148,39 @@ fn mistakes_are_named() {
 }
 
 #[test]
+fn temperatures_in_degrees_celsius_are_named_with_their_unit() {
+    let time: Vec<f64> = (0..60).map(|k| 2.0 * f64::from(k)).collect();
+    // Near 30 degC, where the ratio to the simulation is about that of rpm and rad/s.
+    let start = ["T_in", "T1", "T2", "Tw1", "Tw2"].map(|name| (name.to_owned(), 305.0.into()));
+    let options = SimulateOptions {
+        times: Some(time.clone()),
+        start_values: start.to_vec(),
+        outputs: Some(vec!["T_out".to_owned()]),
+        ..SimulateOptions::default()
+    };
+    let kelvin = open("exhaust").simulate(&options).unwrap().columns.swap_remove(0);
+    for (zero, is_said) in [(273.15, true), (0.0, false)] {
+        let values = kelvin.iter().enumerate().map(|(k, v)| v - zero + 0.05 * noise(k)).collect();
+        let recording = Data::from_columns(time.clone(), [("outlet".to_owned(), values)]).unwrap();
+        let experiment = start
+            .iter()
+            .fold(Experiment::new(recording).output("T_out", "outlet"), |experiment, (name, _)| {
+                experiment.start_value(name.clone(), 305.0)
+            });
+        let check = Calibration::builder(open("exhaust"))
+            .experiment(experiment)
+            .parameter(Parameter::new("C1", 2500.0).bounds(1.0, 50e3))
+            .build()
+            .unwrap()
+            .check();
+        let said = said(&check).concat();
+        assert_eq!(said.contains("as degC from K"), is_said, "{check}");
+        assert_eq!(said.contains("as in 'outlet [degC]'"), is_said, "{check}");
+        assert!(!said.contains("rpm") && !check.to_string().contains("[mm]"), "{check}");
+    }
+}
+
+#[test]
 fn sound_setups_have_notes_only() {
     let (time, columns) = tank_recording();
     let check = tank(time, columns, with_u2).build().unwrap().check();

@@ -3,8 +3,8 @@
 #![allow(clippy::print_stderr, clippy::unwrap_used)]
 
 use calibration::{
-    Calibration, Data, Estimator, Experiment, Fit, FitOptions, Parameter, PreflightOptions, Scale, Worth,
-    WorthOptions,
+    Calibration, Data, Estimator, Experiment, Fit, FitOptions, Parameter, PreflightOptions, Prior, Scale,
+    Worth, WorthOptions,
 };
 use dfo::{Limits, NelderMead, RunOptions};
 use example_models::example_fmu;
@@ -331,4 +331,57 @@ fn a_preflight_names_pairs_that_are_confounded_at_the_start() {
     let found = calibration.preflight(&PreflightOptions { start, ..PreflightOptions::default() }, &|| false);
     let found = found.unwrap();
     assert!(found.confounded.iter().any(|(i, j, c)| (*i, *j) == (0, 3) && *c < -0.9), "{found}");
+}
+
+#[test]
+fn a_preflight_has_the_same_correlation_whichever_way_the_bounds_let_it_step() {
+    // h = h0 + v t + g t^2 / 2: more v is made up for by less g.
+    let time: Vec<f64> = (0..40).map(|k| 0.01 * f64::from(k)).collect();
+    let h: Vec<f64> = time.iter().map(|t| 1.0 + t - 0.5 * 9.81 * t * t).collect();
+    for (lower, upper) in [(-10.0, -1.0), (-15.0, -8.9)] {
+        let ball = Calibration::builder(open("bouncing_ball"))
+            .experiment(Experiment::new(data(&time, &[("h", h.clone())])).output("h", "h"))
+            .parameter(Parameter::new("v", 1.0))
+            .parameter(Parameter::new("g", -9.0).bounds(lower, upper))
+            .build()
+            .unwrap();
+        let found = ball.preflight(&PreflightOptions::default(), &|| false).unwrap();
+        assert!(matches!(found.confounded[..], [(0, 1, c)] if c < -0.95), "{found}");
+    }
+}
+
+#[test]
+fn a_parameter_that_only_its_prior_tells_is_named() {
+    let time: Vec<f64> = (0..30).map(|k| 0.01 * f64::from(k)).collect();
+    let h = time.iter().zip(noise(30)).map(|(t, e)| 10.0 + 2.0 * t + 0.01 * e).collect();
+    let ball = Calibration::builder(open("bouncing_ball"))
+        .experiment(Experiment::new(data(&time, &[("h", h)])).output("h", "h").start_value("g", 0.0))
+        .parameter(Parameter::new("v", 2.0).prior(Prior::Normal { mean: 2.0, sd: 1.0 }))
+        .parameter(Parameter::new("e", 0.7).prior(Prior::Normal { mean: 0.7, sd: 0.1 }))
+        .build()
+        .unwrap();
+    let verdict = worth(&ball, &[2.0, 0.7], Estimator::Sandwich).verdict;
+    let said: Vec<&String> = verdict.iter().filter(|said| said.contains("prior alone")).collect();
+    assert_eq!(said, ["e is known from its prior alone: the data do not move it"], "{verdict:?}");
+}
+
+#[test]
+fn data_without_noise_draw_one_remark_and_no_pairs() {
+    // h = h0 + v t in steps that round, and a pair of parameters that share no output.
+    let time: Vec<f64> = (0..30).map(|k| 0.1 * f64::from(k)).collect();
+    let h = time.iter().map(|t| 10.0 + 2.0 * t).collect();
+    let ball = Calibration::builder(open("bouncing_ball"))
+        .experiment(
+            Experiment::new(data(&time, &[("h", h), ("v", vec![2.0; 30])]))
+                .output("h", "h")
+                .output("v", "v")
+                .start_value("g", 0.0),
+        )
+        .parameter(Parameter::new("h", 9.0))
+        .parameter(Parameter::new("v", 1.0))
+        .build()
+        .unwrap();
+    let worth = ball.fit(FitOptions::default()).unwrap().worth.unwrap();
+    assert!(worth.confounded.is_empty() && worth.corrected_errors.is_none(), "{:?}", worth.verdict);
+    assert!(worth.verdict.len() == 1 && worth.verdict[0].contains("say little"), "{:?}", worth.verdict);
 }

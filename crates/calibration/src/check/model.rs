@@ -102,12 +102,15 @@ pub(super) fn inputs(subject: &Subject<'_>) -> Vec<Finding> {
 pub(super) fn units(subject: &Subject<'_>) -> Vec<Finding> {
     let Subject { prefix, experiment, description, .. } = subject;
     let mut columns: Vec<String> = Vec::new();
+    let mut example = None;
     for (variable, column) in experiment.columns_in_use() {
         let unit = declared(description, &variable).and_then(|v| v.unit.as_deref());
         let Some(unit) = unit.filter(|unit| !matches!(*unit, "" | "1" | "-")) else { continue };
         let text = format!("'{column}' in {unit}");
         if experiment.data.unit(&column).is_none() && !columns.contains(&text) {
             columns.push(text);
+            example =
+                example.or_else(|| Some(format!(": '{column} [{}]'", subject.example_unit(&variable)?)));
         }
     }
     if columns.is_empty() {
@@ -117,6 +120,6 @@ pub(super) fn units(subject: &Subject<'_>) -> Vec<Finding> {
         Severity::Note,
         format!("{prefix}{}", experiment.data.source()),
         format!("columns without a unit are taken in those of the model: {}", columns.join(", ")),
-        "state units to have them converted: 'x [mm]'",
+        format!("state units to have them converted{}", example.unwrap_or_default()),
     )]
 }

@@ -4,7 +4,7 @@ use super::finding::{Finding, Severity};
 use super::subject::Subject;
 use crate::calibration::Calibration;
 use crate::column_units::declared;
-use crate::data::{parts, sampling_interval};
+use crate::data::{UnitConversion, parts, sampling_interval};
 use crate::error::CalibrationError;
 use crate::layout::OutputResiduals;
 use ode::Number;
@@ -123,13 +123,32 @@ fn unit(series: &Series<'_>, subject: &Subject<'_>) -> Option<Finding> {
         || "the unit of the model".to_owned(),
         |unit| format!("'{unit}', the unit of the model"),
     );
-    let remedy = format!(
-        "state the unit in the name of the column, as in '{} [mm]', or convert it to {stated}",
-        parts(&series.of.column).0
-    );
+    let remedy = match subject.example_unit(&series.of.variable) {
+        Some(example) => format!(
+            "state the unit in the name of the column, as in '{} [{example}]', or convert it to {stated}",
+            parts(&series.of.column).0
+        ),
+        None => format!("convert it to {stated}"),
+    };
     let finding = |sentence: String| {
         Some(Finding::new(Severity::Warning, series.name(subject), sentence, remedy.clone()))
     };
+    let off = size_of_difference(measured, simulated.iter().copied());
+    let times = |factor: f64| size_of_difference(measured, simulated.iter().map(|s| factor * s));
+    let is_temperature = unit.is_some_and(|unit| UnitConversion::between("degC", unit).is_ok());
+    for zero in [ZERO_CELSIUS, -ZERO_CELSIUS] {
+        let left = size_of_difference(measured, simulated.iter().map(|s| s - zero));
+        // Values whose unit the model does not state may as well be some multiple.
+        let is_multiple =
+            || SMALL_RATIOS.iter().any(|(factor, _)| times(*factor).min(times(1.0 / factor)) < left);
+        let may_be = is_temperature || unit.is_none() && !is_multiple();
+        if may_be && left < 0.3 * off && off > 0.5 * ZERO_CELSIUS {
+            return finding(format!(
+                "the measurements are {} off the simulation at the start values, about as degC from K: another unit?",
+                Number(rounded(off))
+            ));
+        }
+    }
     // Neither ratio is that of the parameters alone, if both are so large: a gain that is wrong by so much is worth the same words.
     let ratio = (m / s, range_m / range_s);
     let is_large = |r: f64| !(1.0 / LARGE..=LARGE).contains(&r);
@@ -141,7 +160,9 @@ fn unit(series: &Series<'_>, subject: &Subject<'_>) -> Option<Finding> {
         let middle = (ratio.0 * ratio.1).sqrt();
         let is_angle = unit.is_some_and(|unit| unit.starts_with("rad") || unit.starts_with("deg"));
         let near = |(factor, _, only_angles): &&(f64, &str, bool)| {
-            (middle.ln().abs() - factor.ln()).abs() < 2f64.ln() && (!*only_angles || is_angle)
+            (middle.ln().abs() - factor.ln()).abs() < 2f64.ln()
+                && (!*only_angles || is_angle)
+                && !is_temperature
         };
         let hint = RATIOS.iter().find(near).map_or_else(String::new, |(_, units, _)| format!(" ({units})"));
         let numbers = [range_m, range_s].map(|range| Number(rounded(range)));
@@ -153,10 +174,9 @@ fn unit(series: &Series<'_>, subject: &Subject<'_>) -> Option<Finding> {
             Number(rounded(middle))
         ));
     }
-    let off = size_of_difference(measured, simulated.iter().copied());
-    for (factor, units) in SMALL_RATIOS {
+    for (factor, units) in SMALL_RATIOS.into_iter().filter(|_| !is_temperature) {
         for factor in [factor, 1.0 / factor] {
-            let left = size_of_difference(measured, simulated.iter().map(|s| factor * s));
+            let left = times(factor);
             if left < CLOSE * m && left < CLOSE * off {
                 return finding(format!(
                     "the measurements are {} times the simulation at the start values, up to {} of their size: another unit ({units})?",
@@ -164,15 +184,6 @@ fn unit(series: &Series<'_>, subject: &Subject<'_>) -> Option<Finding> {
                     Number(rounded(left / m))
                 ));
             }
-        }
-    }
-    for zero in [ZERO_CELSIUS, -ZERO_CELSIUS] {
-        let left = size_of_difference(measured, simulated.iter().map(|s| s - zero));
-        if matches!(unit, None | Some("K" | "degC")) && left < 0.3 * off && off > 0.5 * ZERO_CELSIUS {
-            return finding(format!(
-                "the measurements are {} off the simulation at the start values, about as degC from K: another unit?",
-                Number(rounded(off))
-            ));
         }
     }
     None

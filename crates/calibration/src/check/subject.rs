@@ -1,5 +1,7 @@
 //! An experiment as a check looks at it.
 
+use crate::column_units::declared;
+use crate::data::UnitConversion;
 use crate::experiment::Experiment;
 use fmi::ModelDescription;
 
@@ -11,4 +13,21 @@ pub(super) struct Subject<'a> {
     pub(super) description: &'a ModelDescription,
     /// Where its simulation starts, in s.
     pub(super) start_time: f64,
+}
+
+/// Units that are taken as examples, the usual ones of each quantity.
+const EXAMPLES: [&str; 16] =
+    ["mm", "degC", "K", "deg", "rpm", "bar", "km/h", "ms", "g", "cm2", "l", "l/min", "kg/h", "kW", "%", "Hz"];
+
+impl Subject<'_> {
+    /// A unit that values of a variable may be recorded in, other than its own; `None` where the model states none, or an unknown one.
+    pub(super) fn example_unit(&self, variable: &str) -> Option<String> {
+        let variable = declared(self.description, variable)?;
+        let own = variable.unit.as_deref()?;
+        let is_other = |unit: &String| {
+            UnitConversion::to_variable(unit, variable, self.description).is_ok_and(|c| !c.is_identity())
+        };
+        let with_prefix = ["m", "k"].map(|prefix| format!("{prefix}{own}"));
+        EXAMPLES.iter().map(|unit| (*unit).to_owned()).chain(with_prefix).find(is_other)
+    }
 }

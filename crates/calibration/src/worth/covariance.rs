@@ -1,8 +1,8 @@
 //! The covariance of the parameters from the changes of the residuals, with the variances of the residuals that an estimator supposes.
 
 use super::differences::Differences;
-use super::residual_check::autocorrelation;
-use crate::layout::ResidualLayout;
+use super::residual_check::{autocorrelation, is_rounding};
+use crate::layout::{OutputResiduals, ResidualLayout};
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -31,23 +31,25 @@ pub(crate) struct Factors {
 }
 
 impl Noise {
-    /// `by_output`: one variance for the residuals of each variable of the model, over all of its recordings,
-    /// `r'r / N_o N / (N - p)`; else one for all, `r'r / (N - p)`. Residuals of priors have the variance 1: they are measured in
-    /// standard deviations.
+    /// `by_output`: one variance for the residuals of each variable of the model, over all of its recordings with the same weight,
+    /// `r'r / N_o N / (N - p)`; else, and where all residuals are rounding, one for all, `r'r / (N - p)`. Residuals of priors have the
+    /// variance 1: they are measured in standard deviations.
     pub(crate) fn estimate(layout: &ResidualLayout, residuals: &[f64], p: usize, by_output: bool) -> Self {
         let n = residuals.len();
         let degrees_of_freedom = n.saturating_sub(p);
         let factor = n as f64 / degrees_of_freedom as f64;
-        let mut sums: BTreeMap<&str, (f64, usize)> = BTreeMap::new();
-        let group = |variable| if by_output { variable } else { "" };
+        let is_all_rounding =
+            layout.outputs.iter().all(|output| is_rounding(output, &residuals[output.range.clone()]));
+        let group = |output| if by_output && !is_all_rounding { group(output) } else { ("", None) };
+        let mut sums: BTreeMap<(&str, Option<u64>), (f64, usize)> = BTreeMap::new();
         for output in &layout.outputs {
-            let sum = sums.entry(group(output.variable.as_str())).or_default();
+            let sum = sums.entry(group(output)).or_default();
             sum.0 += residuals[output.range.clone()].iter().map(|r| r * r).sum::<f64>();
             sum.1 += output.range.len();
         }
         let mut variances = vec![1.0; n];
         for output in &layout.outputs {
-            let (sum, count) = sums[group(output.variable.as_str())];
+            let (sum, count) = sums[&group(output)];
             variances[output.range.clone()].fill(if count > 0 { sum / count as f64 * factor } else { 0.0 });
         }
         let correlation = |range: &Range<usize>| autocorrelation(&residuals[range.clone()]);
@@ -131,6 +133,14 @@ impl Factors {
     }
 }
 
+/// Recordings that share a variance: those of a variable with the same constant weight, which states how large the noise is, and those
+/// whose samples have weights of their own.
+fn group(output: &OutputResiduals) -> (&str, Option<u64>) {
+    let first = output.weights.first();
+    let constant = first.filter(|first| output.weights.iter().all(|weight| weight == *first));
+    (&output.variable, constant.map(|weight| weight.to_bits()))
+}
+
 /// Adds to each sum the values that come before it in this order, each with the power of rho that its distance is.
 fn add_neighbours(rho: f64, values: &[f64], sums: &mut [f64], order: impl Iterator<Item = usize>) {
     let mut before = 0.0;
@@ -193,6 +203,21 @@ mod tests {
         }
         two.variances.iter().zip(variances).for_each(|(got, v)| assert!((got - v).abs() < 1e-15));
         assert!((factors.covariance(&two) - expected).amax() < 1e-14);
+    }
+
+    #[test]
+    fn recordings_share_a_variance_where_their_weights_are_equal() {
+        let residuals = [0.1, -0.1, 0.2, -0.2, 3.0, -3.0];
+        let mut layout = layout(&[("y", 2), ("y", 2), ("y", 2)]);
+        layout.outputs[2].weights = vec![10.0; 2];
+        let noise = Noise::estimate(&layout, &residuals, 0, true);
+        for (got, expected) in noise.variances.iter().zip([0.025, 0.025, 0.025, 0.025, 9.0, 9.0]) {
+            assert!((got - expected).abs() < 1e-14, "{:?}", noise.variances);
+        }
+        // Rounding has no variances of its own.
+        layout.outputs.iter_mut().for_each(|output| output.measured = vec![1e14; 2]);
+        let pooled = Noise::estimate(&layout, &residuals, 0, true).variances;
+        assert!(pooled.iter().all(|variance| (variance - 18.1 / 6.0).abs() < 1e-14), "{pooled:?}");
     }
 
     #[test]

@@ -19,7 +19,11 @@ pub(crate) const CORRELATED: f64 = 0.3;
 /// A mean, or a number of runs, that is farther off than this many standard deviations is no chance.
 const BY_CHANCE: f64 = 4.0;
 
-/// The residuals of one output of one experiment.
+/// Residuals below this part of the size of the measurements are rounding.
+const ROUNDING: f64 = 1e-10;
+
+/// The residuals of one output of one experiment, times their weights. Recordings of an output whose weights differ are looked at, and
+/// have their variances, apart: see [`Estimator`](super::Estimator).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct ResidualCheck {
@@ -40,6 +44,9 @@ pub struct ResidualCheck {
     /// How many standard deviations the number of runs of one sign is above (below: negative) that of independent residuals (Wald
     /// and Wolfowitz, Ann. Math. Statist. 11, 1940); NaN where all have one sign.
     pub runs: f64,
+    /// Whether they are rounding, below 1e-10 of the size of the measurements: nothing is said of them.
+    #[serde(default)]
+    pub is_rounding: bool,
 }
 
 impl ResidualCheck {
@@ -56,6 +63,7 @@ impl ResidualCheck {
                 autocorrelation: autocorrelation(r),
                 n_outliers: n_outliers(r),
                 runs: runs(r),
+                is_rounding: is_rounding(output, r),
             }
         };
         layout.outputs.iter().map(check).collect()
@@ -64,6 +72,9 @@ impl ResidualCheck {
     /// What is to be said of them; `name`: of the output.
     pub(crate) fn sentences(&self, name: &str) -> Vec<String> {
         let mut said = Vec::new();
+        if self.is_rounding {
+            return said;
+        }
         let n = self.n as f64;
         if self.is_autocorrelated() {
             said.push(format!(
@@ -94,8 +105,14 @@ impl ResidualCheck {
 
     pub(crate) fn is_autocorrelated(&self) -> bool {
         // Of n independent residuals it has the standard deviation 1 / sqrt(n).
-        self.autocorrelation > CORRELATED.max(2.0 / (self.n as f64).sqrt())
+        !self.is_rounding && self.autocorrelation > CORRELATED.max(2.0 / (self.n as f64).sqrt())
     }
+}
+
+/// Whether the residuals `r` of an output are rounding of its measurements.
+pub(crate) fn is_rounding(output: &OutputResiduals, r: &[f64]) -> bool {
+    let measured: f64 = output.measured.iter().zip(&output.weights).map(|(y, w)| (y * w) * (y * w)).sum();
+    r.iter().map(|r| r * r).sum::<f64>() <= ROUNDING * ROUNDING * measured
 }
 
 fn mean_and_deviation(r: &[f64]) -> (f64, f64) {

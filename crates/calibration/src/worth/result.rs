@@ -13,8 +13,9 @@ use std::fmt;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Estimator {
-    /// `(J'J)^-1 J'SJ (J'J)^-1` with one residual variance per output of the model, over all of its recordings:
-    /// `r'r / N_o N / (N - p)`.
+    /// `(J'J)^-1 J'SJ (J'J)^-1` with one residual variance per output of the model, over all of its recordings with the same weight
+    /// (a weight states the noise: recordings with different ones have variances of their own): `r'r / N_o N / (N - p)`. As
+    /// [`Pooled`](Self::Pooled) where all residuals are rounding.
     #[default]
     Sandwich,
     /// `s^2 (J'J)^-1` with one variance for all residuals: `r'r / (N - p)`.

@@ -5,6 +5,7 @@ use super::differences::Differences;
 use super::digits::digits;
 use super::result::Worth;
 use nalgebra::DMatrix;
+use std::ops::Range;
 
 /// Parameters with a correlation of this size or more move the outputs the same way: less than a fifth of the variance of either is
 /// its own.
@@ -18,6 +19,12 @@ const VARIANCE_SHARE: f64 = 0.5;
 /// A standard error above this part of its parameter says that the data hardly tell it.
 const RELATIVE_ERROR: f64 = 0.5;
 
+/// A parameter moves an output if it moves it by more than this part of what the strongest does, each moved by its size.
+const MOVES: f64 = 1e-8;
+
+/// The data do not move a parameter off its prior whose derivatives are below this part of that of the prior.
+const PRIOR_ALONE: f64 = 1e-3;
+
 impl Worth {
     fn n(&self) -> usize {
         self.x.len()
@@ -28,12 +35,48 @@ impl Worth {
         self.standard_errors[i] / self.x[i].abs()
     }
 
+    /// Length of a parameter's column of the Jacobian within these rows.
+    fn length(&self, i: usize, rows: Range<usize>) -> f64 {
+        rows.map(|r| self.jacobian[r * self.n() + i].powi(2)).sum::<f64>().sqrt()
+    }
+
+    fn moves(&self, i: usize, rows: &Range<usize>) -> bool {
+        // What is zero has no size: any effect counts.
+        let effect = |k: usize| self.length(k, rows.clone()) * self.x[k].abs();
+        let most = (0..self.n()).map(effect).fold(0.0, f64::max);
+        let own = if self.x[i] == 0.0 { f64::INFINITY } else { effect(i) };
+        self.length(i, rows.clone()) > 0.0 && own > MOVES * most
+    }
+
+    /// The rows of each output of each experiment.
+    fn rows(&self) -> Vec<Range<usize>> {
+        let ends = self.residual_checks.iter().scan(0, |end, check| {
+            *end += check.n;
+            Some(*end - check.n..*end)
+        });
+        ends.collect()
+    }
+
+    /// Parameters that have a prior and that the data do not move off it.
+    fn known_from_prior(&self) -> Vec<usize> {
+        let measured = 0..self.rows().last().map_or(0, |rows| rows.end);
+        let is_prior_alone = |i: &usize| {
+            let of_prior = self.length(*i, measured.end..self.residuals.len());
+            let of_data = self.length(*i, measured.clone());
+            of_prior > 0.0 && (of_data <= PRIOR_ALONE * of_prior || !self.moves(*i, &measured))
+        };
+        (0..self.n()).filter(|i| !self.held.contains(i)).filter(is_prior_alone).collect()
+    }
+
+    /// Pairs with a high correlation, of those that move an output both.
     pub(super) fn find_confounded(&mut self) {
         let n = self.n();
+        let rows = self.rows();
+        let share = |i, j| rows.iter().any(|rows| self.moves(i, rows) && self.moves(j, rows));
         let pairs = (0..n).flat_map(|i| (i + 1..n).map(move |j| (i, j)));
         let mut found: Vec<(usize, usize, f64)> = pairs
             .map(|(i, j)| (i, j, self.correlation[i * n + j]))
-            .filter(|(_, _, correlation)| correlation.abs() >= CONFOUNDED)
+            .filter(|(i, j, correlation)| correlation.abs() >= CONFOUNDED && share(*i, *j))
             .collect();
         found.sort_by(|a, b| b.2.abs().total_cmp(&a.2.abs()));
         self.confounded = found;
@@ -172,6 +215,9 @@ impl Worth {
     /// All sentences.
     pub(super) fn sentences(&self, are_several: bool, f_tol: f64) -> Vec<String> {
         let mut said = self.undetermined_sentences();
+        for i in self.known_from_prior() {
+            said.push(format!("{} is known from its prior alone: the data do not move it", self.names[i]));
+        }
         said.extend(self.confounded_sentences());
         if !self.weakest.is_empty() {
             let names = self.list(&self.weakest);
@@ -194,7 +240,13 @@ impl Worth {
                 ),
             });
         }
-        for check in &self.residual_checks {
+        if self.is_exact {
+            said.push(
+                "the measurements are reproduced to the accuracy of the simulations: standard errors say little"
+                    .to_owned(),
+            );
+        }
+        for check in self.residual_checks.iter().filter(|_| !self.is_exact) {
             let name = match are_several {
                 true => format!("{} of {}", check.variable, check.experiment),
                 false => check.variable.clone(),
