@@ -203,6 +203,17 @@ fn a_late_output_is_compared_with_what_the_model_was_before() {
     assert!(fixed.cost(&[rate]).unwrap() < 1e-8);
     let delay = || Parameter::new("tau", 0.05).bounds(0.0, 1.0).delay_of("x");
     let calibration = dahlquist(decay(&measured)).parameter(k()).parameter(delay()).build().unwrap();
+    // Rows of late outputs are refused as those of others.
+    let refused = [
+        (vec![f64::NAN], "times[0] = NaN is not a finite number"),
+        (vec![0.0, f64::INFINITY], "times[1] = inf is not a finite number"),
+        (vec![-1.0], "times[0] = -1 is before the start of the simulation, 0"),
+        (vec![1.0, 0.5], "times must ascend: times[1] = 0.5 comes after 1"),
+    ];
+    for (times, expected) in refused {
+        let error = fixed.simulate(&[1.0], Some(&times)).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
     // A delay that is fitted gives the bits of one that is given.
     for x in [0.8, rate] {
         assert_eq!(calibration.residuals(&[x, tau]).unwrap(), fixed.residuals(&[x]).unwrap());
