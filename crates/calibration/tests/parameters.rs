@@ -4,7 +4,7 @@
 
 use calibration::{
     Calibration, CalibrationBuilder, Data, Experiment, FitOptions, InitialState, Parameter, Prior, Scale,
-    Weight,
+    Table, Weight,
 };
 use dfo::{NelderMead, RobustLoss, RunOptions};
 use example_models::example_fmu;
@@ -86,6 +86,15 @@ fn one_parameter_sets_several_variables_and_others_follow_it() {
     assert_eq!((fit.names.len(), fit.tied.len()), (1, 1));
     assert_eq!(fit.tied[0].1, 2.0 * fit.x[0] + 1e-6);
     assert!(fit.to_string().contains("qt.a3 = "), "{fit}");
+    let csv = fit.csv(&one, Table::Parameters, &|| false).unwrap();
+    let row: Vec<&str> = csv.lines().nth(2).unwrap().split(',').collect();
+    assert_eq!((row[0], row[9]), ("qt.a3", "outlets"), "{csv}");
+    assert_eq!(row[1].parse(), Ok(fit.tied[0].1), "{csv}");
+    let error = fit.worth.as_ref().unwrap().standard_errors[0];
+    assert_eq!(row[2].parse(), Ok(2.0 * error), "{csv}");
+    let json: serde_json::Value = serde_json::from_str(&fit.to_json(&one).unwrap()).unwrap();
+    let tied = &json["parameters"][1];
+    assert_eq!((&tied["name"], &tied["tied_to"]), (&"qt.a3".into(), &"outlets".into()), "{json}");
 }
 
 #[test]
