@@ -14,6 +14,7 @@ fn check_fit(fit: &Fit, place: &str) -> Result<(), String> {
     let Fit { names, start, units, bounds, report, at_bound, without_effect, preflight, stages, .. } = fit;
     let lengths = [
         ("names", names.len()),
+        ("shown_names", fit.shown_names().len()),
         ("start", start.len()),
         ("units", units.len()),
         ("bounds", bounds.len()),
