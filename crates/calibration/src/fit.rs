@@ -117,6 +117,9 @@ pub struct Fit {
     pub x: Vec<f64>,
     /// Names of the parameters, in the same order.
     pub names: Vec<String>,
+    /// What reports and figures call them, in the same order (see [`Parameter::display_name`]); empty: all as they are named.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub shown_names: Vec<String>,
     /// Values of the parameters that are tied to others, by name.
     pub tied: Vec<(String, f64)>,
     /// Where the fit started.
@@ -172,6 +175,11 @@ pub struct Fit {
 }
 
 impl Fit {
+    /// What reports and figures call the parameters.
+    pub fn shown_names(&self) -> &[String] {
+        if self.shown_names.is_empty() { &self.names } else { &self.shown_names }
+    }
+
     /// The RMS over that at the start, on the same measurements; `None` if the simulation failed at the start.
     pub fn scaled_rms(&self) -> Option<f64> {
         self.start_rms.map(|start| self.rms / start)
@@ -403,7 +411,12 @@ impl Calibration {
                 false => self.cost_and_rms(x, (&objective, loss), &cancelled, &mut stats).map(|(_, rms)| rms),
             }
         };
-        let names = self.parameters().iter().map(|p| p.name().to_owned()).collect();
+        let names: Vec<String> = self.parameters().iter().map(|p| p.name().to_owned()).collect();
+        let mut shown_names: Vec<String> =
+            self.parameters().iter().map(|p| p.shown_name().to_owned()).collect();
+        if shown_names == names {
+            shown_names.clear();
+        }
         let description = self.fmu().description();
         let unit = |p: &Parameter| p.unit(description).map(str::to_owned);
         Ok(Fit {
@@ -413,6 +426,7 @@ impl Calibration {
             n_measurements: self.n_measurements(),
             x: report.x.clone(),
             names,
+            shown_names,
             outputs,
             preflight,
             findings,

@@ -12,6 +12,7 @@ use crate::warning::SetupWarning;
 use fmi::{FmiError, Fmu, Inputs, Pool, SimulateOptions, SimulationPlan, Simulator, Trajectory, Value};
 use ode::{Method, Number, Observer, Report};
 use std::borrow::Cow;
+use std::cmp::Ordering;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
@@ -211,8 +212,13 @@ impl Simulation {
         times: Option<&[f64]>,
         poll: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<Trajectory, FmiError> {
+        let given = times;
         let times = times.unwrap_or(&self.times);
         let is_late = self.assigned.outputs.iter().any(|(delay, _)| delay.in_model(x) != 0.0);
+        if is_late && let Some(given) = given {
+            // Those at which a late output is sampled are sorted, and begin at the start.
+            check_times(given, self.options.start_time.unwrap_or_default())?;
+        }
         let rows = Comparison::at_times(times, self.assigned.outputs.len());
         let schedule = is_late.then(|| self.scheduled(&rows, x));
         let sampled = schedule.as_ref().map_or(times, |schedule| &schedule.times[..]);
@@ -235,6 +241,27 @@ impl Simulation {
         }
         Ok(trajectory)
     }
+}
+
+/// Refuses times of rows that no simulation has.
+fn check_times(times: &[f64], start: f64) -> Result<(), FmiError> {
+    let bad = |message: String| Err(FmiError::BadSetting { problem: message });
+    for (i, time) in times.iter().enumerate() {
+        let before = if i == 0 { start } else { times[i - 1] };
+        match time.partial_cmp(&before) {
+            Some(Ordering::Less) if i > 0 => {
+                let (time, before) = (Number(*time), Number(before));
+                return bad(format!("times must ascend: times[{i}] = {time} comes after {before}"));
+            }
+            Some(Ordering::Less) if start - time > 100.0 * f64::EPSILON * start.abs() => {
+                let (time, start) = (Number(*time), Number(start));
+                return bad(format!("times[{i}] = {time} is before the start of the simulation, {start}"));
+            }
+            Some(_) if time.is_finite() => {}
+            _ => return bad(format!("times[{i}] = {} is not a finite number", Number(*time))),
+        }
+    }
+    Ok(())
 }
 
 fn values<'x>(assigned: &Assignments, x: &'x [f64]) -> Cow<'x, [f64]> {

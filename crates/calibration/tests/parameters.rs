@@ -4,7 +4,7 @@
 
 use calibration::{
     Calibration, CalibrationBuilder, Data, Experiment, FitOptions, InitialState, Parameter, Prior, Scale,
-    Weight,
+    Table, Weight,
 };
 use dfo::{NelderMead, RobustLoss, RunOptions};
 use example_models::example_fmu;
@@ -86,6 +86,15 @@ fn one_parameter_sets_several_variables_and_others_follow_it() {
     assert_eq!((fit.names.len(), fit.tied.len()), (1, 1));
     assert_eq!(fit.tied[0].1, 2.0 * fit.x[0] + 1e-6);
     assert!(fit.to_string().contains("qt.a3 = "), "{fit}");
+    let csv = fit.csv(&one, Table::Parameters, &|| false).unwrap();
+    let row: Vec<&str> = csv.lines().nth(2).unwrap().split(',').collect();
+    assert_eq!((row[0], row[9]), ("qt.a3", "outlets"), "{csv}");
+    assert_eq!(row[1].parse(), Ok(fit.tied[0].1), "{csv}");
+    let error = fit.worth.as_ref().unwrap().standard_errors[0];
+    assert_eq!(row[2].parse(), Ok(2.0 * error), "{csv}");
+    let json: serde_json::Value = serde_json::from_str(&fit.to_json(&one).unwrap()).unwrap();
+    let tied = &json["parameters"][1];
+    assert_eq!((&tied["name"], &tied["tied_to"]), (&"qt.a3".into(), &"outlets".into()), "{json}");
 }
 
 #[test]
@@ -203,6 +212,17 @@ fn a_late_output_is_compared_with_what_the_model_was_before() {
     assert!(fixed.cost(&[rate]).unwrap() < 1e-8);
     let delay = || Parameter::new("tau", 0.05).bounds(0.0, 1.0).delay_of("x");
     let calibration = dahlquist(decay(&measured)).parameter(k()).parameter(delay()).build().unwrap();
+    // Rows of late outputs are refused as those of others.
+    let refused = [
+        (vec![f64::NAN], "times[0] = NaN is not a finite number"),
+        (vec![0.0, f64::INFINITY], "times[1] = inf is not a finite number"),
+        (vec![-1.0], "times[0] = -1 is before the start of the simulation, 0"),
+        (vec![1.0, 0.5], "times must ascend: times[1] = 0.5 comes after 1"),
+    ];
+    for (times, expected) in refused {
+        let error = fixed.simulate(&[1.0], Some(&times)).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
     // A delay that is fitted gives the bits of one that is given.
     for x in [0.8, rate] {
         assert_eq!(calibration.residuals(&[x, tau]).unwrap(), fixed.residuals(&[x]).unwrap());

@@ -2,7 +2,9 @@
 #![allow(clippy::unwrap_used)]
 
 use calibration::dfo::RobustLoss;
-use calibration::{Calibration, CalibrationError, Data, Experiment, Fit, FitOptions, Parameter, SavedFit};
+use calibration::{
+    Calibration, CalibrationError, Data, Experiment, Fit, FitOptions, Parameter, SavedFit, Stage,
+};
 use fmi::{FmiError, Fmu};
 use std::io::{Cursor, Read, Write};
 use std::path::{Path, PathBuf};
@@ -130,6 +132,24 @@ fn files_that_are_no_fits_are_refused() {
     let missing = text("\"n_checks\"", "\"n_check\"");
     assert!(missing.contains("n_checks"), "{missing}");
     assert!(text("\"without_effect\": []", "\"without_effect\": [9]").contains("do not fit together"));
+    let edited = |place: &str, new: serde_json::Value| {
+        let bytes = changed(&bytes, "fit.json", |text| {
+            let mut json: serde_json::Value = serde_json::from_slice(text).unwrap();
+            *json.pointer_mut(place).unwrap() = new.clone();
+            Some(serde_json::to_vec(&json).unwrap())
+        });
+        refusal(&bytes)
+    };
+    for field in ["names", "start", "units", "bounds"] {
+        let error = edited(&format!("/fit/{field}"), serde_json::json!([]));
+        assert!(error.contains(&format!("fit.{field} has 0 entries where there should be 3")), "{error}");
+    }
+    for field in ["names", "x", "is_log", "covariance", "standard_errors", "correlation"] {
+        let error = edited(&format!("/fit/worth/{field}"), serde_json::json!([]));
+        assert!(error.contains(&format!("fit.worth.{field} has 0 entries")), "{error}");
+    }
+    let weakest = edited("/fit/worth/weakest", serde_json::json!([0, 7]));
+    assert!(weakest.contains("fit.worth.weakest names parameter 7"), "{weakest}");
     let without = |name: &str| refusal(&changed(&bytes, name, |_| None));
     assert!(without("fit.json").contains("holds no fit.json"));
     assert!(without("modelDescription.xml").contains("modelDescription.xml"));
@@ -181,4 +201,14 @@ fn what_cannot_be_written_is_named() {
         .unwrap();
     let e = fit.to_bytes(&other).unwrap_err().to_string();
     assert!(e.contains("k, x[cold], x[hot]"), "{e}");
+}
+
+#[test]
+fn a_fit_in_stages_comes_back() {
+    let calibration = calibration(&model());
+    let stages = [Stage::new(["k"]), Stage::new(["x"]).window(0.0, 0.8)];
+    let fit = calibration.fit_stages(&stages, FitOptions::default()).unwrap();
+    let bytes = fit.to_bytes(&calibration).unwrap();
+    let saved = SavedFit::from_bytes(&bytes, "stages.fit").unwrap();
+    assert_eq!(format!("{:?}", saved.fit), format!("{fit:?}"));
 }

@@ -8,7 +8,7 @@ use crate::fit::Fit;
 use serde_json::{Value as Json, json};
 
 impl Fit {
-    /// What the fit found, as JSON: parameters with errors, start, bounds and units; cost and RMS; how well each output is reproduced; what the
+    /// What the fit found, as JSON: parameters with errors, start, bounds and units, those that are tied last; cost and RMS; how well each output is reproduced; what the
     /// fit is worth; how it was made. Neither the trace nor the recordings: [`Fit::save`] keeps all. Numbers that are not finite
     /// are null.
     ///
@@ -42,6 +42,16 @@ impl Fit {
                 "without_effect": self.without_effect.contains(&k),
             })
         });
+        let tied = self.tied_parameters(calibration).into_iter().map(|tied| {
+            json!({
+                "name": tied.name,
+                "value": tied.value,
+                "standard_error": tied.standard_error,
+                "start": tied.start,
+                "unit": tied.unit,
+                "tied_to": tied.to,
+            })
+        });
         let report = &self.report;
         let model = &calibration.problem().model;
         Ok(json!({
@@ -51,7 +61,7 @@ impl Fit {
                 "path": model.path.display().to_string(),
                 "sha256": model.content_hash,
             },
-            "parameters": parameters.collect::<Vec<_>>(),
+            "parameters": parameters.chain(tied).collect::<Vec<_>>(),
             "cost": self.cost,
             "rms": self.rms,
             "start_cost": self.start_cost,

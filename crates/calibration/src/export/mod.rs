@@ -4,6 +4,7 @@ mod document;
 mod files;
 mod fmu;
 mod json;
+mod lengths;
 mod saved_fit;
 mod ssv;
 mod tables;

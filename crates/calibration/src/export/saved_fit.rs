@@ -5,11 +5,11 @@
 
 use super::document::{Document, from_npy, to_npy};
 use super::files::{check_belongs, write};
+use super::lengths::check_lengths;
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::Fit;
 use crate::problem::{ModelFile, Problem};
-use crate::worth::Worth;
 use fmi::{FmiError, Fmu, OpenOptions};
 use serde_json::Value as Json;
 use std::io::{Cursor, Read, Seek, Write};
@@ -114,11 +114,11 @@ impl SavedFit {
                 open_options: document.get("open_options")?,
                 description,
             };
+            saved.check()?;
             let again = document_of(&saved)?;
             if let Some(place) = difference(&again, &document) {
                 return Err(format!("what stands at {place} is not what this version reads there"));
             }
-            saved.check()?;
             Ok(saved)
         };
         read().map_err(bad)
@@ -126,9 +126,7 @@ impl SavedFit {
 
     /// Refuses parts that do not fit together.
     fn check(&self) -> Result<(), String> {
-        if !is_sound(&self.fit) {
-            return Err("the parts of its result do not fit together".to_owned());
-        }
+        check_lengths(&self.fit)?;
         self.problem.experiments.iter().try_for_each(|e| e.data().check()).map_err(|e| e.to_string())
     }
 
@@ -174,27 +172,6 @@ impl SavedFit {
         calibration.set_solver(self.fit.solver.clone())?;
         Ok(calibration)
     }
-}
-
-/// Whether the lengths of the parts of a fit fit together.
-fn is_sound(fit: &Fit) -> bool {
-    let n = fit.x.len();
-    let Fit { names, start, report, at_bound, without_effect, worth, stages, .. } = fit;
-    let of_worth = |worth: &Worth| {
-        let Worth { covariance, correlation, standard_errors, corrected_errors, jacobian, residuals, .. } =
-            worth;
-        let indices = worth.held.iter().chain(&worth.undetermined).copied();
-        [covariance.len(), correlation.len()] == [n * n; 2]
-            && standard_errors.len() == n
-            && corrected_errors.as_ref().is_none_or(|errors| errors.len() == n)
-            && jacobian.len() == residuals.len() * n
-            && indices.chain(worth.confounded.iter().flat_map(|(a, b, _)| [*a, *b])).all(|index| index < n)
-    };
-    [names.len(), start.len(), report.x.len()] == [n; 3]
-        && report.is_sound()
-        && at_bound.iter().map(|(index, _)| index).chain(without_effect).all(|index| *index < n)
-        && worth.as_ref().is_none_or(of_worth)
-        && stages.iter().all(is_sound)
 }
 
 fn document_of(saved: &SavedFit) -> Result<Document, String> {

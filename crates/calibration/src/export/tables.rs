@@ -1,6 +1,7 @@
 //! A fit as tables: comma-separated values (RFC 4180) for spreadsheets and other programs.
 
 use super::files::{check_belongs, write};
+use crate::assignment::Affine;
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::Fit;
@@ -13,7 +14,9 @@ use std::path::Path;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Table {
-    /// A row for each entry of `x`: name, value, standard errors where the fit has them, start, bounds, unit, the bound that it ended at.
+    /// A row for each entry of `x`: name, value, standard errors where the fit has them, start, bounds, unit, the bound that it ended at;
+    /// then one for each parameter that is tied: name, value, standard errors and start that follow from those of the other one, unit,
+    /// and to which it is tied.
     #[default]
     Parameters,
     /// A row for each measurement that counts: experiment, variable, column, unit, time in s, measured, simulated, weight, residual.
@@ -73,6 +76,7 @@ impl Fit {
             "upper",
             "unit",
             "at_bound",
+            "tied_to",
         ];
         let row = |(k, p): (usize, &Parameter)| {
             let worth = self.worth.as_ref();
@@ -89,9 +93,25 @@ impl Fit {
                 number(p.upper()),
                 unit_of(p, calibration).unwrap_or_default(),
                 side.unwrap_or_default().to_owned(),
+                String::new(),
+            ]
+        };
+        let tied = |tied: Tied| {
+            vec![
+                tied.name,
+                number(tied.value),
+                tied.standard_error.map_or_else(String::new, number),
+                tied.corrected_error.map_or_else(String::new, number),
+                number(tied.start),
+                String::new(),
+                String::new(),
+                tied.unit.unwrap_or_default(),
+                String::new(),
+                tied.to,
             ]
         };
         let rows = calibration.parameters().iter().enumerate().map(row);
+        let rows = rows.chain(self.tied_parameters(calibration).into_iter().map(tied));
         std::iter::once(header.map(str::to_owned).to_vec()).chain(rows).collect()
     }
 
@@ -158,6 +178,48 @@ impl Fit {
         let header = header.iter().copied().chain(self.names.iter().map(String::as_str)).map(str::to_owned);
         let rows = trace.iter().chain(trace.speculative()).map(row);
         std::iter::once(header.collect()).chain(rows).collect()
+    }
+}
+
+/// A parameter that is tied to another one, `factor * p + offset`, which is `to` in the list of those that were fitted.
+pub(super) struct Tied {
+    pub(super) name: String,
+    pub(super) to: String,
+    pub(super) value: f64,
+    pub(super) start: f64,
+    /// That of the other one times the size of the factor.
+    pub(super) standard_error: Option<f64>,
+    pub(super) corrected_error: Option<f64>,
+    pub(super) unit: Option<String>,
+}
+
+impl Fit {
+    pub(super) fn tied_parameters(&self, calibration: &Calibration) -> Vec<Tied> {
+        let tied = &calibration.evaluator().tied;
+        let parameters = &calibration.problem().parameters;
+        let one = |(name, of): &(String, Affine)| {
+            let entry = of.entry?;
+            let error = |errors: &[f64]| errors.get(entry).map(|error| error * of.factor.abs());
+            let worth = self.worth.as_ref();
+            // Of what follows a local one the name has that of the experiment behind it.
+            let is_it = |p: &&Parameter| {
+                p.is_tied()
+                    && name
+                        .strip_prefix(p.name())
+                        .is_some_and(|rest| rest.is_empty() || rest.starts_with('['))
+            };
+            let parameter = parameters.iter().filter(is_it).max_by_key(|p| p.name().len());
+            Some(Tied {
+                name: name.clone(),
+                to: self.names[entry].clone(),
+                value: of.value(&self.x),
+                start: of.value(&self.start),
+                standard_error: worth.and_then(|worth| error(&worth.standard_errors)),
+                corrected_error: worth.and_then(|worth| error(worth.corrected_errors.as_deref()?)),
+                unit: parameter.and_then(|p| unit_of(p, calibration)),
+            })
+        };
+        tied.iter().filter_map(one).collect()
     }
 }
 

@@ -138,6 +138,30 @@ mod tests {
     }
 
     #[test]
+    fn parameters_are_shown_by_their_display_names() {
+        let (calibration, _) = decay();
+        let mut problem = calibration.problem().clone();
+        problem.parameters[0] = problem.parameters[0].clone().display_name("rate of decay");
+        let calibration = Calibration::from_problem(calibration.fmu().clone(), problem).unwrap();
+        let mut fit = calibration.fit(FitOptions::default()).unwrap();
+        let sentence = "the data do not determine k: other values fit as well";
+        let worth = fit.worth.as_mut().unwrap();
+        (worth.undetermined, worth.verdict) = (vec![0], vec![sentence.to_owned(), "all is well".to_owned()]);
+        fit.report.message = format!("f_tol reached; {sentence}; begun twice");
+        let text = fit.to_string();
+        assert!(
+            text.contains("rate of decay  1  -> 2.0001") && text.contains("Mistrust rate of decay"),
+            "{text}"
+        );
+        let doubts = "! the data do not determine rate of decay: other values fit as well\n! all is well\n";
+        assert!(text.contains(doubts), "{text}");
+        // What is said above is not said again.
+        assert!(text.contains(": f_tol reached; begun twice\n"), "{text}");
+        assert!(fit.to_html().contains("rate of decay"));
+        assert!(fit.to_json(&calibration).unwrap().contains("\"name\": \"k\""));
+    }
+
+    #[test]
     fn the_page_needs_nothing_but_itself_and_escapes_names() {
         let (calibration, mut fit) = decay();
         let worth = fit.worth.as_mut().unwrap();

@@ -173,7 +173,7 @@ fn correlation(fit: &Fit) -> Option<Correlation> {
         strength: if value.is_nan() { 0.0 } else { (0.6 * value.abs().min(1.0) * 100.0).round() / 100.0 },
     };
     (n > 1 && worth.correlation.len() == n * n).then(|| Correlation {
-        names: fit.names.clone(),
+        names: fit.shown_names().to_vec(),
         rows: worth.correlation.chunks(n).map(|row| row.iter().map(cell).collect()).collect(),
     })
 }

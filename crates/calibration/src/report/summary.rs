@@ -120,7 +120,8 @@ fn sentence(fit: &Fit) -> String {
     }
     suspects.sort_unstable();
     suspects.dedup();
-    let names: Vec<&str> = suspects.iter().filter_map(|i| fit.names.get(*i)).map(String::as_str).collect();
+    let names: Vec<&str> =
+        suspects.iter().filter_map(|i| fit.shown_names().get(*i)).map(String::as_str).collect();
     let mistrust = match (names.as_slice(), fit.report.is_success()) {
         ([], true) => String::new(),
         ([], false) => " Mistrust all values.".to_owned(),
@@ -139,7 +140,7 @@ fn sentence(fit: &Fit) -> String {
 
 /// What is not to be trusted.
 fn doubts(fit: &Fit) -> Vec<String> {
-    let name = |i: &usize| fit.names[*i].as_str();
+    let name = |i: &usize| fit.shown_names()[*i].as_str();
     let at_bound = |(i, side): &(usize, BoundSide)| {
         let bound = Number(bound(fit, *i, *side));
         format!("{} is at its {} bound {bound}: the best value may lie beyond", name(i), side.name())
@@ -149,7 +150,7 @@ fn doubts(fit: &Fit) -> Vec<String> {
     let mut all: Vec<String> = fit.at_bound.iter().map(at_bound).collect();
     all.extend(fit.without_effect.iter().filter(|i| !is_said(i)).map(without_effect));
     all.extend(fit.findings.iter().map(|finding| format!("{}: {}", finding.subject, finding.sentence)));
-    all.extend(fit.worth.iter().flat_map(|worth| worth.verdict.iter().cloned()));
+    all.extend(fit.worth.iter().flat_map(|worth| worth.verdict_with(fit.shown_names())));
     all
 }
 
@@ -192,7 +193,7 @@ fn parameter(fit: &Fit, i: usize) -> ParameterRow {
         Some([lower, upper].map(|end| with_error(end, widest)))
     });
     ParameterRow {
-        name: fit.names[i].clone(),
+        name: fit.shown_names()[i].clone(),
         start: rounded(fit.start[i], DIGITS),
         value: with_error(value, error),
         error: worth.map_or_else(String::new, |_| shown(error)),
@@ -227,7 +228,11 @@ fn facts(fit: &Fit) -> Vec<Fact> {
         Some(cost) => format!(" ({} at the start)", rounded(cost, DIGITS)),
         None => String::new(),
     };
-    let mut facts = vec![("ended", format!("{}: {}", report.method, report.message))];
+    // Without what stands among the doubts.
+    let said = fit.worth.iter().flat_map(|worth| &worth.verdict);
+    let message =
+        said.fold(report.message.clone(), |message, doubt| message.replace(&format!("; {doubt}"), ""));
+    let mut facts = vec![("ended", format!("{}: {message}", report.method))];
     facts.extend(report.method_reason.iter().map(|reason| ("chosen", reason.clone())));
     facts.extend(fit.stages.iter().map(|stage| ("stage", stage.report.message.clone())));
     facts.push(("cost", format!("{}{before}, RMS {}", rounded(fit.cost, DIGITS), rounded(fit.rms, DIGITS))));

@@ -153,6 +153,26 @@ impl Worth {
         said.join("; ")
     }
 
+    /// The [verdict](Self::verdict) with other names of the parameters.
+    pub(crate) fn verdict_with(&self, names: &[String]) -> Vec<String> {
+        if names == self.names {
+            return self.verdict.clone();
+        }
+        let experiments = self.residual_checks.iter().map(|check| &check.experiment);
+        let are_several = self
+            .residual_checks
+            .first()
+            .is_some_and(|first| experiments.clone().any(|e| *e != first.experiment));
+        // No sentence that names a parameter depends on the tolerance.
+        let named = self.sentences(are_several, 0.0);
+        let renamed = Self { names: names.to_vec(), ..self.clone() }.sentences(are_several, 0.0);
+        let shown = |sentence: &String| {
+            let place = named.iter().position(|other| other == sentence);
+            place.and_then(|place| renamed.get(place)).unwrap_or(sentence).clone()
+        };
+        self.verdict.iter().map(shown).collect()
+    }
+
     /// What the message of a fit must not leave out: parameters that the data do not determine or cannot tell apart, a cost that
     /// depends on the accuracy of the simulations.
     pub(crate) fn remarks(&self, f_tol: f64) -> String {

@@ -1,0 +1,93 @@
+//! Whether the parts of a fit that comes from a file have the lengths that belong together.
+
+use crate::fit::Fit;
+use crate::preflight::Preflight;
+use crate::worth::Worth;
+
+/// Refuses a fit of which parts have other lengths than its parameters and residuals ask for; the message names the first one.
+pub(super) fn check_lengths(fit: &Fit) -> Result<(), String> {
+    check_fit(fit, "fit")
+}
+
+fn check_fit(fit: &Fit, place: &str) -> Result<(), String> {
+    let n = fit.x.len();
+    let Fit { names, start, units, bounds, report, at_bound, without_effect, preflight, stages, .. } = fit;
+    let lengths = [
+        ("names", names.len()),
+        ("shown_names", fit.shown_names().len()),
+        ("start", start.len()),
+        ("units", units.len()),
+        ("bounds", bounds.len()),
+        ("report.x", report.x.len()),
+    ];
+    lengths.into_iter().try_for_each(|(field, found)| same(place, field, (found, n)))?;
+    let at_bound: Vec<usize> = at_bound.iter().map(|(index, _)| *index).collect();
+    below(place, "at_bound", &at_bound, n)?;
+    below(place, "without_effect", without_effect, n)?;
+    for (k, optimum) in report.optima.iter().enumerate() {
+        same(place, &format!("report.optima[{k}].x"), (optimum.x.len(), n))?;
+    }
+    if !report.is_sound() {
+        return Err(format!("the parts of {place}.report (trace, residuals, jacobian) do not fit together"));
+    }
+    preflight
+        .iter()
+        .try_for_each(|preflight| check_preflight(preflight, n, &format!("{place}.preflight")))?;
+    fit.worth.iter().try_for_each(|worth| check_worth(worth, n, &format!("{place}.worth")))?;
+    if fit.worth.as_ref().is_some_and(|worth| worth.names != *names) {
+        return Err(format!("{place}.worth.names are not {place}.names: they do not fit together"));
+    }
+    let stage = |(k, stage): (usize, &Fit)| check_fit(stage, &format!("{place}.stages[{k}]"));
+    stages.iter().enumerate().try_for_each(stage)
+}
+
+fn check_worth(worth: &Worth, n: usize, place: &str) -> Result<(), String> {
+    let m = worth.residuals.len();
+    let lengths = [
+        ("names", worth.names.len(), n),
+        ("x", worth.x.len(), n),
+        ("is_log", worth.is_log.len(), n),
+        ("covariance", worth.covariance.len(), n * n),
+        ("standard_errors", worth.standard_errors.len(), n),
+        ("correlation", worth.correlation.len(), n * n),
+        ("corrected_errors", worth.corrected_errors.as_ref().map_or(n, Vec::len), n),
+        ("jacobian", worth.jacobian.len(), m * n),
+    ];
+    lengths.into_iter().try_for_each(|(field, found, wanted)| same(place, field, (found, wanted)))?;
+    let lists = [
+        ("held", &worth.held),
+        ("undetermined", &worth.undetermined),
+        ("without_effect", &worth.without_effect),
+        ("weakest", &worth.weakest),
+        ("identifiable", &worth.identifiable),
+        ("confounded", &pairs(&worth.confounded)),
+    ];
+    lists.into_iter().try_for_each(|(field, indices)| below(place, field, indices, n))
+}
+
+fn check_preflight(preflight: &Preflight, n: usize, place: &str) -> Result<(), String> {
+    same(place, "parameters", (preflight.parameters.len(), n))?;
+    below(place, "confounded", &pairs(&preflight.confounded), n)
+}
+
+fn pairs(confounded: &[(usize, usize, f64)]) -> Vec<usize> {
+    confounded.iter().flat_map(|(a, b, _)| [*a, *b]).collect()
+}
+
+fn same(place: &str, field: &str, (found, wanted): (usize, usize)) -> Result<(), String> {
+    match found == wanted {
+        true => Ok(()),
+        false => Err(format!(
+            "{place}.{field} has {found} entries where there should be {wanted}: the parts of its result do not fit together"
+        )),
+    }
+}
+
+fn below(place: &str, field: &str, indices: &[usize], n: usize) -> Result<(), String> {
+    match indices.iter().find(|index| **index >= n) {
+        None => Ok(()),
+        Some(index) => Err(format!(
+            "{place}.{field} names parameter {index}, of {n} counted from 0: the parts of its result do not fit together"
+        )),
+    }
+}
