@@ -1,7 +1,7 @@
 //! The covariance of the parameters from the changes of the residuals, with the variances of the residuals that an estimator supposes.
 
 use super::differences::Differences;
-use super::residual_check::{autocorrelation, is_rounding};
+use super::residual_check::{autocorrelation, is_rounding, square_of_rounding};
 use crate::layout::{OutputResiduals, ResidualLayout};
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
@@ -44,7 +44,10 @@ impl Noise {
         let mut sums: BTreeMap<(&str, Option<u64>), (f64, usize)> = BTreeMap::new();
         for output in &layout.outputs {
             let sum = sums.entry(group(output)).or_default();
-            sum.0 += residuals[output.range.clone()].iter().map(|r| r * r).sum::<f64>();
+            let squares = residuals[output.range.clone()].iter().map(|r| r * r).sum::<f64>();
+            // An exact output beside others: less than rounding would be a variance that rounding of the derivatives outweighs.
+            let least = if is_all_rounding { 0.0 } else { square_of_rounding(output) };
+            sum.0 += squares.max(least);
             sum.1 += output.range.len();
         }
         let mut variances = vec![1.0; n];
@@ -214,6 +217,13 @@ mod tests {
         for (got, expected) in noise.variances.iter().zip([0.025, 0.025, 0.025, 0.025, 9.0, 9.0]) {
             assert!((got - expected).abs() < 1e-14, "{:?}", noise.variances);
         }
+        // One exact output beside others has that of rounding.
+        layout.outputs[2].measured = vec![1e14; 2];
+        let variances = Noise::estimate(&layout, &residuals, 0, true).variances;
+        assert!(
+            (variances[0] - 0.025).abs() < 1e-14 && (variances[4] / 1e10 - 1.0).abs() < 1e-12,
+            "{variances:?}"
+        );
         // Rounding has no variances of its own.
         layout.outputs.iter_mut().for_each(|output| output.measured = vec![1e14; 2]);
         let pooled = Noise::estimate(&layout, &residuals, 0, true).variances;

@@ -111,8 +111,13 @@ impl ResidualCheck {
 
 /// Whether the residuals `r` of an output are rounding of its measurements.
 pub(crate) fn is_rounding(output: &OutputResiduals, r: &[f64]) -> bool {
+    r.iter().map(|r| r * r).sum::<f64>() <= square_of_rounding(output)
+}
+
+/// The sum of squares below which the residuals of an output are rounding.
+pub(crate) fn square_of_rounding(output: &OutputResiduals) -> f64 {
     let measured: f64 = output.measured.iter().zip(&output.weights).map(|(y, w)| (y * w) * (y * w)).sum();
-    r.iter().map(|r| r * r).sum::<f64>() <= ROUNDING * ROUNDING * measured
+    ROUNDING * ROUNDING * measured
 }
 
 fn mean_and_deviation(r: &[f64]) -> (f64, f64) {
