@@ -17,4 +17,10 @@ impl PyFit {
     fn start(&self) -> Vec<f64> {
         self.inner.start.clone()
     }
+
+    /// What reports and figures call the parameters.
+    #[getter]
+    fn shown_names(&self) -> Vec<String> {
+        self.inner.shown_names().to_vec()
+    }
 }

@@ -5,6 +5,7 @@ import csv
 import json
 import pickle
 import shutil
+import zipfile
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -321,3 +322,54 @@ def test_parameters_of_every_sort_come_back(tmp_path):
     assert_same(loaded, fit)
     assert loaded._calibration.cost(fit.x) == calibration.cost(fit.x)
     assert fit.parameters_of() == {"k": fit.parameters["rate"], "x": 1.0}
+
+
+def test_tied_parameters_and_display_names(tmp_path):
+    t = np.linspace(0.0, 2.0, 21)
+    x = np.exp(-2.0 * t) + 1e-3 * np.sin(40.0 * t)
+    parameters = [
+        Parameter("k", 1.0, 0.1, 10.0, display_name="rate of decay"),
+        Parameter("x", tied_to="k", factor=0.5, display_name="start"),
+    ]
+    calibration = pydfo.Calibration(pydfo.example_fmu("dahlquist"), {"time": t, "x": x}, "x", parameters)
+    fit = calibration.fit()
+    own, tied = fit.to_dict()["parameters"]
+    assert {p["name"]: p["value"] for p in (own, tied)} == fit.parameters
+    assert (tied["tied_to"], tied["standard_error"]) == ("k", 0.5 * own["standard_error"])
+    fit.to_csv(tmp_path / "fit.csv")
+    rows = list(csv.DictReader((tmp_path / "fit.csv").open(newline="")))
+    assert [(row["name"], float(row["value"]), row["tied_to"]) for row in rows] == [("k", fit.x[0], ""), ("x", fit.x[0] / 2, "k")]
+    fit.save(tmp_path / "a.fit")
+    for shown in (fit, pydfo.load_fit(tmp_path / "a.fit")):
+        assert "rate of decay" in str(shown)
+        assert "rate of decay" in shown._repr_html_()
+        pytest.importorskip("matplotlib", reason="matplotlib is not installed")
+        labels = [label.get_text() for label in shown.plot_correlation().axes[0].get_yticklabels()]
+        assert labels == ["rate of decay"]
+
+
+def test_a_saved_fit_with_lists_of_other_lengths_is_refused(fit, tmp_path):
+    fit.save(tmp_path / "a.fit")
+    with zipfile.ZipFile(tmp_path / "a.fit") as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    for place in ("names", "units", "bounds", "start", "worth.names", "worth.x", "worth.standard_errors", "worth.covariance"):
+        document = json.loads(files["fit.json"])
+        *path, last = ["fit", *place.split(".")]
+        part = document
+        for key in path:
+            part = part[key]
+        part[last] = []
+        with zipfile.ZipFile(tmp_path / "b.fit", "w") as archive:
+            for name, content in {**files, "fit.json": json.dumps(document).encode()}.items():
+                archive.writestr(name, content)
+        with pytest.raises(pydfo.BadCalibrationError, match=f"fit.{place} has 0 entries"):
+            pydfo.load_fit(tmp_path / "b.fit")
+
+
+@pytest.mark.parametrize("times, message", [([np.nan], "not a finite"), ([-1.0], "before the start"), ([1.0, 0.5], "times must ascend")])
+def test_rows_of_late_outputs_are_checked(times, message):
+    t = np.linspace(0.0, 2.0, 21)
+    experiment = pydfo.Experiment({"time": t, "x": np.exp(-t)}, "x", delays={"x": 0.1})
+    calibration = pydfo.Calibration(pydfo.example_fmu("dahlquist"), experiment, parameters=[Parameter("k", 1.0, 0.1, 10.0)])
+    with pytest.raises(ValueError, match=message):
+        calibration.simulate([1.0], times)

@@ -177,6 +177,8 @@ class Calibration:
 class Fit:
     @property
     def start(self) -> list[float]: ...
+    @property
+    def shown_names(self) -> list[str]: ...
 
 def cross_validate(
     calibration: Calibration, folds: int | None, options: Options, loss: tuple[str, float] | None

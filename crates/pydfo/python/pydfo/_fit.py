@@ -348,7 +348,7 @@ class Fit(OptimizeResult):
         """Draws the cost of each evaluation and the best so far, and below them how the best point moved; as `plot`."""
         from . import _plot
 
-        return _plot.convergence(self, self._calibration.names)
+        return _plot.convergence(self, self._shown_names())
 
     def plot_waterfall(self) -> Figure:
         """Draws the costs at which local searches from several starts ended, sorted: what lies on one level is one minimum; as
@@ -361,7 +361,7 @@ class Fit(OptimizeResult):
         """Draws the correlation of the parameters as a coloured table; as `plot`. ValueError: the fit has no standard errors."""
         from . import _plot
 
-        return _plot.correlation(self.correlation, self._calibration.names)
+        return _plot.correlation(self.correlation, self._shown_names())
 
     def plot_profiles(self, profile: Profile | None = None) -> Figure:
         """Draws the rise of the cost over each parameter, with the threshold and the interval; as `plot`. Without a `profile` that
@@ -373,7 +373,7 @@ class Fit(OptimizeResult):
         mean square; as `plot`. ValueError: the fit has no standard errors, and no derivatives."""
         from . import _plot
 
-        return _plot.sensitivity(self._of_run("plot_sensitivity"), self._calibration.names)
+        return _plot.sensitivity(self._of_run("plot_sensitivity"), self._shown_names())
 
     def save(self, path: PathLike) -> None:
         """Writes the fit to a file that `load_fit` reads: with all its numbers, bit for bit, its trace, and the calibration.
@@ -420,8 +420,8 @@ class Fit(OptimizeResult):
         return dict(_core.variable_values(self._calibration._native, np.asarray(self.x).tolist(), experiment))
 
     def to_dict(self) -> dict[str, Any]:
-        """What the fit found, as dictionaries, lists, numbers and texts: parameters with errors, start, bounds and units; cost and
-        RMS; how well each output is reproduced; what the fit is worth; how it was made. Numbers that are not finite are None."""
+        """What the fit found, as dictionaries, lists, numbers and texts: parameters with errors, start, bounds and units, those
+        that are tied to others last (with ``"tied_to"``); cost and RMS; how well each output is reproduced; what the fit is worth; how it was made. Numbers that are not finite are None."""
         found: dict[str, Any] = json.loads(self.to_json())
         return found
 
@@ -439,7 +439,7 @@ class Fit(OptimizeResult):
         path : path
             The file to write; one that exists is replaced.
         what : {"parameters", "trajectories", "trace"}
-            A row for each parameter (with standard errors, start, bounds, unit), each measurement that counts (measured and
+            A row for each parameter (with standard errors, start, bounds, unit; those that are tied to others last), each measurement that counts (measured and
             simulated), or each evaluation.
 
         Raises
@@ -536,6 +536,10 @@ class Fit(OptimizeResult):
             A simulation fails that did not in the fit.
         """
         _core.fit_report(self._of_run("report"), path)
+
+    def _shown_names(self) -> list[str]:
+        """What figures call the parameters."""
+        return self._calibration.names if self._native is None else self._native.shown_names
 
     def _of_run(self, what: str) -> _core.Fit:
         """The native fit."""
