@@ -5,7 +5,6 @@ use crate::data::UnitConversion;
 use crate::error::CalibrationError;
 use crate::experiment::{Experiment, InitialState};
 use crate::input::Shift;
-use crate::measurements::Measurements;
 use crate::parameter::{Parameter, Target};
 use crate::problem::{Element, Problem};
 use fmi::{ModelDescription, Value};
@@ -198,10 +197,12 @@ pub(crate) fn tied_values(
     Ok(all)
 }
 
-/// The initial states of an experiment that do not vary, by name.
+/// The initial states of an experiment that do not vary, by name; those that follow a fitted offset of their output are added to the
+/// variables that `assigned` sets.
 pub(crate) fn initial_values(
     experiment: &Experiment,
-    measurements: &Measurements,
+    start_time: f64,
+    assigned: &mut Assignments,
 ) -> Result<Vec<(String, Value)>, CalibrationError> {
     let setup = |message: String| Err(CalibrationError::Setup(message));
     let mut values = Vec::new();
@@ -213,15 +214,46 @@ pub(crate) fn initial_values(
                 return setup(format!("initial state '{state}' = {}: it must be finite", Number(*value)));
             }
             InitialState::Measured => {
-                match experiment.outputs.iter().position(|output| output.variable == *state) {
-                    Some(output) => measurements.outputs[output][0].value,
-                    None => {
-                        return setup(format!(
-                            "initial state '{state}' is to be the first measurement, but no column is compared with '{state}': \
-                             name its column among the outputs, or give a number or a parameter"
-                        ));
-                    }
+                let Some(output) = experiment.outputs.iter().position(|output| output.variable == *state)
+                else {
+                    return setup(format!(
+                        "initial state '{state}' is to be measured, but no column is compared with '{state}': name its column \
+                         among the outputs, or give a number or a parameter"
+                    ));
+                };
+                let (delay, offset) = assigned.outputs[output];
+                if !delay.is_constant() {
+                    return setup(format!(
+                        "initial state '{state}' is to be measured, but the delay of its output is fitted, so that the row of the \
+                         start is not known: give a number or a parameter"
+                    ));
                 }
+                let column = &experiment.outputs[output].column;
+                let measured = experiment.data.value_at(column, start_time + delay.in_model(&[]));
+                let measured = measured.map_err(|error| match error {
+                    CalibrationError::Data { source_name, message } => CalibrationError::Data {
+                        source_name,
+                        message: format!(
+                            "initial state '{state}' is to be measured, but {message}: start where there is a measurement \
+                             (start_time), or give a number or a parameter"
+                        ),
+                    },
+                    other => other,
+                })?;
+                // Compared is the output plus its offset.
+                if offset.entry.is_some() {
+                    let (n, d) = offset.unit.factor;
+                    let state_of = Affine {
+                        factor: -offset.factor * n / d,
+                        offset: measured - offset.offset * n / d,
+                        unit: UnitConversion::IDENTITY,
+                        ..offset
+                    };
+                    assigned.variables.push((state.clone(), state_of));
+                    assigned.is_identity = false;
+                    continue;
+                }
+                measured - offset.in_model(&[])
             }
         };
         values.push((state.clone(), Value::Real(value)));

@@ -12,7 +12,7 @@ use fmi::description::Variable;
 /// variable then, so that nothing is converted twice. What is not converted comes back.
 ///
 /// # Errors
-/// A column and its variable have units of different quantities; two variables with different units have one column.
+/// A column and its variable have units of different quantities; a unit that is not known, where the model states one; two variables with different units have one column.
 pub(crate) fn convert_columns(
     problem: &mut Problem,
     description: &ModelDescription,
@@ -36,12 +36,11 @@ fn convert(
     for (variable_name, column) in experiment.columns_in_use() {
         let data = &mut experiment.data;
         let Some(variable) = declared(description, &variable_name) else { continue };
-        // The name of a variable may end with what looks like a unit.
-        let is_variable = |name: &str| description.variable(name).is_some();
         let Some(full) = data.full_name(&column).map(str::to_owned) else { continue };
-        let Some(given) = data.unit(&column).filter(|_| !is_variable(&full)).map(str::to_owned) else {
-            continue;
-        };
+        // The name of a variable may end with what looks like a unit; a line of units is none.
+        let is_variable = description.variable(&full).is_some();
+        let given = if is_variable { data.unit_beside_name(&column) } else { data.unit(&column) };
+        let Some(given) = given.map(str::to_owned) else { continue };
         let bad = |message: String| CalibrationError::Data { source_name: data.source().to_owned(), message };
         let earlier = seen.iter().find(|(name, _)| *name == full).map(|(_, variable)| variable);
         match UnitConversion::to_variable(&given, variable, description) {
@@ -64,6 +63,14 @@ fn convert(
             }
             // Models without units are mostly in those of the SI.
             Err(UnitError::NotStated { .. }) if Unit::parse(&given).is_ok_and(|unit| unit.is_coherent()) => {}
+            // With the raw values a fit would converge at a wrong point.
+            Err(reason @ UnitError::Unknown { .. }) if Unit::parse(&given).is_err() => {
+                let unit = variable.unit.as_deref().unwrap_or_default();
+                return Err(bad(format!(
+                    "column '{full}' belongs to '{variable_name}' (in {unit}), but {reason}: correct the unit of the column, or rename the \
+                     column if this is none"
+                )));
+            }
             Err(reason) => warnings.push(SetupWarning::NotConverted {
                 data: data.source().to_owned(),
                 column: full.clone(),

@@ -39,7 +39,8 @@ pub struct Experiment {
 pub enum InitialState {
     /// This value, in the unit of the model.
     Value(f64),
-    /// The first measurement that counts, of the column that is compared with the state.
+    /// The recording of the column that is compared with the state, at the start of the simulation: linear between its rows, without the
+    /// offset and the delay of the output. An error where it begins later or has a gap there.
     Measured,
     /// Fitted in this experiment, from the start and within the bounds of this parameter, whose name plays no part.
     Fitted(Box<Parameter>),

@@ -42,7 +42,7 @@ impl Simulation {
         fmu: &Fmu,
         (name, experiment): (String, &Experiment),
         (problem, elements): (&Problem, &[Element]),
-        assigned: Assignments,
+        mut assigned: Assignments,
     ) -> Result<(Self, Vec<SetupWarning>), CalibrationError> {
         let (description, settings) = (fmu.description(), &problem.settings);
         let measurements =
@@ -64,7 +64,7 @@ impl Simulation {
         let is_constant =
             |(name, _): &&(String, _)| !Experiment::is_start_of_local(name, &problem.parameters);
         let mut start_values: Vec<_> = experiment.start_values.iter().filter(is_constant).cloned().collect();
-        start_values.extend(initial_values(experiment, &measurements)?);
+        start_values.extend(initial_values(experiment, start_time, &mut assigned)?);
         let names: Vec<String> = assigned.variables.iter().map(|(name, _)| name.clone()).collect();
         let times = comparison.schedule(|_| 0.0, start_time).times;
         let options = SimulateOptions {

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
-use calibration::{Calibration, CalibrationError, Data, Experiment, Parameter, SetupWarning};
+use calibration::{Calibration, CalibrationError, Data, Experiment, Parameter};
 use example_models::example_fmu;
 use fmi::Fmu;
 
@@ -66,18 +66,42 @@ fn units_of_other_quantities_are_refused_and_unknown_ones_named() {
         let message = tank(names, 1.0, ("u", 5.0)).unwrap_err().to_string();
         assert!(message.contains(expected), "{message}");
     }
-    let calibration = tank(["x1 (raw)", "x2"], 1.0, ("u", 5.0)).unwrap();
-    match calibration.warnings() {
-        [warning @ SetupWarning::NotConverted { column, .. }] => {
-            assert_eq!(column, "x1 (raw)");
-            let text = warning.to_string();
-            assert!(
-                text.contains(
-                    "'x1 (raw)' is taken in the unit of 'qt.x1', without conversion: 'raw' is no unit"
-                ),
-                "{text}"
-            );
-        }
-        other => panic!("{other:?}"),
+    let message = tank(["x1 (raw)", "x2"], 1.0, ("u", 5.0)).unwrap_err().to_string();
+    assert!(
+        message
+            .contains("column 'x1 (raw)' belongs to 'qt.x1' (in m), but 'raw' is no unit that is known here")
+            && message.contains("rename the column if this is none")
+            && !message.contains("parse"),
+        "{message}"
+    );
+}
+
+#[test]
+fn a_number_behind_a_name_is_no_unit() {
+    let expected = tank(["x1", "x2"], 1.0, ("u", 5.0)).unwrap().cost(&[2.7e-6]).unwrap();
+    for names in [["x1 [2]", "x2 (3)"], ["x1 (2)", "x2 [3]"]] {
+        let cost = tank(names, 1.0, ("u", 5.0)).unwrap().cost(&[2.7e-6]).unwrap();
+        assert_eq!(cost.to_bits(), expected.to_bits(), "{names:?}");
     }
+}
+
+#[test]
+fn a_line_of_units_counts_for_columns_with_the_names_of_variables() {
+    let recording = |unit: &str, per_metre: f64| {
+        let mut text = format!("time,qt.x1,u\ns,{unit},V\n");
+        for k in 0..31 {
+            text += &format!("{k},{},5\n", (0.06 - 1e-4 * f64::from(k)) * per_metre);
+        }
+        let data = Data::from_csv_text(text.as_bytes(), "tank.csv", None).unwrap();
+        let experiment = Experiment::new(data).output("qt.x1", "qt.x1").input("u1", "u").input("u2", "u");
+        Calibration::builder(Fmu::open(example_fmu("quad_tank").unwrap()).unwrap())
+            .experiment(experiment)
+            .parameter(Parameter::new("qt.a1", 3e-6).bounds(2e-6, 4e-6))
+            .build()
+    };
+    let expected = recording("m", 1.0).unwrap().cost(&[2.7e-6]).unwrap();
+    let cost = recording("mm", 1e3).unwrap().cost(&[2.7e-6]).unwrap();
+    assert!((cost - expected).abs() <= 1e-9 * expected, "{cost} {expected}");
+    let message = recording("bar", 1.0).unwrap_err().to_string();
+    assert!(message.contains("'bar' (kg.m-1.s-2) cannot be converted to 'm'"), "{message}");
 }

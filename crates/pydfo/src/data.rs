@@ -1,7 +1,7 @@
 //! Recordings: what Python asks of the native code while it reads them.
 
 use crate::error;
-use calibration::{Data, TimeColumn};
+use calibration::{Data, PairUnit, TimeColumn};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -22,11 +22,11 @@ pub(crate) fn find_column(names: Vec<String>, wanted: &str) -> PyResult<usize> {
     calibration::find_column(names.iter().map(String::as_str), wanted).map_err(PyValueError::new_err)
 }
 
-/// Dates and times of day in s since the first.
+/// Dates and times of day in s since the first; the name of the column may say what two numbers (`10:02`) are.
 #[pyfunction]
-pub(crate) fn date_seconds(texts: Vec<String>) -> PyResult<Vec<f64>> {
+pub(crate) fn date_seconds(texts: Vec<String>, column: &str) -> PyResult<Vec<f64>> {
     let place = |(row, message): (usize, String)| PyValueError::new_err(format!("row {row}: {message}"));
-    calibration::date_seconds(&texts).map_err(place)
+    calibration::date_seconds(&texts, PairUnit::of_column(column)).map_err(place)
 }
 
 /// The times and those columns of a CSV text that are needed, with their units in their names, and the names of the others.
@@ -48,10 +48,7 @@ pub(crate) fn read_csv(
         let Ok(index) = calibration::find_column(names.iter().copied(), wanted) else { continue };
         if !taken.contains(&index) {
             taken.push(index);
-            let name = names[index];
-            let unit =
-                data.unit(name).filter(|unit| !name.ends_with(&format!("{unit}]")) && !name.ends_with(')'));
-            let name = unit.map_or_else(|| name.to_owned(), |unit| format!("{name} [{unit}]"));
+            let name = data.name_with_unit(names[index]).unwrap_or_else(|| names[index].to_owned());
             columns.push((name, values.to_vec()));
         }
     }

@@ -2,7 +2,7 @@
 
 use super::dates::date_seconds;
 use super::table::{Column, Data, mixed_decimal_signs};
-use super::time_column::{TimeColumn, time_unit};
+use super::time_column::{PairUnit, TimeColumn, time_unit};
 use super::units::Unit;
 use crate::error::CalibrationError;
 use std::borrow::Cow;
@@ -18,7 +18,8 @@ impl Data {
     /// row is no column. Where it is no comma, numbers may have decimal commas, all of them: where some have commas
     /// and others points, one of the two separates thousands. The times are those of the column `time` (in any case),
     /// in s or in the unit that follows in brackets or parentheses: s, ms, us, ns, min, h, d (`time [ms]`); dates (of ISO 8601, or as
-    /// `31.05.2024 13:45:10`) and times of day become s since the first row. Empty
+    /// `31.05.2024 13:45:10`) and times of day become s since the first row; `00:01` wants a name such as `time [mm:ss]` or `time [hh:mm]`
+    /// where it can be either. Empty
     /// cells, `NaN` and `NA` are missing values. Columns of text are kept aside: only using one is an error. Lines that begin with
     /// `#` are comments.
     ///
@@ -146,7 +147,9 @@ impl Data {
                     "time '{text}' in line {line} is not a number, as those of other lines are, or there is none in them"
                 )));
             }
-            let seconds = date_seconds(&dates);
+            let stated = time.unit.as_deref().and_then(PairUnit::named);
+            let pair = stated.or_else(|| PairUnit::of_column(&time.name));
+            let seconds = date_seconds(&dates, pair);
             time.values = seconds.map_err(|(row, why)| bad(format!("time in line {}: {why}", lines[row])))?;
             time_column.unit = (1.0, 1.0);
         }
@@ -189,7 +192,10 @@ fn line_of_units(record: &csv::StringRecord, time: usize) -> Option<Vec<Option<S
     let cells: Vec<String> = record.iter().map(bare).collect();
     let is_of_time = match cells.get(time)?.as_str() {
         "" | "-" => cells.iter().any(|cell| !matches!(&cell[..], "1" | "-") && is_unit(cell)),
-        cell => Unit::parse(cell).is_ok_and(|unit| unit.time_factor().is_some()),
+        cell => {
+            PairUnit::named(cell).is_some()
+                || Unit::parse(cell).is_ok_and(|unit| unit.time_factor().is_some())
+        }
     };
     let is_number = |cell: &String| cell != "1" && number(cell, b';').is_some_and(|value| !value.is_nan());
     let stated = |cell: String| (!cell.is_empty()).then_some(cell);
@@ -326,6 +332,9 @@ mod tests {
             "time,y\n2024-05-31T23:59:59.5,1\n2024-06-01T00:00:00.5,2\n",
             "time;y\n31.05.2024 23:59:59,5;1\n01.06.2024 00:00:00,5;2\n",
             "y;TIME\n1;10:00:00\n2;10:00:01\n",
+            "y;time [mm:ss]\n1;10:00\n2;10:01\n",
+            "time;y\nmm:ss;m\n10:00;1\n10:01;2\n",
+            "time;y\n30:00;1\n30:01;2\n",
         ] {
             let d = csv(text).unwrap();
             assert_eq!((d.time(), d.column("y").unwrap()), (&[0.0, 1.0][..], &[1.0, 2.0][..]), "{text}");
@@ -342,7 +351,8 @@ mod tests {
             ("time,y\nzero,1\n", "line 2: 'zero' is neither a number nor a date"),
             ("time,y\n0,1\nlater,1\n", "time 'later' in line 3 is not a number, as those of other lines are"),
             ("time,y\n05/31/2024 10:00,1\n", "which of them is the month cannot be told"),
-            ("time,y\n10:00,1\n09:00,1\n", "times must ascend"),
+            ("time,y\n10:00:00,1\n09:00:00,1\n", "times must ascend"),
+            ("time,y\n00:00,1\n00:01,1\n", "'00:00' may be hours and minutes or minutes and seconds"),
             ("time,y\nkg,m\n0,1\n", "time 'kg' in line 2 is not a number"),
             ("time,y\n,1\n", "not finite"),
             ("time,y\ninf,1\n", "not finite"),

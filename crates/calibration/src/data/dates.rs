@@ -4,10 +4,19 @@ use jiff::Timestamp;
 use jiff::civil::{Date, DateTime, Time};
 use jiff::fmt::strtime;
 
+use super::time_column::PairUnit;
+
 /// Formats beside those of ISO 8601; what comes after the seconds is a fraction of them.
 const DATES: [&str; 5] =
     ["%d.%m.%Y %H:%M:%S%.f", "%d.%m.%Y %H:%M", "%d.%m.%Y", "%Y/%m/%d %H:%M:%S%.f", "%Y/%m/%d %H:%M"];
-const TIMES_OF_DAY: [&str; 2] = ["%H:%M:%S%.f", "%H:%M"];
+const TIME_OF_DAY: &str = "%H:%M:%S%.f";
+
+/// Minutes and seconds where one of the first numbers is no hour of a day; `None` where it can be either.
+fn pair_of(cells: &[String]) -> Option<PairUnit> {
+    let first = |cell: &String| cell.trim().split_once(':').and_then(|(first, _)| first.parse::<u32>().ok());
+    let is_no_hour = cells.iter().filter_map(first).any(|first| first > 23);
+    (is_no_hour || cells.iter().any(|cell| cell.contains(['.', ',']))).then_some(PairUnit::MinutesSeconds)
+}
 
 /// How the times of a column are written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -17,22 +26,33 @@ enum Form {
     /// Without: days have 24 h.
     Date,
     TimeOfDay,
+    /// Two numbers with a colon between them: hours and minutes, or minutes and seconds.
+    Pair,
 }
 
-/// The times in s since the first. All are written as the first is: as dates, dates with a zone, or times of day.
+/// The times in s since the first. All are written as the first is: as dates, dates with a zone, or times of day. Two numbers (`10:02`) are
+/// what `pair` says, else minutes and seconds where they can be nothing else.
 ///
 /// # Errors
-/// The index of a cell that is none, and what is wrong with it.
-pub fn date_seconds(cells: &[String]) -> Result<Vec<f64>, (usize, String)> {
+/// The index of a cell that is none, and what is wrong with it; two numbers that may be hours and minutes or minutes and seconds.
+pub fn date_seconds(cells: &[String], pair: Option<PairUnit>) -> Result<Vec<f64>, (usize, String)> {
     let mut first = None;
+    let pair = pair.or_else(|| pair_of(cells));
     cells
         .iter()
         .enumerate()
         .map(|(row, cell)| {
-            let (form, nanoseconds) = parse(cell).ok_or_else(|| (row, complaint(cell)))?;
+            let (form, nanoseconds) = parse(cell, pair).ok_or_else(|| (row, complaint(cell)))?;
             let (known, start) = *first.get_or_insert((form, nanoseconds));
             if form != known {
                 let text = format!("'{cell}' is not written like the first, '{}'", cells[0]);
+                return Err((row, text));
+            }
+            if form == Form::Pair && pair.is_none() {
+                let text = format!(
+                    "'{cell}' may be hours and minutes or minutes and seconds: say so in the name of the column, 'time [hh:mm]' or \
+                     'time [mm:ss]'"
+                );
                 return Err((row, text));
             }
             // Whole numbers until here: times of equal distance stay so.
@@ -41,7 +61,7 @@ pub fn date_seconds(cells: &[String]) -> Result<Vec<f64>, (usize, String)> {
         .collect()
 }
 
-fn parse(cell: &str) -> Option<(Form, i128)> {
+fn parse(cell: &str, pair: Option<PairUnit>) -> Option<(Form, i128)> {
     let cell = cell.trim().replace(',', ".");
     if let Ok(instant) = cell.parse::<Timestamp>() {
         return Some((Form::Instant, instant.as_nanosecond()));
@@ -59,8 +79,29 @@ fn parse(cell: &str) -> Option<(Form, i128)> {
     {
         return Some((Form::Date, nanoseconds(date)?));
     }
-    let time = TIMES_OF_DAY.iter().find_map(|format| Time::strptime(format, &cell).ok())?;
-    Some((Form::TimeOfDay, nanoseconds(DateTime::from_parts(Date::constant(1970, 1, 1), time))?))
+    match Time::strptime(TIME_OF_DAY, &cell) {
+        Ok(time) => {
+            Some((Form::TimeOfDay, nanoseconds(DateTime::from_parts(Date::constant(1970, 1, 1), time))?))
+        }
+        Err(_) => Some((Form::Pair, two_numbers(&cell, pair)?)),
+    }
+}
+
+/// `12:34` and `12:34.5` in nanoseconds.
+fn two_numbers(cell: &str, pair: Option<PairUnit>) -> Option<i128> {
+    let (first, second) = cell.split_once(':')?;
+    let is_plain = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
+    let (whole, fraction) = second.split_once('.').unwrap_or((second, "0"));
+    let are_plain =
+        is_plain(first) && first.len() <= 6 && is_plain(whole) && whole.len() == 2 && is_plain(fraction);
+    let (first, second): (i128, i128) = (first.parse().ok().filter(|_| are_plain)?, whole.parse().ok()?);
+    let fraction: i128 = format!("{fraction:0<9}").get(..9)?.parse().ok()?;
+    let unit: i128 = match pair {
+        Some(PairUnit::MinutesSeconds) => 1,
+        Some(PairUnit::HoursMinutes) if first > 23 || fraction != 0 => return None,
+        _ => 60,
+    };
+    (second < 60).then(|| ((60 * first + second) * unit) * 1_000_000_000 + fraction * unit)
 }
 
 fn nanoseconds(date: DateTime) -> Option<i128> {
@@ -86,7 +127,11 @@ mod tests {
     use super::*;
 
     fn of(cells: &[&str]) -> Result<Vec<f64>, (usize, String)> {
-        date_seconds(&cells.iter().map(|c| (*c).to_owned()).collect::<Vec<_>>())
+        with_pair(cells, None)
+    }
+
+    fn with_pair(cells: &[&str], pair: Option<PairUnit>) -> Result<Vec<f64>, (usize, String)> {
+        date_seconds(&cells.iter().map(|c| (*c).to_owned()).collect::<Vec<_>>(), pair)
     }
 
     #[test]
@@ -102,7 +147,12 @@ mod tests {
             assert_eq!(of(&cells).unwrap(), [0.0, 0.5, 2.0], "{cells:?}");
         }
         assert_eq!(of(&["2024-02-28", "2024-03-01"]).unwrap(), [0.0, 2.0 * 86400.0]);
-        assert_eq!(of(&["10:00", "10:02"]).unwrap(), [0.0, 120.0]);
+        let pair = |name| with_pair(&["10:00", "10:02"], PairUnit::named(name));
+        assert_eq!((pair("hh:mm").unwrap(), pair("mm:ss").unwrap()), (vec![0.0, 120.0], vec![0.0, 2.0]));
+        assert!(pair("").unwrap_err().1.contains("'time [hh:mm]' or 'time [mm:ss]'"));
+        assert_eq!(of(&["22:58", "23:59", "25:00"]).unwrap(), [0.0, 61.0, 122.0]);
+        assert_eq!(of(&["00:00.0", "00:00.5", "01:00.0"]).unwrap(), [0.0, 0.5, 60.0]);
+        assert_eq!(with_pair(&["10:00", "24:00"], PairUnit::named("hh:mm")).unwrap_err().0, 1);
         assert_eq!(of(&["31.05.2024 10:00", "31.05.2024 10:02"]).unwrap(), [0.0, 120.0]);
         let tenths = of(&["10:00:00.0", "10:00:00.1", "10:00:00.2", "10:00:00.3"]).unwrap();
         assert_eq!(tenths, [0.0, 0.1, 0.2, 0.3]);

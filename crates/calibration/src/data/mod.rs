@@ -11,5 +11,5 @@ pub use dates::date_seconds;
 pub use table::Data;
 pub(crate) use table::sampling_interval;
 pub(crate) use time_column::parts;
-pub use time_column::{TimeColumn, find_column};
+pub use time_column::{PairUnit, TimeColumn, find_column};
 pub use units::{Unit, UnitConversion, UnitError};

@@ -131,8 +131,10 @@ const WORDS: &[(&[&str], &str)] = &[
     (&["kilogram", "kilograms"], "kg"),
     (&["litre", "litres", "liter", "liters"], "l"),
     (&["kelvin"], "K"),
-    (&["celsius"], "degC"),
-    (&["fahrenheit"], "degF"),
+    (&["celsius", "oc"], "degC"),
+    (&["fahrenheit", "of"], "degF"),
+    // revolutions per minute, as German loggers write them
+    (&["u/min", "upm"], "rpm"),
     (&["degree", "degrees"], "deg"),
     (&["radian", "radians"], "rad"),
     (&["revolution", "revolutions", "turn", "turns"], "rev"),
@@ -156,7 +158,7 @@ const PREFIXES: [(&str, i32); 22] = [
 ];
 
 /// Exponents, numerator and denominator of the factor, and offset of a symbol, with a prefix or without, or of a word.
-pub(super) fn find(name: &str) -> Option<(Exponents, (f64, f64), f64)> {
+pub(super) fn find(name: &str) -> Option<Meaning> {
     let find = |name: &str| SYMBOLS.iter().find(|(symbol, ..)| *symbol == name).copied();
     let prefixed = || {
         PREFIXES.iter().find_map(|(prefix, power)| {
@@ -178,7 +180,54 @@ pub(super) fn find(name: &str) -> Option<(Exponents, (f64, f64), f64)> {
         .map(|(.., exponents, factor, offset)| (exponents, factor, offset))
         .or_else(prefixed)
         .or_else(word)
+        .or_else(|| in_another_case(name))
 }
+
+/// A symbol, with a prefix or without, that differs in case alone, where all such mean one unit: `RPM`, but not `MM` (mm or Mm).
+fn in_another_case(name: &str) -> Option<Meaning> {
+    let lower = name.to_lowercase();
+    let is_symbol = |symbol: &str| symbol.len() > 1 && symbol.to_lowercase() == lower;
+    let mut found = spellings().filter(|symbol| is_symbol(symbol)).filter_map(|symbol| find(&symbol));
+    let first = found.next()?;
+    found.all(|other| other == first).then_some(first)
+}
+
+/// The symbol or word that differs least from a name, in one letter or two neighbours at most.
+pub(super) fn nearest(name: &str) -> Option<String> {
+    let name = name.to_lowercase();
+    let words = WORDS.iter().flat_map(|(words, _)| words.iter().map(|word| (*word).to_owned()));
+    let is_near = |symbol: &String| symbol.len() > 2 && differs_little(&symbol.to_lowercase(), &name);
+    SYMBOLS.iter().map(|symbol| symbol.0.to_owned()).chain(words).find(is_near)
+}
+
+/// Whether one letter is another, missing or too many, or two neighbours are exchanged (Damerau, CACM 7, 1964).
+fn differs_little(a: &str, b: &str) -> bool {
+    let (a, b): (Vec<char>, Vec<char>) = (a.chars().collect(), b.chars().collect());
+    let (a, b) = if a.len() <= b.len() { (a, b) } else { (b, a) };
+    let same = a.iter().zip(&b).take_while(|(a, b)| a == b).count();
+    match b.len() - a.len() {
+        0 => {
+            let is_exchanged = same + 1 < a.len()
+                && (a[same], a[same + 1]) == (b[same + 1], b[same])
+                && a[same + 2..] == b[same + 2..];
+            same == a.len() || is_exchanged || a[same + 1..] == b[same + 1..]
+        }
+        1 => a[same..] == b[same + 1..],
+        _ => false,
+    }
+}
+
+/// All symbols, with prefixes and without.
+fn spellings() -> impl Iterator<Item = String> {
+    let prefixed = |symbol: &'static Symbol| {
+        let prefixes = PREFIXES.iter().filter(|_| symbol.1).map(|(prefix, _)| *prefix);
+        std::iter::once("").chain(prefixes).map(|prefix| format!("{prefix}{}", symbol.0))
+    };
+    SYMBOLS.iter().flat_map(prefixed)
+}
+
+/// Exponents, numerator and denominator of the factor, and offset.
+type Meaning = (Exponents, (f64, f64), f64);
 
 /// A fraction of whole numbers in lowest terms; others as they are.
 pub(super) fn reduced((mut n, mut d): (f64, f64)) -> (f64, f64) {

@@ -34,6 +34,9 @@ pub(super) struct Column {
     pub(super) point: Option<Cell>,
 }
 
+/// Values so many usual distances apart are not joined by a line.
+const WIDEST_GAP: f64 = 10.0;
+
 /// A cell of a file: its line, counted from 1, and its text.
 type Cell = (usize, String);
 
@@ -207,6 +210,18 @@ impl Data {
         column.unit.as_deref().or_else(|| parts(&column.name).1)
     }
 
+    /// The name of a column with its unit in brackets where that stands beside the name, from a line of units.
+    pub fn name_with_unit(&self, column: &str) -> Option<String> {
+        let column = &self.columns[self.position(column).ok()??];
+        let name = || parts(&column.name).0;
+        Some(column.unit.as_ref().map_or_else(|| column.name.clone(), |unit| format!("{} [{unit}]", name())))
+    }
+
+    /// The unit of a column that does not stand in its name: from a line of units, or converted to.
+    pub(crate) fn unit_beside_name(&self, column: &str) -> Option<&str> {
+        self.columns[self.position(column).ok()??].unit.as_deref()
+    }
+
     /// Takes the values of these columns as missing in the rows where `keep` is false. Inputs are not meant: they go on between the rows
     /// that are left.
     ///
@@ -241,9 +256,9 @@ impl Data {
         self.masked(columns, &keep)
     }
 
-    /// A table with a row for each interval of this length in s that has rows, beginning with the first time: the mean of its times, and
-    /// of each column the mean of its values there, NaN where there are none. Means keep a slope, and the noise falls with the root of their
-    /// number; what is faster than the interval is lost.
+    /// A table of means over intervals of this length in s, beginning with the first time: of each column the mean of its values there, at
+    /// the mean of the times of these values. Columns with values in the same rows of an interval share a row; missing values are NaN.
+    /// Means keep a slope, and the noise falls with the root of their number; what is faster than the interval is lost.
     ///
     /// # Errors
     /// The interval is not positive, or shorter than the distance of the times: nothing is made up between them.
@@ -271,18 +286,41 @@ impl Data {
                 Some(begin..*end)
             })
             .collect();
-        let means = |values: &[f64]| -> Vec<f64> {
-            let mean = |rows: &Range<usize>| {
-                let known = values[rows.clone()].iter().filter(|v| !v.is_nan());
-                known.clone().sum::<f64>() / known.count() as f64
-            };
-            rows.iter().map(mean).collect()
+        let mean = |values: &[f64], known: &[usize]| {
+            known.iter().map(|row| values[*row]).sum::<f64>() / known.len() as f64
         };
-        let time = means(&self.time);
-        for column in &mut self.columns {
-            column.values = means(&column.values);
+        // Per interval the times of the means in ascending order, with the columns that have theirs then.
+        let mut time = Vec::with_capacity(rows.len());
+        let mut means: Vec<Vec<f64>> = vec![Vec::with_capacity(rows.len()); self.columns.len()];
+        let mut known = Vec::new();
+        for rows in &rows {
+            let all: Vec<usize> = rows.clone().collect();
+            let mut found: Vec<(f64, Vec<(usize, f64)>)> = Vec::new();
+            for (k, column) in self.columns.iter().enumerate() {
+                known.clear();
+                known.extend(all.iter().copied().filter(|row| !column.values[*row].is_nan()));
+                if known.is_empty() {
+                    continue;
+                }
+                let (at, value) = (mean(&self.time, &known), mean(&column.values, &known));
+                match found.iter_mut().find(|(time, _)| *time == at) {
+                    Some((_, columns)) => columns.push((k, value)),
+                    None => found.push((at, vec![(k, value)])),
+                }
+            }
+            if found.is_empty() {
+                found.push((mean(&self.time, &all), Vec::new()));
+            }
+            found.sort_by(|a, b| a.0.total_cmp(&b.0));
+            for (at, values) in found {
+                time.push(at);
+                means.iter_mut().for_each(|column| column.push(f64::NAN));
+                let last = time.len() - 1;
+                values.into_iter().for_each(|(k, value)| means[k][last] = value);
+            }
         }
         self.time = time;
+        self.columns.iter_mut().zip(means).for_each(|(column, values)| column.values = values);
         Ok(self)
     }
 
@@ -303,6 +341,40 @@ impl Data {
             column.values.iter_mut().for_each(|value| *value = conversion.apply(*value));
             column.unit = Some(unit.to_owned());
         }
+    }
+
+    /// The value of a column at a time, linear between the known values on both sides, which lie no farther apart than `WIDEST_GAP` usual
+    /// distances of its known values.
+    ///
+    /// # Errors
+    /// As [`column`](Self::column); no known value at this time, or on one side of it.
+    pub(crate) fn value_at(&self, column: &str, time: f64) -> Result<f64, CalibrationError> {
+        let values = self.column(column)?;
+        let known: Vec<(f64, f64)> =
+            self.time.iter().copied().zip(values.iter().copied()).filter(|(_, v)| !v.is_nan()).collect();
+        let bad = |found: String| {
+            let message = format!("column '{column}' has no value at {} s{found}", Number(time));
+            Err(CalibrationError::Data { source_name: self.source.clone(), message })
+        };
+        let (Some(first), Some(last)) = (known.first(), known.last()) else {
+            return bad(": all are missing".to_owned());
+        };
+        let rounding = 100.0 * f64::EPSILON / 2.0 * first.0.abs().max(last.0.abs()).max(time.abs());
+        if let Some((_, value)) = known.iter().find(|(t, _)| (t - time).abs() <= rounding) {
+            return Ok(*value);
+        }
+        let after = known.partition_point(|(t, _)| *t <= time);
+        if after == 0 {
+            return bad(format!(", the first one is at {} s", Number(first.0)));
+        }
+        let (Some((t0, v0)), Some((t1, v1))) = (known.get(after - 1), known.get(after)) else {
+            return bad(format!(", the last one is at {} s", Number(last.0)));
+        };
+        let times: Vec<f64> = known.iter().map(|(t, _)| *t).collect();
+        if sampling_interval(&times).is_some_and(|usual| t1 - t0 > WIDEST_GAP * usual) {
+            return bad(format!(", there are none from {} s to {} s", Number(*t0), Number(*t1)));
+        }
+        Ok(v0 + (v1 - v0) * (time - t0) / (t1 - t0))
     }
 
     /// The rows of a column that was measured: at least one value, and no time with two of them.
@@ -399,12 +471,34 @@ mod tests {
     }
 
     #[test]
+    fn resampled_columns_keep_their_own_times() {
+        // y = 1 + 2 t, known in every third row, and z in every row.
+        let time: Vec<f64> = (0..60).map(|k| 0.1 * f64::from(k)).collect();
+        let line: Vec<f64> = time.iter().map(|t| 1.0 + 2.0 * t).collect();
+        let y = line.iter().enumerate().map(|(k, v)| if k % 3 == 2 { *v } else { f64::NAN }).collect();
+        let columns = [("y".to_owned(), y), ("z".to_owned(), line)];
+        let data = Data::from_columns(time, columns).unwrap().resampled(0.5).unwrap();
+        for name in ["y", "z"] {
+            let rows = data.time().iter().zip(data.column(name).unwrap()).filter(|(_, v)| !v.is_nan());
+            assert_eq!(rows.clone().count(), 12, "{name}");
+            for (t, v) in rows {
+                assert!((v - (1.0 + 2.0 * t)).abs() < 1e-12, "{name}: {v} at {t}");
+            }
+        }
+        assert!(data.time().windows(2).all(|pair| pair[0] < pair[1]));
+    }
+
+    #[test]
     fn resampling_takes_means() {
         let data = table().resampled(0.3).unwrap();
         let near =
             |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12) && a.len() == b.len();
-        assert!(near(data.time(), &[0.1, 0.4, 0.6]), "{:?}", data.time());
-        assert!(near(data.column("y").unwrap(), &[1.0, 4.0, 6.0]));
+        let known = |name: &str| -> (Vec<f64>, Vec<f64>) {
+            let rows = data.time().iter().zip(data.column(name).unwrap()).filter(|(_, v)| !v.is_nan());
+            rows.unzip()
+        };
+        let (times, values) = known("y");
+        assert!(near(&times, &[0.1, 0.4, 0.6]) && near(&values, &[1.0, 4.0, 6.0]), "{times:?} {values:?}");
         for (interval, expected) in [
             (0.05, "rows every 0.05 s cannot be made of rows every 0.1"),
             (f64::NAN, "positive and finite, not NaN"),

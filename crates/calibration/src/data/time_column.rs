@@ -63,19 +63,44 @@ impl TimeColumn {
     }
 }
 
-/// Name and unit of a column: what stands in brackets or parentheses at its end. Numbers in brackets without a space before them
-/// are indices (`x[1]`), and `der(x)` is a derivative.
+/// What the two numbers of `00:01` are, as it stands behind the name of the column: `time [mm:ss]`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PairUnit {
+    /// Hours and minutes.
+    HoursMinutes,
+    /// Minutes and seconds.
+    MinutesSeconds,
+}
+
+impl PairUnit {
+    /// That of a name: `hh:mm` or `mm:ss`, in any case.
+    pub fn named(name: &str) -> Option<Self> {
+        match name.to_lowercase().as_str() {
+            "hh:mm" | "h:mm" => Some(Self::HoursMinutes),
+            "mm:ss" | "m:ss" => Some(Self::MinutesSeconds),
+            _ => None,
+        }
+    }
+
+    /// That behind the name of a column, in brackets or parentheses.
+    pub fn of_column(name: &str) -> Option<Self> {
+        parts(name).1.and_then(Self::named)
+    }
+}
+
+/// Name and unit of a column: what stands in brackets or parentheses at its end. Numbers without a space before them are indices
+/// (`x[1]`, `z(2)`) and belong to the name, those after a space (`ch (3)`) tell columns apart; none is a unit but 1, that of pure numbers.
+/// `der(x)` is a derivative.
 pub(crate) fn parts(name: &str) -> (&str, Option<&str>) {
     let name = name.trim();
     let Some(open) = opening(name) else { return (name, None) };
     let (stem, unit) = (&name[..open], name[open + 1..name.len() - 1].trim());
-    let is_index = name.ends_with(']')
-        && !stem.ends_with(char::is_whitespace)
-        && unit.chars().all(|c| c.is_ascii_digit() || matches!(c, ',' | ' ' | ':'));
-    if is_index || stem.is_empty() || stem == "der" {
+    let is_number = unit.chars().all(|c| c.is_ascii_digit() || matches!(c, ',' | ' ' | ':'));
+    let is_apart = stem.ends_with(char::is_whitespace);
+    if (is_number && !is_apart) || stem.is_empty() || stem == "der" {
         return (name, None);
     }
-    (stem.trim_end(), Some(unit))
+    (stem.trim_end(), (!is_number || unit == "1").then_some(unit))
 }
 
 /// Where the bracket or parenthesis opens that closes at the end of a name.
@@ -123,6 +148,9 @@ fn unit(name: &str) -> Result<(f64, f64), String> {
 
 /// The length in s of a unit of time.
 pub(super) fn time_unit(name: &str, given: &str) -> Result<(f64, f64), String> {
+    if PairUnit::named(given).is_some() {
+        return Ok((1.0, 1.0));
+    }
     let length = |unit: &str| Unit::parse(unit).ok().and_then(|unit| unit.time_factor());
     length(given).ok_or_else(|| {
         let case = given.to_lowercase();
@@ -205,6 +233,9 @@ mod tests {
             ("slip [1]", ("slip", Some("1"))),
             ("x[1]", ("x[1]", None)),
             ("x[1,2]", ("x[1,2]", None)),
+            ("z(2)", ("z(2)", None)),
+            ("z [2]", ("z", None)),
+            ("ch (3)", ("ch", None)),
             ("x[1] [mm]", ("x[1]", Some("mm"))),
             ("der(x)", ("der(x)", None)),
             ("der(x) [m/s]", ("der(x)", Some("m/s"))),

@@ -144,17 +144,20 @@ impl Unit {
     /// [`UnitError::Unknown`].
     pub fn parse(name: &str) -> Result<Self, UnitError> {
         let name = name.trim();
-        let unknown = |hint: &str| UnitError::Unknown { name: name.to_owned(), hint: hint.to_owned() };
+        let unknown = |hint: &str| UnitError::Unknown { name: shortened(name), hint: hint.to_owned() };
         if let Some(unit) = known(name) {
             return Ok(unit);
         }
-        let mut parser = Parser { rest: name };
+        let mut parser = Parser { rest: name, depth: 0 };
         match parser.expression() {
+            _ if parser.depth > DEEPEST => {
+                Err(unknown(&format!("; its parentheses are nested more than {DEEPEST} deep")))
+            }
             Some(unit) if parser.rest.is_empty() && unit.is_usable() => Ok(unit),
             _ if parser.rest.starts_with(PRODUCT) || parser.rest.starts_with(' ') => {
                 Err(unknown("; put what it is divided by in parentheses, as in 'J/(kg.K)'"))
             }
-            _ => Err(unknown(hint(name))),
+            _ => Err(unknown(&hint(name))),
         }
     }
 
@@ -254,13 +257,32 @@ fn known(name: &str) -> Option<Unit> {
     Some(Unit { exponents, numerator, denominator, offset })
 }
 
-fn hint(name: &str) -> &'static str {
+fn hint(name: &str) -> String {
     match name.to_lowercase().as_str() {
-        "barg" | "bar(g)" | "bar g" | "psig" => "; a gauge pressure must be made absolute, in 'bar' or 'psi'",
-        "db" => "; decibels are no linear unit",
-        _ => "; see Unit::parse for those that are: 'mm', 'degC', 'rpm', 'kW/K', 'J/(kg.K)', 'm^3/h'",
+        "barg" | "bar(g)" | "bar g" | "psig" => {
+            "; a gauge pressure must be made absolute, in 'bar' or 'psi'".to_owned()
+        }
+        "db" => "; decibels are no linear unit".to_owned(),
+        _ => {
+            let nearest = symbols::nearest(name).map_or_else(String::new, |near| format!("; '{near}'?"));
+            format!("{nearest} Units are written as 'mm', 'degC', 'rpm', 'kW/K', 'J/(kg.K)', 'm^3/h'")
+        }
     }
 }
+
+/// A name that an error can show: of a long one the beginning.
+fn shortened(name: &str) -> String {
+    match name.char_indices().nth(LONGEST_SHOWN) {
+        Some((end, _)) => format!("{}...", &name[..end]),
+        None => name.to_owned(),
+    }
+}
+
+/// So many characters of a name an error shows.
+const LONGEST_SHOWN: usize = 60;
+
+/// Parentheses may be nested so deep; those of real units are not nested.
+const DEEPEST: usize = 16;
 
 const PRODUCT: [char; 5] = ['.', '*', '\u{b7}', '\u{22c5}', '\u{d7}'];
 
@@ -268,6 +290,8 @@ const PRODUCT: [char; 5] = ['.', '*', '\u{b7}', '\u{22c5}', '\u{d7}'];
 /// expression in parentheses.
 struct Parser<'a> {
     rest: &'a str,
+    /// How many parentheses are open; beyond `DEEPEST` once that was exceeded.
+    depth: usize,
 }
 
 impl Parser<'_> {
@@ -300,8 +324,13 @@ impl Parser<'_> {
     fn factor(&mut self) -> Option<Unit> {
         let factor = if let Some(rest) = self.rest.strip_prefix('(') {
             self.rest = rest.trim_start();
+            self.depth += 1;
+            if self.depth > DEEPEST {
+                return None;
+            }
             let inner = self.expression()?;
             self.rest = self.rest.strip_prefix(')')?;
+            self.depth -= 1;
             inner
         } else if self.rest.starts_with(|c: char| c.is_ascii_digit()) {
             self.number()?
@@ -474,6 +503,36 @@ mod tests {
             "\u{1f980}",
         ] {
             assert!(matches!(Unit::parse(name), Err(UnitError::Unknown { .. })), "{name}");
+        }
+    }
+
+    #[test]
+    fn spellings_count_without_regard_to_case_where_they_are_unique() {
+        for (name, expected) in [
+            ("RPM", "rpm"),
+            ("DEGC", "degC"),
+            ("oC", "degC"),
+            ("U/min", "rpm"),
+            ("KPA", "kPa"),
+            ("Bar", "bar"),
+            ("KG/s", "kg/s"),
+        ] {
+            assert_eq!(Unit::parse(name).ok(), Unit::parse(expected).ok(), "{name}");
+        }
+        // mm and Mm, mN and MN
+        assert!(Unit::parse("MM").is_err() && Unit::parse("mn").is_err());
+        let message = Unit::parse("rmp").unwrap_err().to_string();
+        assert!(message.contains("'rpm'?"), "{message}");
+    }
+
+    #[test]
+    fn nested_parentheses_end_somewhere() {
+        assert!(Unit::parse(&format!("{}m{}", "(".repeat(16), ")".repeat(16))).is_ok());
+        for n in [17, 100_000] {
+            for name in ["(".repeat(n), format!("{}m{}", "(".repeat(n), ")".repeat(n))] {
+                let message = Unit::parse(&name).unwrap_err().to_string();
+                assert!(message.contains("nested more than 16 deep") && message.len() < 200, "{message}");
+            }
         }
     }
 }

@@ -78,7 +78,7 @@ def _selected(table: Mapping[str, Any], needed: list[str], time: str | None, oth
     names = list(table)
     index, (numerator, denominator) = _find_time(names, time)
     at = names[index]
-    durations = seconds(table[at])
+    durations = seconds(table[at], at)
     if durations is not None and numerator != denominator:
         raise BadCalibrationError(
             f"data: column '{at}' holds durations or dates, which have a unit of their own; take the unit out of its name"
@@ -158,15 +158,15 @@ def _labelled(data: Any) -> dict[str, Any]:
     return table
 
 
-def seconds(values: Any) -> FloatArray | None:
+def seconds(values: Any, column: str = "") -> FloatArray | None:
     """Durations (``timedelta64`` of NumPy and pandas, ``datetime.timedelta``) in s, and dates (``datetime64``, ``datetime``, texts) in
-    s since the first; None if `values` are something else."""
+    s since the first; None if `values` are something else. The name of the column may say what `10:02` is, as in ``time [mm:ss]``."""
     array = np.asarray(values)
     if array.ndim != 1 or not array.size:
         return None
     if array.dtype.kind == "U" or (array.dtype.kind in "OT" and all(isinstance(value, str) for value in array)):
         try:
-            return np.array(_core.date_seconds([str(value) for value in array]))
+            return np.array(_core.date_seconds([str(value) for value in array], column))
         except ValueError as e:
             raise BadCalibrationError(f"data: {e}") from None
     if array.dtype.kind == "O":

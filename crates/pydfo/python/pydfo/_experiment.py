@@ -55,8 +55,8 @@ class Experiment:
     resample : float, optional
         Interval in s over which the times and all columns are replaced by their means (of what the mask leaves).
     initial_states : dict, optional
-        What states of the model are at the start: a number, "measured" (the first measurement that counts, of the column that is
-        compared with the state), or a `Parameter` of this experiment alone with start and bounds, whose name plays no part: it
+        What states of the model are at the start: a number, "measured" (the recording of the column that is compared with the
+        state, at the start of the simulation, without offset and delay; an error where there is none), or a `Parameter` of this experiment alone with start and bounds, whose name plays no part: it
         is called ``x[run1]``.
     windows : sequence of (float, float), optional
         Only measurements at times in one of these intervals count, in s.

@@ -1,0 +1,91 @@
+//! States at the start that are taken from the recording: `x' = -k x` with k = 2 and x(0) = 1, of which a fit has to find k.
+
+#![allow(clippy::unwrap_used)]
+
+use calibration::{
+    Calibration, CalibrationError, Data, Experiment, FitOptions, InitialState, Parameter, SimulationSettings,
+    Weight,
+};
+use example_models::example_fmu;
+use fmi::Fmu;
+
+const K: f64 = 2.0;
+
+fn times() -> Vec<f64> {
+    (0..51).map(|k| 0.1 * f64::from(k)).collect()
+}
+
+fn recording(x: impl Fn(f64) -> f64) -> Data {
+    let x: Vec<f64> = times().into_iter().map(x).collect();
+    Data::from_columns(times(), [("x".to_owned(), x)]).unwrap()
+}
+
+fn fitted(experiment: Experiment, parameters: &[Parameter]) -> Result<Vec<f64>, CalibrationError> {
+    let experiment = experiment.initial_state("x", InitialState::Measured);
+    let mut builder = Calibration::builder(Fmu::open(example_fmu("dahlquist").unwrap()).unwrap())
+        .experiment(experiment)
+        .settings(SimulationSettings { relative_tolerance: Some(1e-9), ..SimulationSettings::default() });
+    for parameter in parameters {
+        builder = builder.parameter(parameter.clone());
+    }
+    Ok(builder.build()?.fit(FitOptions::default())?.x)
+}
+
+fn k() -> Parameter {
+    Parameter::new("k", 1.0).bounds(0.1, 10.0)
+}
+
+#[test]
+fn it_is_the_recording_where_the_simulation_starts_whatever_counts() {
+    let decay = || recording(|t| (-K * t).exp());
+    let experiment = || Experiment::new(decay()).output("x", "x");
+    let weights = |k: usize| if k < 20 { 0.0 } else { 1.0 };
+    for (what, experiment) in [
+        ("all", experiment()),
+        ("a window", experiment().window(1.0, 3.0)),
+        ("a warm-up", experiment().warm_up(0.5)),
+        ("a window and a warm-up", experiment().window(1.0, 3.0).warm_up(0.5)),
+        (
+            "weights of 0",
+            Experiment::new(decay()).weighted_output("x", "x", Weight::Rows((0..51).map(weights).collect())),
+        ),
+        ("another start", experiment().start_time(0.7).window(0.7, 5.0)),
+    ] {
+        let x = fitted(experiment, &[k()]).unwrap();
+        assert!((x[0] - K).abs() < 1e-5, "{what}: {x:?}");
+    }
+}
+
+#[test]
+fn offset_and_delay_of_the_output_are_taken_away() {
+    let offset = recording(|t| (-K * t).exp() + 0.3);
+    let experiment = Experiment::new(offset).output("x", "x");
+    let x = fitted(experiment, &[k(), Parameter::new("bias", 0.0).offset_of("x").bounds(-1.0, 1.0)]).unwrap();
+    assert!((x[0] - K).abs() < 1e-4 && (x[1] - 0.3).abs() < 1e-4, "{x:?}");
+    // Measured at t is what the model had at t - 0.2.
+    let late = recording(|t| (-K * (t - 0.2)).exp());
+    let experiment = Experiment::new(late).output("x", "x").delay("x", 0.2).window(0.2, 5.0);
+    let x = fitted(experiment, &[k()]).unwrap();
+    assert!((x[0] - K).abs() < 1e-5, "{x:?}");
+}
+
+#[test]
+fn where_nothing_was_measured_it_is_refused() {
+    let keep: Vec<bool> = (0..51).map(|k| k >= 10).collect();
+    let masked = recording(|t| (-K * t).exp()).masked(&["x"], &keep).unwrap();
+    let message = fitted(Experiment::new(masked).output("x", "x"), &[k()]).unwrap_err().to_string();
+    assert!(
+        message.contains("column 'x' has no value at 0 s, the first one is at 1 s: start where")
+            && message.contains("start_time"),
+        "{message}"
+    );
+    let gap: Vec<bool> = (0..51).map(|k| !(5..40).contains(&k)).collect();
+    let gap = recording(|t| (-K * t).exp()).masked(&["x"], &gap).unwrap();
+    let experiment = Experiment::new(gap).output("x", "x").start_time(2.0).window(4.0, 5.0);
+    let message = fitted(experiment, &[k()]).unwrap_err().to_string();
+    assert!(message.contains("there are none from 0.4 s to 4 s"), "{message}");
+    let decay = recording(|t| (-K * t).exp());
+    let late = Parameter::new("late", 0.1).delay_of("x").bounds(0.0, 0.5);
+    let message = fitted(Experiment::new(decay).output("x", "x"), &[k(), late]).unwrap_err().to_string();
+    assert!(message.contains("the delay of its output is fitted"), "{message}");
+}
