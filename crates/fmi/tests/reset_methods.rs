@@ -128,17 +128,70 @@ fn parameters_that_a_restored_state_brings_back_are_seen() {
     assert_eq!(fmu.reuse(), Some(Reuse::Reset));
 }
 
-/// New instances do not have the values given either: nothing is wrong with the restored ones.
+/// New instances do not have the value given either: nothing is wrong with the restored ones, but a fit of it would be in vain.
 #[test]
-fn a_model_that_overrides_a_parameter_by_itself_is_no_liar() {
-    let folder = with_states(&["OVERRIDES_K"]);
-    let fmu = folder.open();
-    let mut simulator = Simulator::new(plan(&fmu, Kind::ModelExchange)).unwrap();
-    let first = simulator.trajectory(&[1.0]).unwrap();
-    for k in [1.0, 2.0, 3.0, 1.0, 2.0, 2.0] {
-        assert_eq!(simulator.trajectory(&[k]).unwrap().columns, first.columns);
+fn a_parameter_that_the_model_overrides_is_an_error() {
+    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+        let folder = with_states(&["OVERRIDES_K"]);
+        let fmu = folder.open();
+        let mut simulator = Simulator::new(plan(&fmu, kind)).unwrap();
+        for k in [1.0, 2.0, 3.0, 1.0] {
+            let message = simulator.trajectory(&[k]).unwrap_err().to_string();
+            let expected = format!(
+                "k was given the value {k}, and after the initialization it is 1.5: the model sets it"
+            );
+            assert!(message.contains(&expected), "{message}");
+        }
+        // That one is right.
+        simulator.trajectory(&[1.5]).unwrap();
     }
-    assert_eq!(fmu.reuse(), Some(Reuse::Restore));
+}
+
+/// As models of 20-sim do.
+#[test]
+fn values_are_set_after_the_model_made_its_data() {
+    let truth = |k: f64, x: f64| x * (-k).exp();
+    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+        let folder = with_states(&["BEGINS_IN_SETUP"]);
+        let fmu = folder.open();
+        let options =
+            options(kind).start_value("x", 3.0).final_time(1.0).relative_tolerance(1e-9).outputs(["x"]);
+        let mut simulator = Simulator::new(Arc::new(SimulationPlan::new(&fmu, &options).unwrap())).unwrap();
+        for k in [2.0, 0.5, 2.0] {
+            let x = simulator.trajectory(&[k]).unwrap().get("x").unwrap().to_vec();
+            let (last, expected) = (x[x.len() - 1], truth(k, 3.0));
+            assert!(
+                x[0] == 3.0 && (kind == Kind::CoSimulation || (last - expected).abs() < 1e-7),
+                "{kind:?} {k}: {last}"
+            );
+            assert!((last - expected).abs() < 0.05, "{kind:?} {k}: {last} {expected}");
+        }
+    }
+    let folder = with_states(&["BEGINS_IN_SETUP"]);
+    let mut instance = folder.open().instantiate().unwrap();
+    instance.set("k", 2.0).unwrap();
+    instance.set("x", 3.0).unwrap();
+    let mut instance = instance.enter_initialization(0.0, None, None).unwrap().exit_initialization().unwrap();
+    let values = ["k", "x"].map(|name| instance.get(name).unwrap());
+    assert_eq!(values, [fmi::Value::Real(2.0), fmi::Value::Real(3.0)]);
+}
+
+#[test]
+fn a_tolerance_is_told_where_somebody_states_one() {
+    let folder = with_states(&["TELLS_TOLERANCE"]);
+    let told = |options: SimulateOptions| {
+        let options = options.final_time(1.0).outputs(["k"]);
+        folder.open().simulate(&options).unwrap().get("k").unwrap()[0]
+    };
+    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+        let options = || SimulateOptions::new().kind(kind);
+        assert_eq!((told(options()), told(options().relative_tolerance(1e-4))), (-1.0, 1e-4));
+    }
+    let stated = evil_with(&["TELLS_TOLERANCE"], |xml| {
+        xml.replace("stopTime=\"1\"", "stopTime=\"1\" tolerance=\"1e-3\"")
+    });
+    let options = SimulateOptions::new().final_time(1.0).outputs(["k"]);
+    assert_eq!(stated.open().simulate(&options).unwrap().get("k").unwrap()[0], 1e-3);
 }
 
 #[test]

@@ -315,6 +315,20 @@ pub enum FmiError {
         /// Why.
         reason: &'static str,
     },
+    /// A parameter does not have the value that it was given: the model overrides it.
+    #[error(
+        "{name} was given the value {given}, and after the initialization it is {found}: the model sets it by itself, or does not take \
+         values from outside",
+        given = Number(*.given), found = Number(*.found)
+    )]
+    NotTaken {
+        /// The parameter.
+        name: String,
+        /// The value that it was given.
+        given: f64,
+        /// The value that it has.
+        found: f64,
+    },
     /// NaN or an infinity where a number is needed.
     #[error("{name} = {value}: a finite number is needed", value = Number(*.value))]
     NotFinite {

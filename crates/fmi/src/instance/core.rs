@@ -23,12 +23,20 @@ pub(crate) struct Core {
     pub(super) library: Option<Box<dyn SetRecord>>,
     pub(super) fmu: Fmu,
     pub(super) structure: Structure,
+    /// Values set by hand before the experiment is set up.
+    pub(super) set_before_setup: Assignments,
 }
 
 impl Core {
     /// Of an instance whose structural parameters have their start values.
     pub(crate) fn new(raw: RawInstance, fmu: Fmu) -> Self {
-        Self { raw, library: None, fmu, structure: Structure::default() }
+        Self {
+            raw,
+            library: None,
+            fmu,
+            structure: Structure::default(),
+            set_before_setup: Assignments::default(),
+        }
     }
 
     pub(crate) fn fmu(&self) -> &Fmu {

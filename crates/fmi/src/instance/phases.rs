@@ -39,6 +39,12 @@ pub trait Phase: sealed::Sealed {
     fn is_configuration() -> bool {
         false
     }
+
+    /// Whether the experiment has yet to be set up.
+    #[doc(hidden)]
+    fn is_before_setup() -> bool {
+        false
+    }
 }
 
 /// A phase in which values can be read: all but [`Instantiated`] (FMI 2.0.x, section 3.2.3).
@@ -94,7 +100,15 @@ macro_rules! phase {
         }
     };
 }
-phase!(Instantiated, |v| assignments::check_settable_at_start(v));
+impl sealed::Sealed for Instantiated {}
+impl Phase for Instantiated {
+    fn check_settable(variable: &Variable) -> Result<(), FmiError> {
+        assignments::check_settable_at_start(variable)
+    }
+    fn is_before_setup() -> bool {
+        true
+    }
+}
 phase!(Initialization, |v| assignments::check_settable_in_initialization(v));
 phase!(EventMode, |v| assignments::check_settable_when_discrete(
     v,
@@ -322,7 +336,11 @@ impl<P: Phase, K> Instance<P, K> {
         let value = assignments::convert(variable, &value.into(), elements)?;
         values.push(variable, &value, elements)?;
         if variable.causality != Causality::StructuralParameter {
-            return self.core.apply(&values);
+            self.core.apply(&values)?;
+            return match P::is_before_setup() {
+                true => self.core.set_before_setup.push(variable, &value, elements),
+                false => Ok(()),
+            };
         }
         let mut structure = self.core.structure.clone();
         structure.set(index, &value);
@@ -372,9 +390,26 @@ impl<K> Instance<Instantiated, K> {
         stop_time: Option<f64>,
         relative_tolerance: Option<f64>,
     ) -> Result<Instance<Initialization, K>, FmiError> {
-        let experiment = Experiment { tolerance: relative_tolerance, start: start_time, stop: stop_time };
+        self.set_up_experiment(start_time, stop_time, relative_tolerance)?;
+        // What the call above has made anew gets the values that were set before it.
+        let set = std::mem::take(&mut self.core.set_before_setup);
+        self.core.apply(&set)?;
+        self.enter_initialization_mode()
+    }
+
+    /// Tells the model about the experiment. Some models make their data in this call (FMI 2.0), so values are set after it.
+    pub(crate) fn set_up_experiment(
+        &mut self,
+        start: f64,
+        stop: Option<f64>,
+        tolerance: Option<f64>,
+    ) -> Result<(), FmiError> {
+        self.core.call(|raw| raw.setup_experiment(&Experiment { tolerance, start, stop }))
+    }
+
+    /// Enters initialization mode with the experiment that was set up.
+    pub(crate) fn enter_initialization_mode(mut self) -> Result<Instance<Initialization, K>, FmiError> {
         self.core.check_sizes()?;
-        self.core.call(|raw| raw.setup_experiment(&experiment))?;
         self.step_to(RawInstance::enter_initialization)
     }
 }

@@ -4,7 +4,7 @@ use super::copy_use::{CopyOwner, CopyRequest, Release};
 use super::earlier_run::{EarlierRun, PreviousCopy};
 use super::lend::CopyLease;
 use super::verdict::Reuse;
-use crate::description::{Value, Variable};
+use crate::description::{Causality, QuirkKind, Value, Variable};
 use crate::error::FmiError;
 use crate::simulation::Sharing;
 use crate::simulation::digest::Digest;
@@ -12,7 +12,7 @@ use crate::simulation::engine::Engine;
 use crate::simulation::plan::{ReadBackBuffers, Setting, SimulationPlan};
 use crate::simulation::running::no_instance;
 use crate::sys::{CallEnvironment, InterfaceKind, Library, RawInstance};
-use ode::{ErrorKind, Ignore, Observer, Report, Seconds, SimulationError, Stats};
+use ode::{ErrorKind, Ignore, Number, Observer, Report, Seconds, SimulationError, Stats};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError, Weak};
 use std::thread::ThreadId;
@@ -415,11 +415,13 @@ impl Runner {
             outcome => outcome?,
         };
         self.engine.initialize(instance, self.plan.values.input(parameters))?;
-        if !is_used || self.has_values(parameters).is_ok_and(|agrees| agrees) {
+        // A model that does not answer cannot be asked.
+        if self.has_values(parameters).unwrap_or(!is_used) {
             return Ok(());
         }
-        let plan = Arc::clone(&self.plan);
-        let model = &plan.fmu().description().model_name;
+        if !is_used {
+            return self.check_taken(parameters);
+        }
         let reuse = self.reuse();
         self.start_new(parameters)?;
         let from_new = self.has_values(parameters);
@@ -428,10 +430,29 @@ impl Runner {
             self.give_up_reuse(reuse.unwrap_or(Reuse::Reset), reason);
             return Ok(());
         }
-        log::warn!("{model}: after the initialization the model does not have the values it was given");
-        plan.values.read_back.set_overridden();
         // An instance that did not answer is not to be used.
-        self.start_new(parameters)
+        self.start_new(parameters)?;
+        self.check_taken(parameters)
+    }
+
+    /// Refuses a model that does not take the value of a parameter, on a new instance that does not have all values that it was given;
+    /// what another variable determines is a quirk.
+    fn check_taken(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
+        let plan = Arc::clone(&self.plan);
+        let core = self.engine.running().current.core()?;
+        let Ok(Some(lost)) = plan.values.first_lost(core, plan.fmu().description(), parameters) else {
+            plan.values.read_back.set_overridden();
+            return Ok(());
+        };
+        let (name, given, found) = (lost.variable.name.clone(), lost.given, lost.found);
+        if lost.variable.causality == Causality::Parameter {
+            return Err(FmiError::NotTaken { name, given, found });
+        }
+        let (given, found) = (Number(given), Number(found));
+        let message = format!("{name} was given the value {given}, and is {found} after the initialization");
+        plan.fmu().note_quirk(QuirkKind::Promise, message);
+        plan.values.read_back.set_overridden();
+        Ok(())
     }
 
     fn start_new(&mut self, parameters: &[f64]) -> Result<(), FmiError> {

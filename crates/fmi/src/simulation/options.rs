@@ -65,7 +65,8 @@ pub struct SimulateOptions {
     /// for the next step: that of the line to the inputs at its end. Default: yes. Inputs that are held over each step, as
     /// with `Some(false)` and in most other tools, are farther from the truth, by an error of the order of the step.
     pub input_derivatives: Option<bool>,
-    /// Relative tolerance; default: that of the default experiment, else 1e-6.
+    /// Relative tolerance; default: that of the default experiment, else 1e-6. The model is told of it where it is given here or there: a
+    /// co-simulation has a default of its own.
     pub relative_tolerance: Option<f64>,
     /// How the model is run.
     pub kind: Kind,
@@ -164,12 +165,17 @@ impl SimulateOptions {
             max_work, chattering, record_events, sharing)
     }
 
+    /// The tolerance that was asked for, else that of the default experiment.
+    pub(crate) fn stated_tolerance(&self, experiment: &DefaultExperiment) -> Option<f64> {
+        let suggested = experiment.tolerance.filter(|tolerance| (1e-14..1.0).contains(tolerance));
+        self.relative_tolerance.or(suggested)
+    }
+
     /// The options of the integration method.
     pub(crate) fn method_options(&self, experiment: &DefaultExperiment) -> ode::Options {
-        let suggested = experiment.tolerance.filter(|tolerance| (1e-14..1.0).contains(tolerance));
         ode::Options {
             method: self.method,
-            relative_tolerance: self.relative_tolerance.or(suggested).unwrap_or(DEFAULT_TOLERANCE),
+            relative_tolerance: self.stated_tolerance(experiment).unwrap_or(DEFAULT_TOLERANCE),
             step_size: self.step_size,
             max_step: self.max_step,
             record_events: self.record_events,

@@ -23,9 +23,10 @@ impl Running {
         self.buffers.begin();
         let Self { plan, inputs, clocks, unset, signed, .. } = self;
         let mut instance: Instance<Instantiated, K> = Instance::from_raw(raw, plan.fmu().clone());
+        // First, because some models make their data in this call.
+        instance.set_up_experiment(plan.start, stop, plan.tolerance)?;
         plan.values.set_up(instance.core(), unset, input, signed)?;
-        let mut instance =
-            instance.enter_initialization(plan.start, stop, Some(plan.options.relative_tolerance))?;
+        let mut instance = instance.enter_initialization_mode()?;
         instance.core().apply(&unset.inputs)?;
         plan.values.set_up_inputs(instance.core(), input, signed)?;
         inputs.begin(&plan.inputs, plan.start);

@@ -179,6 +179,13 @@ EXPORT fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance
                                       fmi2Boolean has_stop, fmi2Real stop) {
     (void)has_tolerance; (void)tolerance; (void)has_stop; (void)stop;
     ((Model *)c)->time = start;
+#ifdef BEGINS_IN_SETUP
+    K((Model *)c) = 1;
+    ((Model *)c)->x = 1;
+#endif
+#ifdef TELLS_TOLERANCE
+    K((Model *)c) = has_tolerance ? tolerance : -1;
+#endif
     return fmi2OK;
 }
 

@@ -31,6 +31,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub struct SimulationPlan {
     pub(crate) fmu: Fmu,
     pub(crate) options: ode::Options,
+    /// What the model is told of tolerances: what was asked for, else what its default experiment states.
+    pub(crate) tolerance: Option<f64>,
     pub(crate) start: f64,
     pub(crate) end: f64,
     pub(crate) time_tolerance: f64,
@@ -106,6 +108,7 @@ impl SimulationPlan {
         let mut plan = Self {
             fmu: fmu.clone(),
             options: method,
+            tolerance: options.stated_tolerance(&description.default_experiment),
             start: grid.start,
             end: grid.end,
             time_tolerance: grid.time_tolerance,

@@ -1,6 +1,6 @@
 //! What runs set in their instances: structure, start values and parameters.
 
-use super::read_back::{ReadBack, ReadBackBuffers};
+use super::read_back::{Lost, ReadBack, ReadBackBuffers};
 use crate::description::{Causality, ModelDescription, Structure, Value, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::instance::Core;
@@ -244,6 +244,17 @@ impl RunValues {
         buffers: &mut ReadBackBuffers,
     ) -> Result<bool, FmiError> {
         self.read_back.agrees(core, &self.start.early, |i| parameters[i] * self.parameters[i].sign, buffers)
+    }
+
+    /// The first of the variables that an initialized instance did not give the value it was given; see [`ReadBack::first_lost`].
+    pub(crate) fn first_lost<'d>(
+        &self,
+        core: &mut Core,
+        description: &'d ModelDescription,
+        parameters: &[f64],
+    ) -> Result<Option<Lost<'d>>, FmiError> {
+        let given = |i: usize| parameters[i] * self.parameters[i].sign;
+        self.read_back.first_lost(core, description, &self.start.early, given)
     }
 
     /// Checks the values of the parameters for one run.

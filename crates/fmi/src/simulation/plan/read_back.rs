@@ -1,7 +1,7 @@
 //! Whether an instance that was used before has the values it was given: some models that bring a saved state back, bring
 //! back the parameters that were in it, at once or later.
 
-use crate::description::{Causality, Initial, Variable, VariableKind};
+use crate::description::{Causality, Initial, ModelDescription, Variable, VariableKind};
 use crate::error::FmiError;
 use crate::instance::Core;
 use crate::instance::assignments::Assignments;
@@ -55,6 +55,16 @@ impl<T: Copy> Columns<T> {
         self.places = self.references.iter().map(|reference| last[reference]).collect();
     }
 }
+
+/// A variable that does not have the value that it was given.
+pub(crate) struct Lost<'d> {
+    pub(crate) variable: &'d Variable,
+    pub(crate) given: f64,
+    pub(crate) found: f64,
+}
+
+/// Values that differ by no more than this part of them were stored in single precision, or printed and read.
+const FEWER_DIGITS: f64 = 1e-6;
 
 /// Buffers for what is read.
 #[derive(Debug, Default)]
@@ -135,6 +145,37 @@ impl ReadBack {
             agrees &= places.iter().zip(&buffers.words).all(|(place, found)| given[*place] == *found);
         }
         Ok(agrees)
+    }
+
+    /// The first of the real variables that a new instance did not give its value: of the parameters, else of the others. What differs in
+    /// its last digits was stored with fewer of them. An error is one of the FMU's.
+    pub(crate) fn first_lost<'d>(
+        &self,
+        core: &mut Core,
+        description: &'d ModelDescription,
+        start_values: &Assignments,
+        parameter: impl Fn(usize) -> f64,
+    ) -> Result<Option<Lost<'d>>, FmiError> {
+        let Columns { references, places } = &self.reals;
+        let mut values = vec![0.0; references.len()];
+        core.call(|raw| raw.get_real(references, &mut values))?;
+        let mut first = None;
+        for ((reference, place), found) in references.iter().zip(places).zip(values) {
+            let given = match *place {
+                Given::Start(place) => start_values.reals.1[place],
+                Given::Parameter(place) => parameter(place),
+            };
+            let is_kept = (given - found).abs() <= FEWER_DIGITS * given.abs().max(found.abs());
+            let is = |v: &&Variable| v.kind == VariableKind::Real && v.value_reference == *reference;
+            let Some(variable) = description.variables.iter().find(is).filter(|_| !is_kept) else { continue };
+            let sign = if variable.negated { -1.0 } else { 1.0 };
+            let lost = Lost { variable, given: sign * given, found: sign * found };
+            if variable.causality == Causality::Parameter {
+                return Ok(Some(lost));
+            }
+            first.get_or_insert(lost);
+        }
+        Ok(first)
     }
 
     /// A new instance does not have the values given either.
