@@ -15,8 +15,9 @@ use crate::gateway::cache::Cache;
 use crate::gateway::ledger::Ledger;
 use crate::method::{Method, Setup};
 use crate::option_texts;
+use base::files::Unfinished;
 use serde::{Deserialize, Serialize};
-use std::io::Write;
+use std::io::{ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -183,32 +184,31 @@ fn file_failed(path: &Path, e: &std::io::Error) -> Error {
     Error::CheckpointFile { path: path.display().to_string(), kind: e.kind(), message }
 }
 
-/// A device, a pipe or a folder is neither read, which may never end, nor replaced.
-fn require_file(path: &Path) -> Result<(), Error> {
-    match std::fs::metadata(path) {
-        Ok(found) if !found.is_file() => Err(failed(path, "this is no regular file")),
-        // What is not there, or cannot be looked at, shows when it is opened.
-        _ => Ok(()),
-    }
-}
-
 /// The state in the file that a run is to continue from, if it is to; whatever run it is of.
 fn load(options: &Checkpoint) -> Result<Option<Snapshot>, Error> {
     let path = &options.path;
-    require_file(path)?;
-    if options.resume == Resume::Never {
-        return Ok(None);
-    }
-    let bytes = match std::fs::read(path) {
-        Ok(bytes) => bytes,
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound && options.resume == Resume::Auto => {
-            return Ok(None);
+    let is_required = options.resume == Resume::Require;
+    let file = match base::files::open_regular(path) {
+        Ok(file) => file,
+        Err(e) if e.kind() == ErrorKind::NotFound && !is_required => return Ok(None),
+        Err(e) if matches!(e.kind(), ErrorKind::InvalidInput | ErrorKind::IsADirectory) => {
+            return Err(failed(path, "this is no regular file"));
         }
         Err(e) => return Err(file_failed(path, &e)),
     };
+    let mut bytes = Vec::new();
+    // Of a file that will be replaced only the mark: one of somebody else's is not.
+    let most = if options.resume == Resume::Never { MARK.len() as u64 + 1 } else { u64::MAX };
+    file.take(most).read_to_end(&mut bytes).map_err(|e| file_failed(path, &e))?;
     let Some((format, rest)) = bytes.strip_prefix(&MARK[..]).and_then(|rest| rest.split_first()) else {
-        return Err(failed(path, "this is no checkpoint"));
+        if bytes.is_empty() && options.resume == Resume::Never {
+            return Ok(None);
+        }
+        return Err(failed(path, "this is no checkpoint, and it is left as it is; give another path"));
     };
+    if options.resume == Resume::Never {
+        return Ok(None);
+    }
     if *format != FORMAT {
         let age = if *format < FORMAT { "an earlier" } else { "a later" };
         return Err(failed(
@@ -272,94 +272,17 @@ pub(crate) fn read(
 #[derive(Debug)]
 pub(crate) struct Writer {
     options: Checkpoint,
-    /// Where the path leads to.
-    file: PathBuf,
     fingerprint: Vec<(String, String)>,
     next: Instant,
-}
-
-/// The file itself, where the path is a link to it.
-fn target(path: &Path) -> PathBuf {
-    let mut target = path.to_path_buf();
-    // As many links as the system itself follows.
-    for _ in 0..40 {
-        let Ok(next) = std::fs::read_link(&target) else { break };
-        target = target.parent().unwrap_or(Path::new("")).join(next);
-    }
-    target
-}
-
-/// What the names of temporary files beside a checkpoint begin with; the number of the process follows.
-fn prefix(path: &Path) -> String {
-    let name = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-    format!(".{name}.writing-")
-}
-
-/// A file beside the checkpoint that takes its place once it is whole, with the permissions of the old one; else with
-/// those that new files have.
-fn beside(path: &Path) -> Result<tempfile::NamedTempFile, Error> {
-    let prefix = format!("{}{}-", prefix(path), std::process::id());
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(&prefix);
-    let old = std::fs::metadata(path).ok().map(|metadata| metadata.permissions());
-    // Of the permissions asked for the system takes away what the user's umask says.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let folder = folder(path);
-    if !folder.is_dir() {
-        let message = format!("there is no folder '{}'", folder.display());
-        return Err(file_failed(path, &std::io::Error::new(std::io::ErrorKind::NotFound, message)));
-    }
-    // Without the name of the temporary file, which says nothing to anybody.
-    let refused = |e: std::io::Error| {
-        let message = format!("folder '{}': {}", folder.display(), std::io::Error::from(e.kind()));
-        file_failed(path, &std::io::Error::new(e.kind(), message))
-    };
-    let file = builder.tempfile_in(folder).map_err(refused)?;
-    if let Some(old) = old {
-        file.as_file().set_permissions(old).map_err(|e| file_failed(path, &e))?;
-    }
-    Ok(file)
-}
-
-fn folder(path: &Path) -> &Path {
-    match path.parent() {
-        Some(folder) if folder != Path::new("") => folder,
-        _ => Path::new("."),
-    }
-}
-
-/// Removes what processes left behind that were killed while they wrote this checkpoint.
-fn sweep(path: &Path) {
-    let prefix = prefix(path);
-    for entry in std::fs::read_dir(folder(path)).into_iter().flatten().flatten() {
-        let name = entry.file_name();
-        let rest = name.to_str().and_then(|name| name.strip_prefix(&prefix));
-        let process = rest.and_then(|rest| rest.split_once('-')?.0.parse::<u32>().ok());
-        if process.is_some_and(|process| !is_alive(process, &entry)) {
-            // Another process may have been faster.
-            let _ = std::fs::remove_file(entry.path());
-        }
-    }
-}
-
-/// Whether a process may still write its temporary file: it is there, or, where that cannot be seen, the file is younger
-/// than a day.
-fn is_alive(process: u32, file: &std::fs::DirEntry) -> bool {
-    if Path::new("/proc/self").exists() {
-        return Path::new("/proc").join(process.to_string()).exists();
-    }
-    let age = file.metadata().and_then(|m| m.modified()).ok().and_then(|time| time.elapsed().ok());
-    age.is_none_or(|age| age < Duration::from_secs(24 * 3600))
 }
 
 impl Writer {
     /// Checks that there is a place to write to, before anything is computed.
     pub(crate) fn new(options: Checkpoint, fingerprint: Vec<(String, String)>) -> Result<Self, Error> {
-        let file = target(&options.path);
-        sweep(&file);
-        beside(&file)?;
-        Ok(Self { file, next: Instant::now() + options.interval, options, fingerprint })
+        let path = &options.path;
+        base::files::remove_unfinished(path);
+        Unfinished::new(path).map_err(|e| file_failed(path, &e))?;
+        Ok(Self { next: Instant::now() + options.interval, options, fingerprint })
     }
 
     /// Whether it is time for another.
@@ -378,6 +301,7 @@ impl Writer {
         seconds: f64,
     ) -> Result<(), Error> {
         let path = &self.options.path;
+        let begin = Instant::now();
         let state = method.save().ok_or_else(|| failed(path, "this method cannot be continued"))?;
         let snapshot = SnapshotRef {
             version: VERSION,
@@ -392,19 +316,18 @@ impl Writer {
             seconds,
             seed: method.details().seed,
         };
-        let begin = Instant::now();
         let payload = encode(&snapshot).map_err(|e| failed(path, e))?;
-        let mut file = beside(&self.file)?;
-        file.write_all(MARK)
-            .and_then(|()| file.write_all(&[FORMAT]))
-            .and_then(|()| file.write_all(&crc32fast::hash(&payload).to_le_bytes()))
-            .and_then(|()| file.write_all(&payload))
-            .and_then(|()| file.as_file().sync_all())
-            .map_err(|e| file_failed(path, &e))?;
-        file.persist(&self.file).map_err(|e| file_failed(path, &e.error))?;
-        // A long trace takes long to write: never more than a tenth of the time.
+        let written = Unfinished::new(path).and_then(|unfinished| {
+            let mut file = unfinished.file();
+            file.write_all(MARK)?;
+            file.write_all(&[FORMAT])?;
+            file.write_all(&crc32fast::hash(&payload).to_le_bytes())?;
+            file.write_all(&payload)?;
+            unfinished.finish()
+        });
+        // A long trace takes long to write: never more than a tenth of the time. What could not be written is tried again.
         let now = Instant::now();
         self.next = now + self.options.interval.max(9 * (now - begin));
-        Ok(())
+        written.map_err(|e| file_failed(path, &e))
     }
 }

@@ -73,9 +73,6 @@ impl<M: Method> Drive<'_, M> {
             }
             match end {
                 Some(end) => return Ok(end.map(|termination| self.unless_unsaved(termination))),
-                None if self.unsaved.is_some() => {
-                    return Ok(Some(self.unless_unsaved(Termination::StoppedByObserver)));
-                }
                 None => {}
             }
         }
@@ -111,14 +108,17 @@ impl<M: Method> Drive<'_, M> {
         observer(&progress).is_break()
     }
 
-    /// A file that cannot be written ends the run, but not without its result.
+    /// A file that cannot be written, on a full disk for example, is said once and tried again; where the last one fails, the run says so at
+    /// its end.
     fn save(&mut self, replay: &[Replay]) {
         let seconds = self.gateway.elapsed();
         let Some(writer) = &mut self.writer else { return };
         let observed = (self.observed, self.first_recent);
-        if let Err(e) = writer.write(&self.method, &self.gateway.batch_ledger, replay, observed, seconds) {
-            self.unsaved.get_or_insert(e.to_string());
+        let written = writer.write(&self.method, &self.gateway.batch_ledger, replay, observed, seconds);
+        if let (Err(error), None) = (&written, &self.unsaved) {
+            log::warn!("the run goes on without a checkpoint, which is tried again: {error}");
         }
+        self.unsaved = written.err().map(|error| error.to_string());
     }
 
     /// What ends the run: an interrupt or an abort, else a checkpoint that could not be written, else this.

@@ -253,7 +253,9 @@ fn message<M: Method + ?Sized>(
         Termination::StoppedByObserver => with_tests("stopped by the callback".to_owned()),
         Termination::Interrupted => with_tests("interrupted".to_owned()),
         Termination::Aborted(reason) => format!("aborted by the objective: {reason}"),
-        Termination::NotSaved(reason) => with_tests(format!("stopped, for it cannot be saved: {reason}")),
+        Termination::NotSaved(reason) => {
+            with_tests(format!("ended, and its last state could not be saved: {reason}"))
+        }
     };
     if let Some(cost) = ledger.trace.constant() {
         format!("{message}; the cost was {cost:e} at all {} points", ledger.n_evaluations)

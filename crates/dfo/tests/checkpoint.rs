@@ -267,6 +267,56 @@ fn time_already_spent_counts() {
 }
 
 #[test]
+fn a_file_that_could_not_be_written_for_a_while_is_written_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let (place, away) = (folder.path().join("place"), folder.path().join("away"));
+    std::fs::create_dir(&place).unwrap();
+    let calls = AtomicUsize::new(0);
+    let cost = |x: &[f64]| {
+        match calls.fetch_add(1, Ordering::Relaxed) {
+            20 => std::fs::rename(&place, &away).unwrap(),
+            40 => std::fs::rename(&away, &place).unwrap(),
+            _ => {}
+        }
+        rosenbrock(x)
+    };
+    let run = |resume| {
+        minimize(cost)
+            .start(&[-0.5, 1.0])
+            .bounds(&[-2.0; 2], &[2.0; 2])
+            .unwrap()
+            .method(NelderMead::default())
+            .checkpoint(Checkpoint::new(place.join("run")).interval(Duration::ZERO).resume(resume))
+            .max_evaluations(60)
+            .run()
+            .unwrap()
+    };
+    let report = run(Resume::Auto);
+    assert_eq!((&report.termination, report.n_evaluations), (&Termination::MaxEvaluations, 60));
+    assert_eq!(run(Resume::Require).x, report.x);
+    assert_eq!(calls.load(Ordering::Relaxed), 60);
+}
+
+#[test]
+fn a_file_of_somebody_else_is_left_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("data.csv");
+    for content in ["time,y\n0,1\n", "x"] {
+        std::fs::write(&path, content).unwrap();
+        for resume in [Resume::Auto, Resume::Never, Resume::Require] {
+            let run = minimize(rosenbrock)
+                .start(&[-0.5, 1.0])
+                .checkpoint(Checkpoint::new(&path).resume(resume))
+                .max_evaluations(20)
+                .run();
+            let message = run.unwrap_err().to_string();
+            assert!(message.contains("data.csv") && message.contains("this is no checkpoint"), "{message}");
+            assert_eq!(std::fs::read_to_string(&path).unwrap(), content);
+        }
+    }
+}
+
+#[test]
 fn a_file_that_cannot_be_written_any_more_costs_no_result() {
     for name in methods_for_costs().iter().map(AnyMethod::name) {
         let folder = tempfile::tempdir().unwrap();
@@ -289,13 +339,15 @@ fn a_file_that_cannot_be_written_any_more_costs_no_result() {
                 .seed(1)
                 .x_tol(0.0)
                 .checkpoint(Checkpoint::new(place.join("run")).interval(Duration::ZERO))
-                .max_evaluations(100_000)
+                .max_evaluations(400)
                 .run()
         };
         let report = run(&cost).unwrap();
+        // The run goes on, and says at its end that nothing of it is stored.
+        assert!(report.n_evaluations > 151, "{report}");
         assert!(matches!(&report.termination, Termination::NotSaved(why) if why.contains("run")), "{report}");
         assert!(
-            report.message.starts_with("stopped, for it cannot be saved: checkpoint"),
+            report.message.starts_with("ended, and its last state could not be saved: checkpoint"),
             "{}",
             report.message
         );

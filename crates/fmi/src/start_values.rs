@@ -6,6 +6,7 @@ use crate::error::FmiError;
 use crate::fmu::Fmu;
 use crate::instance::assignments::{check_settable_at_start, convert_one, negate};
 use crate::simulation::variable_elements::{Starts, VariableElement};
+use base::files::{open_regular, read_regular};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufWriter, Seek, Write};
@@ -35,7 +36,7 @@ impl Fmu {
                 for (name, path) in files {
                     let content = match name.as_str() {
                         MODEL_DESCRIPTION => description.clone(),
-                        _ => std::fs::read(&path).map_err(FmiError::io("read", &path))?,
+                        _ => read_regular(&path).map_err(FmiError::io("read", &path))?,
                     };
                     let executable =
                         path.metadata().is_ok_and(|found| crate::platform::is_executable(&found));
@@ -61,7 +62,7 @@ impl Fmu {
     ) -> Result<(), FmiError> {
         let path = self.path();
         let failed = |error: zip::result::ZipError| FmiError::io("copy", path)(error.into());
-        let file = File::open(path).map_err(FmiError::io("open", path))?;
+        let file = open_regular(path).map_err(FmiError::io("open", path))?;
         let known = self.content_hash()?;
         if Fmu::open_with(path, self.options())?.content_hash()? != known {
             return Err(FmiError::BadArchive {

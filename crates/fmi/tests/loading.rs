@@ -130,7 +130,7 @@ fn what_stands_in_the_place_of_a_library_is_named() {
 /// The description would be that of another version.
 #[test]
 fn a_library_that_is_replaced_before_it_is_loaded_is_refused() {
-    let (folder, other) = (evil(&[]), evil(&["OVERRIDES_K"]));
+    let (folder, other) = (evil(&[]), evil(&["FASTER"]));
     let cache = fmi::FmuCache::new(4);
     let open = || cache.open(folder.path()).unwrap();
     let fmu = open();

@@ -6,7 +6,6 @@ use super::time_column::{PairUnit, TimeColumn, time_unit};
 use super::units::Unit;
 use crate::error::CalibrationError;
 use std::borrow::Cow;
-use std::io::Read;
 use std::path::Path;
 
 /// Spellings of a missing value in a CSV file; compared without regard to case.
@@ -39,9 +38,7 @@ impl Data {
     }
 
     fn read_csv(path: &Path, time: Option<&str>) -> Result<Self, CalibrationError> {
-        let mut text = Vec::new();
-        std::fs::File::open(path)
-            .and_then(|mut file| file.read_to_end(&mut text))
+        let text = base::files::read_regular(path)
             .map_err(|source| CalibrationError::DataFile { path: path.to_owned(), source })?;
         Self::from_csv_text(&text, &path.display().to_string(), time)
     }

@@ -95,7 +95,7 @@ impl SavedFit {
     /// [`FmiError::Io`]; [`CalibrationError::SavedFit`] for a file that is cut, damaged, of another kind or of another format.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, CalibrationError> {
         let path = path.as_ref();
-        let bytes = std::fs::read(path).map_err(FmiError::io("read", path))?;
+        let bytes = base::files::read_regular(path).map_err(FmiError::io("read", path))?;
         Self::from_bytes(&bytes, &path.display().to_string())
     }
 

@@ -44,7 +44,7 @@ impl SavedSides {
             let place = path.display();
             Err(CalibrationError::Setup(format!("{place} {why}: give another file, or remove this one")))
         };
-        match std::fs::read(path) {
+        match base::files::read_regular(path) {
             Ok(bytes) => match serde_json::from_slice::<Self>(&bytes) {
                 Ok(found) if found.format == FORMAT && found.problem == own.problem => {
                     let is_sound = |side: &Side| {

@@ -13,7 +13,8 @@ pub use curves::{ExperimentCurves, OutputCurves, Signal};
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::Fit;
-use std::io::{self, Write};
+use base::files::Unfinished;
+use std::io::Write;
 use std::path::Path;
 
 impl Fit {
@@ -49,31 +50,10 @@ impl Calibration {
         let path = path.as_ref();
         let failed = |source| CalibrationError::ReportFile { path: path.to_owned(), source };
         // Before the simulations, which may take long.
-        let file = beside(path).map_err(failed)?;
+        let unfinished = Unfinished::new(path).map_err(failed)?;
         let page = page::page(self, fit, cancelled)?;
-        replace(file, path, page.as_bytes()).map_err(failed)
+        unfinished.file().write_all(page.as_bytes()).and_then(|()| unfinished.finish()).map_err(failed)
     }
-}
-
-/// A file beside another one, whose place it will take, with the permissions that new files have.
-fn beside(path: &Path) -> io::Result<tempfile::NamedTempFile> {
-    if path.is_dir() {
-        // The system says why not.
-        std::fs::OpenOptions::new().write(true).open(path)?;
-    }
-    let folder = path.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
-    let mut builder = tempfile::Builder::new();
-    // Of the permissions asked for the system takes away what the user's umask says.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    std::fs::read_dir(folder)?;
-    // Without the name of the temporary file, which says nothing to anybody.
-    builder.prefix(".report-").tempfile_in(folder).map_err(|error| error.kind().into())
-}
-
-fn replace(mut file: tempfile::NamedTempFile, path: &Path, content: &[u8]) -> io::Result<()> {
-    file.write_all(content)?;
-    file.persist(path).map(drop).map_err(|e| e.error)
 }
 
 #[cfg(test)]

@@ -2,8 +2,9 @@
 
 use super::limits::ArchiveLimits;
 use crate::error::FmiError;
+use base::files::open_regular;
 use sha2::{Digest, Sha256};
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
@@ -56,7 +57,7 @@ impl io::Write for Hashing {
 pub(super) fn of_folder(root: &Path, limits: &ArchiveLimits) -> Result<String, FmiError> {
     let mut hashing = Hashing::default();
     for (name, path) in files_below(root, limits.entries)? {
-        let mut file = File::open(&path).map_err(FmiError::io("open", &path))?;
+        let mut file = open_regular(&path).map_err(FmiError::io("open", &path))?;
         let size = file.metadata().map_err(FmiError::io("read", &path))?.len();
         hashing.text(&name);
         hashing.0.update(size.to_le_bytes());

@@ -22,8 +22,8 @@ pub(crate) use snapshot::Snapshot;
 use crate::cancel::Cancel;
 use crate::error::{EntryProblem, FmiError};
 use crate::platform::{FileIdentity, LIBRARY_EXTENSION, file_identity};
+use base::files::open_regular;
 use packed::Packed;
-use std::fs::File;
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -177,7 +177,7 @@ impl Archive {
             Content::Absent(absent) => Ok((name == MODEL_DESCRIPTION).then(|| absent.description.clone())),
             Content::Folder(Folder { root, .. }) => {
                 let path = root.join(name);
-                let file = match File::open(&path) {
+                let file = match open_regular(&path) {
                     Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
                     file => file.map_err(FmiError::io("open", &path))?,
                 };

@@ -10,6 +10,7 @@ use super::unpack::Source;
 use crate::cancel::Cancel;
 use crate::error::{EntryProblem, FmiError};
 use crate::platform::{self, FileIdentity, FolderNames};
+use base::files::open_regular;
 use std::collections::HashMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -74,7 +75,7 @@ struct Unpacked {
 
 impl Packed {
     pub(super) fn open(path: &Path, limits: &ArchiveLimits, cancel: &Cancel) -> Result<Self, FmiError> {
-        let file = File::open(path).map_err(FmiError::io("open", path))?;
+        let file = open_regular(path).map_err(FmiError::io("open", path))?;
         let identity = platform::file_identity(&file.metadata().map_err(FmiError::io("open", path))?);
         let entries = entries::list(path, Positioned::new(&file, 0), limits, cancel)?;
         let source = Source { path, file: &file, cancel };

@@ -1,10 +1,12 @@
 //! Private folders for unpacked archives: gone when the value goes, swept up later if the process was killed.
 //!
-//! Layout: `fmufit-XXXXXX/fmu/` is what is handed out, `fmufit-XXXXXX/lock` is locked by the process that owns it.
+//! Layout: `fmufit-unpacked-XXXXXX/fmu/` is what is handed out; `fmufit-unpacked-XXXXXX/lock` says in words that the folder is ours, and is
+//! locked by the process that owns it. Nothing is swept that has not exactly this layout.
 
 use crate::error::FmiError;
 use crate::platform;
 use std::fs::{self, File};
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError};
 use std::time::Duration;
@@ -13,6 +15,10 @@ use tempfile::TempDir;
 const PREFIX: &str = platform::PRIVATE_PREFIX;
 const INSIDE: &str = "fmu";
 const LOCK: &str = "lock";
+/// A lock in the making.
+const NEW_LOCK: &str = "lock.new";
+/// What a lock holds.
+const MARK: &[u8] = b"fmufit: an unpacked FMU; this folder goes with the process that locks this file\n";
 
 /// A folder of this process.
 #[derive(Debug)]
@@ -116,9 +122,10 @@ fn take_lock(path: &Path) -> Option<Arc<File>> {
 }
 
 fn new_lock(path: &Path) -> Option<File> {
-    let unnamed = path.with_extension("new");
+    let unnamed = path.with_file_name(NEW_LOCK);
     let file = File::create_new(&unnamed).ok()?;
-    if file.try_lock().is_ok() && fs::rename(&unnamed, path).is_ok() {
+    let is_made = (&file).write_all(MARK).is_ok() && file.try_lock().is_ok();
+    if is_made && fs::rename(&unnamed, path).is_ok() {
         return Some(file);
     }
     drop(file);
@@ -129,39 +136,72 @@ fn new_lock(path: &Path) -> Option<File> {
 /// Age at which a folder without a lock was left behind by a process that was killed while making it.
 const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 
-/// Removes the folders in `base` that have a lock which nobody holds: their processes are gone. Folders of other
-/// users, and those in the making, which have no lock yet and are young, are left alone.
+/// Removes the folders in `base` that have a lock of ours which nobody holds: their processes are gone. Folders of other users, those in
+/// the making, which have no lock yet and are young, and whatever has another layout are left alone.
 fn sweep(base: &Path) {
+    let Ok(own) = platform::own_file() else { return };
     for entry in fs::read_dir(base).into_iter().flatten().flatten() {
-        if !entry.file_name().to_string_lossy().starts_with(PREFIX) {
-            continue;
-        }
+        let folder = entry.path();
+        let is_named = entry.file_name().to_string_lossy().starts_with(PREFIX);
         let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
-        if is_folder && is_abandoned(&entry.path()) {
-            // Others' folders stay: the system refuses.
-            let _ = fs::remove_dir_all(entry.path());
+        if !(is_named && is_folder && platform::keep_others_out(&folder, &own).is_ok()) {
             continue;
         }
-        let lock = File::options().write(true).open(entry.path().join(LOCK));
-        if let (true, Ok(lock)) = (is_folder, lock)
-            && lock.try_lock().is_ok()
-        {
-            drop(lock);
-            if let Err(error) = fs::remove_dir_all(entry.path()) {
-                log::debug!("{} stays: {error}", entry.path().display());
-            }
+        remove_unlocked(&folder);
+        if is_old(&folder) {
+            remove_begun(&folder);
         }
     }
 }
 
-/// Whether a folder has never got a lock, and nothing was done in it for a long time.
-fn is_abandoned(folder: &Path) -> bool {
-    let age = |path: &Path| path.symlink_metadata().and_then(|found| found.modified()).ok()?.elapsed().ok();
-    let is_old = |path: PathBuf| age(&path).is_none_or(|age| age > ABANDONED);
-    let inside = folder.join(INSIDE);
-    // With anything in it, it is in use on a file system without locks, or not ours.
-    let is_empty = fs::read_dir(&inside).map_or(true, |mut entries| entries.next().is_none());
-    fs::symlink_metadata(folder.join(LOCK)).is_err() && is_empty && is_old(folder.to_owned())
+/// Removes a folder with the layout of ours whose lock nobody holds.
+fn remove_unlocked(folder: &Path) {
+    let Ok(mut lock) = base::files::open_own(&folder.join(LOCK)) else { return };
+    let mut content = Vec::new();
+    let is_ours =
+        (&mut lock).take(MARK.len() as u64 + 1).read_to_end(&mut content).is_ok() && content == MARK;
+    if !(is_ours && lock.try_lock().is_ok() && has_our_layout(folder)) {
+        return;
+    }
+    drop(lock);
+    if let Err(error) = fs::remove_dir_all(folder) {
+        log::debug!("{} stays: {error}", folder.display());
+    }
+}
+
+/// Whether nothing is in a folder but the lock and the unpacked FMU.
+fn has_our_layout(folder: &Path) -> bool {
+    let is_ours = |entry: io::Result<fs::DirEntry>| {
+        entry.is_ok_and(|entry| match entry.file_type() {
+            Ok(kind) if kind.is_dir() => entry.file_name() == INSIDE,
+            Ok(kind) => kind.is_file() && entry.file_name() == LOCK,
+            Err(_) => false,
+        })
+    };
+    fs::read_dir(folder).is_ok_and(|mut entries| entries.all(is_ours))
+}
+
+/// Removes what was left behind by a process that was killed while making a folder: empty folders, and a lock without its name. On a file
+/// system without locks the folder in use is not empty.
+fn remove_begun(folder: &Path) {
+    let unnamed = folder.join(NEW_LOCK);
+    let length =
+        |path: &Path| fs::symlink_metadata(path).ok().filter(fs::Metadata::is_file).map(|found| found.len());
+    if length(&unnamed).is_some_and(|length| length <= MARK.len() as u64) {
+        let begun = base::files::read_regular(&unnamed);
+        if begun.is_ok_and(|content| MARK.starts_with(&content)) {
+            let _ = fs::remove_file(&unnamed);
+        }
+    }
+    // Folders that are not empty stay: the system refuses.
+    let _ = fs::remove_dir(folder.join(INSIDE));
+    let _ = fs::remove_dir(folder);
+}
+
+/// Whether nothing was done in a folder for a long time.
+fn is_old(folder: &Path) -> bool {
+    let modified = folder.symlink_metadata().and_then(|found| found.modified());
+    modified.ok().and_then(|time| time.elapsed().ok()).is_some_and(|age| age > ABANDONED)
 }
 
 #[cfg(test)]
@@ -230,18 +270,73 @@ mod tests {
         drop(dead);
         // Its process has let go of the lock.
         fs::remove_file(&lock).unwrap();
-        fs::write(&lock, "").unwrap();
-        let (unlocked, foreign) = (base.path().join("fmufit-new"), base.path().join("other"));
+        fs::write(&lock, MARK).unwrap();
+        let (unlocked, foreign) = (named(&base, "new"), base.path().join("other"));
         fs::create_dir(&unlocked).unwrap();
         fs::create_dir(&foreign).unwrap();
-        fs::write(foreign.join(LOCK), "").unwrap();
-        let old = base.path().join("fmufit-old");
+        fs::write(foreign.join(LOCK), MARK).unwrap();
+        let old = named(&base, "old");
         fs::create_dir(&old).unwrap();
-        fs::write(old.join("lock.new"), "").unwrap();
-        let long_ago = std::time::SystemTime::now() - 2 * ABANDONED;
-        File::open(&old).unwrap().set_modified(long_ago).unwrap();
+        fs::write(old.join(NEW_LOCK), "").unwrap();
+        make_old(&old);
         sweep(base.path());
         assert!(!dead_path.exists() && !old.exists());
         assert!(live.path().exists() && unlocked.exists() && foreign.exists());
+    }
+
+    fn named(base: &TempDir, end: &str) -> PathBuf {
+        base.path().join(format!("{PREFIX}{end}"))
+    }
+
+    fn make_old(folder: &Path) {
+        let long_ago = std::time::SystemTime::now() - 2 * ABANDONED;
+        File::open(folder).unwrap().set_modified(long_ago).unwrap();
+    }
+
+    /// A folder of a user that has such a name, old, with one thing in it that is not as ours.
+    #[test]
+    fn what_a_user_has_stays() {
+        type Fill = fn(&Path) -> io::Result<()>;
+        let others: [(&str, Fill); 7] = [
+            ("results", |f| fs::write(f.join("results.csv"), "1")),
+            ("lock", |f| fs::write(f.join(LOCK), "")),
+            ("lock and results", |f| {
+                fs::write(f.join(LOCK), MARK)?;
+                fs::write(f.join("results.csv"), "1")
+            }),
+            ("nested", |f| fs::create_dir_all(f.join(INSIDE).join("mine"))),
+            ("new lock", |f| fs::write(f.join(NEW_LOCK), "mine")),
+            ("folder as lock", |f| fs::create_dir_all(f.join(LOCK).join("mine"))),
+            ("other folder", |f| {
+                fs::write(f.join(LOCK), MARK)?;
+                fs::create_dir_all(f.join("runs"))
+            }),
+        ];
+        for (what, fill) in others {
+            for name in [format!("{PREFIX}x"), "fmufit-x".to_owned(), "fmufit-cache".to_owned()] {
+                let base = tempfile::tempdir().unwrap();
+                let folder = base.path().join(name);
+                fs::create_dir(&folder).unwrap();
+                fill(&folder).unwrap();
+                make_old(&folder);
+                let count = |path: &Path| fs::read_dir(path).unwrap().count();
+                let before = count(&folder);
+                sweep(base.path());
+                assert_eq!(count(&folder), before, "{what}");
+            }
+        }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_pipe_as_a_lock_is_not_waited_for() {
+        let base = tempfile::tempdir().unwrap();
+        let folder = named(&base, "x");
+        fs::create_dir(&folder).unwrap();
+        let made = std::process::Command::new("mkfifo").arg(folder.join(LOCK)).status().unwrap();
+        assert!(made.success());
+        make_old(&folder);
+        sweep(base.path());
+        assert!(folder.join(LOCK).exists());
     }
 }

@@ -1,10 +1,10 @@
 //! Headers of shared libraries: which operating system and which processors they are made for, and how long their files are.
 
 use crate::error::FmiError;
+use base::files::open_regular;
 use object::elf;
 use object::read::elf::{FileHeader, ProgramHeader};
 use object::{Endianness, FileKind, ReadCache, ReadRef};
-use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 use std::{env, fmt};
@@ -100,7 +100,7 @@ pub struct BinaryHeader {
 impl BinaryHeader {
     /// Reads the header of a file; `None` if it is not a binary of a known format.
     pub fn read(path: &Path) -> io::Result<Option<BinaryHeader>> {
-        Self::read_from(&mut File::open(path)?)
+        Self::read_from(&mut open_regular(path)?)
     }
 
     /// Reads the header of a binary from a stream that stands at its beginning.
@@ -142,7 +142,7 @@ impl fmt::Display for BinaryHeader {
 /// [`FmiError::LoadFailed`] with both lengths; the file cannot be read.
 pub(crate) fn check_length(library: &Path) -> Result<(), FmiError> {
     let io_error = FmiError::io("read", library);
-    let (length, data) = match File::open(library).and_then(|file| Ok((file.metadata()?.len(), file))) {
+    let (length, data) = match open_regular(library).and_then(|file| Ok((file.metadata()?.len(), file))) {
         Ok((length, file)) => (length, ReadCache::new(file)),
         Err(error) => return Err(io_error(error)),
     };
@@ -179,7 +179,7 @@ fn mapped_length<'data, Elf: FileHeader<Endian = Endianness>, R: ReadRef<'data>>
 pub(crate) fn describe(path: &Path) -> String {
     let header = match BinaryHeader::read(path) {
         Ok(Some(header)) => return header.to_string(),
-        Ok(None) => File::open(path).and_then(|file| {
+        Ok(None) => open_regular(path).and_then(|file| {
             let mut start = Vec::new();
             file.take(256).read_to_end(&mut start).map(|_| start)
         }),

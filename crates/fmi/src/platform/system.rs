@@ -109,12 +109,17 @@ pub(crate) fn create_private_folder(path: &Path) -> io::Result<()> {
     {
         use std::os::unix::fs::MetadataExt;
         let found = fs::symlink_metadata(path)?;
-        let own = tempfile::tempfile()?.metadata()?.uid();
+        let own = own_file()?.metadata()?.uid();
         if !found.is_dir() || found.uid() != own || found.mode() & 0o022 != 0 {
             return Err(io::Error::new(io::ErrorKind::PermissionDenied, "others may write into it"));
         }
     }
     Ok(())
+}
+
+/// A file of this user, without a name.
+pub(crate) fn own_file() -> io::Result<File> {
+    tempfile::tempfile()
 }
 
 /// Takes the right to write into a folder from the user's group, and refuses a folder that everybody may write into or
@@ -134,18 +139,6 @@ pub(crate) fn keep_others_out(folder: &Path, own: &File) -> io::Result<()> {
     #[cfg(not(unix))]
     let _ = (folder, own);
     Ok(())
-}
-
-/// Permissions of files for everybody, less what the user's mask takes away.
-pub(crate) fn with_usual_permissions<'a, 'b>(
-    builder: &'a mut tempfile::Builder<'b, 'b>,
-) -> &'a mut tempfile::Builder<'b, 'b> {
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        builder.permissions(fs::Permissions::from_mode(0o666));
-    }
-    builder
 }
 
 /// Names of C compilers to try where `CC` is not set.
@@ -247,7 +240,7 @@ pub fn without_private_folders(text: &str) -> String {
 }
 
 /// How the names of private folders begin.
-pub(crate) const PRIVATE_PREFIX: &str = "fmufit-";
+pub(crate) const PRIVATE_PREFIX: &str = "fmufit-unpacked-";
 /// What is between the name of a private folder and what is in it.
 const PRIVATE_INSIDE: &str = "/fmu/";
 
@@ -353,9 +346,9 @@ mod tests {
         let base = unpack_base();
         let base = base.display();
         let text = format!(
-            "cannot open {base}/fmufit-Ab12Cd/fmu/resources/a.txt or {base}/fmufit-9/x, {base}/fmufit-"
+            "cannot open {base}/fmufit-unpacked-Ab12Cd/fmu/resources/a.txt or {base}/fmufit-unpacked-9/x, {base}/fmufit-"
         );
-        let wanted = format!("cannot open resources/a.txt or {base}/fmufit-9/x, {base}/fmufit-");
+        let wanted = format!("cannot open resources/a.txt or {base}/fmufit-unpacked-9/x, {base}/fmufit-");
         assert_eq!(without_private_folders(&text), wanted);
     }
 

@@ -6,6 +6,7 @@ use crate::archive::{hash_of_texts, is_inside};
 use crate::description::{BUILD_DESCRIPTION, BuildSet, Interface, ModelDescription, build_sets};
 use crate::error::FmiError;
 use crate::platform::{self, BinaryHeader};
+use base::files::read_regular;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -193,7 +194,7 @@ impl Sources<'_> {
         }
         let list = self.folder.join(BUILD_DESCRIPTION);
         if list.is_file() {
-            let bytes = fs::read(&list).map_err(FmiError::io("read", &list))?;
+            let bytes = read_regular(&list).map_err(FmiError::io("read", &list))?;
             if let Some(set) = build_sets(&bytes, self.model_identifier)? {
                 return Ok(set);
             }

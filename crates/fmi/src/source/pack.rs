@@ -7,6 +7,7 @@ use crate::cancel::Cancel;
 use crate::description::{DescriptionLimits, Interface, ModelDescription};
 use crate::error::FmiError;
 use crate::platform;
+use base::files::{open_regular, read_regular};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
@@ -121,7 +122,7 @@ fn write_archive(out: &File, files: &BTreeMap<String, PathBuf>) -> Result<(), Wr
     let mut archive = ZipWriter::new(BufWriter::new(out));
     for (name, path) in files {
         let read = |error| WriteError::Read(path.clone(), error);
-        let mut file = File::open(path).map_err(read)?;
+        let mut file = open_regular(path).map_err(read)?;
         let metadata = file.metadata().map_err(read)?;
         let mode = if platform::is_executable(&metadata) { 0o755 } else { 0o644 };
         // No time of last modification: the library then writes the first one the format knows, 1980.
@@ -143,7 +144,7 @@ fn check_result(path: &Path, source: &Archive, folder: &Path) -> Result<(), FmiE
     ModelDescription::read(&archive)?;
     let text = |archive: &Archive| {
         let path = archive.unpack()?.join(MODEL_DESCRIPTION);
-        fs::read(&path).map_err(FmiError::io("read", path))
+        read_regular(&path).map_err(FmiError::io("read", path))
     };
     if text(&archive)? == text(source)? {
         return Ok(());

@@ -1,0 +1,327 @@
+//! Files of the user: read only where they are regular ones, written whole or not at all.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use tempfile::{NamedTempFile, TempPath};
+
+/// What the name of a temporary file has behind the name of the file whose place it will take; the number of the process follows.
+const WRITING: &str = ".writing-";
+
+/// So many bytes of a name are repeated in that of its temporary file: names have at most 255.
+const LONGEST: usize = 180;
+
+/// Opens a regular file for reading. The system is not waited for: what is no regular file (a named pipe, a device, a socket) is refused
+/// before anything is read from it.
+///
+/// # Errors
+/// Those of the system; [`io::ErrorKind::InvalidInput`] for what is no regular file, [`io::ErrorKind::IsADirectory`] for a folder.
+pub fn open_regular(path: &Path) -> io::Result<File> {
+    let mut options = OpenOptions::new();
+    options.read(true);
+    require_regular(without_waiting(&mut options, 0).open(path)?)
+}
+
+/// The content of a regular file.
+///
+/// # Errors
+/// As [`open_regular`].
+pub fn read_regular(path: &Path) -> io::Result<Vec<u8>> {
+    let mut file = open_regular(path)?;
+    let length = file.metadata()?.len();
+    let mut content = Vec::new();
+    content
+        .try_reserve_exact(usize::try_from(length).unwrap_or(usize::MAX))
+        .map_err(|_| io::Error::from(io::ErrorKind::OutOfMemory))?;
+    file.read_to_end(&mut content)?;
+    Ok(content)
+}
+
+/// Opens a regular file of this user for reading and writing in a folder that is open to others: links are not followed.
+///
+/// # Errors
+/// As [`open_regular`]; [`io::ErrorKind::PermissionDenied`] for a file of another user.
+pub fn open_own(path: &Path) -> io::Result<File> {
+    let mut options = OpenOptions::new();
+    options.read(true).write(true);
+    #[cfg(unix)]
+    let file = without_waiting(&mut options, libc::O_NOFOLLOW).open(path)?;
+    #[cfg(not(unix))]
+    let file = without_waiting(&mut options, 0).open(path)?;
+    let file = require_regular(file)?;
+    #[cfg(unix)]
+    if !is_own(path.parent().unwrap_or(Path::new(".")), &file)? {
+        return Err(io::Error::new(io::ErrorKind::PermissionDenied, "it belongs to another user"));
+    }
+    Ok(file)
+}
+
+/// Whether a file belongs to the owner of its folder. That the folder is one's own, the caller knows: only its owner can remove it.
+#[cfg(unix)]
+fn is_own(folder: &Path, file: &File) -> io::Result<bool> {
+    use std::os::unix::fs::MetadataExt;
+    Ok(fs::symlink_metadata(folder)?.uid() == file.metadata()?.uid())
+}
+
+#[cfg(unix)]
+fn without_waiting(options: &mut OpenOptions, flags: i32) -> &mut OpenOptions {
+    use std::os::unix::fs::OpenOptionsExt;
+    options.custom_flags(libc::O_NONBLOCK | flags)
+}
+
+#[cfg(not(unix))]
+fn without_waiting(options: &mut OpenOptions, _: i32) -> &mut OpenOptions {
+    options
+}
+
+fn require_regular(file: File) -> io::Result<File> {
+    let kind = file.metadata()?.file_type();
+    match () {
+        () if kind.is_file() => Ok(file),
+        () if kind.is_dir() => Err(io::ErrorKind::IsADirectory.into()),
+        () => Err(io::Error::new(io::ErrorKind::InvalidInput, "it is no regular file")),
+    }
+}
+
+/// The file itself, where a path is a link to it, also to one that is not there.
+pub fn followed(path: &Path) -> PathBuf {
+    let mut target = path.to_path_buf();
+    // As many links as the system itself follows.
+    for _ in 0..40 {
+        let Ok(next) = fs::read_link(&target) else { break };
+        target = target.parent().unwrap_or(Path::new("")).join(next);
+    }
+    target
+}
+
+/// The folder in which a file lies.
+pub fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if folder != Path::new("") => folder,
+        _ => Path::new("."),
+    }
+}
+
+/// A file in the making. It takes the place of another when it is whole; until then, and where it never is, the other one stays as it is.
+///
+/// Links are followed, the permissions of the file that was there are kept, and one that is read-only is refused. A device or a named pipe
+/// is not replaced: it gets the content at the end.
+#[derive(Debug)]
+pub struct Unfinished {
+    file: NamedTempFile,
+    target: PathBuf,
+    /// The device or pipe at the place.
+    stream: Option<File>,
+}
+
+impl Unfinished {
+    /// Begins a file for this place.
+    ///
+    /// # Errors
+    /// The folder is not there or cannot be written to; the place is a folder, a read-only file or a pipe that nobody reads.
+    pub fn new(path: &Path) -> io::Result<Self> {
+        let target = followed(path);
+        let old = match fs::metadata(&target) {
+            Ok(old) => Some(old),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => None,
+            Err(error) => return Err(error),
+        };
+        if old.as_ref().is_some_and(fs::Metadata::is_dir) {
+            return Err(io::ErrorKind::IsADirectory.into());
+        }
+        if let Some(old) = old.as_ref().filter(|old| old.is_file() && old.permissions().readonly()) {
+            let _ = old;
+            return Err(io::Error::new(
+                io::ErrorKind::PermissionDenied,
+                "the file that is there is read-only",
+            ));
+        }
+        let is_stream = old.as_ref().is_some_and(|old| !old.is_file());
+        let stream = match is_stream {
+            true => Some(without_waiting(OpenOptions::new().write(true), 0).open(&target)?),
+            false => None,
+        };
+        let folder = folder_of(&target);
+        let name = target.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        let prefix = format!("{}{}-", prefix(&name), std::process::id());
+        let suffix = target.extension().map(|extension| format!(".{}", extension.to_string_lossy()));
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(&prefix).suffix(suffix.as_deref().unwrap_or_default());
+        // Of the permissions asked for the system takes away what the user's umask says.
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        let file = if is_stream { builder.tempfile() } else { builder.tempfile_in(folder) };
+        // Without the name of the temporary file, which says nothing to anybody.
+        let file = file.map_err(|error| match error.kind() {
+            io::ErrorKind::NotFound if !folder.is_dir() => {
+                io::Error::new(error.kind(), format!("there is no folder '{}'", folder.display()))
+            }
+            kind => io::Error::new(kind, format!("folder '{}': {}", folder.display(), io::Error::from(kind))),
+        })?;
+        if let Some(old) = old.filter(fs::Metadata::is_file) {
+            file.as_file().set_permissions(old.permissions())?;
+        }
+        Ok(Self { file, target, stream })
+    }
+
+    /// The file to write to.
+    pub fn file(&self) -> &File {
+        self.file.as_file()
+    }
+
+    /// Where it is until it is whole.
+    pub fn path(&self) -> &Path {
+        self.file.path()
+    }
+
+    /// It is whole: it is flushed to the disk and takes its place.
+    ///
+    /// # Errors
+    /// Those of the system; the file that was there stays.
+    pub fn finish(self) -> io::Result<()> {
+        let Some(mut stream) = self.stream else {
+            self.file.as_file().sync_all()?;
+            return self.file.persist(&self.target).map(drop).map_err(|error| error.error);
+        };
+        let (mut file, path): (File, TempPath) = self.file.into_parts();
+        file.seek(SeekFrom::Start(0))?;
+        let copied = io::copy(&mut file, &mut stream).map(drop);
+        drop((file, path));
+        copied
+    }
+}
+
+/// Writes a file in one step.
+///
+/// # Errors
+/// As [`Unfinished::new`] and [`Unfinished::finish`].
+pub fn write_whole(path: &Path, content: &[u8]) -> io::Result<()> {
+    let unfinished = Unfinished::new(path)?;
+    io::Write::write_all(&mut unfinished.file(), content)?;
+    unfinished.finish()
+}
+
+/// What the names of the temporary files of a file begin with.
+fn prefix(name: &str) -> String {
+    let end = (0..=name.len().min(LONGEST)).rev().find(|end| name.is_char_boundary(*end)).unwrap_or(0);
+    format!(".{}{WRITING}", &name[..end])
+}
+
+/// Removes what processes left behind that were killed while they wrote this file.
+pub fn remove_unfinished(path: &Path) {
+    let target = followed(path);
+    let prefix =
+        prefix(&target.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default());
+    for entry in fs::read_dir(folder_of(&target)).into_iter().flatten().flatten() {
+        let name = entry.file_name();
+        let rest = name.to_str().and_then(|name| name.strip_prefix(&prefix));
+        let process = rest.and_then(|rest| rest.split_once('-')?.0.parse::<u32>().ok());
+        if process.is_some_and(|process| !is_alive(process, &entry)) {
+            // Another process may have been faster.
+            let _ = fs::remove_file(entry.path());
+        }
+    }
+}
+
+/// Whether a process may still write its temporary file: it is there, or, where that cannot be seen, the file is younger than a day.
+fn is_alive(process: u32, file: &fs::DirEntry) -> bool {
+    if Path::new("/proc/self").exists() {
+        return Path::new("/proc").join(process.to_string()).exists();
+    }
+    let age = file.metadata().and_then(|m| m.modified()).ok().and_then(|time| time.elapsed().ok());
+    age.is_none_or(|age| age < Duration::from_secs(24 * 3600))
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::{FileTypeExt, PermissionsExt, symlink};
+    use std::process::Command;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let mut names: Vec<String> =
+            fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn permissions_and_links_stay() {
+        let folder = tempfile::tempdir().unwrap();
+        let (file, link) = (folder.path().join("a.csv"), folder.path().join("link"));
+        fs::write(&file, "old").unwrap();
+        fs::set_permissions(&file, fs::Permissions::from_mode(0o600)).unwrap();
+        symlink("a.csv", &link).unwrap();
+        write_whole(&link, b"new").unwrap();
+        assert_eq!(fs::read(&file).unwrap(), b"new");
+        assert_eq!(fs::metadata(&file).unwrap().permissions().mode() & 0o777, 0o600);
+        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+        fs::set_permissions(&file, fs::Permissions::from_mode(0o400)).unwrap();
+        let error = write_whole(&file, b"newer").unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::PermissionDenied);
+        assert_eq!(fs::read(&file).unwrap(), b"new");
+        assert_eq!(names(folder.path()), ["a.csv", "link"]);
+    }
+
+    #[test]
+    fn devices_and_pipes_get_the_content() {
+        write_whole(Path::new("/dev/null"), b"anything").unwrap();
+        assert!(fs::metadata("/dev/null").unwrap().file_type().is_char_device());
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("pipe");
+        assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        // Nobody reads.
+        assert!(write_whole(&pipe, b"x").is_err());
+        let reader = without_waiting(OpenOptions::new().read(true), 0).open(&pipe).unwrap();
+        write_whole(&pipe, b"through").unwrap();
+        let mut content = Vec::new();
+        (&reader).read_to_end(&mut content).unwrap();
+        assert_eq!(content, b"through");
+        assert!(fs::metadata(&pipe).unwrap().file_type().is_fifo());
+        assert_eq!(names(folder.path()), ["pipe"]);
+    }
+
+    #[test]
+    fn what_is_no_regular_file_is_not_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("pipe");
+        assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        for path in [&pipe, Path::new("/dev/zero")] {
+            let error = open_regular(path).unwrap_err();
+            assert_eq!(
+                (error.kind(), error.to_string().as_str()),
+                (io::ErrorKind::InvalidInput, "it is no regular file")
+            );
+        }
+        assert_eq!(open_regular(folder.path()).unwrap_err().kind(), io::ErrorKind::IsADirectory);
+        let (file, link) = (folder.path().join("file"), folder.path().join("link"));
+        fs::write(&file, "content").unwrap();
+        symlink(&file, &link).unwrap();
+        assert_eq!(read_regular(&link).unwrap(), b"content");
+        assert!(open_own(&file).is_ok() && open_own(&link).is_err() && open_own(&pipe).is_err());
+    }
+
+    #[test]
+    fn what_fails_leaves_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a");
+        drop(Unfinished::new(&file).unwrap());
+        assert!(write_whole(folder.path(), b"x").is_err());
+        let message = write_whole(&folder.path().join("none/a"), b"x").unwrap_err().to_string();
+        assert!(message.starts_with("there is no folder '"), "{message}");
+        // Of a process that is gone.
+        fs::write(folder.path().join(".a.writing-999999999-Xy"), "").unwrap();
+        fs::write(folder.path().join(".b.writing-999999999-Xy"), "").unwrap();
+        remove_unfinished(&file);
+        assert_eq!(names(folder.path()), [".b.writing-999999999-Xy"]);
+    }
+
+    #[test]
+    fn long_names_are_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("\u{e4}".repeat(127));
+        write_whole(&file, b"x").unwrap();
+        assert_eq!(fs::read(file).unwrap(), b"x");
+    }
+}
