@@ -233,7 +233,8 @@ fn is_alive(process: u32, file: &fs::DirEntry) -> bool {
     age.is_none_or(|age| age < Duration::from_secs(24 * 3600))
 }
 
-#[cfg(all(test, unix))]
+#[cfg(test)]
+#[cfg(unix)]
 mod tests {
     use super::*;
     use std::os::unix::fs::{FileTypeExt, PermissionsExt, symlink};
