@@ -237,7 +237,10 @@ fn studies() -> Vec<(&'static str, Study)> {
     ];
     for (name, kind, scale) in losses {
         let loss = Some((kind, scale));
-        studies.push((name, Study { errors: Errors::Outliers, loss, ..PLAIN }));
+        // A narrow loss has many minima where there are outliers: where a fit ends says nothing of its errors.
+        if scale >= 1.0 {
+            studies.push((name, Study { errors: Errors::Outliers, loss, ..PLAIN }));
+        }
         studies.push((name, Study { loss, ..PLAIN }));
     }
     studies
@@ -252,7 +255,13 @@ fn check(n: u64, (least, most, correlated): (f64, f64, f64), is_chosen: impl Fn(
             if matches!(study.errors, Errors::Outliers) { "15 %" } else { "no" }
         );
         let is_correlated = matches!(study.errors, Errors::Autoregressive(_));
-        let range = if is_correlated { correlated..=1.0 } else { least..=most };
+        let is_narrow = study.loss.is_some_and(|(_, scale)| scale < 1.0);
+        let range = match (is_correlated, is_narrow) {
+            (true, _) => correlated..=1.0,
+            // Its cost is flat far from the optimum: profiles are wider than a parabola is.
+            (false, true) => least..=1.0,
+            (false, false) => least..=most,
+        };
         let has_profile = study.objective.is_none();
         let shares = held.all().map(|count| f64::from(count) / n as f64);
         if !shares
@@ -275,5 +284,6 @@ fn intervals_profiles_and_bands_hold_the_truth() {
 #[test]
 #[ignore = "takes minutes"]
 fn intervals_profiles_and_bands_hold_the_truth_in_three_hundred_sets_each() {
-    check(300, (0.92, 0.975, 0.88), |_| true);
+    // Of 300 sets 285 are expected with a standard deviation of 3.8: three of them to either side.
+    check(300, (0.912, 0.988, 0.88), |_| true);
 }

@@ -73,21 +73,27 @@ fn the_interval_of_a_linear_model_is_that_of_its_covariance() {
         let found = profile(&calibration, &fit, &options);
         let r = calibration.residuals(&fit.x).unwrap();
         let sum = |part: &[f64]| part.iter().map(|r| r * r).sum::<f64>();
-        let variance = match estimator {
-            Estimator::Sandwich => [&r[..50], &r[50..]].map(|part| sum(part) / 50.0 * 100.0 / 98.0),
-            Estimator::Pooled => [sum(&r) / 98.0; 2],
-        };
         // (J'J)^-1 J'SJ (J'J)^-1 with the rows (1, t) of h and (0, 2) of v.
-        let (mut normal, mut middle) = ([0.0; 3], [0.0; 3]);
+        let (mut of_h, of_v) = ([0.0; 3], [0.0, 0.0, 4.0 * 50.0]);
         for t in (0..50).map(|k| 0.01 * f64::from(k)) {
-            for (sums, variance) in [(&mut normal, [1.0; 2]), (&mut middle, variance)] {
-                sums[0] += variance[0];
-                sums[1] += t * variance[0];
-                sums[2] += t * t * variance[0] + 4.0 * variance[1];
-            }
+            of_h = [of_h[0] + 1.0, of_h[1] + t, of_h[2] + t * t];
         }
+        let normal = [0, 1, 2].map(|i| of_h[i] + of_v[i]);
         let determinant = normal[0] * normal[2] - normal[1] * normal[1];
         let rows = [[normal[2], -normal[1]], [-normal[1], normal[0]]].map(|row| row.map(|n| n / determinant));
+        // Variances by the means of both sums of squares: v moves the second parameter alone.
+        let variance = match estimator {
+            Estimator::Sandwich => {
+                let share = rows[1][1] * of_v[2];
+                let [own, between] = [50.0 - 2.0 * share + share * share, share * (1.0 - share)];
+                let of_first = 50.0 - 2.0 * (2.0 - share) + 1.0 + (1.0 - share).powi(2);
+                let of_both = of_first * own - between * between;
+                let (first, second) = (sum(&r[..50]), sum(&r[50..]));
+                [(own * first - between * second) / of_both, (of_first * second - between * first) / of_both]
+            }
+            Estimator::Pooled => [sum(&r) / 98.0; 2],
+        };
+        let middle = [0, 1, 2].map(|i| variance[0] * of_h[i] + variance[1] * of_v[i]);
         let errors =
             rows.map(|[a, b]| (a * a * middle[0] + 2.0 * a * b * middle[1] + b * b * middle[2]).sqrt());
         // The quantile of Student's t for 98 degrees of freedom.

@@ -195,13 +195,12 @@ fn outputs_have_variances_of_their_own_unless_they_are_pooled() {
     let (mut normal, mut middle) = ([[0.0; 2]; 2], [[0.0; 2]; 2]);
     let residuals = calibration.residuals(&x).unwrap();
     let sum = |from: usize| residuals[from..from + 50].iter().map(|r| r * r).sum::<f64>();
-    let factor = 200.0 / 198.0 / 100.0;
-    let variances = [(sum(0) + sum(100)) * factor, (sum(50) + sum(150)) * factor];
+    let mut of_output = [[[0.0; 2]; 2]; 2];
     for t in time.iter().chain(&time) {
-        for (row, variance) in [([1.0, *t], variances[0]), ([0.0, 1.0], variances[1])] {
+        for (row, of_output) in [[1.0, *t], [0.0, 1.0]].iter().zip(&mut of_output) {
             for (i, j) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
                 normal[i][j] += row[i] * row[j];
-                middle[i][j] += variance * row[i] * row[j];
+                of_output[i][j] += row[i] * row[j];
             }
         }
     }
@@ -213,6 +212,17 @@ fn outputs_have_variances_of_their_own_unless_they_are_pooled() {
     let product = |a: [[f64; 2]; 2], b: [[f64; 2]; 2]| {
         [0, 1].map(|i| [0, 1].map(|j| a[i][0] * b[0][j] + a[i][1] * b[1][j]))
     };
+    // The mean of the sums of squares of h and v is linear in both variances.
+    let shares = of_output.map(|own| product(inverse, own));
+    let trace = |a: [[f64; 2]; 2]| a[0][0] + a[1][1];
+    let own = |k: usize| 100.0 - 2.0 * trace(shares[k]) + trace(product(shares[k], shares[k]));
+    let (first, second, between) = (own(0), own(1), trace(product(shares[0], shares[1])));
+    let (of_h, of_v) = (sum(0) + sum(100), sum(50) + sum(150));
+    let of_both = first * second - between * between;
+    let variances = [(second * of_h - between * of_v) / of_both, (first * of_v - between * of_h) / of_both];
+    for (i, j) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+        middle[i][j] = variances[0] * of_output[0][i][j] + variances[1] * of_output[1][i][j];
+    }
     let sandwich = product(product(inverse, middle), inverse).concat();
     let pooled = sum(0) + sum(50) + sum(100) + sum(150);
     for (estimator, expected) in [

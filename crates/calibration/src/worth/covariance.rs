@@ -8,9 +8,13 @@ use super::scores::{Criterion, Working};
 use crate::layout::{OutputResiduals, ResidualLayout};
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 /// A parameter with more than this share in a combination that the residuals do not determine is not determined itself.
 const SHARE: f64 = 0.03;
+
+/// A variance without bias that is below this part of the mean square is that of chance: a group says nothing of its own.
+const LEAST: f64 = 0.05;
 
 /// What is supposed of the residuals.
 pub(crate) struct Noise {
@@ -55,38 +59,63 @@ pub(super) fn groups(
 }
 
 impl Noise {
-    /// The variance of the residuals of a group is `r'r / N_o N / (N - p)`. Residuals of priors have the variance 1: they are measured in
-    /// standard deviations.
+    /// The variances of the groups are without bias: of residuals `r = M e` with `M = I - U U'`, U an orthonormal base of the changes that
+    /// the parameters make, the mean of `r_g'r_g` is the sum over the groups of their variances times `tr(M_gh M_hg)` (Searle, Casella and
+    /// McCulloch, Variance Components, 1992, section 5.2). Of one group it is `r'r / (N - p)`. Where this leaves no variance to one of
+    /// several, all are `r'r / N_g N / (N - p)`. Residuals of priors have the variance 1: they are measured in standard deviations.
     pub(crate) fn estimate(
-        layout: &ResidualLayout,
-        plain: &[f64],
+        (layout, plain): (&ResidualLayout, &[f64]),
         working: &Working,
         groups: &[Vec<usize>],
-        p: usize,
+        (base, p): (&DMatrix<f64>, usize),
     ) -> Self {
         let n = working.residuals.len();
         let degrees_of_freedom = n.saturating_sub(p);
-        let factor = n as f64 / degrees_of_freedom as f64;
         let is_rounded = |output: &OutputResiduals| is_rounding(output, &plain[output.range.clone()]);
         let is_all_rounding = layout.outputs.iter().all(is_rounded);
-        let mut variances = working.corrections.clone();
-        let of_group = |group: &Vec<usize>| {
-            let outputs = || group.iter().map(|k| &layout.outputs[*k]);
-            let sum = |output: &OutputResiduals| {
-                let squares = working.residuals[output.range.clone()].iter().map(|r| r * r).sum::<f64>();
-                // An exact output beside others: less than rounding would be a variance that rounding of the derivatives outweighs.
-                let root = working.roots[output.range.start];
-                squares.max(if is_all_rounding { 0.0 } else { root * root * square_of_rounding(output) })
-            };
-            let count = outputs().map(|output| output.range.len()).sum::<usize>();
-            let correction = outputs().next().map_or(1.0, |output| working.corrections[output.range.start]);
-            let mean = if count > 0 { outputs().map(sum).sum::<f64>() / count as f64 } else { 0.0 };
-            let variance = mean * factor * correction;
-            outputs().for_each(|output| variances[output.range.clone()].fill(variance));
-            let series = outputs().map(|output| output.range.clone()).collect();
-            Group { series, variance, correction, is_rounding: outputs().all(is_rounded) }
+        let outputs = |g: usize| groups[g].iter().map(|k| &layout.outputs[*k]);
+        let sum = |output: &OutputResiduals| {
+            let squares = working.residuals[output.range.clone()].iter().map(|r| r * r).sum::<f64>();
+            // An exact output beside others: less than rounding would be a variance that rounding of the derivatives outweighs.
+            let root = working.roots[output.range.start];
+            squares.max(if is_all_rounding { 0.0 } else { root * root * square_of_rounding(output) })
         };
-        let groups = groups.iter().map(of_group).collect();
+        let sums: Vec<f64> = (0..groups.len()).map(|g| outputs(g).map(sum).sum()).collect();
+        let counts: Vec<usize> =
+            (0..groups.len()).map(|g| outputs(g).map(|output| output.range.len()).sum()).collect();
+        let gram = |range: Range<usize>| {
+            let rows = base.rows(range.start, range.len());
+            rows.tr_mul(&rows)
+        };
+        let zero = || DMatrix::zeros(base.ncols(), base.ncols());
+        let grams: Vec<DMatrix<f64>> = (0..groups.len())
+            .map(|g| outputs(g).fold(zero(), |sum, output| sum + gram(output.range.clone())))
+            .collect();
+        let of_priors =
+            (layout.n_measurements()..n).fold(zero(), |sum, i| sum + gram(i..i + 1) * working.corrections[i]);
+        let shares = DMatrix::from_fn(groups.len(), groups.len(), |g, h| {
+            let own = if g == h { counts[g] as f64 - 2.0 * grams[g].trace() } else { 0.0 };
+            own + grams[g].dot(&grams[h])
+        });
+        let left = (sums.iter().zip(&grams)).map(|(sum, gram)| sum - gram.dot(&of_priors));
+        let left = DVector::from_iterator(groups.len(), left);
+        let plainly = |g: usize| match counts[g] {
+            0 => 0.0,
+            count => sums[g] / count as f64 * n as f64 / degrees_of_freedom as f64,
+        };
+        let found = shares.lu().solve(&left).filter(|found| {
+            degrees_of_freedom > 0
+                && (0..groups.len()).all(|g| found[g] > LEAST * plainly(g) || sums[g] == 0.0)
+        });
+        let mut variances = working.corrections.clone();
+        let of_group = |g: usize| {
+            let correction = outputs(g).next().map_or(1.0, |output| working.corrections[output.range.start]);
+            let variance = found.as_ref().map_or_else(|| plainly(g), |found| found[g].max(0.0)) * correction;
+            outputs(g).for_each(|output| variances[output.range.clone()].fill(variance));
+            let series = outputs(g).map(|output| output.range.clone()).collect();
+            Group { series, variance, correction, is_rounding: outputs(g).all(is_rounded) }
+        };
+        let groups = (0..groups.len()).map(of_group).collect();
         Self { variances, groups, degrees_of_freedom }
     }
 }
@@ -180,11 +209,16 @@ mod tests {
         layout
     }
 
-    fn estimate(layout: &ResidualLayout, residuals: &[f64], p: usize, estimator: Estimator) -> Noise {
+    fn estimate(
+        layout: &ResidualLayout,
+        residuals: &[f64],
+        base: &DMatrix<f64>,
+        estimator: Estimator,
+    ) -> Noise {
         let criterion = Criterion::default();
         let groups = groups(layout, residuals, (estimator, criterion));
-        let working = Working::new(criterion, (layout, residuals), &groups, p);
-        Noise::estimate(layout, residuals, &working, &groups, p)
+        let working = Working::new(criterion, (layout, residuals), &groups, base.ncols());
+        Noise::estimate((layout, residuals), &working, &groups, (base, base.ncols()))
     }
 
     fn line() -> Differences {
@@ -199,16 +233,21 @@ mod tests {
     #[test]
     fn a_line_has_the_textbook_covariances() {
         let residuals = [0.1, -0.2, 0.3, -0.1];
-        let pooled = estimate(&layout(&[("y", 4)]), &residuals, 2, Estimator::Pooled);
         let (factors, s2) = (Factors::new(&line()), 0.15 / 2.0);
+        let pooled = estimate(&layout(&[("y", 4)]), &residuals, &factors.base, Estimator::Pooled);
         assert!((pooled.variances[0] - s2).abs() < 1e-15 && pooled.degrees_of_freedom == 2);
         let covariance = factors.covariance(&pooled);
         for (got, expected) in covariance.iter().zip([0.7, -0.3, -0.3, 0.2]) {
             assert!((got - s2 * expected).abs() < 1e-14, "{covariance}");
         }
         // Two outputs of two residuals each: (X'X)^-1 X'SX (X'X)^-1 by hand.
-        let two = estimate(&layout(&[("y", 2), ("z", 2)]), &residuals, 2, Estimator::Sandwich);
-        let variances = [0.05, 0.05, 0.1, 0.1];
+        let two = estimate(&layout(&[("y", 2), ("z", 2)]), &residuals, &factors.base, Estimator::Sandwich);
+        // The squares of the entries of M = I - X (X'X)^-1 X' in the blocks (0, 0), (0, 1) and (1, 1), by symmetry: those of
+        // [[3, -4, -1, 2], [-4, 7, -2, -1], [-1, -2, 7, -4], [2, -1, -4, 3]] / 10.
+        let (own, other) = (0.9, 0.1);
+        let solved = |a: f64, b: f64| (own * a - other * b) / (own * own - other * other);
+        let (first, second) = (solved(0.05, 0.1), solved(0.1, 0.05));
+        let variances = [first, first, second, second];
         let mut expected = DMatrix::zeros(2, 2);
         for (t, variance) in variances.iter().enumerate() {
             let t = t as f64;
@@ -224,20 +263,20 @@ mod tests {
         let residuals = [0.1, -0.1, 0.2, -0.2, 3.0, -3.0];
         let mut layout = layout(&[("y", 2), ("y", 2), ("y", 2)]);
         layout.outputs[2].weights = vec![10.0; 2];
-        let noise = estimate(&layout, &residuals, 0, Estimator::Sandwich);
+        let noise = estimate(&layout, &residuals, &DMatrix::zeros(6, 0), Estimator::Sandwich);
         for (got, expected) in noise.variances.iter().zip([0.025, 0.025, 0.025, 0.025, 9.0, 9.0]) {
             assert!((got - expected).abs() < 1e-14, "{:?}", noise.variances);
         }
         // One exact output beside others has that of rounding.
         layout.outputs[2].measured = vec![1e14; 2];
-        let variances = estimate(&layout, &residuals, 0, Estimator::Sandwich).variances;
+        let variances = estimate(&layout, &residuals, &DMatrix::zeros(6, 0), Estimator::Sandwich).variances;
         assert!(
             (variances[0] - 0.025).abs() < 1e-14 && (variances[4] / 1e10 - 1.0).abs() < 1e-12,
             "{variances:?}"
         );
         // Rounding has no variances of its own.
         layout.outputs.iter_mut().for_each(|output| output.measured = vec![1e14; 2]);
-        let pooled = estimate(&layout, &residuals, 0, Estimator::Sandwich).variances;
+        let pooled = estimate(&layout, &residuals, &DMatrix::zeros(6, 0), Estimator::Sandwich).variances;
         assert!(pooled.iter().all(|variance| (variance - 18.1 / 6.0).abs() < 1e-14), "{pooled:?}");
     }
 

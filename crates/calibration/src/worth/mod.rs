@@ -138,10 +138,11 @@ impl Calibration {
         let jacobian = differences.jacobian();
         let outputs = groups(layout, &residuals, (estimator, known.criterion));
         let working = Working::new(known.criterion, (layout, &residuals), &outputs, free.len());
-        let noise = Noise::estimate(layout, &residuals, &working, &outputs, free.len());
         let differences_noise = differences.noise;
         let differences = differences.weighted(&working.roots);
         let factors = Factors::new(&differences);
+        let of_fit = (&factors.base, free.len());
+        let noise = Noise::estimate((layout, &residuals), &working, &outputs, of_fit);
         let most = noise.degrees_of_freedom as f64;
         let of_base = (&factors.base, working.residuals.as_slice());
         let dependence = (noise.degrees_of_freedom > 0)

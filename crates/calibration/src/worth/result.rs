@@ -15,7 +15,7 @@ use std::fmt;
 #[serde(rename_all = "kebab-case")]
 pub enum Estimator {
     /// `(J'J)^-1 J'SJ (J'J)^-1` with one residual variance per output of the model, over all of its recordings with the same weight
-    /// (a weight states the noise: recordings with different ones have variances of their own): `r'r / N_o N / (N - p)`. As
+    /// (a weight states the noise: recordings with different ones have variances of their own), estimated without bias. As
     /// [`Pooled`](Self::Pooled) where all residuals are rounding.
     #[default]
     Sandwich,
