@@ -177,7 +177,7 @@ mod tests {
     fn a_report_that_cannot_be_written_says_where_and_why() {
         let (calibration, mut fit) = decay();
         let error = calibration.report(&fit, "/no/such/folder/x.html").unwrap_err().to_string();
-        assert!(error.contains("cannot write /no/such/folder/x.html: No such file"), "{error}");
+        assert!(error.contains("cannot write /no/such/folder/x.html: there is no folder"), "{error}");
         let folder = tempfile::tempdir().unwrap();
         assert!(calibration.report(&fit, folder.path()).is_err());
         fit.x.push(1.0);
