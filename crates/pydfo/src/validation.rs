@@ -136,17 +136,18 @@ pub(crate) fn cross_validate<'py>(
     Ok(fields)
 }
 
-/// `Fit.prediction_band`: per experiment and output.
+/// `Fit.prediction_band`: per experiment and output, to an extent of a level and whether it is corrected for autocorrelated residuals.
 #[pyfunction]
 pub(crate) fn prediction_bands<'py>(
     py: Python<'py>,
     calibration: &PyCalibration,
     fit: &PyFit,
     times: Option<Vec<f64>>,
-    (level, is_corrected): (f64, bool),
+    extent: (f64, bool),
     outputs: Option<Vec<String>>,
 ) -> PyResult<Vec<Bound<'py, PyDict>>> {
     let fit = fit.inner.clone();
+    let (level, is_corrected) = extent;
     let options = BandOptions { times, level, is_corrected, outputs, workers: None };
     let bands = calibration
         .compute(py, move |calibration, cancelled| calibration.prediction_bands(&fit, &options, cancelled))?;
