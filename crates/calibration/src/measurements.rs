@@ -187,21 +187,6 @@ fn weights<'a>(
     }
 }
 
-/// The weight of an output, counted from 0, times a factor.
-pub(crate) fn scaled_weight(
-    experiment: &Experiment,
-    output: usize,
-    factor: f64,
-) -> Result<Weight, CalibrationError> {
-    let Measured { variable, column, weight } = &experiment.outputs[output];
-    let scaled: Vec<f64> =
-        weights(experiment, (variable, column), weight)?.iter().map(|weight| factor * weight).collect();
-    Ok(match (weight, &scaled[..]) {
-        (Weight::Constant(_) | Weight::Inverse(_), [one]) => Weight::Constant(*one),
-        _ => Weight::Rows(scaled),
-    })
-}
-
 fn setup<T>(message: String) -> Result<T, CalibrationError> {
     Err(CalibrationError::Setup(message))
 }
