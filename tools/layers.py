@@ -16,7 +16,8 @@ ROOT = Path(__file__).resolve().parent.parent
 # The modules at the top of each crate, lowest layers first; a line is one layer, and its modules import none of each other.
 LAYERS = {
     "calibration": """
-        error parallel prior race
+        error parallel prior race visible
+        finding
         data layout no_cost parameter
         input
         experiment
@@ -84,7 +85,7 @@ LAYERS = {
         interrupt logs methods
         fmu_error objective report
         error files values
-        data
+        data findings
         description inputs trajectory
         settings
         cost experiment fit minimize model py_system stages

@@ -6,7 +6,7 @@ use crate::objective::CostKind;
 use crate::parameter::{Parameter, Scale};
 use crate::residual::CostRule;
 use dfo::{FailureKind, Kind, Measure, Outcome, Report, Termination, Tolerances};
-use ode::{Number, Stats};
+use ode::Stats;
 use serde::{Deserialize, Serialize};
 
 /// One of the two bounds of a parameter.
@@ -196,17 +196,6 @@ impl Calibration {
     fn is_equal_cost(&self, kind: &CostKind, a: f64, b: f64) -> bool {
         let tolerance = self.evaluator().simulations[0].pool.plan().relative_tolerance();
         (a - b).abs() <= tolerance * kind.size(a, self.n_measurements())
-    }
-
-    /// What is appended to the message of a fit.
-    pub(crate) fn remarks(&self, findings: &Findings) -> String {
-        let bound = |(i, side): &(usize, BoundSide)| {
-            let p = &self.parameters()[*i];
-            format!("; {} is at its {} bound {}", p.name(), side.name(), Number(side.of(p)))
-        };
-        let inert = |i: &usize| format!("; {} did not change the cost", self.parameters()[*i].name());
-        let Findings { at_bound, without_effect, .. } = findings;
-        at_bound.iter().map(bound).chain(without_effect.iter().map(inert)).collect()
     }
 
     /// A value of a parameter some way from `x`, towards the bound that is farther.

@@ -262,6 +262,12 @@ impl Experiment {
         self
     }
 
+    /// The inputs that functions drove which were not stored: [`function_input`](Self::function_input) gives them again.
+    pub fn lost_functions(&self) -> impl Iterator<Item = &str> {
+        let lost = InputSource::Function(SignalFunction::default());
+        self.inputs.iter().filter(move |(_, source)| *source == lost).map(|(name, _)| name.as_str())
+    }
+
     /// Whether the recording of an input is held where the simulation goes on beyond it, by its first and last values. Else more than
     /// one sampling interval without it is an error.
     #[must_use]

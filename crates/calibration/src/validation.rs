@@ -3,7 +3,9 @@
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::experiment::Experiment;
+use crate::finding::{Finding, Severity, table};
 use crate::fit::{Fit, FitOptions};
+use crate::layout::OutputResiduals;
 use crate::no_cost::NoCost;
 use crate::objective::CostKind;
 use crate::output_fit::OutputFit;
@@ -12,6 +14,7 @@ use crate::worth::digits;
 use dfo::RobustLoss;
 use ode::Stats;
 use serde::{Deserialize, Serialize};
+use std::collections::HashSet;
 use std::fmt;
 
 /// What a fit is validated on.
@@ -40,6 +43,9 @@ pub struct Validation {
     pub rms: f64,
     /// The same at the start of the fit; `None` if the simulation failed there.
     pub start_rms: Option<f64>,
+    /// Measurements that the fit has seen: of these the RMS says nothing of predictions.
+    #[serde(default)]
+    pub findings: Vec<Finding>,
     /// Simulations that were made.
     pub n_simulations: usize,
     /// What they took; not stored.
@@ -102,7 +108,8 @@ impl fmt::Display for Validation {
             "all, weighted",
             self.n,
             digits(self.rms).to_string()
-        )
+        )?;
+        f.write_str(&table(&self.findings))
     }
 }
 
@@ -147,7 +154,9 @@ impl Calibration {
         self.solver_until(cancelled)?;
         match set {
             ValidationSet::Windows(windows) => {
-                self.windowed(windows)?.validation((&fit.start, &fit.x), Stats::default(), 0, cancelled)
+                let other = self.windowed(windows)?;
+                let validation = other.validation((&fit.start, &fit.x), Stats::default(), 0, cancelled)?;
+                Ok(Validation { findings: self.seen(&other, 0.0), ..validation })
             }
             ValidationSet::Experiments(experiments) => {
                 let mut problem = self.problem().clone();
@@ -183,9 +192,39 @@ impl Calibration {
                     n = refit.report.n_evaluations + refit.report.n_speculative + refit.n_checks;
                     (stats, x) = (refit.stats, refit.x);
                 }
-                other.validation((&start, &x), stats, n, cancelled)
+                let validation = other.validation((&start, &x), stats, n, cancelled)?;
+                // A time and a value may be equal by chance.
+                Ok(Validation { findings: self.seen(&other, 0.5), ..validation })
             }
         }
+    }
+
+    /// Outputs of which this calibration is fitted to measurements of `other`, to this share of them or more.
+    fn seen(&self, other: &Calibration, share: f64) -> Vec<Finding> {
+        let points = |output: &OutputResiduals| -> Vec<(u64, u64)> {
+            output.times.iter().zip(&output.measured).map(|(t, y)| (t.to_bits(), y.to_bits())).collect()
+        };
+        let own = &self.residual_layout().outputs;
+        let names = other.problem().experiment_names();
+        let finding = |output: &OutputResiduals| {
+            let same = own.iter().filter(|o| o.variable == output.variable);
+            let known: HashSet<(u64, u64)> = same.flat_map(points).collect();
+            let n = points(output).iter().filter(|point| known.contains(point)).count();
+            let all = output.measured.len();
+            let is_seen = n > 0 && n as f64 >= share * all as f64;
+            is_seen.then(|| {
+                Finding::new(
+                    Severity::Warning,
+                    format!("{}: {}", names[output.experiment], output.variable),
+                    format!(
+                        "the fit has seen {n} of these {all} measurements: there the RMS says how well they are reproduced, not how well \
+                         new ones are predicted"
+                    ),
+                    "fit in one window and validate in another, or on another recording",
+                )
+            })
+        };
+        other.residual_layout().outputs.iter().filter_map(finding).collect()
     }
 
     /// Compares with the measurements of this calibration.
@@ -225,6 +264,7 @@ impl Calibration {
             n,
             rms: rms(&residuals),
             start_rms: at_start.as_deref().map(rms),
+            findings: Vec::new(),
             n_simulations: n_simulations + 2,
             stats,
         })

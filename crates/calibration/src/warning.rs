@@ -2,6 +2,7 @@
 
 use crate::data::{UnitError, parts};
 use crate::experiment::{Experiment, Weight};
+use crate::finding::Severity;
 use crate::input::InputSource;
 use crate::parameter::{Parameter, Scale};
 use fmi::ModelDescription;
@@ -35,6 +36,13 @@ pub enum SetupWarning {
         /// Why not.
         reason: UnitError,
     },
+    /// Columns were converted by the units that their names end with, in brackets. A note: brackets may mean something else.
+    Converted {
+        /// The recording.
+        data: String,
+        /// Column, unit in its name, unit of its variable.
+        columns: Vec<(String, String, String)>,
+    },
     /// A setting that is ignored; the sentence says which, and why.
     NoEffect(String),
     /// What is in doubt about one of several experiments.
@@ -44,6 +52,17 @@ pub enum SetupWarning {
         /// What is in doubt.
         warning: Box<SetupWarning>,
     },
+}
+
+impl SetupWarning {
+    /// How grave it is.
+    pub fn severity(&self) -> Severity {
+        match self {
+            Self::Converted { .. } => Severity::Note,
+            Self::Experiment { warning, .. } => warning.severity(),
+            _ => Severity::Warning,
+        }
+    }
 }
 
 impl fmt::Display for SetupWarning {
@@ -59,6 +78,12 @@ impl fmt::Display for SetupWarning {
                     f,
                     "{data}: column '{column}' is taken in the unit of '{variable}', without conversion: {reason}"
                 )
+            }
+            Self::Converted { data, columns } => {
+                let one =
+                    |(column, from, to): &(String, String, String)| format!("'{column}' from {from} to {to}");
+                let all = columns.iter().map(one).collect::<Vec<_>>().join(", ");
+                write!(f, "{data}: converted by the units in the names of the columns: {all}")
             }
             Self::NoEffect(sentence) => f.write_str(sentence),
             Self::Experiment { name, warning } => write!(f, "{name}: {warning}"),

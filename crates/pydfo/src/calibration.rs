@@ -12,7 +12,7 @@ use crate::stages::StageFields;
 use crate::threads::lock;
 use crate::trajectory::Counts;
 use crate::{error, files, fmu_error, logs};
-use calibration::{CalibrationError, Entry, Experiment, FitOptions, Problem, Solver, Verdict};
+use calibration::{CalibrationError, Entry, Experiment, FitOptions, Problem, Severity, Solver, Verdict};
 use dfo::{Progress, RobustLoss, Termination};
 use fmi::OpenOptions;
 use numpy::PyArray1;
@@ -282,9 +282,13 @@ impl PyCalibration {
         self.inner.problem().experiment_names()
     }
 
-    /// What may not be meant as it was given.
+    /// What may not be meant as it was given, without notes.
     fn warnings(&self) -> Vec<String> {
-        self.inner.warnings().iter().map(ToString::to_string).collect()
+        let warnings = self.inner.warnings().iter();
+        warnings
+            .filter(|w| w.severity() != Severity::Note)
+            .map(|w| calibration::visible(&w.to_string()).into_owned())
+            .collect()
     }
 
     #[getter]

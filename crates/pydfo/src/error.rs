@@ -55,7 +55,7 @@ pub(crate) fn optimiser(py: Python<'_>, error: &dfo::Error) -> PyErr {
 /// An error of a calibration.
 pub(crate) fn calibration(py: Python<'_>, error: &calibration::CalibrationError) -> PyErr {
     use calibration::CalibrationError as E;
-    let message = error.to_string();
+    let message = calibration::visible(&error.to_string()).into_owned();
     match error {
         E::DataFile { path, source } => file("cannot read", path, source),
         E::ReportFile { path, source } => file("cannot write", path, source),

@@ -32,6 +32,7 @@ pub(crate) struct ParameterFields {
     tied_to: Option<String>,
     factor: f64,
     offset: f64,
+    across_units: bool,
     unit: Option<String>,
     display_name: Option<String>,
     prior: Option<PriorFields>,
@@ -63,13 +64,17 @@ impl ParameterFields {
             Err(error::calibration(py, &CalibrationError::Parameter { name: name.clone(), message }))
         };
         let mut parameter = match (&self.tied_to, self.start) {
-            (Some(to), None) => Parameter::tied(&name, to, self.factor, self.offset),
+            (Some(to), None) => {
+                Parameter::tied(&name, to, self.factor, self.offset).across_units(self.across_units)
+            }
             (Some(_), Some(_)) => {
                 return bad("it is tied to another one, whose start counts: leave start out");
             }
             (None, None) => return bad("start is missing: give a number to start from"),
-            (None, Some(_)) if (self.factor, self.offset) != (1.0, 0.0) => {
-                return bad("factor and offset are those of tied_to: name the parameter that it follows");
+            (None, Some(_)) if (self.factor, self.offset, self.across_units) != (1.0, 0.0, false) => {
+                return bad(
+                    "factor, offset and across_units are those of tied_to: name the parameter that it follows",
+                );
             }
             (None, Some(start)) => Parameter::new(&name, start),
         };

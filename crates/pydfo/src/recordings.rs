@@ -1,12 +1,10 @@
 //! What a calibration's recordings hold, and what does not fit about them.
 
 use crate::calibration::PyCalibration;
+use crate::findings::{self, FindingFields};
 use calibration::Experiment;
 use numpy::PyArray1;
 use pyo3::prelude::*;
-
-/// Severity, subject, sentence, remedy.
-type Found = (&'static str, String, String, String);
 
 /// The findings of a check, the same as a table, how many evaluations were made, and whether there are notes only.
 #[pyfunction]
@@ -14,11 +12,10 @@ pub(crate) fn check(
     py: Python<'_>,
     calibration: &PyCalibration,
     simulate: bool,
-) -> PyResult<(Vec<Found>, String, usize, bool)> {
+) -> PyResult<(Vec<FindingFields>, String, usize, bool)> {
     let check = calibration.compute(py, move |c, cancelled| c.check_until(simulate, cancelled))?;
     let (table, is_ok) = (check.to_string(), check.is_ok());
-    let findings = check.findings.into_iter().map(|f| (f.severity.name(), f.subject, f.sentence, f.remedy));
-    Ok((findings.collect(), table, check.n_evaluations, is_ok))
+    Ok((findings::fields(check.findings), table, check.n_evaluations, is_ok))
 }
 
 /// Variable, column, unit, values, whether it is an input.

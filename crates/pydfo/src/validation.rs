@@ -3,6 +3,7 @@
 use crate::calibration::PyCalibration;
 use crate::error;
 use crate::experiment::ExperimentFields;
+use crate::findings;
 use crate::fit::PyFit;
 use crate::inputs::Callbacks;
 use crate::settings::{self, LossFields, Options, Settings};
@@ -74,6 +75,7 @@ pub(crate) fn to_python<'py>(py: Python<'py>, validation: &Validation) -> PyResu
     fields.set_item("n_simulations", validation.n_simulations)?;
     fields.set_item("stats", Counts::new(&validation.stats))?;
     fields.set_item("text", validation.to_string())?;
+    fields.set_item("findings", findings::fields(validation.findings.clone()))?;
     let outputs = validation.outputs.iter().map(|output| of_output(py, output));
     fields.set_item("outputs", outputs.collect::<PyResult<Vec<_>>>()?)?;
     Ok(fields)

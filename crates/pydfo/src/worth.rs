@@ -2,12 +2,14 @@
 
 use crate::calibration::PyCalibration;
 use crate::error;
+use crate::findings;
 use crate::fit::PyFit;
 use crate::settings;
 use calibration::{Preflight, PreflightOptions, Worth, WorthOptions};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyBytes, PyDict};
 use std::sync::Arc;
 
 /// What a point is worth as the result of a fit.
@@ -91,6 +93,22 @@ fn matrix<'py>(py: Python<'py>, rows: &[f64], n: usize) -> PyResult<Bound<'py, P
 
 #[pymethods]
 impl PyWorth {
+    /// All of it: what a pickle holds.
+    fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let mut bytes = Vec::new();
+        ciborium::into_writer(&*self.inner, &mut bytes).map_err(|e| PyValueError::new_err(e.to_string()))?;
+        Ok(PyBytes::new(py, &bytes))
+    }
+
+    /// From its state.
+    #[staticmethod]
+    fn restore(state: &[u8]) -> PyResult<Self> {
+        let bad = |what: String| PyValueError::new_err(format!("this is no state of a Worth: {what}"));
+        let worth: Worth = ciborium::from_reader(state).map_err(|e| bad(e.to_string()))?;
+        worth.check_lengths().map_err(bad)?;
+        Ok(Self { inner: Arc::new(worth) })
+    }
+
     /// The fields of `pydfo.Worth`.
     fn fields<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let (worth, fields) = (&*self.inner, PyDict::new(py));
@@ -133,7 +151,8 @@ impl PyWorth {
         }
         let pairs = worth.confounded.iter().map(|(i, j, c)| (&worth.names[*i], &worth.names[*j], *c));
         fields.set_item("confounded", pairs.collect::<Vec<_>>())?;
-        fields.set_item("verdict", &worth.verdict)?;
+        fields.set_item("verdict", worth.verdict())?;
+        fields.set_item("findings", findings::fields(worth.findings.clone()))?;
         fields.set_item("cost", worth.cost)?;
         fields.set_item("accurate_cost", worth.accurate_cost)?;
         fields.set_item("n_simulations", worth.n_simulations)?;

@@ -277,11 +277,12 @@ def test_a_check_names_mistakes(change, own, said):
 @pytest.mark.parametrize("which", recordings.at_hand("qt_par_est_data.mat"))
 def test_a_check_is_silent_on_sound_recordings(which):
     check = tank(recordings.quad_tank(which)).check()
-    assert check.ok and not check, str(check)
+    # True where anything is found, as every sequence; notes are no mistakes.
+    assert check.ok and bool(check) == (len(check) > 0) and {f.severity for f in check} <= {"note"}, str(check)
     assert [f.severity for f in check] == ["note"] and tuple(check) == check[:]
     outputs = {"armJoint.phi": "phi", "pendulumJoint.phi": "theta"}
     frictions = [Parameter("armFriction", 0.012, 0, 0.022), Parameter("pendulumFriction", 0.002, 0, 0.012)]
-    assert not Calibration(example_fmu("furuta"), recordings.furuta(which), outputs, frictions).check()
+    assert Calibration(example_fmu("furuta"), recordings.furuta(which), outputs, frictions).check().ok
     exhaust = Calibration(
         example_fmu("exhaust"),
         recordings.exhaust(which),
@@ -289,7 +290,7 @@ def test_a_check_is_silent_on_sound_recordings(which):
         [Parameter("C2", 9000, 1, 50e3), Parameter("G2", 80, 1, 500)],
         recordings.EXHAUST_INPUTS,
     )
-    assert not (check := exhaust.check()), str(check)
+    assert (check := exhaust.check()).ok, str(check)
 
 
 def test_recordings_are_drawn():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 import recordings
@@ -112,7 +114,10 @@ def test_what_cannot_be_told_is_said(furuta):
     )
     fit = calibration.fit()
     assert fit.worth.undetermined == ["e"] and np.isinf(fit.stderr[0]) and fit.worth.identifiable == ["g"]
-    assert "the data do not determine e" in fit.message and "do not determine e" in fit.cov_message
+    assert fit.findings[0].severity == "warning" and fit.findings[0].sentence.startswith("the data do not determine e")
+    assert "determine" not in fit.message and "do not determine e" in fit.cov_message
+    copy = pickle.loads(pickle.dumps(fit.worth))
+    assert copy.findings == fit.worth.findings and repr(copy) == repr(fit.worth) and copy.covariance.tobytes() == fit.cov.tobytes()
     before = calibration.preflight()
     assert [check.has_effect for check in before.parameters] == [False, True] and before.n_simulations == 4
     assert "e moves no output" in before.messages[0] and "moves no output" in repr(before) and before.cost == calibration.cost()
@@ -140,6 +145,6 @@ def test_a_fit_to_a_model_whose_inputs_nothing_drives_says_so():
         example_fmu("quad_tank"), recording, {"qt.x1": "level"}, [Parameter("qt.a1", 3e-6, 2e-6, 4e-6)]
     )
     fit = calibration.fit()
-    for text in (fit.message, repr(fit)):
-        assert "input 'u1': nothing drives it" in text
-    assert "nothing drives it" not in calibration.fit(covariance=None).message
+    (said,) = [finding for finding in fit.findings if finding.subject == "input 'u1'"]
+    assert said.severity == "warning" and "warning  input 'u1': nothing drives it" in repr(fit)
+    assert "nothing drives it" not in fit.message and "nothing drives it" not in repr(calibration.fit(covariance=None))

@@ -41,6 +41,16 @@ fn check_fit(fit: &Fit, place: &str) -> Result<(), String> {
     stages.iter().enumerate().try_for_each(stage)
 }
 
+impl Worth {
+    /// Refuses one that comes from elsewhere and of which parts have other lengths than its parameters and residuals ask for.
+    ///
+    /// # Errors
+    /// The message names the first of them.
+    pub fn check_lengths(&self) -> Result<(), String> {
+        check_worth(self, self.x.len(), "worth")
+    }
+}
+
 fn check_worth(worth: &Worth, n: usize, place: &str) -> Result<(), String> {
     let m = worth.residuals.len();
     let lengths = [

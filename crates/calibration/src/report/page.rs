@@ -21,7 +21,6 @@ struct Page {
     search: Vec<Figure>,
     correlation: Option<Correlation>,
     residual_checks: Vec<[String; 8]>,
-    warnings: Vec<String>,
     settings: Vec<Fact>,
     experiments: Vec<Setup>,
     origin: Vec<Fact>,
@@ -53,6 +52,7 @@ struct Cell {
 #[derive(Serialize)]
 struct Setup {
     name: String,
+    recording: String,
     facts: Vec<(String, String)>,
 }
 
@@ -67,7 +67,6 @@ pub(super) fn page(
         search: [convergence(fit), waterfall(fit)].into_iter().flatten().collect(),
         correlation: correlation(fit),
         residual_checks: residual_checks(fit),
-        warnings: calibration.warnings().iter().map(ToString::to_string).collect(),
         settings: settings(calibration, fit),
         experiments: experiments(calibration),
         origin: origin(calibration),
@@ -224,9 +223,8 @@ fn experiments(calibration: &Calibration) -> Vec<Setup> {
             let name = if name == "data" { "SHA-256 of the data" } else { name };
             (!value.is_empty()).then(|| (name.to_owned(), value.clone()))
         };
-        let source = ("recording".to_owned(), problem.experiments[k].data.source().to_owned());
-        let facts = std::iter::once(source).chain(calibration.identity().iter().filter_map(own)).collect();
-        Setup { name, facts }
+        let recording = problem.experiments[k].data.source().to_owned();
+        Setup { name, recording, facts: calibration.identity().iter().filter_map(own).collect() }
     };
     problem.experiment_names().into_iter().enumerate().map(setup).collect()
 }

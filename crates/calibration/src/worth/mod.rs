@@ -1,6 +1,7 @@
 //! What a fit is worth: how uncertain its parameters are, which of them the data can tell apart, and what the residuals look like.
 
 mod autocorrelation;
+mod by_weights;
 mod covariance;
 mod differences;
 mod digits;
@@ -212,7 +213,7 @@ impl Calibration {
             confounded: Vec::new(),
             weakest: Vec::new(),
             identifiable: Vec::new(),
-            verdict: Vec::new(),
+            findings: Vec::new(),
             cost: cost(&residuals),
             is_exact: self.is_within_tolerance(sum_of_squares(&residuals)),
             accurate_cost: accurate.as_deref().map(cost),
@@ -224,7 +225,8 @@ impl Calibration {
         worth.find_confounded();
         worth.find_weakest(&jacobian, &free);
         worth.find_identifiable((&differences, &noise), &free, &sizes);
-        worth.verdict = worth.sentences(self.problem().experiments.len() > 1, known.f_tol);
+        by_weights::mark(&mut worth.residual_checks, &worth.residuals, &jacobian);
+        worth.findings = worth.all_findings(self.problem().experiments.len() > 1, known.f_tol);
         Ok((worth, (0..n).map(|i| curvature[i * n + i]).collect()))
     }
 

@@ -4,6 +4,7 @@ use super::digits::digits;
 use super::residual_check::ResidualCheck;
 use super::scores::Criterion;
 use crate::error::CalibrationError;
+use crate::finding::{Finding, table};
 use dfo::RobustLoss;
 use ode::Number;
 use serde::{Deserialize, Serialize};
@@ -117,8 +118,8 @@ pub struct Worth {
     /// most independent (QR with column pivoting; Burth, Verghese and Velez-Reyes, IEEE Trans. Power Systems 14, 1999) that has relative
     /// standard errors below 50 % and no correlation of 0.9 or more, the others held.
     pub identifiable: Vec<usize>,
-    /// What is to be said of all this, in sentences; empty if nothing is.
-    pub verdict: Vec<String>,
+    /// What is to be said of all this.
+    pub findings: Vec<Finding>,
     /// The cost, as the fit has it.
     pub cost: f64,
     /// The cost with simulations a hundred times more accurate; `None` where they failed.
@@ -181,7 +182,7 @@ impl Worth {
 
     /// What is to be said of the covariance: who is not determined, who is taken as known; empty if nothing is.
     pub fn message(&self) -> String {
-        let mut said = self.undetermined_sentences();
+        let mut said: Vec<String> = self.undetermined_findings().iter().map(Finding::advice).collect();
         if !self.held.is_empty() {
             let names: Vec<&str> = self.held.iter().map(|i| self.names[*i].as_str()).collect();
             said.push(format!("at a bound or fixed, taken as known: {}", names.join(", ")));
@@ -189,10 +190,15 @@ impl Worth {
         said.join("; ")
     }
 
-    /// The [verdict](Self::verdict) with other names of the parameters.
-    pub(crate) fn verdict_with(&self, names: &[String]) -> Vec<String> {
+    /// What is to be said of all this, in sentences; empty if nothing is.
+    pub fn verdict(&self) -> Vec<String> {
+        self.findings.iter().map(Finding::advice).collect()
+    }
+
+    /// The [findings](Self::findings) with other names of the parameters.
+    pub(crate) fn findings_with(&self, names: &[String]) -> Vec<Finding> {
         if names == self.names {
-            return self.verdict.clone();
+            return self.findings.clone();
         }
         let experiments = self.residual_checks.iter().map(|check| &check.experiment);
         let are_several = self
@@ -200,22 +206,13 @@ impl Worth {
             .first()
             .is_some_and(|first| experiments.clone().any(|e| *e != first.experiment));
         // No sentence that names a parameter depends on the tolerance.
-        let named = self.sentences(are_several, 0.0);
-        let renamed = Self { names: names.to_vec(), ..self.clone() }.sentences(are_several, 0.0);
-        let shown = |sentence: &String| {
-            let place = named.iter().position(|other| other == sentence);
-            place.and_then(|place| renamed.get(place)).unwrap_or(sentence).clone()
+        let named = self.all_findings(are_several, 0.0);
+        let renamed = Self { names: names.to_vec(), ..self.clone() }.all_findings(are_several, 0.0);
+        let shown = |finding: &Finding| {
+            let place = named.iter().position(|other| other == finding);
+            place.and_then(|place| renamed.get(place)).unwrap_or(finding).clone()
         };
-        self.verdict.iter().map(shown).collect()
-    }
-
-    /// What the message of a fit must not leave out: parameters that the data do not determine or cannot tell apart, a cost that
-    /// depends on the accuracy of the simulations.
-    pub(crate) fn remarks(&self, f_tol: f64) -> String {
-        let pairs = self.confounded_sentences().into_iter();
-        let said =
-            self.undetermined_sentences().into_iter().chain(pairs).chain(self.accuracy_sentence(f_tol));
-        said.map(|sentence| format!("; {sentence}")).collect()
+        self.findings.iter().map(shown).collect()
     }
 }
 
@@ -245,7 +242,7 @@ impl fmt::Display for Worth {
             }
             f.write_str("\n")?;
         }
-        self.verdict.iter().try_for_each(|said| writeln!(f, "- {said}"))
+        write!(f, "{}", table(&self.findings).trim_start())
     }
 }
 

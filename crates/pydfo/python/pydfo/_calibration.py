@@ -209,7 +209,7 @@ class Calibration:
             kind=_options.choice("kind", getattr(model, "kind", "auto") if kind is None else kind),
             max_time=_options.optional_number("max_time", max_time),
             relative_tolerance=_options.optional_number("relative_tolerance", relative_tolerance),
-            solver=_options.solver(solver),
+            solver=_solver(solver),
             step_size=_options.optional_number("step_size", step_size),
             max_step=_options.optional_number("max_step", max_step),
             chattering=_options.choice("chattering", chattering),
@@ -650,7 +650,7 @@ class Calibration:
         Returns
         -------
         Check
-            A sequence of findings, the gravest first, which prints as a table; true in a condition if there are errors or warnings.
+            A sequence of findings, the gravest first, which prints as a table; its ``ok`` says whether there are neither errors nor warnings.
 
         Examples
         --------
@@ -822,6 +822,14 @@ class Calibration:
 
     def __repr__(self) -> str:
         return f"<Calibration of {', '.join(self.names)} in {self._model}: {self.n_measurements} measurements>"
+
+
+def _solver(name: str) -> str:
+    """The name of an integration method; says which one stands for that of another tool."""
+    ours = _options.solver(name)
+    if ours != name:
+        warnings.warn(f"there is no {name} here: solver={ours!r} is used instead", CalibrationWarning, stacklevel=4)
+    return ours
 
 
 def _restore(

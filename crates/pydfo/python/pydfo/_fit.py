@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core, _profile, _share, _validation, _worth
+from ._check import Finding
 from ._errors import CalibrationError
 from ._experiment import Experiment
 from ._keywords import also_called
@@ -102,6 +103,12 @@ class Fit(OptimizeResult):
         was ended by an interrupt, an error or its time, or simulations around the result fail.
     preflight : Preflight or None
         What was found at the start, where ``preflight=True`` was given.
+    message : str
+        How the search ended, in one sentence. What is to be said of the result is among the `findings`.
+    findings : list of Finding
+        What is to be said of the fit, the gravest first, with a severity ("error", "warning", "note"): parameters at a bound or without
+        effect, what `Calibration.check` finds, judged again with the fitted values, what the data cannot tell, what the residuals look
+        like.
     cov, cov_message
         The covariance of `worth` and what is to be said of it.
     stats : SimulationStats or None
@@ -126,6 +133,7 @@ class Fit(OptimizeResult):
         self._native: _core.Fit | None = vars(self).get("_native")
         self.stages = [Fit(calibration, stage, np.array(stage._native.start), solver) for stage in vars(self).get("stages", [])]
         self._calibration = calibration
+        self.findings = [] if self._native is None else [Finding(*finding) for finding in _core.fit_findings(self._native)]
         self.worth = _worth.of_fit(vars(self).get("_native"))
         self.preflight = _worth.before_fit(vars(self).get("_native"))
         self.cov = None if self.worth is None else self.worth.covariance
@@ -390,7 +398,9 @@ class Fit(OptimizeResult):
         """Writes the fit to a file that `load_fit` reads: with all its numbers, bit for bit, its trace, and the calibration.
 
         The file is written in one step. It is a zip archive of ``fit.json`` and arrays in NumPy's format; it holds the recordings
-        by value, and the FMU by its path, a hash of its content and its model description.
+        by value, and the FMU by its path, a hash of its content and its model description. Reading it runs no code that it holds, and
+        neither functions nor pickles are in it; a pickle of a fit, as any pickle, runs code when it is read: of people that you do not
+        trust take files of `save` alone.
 
         Parameters
         ----------
@@ -444,6 +454,9 @@ class Fit(OptimizeResult):
         self, path: PathLike, what: Literal["parameters", "trajectories", "trace"] = "parameters"
     ) -> None:
         """Writes a table of the fit as comma-separated values, numbers with all their digits.
+
+        Names stand as they are in the model and in the recordings. A spreadsheet takes a cell that begins with ``=``, ``+``, ``-`` or
+        ``@`` for a formula: import tables of models that you do not trust as text.
 
         Parameters
         ----------
@@ -543,6 +556,8 @@ class Fit(OptimizeResult):
         ------
         OSError
             It cannot be written.
+        ValueError
+            The name of the file ends in something else than ``.html``.
         SimulationError
             A simulation fails that did not in the fit.
         """

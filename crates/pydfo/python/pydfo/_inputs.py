@@ -57,6 +57,23 @@ def normalize(given: Any, inputs: list[str]) -> tuple[list[Table], list[Function
     )
 
 
+def held_beyond(tables: list[Table], first: float, last: float) -> str:
+    """What is to be said of recordings of inputs that do not last as long as a simulation, by more than a row; empty if nothing is."""
+    for table in tables:
+        if len(table.times) < 2:
+            # A constant.
+            continue
+        start, end = float(np.min(table.times)), float(np.max(table.times))
+        row = float(np.median(np.diff(np.sort(table.times))))
+        if start - first > row or last - end > row:
+            named = ", ".join([name for name, _ in table.columns + table.values][:10])
+            return (
+                f"inputs {named} are given from {start:g} s to {end:g} s and the simulation runs from {first:g} s to {last:g} s: beyond "
+                "they keep their first and last values"
+            )
+    return ""
+
+
 def _mapping(given: Mapping[Any, Any]) -> tuple[list[Table], list[Function]]:
     for name in given:
         if not isinstance(name, str):
@@ -85,6 +102,12 @@ def _table(names: Sequence[str], column: Callable[[str], Any], what: str) -> Tab
     try:
         at, (numerator, denominator) = _core.find_time(list(names))
     except ValueError as e:
+        if not any("time" in name.lower() for name in names):
+            there = ", ".join(names[:10])
+            raise ValueError(
+                f"{what} of inputs has no times, there are: {there}; add them, inputs={{'time': [...], {names[0]!r}: [...]}}, or give a "
+                "number for an input that is constant"
+            ) from None
         raise ValueError(f"{what} of inputs: {e}") from None
     given = column(names[at])
     durations = _data.seconds(given)

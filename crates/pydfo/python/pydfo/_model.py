@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging as _logging
 import operator
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -389,7 +390,8 @@ class FMUModel:
         -----
         UserWarning
             A setting has no effect: `step_size` with a solver that chooses its steps itself, `max_step` with one that does
-            not, `solver` and `max_step` in co-simulation.
+            not, `solver` and `max_step` in co-simulation. Recorded inputs end before the simulation, or begin after it, by more than a
+            row: they keep their first and last values.
 
         Raises
         ------
@@ -428,6 +430,8 @@ class FMUModel:
             chattering=_options.choice("chattering", chattering),
         )
         result = SimulationResult(**self._model.simulate(request))
+        if len(result.time) and (said := _inputs.held_beyond(tables, float(result.time[0]), float(result.time[-1]))):
+            warnings.warn(said, UserWarning, stacklevel=2)
         if chattering == "warn" and result.stats.chattering:
             _log.warning("simulate: %d times a hundred events hardly advanced time", result.stats.chattering)
         return result

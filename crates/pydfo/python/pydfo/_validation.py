@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core, _options
+from ._check import Finding
 from ._errors import BadCalibrationError
 from ._experiment import Experiment, listed
 from ._stages import Windows, intervals
@@ -78,6 +79,8 @@ class Validation:
         Each output of each experiment: RMS, fit percentage, what was measured and simulated.
     parameters : dict of str to float
         The values: those of the fit; local parameters as the validated recordings have them.
+    findings : list of Finding
+        Measurements that the fit has seen: of these the RMS says nothing of predictions. The print has them, too.
     n_simulations : int
         Simulations that were made.
     stats : SimulationStats
@@ -96,7 +99,9 @@ class Validation:
         stats: dict[str, Any],
         text: str,
         outputs: Sequence[dict[str, Any]],
+        findings: Sequence[tuple[str, str, str, str]],
     ) -> None:
+        self.findings = [Finding(*finding) for finding in findings]
         self.parameters = parameters
         self.n = n
         self.rms = rms

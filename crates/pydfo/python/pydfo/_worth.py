@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core, _options
+from ._check import Finding
 from ._errors import BadCalibrationError
 
 if TYPE_CHECKING:
@@ -72,8 +73,10 @@ class Worth:
     identifiable : list of str
         Parameters that this data can tell, the others held: with standard errors below half of their values, and no correlation of
         0.9 or more.
+    findings : list of Finding
+        What is to be said of all this, with a severity.
     verdict : list of str
-        What is to be said of all this, in sentences; empty if nothing is.
+        The same in sentences; empty if nothing is to be said.
     cost, accurate_cost : float
         The cost, and the same with a hundredth of the relative tolerance (None: that simulation failed).
     jacobian : ndarray, shape (m, n)
@@ -103,6 +106,7 @@ class Worth:
         self.weakest: list[str] = fields["weakest"]
         self.identifiable: list[str] = fields["identifiable"]
         self.verdict: list[str] = fields["verdict"]
+        self.findings = [Finding(*finding) for finding in fields["findings"]]
         self.cost: float = fields["cost"]
         self.accurate_cost: float | None = fields["accurate_cost"]
         self.jacobian: FloatArray = fields["jacobian"]
@@ -130,8 +134,15 @@ class Worth:
         """Who is not determined, who is taken as known; empty if there is nothing to be said."""
         return self._native.message()
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (self._native.state(),)
+
     def __repr__(self) -> str:
         return self._native.text().rstrip("\n")
+
+
+def _restored(state: bytes) -> Worth:
+    return Worth(_core.Worth.restore(state))
 
 
 class ParameterCheck(NamedTuple):
