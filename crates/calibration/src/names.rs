@@ -127,6 +127,7 @@ pub(crate) fn check_names(
         let same = |other: &&Measured| {
             column.is_some()
                 && full(&other.column) == column
+                && other.variable != output.variable
                 && [&other.variable, variable].iter().all(|name| is_known(name))
         };
         if let Some(other) = experiment.outputs[..i].iter().find(same) {

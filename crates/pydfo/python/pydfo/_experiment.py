@@ -143,7 +143,16 @@ class Experiment:
             columns += [source for _, source in driven if isinstance(source, str)]
             columns += [weight for _, _, weight in weighed if isinstance(weight, str)]
             rows, by = _data.mask(mask)
-            table = _data.read(data, columns + ([] if by is None else [by]), named)
+            try:
+                table = _data.read(data, columns + ([] if by is None else [by]), named)
+            except BadCalibrationError as e:
+                turned = [pair for pair in pairs if f"no column '{pair[1]}'" in str(e) and f"'{pair[0]}'" in str(e).partition("there are")[2]]
+                if not turned:
+                    raise
+                variable, column = turned[0]
+                raise BadCalibrationError(
+                    f"{e}. Are outputs the wrong way round? They map variables of the model to columns: {{{column!r}: {variable!r}}}"
+                ) from None
             put(self, "mask", rows)
             put(self, "mask_column", by)
             put(self, "resample", _options.optional_number("resample", resample))
