@@ -17,8 +17,8 @@ ROOT = Path(__file__).resolve().parent.parent
 LAYERS = {
     "calibration": """
         error parallel prior race
-        data layout no_cost parameter
-        input
+        data no_cost parameter
+        input layout
         experiment
         measurements names
         objective residual warning
@@ -60,7 +60,8 @@ LAYERS = {
         cancel log platform
         archive
         description
-        source sys
+        sys
+        source
         open_options
         fmu
         fmu_cache instance

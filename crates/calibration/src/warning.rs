@@ -1,6 +1,6 @@
 //! What a setup leaves in doubt: it can be evaluated, but perhaps it is not what was meant.
 
-use crate::data::{UnitError, parts};
+use crate::data::{ClockChange, UnitError, parts};
 use crate::experiment::{Experiment, Weight};
 use crate::input::InputSource;
 use crate::parameter::{Parameter, Scale};
@@ -35,6 +35,13 @@ pub enum SetupWarning {
         /// Why not.
         reason: UnitError,
     },
+    /// An hour is missing or doubled in times without a zone.
+    ClockChange {
+        /// The recording.
+        data: String,
+        /// Where.
+        change: ClockChange,
+    },
     /// A setting that is ignored; the sentence says which, and why.
     NoEffect(String),
     /// What is in doubt about one of several experiments.
@@ -60,6 +67,7 @@ impl fmt::Display for SetupWarning {
                     "{data}: column '{column}' is taken in the unit of '{variable}', without conversion: {reason}"
                 )
             }
+            Self::ClockChange { data, change } => write!(f, "{data}: {change}"),
             Self::NoEffect(sentence) => f.write_str(sentence),
             Self::Experiment { name, warning } => write!(f, "{name}: {warning}"),
         }
@@ -93,6 +101,12 @@ pub(crate) fn unused_columns(description: &ModelDescription, experiment: &Experi
         Some(SetupWarning::UnusedColumn { data, column: column.to_owned(), input })
     };
     data.all_names().filter(|column| !is_used(column)).filter_map(warning).collect()
+}
+
+/// An hour that is missing or doubled in the times of a recording.
+pub(crate) fn clock_change(experiment: &Experiment) -> Option<SetupWarning> {
+    let (data, change) = (&experiment.data, experiment.data.clock_change()?.clone());
+    Some(SetupWarning::ClockChange { data: data.source().to_owned(), change })
 }
 
 /// Typical sizes that are not used, because a logarithmic scale has sizes of its own.
