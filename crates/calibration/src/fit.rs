@@ -392,10 +392,10 @@ impl Calibration {
         report.message += &(self.remarks(&found) + &raised);
         let is_whole = worth.is_some() && held.is_empty();
         let findings = if is_whole { self.findings_of_check(&mut report, &cancelled) } else { Vec::new() };
-        let worth = worth.filter(|_| objective.is_sum_of_squares()).and_then(|mut options| {
+        let worth = worth.filter(|_| objective.has_worth()).and_then(|mut options| {
             options.workers = options.workers.or(described.workers);
             options.held.extend(&held);
-            let asked = WorthOptions { loss, ..options };
+            let asked = WorthOptions { loss, is_likelihood: objective.is_likelihood(), ..options };
             self.worth_of_fit((&mut report, &found), &tolerances, asked, (&cancelled, &mut stats))
         });
         if n_beginnings > 1 {
@@ -492,8 +492,8 @@ impl Calibration {
             return None;
         }
         let workers = options.workers.unwrap_or(1);
-        let mut simulations = Simulations::new(self, (options.loss, workers), cancelled).ok()?;
-        let inert = &found.without_effect;
+        let mut simulations = Simulations::new(self, (RobustLoss::default(), workers), cancelled).ok()?;
+        let (inert, criterion) = (&found.without_effect, options.criterion());
         let at_bound = found.at_bound.iter().map(|(index, _)| index);
         options.held.extend(at_bound.filter(|index| !inert.contains(index)));
         let known = KnownPoint {
@@ -504,8 +504,9 @@ impl Calibration {
             inert,
             f_tol: match tolerances.measure {
                 Measure::Relative => tolerances.f_tol,
-                Measure::Absolute => tolerances.f_tol / report.fun,
+                Measure::Absolute => tolerances.f_tol / report.fun.abs(),
             },
+            criterion,
         };
         let worth = self.worth_of(&report.x, options.estimator, &known, &mut simulations);
         *stats += simulations.stats;

@@ -194,20 +194,6 @@ fn weights(
     }
 }
 
-/// The weight of an output, counted from 0, times a factor.
-pub(crate) fn scaled_weight(
-    experiment: &Experiment,
-    output: usize,
-    factor: f64,
-) -> Result<Weight, CalibrationError> {
-    let Measured { variable, column, weight } = &experiment.outputs[output];
-    let weights = weights(experiment, (variable, column), weight)?;
-    Ok(match weight {
-        Weight::Constant(_) | Weight::Inverse(_) => Weight::Constant(factor * weights[0]),
-        _ => Weight::Rows(weights.iter().map(|weight| factor * weight).collect()),
-    })
-}
-
 fn setup<T>(message: String) -> Result<T, CalibrationError> {
     Err(CalibrationError::Setup(message))
 }

@@ -253,13 +253,13 @@ impl Calibration {
         if worth.is_some() {
             fit.findings = self.findings_of_check(&mut fit.report, &is_late);
         }
-        fit.worth = worth.filter(|_| objective.is_sum_of_squares()).and_then(|mut options| {
+        fit.worth = worth.filter(|_| objective.has_worth()).and_then(|mut options| {
             options.workers = options.workers.or(Some(fit.report.workers));
             options.held.extend((0..x.len()).filter(|i| !freed.iter().any(|freed| freed.contains(i))));
             if !is_own(fit.stages.len() - 1) {
                 fit.report.residuals = None;
             }
-            let asked = WorthOptions { loss, ..options };
+            let asked = WorthOptions { loss, is_likelihood: objective.is_likelihood(), ..options };
             let found = Findings {
                 at_bound: fit.at_bound.clone(),
                 without_effect: fit.without_effect.clone(),

@@ -5,6 +5,7 @@ use crate::error::CalibrationError;
 use crate::experiment::Experiment;
 use crate::fit::{Fit, FitOptions};
 use crate::no_cost::NoCost;
+use crate::objective::CostKind;
 use crate::output_fit::OutputFit;
 use crate::residual::CostRule;
 use crate::worth::digits;
@@ -35,7 +36,7 @@ pub struct Validation {
     pub outputs: Vec<ValidatedOutput>,
     /// How many measurements count.
     pub n: usize,
-    /// Root of the mean squared weighted residual.
+    /// Root of the mean squared weighted residual, plain ones with a loss, too.
     pub rms: f64,
     /// The same at the start of the fit; `None` if the simulation failed there.
     pub start_rms: Option<f64>,
@@ -108,7 +109,7 @@ impl fmt::Display for Validation {
 impl Calibration {
     /// Simulates with the parameters of a fit of this calibration, and compares with measurements that it was not fitted to. Local
     /// parameters of other recordings, which the fit does not know, are fitted to these recordings first, from their start
-    /// values there, with all others held.
+    /// values there, with all others held, the same cost and the same loss. All RMS are of plain residuals, whatever the loss.
     ///
     /// ```
     /// use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, ValidationSet};
@@ -126,7 +127,8 @@ impl Calibration {
     /// ```
     ///
     /// # Errors
-    /// Windows or recordings that cannot be used; a simulation that fails at the fitted parameters.
+    /// Windows or recordings that cannot be used; local parameters that are to be fitted, after a fit of a function of the user's; a
+    /// simulation that fails at the fitted parameters.
     pub fn validate(&self, fit: &Fit, set: &ValidationSet) -> Result<Validation, CalibrationError> {
         self.validate_until(fit, set, &|| false)
     }
@@ -157,10 +159,21 @@ impl Calibration {
                 if local.iter().any(|&i| !other.parameters()[i].is_fixed()) {
                     let held = (0..x.len()).filter(|i| !local.contains(i)).collect();
                     let poll: Option<Box<dyn FnMut() -> bool>> = Some(Box::new(cancelled));
+                    let Some(objective) = CostKind::of_name(&fit.objective) else {
+                        let names: Vec<&str> = local.iter().map(|&i| other.parameters()[i].name()).collect();
+                        return Err(CalibrationError::Setup(format!(
+                            "{} would be fitted to these recordings, and the fit minimised a function that it does not hold ('{}'): \
+                             give them as fixed parameters, or fit with an objective that has a name",
+                            names.join(", "),
+                            fit.objective
+                        )));
+                    };
                     let refit = other.fit(FitOptions {
                         start: Some(x),
                         held,
                         poll,
+                        objective,
+                        loss: fit.report.loss,
                         worth: None,
                         ..FitOptions::default()
                     })?;

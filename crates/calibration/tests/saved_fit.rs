@@ -124,8 +124,8 @@ fn files_that_are_no_fits_are_refused() {
         });
         refusal(&bytes)
     };
-    let other = text("\"format_version\": 1", "\"format_version\": 2");
-    assert!(other.contains("format 2") && other.contains("reads format 1"), "{other}");
+    let other = text("\"format_version\": 2", "\"format_version\": 3");
+    assert!(other.contains("format 3") && other.contains("reads format 2"), "{other}");
     assert!(text("\"fmufit fit\"", "\"something\"").contains("no saved fit"));
     let unknown = text("\"n_checks\"", "\"later\": 1, \"n_checks\"");
     assert!(unknown.contains("fit.later"), "{unknown}");

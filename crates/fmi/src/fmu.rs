@@ -37,6 +37,8 @@ struct Inner {
     real_references: OnceLock<Vec<(u32, usize)>>,
     /// Departures from the standard that showed in runs.
     quirks_seen: Mutex<Vec<Quirk>>,
+    /// What simulations were told once.
+    said: Mutex<Vec<&'static str>>,
     description: ModelDescription,
     options: OpenOptions,
     archive: Arc<Archive>,
@@ -108,6 +110,7 @@ impl Fmu {
             attached: OnceLock::new(),
             real_references: OnceLock::new(),
             quirks_seen: Mutex::default(),
+            said: Mutex::default(),
             description,
             options: OpenOptions { cancel: Cancel::default(), ..options.clone() },
             archive: Arc::new(archive),
@@ -261,6 +264,15 @@ impl Fmu {
         if !seen.iter().any(|quirk| quirk.kind == kind && quirk.message == message.as_ref()) {
             log::warn!("{}: {}", self.description().model_name, message.as_ref());
             seen.push(Quirk { kind, message: message.into(), line: 0 });
+        }
+    }
+
+    /// Hands a message about its simulations to the program's logger, the first time that there is one on this subject.
+    pub(crate) fn say_once(&self, subject: &'static str, message: &str) {
+        let mut said = self.inner.said.lock().unwrap_or_else(PoisonError::into_inner);
+        if !said.contains(&subject) {
+            log::warn!("{}: {message}", self.description().model_name);
+            said.push(subject);
         }
     }
 

@@ -56,8 +56,8 @@ pub use open_options::{LogOptions, OpenOptions};
 pub use reuse::{InstanceOptions, Lease, Pool, Reuse, Simulator};
 pub use session::Session;
 pub use simulation::{
-    DEFAULT_INTERVALS, DEFAULT_TOLERANCE, InputFunction, Inputs, Recorded, Sharing, SimulateOptions,
-    SimulationPlan, Tick, Trajectory, ValueColumn,
+    BetweenSteps, DEFAULT_INTERVALS, DEFAULT_TOLERANCE, InputFunction, Inputs, Recorded, Sharing,
+    SimulateOptions, SimulationPlan, Tick, Trajectory, ValueColumn,
 };
 pub use source::{build_library, clear_caches, pack, pack_texts, pack_unless};
 pub use sys::{ElementDependency, InterfaceKind, LoaderOptions};

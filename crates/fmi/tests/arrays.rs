@@ -512,3 +512,85 @@ fn a_structure_that_is_refused_leaves_the_instance_as_it_was() {
     instance.get_continuous_states(&mut states).unwrap();
     assert_eq!(states, [1.0, 2.0]);
 }
+
+/// x' = f32 - x, x(0) = 1.
+fn driven_by_single(edit: &'static str) -> support::Folder {
+    support::fixture_with("arrays", &["SINGLE"], move |xml| {
+        let (before, after) = xml.split_once("<Float32 name=\"f32\"").unwrap();
+        let (_, after) = after.split_once("/>").unwrap();
+        format!("{before}<Float32 name=\"f32\" {edit} start=\"0.5\"/>{after}")
+    })
+}
+
+#[test]
+fn inputs_of_single_precision_are_interpolated() {
+    let folder = driven_by_single("valueReference=\"10\" causality=\"input\" variability=\"continuous\"");
+    let fmu = folder.open();
+    let rows: Vec<f64> = (0..11).map(|k| 0.1 * f64::from(k)).collect();
+    // The one of double precision comes behind: both have their own call.
+    let ramp = Inputs::new().series("f32", rows.clone(), rows);
+    let function = Inputs::new().function("f32", |t| t);
+    for inputs in [ramp, function] {
+        let both = inputs.series("u[2]", vec![0.0, 1.0], vec![0.0, 1.0]);
+        let options = SimulateOptions::new()
+            .kind(Kind::ModelExchange)
+            .relative_tolerance(1e-9)
+            .times([0.0, 0.25, 1.0])
+            .inputs(both)
+            .outputs(["x", "f32"]);
+        let result = fmu.simulate(&options).unwrap();
+        for (row, t) in [0.0f64, 0.25, 1.0].into_iter().enumerate() {
+            // x' = t - x and x' = 2 t - x.
+            let (first, second) = (t - 1.0 + 2.0 * (-t).exp(), 2.0 * (t - 1.0) + 4.0 * (-t).exp());
+            assert!((result.get("x[1]").unwrap()[row] - first).abs() < 1e-6, "{result:?}");
+            assert!((result.get("x[2]").unwrap()[row] - second).abs() < 1e-6, "{result:?}");
+            assert_eq!(result.get("f32").unwrap()[row], f64::from(t as f32));
+        }
+        assert_eq!(result.stats.input_events, 0);
+    }
+}
+
+#[test]
+fn parameters_of_single_precision_are_those_of_runs() {
+    let folder = driven_by_single("valueReference=\"10\" causality=\"parameter\" variability=\"fixed\"");
+    let fmu = folder.open();
+    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+        let options = SimulateOptions::new()
+            .kind(kind)
+            .relative_tolerance(1e-10)
+            .times([0.0, 1.0])
+            .parameters(["f32", "k[2]"])
+            .outputs(["x", "f32"]);
+        let plan = Arc::new(SimulationPlan::new(&fmu, &options).unwrap());
+        assert_eq!(plan.parameter_starts(), [0.5, 1.0]);
+        let mut simulator = Simulator::new(plan).unwrap();
+        for (single, k) in [(0.3, 1.0), (2.5, 2.0), (0.3, 1.0)] {
+            let result = simulator.trajectory(&[single, k]).unwrap();
+            let single = f64::from(single as f32);
+            assert_eq!(result.get("f32").unwrap(), [single, single]);
+            if kind == Kind::ModelExchange {
+                close(result.final_value("x[1]").unwrap().unwrap(), grown(1.0, 1.0, single, 1.0));
+                close(result.final_value("x[2]").unwrap().unwrap(), grown(2.0, k, single, 1.0));
+            }
+        }
+    }
+}
+
+#[test]
+fn aliases_are_recorded_by_their_names() {
+    let folder = arrays();
+    let fmu = folder.open();
+    let names = |outputs: &[&str]| {
+        let plan =
+            SimulationPlan::new(&fmu, &SimulateOptions::new().outputs(outputs.iter().copied())).unwrap();
+        plan.output_names().to_vec()
+    };
+    assert_eq!(names(&["lev*"]), ["level[1]", "level[2]", "level[3]"]);
+    assert_eq!(names(&["level[2]", "x[2]"]), ["level[2]", "x[2]"]);
+    let all = names(&["all"]);
+    assert!(["x[1]", "level[1]", "sum"].iter().all(|name| all.iter().any(|known| known == name)), "{all:?}");
+    // By another name it is another column; by the same name it is one.
+    assert_eq!(names(&["level", "*evel", "x"]).iter().filter(|name| *name == "level[1]").count(), 1);
+    let result = fmu.simulate(&SimulateOptions::new().outputs(["x", "level"])).unwrap();
+    assert_eq!(result.get("x[2]").unwrap(), result.get("level[2]").unwrap());
+}

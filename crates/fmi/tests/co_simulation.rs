@@ -313,3 +313,35 @@ fn an_observer_ends_a_run_at_any_sample() {
     }
     assert_eq!(bits(&simulator.trajectory(&[]).unwrap()), whole);
 }
+
+#[test]
+fn after_an_error_an_instance_can_only_be_brought_back() {
+    let folder = support::evil_with(&["STEP_ERROR"], |xml| {
+        let slave = "<CoSimulation modelIdentifier=\"evil\" canHandleVariableCommunicationStepSize=\"true\" \
+                     canGetAndSetFMUstate=\"true\"/>";
+        xml.replace("<ModelExchange modelIdentifier=\"evil\"/>", slave)
+    });
+    let fmu = folder.open();
+    let instance = fmu.instantiate_co_simulation(&InstanceOptions::default()).unwrap();
+    let mut instance = instance.enter_initialization(0.0, None, None).unwrap().exit_initialization().unwrap();
+    let saved = instance.save_state();
+    assert!(instance.do_step(0.0, 0.25).unwrap().complete);
+    let y = instance.get("y").unwrap();
+    assert!(matches!(instance.do_step(0.75, 0.25).unwrap_err(), FmiError::Call(_)));
+    let refused =
+        |error: FmiError| assert!(matches!(error, FmiError::AfterError { call: "fmi2DoStep" }), "{error}");
+    refused(instance.do_step(0.25, 0.25).unwrap_err());
+    refused(instance.get("y").unwrap_err());
+    refused(instance.set("n", 2).unwrap_err());
+    refused(instance.save_state().map(|_| ()).unwrap_err());
+    if let Ok(saved) = saved {
+        instance.restore_state(&saved).unwrap();
+        assert!(instance.do_step(0.0, 0.25).unwrap().complete);
+        assert_eq!(instance.get("y").unwrap(), y);
+        instance.do_step(0.75, 0.25).unwrap_err();
+    }
+    let instance = instance.reset().unwrap().enter_initialization(0.0, None, None).unwrap();
+    let mut instance = instance.exit_initialization().unwrap();
+    assert!(instance.do_step(0.0, 0.25).unwrap().complete);
+    assert_eq!(instance.get("y").unwrap(), y);
+}

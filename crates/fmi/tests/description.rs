@@ -296,6 +296,30 @@ fn descriptions_of_fmi_1_are_read() {
 }
 
 #[test]
+fn names_of_fmi_3_are_those_of_variables_and_aliases() {
+    let model = parse(
+        r#"<fmiModelDescription fmiVersion="3.0" modelName="m" instantiationToken="t"><CoSimulation modelIdentifier="m"/>
+           <ModelVariables>
+             <Float64 name="x" valueReference="1"><Alias name="y"/><Alias name="z"/></Float64>
+             <Float64 name="w" valueReference="2"><Alias name="x"/><Alias name="z"/></Float64>
+             <String name="s" valueReference="3" causality="parameter" variability="fixed" start="text"/>
+             <Binary name="b" valueReference="4" causality="parameter" variability="fixed" start="00fF"/>
+           </ModelVariables><ModelStructure/></fmiModelDescription>"#,
+    );
+    let names: Vec<(&str, usize)> = model.names().collect();
+    assert_eq!(names, [("x", 0), ("y", 0), ("z", 0), ("w", 1), ("x", 1), ("z", 1), ("s", 2), ("b", 3)]);
+    let found = ["x", "y", "z", "w"].map(|name| model.variable_index(name).unwrap());
+    assert_eq!(found, [0, 0, 0, 1]);
+    assert_eq!(model.nearest_names("Y", 1), ["y"]);
+    // Where other types have it, and where it does not belong.
+    assert_eq!(model.variable("s").unwrap().start, Some("text".into()));
+    assert_eq!(model.variable("b").unwrap().start, Some(Value::Binary(vec![0, 255])));
+    let quirks: Vec<_> = model.quirks.iter().map(|quirk| (quirk.kind, quirk.line)).collect();
+    let expected = [QuirkKind::Duplicate, QuirkKind::Duplicate, QuirkKind::Start, QuirkKind::Start];
+    assert_eq!(quirks, expected.into_iter().zip([4, 4, 5, 6]).collect::<Vec<_>>(), "{:?}", model.quirks);
+}
+
+#[test]
 fn descriptions_of_fmi_3_are_read() {
     let model = parse(
         r#"<fmiModelDescription fmiVersion="3.0.1" modelName="m" instantiationToken="{t}">

@@ -5,7 +5,8 @@
 mod support;
 
 use fmi::description::QuirkKind;
-use fmi::{Inputs, SimulateOptions, SimulationPlan, Simulator};
+use fmi::ode::Termination;
+use fmi::{BetweenSteps, Inputs, SimulateOptions, SimulationPlan, Simulator};
 use std::sync::Arc;
 use support::{fixture, fixture_with};
 
@@ -117,4 +118,78 @@ fn samples_between_communication_points_take_the_derivatives_of_outputs_into_acc
     let folder = fixed("");
     let result = folder.open().simulate(&options).unwrap();
     assert!((result.get("w").unwrap()[1] - 0.4 * 0.0625).abs() < 1e-14);
+}
+
+/// x' = 1 in steps of its own of 0.1, whatever it is asked for.
+fn internal_steps(declared: bool) -> support::Folder {
+    fixture_with("early", &["INTERNAL_STEPS"], |xml| match declared {
+        true => xml.replace("mightReturnEarlyFromDoStep=\"true\"", "fixedInternalStepSize=\"0.1\""),
+        false => xml.replace("mightReturnEarlyFromDoStep=\"true\"", ""),
+    })
+}
+
+#[test]
+fn rows_between_the_steps_of_the_model_are_interpolated_or_refused() {
+    let folder = internal_steps(true);
+    let fmu = folder.open();
+    for times in [vec![0.0, 0.2, 0.25, 1.0], vec![0.03, 0.04, 0.11, 0.97]] {
+        for step in [None, Some(0.1), Some(0.3)] {
+            let mut options = SimulateOptions::new().times(times.clone());
+            options.step_size = step;
+            options.final_time = times.last().copied();
+            let result = fmu.simulate(&options).unwrap();
+            for (t, x) in times.iter().zip(result.get("x").unwrap()) {
+                assert!((x - t).abs() < 1e-14, "{x} at {t} with {step:?}");
+            }
+        }
+    }
+    let refused = |times: &[f64]| {
+        let options = SimulateOptions::new().times(times).between_steps(BetweenSteps::Refuse);
+        fmu.simulate(&options).map_err(|error| error.to_string())
+    };
+    let error = refused(&[0.0, 0.2, 0.25, 1.0]).unwrap_err();
+    assert!(error.contains("t = 0.25") && error.contains("0.2 and 0.3"), "{error}");
+    assert_eq!(refused(&[0.0, 0.2, 0.3, 1.0]).unwrap().get("x").unwrap().len(), 4);
+    assert!(fmu.quirks_seen().is_empty(), "{:?}", fmu.quirks_seen());
+}
+
+#[test]
+fn inputs_change_at_steps_of_the_model() {
+    // A stop between two steps of the model makes no point between them.
+    let folder = fixture_with("early", &["INTERNAL_STEPS"], |xml| {
+        let input = "<Float64 name=\"u\" valueReference=\"2\" causality=\"input\" variability=\"continuous\" start=\"0\"/>";
+        xml.replace("mightReturnEarlyFromDoStep=\"true\"", "fixedInternalStepSize=\"0.1\"")
+            .replace("</ModelVariables>", &format!("{input}</ModelVariables>"))
+    });
+    let inputs = Inputs::new().series("u", vec![0.0, 0.25, 0.26, 1.0], vec![0.0, 0.0, 1.0, 1.0]);
+    let options = SimulateOptions::new().times([0.0, 1.0]).step_size(0.5).inputs(inputs);
+    let result = folder.open().simulate(&options).unwrap();
+    // 0.2, 0.3, 0.5 and 1.
+    assert_eq!(result.stats.accepted_steps, 4);
+}
+
+#[test]
+fn the_time_of_the_model_after_a_step_is_always_read() {
+    let folder = internal_steps(false);
+    let fmu = folder.open();
+    let instance = fmu.instantiate_co_simulation(&fmi::InstanceOptions::default()).unwrap();
+    let mut instance = instance.enter_initialization(0.0, None, None).unwrap().exit_initialization().unwrap();
+    let outcome = instance.do_step(0.0, 0.25).unwrap();
+    assert!(outcome.complete && !outcome.early, "{outcome:?}");
+    assert_eq!(outcome.reached, Some(0.2));
+    fmu.simulate(&SimulateOptions::new().times([0.0, 0.25, 1.0])).unwrap();
+    let seen = fmu.quirks_seen();
+    assert!(seen.len() == 1 && seen[0].kind == QuirkKind::Promise, "{seen:?}");
+    assert!(seen[0].message.contains("to 0.25 the model stands at 0.2"), "{seen:?}");
+}
+
+#[test]
+fn a_model_that_ends_with_an_event_is_not_sent_to_event_mode() {
+    let folder = fixture_with("early", &["ENDS_IN_EVENT"], |xml| {
+        xml.replace("mightReturnEarlyFromDoStep=\"true\"", "hasEventMode=\"true\"")
+    });
+    let result = folder.open().simulate(&SimulateOptions::new().ncp(4)).unwrap();
+    assert_eq!((result.termination, result.end_time), (Termination::StoppedByModel, 0.5));
+    assert_eq!(result.time, [0.0, 0.25, 0.5]);
+    assert!(result.events.is_empty());
 }

@@ -116,7 +116,7 @@ pub(crate) fn cross_validate<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let loss = settings::loss(loss)?.unwrap_or_default();
     let Settings { run, .. } = options.check(py, FitOptions::default_run().tolerances)?;
-    let options = CrossValidationOptions { folds, run, loss };
+    let options = CrossValidationOptions { folds, run, loss, ..CrossValidationOptions::default() };
     let found = calibration
         .compute(py, move |calibration, cancelled| calibration.cross_validate_until(&options, cancelled))?;
     let fields = PyDict::new(py);
@@ -125,7 +125,7 @@ pub(crate) fn cross_validate<'py>(
         let values = fold.fit.names.iter().zip(&fold.fit.x);
         fields.set_item("held_out", &fold.held_out)?;
         fields.set_item("parameters", values.into_py_dict(py)?)?;
-        fields.set_item("fit_rms", fold.fit.rms)?;
+        fields.set_item("fit_rms", fold.fit_rms)?;
         fields.set_item("nfev", fold.fit.report.n_evaluations)?;
         fields.set_item("success", fold.fit.report.is_success())?;
         fields.set_item("message", &fold.fit.report.message)?;
@@ -142,18 +142,19 @@ pub(crate) fn cross_validate<'py>(
     Ok(fields)
 }
 
-/// `Fit.prediction_band`: per experiment and output.
+/// `Fit.prediction_band`: per experiment and output, to an extent of a level and whether it is corrected for autocorrelated residuals.
 #[pyfunction]
 pub(crate) fn prediction_bands<'py>(
     py: Python<'py>,
     calibration: &PyCalibration,
     fit: &PyFit,
     times: Option<Vec<f64>>,
-    level: f64,
+    extent: (f64, bool),
     outputs: Option<Vec<String>>,
 ) -> PyResult<Vec<Bound<'py, PyDict>>> {
     let fit = fit.inner.clone();
-    let options = BandOptions { times, level, outputs, workers: None };
+    let (level, is_corrected) = extent;
+    let options = BandOptions { times, level, is_corrected, outputs, workers: None };
     let bands = calibration
         .compute(py, move |calibration, cancelled| calibration.prediction_bands(&fit, &options, cancelled))?;
     let to_python = |band: PredictionBand| {

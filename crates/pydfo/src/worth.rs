@@ -103,8 +103,11 @@ impl PyWorth {
         fields.set_item("correlation", matrix(py, &worth.correlation, n)?)?;
         fields.set_item("jacobian", matrix(py, &worth.jacobian, n)?)?;
         fields.set_item("stderr", PyArray1::from_slice(py, &worth.standard_errors))?;
-        let corrected = worth.corrected_errors.as_ref().map(|errors| PyArray1::from_slice(py, errors));
-        fields.set_item("corrected_stderr", corrected)?;
+        let uncorrected = worth.uncorrected_errors().map(|errors| PyArray1::from_vec(py, errors));
+        fields.set_item("uncorrected_stderr", uncorrected)?;
+        fields.set_item("autocorrelations", PyArray1::from_slice(py, &worth.autocorrelations))?;
+        let degrees = PyArray1::from_slice(py, &worth.effective_degrees_of_freedom);
+        fields.set_item("effective_degrees_of_freedom", degrees)?;
         let checks = worth.residual_checks.iter().map(|check| {
             let fields = PyDict::new(py);
             fields.set_item("experiment", &check.experiment)?;
@@ -137,7 +140,7 @@ impl PyWorth {
         Ok(fields)
     }
 
-    /// Lower and upper ends, n x 2; `corrected`: with the corrected standard errors, where there are such.
+    /// Lower and upper ends, n x 2; not `corrected`: with the standard errors that suppose independent residuals.
     fn intervals<'py>(
         &self,
         py: Python<'py>,
@@ -145,8 +148,11 @@ impl PyWorth {
         corrected: bool,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let worth = &self.inner;
-        let errors = worth.corrected_errors.as_ref().filter(|_| corrected).unwrap_or(&worth.standard_errors);
-        let ends = worth.intervals(level, errors).map_err(|e| error::calibration(py, &e))?;
+        let ends = match corrected {
+            true => worth.confidence_intervals(level),
+            false => worth.uncorrected().confidence_intervals(level),
+        };
+        let ends = ends.map_err(|e| error::calibration(py, &e))?;
         matrix(py, &ends.iter().flat_map(|(low, high)| [*low, *high]).collect::<Vec<_>>(), 2)
     }
 

@@ -21,7 +21,7 @@ use zip::{CompressionMethod, ZipArchive};
 const FORMAT: &str = "fmufit fit";
 
 /// The format that this version reads and writes. It changes with everything that a file holds.
-const FORMAT_VERSION: u64 = 1;
+const FORMAT_VERSION: u64 = 2;
 
 const TEXT: &str = "fit.json";
 const DESCRIPTION: &str = "modelDescription.xml";

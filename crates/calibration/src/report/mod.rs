@@ -96,18 +96,18 @@ mod tests {
     fn text_says_start_value_error_and_what_to_mistrust() {
         let (_, mut fit) = decay();
         let worth = fit.worth.as_mut().unwrap();
-        (worth.standard_errors, worth.corrected_errors, worth.verdict) = (vec![1e-3], None, Vec::new());
+        (worth.standard_errors, worth.uncorrected_covariance, worth.verdict) = (vec![1e-3], None, Vec::new());
         let text = fit.to_string();
         assert!(text.contains("The fit converged: RMS 0.001 (at the start 0.1629) over 31"), "{text}");
         assert!(text.contains("k  1  -> 2.0001  +- 0.001  1/s") && text.contains("sandwich"), "{text}");
         assert!(!text.contains("Mistrust") && !text.contains('!'), "{text}");
         let worth = fit.worth.as_mut().unwrap();
-        worth.corrected_errors = Some(vec![2e-3]);
+        worth.uncorrected_covariance = Some(vec![25e-8]);
         worth.verdict = vec!["the residuals are not white".to_owned()];
         fit.at_bound = vec![(0, BoundSide::Upper)];
         let text = fit.to_string();
         assert!(
-            text.contains("+- 0.001 (corrected 0.002)") && text.contains("at its upper bound 10"),
+            text.contains("+- 0.001 (uncorrected 0.0005)") && text.contains("at its upper bound 10"),
             "{text}"
         );
         assert!(text.contains("! the residuals are not white") && text.contains("Mistrust k"), "{text}");
@@ -177,7 +177,7 @@ mod tests {
     fn a_report_that_cannot_be_written_says_where_and_why() {
         let (calibration, mut fit) = decay();
         let error = calibration.report(&fit, "/no/such/folder/x.html").unwrap_err().to_string();
-        assert!(error.contains("cannot write /no/such/folder/x.html: No such file"), "{error}");
+        assert!(error.contains("cannot write /no/such/folder/x.html: there is no folder"), "{error}");
         let folder = tempfile::tempdir().unwrap();
         assert!(calibration.report(&fit, folder.path()).is_err());
         fit.x.push(1.0);

@@ -30,9 +30,9 @@ pub(super) struct Summary {
     pub(super) doubts: Vec<String>,
     pub(super) parameters: Vec<ParameterRow>,
     pub(super) outputs: Vec<OutputRow>,
-    /// Whether the fit has standard errors, and corrected ones.
+    /// Whether the fit has standard errors, and whether they are corrected for autocorrelated residuals.
     pub(super) has_errors: bool,
-    pub(super) has_corrected_errors: bool,
+    pub(super) has_uncorrected_errors: bool,
     /// Whether outputs belong to several experiments.
     pub(super) has_several_experiments: bool,
     /// How it was found: names and values.
@@ -54,8 +54,8 @@ pub(super) struct ParameterRow {
     pub(super) value: String,
     /// Its standard error, or why it has none; empty without any errors.
     pub(super) error: String,
-    /// The standard error that takes account of autocorrelated residuals.
-    pub(super) corrected_error: String,
+    /// The standard error that supposes independent residuals, where they are not.
+    pub(super) uncorrected_error: String,
     /// Bounds of its 95 % interval.
     pub(super) interval: Option<[String; 2]>,
     pub(super) unit: String,
@@ -88,7 +88,7 @@ impl Summary {
             parameters: (0..fit.x.len()).map(|i| parameter(fit, i)).collect(),
             outputs: outputs(fit),
             has_errors: worth.is_some(),
-            has_corrected_errors: worth.is_some_and(|worth| worth.corrected_errors.is_some()),
+            has_uncorrected_errors: worth.is_some_and(|worth| worth.uncorrected_covariance.is_some()),
             has_several_experiments: fit.outputs.iter().any(|output| Some(&output.experiment) != first),
             facts: facts(fit),
         }
@@ -130,8 +130,10 @@ fn sentence(fit: &Fit) -> String {
             format!(" Mistrust all values, and {} above all: see the remarks.", names.join(", "))
         }
     };
-    let correlated = match fit.worth.as_ref().and_then(|worth| worth.corrected_errors.as_ref()) {
-        Some(_) => " The residuals are not independent: of the standard errors take the corrected ones.",
+    let correlated = match fit.worth.as_ref().and_then(|worth| worth.uncorrected_covariance.as_ref()) {
+        Some(_) => {
+            " The residuals are not independent: standard errors and intervals are corrected for that."
+        }
         None => "",
     };
     let rms = rounded(fit.rms, FEW_DIGITS);
@@ -170,7 +172,7 @@ fn parameter(fit: &Fit, i: usize) -> ParameterRow {
     let worth = fit.worth.as_ref();
     let of = |errors: &[f64]| errors.get(i).copied().unwrap_or(f64::NAN);
     let error = worth.map_or(f64::NAN, |worth| of(&worth.standard_errors));
-    let corrected = worth.and_then(|worth| worth.corrected_errors.as_deref()).map(of);
+    let uncorrected = worth.and_then(Worth::uncorrected_errors).map(|errors| of(&errors));
     let is_known = |error: f64| error.is_finite() && error > 0.0;
     let shown = |error: f64| match error {
         error if is_known(error) => rounded(error, 2),
@@ -186,18 +188,16 @@ fn parameter(fit: &Fit, i: usize) -> ParameterRow {
     if fit.without_effect.contains(&i) {
         remarks.push("without effect".to_owned());
     }
-    let widest = corrected.filter(|corrected| is_known(*corrected)).unwrap_or(error);
-    let interval = worth.filter(|_| is_known(widest)).and_then(|worth| {
-        let errors = worth.corrected_errors.as_deref().unwrap_or(&worth.standard_errors);
-        let (lower, upper) = *worth.intervals(LEVEL, errors).ok()?.get(i)?;
-        Some([lower, upper].map(|end| with_error(end, widest)))
+    let interval = worth.filter(|_| is_known(error)).and_then(|worth| {
+        let (lower, upper) = *worth.confidence_intervals(LEVEL).ok()?.get(i)?;
+        Some([lower, upper].map(|end| with_error(end, error)))
     });
     ParameterRow {
         name: fit.shown_names()[i].clone(),
         start: rounded(fit.start[i], DIGITS),
         value: with_error(value, error),
         error: worth.map_or_else(String::new, |_| shown(error)),
-        corrected_error: corrected.map_or_else(String::new, shown),
+        uncorrected_error: uncorrected.map_or_else(String::new, shown),
         interval,
         unit: fit.units[i].clone().unwrap_or_default(),
         bounds: [lower, upper].map(|bound| Number(bound).to_string()),
@@ -277,6 +277,6 @@ fn facts(fit: &Fit) -> Vec<Fact> {
 fn errors(fit: &Fit) -> String {
     let Some(worth) = &fit.worth else { return "none were estimated".to_owned() };
     let corrected =
-        worth.corrected_errors.as_ref().map_or("", |_| "; corrected for autocorrelated residuals beside");
+        worth.uncorrected_covariance.as_ref().map_or("", |_| ", corrected for autocorrelated residuals");
     format!("{}{corrected}; {} simulations", worth.estimator, worth.n_simulations)
 }

@@ -35,10 +35,10 @@ const PARAMETER_SIDES: [bool; 6] = [false, true, false, false, false, false];
 
 fn parameters(summary: &Summary) -> Vec<[String; 6]> {
     let row = |p: &ParameterRow| {
-        let error = match (p.error.is_empty(), p.corrected_error.is_empty()) {
+        let error = match (p.error.is_empty(), p.uncorrected_error.is_empty()) {
             (true, _) => String::new(),
             (false, true) => format!("+- {}", p.error),
-            (false, false) => format!("+- {} (corrected {})", p.error, p.corrected_error),
+            (false, false) => format!("+- {} (uncorrected {})", p.error, p.uncorrected_error),
         };
         let error = error.replace("+- none", "").replace("+- not determined", "(not determined)");
         [short(&p.name), p.start.clone(), format!("-> {}", p.value), error, p.unit.clone(), p.remark.clone()]

@@ -3,7 +3,7 @@
 use super::covariance::{Factors, Noise};
 use super::differences::Differences;
 use super::digits::digits;
-use super::result::Worth;
+use super::result::{Worth, errors_and_correlation};
 use nalgebra::DMatrix;
 use std::ops::Range;
 
@@ -68,14 +68,19 @@ impl Worth {
         (0..self.n()).filter(|i| !self.held.contains(i)).filter(is_prior_alone).collect()
     }
 
-    /// Pairs with a high correlation, of those that move an output both.
+    /// Pairs with a high correlation, of those that move an output both: that of independent residuals, for how alike they move the
+    /// outputs has nothing to do with the noise.
     pub(super) fn find_confounded(&mut self) {
         let n = self.n();
+        let correlation = match &self.uncorrected_covariance {
+            Some(covariance) => errors_and_correlation(covariance, n).1,
+            None => self.correlation.clone(),
+        };
         let rows = self.rows();
         let share = |i, j| rows.iter().any(|rows| self.moves(i, rows) && self.moves(j, rows));
         let pairs = (0..n).flat_map(|i| (i + 1..n).map(move |j| (i, j)));
         let mut found: Vec<(usize, usize, f64)> = pairs
-            .map(|(i, j)| (i, j, self.correlation[i * n + j]))
+            .map(|(i, j)| (i, j, correlation[i * n + j]))
             .filter(|(i, j, correlation)| correlation.abs() >= CONFOUNDED && share(*i, *j))
             .collect();
         found.sort_by(|a, b| b.2.abs().total_cmp(&a.2.abs()));
@@ -202,7 +207,7 @@ impl Worth {
     pub(super) fn accuracy_sentence(&self, f_tol: f64) -> Option<String> {
         let accurate = self.accurate_cost?;
         let difference = (accurate - self.cost).abs();
-        (difference > f_tol * self.cost.max(accurate) && !self.is_exact).then(|| {
+        (difference > f_tol * self.cost.abs().max(accurate.abs()) && !self.is_exact).then(|| {
             format!(
                 "the cost is {} with a hundredth of the relative tolerance, {} with that of the fit: give a smaller \
                  relative_tolerance",

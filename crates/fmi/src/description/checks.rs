@@ -43,7 +43,15 @@ pub(super) fn finish(mut draft: Draft) -> Result<ModelDescription, FmiError> {
     check_time(&model.variables, &mut quirks);
     model.has_arrays = model.variables.iter().any(|variable| !variable.dimensions.is_empty());
     model.names = index_names(&model.variables, &mut quirks);
-    model.aliases = super::names::aliases(&model.variables);
+    model.aliases = super::names::aliases(&model.variables, &model.names, |position, alias, first| {
+        let (variable, first) = (&model.variables[position], &model.variables[first]);
+        quirks.add(QuirkKind::Duplicate, variable.line, || {
+            format!(
+                "the alias \"{alias}\" of \"{}\" is a name of the variable in line {} too",
+                variable.name, first.line
+            )
+        });
+    });
     model.quirks = quirks.into_list();
     Ok(model)
 }

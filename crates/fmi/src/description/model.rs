@@ -113,15 +113,24 @@ impl ModelDescription {
         self.names.find(name, &self.variables).or_else(|| self.aliases.get(name).copied())
     }
 
+    /// All names with the positions of their variables, in the order of the file: each variable by its own name, then by its
+    /// aliases (FMI 3.0).
+    pub fn names(&self) -> impl Iterator<Item = (&str, usize)> {
+        self.variables.iter().enumerate().flat_map(|(position, variable)| {
+            let aliases = variable.aliases.iter().map(|alias| alias.name.as_str());
+            std::iter::once(variable.name.as_str()).chain(aliases).map(move |name| (name, position))
+        })
+    }
+
     /// At most `n` names of variables that `name` may have been meant for, the most similar first.
     pub fn nearest_names(&self, name: &str, n: usize) -> Vec<&str> {
-        names::nearest(name, self.variables.iter().map(|variable| variable.name.as_str()), n)
+        names::nearest(name, self.names().map(|(name, _)| name), n)
     }
 
     /// Makes lookups by name see changes of [`variables`](Self::variables).
     pub fn rebuild_index(&mut self) {
         self.names = NameIndex::build(&self.variables, |_, _| {});
-        self.aliases = names::aliases(&self.variables);
+        self.aliases = names::aliases(&self.variables, &self.names, |_, _, _| {});
     }
 }
 
@@ -168,11 +177,11 @@ pub struct Capabilities {
     pub has_event_mode: bool,
     /// A step may end before its end, at an event (FMI 3.0).
     pub might_return_early_from_do_step: bool,
-    /// Inputs can be set during a step (FMI 3.0).
+    /// It calls back during a step (FMI 3.0). No such callback is passed: inputs are set between steps.
     pub provides_intermediate_update: bool,
-    /// A step ends early where the importer wishes it (FMI 3.0).
+    /// A step ends early where the callback wishes it (FMI 3.0).
     pub can_return_early_after_intermediate_update: bool,
-    /// Steps must be multiples of this one (FMI 3.0).
+    /// The model steps from one multiple of this to the next (FMI 3.0); in between it stands at the last one.
     pub fixed_internal_step_size: Option<f64>,
 }
 
@@ -184,8 +193,7 @@ impl Capabilities {
 
     /// Whether its steps may end before their end: only where the next one may have any length.
     pub(crate) fn may_return_early(&self) -> bool {
-        (self.might_return_early_from_do_step || self.can_return_early_after_intermediate_update)
-            && self.can_handle_variable_communication_step_size
+        self.might_return_early_from_do_step && self.can_handle_variable_communication_step_size
     }
 }
 

@@ -1,6 +1,6 @@
 //! Lookup of variables by name: a hashed index, and suggestions for names that do not exist.
 
-use super::variable::Variable;
+use super::variable::{Alias, Variable};
 use std::collections::HashMap;
 use std::hash::{BuildHasher, RandomState};
 
@@ -51,12 +51,22 @@ impl NameIndex {
     }
 }
 
-/// Positions of variables by their aliases; of several with one name the first.
-pub(super) fn aliases(variables: &[Variable]) -> HashMap<String, usize> {
-    let mut found = HashMap::new();
+/// Positions of variables by their aliases; of several with one name the first, after those whose own name it is. `duplicate`
+/// hears of the others (position, alias, position of the first).
+pub(super) fn aliases(
+    variables: &[Variable],
+    names: &NameIndex,
+    mut duplicate: impl FnMut(usize, &str, usize),
+) -> HashMap<String, usize> {
+    let mut found: HashMap<String, usize> = HashMap::new();
     for (position, variable) in variables.iter().enumerate() {
-        for alias in &variable.aliases {
-            found.entry(alias.name.clone()).or_insert(position);
+        for Alias { name, .. } in &variable.aliases {
+            match names.find(name, variables).or_else(|| found.get(name).copied()) {
+                Some(first) => duplicate(position, name, first),
+                None => {
+                    found.insert(name.clone(), position);
+                }
+            }
         }
     }
     found

@@ -88,7 +88,7 @@ pub enum Dimension {
 /// A further name of a variable.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Alias {
-    /// The name; lookups find the variable by it.
+    /// The name; lookups find the variable by it, patterns fit it, and results have a column of it.
     pub name: String,
     /// What it means.
     pub description: Option<String>,

@@ -222,6 +222,14 @@ pub enum FmiError {
     /// A call into the FMU failed.
     #[error(transparent)]
     Call(Box<CallFailure>),
+    /// A call of an instance made by hand after one that returned `Error`; the FMU was not called.
+    #[error(
+        "after {call} returned error nothing is left but to reset the instance, restore a saved state or free it"
+    )]
+    AfterError {
+        /// The call that returned `Error`.
+        call: &'static str,
+    },
     /// Slices of different lengths, or a vector that has not the model's size; the FMU was not called.
     #[error("{call}: {found} values where {expected} are needed")]
     Length {

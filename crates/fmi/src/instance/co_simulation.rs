@@ -15,7 +15,8 @@ use std::time::Duration;
 pub struct StepOutcome {
     /// The model stands at the end of the step.
     pub complete: bool,
-    /// Where it stands otherwise, if it says so.
+    /// The time of the model after the step, if it says so: in FMI 3.0 (`lastSuccessfulTime`) always, else where the step is
+    /// not complete. After a complete step it may differ from the end of the step where the model has steps of its own.
     pub reached: Option<f64>,
     /// It stands there because it returned early (FMI 3.0): no more of the step is to be made.
     pub early: bool,

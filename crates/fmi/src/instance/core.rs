@@ -56,7 +56,7 @@ impl Core {
     }
 
     /// The error behind a fault of a call about `references`, whose kind of variable `is` tells.
-    pub(super) fn error_about(
+    pub(crate) fn error_about(
         &self,
         fault: Fault,
         references: &[u32],
@@ -66,6 +66,7 @@ impl Core {
             Fault::Discard(call) => self.raw.failed(call, Status::Discard),
             Fault::Failed(failed) => *failed,
             Fault::Unusable(library) => return FmiError::LibraryUnusable { library },
+            Fault::AfterError(call) => return FmiError::AfterError { call },
             Fault::Missing(function) => return FmiError::MissingFunction { function },
             Fault::TooLarge { call, size } => return FmiError::TooLarge { call, size },
             Fault::Length { call, expected, found } => return FmiError::Length { call, expected, found },

@@ -12,7 +12,9 @@ use std::marker::PhantomData;
 ///
 /// An instance can be moved to another thread but not shared ([`Send`], not `Sync`). Changing the phase takes the
 /// instance and returns it in its new phase; when the FMU answers with an error, the instance is freed (after `fatal` it
-/// is abandoned: FMI forbids even freeing it), and the error has the FMU's last log lines.
+/// is abandoned: FMI forbids even freeing it), and the error has the FMU's last log lines. After another call has returned
+/// `error`, all further ones are refused with [`FmiError::AfterError`] but [`reset`](Instance::reset) and
+/// [`restore_state`](Instance::restore_state).
 #[derive(Debug)]
 pub struct Instance<P, K = ModelExchange> {
     core: Box<Core>,
@@ -377,7 +379,9 @@ impl<K> Instance<Instantiated, K> {
 
     /// An instance made by hand, which keeps its copy of the library.
     pub(crate) fn by_hand(core: Core, library: Box<dyn SetRecord>) -> Self {
-        Self { core: Box::new(Core { library: Some(library), ..core }), _phase: PhantomData }
+        let mut core = Core { library: Some(library), ..core };
+        core.raw.set_by_hand();
+        Self { core: Box::new(core), _phase: PhantomData }
     }
 
     /// Sets the experiment up and enters initialization mode.

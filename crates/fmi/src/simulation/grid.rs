@@ -23,15 +23,16 @@ impl SimulateOptions {
         let last = self.times.as_ref().and_then(|times| times.last().copied());
         let Some(end) = self.final_time.or(experiment.stop_time).or(last) else {
             return Err(setting(
-                "no final time: neither final_time nor times is given, and the model suggests none"
+                "no final time: the model suggests none; give final_time (other tools take 1 s) or times"
                     .to_owned(),
             ));
         };
         if !(start.is_finite() && end.is_finite() && start <= end) {
             let problem = format!(
-                "cannot simulate from {} to {}: both must be finite, the end not before the start",
+                "cannot simulate from {} to {}: both must be finite, the end not before the start{}",
                 Number(start),
-                Number(end)
+                Number(end),
+                self.suggested(experiment)
             );
             return Err(setting(problem));
         }
@@ -45,7 +46,7 @@ impl SimulateOptions {
         let time_tolerance = 100.0 * U * start.abs().max(end.abs()).max(end - start);
         let mut interval = self.output_interval;
         let times: Vec<f64> = match (&self.times, self.output_interval, self.ncp) {
-            (Some(times), ..) => snap(times, start, end, time_tolerance)?,
+            (Some(times), ..) => snap(times, (start, end), time_tolerance, &self.suggested(experiment))?,
             (_, Some(interval), _) => intervals(start, end, time_tolerance, interval)?,
             (_, _, Some(0)) => return Err(setting("ncp = 0: at least one interval is needed".to_owned())),
             (_, _, ncp) => {
@@ -58,6 +59,20 @@ impl SimulateOptions {
             interval = common_interval(&times, start, time_tolerance);
         }
         Ok(Grid { start, end, time_tolerance, times, interval })
+    }
+}
+
+impl SimulateOptions {
+    /// Which of start and end are suggestions of the model, for messages.
+    fn suggested(&self, experiment: &DefaultExperiment) -> String {
+        let of_model = [
+            experiment.start_time.filter(|_| self.start_time.is_none()).map(|t| ("start", t, "start_time")),
+            experiment.stop_time.filter(|_| self.final_time.is_none()).map(|t| ("end", t, "final_time")),
+        ];
+        let said = |(what, time, option): (&str, f64, &str)| {
+            format!("; {} is the model's own {what}, {option} another one", Number(time))
+        };
+        of_model.into_iter().flatten().map(said).collect()
     }
 }
 
@@ -130,12 +145,17 @@ fn intervals(start: f64, end: f64, time_tolerance: f64, interval: f64) -> Result
 }
 
 /// Checks given times, and makes those one that are within rounding of each other or of the ends of the span.
-fn snap(times: &[f64], start: f64, end: f64, time_tolerance: f64) -> Result<Vec<f64>, FmiError> {
+fn snap(
+    times: &[f64],
+    (start, end): (f64, f64),
+    time_tolerance: f64,
+    suggested: &str,
+) -> Result<Vec<f64>, FmiError> {
     let mut snapped: Vec<f64> = memory::list_of("the list of times", times.len())?;
     for (i, &time) in times.iter().enumerate() {
         if !(time >= start - time_tolerance && time <= end + time_tolerance) {
             return Err(setting(format!(
-                "times[{i}] = {} is not within the span of the simulation, {} to {}",
+                "times[{i}] = {} is not within the span of the simulation, {} to {}{suggested}",
                 Number(time),
                 Number(start),
                 Number(end)

@@ -69,7 +69,7 @@ impl System {
     pub(crate) fn new(plan: Arc<SimulationPlan>) -> Self {
         let n = plan.n_states;
         Self {
-            sent: Vec::with_capacity(plan.inputs.continuous.start.len()),
+            sent: Vec::with_capacity(plan.inputs.continuous.start().len()),
             set_time: None,
             set_states: None,
             is_evaluated: false,
@@ -163,7 +163,7 @@ impl System {
     /// Sets the continuous inputs at `t`.
     fn set_inputs(&mut self, t: f64) -> CallResult<()> {
         let Self { running: Running { plan, inputs, current, .. }, sent, .. } = self;
-        if plan.inputs.continuous.references.is_empty() {
+        if plan.inputs.continuous.is_empty() {
             return Ok(());
         }
         if !inputs.continuous_at(&plan.inputs, t) {
@@ -174,7 +174,7 @@ impl System {
             return Ok(());
         }
         sent.clear();
-        current.call(|raw| raw.set_real(&plan.inputs.continuous.references, &inputs.continuous))?;
+        current.call(|raw| plan.inputs.continuous.send(raw, &inputs.continuous))?;
         sent.extend_from_slice(&inputs.continuous);
         Ok(())
     }
@@ -307,7 +307,7 @@ fn send(plan: &InputPlan, inputs: &InputState, sent: &mut Vec<f64>, core: &mut C
         return Ok(());
     }
     sent.clear();
-    core.set_reals(&plan.continuous.references, &inputs.continuous)?;
+    plan.continuous.set(core, &inputs.continuous)?;
     sent.extend_from_slice(&inputs.continuous);
     Ok(())
 }
@@ -371,7 +371,7 @@ impl HybridSystem for System {
     fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
         let time = t.max(self.floor);
         let is_new_time = !self.set_time.is_some_and(|set| same_bits(set, time));
-        if is_new_time && self.running.plan.inputs.continuous.references.is_empty() {
+        if is_new_time && self.running.plan.inputs.continuous.is_empty() {
             self.set_time = None;
             self.set_states = None;
             self.is_evaluated = false;

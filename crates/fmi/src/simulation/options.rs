@@ -5,6 +5,7 @@ use crate::fmu::Kind;
 use crate::simulation::inputs::Inputs;
 use crate::simulation::sharing::Sharing;
 use ode::{ChatteringPolicy, Method};
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
@@ -14,6 +15,20 @@ pub const DEFAULT_INTERVALS: usize = 500;
 
 /// Relative tolerance where neither the options nor the model say one.
 pub const DEFAULT_TOLERANCE: f64 = 1e-6;
+
+/// What becomes of rows between the steps of a co-simulation that cannot stop there: one that takes steps of one length only, or
+/// steps from one multiple of its own step to the next (`fixedInternalStepSize`, FMI 3.0).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum BetweenSteps {
+    /// Continuous variables are interpolated linearly between the steps on both sides (where the model tells derivatives of its
+    /// outputs, along the parabola that has that at the later one), others have the value of the step before.
+    #[default]
+    Interpolate,
+    /// The simulation is refused.
+    #[serde(rename = "error")]
+    Refuse,
+}
 
 /// Functions that set an option and give the options back.
 macro_rules! setters {
@@ -73,8 +88,11 @@ pub struct SimulateOptions {
     /// Integration method (model exchange).
     pub method: Method,
     /// Model exchange: step of the fixed-step methods; default: a 500th of the span. Co-simulation: the communication
-    /// step; default: that of the default experiment, else the distance of the rows.
+    /// step; default: that of the default experiment, else the distance of the rows. Where the model takes steps of any length,
+    /// there are further communication points at the rows and wherever an input jumps or changes its slope.
     pub step_size: Option<f64>,
+    /// Rows between the steps of a co-simulation that cannot stop there; default: interpolated.
+    pub between_steps: BetweenSteps,
     /// Largest step of the adaptive methods.
     pub max_step: Option<f64>,
     /// Limit of wall-clock time.
@@ -109,6 +127,7 @@ impl SimulateOptions {
         kind(Kind) = |kind| kind;
         method(Method) = |method| method;
         step_size(f64) = |step| Some(step);
+        between_steps(BetweenSteps) = |choice| choice;
         max_step(f64) = |step| Some(step);
         timeout(Duration) = |limit| Some(limit);
         max_work(f64) = |work| Some(work);
@@ -161,7 +180,7 @@ impl SimulateOptions {
             }};
         }
         same!(but inputs, cancel; start_time, final_time, times, output_interval, ncp, start_values, clock_intervals,
-            parameters, outputs, input_derivatives, relative_tolerance, kind, method, step_size, max_step, timeout,
+            parameters, outputs, input_derivatives, relative_tolerance, kind, method, step_size, between_steps, max_step, timeout,
             max_work, chattering, record_events, sharing)
     }
 

@@ -34,7 +34,7 @@ impl Running {
             return Err(inputs.bad_function_value(plan.start));
         }
         inputs.set_held(instance.core(), &plan.inputs)?;
-        instance.core().set_reals(&plan.inputs.continuous.references, &inputs.continuous)?;
+        plan.inputs.continuous.set(instance.core(), &inputs.continuous)?;
         check_clocks(plan, instance.core())?;
         clocks.begin(&plan.clocks, instance.core(), plan.start)?;
         Ok(instance)

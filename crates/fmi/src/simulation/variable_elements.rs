@@ -1,10 +1,12 @@
 //! Values that are given anew again and again, by variable or by element of an array: FMI sets arrays as a whole, so that
 //! what is not given keeps its start value.
 
-use crate::description::{ModelDescription, Structure, Value};
+use crate::description::{ModelDescription, Structure, Value, VariableKind};
 use crate::error::FmiError;
+use crate::instance::Core;
 use crate::instance::assignments::{self, Assignments, resolve};
 use crate::simulation::outputs::element_of;
+use crate::sys::{Fault, RawInstance};
 use std::collections::HashMap;
 
 /// A variable, or one element of it (counted from 0, the last index varying fastest).
@@ -153,6 +155,77 @@ impl<T> Slots<T> {
             }
         };
         Ok(first + element.unwrap_or(0))
+    }
+}
+
+/// Floating-point variables, those of type `Real` before those of type `Float32`: set with one call per type.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct FloatSlots {
+    slots: Slots<f64>,
+    /// How many references and values are of type `Real`.
+    reals: (usize, usize),
+}
+
+impl FloatSlots {
+    /// Places for so many values, of no variables.
+    #[cfg(test)]
+    pub(crate) fn of_zeros(n: usize) -> Self {
+        Self { slots: Slots { start: vec![0.0; n], ..Slots::default() }, reals: (0, n) }
+    }
+
+    /// As [`Slots::place`]. All of type `Real` are placed before the others.
+    ///
+    /// # Errors
+    /// Those of [`Starts::reals`].
+    pub(crate) fn place(&mut self, starts: &Starts<'_>, place: VariableElement) -> Result<usize, FmiError> {
+        let variable = &starts.description.variables[place.variable];
+        let found = self.slots.place(variable.value_reference, place.element, || starts.reals(place))?;
+        if variable.kind == VariableKind::Real {
+            self.reals = (self.slots.references.len(), self.slots.start.len());
+        }
+        Ok(found)
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.slots.references.is_empty()
+    }
+
+    /// Values to start from.
+    pub(crate) fn start(&self) -> &[f64] {
+        &self.slots.start
+    }
+
+    /// References and number of values of the variables of type `Real`.
+    pub(crate) fn reals(&self) -> (&[u32], usize) {
+        (&self.slots.references[..self.reals.0], self.reals.1)
+    }
+
+    /// The variables, each by its type and reference.
+    pub(crate) fn references(&self) -> impl Iterator<Item = (VariableKind, u32)> + '_ {
+        let kind = |i| if i < self.reals.0 { VariableKind::Real } else { VariableKind::Float32 };
+        self.slots.references.iter().enumerate().map(move |(i, reference)| (kind(i), *reference))
+    }
+
+    /// Sets them.
+    pub(crate) fn send(&self, raw: &mut RawInstance, values: &[f64]) -> Result<(), Fault> {
+        let (references, single_references) = self.slots.references.split_at(self.reals.0);
+        let (values, singles) = values.split_at(self.reals.1);
+        if !references.is_empty() {
+            raw.set_real(references, values)?;
+        }
+        if !single_references.is_empty() {
+            raw.set_singles(single_references, singles)?;
+        }
+        Ok(())
+    }
+
+    /// Sets them; an error names them.
+    ///
+    /// # Errors
+    /// The FMU refuses.
+    pub(crate) fn set(&self, core: &mut Core, values: &[f64]) -> Result<(), FmiError> {
+        let sent = self.send(&mut core.raw, values);
+        sent.map_err(|fault| core.error_about(fault, &self.slots.references, VariableKind::is_float))
     }
 }
 

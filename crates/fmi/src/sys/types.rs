@@ -118,7 +118,7 @@ impl fmt::Display for InterfaceKind {
 /// What a communication step told.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct StepInfo {
-    /// How far the model got, where that is not the end of the step (or not known to be).
+    /// How far the model got, where that is not the end of the step (or not known to be); FMI 3.0: its time after every step.
     pub(crate) reached: Option<f64>,
     /// The model returned before the end of the step and goes on from where it got (FMI 3.0).
     pub(crate) early: bool,

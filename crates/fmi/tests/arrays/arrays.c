@@ -1,5 +1,6 @@
 /* An FMI 3.0 model (model exchange and co-simulation) with what the example models lack: x' = u - k .* x with n states
- * in one array, a matrix, all widths of integers, texts and bytes. Lenient, but strict about the numbers of values. */
+ * in one array, a matrix, all widths of integers, texts and bytes. Lenient, but strict about the numbers of values. With SINGLE
+ * the value of type Float32 is added to u. */
 #include "fmi3.h"
 
 #include <math.h>
@@ -140,6 +141,9 @@ FMI3_EXPORT fmi3Status fmi3ExitConfigurationMode(fmi3Instance i) { ((Model *)i)-
 static double *derivatives(Model *m) {
     size_t j;
     for (j = 0; j < m->n; j++) m->dx[j] = m->u[j] - m->k[j] * m->x[j];
+#ifdef SINGLE
+    for (j = 0; j < m->n; j++) m->dx[j] += m->f32;
+#endif
     return m->dx;
 }
 static double *sum(Model *m) {

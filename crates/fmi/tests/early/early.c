@@ -1,8 +1,11 @@
 /* An FMI 3.0 co-simulation of x' = 1 that does not always make the step it is asked for, in a way chosen by a macro:
  * DISCARDS (steps above 0.06, with nothing computed and arguments that say otherwise), RETURNS_EARLY (after 0.04) or
- * STANDS_STILL (returns early where it began, beyond t = 0.5). */
+ * STANDS_STILL (returns early where it began, beyond t = 0.5). With INTERNAL_STEPS it moves from one multiple of 0.1 to the
+ * next and stands at the last one in between. With ENDS_IN_EVENT it asks for event mode and for the end of the simulation with
+ * the step that reaches t = 0.5, and refuses event mode. */
 #include "fmi3.h"
 
+#include <math.h>
 #include <stdlib.h>
 
 typedef struct {
@@ -40,6 +43,16 @@ FMI3_EXPORT fmi3Status fmi3SetFloat64(fmi3Instance i, const fmi3ValueReference r
     }
     return fmi3OK;
 }
+#ifdef ENDS_IN_EVENT
+FMI3_EXPORT fmi3Status fmi3EnterEventMode(fmi3Instance i) { (void)i; return fmi3Error; }
+FMI3_EXPORT fmi3Status fmi3EnterStepMode(fmi3Instance i) { (void)i; return fmi3OK; }
+FMI3_EXPORT fmi3Status fmi3UpdateDiscreteStates(fmi3Instance i, bool *a, bool *t, bool *nc, bool *vc, bool *d, double *next) {
+    (void)i;
+    *a = *t = *nc = *vc = *d = false;
+    *next = 0;
+    return fmi3OK;
+}
+#endif
 FMI3_EXPORT fmi3Status fmi3DoStep(fmi3Instance i, double t, double h, bool p, bool *e, bool *term, bool *early, double *last) {
     Model *m = i;
     double made = h;
@@ -58,9 +71,16 @@ FMI3_EXPORT fmi3Status fmi3DoStep(fmi3Instance i, double t, double h, bool p, bo
 #ifdef STANDS_STILL
     if (t > 0.5) made = 0;
 #endif
+#ifdef INTERNAL_STEPS
+    m->time = m->x = 0.1 * floor((t + h) / 0.1 + 1e-9);
+#else
     m->time = t + made;
     m->x += made;
     *early = made < h;
+#endif
+#ifdef ENDS_IN_EVENT
+    *e = *term = m->time > 0.5 - 1e-9;
+#endif
     *last = m->time;
     return fmi3OK;
 }

@@ -724,7 +724,9 @@ class Calibration:
             As in `cost`.
         covariance : {"sandwich", "pooled"}
             With one residual variance per output of the model, over all of its recordings:
-            ``inv(J.T @ J) @ J.T @ S @ J @ inv(J.T @ J)``; or with one for all: ``s**2 * inv(J.T @ J)``.
+            ``inv(J.T @ J) @ J.T @ S @ J @ inv(J.T @ J)``; or with one for all: ``s**2 * inv(J.T @ J)``. Of a fit with a robust loss it is
+            that of an M-estimator, of one with the likelihood the inverse of its information; where the residuals of an output are
+            autocorrelated they are taken for a first-order autoregression (Seber and Wild, Nonlinear Regression, 1989, chapter 6).
         parameters : sequence of str, optional
             Only these are free, the others are taken as known: the standard errors are conditional then.
         workers : int, optional

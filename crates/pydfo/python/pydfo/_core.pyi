@@ -199,13 +199,13 @@ def cross_validate(
     calibration: Calibration, folds: int | None, options: Options, loss: tuple[str, float] | None
 ) -> dict[str, Any]: ...
 def prediction_bands(
-    calibration: Calibration, fit: Fit, times: list[float] | None, level: float, outputs: list[str] | None
+    calibration: Calibration, fit: Fit, times: list[float] | None, extent: tuple[float, bool], outputs: list[str] | None
 ) -> list[dict[str, Any]]: ...
 def profile(
     calibration: Calibration,
     fit: Fit,
     parameters: list[int] | None,
-    extent: tuple[float, int | None],
+    extent: tuple[float, bool, int | None],
     workers: int | None,
     checkpoint: str | None,
 ) -> dict[str, Any]: ...

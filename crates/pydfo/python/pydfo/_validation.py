@@ -240,13 +240,16 @@ class PredictionBand:
         return f"<PredictionBand of {self.variable} in {self.experiment} at {len(self.time)} times>"
 
 
-def prediction_band(fit: Fit, times: npt.ArrayLike | None, level: float, outputs: Sequence[str] | str | None) -> dict[str, Any]:
+def prediction_band(
+    fit: Fit, times: npt.ArrayLike | None, level: float, outputs: Sequence[str] | str | None, corrected: bool
+) -> dict[str, Any]:
     """`Fit.prediction_band`."""
     rows = None if times is None else _options.vector("times", times).tolist()
     chosen = [outputs] if isinstance(outputs, str) else outputs
     names = None if chosen is None else [_options.choice("outputs", name) for name in chosen]
     calibration = fit._calibration
-    found = _core.prediction_bands(calibration._native, native(fit), rows, _options.number("level", level), names)
+    extent = (_options.number("level", level), _options.flag("corrected", corrected))
+    found = _core.prediction_bands(calibration._native, native(fit), rows, extent, names)
     bands = [PredictionBand(**fields) for fields in found]
     by_experiment = [{b.variable: b for b in bands if b.experiment == name} for name in calibration.experiments]
     return by_experiment[0] if len(by_experiment) == 1 else dict(zip(calibration.experiments, by_experiment))

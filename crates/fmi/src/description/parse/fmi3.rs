@@ -8,6 +8,7 @@ use super::xml::{Element, Xml};
 use crate::description::clock::ClockTiming;
 use crate::description::draft::{Draft, Flags, NOWHERE, StructureList};
 use crate::description::model::{Interface, QuirkKind, Unknown};
+use crate::description::quirks::Quirks;
 use crate::description::variable::{Alias, Dimension, Variable};
 use crate::error::FmiError;
 use crate::value::{Value, VariableKind};
@@ -150,7 +151,8 @@ fn variables(
         let texts = variable_children(xml, &element, &mut variable, draft, (position, &mut later))?;
         let is_array = !variable.dimensions.is_empty();
         variable.start = match kind {
-            VariableKind::String | VariableKind::Binary => start_of_texts(texts, is_array),
+            VariableKind::String | VariableKind::Binary => start_of_texts(texts, is_array)
+                .or_else(|| start_attribute(&attributes, &variable, &mut draft.quirks)),
             _ => attributes.start(kind, is_array, &mut draft.quirks),
         };
         if let Some(state) = attributes.count("derivative", &mut draft.quirks) {
@@ -177,6 +179,19 @@ fn variables(
         variables[variable].clocks = known.collect();
     }
     Ok(positions)
+}
+
+/// The start value of a text or binary variable that stands where those of other types do, as in FMI 2.0, instead of in
+/// elements `<Start>`.
+fn start_attribute(attributes: &Attributes<'_>, variable: &Variable, quirks: &mut Quirks) -> Option<Value> {
+    let start = match variable.kind {
+        VariableKind::Binary => Value::Binary(attributes.hexadecimal("start", quirks)?),
+        _ => Value::String(attributes.text("start")?),
+    };
+    quirks.add(QuirkKind::Start, attributes.line, || {
+        format!("\"{}\" has its start value in an attribute, not in elements <Start>", variable.name)
+    });
+    Some(if variable.dimensions.is_empty() { start } else { Value::Array(vec![start]) })
 }
 
 /// One value, or those of an array.

@@ -43,6 +43,7 @@ impl Stepping {
             longest: f64::INFINITY,
             next_event: None,
             discards: 0,
+            is_elsewhere: false,
             tried: 0.0,
             stats: Stats::default(),
             began: Instant::now(),

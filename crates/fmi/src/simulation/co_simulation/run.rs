@@ -1,12 +1,13 @@
 //! The loop over communication points: from one to the next, with inputs and events between two steps.
 
 use super::stepping::{Call, Stepping};
+use crate::description::QuirkKind;
 use crate::error::FmiError;
 use crate::instance::StepOutcome;
 use crate::simulation::plan::{Communication, SimulationPlan};
 use crate::simulation::running::Running;
 use crate::sys::{Fault, RawInstance, look_now_and_then};
-use ode::{ErrorKind, EventCause, EventOutcome, EventRecord, Limits, Observer, Stats, Termination};
+use ode::{ErrorKind, EventCause, EventOutcome, EventRecord, Limits, Number, Observer, Stats, Termination};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
@@ -15,6 +16,9 @@ const MAX_DISCARDS: u32 = 12;
 
 /// Events at one instant before a run gives up.
 const MAX_EVENTS_HERE: u32 = 100;
+
+/// Part of a step by which a model may miss its end: steps of its own that are added up.
+const INTERNAL_TIME_TOLERANCE: f64 = 1e-6;
 
 /// Lengths of steps that are remembered.
 const LENGTHS: usize = 4;
@@ -54,6 +58,8 @@ pub(super) struct Run<'a> {
     /// The time event that the model announced.
     pub(super) next_event: Option<f64>,
     pub(super) discards: u32,
+    /// The model has been found to stand elsewhere than at the end of a step.
+    pub(super) is_elsewhere: bool,
     pub(super) tried: f64,
     pub(super) stats: Stats,
     pub(super) began: Instant,
@@ -128,7 +134,8 @@ impl Run<'_> {
         if outcome.complete {
             self.discards = 0;
             self.longest = f64::INFINITY;
-            self.arrive(target.time, target.regular, row_inside, outcome.event)?;
+            self.check_internal_time(&target, &outcome);
+            self.arrive(target.time, target.regular, row_inside, &outcome)?;
         } else {
             self.cut_short(&target, &outcome, row_inside)?;
         }
@@ -148,7 +155,7 @@ impl Run<'_> {
             // The model stands there and goes on from there.
             self.discards = 0;
             let regular = target.regular && reached >= target.time - time_tolerance;
-            self.arrive(reached, regular, row_inside, event && !terminate)?;
+            self.arrive(reached, regular, row_inside, outcome)?;
             if !can_retry && !regular {
                 (self.origin, self.passed, self.on_grid) = (reached, 0, true);
             }
@@ -168,7 +175,7 @@ impl Run<'_> {
                 let events = self.discards.into();
                 return Err(Exit::Error(ErrorKind::Chattering { events, within: 0.0, indicator: 0 }));
             }
-            return self.arrive_at(self.t, true);
+            return self.arrive_at(self.t, outcome);
         }
         self.stats.rejected_steps += 1;
         self.discards += 1;
@@ -188,7 +195,7 @@ impl Run<'_> {
     }
 
     /// The step is good: samples inside of it, then those at its end, before and after the inputs change.
-    fn arrive(&mut self, time: f64, regular: bool, row_inside: bool, event: bool) -> Step<()> {
+    fn arrive(&mut self, time: f64, regular: bool, row_inside: bool, outcome: &StepOutcome) -> Step<()> {
         self.stats.accepted_steps += 1;
         if row_inside {
             self.read(StepSide::After)?;
@@ -197,13 +204,14 @@ impl Run<'_> {
         }
         self.passed += u64::from(regular);
         self.on_grid = regular;
-        self.arrive_at(time, event)
+        self.arrive_at(time, outcome)
     }
 
     /// The model stands at a communication point: samples and events. Inputs change here in event mode only, where there
     /// is one; else they are set when the row has been read, just before the next step (FMI 2.0.5, section 4.2.4: outputs
-    /// that are read after inputs were set, with no step between, may be anything).
-    fn arrive_at(&mut self, time: f64, event: bool) -> Step<()> {
+    /// that are read after inputs were set, with no step between, may be anything). A model that wishes to end here has no
+    /// more events.
+    fn arrive_at(&mut self, time: f64, outcome: &StepOutcome) -> Step<()> {
         self.t = time;
         self.sample_left()?;
         if self.stepping.running.digest.is_some() {
@@ -212,12 +220,29 @@ impl Run<'_> {
             self.stepping.running.note(&self.stepping.after);
         }
         let event_mode = self.stepping.running.current.core()?.raw.has_event_mode();
-        let ended = event_mode && self.handle_events(event)?;
+        let ended = event_mode && !outcome.terminate && self.handle_events(outcome.event)?;
         self.sample_here()?;
         if ended {
             return Err(Exit::Normal(Termination::StoppedByModel));
         }
         Ok(())
+    }
+
+    /// Notes the first time at which a model stands elsewhere than at the end of a step that it calls complete: it has the
+    /// values of another time there.
+    fn check_internal_time(&mut self, target: &Target, outcome: &StepOutcome) {
+        let Some(reached) = outcome.reached.filter(|_| !self.is_elsewhere) else { return };
+        self.is_elsewhere = (reached - target.time).abs() > INTERNAL_TIME_TOLERANCE * target.step;
+        if self.is_elsewhere {
+            let message = format!(
+                "after a complete step from {} to {} the model stands at {} (lastSuccessfulTime): what is read there are its \
+                 values of that time; a communication step (step_size) that is a multiple of its own avoids that",
+                Number(self.t),
+                Number(target.time),
+                Number(reached)
+            );
+            self.plan.fmu().note_quirk(QuirkKind::Promise, message);
+        }
     }
 
     fn reached_end(&self) -> Step<()> {
@@ -254,14 +279,16 @@ impl Run<'_> {
         {
             return Target { time, step, regular: true };
         }
-        let mut time = plan.end;
+        let mut time = self.stop_before(plan.end);
         if let Some((next, _)) = grid.filter(|(next, _)| *next < time + time_tolerance) {
             time = next.min(time);
         }
         let input = plan.inputs.next_stop(self.t).map(|stop| stop.time);
-        let event = self.next_event.filter(|next| *next > self.t + time_tolerance);
         let retry = Some(self.t + self.longest);
-        for stop in [self.row_before(time - time_tolerance), input, event, retry].into_iter().flatten() {
+        let stops = [self.row_before(time - time_tolerance), input, retry];
+        let stops = stops.into_iter().flatten().map(|stop| self.stop_before(stop));
+        let event = self.next_event.filter(|next| *next > self.t + time_tolerance);
+        for stop in stops.chain(event) {
             if stop < time - time_tolerance {
                 time = stop;
             }
@@ -269,17 +296,28 @@ impl Run<'_> {
         let regular = grid.is_some_and(|(next, _)| (next - time).abs() <= time_tolerance);
         let step = match grid {
             // From one regular point to the next, unless rounding would lead beyond the end.
-            Some((_, step)) if regular && self.on_grid && self.t + step <= plan.end => step,
-            _ => self.length(time - self.t),
+            Some((_, step)) if regular && self.on_grid && self.t + step <= plan.end.max(time) => step,
+            _ => self.length(time),
         };
         Target { time, step, regular }
     }
 
-    /// A length that was used before, where this one is the same but for rounding.
-    fn length(&mut self, length: f64) -> f64 {
-        let is_same = |known: &&f64| {
-            (**known - length).abs() <= self.plan.time_tolerance && self.t + **known <= self.plan.end
+    /// Where to stop for the sake of `time`: there, or where the model steps from one multiple of its own step to the next,
+    /// at the multiples around it.
+    fn stop_before(&self, time: f64) -> f64 {
+        let Some((below, above)) =
+            self.communication.steps_around(self.plan.start, time, self.plan.time_tolerance)
+        else {
+            return time;
         };
+        if below > self.t + self.plan.time_tolerance { below } else { above }
+    }
+
+    /// The length of a step to `time`: one that was used before, where it is the same but for rounding.
+    fn length(&mut self, time: f64) -> f64 {
+        let (length, most) = (time - self.t, self.plan.end.max(time));
+        let is_same =
+            |known: &&f64| (**known - length).abs() <= self.plan.time_tolerance && self.t + **known <= most;
         if let Some(known) = self.lengths.iter().find(is_same) {
             return *known;
         }
@@ -321,8 +359,9 @@ impl Run<'_> {
         for (slope, end) in slopes.iter_mut().zip(&state.continuous) {
             *slope = (end - *slope) / target.step;
         }
-        let references = &inputs.continuous.references;
-        match current.core()?.call(|raw| raw.set_input_derivatives(references, slopes)) {
+        // The versions with this call have no other floating-point type.
+        let (references, n) = inputs.continuous.reals();
+        match current.core()?.call(|raw| raw.set_input_derivatives(references, &slopes[..n])) {
             // Offered, but not there: then inputs are held, as for everybody else.
             Ok(()) | Err(FmiError::MissingFunction { .. }) => Ok(()),
             Err(error) => Err(error.into()),
@@ -358,7 +397,7 @@ impl Run<'_> {
         let core = current.core()?;
         core.call(RawInstance::enter_event_mode)?;
         inputs.set_held(core, &self.plan.inputs)?;
-        core.set_reals(&self.plan.inputs.continuous.references, &inputs.continuous)?;
+        self.plan.inputs.continuous.set(core, &inputs.continuous)?;
         Ok(core.run_event_mode(self.t, |core, time| {
             let recorded = &self.plan.outputs().clocks;
             clocks
@@ -380,9 +419,9 @@ impl Run<'_> {
         if !event_mode {
             inputs.set_held(core, &self.plan.inputs)?;
         }
-        let references = &self.plan.inputs.continuous.references;
-        core.set_reals(references, &inputs.continuous)?;
-        if self.communication.input_derivatives && !references.is_empty() {
+        let continuous = &self.plan.inputs.continuous;
+        continuous.set(core, &inputs.continuous)?;
+        if self.communication.input_derivatives && !continuous.is_empty() {
             self.set_input_derivatives(target)?;
         }
         Ok(())

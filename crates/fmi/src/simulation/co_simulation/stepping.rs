@@ -32,7 +32,7 @@ impl Stepping {
             before: row(),
             after: row(),
             between: row(),
-            slopes: vec![0.0; plan.inputs.continuous.start.len()],
+            slopes: vec![0.0; plan.inputs.continuous.start().len()],
             ends: Vec::with_capacity(plan.outputs().smooth.0.len()),
             initial: EventOutcome::default(),
             stopwatch: Stopwatch::new(),

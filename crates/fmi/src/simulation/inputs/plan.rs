@@ -1,4 +1,4 @@
-//! Time-varying inputs: tables and functions; linear between rows for continuous reals, held for everything else.
+//! Time-varying inputs: tables and functions; linear between rows for continuous floating-point inputs, held for everything else.
 
 use super::texts::TextInput;
 use crate::description::{Causality, ClockKind, Value, Variability, Variable, VariableKind};
@@ -7,7 +7,7 @@ use crate::instance::assignments::convert_one;
 use crate::instance::integer_codec;
 use crate::simulation::clocks::{ClockInputs, Clocked};
 use crate::simulation::column::{Column, HeldColumn};
-use crate::simulation::variable_elements::{Slots, Starts, VariableElement};
+use crate::simulation::variable_elements::{FloatSlots, Slots, Starts, VariableElement};
 use ode::InputStop;
 use std::fmt;
 use std::sync::Arc;
@@ -17,7 +17,7 @@ pub type InputFunction = Arc<dyn Fn(f64) -> f64 + Send + Sync>;
 
 /// What drives the inputs of a model.
 ///
-/// Continuous real inputs are linear between the rows of their table, all other inputs (texts, too: [`values`](Self::values)) keep
+/// Continuous inputs of floating-point type are linear between the rows of their table, all other inputs (texts, too: [`values`](Self::values)) keep
 /// the value of a row until the next; outside of the table the first and the last row hold. A time listed twice is a jump: the first of the two rows
 /// is the limit from the left. Jumps and changes of held values are events; changes of slope are hit by steps.
 ///
@@ -167,7 +167,7 @@ pub(crate) struct InputPlan {
     pub(super) linear: Vec<(Column, usize)>,
     /// The same of functions.
     pub(super) functions: Vec<(InputFunction, usize)>,
-    pub(crate) continuous: Slots<f64>,
+    pub(crate) continuous: FloatSlots,
     pub(super) held: Vec<Held>,
     pub(crate) held_reals: Slots<f64>,
     pub(crate) held_packed: Vec<(VariableKind, Slots<i64>)>,
@@ -187,7 +187,7 @@ pub(crate) struct InputPlan {
 impl fmt::Debug for InputPlan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("InputPlan")
-            .field("continuous", &self.continuous.references)
+            .field("continuous", &self.continuous)
             .field("held", &self.held.len())
             .field("stops", &self.stops.len())
             .finish_non_exhaustive()
@@ -203,9 +203,17 @@ impl InputPlan {
         let description = starts.description;
         let mut plan = Self { time_tolerance, ..Self::default() };
         let mut stops = Vec::new();
-        for source in &inputs.sources {
-            let Source { name, values: source } = source;
-            let place = VariableElement::of_name(description, starts.structure, name)?;
+        // Those of type Real come first, as `FloatSlots` wants it.
+        let place_of =
+            |source: &Source| VariableElement::of_name(description, starts.structure, &source.name);
+        let mut sources: Vec<(VariableElement, &Source)> = inputs
+            .sources
+            .iter()
+            .map(|source| Ok((place_of(source)?, source)))
+            .collect::<Result<_, FmiError>>()?;
+        sources.sort_by_key(|(place, _)| description.variables[place.variable].kind != VariableKind::Real);
+        for (place, source) in &sources {
+            let (place, Source { name, values: source }) = (*place, source);
             let variable = &description.variables[place.variable];
             if variable.causality != Causality::Input {
                 return Err(bad(
@@ -215,7 +223,7 @@ impl InputPlan {
             }
             // Each source before this one drives one place.
             if let Some(first) = plan.driven.iter().position(|driven| driven.overlaps(place, description)) {
-                let problem = match &inputs.sources[first].name {
+                let problem = match &sources[first].1.name {
                     first if first == name => "it is given twice".to_owned(),
                     first => format!("it is the same variable as {first}, which is given too"),
                 };
@@ -230,11 +238,11 @@ impl InputPlan {
                 SourceValues::Function(function) if is_linear(variable) => {
                     let function = Arc::clone(function);
                     let function = if variable.negated { Arc::new(move |t| -function(t)) } else { function };
-                    let at = plan.place_continuous(starts, place)?;
+                    let at = plan.continuous.place(starts, place)?;
                     plan.functions.push((function, at));
                 }
                 SourceValues::Function(_) => {
-                    let problem = "a function can drive continuous real inputs only; use a table, whose changes are events";
+                    let problem = "a function can drive continuous inputs of floating-point type only; use a table, whose changes are events";
                     return Err(bad(variable, problem.to_owned()));
                 }
                 SourceValues::Any(times, values) if !variable.kind.is_number() => {
@@ -288,7 +296,7 @@ impl InputPlan {
         if is_linear(variable) {
             let column = column.times(if variable.negated { -1.0 } else { 1.0 });
             column.linear_stops(self.time_tolerance, stops);
-            let at = self.place_continuous(starts, place)?;
+            let at = self.continuous.place(starts, place)?;
             self.linear.push((column, at));
             return Ok(());
         }
@@ -319,11 +327,6 @@ impl InputPlan {
         }
         column.column.held_stops(stops);
         self.hold(starts, place, column)
-    }
-
-    fn place_continuous(&mut self, starts: &Starts<'_>, place: VariableElement) -> Result<usize, FmiError> {
-        let reference = starts.description.variables[place.variable].value_reference;
-        self.continuous.place(reference, place.element, || starts.reals(place))
     }
 
     fn hold(
@@ -408,12 +411,18 @@ impl InputPlan {
 
     /// The variables that are driven, each by its type and reference.
     pub(crate) fn references(&self) -> impl Iterator<Item = (VariableKind, u32)> + '_ {
-        let reals = self.continuous.references.iter().chain(&self.held_reals.references);
+        let reals = self.held_reals.references.iter();
         let packed = self.held_packed.iter();
         let texts = self.texts.iter().map(TextInput::reference);
-        reals.map(|reference| (VariableKind::Real, *reference)).chain(texts).chain(
+        self.continuous.references().chain(reals.map(|r| (VariableKind::Real, *r))).chain(texts).chain(
             packed.flat_map(|(kind, slots)| slots.references.iter().map(|reference| (*kind, *reference))),
         )
+    }
+
+    /// How many stops lie between these times.
+    pub(crate) fn stops_within(&self, start: f64, end: f64) -> usize {
+        let up_to = |t: f64| self.stops.partition_point(|stop| stop.time <= t);
+        up_to(end - self.time_tolerance).saturating_sub(up_to(start + self.time_tolerance))
     }
 
     /// The first stop after `t`.
@@ -446,7 +455,7 @@ impl Starts<'_> {
 
 /// Whether an input goes from row to row along a line.
 fn is_linear(variable: &Variable) -> bool {
-    variable.kind == VariableKind::Real && variable.variability == Variability::Continuous
+    variable.kind.is_float() && variable.variability == Variability::Continuous
 }
 
 fn bad(variable: &Variable, problem: String) -> FmiError {

@@ -30,7 +30,7 @@ impl InputState {
         Self {
             passed: 0,
             cursors: vec![0; plan.linear.len()],
-            continuous: plan.continuous.start.clone(),
+            continuous: plan.continuous.start().to_vec(),
             held_reals: plan.held_reals.start.clone(),
             held_packed: plan.held_packed.iter().map(|(_, slots)| slots.start.clone()).collect(),
             texts: vec![0; plan.texts.len()],
@@ -121,6 +121,7 @@ mod tests {
     use super::*;
     use crate::simulation::column::Column;
     use crate::simulation::inputs::plan::Held;
+    use crate::simulation::variable_elements::FloatSlots;
     use std::sync::Arc;
 
     fn column(times: &[f64], values: &[f64]) -> Column {
@@ -133,7 +134,7 @@ mod tests {
         linear.iter().for_each(|c| c.linear_stops(plan.time_tolerance, &mut stops));
         held.iter().for_each(|c| c.held_stops(&mut stops));
         plan.held_reals.start = vec![0.0; held.len()];
-        plan.continuous.start = vec![0.0; linear.len()];
+        plan.continuous = FloatSlots::of_zeros(linear.len());
         plan.linear = linear.into_iter().zip(0..).collect();
         plan.held = held
             .into_iter()
@@ -190,11 +191,11 @@ mod tests {
         let mut state = InputState::new(&plan);
         state.continuous_at(&plan, 0.5);
         assert_eq!(state.seconds_in_functions(), 0.0);
-        plan.continuous.start = vec![0.0; 3];
         let slowly = |t| {
             std::thread::sleep(std::time::Duration::from_millis(2));
             2.0 * t
         };
+        plan.continuous = FloatSlots::of_zeros(3);
         plan.functions = vec![(Arc::new(|t| -t), 1), (Arc::new(slowly), 2)];
         let mut state = InputState::new(&plan);
         let mut before = 0.0;

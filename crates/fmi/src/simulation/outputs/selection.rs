@@ -19,8 +19,6 @@ pub(crate) struct Selection {
     pub(crate) names: Vec<String>,
     /// Of each column: position of its variable.
     pub(crate) variables: Vec<usize>,
-    /// Positions of the variables that are there as a whole.
-    known: HashSet<usize>,
 }
 
 impl Selection {
@@ -62,11 +60,14 @@ impl Selection {
     ///
     /// # Errors
     /// A name is unknown; a pattern fits nothing.
-    pub(crate) fn of_names(context: &OutputContext<'_>, names: &[String]) -> Result<Self, FmiError> {
+    pub(crate) fn of_names<'a>(context: &OutputContext<'a>, names: &'a [String]) -> Result<Self, FmiError> {
         let (model, structure) = (context.model, context.structure);
         let mut selection = Self::default();
+        // Those recorded as a whole.
+        let mut known: HashSet<&str> = HashSet::new();
         for name in names {
             if let Some(position) = model.variable_index(name) {
+                known.insert(name);
                 selection.add(context, position, name, None);
                 continue;
             }
@@ -74,9 +75,9 @@ impl Selection {
             if let Some((array, element)) = element_of(name, extents) {
                 selection.add(context, resolve(model, array)?, name, Some(element));
             } else if name == ALL {
-                selection.add_matching(context, "*");
+                selection.add_matching(context, "*", &mut known);
             } else if name.contains(['*', '?']) {
-                if selection.add_matching(context, name) == 0 {
+                if selection.add_matching(context, name, &mut known) == 0 {
                     let problem = format!("the pattern \"{name}\" fits the name of no variable");
                     return Err(FmiError::BadSetting { problem });
                 }
@@ -89,14 +90,20 @@ impl Selection {
         Ok(selection)
     }
 
-    /// Adds the variables that fit a pattern and are not there yet; how many fit.
-    fn add_matching(&mut self, context: &OutputContext<'_>, pattern: &str) -> usize {
+    /// Adds the variables that fit a pattern by one of their names, under that name, and are not there yet; how many fit.
+    fn add_matching<'a>(
+        &mut self,
+        context: &OutputContext<'a>,
+        pattern: &str,
+        known: &mut HashSet<&'a str>,
+    ) -> usize {
         let mut found = 0;
-        for (position, variable) in context.model.variables.iter().enumerate() {
-            if variable.causality != Causality::Independent && fits(pattern, &variable.name) {
+        for (name, position) in context.model.names() {
+            let is_time = context.model.variables[position].causality == Causality::Independent;
+            if !is_time && fits(pattern, name) {
                 found += 1;
-                if !self.known.contains(&position) {
-                    self.add(context, position, &variable.name, None);
+                if known.insert(name) {
+                    self.add(context, position, name, None);
                 }
             }
         }
@@ -105,9 +112,6 @@ impl Selection {
 
     fn add(&mut self, context: &OutputContext<'_>, position: usize, name: &str, element: Option<usize>) {
         let columns = self.plan.add(context, &context.model.variables[position], name, element);
-        if element.is_none() {
-            self.known.insert(position);
-        }
         self.variables.extend(columns.iter().map(|_| position));
         self.names.extend(columns);
     }

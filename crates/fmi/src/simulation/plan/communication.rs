@@ -3,12 +3,14 @@
 //! Regular points are `start + k * step`, never sums, and the step is passed as the same constant each time: a
 //! difference of times, wrong in its last digit, makes some FMUs slow and changes the results of others. Where the FMU
 //! takes steps of any length, requested times and the instants of inputs are communication points too; where it does
-//! not, samples between two points are interpolated, and the last step may reach beyond the final time.
+//! not, samples between two points are interpolated, and the last step may reach beyond the final time. Where it steps
+//! from one multiple of a step of its own to the next (`fixedInternalStepSize`, FMI 3.0) and so keeps its values in between,
+//! communication points are such multiples only: for what lies between two of them both.
 
 use crate::description::{Capabilities, DefaultExperiment};
 use crate::error::FmiError;
 use crate::simulation::grid::Grid;
-use crate::simulation::options::SimulateOptions;
+use crate::simulation::options::{BetweenSteps, SimulateOptions};
 use ode::Number;
 
 /// More steps than this are taken for a mistake.
@@ -21,6 +23,8 @@ pub(crate) struct Communication {
     pub(crate) step: Option<f64>,
     /// Whether there may be other points.
     pub(crate) variable: bool,
+    /// The model's own step: all points but those of events are multiples of it.
+    internal: Option<f64>,
     /// The stop time may be told: no step leads beyond it.
     pub(crate) ends_exactly: bool,
     /// The FMU extrapolates inputs from their derivatives, and is told them.
@@ -53,14 +57,24 @@ impl Communication {
         let step = options.step_size.or(suggested).or(grid.interval.filter(makes_sense));
         // 500 steps where nobody says anything, as many as there are rows by default.
         let step = if variable { step } else { step.or(Some(span / 500.0).filter(makes_sense)) };
-        // Where nobody asks for a step, one that the model can make.
-        let step = match (capabilities.fixed_internal_step_size, options.step_size) {
-            (Some(internal), None) => step.map(|step| (step / internal).round().max(1.0) * internal),
+        let internal = capabilities.fixed_internal_step_size;
+        let is_multiple = |step: f64, internal: f64| {
+            let multiple = (step / internal).round();
+            multiple >= 1.0 && (step - multiple * internal).abs() <= 1e-9 * step
+        };
+        // Where nobody asks for a step, one that the model can make; of one length only, one that loses nothing between.
+        let step = match (internal, options.step_size, step) {
+            (Some(internal), None, Some(step)) if is_multiple(step, internal) => {
+                Some((step / internal).round() * internal)
+            }
+            (Some(internal), None, Some(step)) if variable => {
+                Some((step / internal).round().max(1.0) * internal)
+            }
+            (Some(internal), None, _) if !variable && makes_sense(&internal) => Some(internal),
             _ => step,
         };
-        if let (Some(internal), Some(step)) = (capabilities.fixed_internal_step_size, step) {
-            let multiple = (step / internal).round();
-            if multiple < 1.0 || (step - multiple * internal).abs() > 1e-9 * step {
+        if let (Some(internal), Some(step)) = (internal, step) {
+            if !is_multiple(step, internal) {
                 let (lower, upper) =
                     ((step / internal).floor() * internal, (step / internal).ceil() * internal);
                 let (below, above) = (Number(lower), Number(upper));
@@ -72,15 +86,76 @@ impl Communication {
                 return Err(FmiError::BadSetting { problem });
             }
         }
-        Ok(Self {
+        let communication = Self {
             step,
             variable,
+            internal,
             ends_exactly: variable,
             input_derivatives: capabilities.can_interpolate_inputs
                 && options.input_derivatives != Some(false),
             output_derivatives: capabilities.max_output_derivative_order > 0,
+        };
+        // The last step leads beyond an end that is no multiple.
+        let ends_between = communication.steps_around(grid.start, grid.end, grid.time_tolerance).is_some();
+        Ok(Self { ends_exactly: variable && !ends_between, ..communication })
+    }
+
+    /// The multiples of the model's own step next to `time`, before and after it; none where it is one, or the model has no
+    /// such step.
+    pub(crate) fn steps_around(&self, start: f64, time: f64, time_tolerance: f64) -> Option<(f64, f64)> {
+        around(self.internal?, start, time, time_tolerance)
+    }
+
+    /// The steps between which the model cannot stop: its own, or the communication step if that is the only one.
+    fn fixed_step(&self) -> Option<f64> {
+        if self.variable { self.internal } else { self.step }
+    }
+
+    /// What there is to say of rows between the steps of the model.
+    ///
+    /// # Errors
+    /// They are to be refused: the first one, with its neighbours.
+    pub(crate) fn check_rows(&self, grid: &Grid, between: BetweenSteps) -> Result<Option<String>, FmiError> {
+        let Some(step) = self.fixed_step() else { return Ok(None) };
+        let beside =
+            |time: &f64| around(step, grid.start, *time, grid.time_tolerance).map(|pair| (*time, pair));
+        let Some((time, (below, above))) = grid.times.iter().find_map(beside) else { return Ok(None) };
+        let (time, below, above) = (Number(time), Number(below), Number(above));
+        let what = format!(
+            "the row at t = {time} lies between two steps of the model, {below} and {above} (it makes steps of {})",
+            Number(step)
+        );
+        match between {
+            BetweenSteps::Interpolate => Ok(Some(format!("{what}: such rows are interpolated linearly"))),
+            BetweenSteps::Refuse => {
+                let problem = format!(
+                    "{what}, and rows between steps are to be refused: ask for rows at multiples of the step"
+                );
+                Err(FmiError::BadSetting { problem })
+            }
+        }
+    }
+
+    /// What there is to say of inputs that make more communication points than the step.
+    pub(crate) fn check_inputs(&self, grid: &Grid, stops: usize) -> Option<String> {
+        let step = self.step.filter(|_| self.variable && self.internal.is_none())?;
+        let regular = ((grid.end - grid.start) / step).ceil();
+        (stops as f64 > regular).then(|| {
+            format!(
+                "the inputs jump or change their slope at {stops} times, which are communication points in addition to those of \
+                 the step {}: the model steps from one to the next",
+                Number(step)
+            )
         })
     }
+}
+
+/// The multiples of `step` from `start` on that are next to `time`, before and after it; none where it is one.
+fn around(step: f64, start: f64, time: f64, time_tolerance: f64) -> Option<(f64, f64)> {
+    let steps = (time - start) / step;
+    let point = |steps: f64| start + steps * step;
+    let is_one = (point(steps.round()) - time).abs() <= time_tolerance;
+    (!is_one).then(|| (point(steps.floor()), point(steps.ceil())))
 }
 
 #[cfg(test)]

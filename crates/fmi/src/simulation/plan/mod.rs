@@ -9,6 +9,7 @@ pub(crate) use communication::Communication;
 pub(crate) use parameters::{RunValues, Setting};
 pub(crate) use read_back::ReadBackBuffers;
 
+use crate::cancel::Cancel;
 use crate::description::{ModelDescription, QuirkKind, Structure};
 use crate::error::FmiError;
 use crate::fmu::Fmu;
@@ -71,7 +72,13 @@ impl SimulationPlan {
         let kind = fmu.choose(options.kind)?;
         let interface = fmu.check_interface(kind)?;
         let description = fmu.description();
-        let grid = options.grid(&description.default_experiment)?;
+        // What cannot run at all is said before what is missing.
+        let grid = options.grid(&description.default_experiment).map_err(|error| {
+            match fmu.binary(interface, &Cancel::default()) {
+                Err(no_binary @ FmiError::NoBinary { .. }) => no_binary,
+                _ => error,
+            }
+        })?;
         let communication = match kind {
             InterfaceKind::ModelExchange => None,
             InterfaceKind::CoSimulation => Some(Communication::new(
@@ -81,6 +88,11 @@ impl SimulationPlan {
                 &grid,
             )?),
         };
+        if let Some(communication) = &communication
+            && let Some(message) = communication.check_rows(&grid, options.between_steps)?
+        {
+            fmu.say_once("rows between steps", &message);
+        }
         let method = options.method_options(&description.default_experiment);
         method.check()?;
         let (given, structure) = parameters::resolve_start_values(description, &options.start_values)?;
@@ -88,6 +100,12 @@ impl SimulationPlan {
         let no_inputs = Inputs::default();
         let inputs =
             InputPlan::new(&starts, options.inputs.as_ref().unwrap_or(&no_inputs), grid.time_tolerance)?;
+        if let Some(communication) = &communication
+            && let Some(message) =
+                communication.check_inputs(&grid, inputs.stops_within(grid.start, grid.end))
+        {
+            fmu.say_once("rows of inputs", &message);
+        }
         let has_events = kind == InterfaceKind::ModelExchange || interface.capabilities.uses_event_mode();
         let clocks = if has_events {
             ClockPlan::new(description, &inputs.clocks, &options.clock_intervals, grid.time_tolerance)?

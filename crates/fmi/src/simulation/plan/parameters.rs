@@ -6,7 +6,9 @@ use crate::error::FmiError;
 use crate::instance::Core;
 use crate::instance::assignments::{self, Assignments, check_settable_at_start};
 use crate::simulation::inputs::InputPlan;
-use crate::simulation::variable_elements::{RunInput, Slots, StartValues, Starts, Unset, VariableElement};
+use crate::simulation::variable_elements::{
+    FloatSlots, RunInput, StartValues, Starts, Unset, VariableElement,
+};
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::sync::Arc;
@@ -34,9 +36,9 @@ pub(crate) struct RunValues {
     pub(super) structure: Structure,
     parameters: Vec<RunParameter>,
     /// The variables that the parameters are, or are elements of.
-    parameter_slots: Slots<f64>,
+    parameter_slots: FloatSlots,
     /// The same of the parameters that are inputs.
-    input_slots: Slots<f64>,
+    input_slots: FloatSlots,
     pub(super) parameter_names: Vec<String>,
     /// What the parameters are where nobody gives a value.
     pub(super) parameter_starts: Vec<f64>,
@@ -89,10 +91,10 @@ impl RunValues {
             let place = VariableElement::of_name(starts.description, starts.structure, name)?;
             let variable = &starts.description.variables[place.variable];
             check_settable_at_start(variable)?;
-            if variable.kind != VariableKind::Real {
+            if !variable.kind.is_float() {
                 return Err(assignments::not_settable(
                     variable,
-                    "only variables of type Real can be parameters of a run",
+                    "only variables of floating-point type can be parameters of a run",
                 ));
             }
             if !variable.dimensions.is_empty() && place.element.is_none() {
@@ -115,20 +117,35 @@ impl RunValues {
                 return Err(assignments::not_settable(variable, "it is driven by the inputs"));
             }
             let is_input = variable.causality == Causality::Input;
-            let slots = if is_input { &mut self.input_slots } else { &mut self.parameter_slots };
-            let slot = slots.place(variable.value_reference, place.element, || starts.reals(place))?;
-            let start = match (place.element, starts.of(place.variable)) {
-                (Some(_), _) => slots.start[slot],
-                (None, Some(Value::Real(x))) if x.is_finite() => *x,
-                (None, Some(Value::Integer(i))) => *i as f64,
-                _ => 0.0,
-            };
             let sign = if variable.negated { -1.0 } else { 1.0 };
-            self.parameters.push(RunParameter { place, slot, sign, is_input });
-            self.parameter_starts.push(start);
+            self.parameters.push(RunParameter { place, slot: 0, sign, is_input });
             self.parameter_names.push(name.clone());
         }
+        // Those of type Real come first, as `FloatSlots` wants it.
+        for of_reals in [true, false] {
+            for parameter in &mut self.parameters {
+                let kind = starts.description.variables[parameter.place.variable].kind;
+                if (kind == VariableKind::Real) == of_reals {
+                    let slots =
+                        if parameter.is_input { &mut self.input_slots } else { &mut self.parameter_slots };
+                    parameter.slot = slots.place(starts, parameter.place)?;
+                }
+            }
+        }
+        self.parameter_starts =
+            self.parameters.iter().map(|parameter| self.start_of(starts, parameter)).collect();
         Ok(())
+    }
+
+    /// What a parameter is where nobody gives a value.
+    fn start_of(&self, starts: &Starts<'_>, parameter: &RunParameter) -> f64 {
+        let slots = if parameter.is_input { &self.input_slots } else { &self.parameter_slots };
+        match (parameter.place.element, starts.of(parameter.place.variable)) {
+            (Some(_), _) => slots.start()[parameter.slot],
+            (None, Some(Value::Real(x))) if x.is_finite() => *x,
+            (None, Some(Value::Integer(i))) => *i as f64,
+            _ => 0.0,
+        }
     }
 
     /// Everything that a run sets, also its inputs, sorted.
@@ -138,7 +155,7 @@ impl RunValues {
             settings.extend(values.references().map(|(kind, reference)| (true, kind, reference)));
         }
         for slots in [&self.parameter_slots, &self.input_slots] {
-            settings.extend(slots.references.iter().map(|r| (true, VariableKind::Real, *r)));
+            settings.extend(slots.references().map(|(kind, reference)| (true, kind, reference)));
         }
         settings.extend(inputs.references().map(|(kind, reference)| (false, kind, reference)));
         settings.sort_unstable();
@@ -221,19 +238,19 @@ impl RunValues {
     fn set_parameters(
         &self,
         core: &mut Core,
-        slots: &Slots<f64>,
+        slots: &FloatSlots,
         inputs: bool,
         values: &[f64],
         buffer: &mut Vec<f64>,
     ) -> Result<(), FmiError> {
         buffer.clear();
-        buffer.extend_from_slice(&slots.start);
+        buffer.extend_from_slice(slots.start());
         for (parameter, value) in self.parameters.iter().zip(values) {
             if parameter.is_input == inputs {
                 buffer[parameter.slot] = value * parameter.sign;
             }
         }
-        core.set_reals(&slots.references, buffer)
+        slots.set(core, buffer)
     }
 
     /// Whether an initialized instance has the values that [`set_up`](Self::set_up) gave it. An error is one of the FMU's.

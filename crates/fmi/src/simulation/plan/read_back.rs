@@ -5,6 +5,7 @@ use crate::description::{Causality, Initial, ModelDescription, Variable, Variabl
 use crate::error::FmiError;
 use crate::instance::Core;
 use crate::instance::assignments::Assignments;
+use crate::instance::integer_codec;
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -22,6 +23,8 @@ enum Given {
 #[derive(Debug, Default)]
 pub(crate) struct ReadBack {
     reals: Columns<Given>,
+    /// Parameters of the runs that are of type `Float32`, by their place among them.
+    singles: Columns<usize>,
     packed: Vec<(VariableKind, Columns<usize>)>,
     /// The model gives some of them other values by itself, also in a new instance: nothing follows from that.
     overridden: AtomicBool,
@@ -73,6 +76,18 @@ pub(crate) struct ReadBackBuffers {
     words: Vec<i64>,
 }
 
+/// Reads variables of type `Float32`.
+fn read_singles<'b>(
+    core: &mut Core,
+    references: &[u32],
+    buffers: &'b mut ReadBackBuffers,
+) -> Result<impl Iterator<Item = f64> + 'b, FmiError> {
+    buffers.words.clear();
+    buffers.words.resize(references.len(), 0);
+    core.call(|raw| raw.get_packed(VariableKind::Float32, references, &mut buffers.words))?;
+    Ok(buffers.words.iter().map(|word| integer_codec::number(VariableKind::Float32, *word)))
+}
+
 impl ReadBack {
     /// Notes the start value of a variable, which has just been added to those of the plan.
     pub(crate) fn add_start(&mut self, variable: &Variable, values: &Assignments) {
@@ -98,13 +113,17 @@ impl ReadBack {
     /// Notes a parameter of the runs, by its place among them. They are set after the start values.
     pub(crate) fn add_parameter(&mut self, variable: &Variable, place: usize) {
         if variable.causality == Causality::Parameter || variable.initial == Some(Initial::Exact) {
-            self.reals.push(variable.value_reference, Given::Parameter(place));
+            match variable.kind {
+                VariableKind::Real => self.reals.push(variable.value_reference, Given::Parameter(place)),
+                _ => self.singles.push(variable.value_reference, place),
+            }
         }
     }
 
     /// All are noted.
     pub(crate) fn finish(&mut self) {
         self.reals.finish();
+        self.singles.finish();
         self.packed.iter_mut().for_each(|(_, columns)| columns.finish());
     }
 
@@ -135,6 +154,12 @@ impl ReadBack {
                 given == *found
             });
         }
+        let Columns { references, places } = &self.singles;
+        if !references.is_empty() {
+            let found = read_singles(core, references, buffers)?;
+            agrees &=
+                places.iter().zip(found).all(|(place, found)| f64::from(parameter(*place) as f32) == found);
+        }
         for (kind, Columns { references, places }) in &self.packed {
             let Some((_, _, given)) = start_values.packed.iter().find(|(known, ..)| known == kind) else {
                 continue;
@@ -158,15 +183,29 @@ impl ReadBack {
     ) -> Result<Option<Lost<'d>>, FmiError> {
         let Columns { references, places } = &self.reals;
         let mut values = vec![0.0; references.len()];
-        core.call(|raw| raw.get_real(references, &mut values))?;
-        let mut first = None;
-        for ((reference, place), found) in references.iter().zip(places).zip(values) {
+        if !references.is_empty() {
+            core.call(|raw| raw.get_real(references, &mut values))?;
+        }
+        let reals = references.iter().zip(places).zip(values).map(|((reference, place), found)| {
             let given = match *place {
                 Given::Start(place) => start_values.reals.1[place],
                 Given::Parameter(place) => parameter(place),
             };
+            (VariableKind::Real, reference, given, found)
+        });
+        let Columns { references, places } = &self.singles;
+        let mut buffers = ReadBackBuffers::default();
+        let values: Vec<f64> = match references.is_empty() {
+            true => Vec::new(),
+            false => read_singles(core, references, &mut buffers)?.collect(),
+        };
+        let singles = references.iter().zip(places).zip(values);
+        let singles = singles
+            .map(|((reference, place), found)| (VariableKind::Float32, reference, parameter(*place), found));
+        let mut first = None;
+        for (kind, reference, given, found) in reals.chain(singles) {
             let is_kept = (given - found).abs() <= FEWER_DIGITS * given.abs().max(found.abs());
-            let is = |v: &&Variable| v.kind == VariableKind::Real && v.value_reference == *reference;
+            let is = |v: &&Variable| v.kind == kind && v.value_reference == *reference;
             let Some(variable) = description.variables.iter().find(is).filter(|_| !is_kept) else { continue };
             let sign = if variable.negated { -1.0 } else { 1.0 };
             let lost = Lost { variable, given: sign * given, found: sign * found };

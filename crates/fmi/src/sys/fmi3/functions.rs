@@ -21,7 +21,7 @@ type InstantiateModelExchange = unsafe extern "C" fn(
     *mut c_void,
     LogMessage,
 ) -> Component;
-/// Never given: inputs are set between steps.
+/// Never given: inputs are set and outputs read between steps.
 type IntermediateUpdate = unsafe extern "C" fn(*mut c_void, f64, Flag, Flag, Flag, Flag, *mut Flag, *mut f64);
 type InstantiateCoSimulation = unsafe extern "C" fn(
     *const c_char,
@@ -207,15 +207,16 @@ impl Version for Fmi3 {
             &raw mut early,
             &raw mut reached
         );
-        // Only then do the arguments mean something. After a discard the model stands where it did before (FMI 3.0.x,
-        // section 2.2.4), whatever they say.
+        // Only then do the arguments mean something: the last one is the time of the model whether or not it made the whole
+        // step (section 4.2.1.2). After a discard the model stands where it did before (FMI 3.0.x, section 2.2.4), whatever
+        // they say.
         if answer.is_good() {
             info.event = event != 0;
             info.terminate = terminate != 0;
             info.early = early != 0;
-            info.reached = ((info.early || info.terminate) && reached.is_finite()).then_some(reached);
+            info.reached = reached.is_finite().then_some(reached);
         }
-        let is_cut_short = info.early || info.reached.is_some();
+        let is_cut_short = info.early || (info.terminate && info.reached.is_some());
         if is_cut_short { Answer { status: Status::Discard, ..answer } } else { answer }
     }
 

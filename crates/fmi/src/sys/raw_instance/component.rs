@@ -41,6 +41,9 @@ pub(crate) struct RawInstance {
     pub(super) component: Component,
     /// The function that returned `Fatal`: nothing is called any more.
     pub(super) fatal: Option<&'static str>,
+    /// The function that returned `Error`, of an instance made by hand: only resetting it and restoring a state are left.
+    failed: Option<&'static str>,
+    is_by_hand: bool,
     pub(super) sizes: Sizes,
     /// Co-simulation: made to have its events handled between steps.
     pub(super) event_mode: bool,
@@ -100,6 +103,8 @@ impl RawInstance {
         Ok(Self {
             component,
             fatal: None,
+            failed: None,
+            is_by_hand: false,
             sizes,
             event_mode: request.event_mode,
             has_arrays: library.values.has_arrays(),
@@ -116,6 +121,22 @@ impl RawInstance {
     /// Whether a call of this instance, or of another of the same loaded copy of the library, returned `Fatal`.
     pub(crate) fn is_fatal(&self) -> bool {
         self.fatal.is_some() || self.library.shared().is_fatal()
+    }
+
+    /// Makes it refuse calls after an `Error`, as the standard demands. Simulations look after that themselves: what a model
+    /// cannot do at one point they may do without.
+    pub(crate) fn set_by_hand(&mut self) {
+        self.is_by_hand = true;
+    }
+
+    /// Makes a call that brings an instance back after an `Error`.
+    pub(super) fn recover(&mut self, call: impl FnOnce(&mut Self) -> Outcome) -> Outcome {
+        let failed = self.failed.take();
+        let outcome = call(self);
+        if outcome.is_err() {
+            self.failed = self.failed.or(failed);
+        }
+        outcome
     }
 
     /// The file of its library.
@@ -169,22 +190,24 @@ impl RawInstance {
                 self.fatal = Some(function);
                 self.library.shared().set_fatal();
             }
+            Status::Error | Status::Unknown(_) if self.is_by_hand => self.failed = Some(function),
             Status::Error | Status::Pending | Status::Unknown(_) => {}
         }
         Err(Fault::Failed(Box::new(self.failed(function, status))))
     }
 
-    /// Refuses calls on a component after `Fatal`, or into a library that is not to be trusted any more.
+    /// Refuses calls on a component after `Fatal` or `Error`, or into a library that is not to be trusted any more.
     #[inline]
     pub(super) fn check_usable(&self) -> Outcome {
-        if self.is_fatal() { self.unusable() } else { Ok(()) }
+        if self.is_fatal() || self.failed.is_some() { self.unusable() } else { Ok(()) }
     }
 
     #[cold]
     fn unusable(&self) -> Outcome {
-        Err(match self.fatal {
-            Some(function) => Fault::Failed(Box::new(self.failed(function, Status::Fatal))),
-            None => Fault::Unusable(self.library_path()),
+        Err(match (self.fatal, self.failed) {
+            (Some(function), _) => Fault::Failed(Box::new(self.failed(function, Status::Fatal))),
+            (None, Some(function)) if !self.is_fatal() => Fault::AfterError(function),
+            _ => Fault::Unusable(self.library_path()),
         })
     }
 
@@ -271,7 +294,7 @@ impl RawInstance {
     pub(crate) fn reset(&mut self) -> Outcome {
         let _environment = CallEnvironment::enter();
         (self.time, self.memory.is_step_repeated) = (None, false);
-        self.plain(|functions| &functions.common.reset)
+        self.recover(|raw| raw.plain(|functions| &functions.common.reset))
     }
 
     pub(crate) fn directional_derivative(&mut self, along: Direction<'_>, out: &mut [f64]) -> Outcome {

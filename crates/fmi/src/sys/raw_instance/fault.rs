@@ -21,6 +21,8 @@ pub(crate) enum Fault {
     Missing(&'static str),
     /// After a `Fatal` of another instance; the FMU was not called.
     Unusable(PathBuf),
+    /// After an `Error` of this function; the FMU was not called.
+    AfterError(&'static str),
     /// A slice of the wrong length; the FMU was not called.
     Length { call: &'static str, expected: usize, found: usize },
     /// A value of a size that none can have.

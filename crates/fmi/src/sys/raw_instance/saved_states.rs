@@ -45,7 +45,7 @@ impl RawInstance {
         let function = self.library.functions.common.restore_state;
         let pointer = self.saved.pointer(saved).ok_or(Fault::Discard(function.name))?;
         self.time = None;
-        run!(self, |_library, c| call!(function, c, pointer))
+        self.recover(|raw| run!(raw, |_library, c| call!(function, c, pointer)))
     }
 }
 

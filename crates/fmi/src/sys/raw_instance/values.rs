@@ -38,6 +38,18 @@ impl RawInstance {
         outcome
     }
 
+    /// Values of type `Float32`, from numbers that need not be of that precision.
+    pub(crate) fn set_singles(&mut self, references: &[u32], values: &[f64]) -> Outcome {
+        self.lengths(references.len(), values.len())?;
+        let mut words = std::mem::take(&mut self.buffers.words);
+        words.clear();
+        words.extend(values.iter().map(|value| f64::from(*value as f32).to_bits() as i64));
+        let kind = VariableKind::Float32;
+        let outcome = run!(self, |library, c| library.values.set_packed(c, kind, references, &mut words));
+        self.buffers.words = words;
+        outcome
+    }
+
     /// Reads texts and hands each, `count` in all, to `take` in turn; what is not UTF-8 is replaced.
     pub(crate) fn get_string(
         &mut self,
