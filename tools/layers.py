@@ -18,8 +18,8 @@ LAYERS = {
     "calibration": """
         error parallel prior race visible
         finding
-        data layout no_cost parameter
-        input
+        data no_cost parameter
+        input layout
         experiment
         measurements names
         objective residual warning
@@ -61,7 +61,8 @@ LAYERS = {
         cancel log platform
         archive
         description
-        source sys
+        sys
+        source
         open_options
         fmu
         fmu_cache instance

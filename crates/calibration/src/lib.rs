@@ -57,7 +57,10 @@ mod worth;
 pub use calibration::{Calibration, CalibrationBuilder};
 pub use check::Check;
 pub use cross_validation::{CrossValidation, CrossValidationOptions, Fold};
-pub use data::{Data, PairUnit, TimeColumn, Unit, UnitConversion, UnitError, date_seconds, find_column};
+pub use data::{
+    ClockChange, CsvRequest, Data, DateError, PairUnit, Series, TimeColumn, Unit, UnitConversion, UnitError,
+    clock_change, date_seconds, find_column,
+};
 pub use dfo;
 pub use dfo::Kind;
 pub use effect::BoundSide;

@@ -289,9 +289,9 @@ mod tests {
                 output: 0,
                 variable: variable.to_owned(),
                 column: variable.to_owned(),
-                times: vec![0.0; range.len()],
+                times: vec![0.0; range.len()].into(),
                 measured: (0..range.len()).map(|i| i as f64).collect(),
-                weights: vec![weight; range.len()],
+                weights: vec![weight; range.len()].into(),
                 range,
             };
         let outputs = vec![output(0, "x", 0..2, 1.0), output(0, "y", 2..5, 2.0), output(1, "x", 5..7, 1.0)];

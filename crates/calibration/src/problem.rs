@@ -5,7 +5,7 @@ use crate::error::CalibrationError;
 use crate::experiment::{Experiment, InitialState, SimulationSettings};
 use crate::names::{check_names, check_targets};
 use crate::parameter::{Parameter, Tie};
-use crate::warning::{SetupWarning, ignored_nominals, unused_columns};
+use crate::warning::{SetupWarning, clock_change, ignored_nominals, unused_columns};
 use fmi::{FmiError, Fmu, ModelDescription};
 use ode::Number;
 use serde::{Deserialize, Serialize};
@@ -204,8 +204,8 @@ impl Problem {
             let checked = check_names(experiment, &self.parameters, description)
                 .and_then(|()| experiment.check_start_values(description, &self.parameters));
             checked.map_err(|error| self.error_in(k, error))?;
-            let unused = unused_columns(description, experiment).into_iter();
-            warnings.extend(unused.map(|warning| self.warning_in(k, warning)));
+            let doubts = unused_columns(description, experiment).into_iter().chain(clock_change(experiment));
+            warnings.extend(doubts.map(|warning| self.warning_in(k, warning)));
         }
         warnings.extend(ignored_nominals(&self.parameters));
         Ok(warnings)

@@ -249,8 +249,8 @@ impl Calibration {
                 |of: &[f64]| of[own.range.clone()].iter().zip(&own.weights).map(|(r, w)| r / w).collect();
             ValidatedOutput {
                 fit,
-                times: own.times.clone(),
-                measured: own.measured.clone(),
+                times: own.times.to_vec(),
+                measured: own.measured.to_vec(),
                 residuals: plain(&residuals),
                 start_residuals: at_start.as_deref().map(plain),
             }

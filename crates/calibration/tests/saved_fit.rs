@@ -150,6 +150,13 @@ fn files_that_are_no_fits_are_refused() {
     }
     let weakest = edited("/fit/worth/weakest", serde_json::json!([0, 7]));
     assert!(weakest.contains("fit.worth.weakest names parameter 7"), "{weakest}");
+    // What takes many times the size of the file.
+    let large = changed(&bytes, "modelDescription.xml", |_| Some(vec![b' '; 9 << 20]));
+    assert!(refusal(&large).contains("more than the 8388608 that a file of"));
+    let many = changed(&bytes, "fit.json", |_| Some(format!("[{}1]", "[],".repeat(1 << 18)).into_bytes()));
+    assert!(refusal(&many).contains("fit.json has some 524289 values, more than the 262144"));
+    let twice = edited("/written_by", serde_json::json!({ "$array": "arrays/0.npy" }));
+    assert!(twice.contains("it refers to arrays/0.npy twice"), "{twice}");
     let without = |name: &str| refusal(&changed(&bytes, name, |_| None));
     assert!(without("fit.json").contains("holds no fit.json"));
     assert!(without("modelDescription.xml").contains("modelDescription.xml"));

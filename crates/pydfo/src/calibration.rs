@@ -204,17 +204,18 @@ impl PyCalibration {
         };
         let experiments =
             experiments.into_iter().enumerate().map(&mut named).collect::<PyResult<Vec<_>>>()?;
-        let built = py.detach(move || {
+        let built = files::watched(py, move |cancel| {
+            let cancelled = || cancel.is_asked();
             let mut builder = calibration::Calibration::builder(fmu).settings(settings);
             for (name, resolved, experiment) in experiments {
-                let made = experiment.experiment(resolved).map_err(|e| match name {
+                let made = experiment.experiment(resolved, &cancelled).map_err(|e| match name {
                     Some(name) => CalibrationError::Experiment { name, source: Box::new(e) },
                     None => e,
                 });
                 builder = builder.experiment(made?);
             }
             parameters.into_iter().fold(builder, |builder, parameter| builder.parameter(parameter)).build()
-        });
+        })?;
         Self::finish(py, built, callbacks)
     }
 
@@ -386,7 +387,7 @@ impl PyCalibration {
     /// The measurements that count, as a function of the user's sees them.
     fn measured_series<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let outputs = &self.inner.residual_layout().outputs;
-        let measured = outputs.iter().map(|o| (o.experiment, o.variable.as_str(), o.measured.as_slice()));
+        let measured = outputs.iter().map(|o| (o.experiment, o.variable.as_str(), &o.measured[..]));
         cost::series(py, &self.inner.problem().experiment_names(), measured)
     }
 

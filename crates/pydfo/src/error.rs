@@ -99,6 +99,9 @@ pub(crate) fn warn(py: Python<'_>, message: &str) -> PyResult<()> {
 /// An error of the operating system; Python chooses FileNotFoundError and its like by the number.
 fn file(action: &str, path: &Path, error: &io::Error) -> PyErr {
     match error.raw_os_error() {
+        _ if error.kind() == io::ErrorKind::OutOfMemory => {
+            PyMemoryError::new_err(format!("{action} {}: {error}", path.display()))
+        }
         Some(number) => {
             let text = error.to_string();
             let reason = text.split(" (os error").next().unwrap_or(&text);

@@ -49,7 +49,7 @@ mod core_module {
     #[pymodule_export]
     use super::calibration::PyCalibration;
     #[pymodule_export]
-    use super::data::{date_seconds, find_column, find_time, read_csv};
+    use super::data::{PyTable, check_regular, clock_change, date_seconds, find_column, find_time};
     #[pymodule_export]
     use super::description::Fmu;
     #[pymodule_export]

@@ -6,6 +6,7 @@ use crate::experiment::ExperimentFields;
 use crate::findings;
 use crate::fit::PyFit;
 use crate::inputs::Callbacks;
+use crate::interrupt::Watch;
 use crate::settings::{self, LossFields, Options, Settings};
 use crate::trajectory::Counts;
 use calibration::{
@@ -28,7 +29,12 @@ fn experiments(
     let made = |(k, mut fields): (usize, ExperimentFields)| {
         let name = fields.name.clone().unwrap_or_else(|| Experiment::default_name(k));
         let resolved = fields.resolve(py, of, callbacks)?;
-        fields.experiment(resolved).map_err(|e| {
+        let watch = Watch::without_handler(py);
+        let made = watch.run_here(|cancelled| fields.experiment(resolved, cancelled));
+        if let Err(CalibrationError::Cancelled) = made {
+            return Err(watch.interrupted());
+        }
+        made.map_err(|e| {
             let named = if is_one { e } else { CalibrationError::Experiment { name, source: Box::new(e) } };
             error::calibration(py, &named)
         })

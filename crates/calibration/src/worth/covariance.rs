@@ -201,9 +201,9 @@ mod tests {
                 variable: (*variable).to_owned(),
                 column: String::new(),
                 range: from..from + n,
-                times: vec![0.0; *n],
-                measured: vec![0.0; *n],
-                weights: vec![1.0; *n],
+                times: vec![0.0; *n].into(),
+                measured: vec![0.0; *n].into(),
+                weights: vec![1.0; *n].into(),
             });
         }
         layout
@@ -262,20 +262,20 @@ mod tests {
     fn recordings_share_a_variance_where_their_weights_are_equal() {
         let residuals = [0.1, -0.1, 0.2, -0.2, 3.0, -3.0];
         let mut layout = layout(&[("y", 2), ("y", 2), ("y", 2)]);
-        layout.outputs[2].weights = vec![10.0; 2];
+        layout.outputs[2].weights = vec![10.0; 2].into();
         let noise = estimate(&layout, &residuals, &DMatrix::zeros(6, 0), Estimator::Sandwich);
         for (got, expected) in noise.variances.iter().zip([0.025, 0.025, 0.025, 0.025, 9.0, 9.0]) {
             assert!((got - expected).abs() < 1e-14, "{:?}", noise.variances);
         }
         // One exact output beside others has that of rounding.
-        layout.outputs[2].measured = vec![1e14; 2];
+        layout.outputs[2].measured = vec![1e14; 2].into();
         let variances = estimate(&layout, &residuals, &DMatrix::zeros(6, 0), Estimator::Sandwich).variances;
         assert!(
             (variances[0] - 0.025).abs() < 1e-14 && (variances[4] / 1e10 - 1.0).abs() < 1e-12,
             "{variances:?}"
         );
         // Rounding has no variances of its own.
-        layout.outputs.iter_mut().for_each(|output| output.measured = vec![1e14; 2]);
+        layout.outputs.iter_mut().for_each(|output| output.measured = vec![1e14; 2].into());
         let pooled = estimate(&layout, &residuals, &DMatrix::zeros(6, 0), Estimator::Sandwich).variances;
         assert!(pooled.iter().all(|variance| (variance - 18.1 / 6.0).abs() < 1e-14), "{pooled:?}");
     }

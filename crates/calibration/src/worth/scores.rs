@@ -132,9 +132,9 @@ mod tests {
             variable: "y".to_owned(),
             column: "y".to_owned(),
             range: 0..n,
-            times: vec![0.0; n],
-            measured: vec![1.0; n],
-            weights: vec![1.0; n],
+            times: vec![0.0; n].into(),
+            measured: vec![1.0; n].into(),
+            weights: vec![1.0; n].into(),
         };
         ResidualLayout { outputs: vec![output], ..ResidualLayout::default() }
     }

@@ -25,11 +25,14 @@ __all__ = [
     "Fmu",
     "Model",
     "Optimizer",
+    "Table",
     "__version__",
     "build_fmu",
     "check",
     "check_parameter",
+    "check_regular",
     "clear_caches",
+    "clock_change",
     "close_unused",
     "date_seconds",
     "dtypes",
@@ -60,7 +63,6 @@ __all__ = [
     "method_names",
     "option_names",
     "quad_err",
-    "read_csv",
     "recorded",
     "solve",
     "cross_validate",
@@ -136,10 +138,23 @@ def recorded(
         list[tuple[float, float]],
     ]
 ]: ...
-def date_seconds(texts: list[str], column: str) -> list[float]: ...
-def read_csv(
-    text: bytes, source: str, time: str | None, needed: list[str]
-) -> tuple[list[tuple[str, list[float]]], list[str]]: ...
+def date_seconds(texts: list[str], column: str) -> tuple[npt.NDArray[np.float64], tuple[str, str, bool] | None]: ...
+def clock_change(start: float, times: npt.NDArray[np.float64]) -> tuple[str, str, bool] | None: ...
+def check_regular(path: str) -> None: ...
+@final
+class Table:
+    def __new__(
+        cls,
+        columns: list[tuple[str, npt.NDArray[np.float64]]],
+        time: str,
+        left_out: list[str],
+        clock_change: tuple[str, str, bool] | None,
+    ) -> Table: ...
+    @staticmethod
+    def from_csv(text: bytes, source: str, time: str | None, needed: list[str], left_out: list[str]) -> Table: ...
+    @staticmethod
+    def restore(state: bytes) -> Table: ...
+    def __len__(self) -> int: ...
 @final
 class Calibration:
     def __new__(

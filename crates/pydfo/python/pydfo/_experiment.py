@@ -10,7 +10,7 @@ from typing import Any, SupportsFloat
 
 import numpy as np
 
-from . import _data, _options
+from . import _core, _data, _options
 from ._errors import BadCalibrationError
 from ._keywords import explained
 from ._parameter import Parameter
@@ -95,8 +95,7 @@ class Experiment:
 
     name: str | None
     path: str | None
-    columns: _data.Columns
-    left_out: list[str]
+    table: _core.Table | None
     time: str | None
     outputs: list[tuple[str, str, Weight]]
     inputs: list[tuple[str, Source]]
@@ -157,8 +156,7 @@ class Experiment:
             put(self, "mask_column", by)
             put(self, "resample", _options.optional_number("resample", resample))
             put(self, "path", table.path)
-            put(self, "columns", table.columns)
-            put(self, "left_out", table.left_out)
+            put(self, "table", table.table)
             put(self, "time", table.time)
             put(self, "outputs", weighed)
             put(self, "inputs", driven)
@@ -172,7 +170,7 @@ class Experiment:
             put(self, "hold_inputs", _options.flag("hold_inputs", hold_inputs))
 
     def __repr__(self) -> str:
-        source = self.path if self.path is not None else f"{len(self.columns[0][1])} rows"
+        source = self.path if self.table is None else f"{len(self.table)} rows"
         outputs = ", ".join(variable for variable, _, _ in self.outputs)
         return f"<Experiment{'' if self.name is None else ' ' + self.name}: {outputs} from {source}>"
 

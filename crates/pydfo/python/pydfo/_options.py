@@ -31,6 +31,11 @@ def show(value: object) -> str:
     return " ".join(_shortened.repr(value).split())
 
 
+def beginning(text: str) -> str:
+    """A text for a message: of a long one the beginning."""
+    return text if len(text) <= 500 else f"{text[:500]}..."
+
+
 #: The names of the methods; "auto" stands for one of them.
 METHODS = tuple(name for name, _ in _core.method_names())
 
