@@ -99,7 +99,7 @@ pub use optimizer::{Optimizer, Point};
 pub use report::Report;
 pub use run_options::{Known, RunOptions};
 pub use sampling::Sampling;
-pub use space::{Bounds, Space};
+pub use space::{Bounds, Space, typical_size};
 pub use termination::Termination;
 pub use tolerances::{Extent, Limits, Tests, Tolerances};
 pub use trace::{Trace, TraceEntry};

@@ -1,6 +1,6 @@
 //! The result of a run: the best point, what it cost, and why the run ended.
 
-use crate::error::Error;
+use crate::error::{Error, NothingFound};
 use crate::gateway::ledger::Ledger;
 use crate::linear_model::{Covariance, LinearModel};
 use crate::loss::RobustLoss;
@@ -76,9 +76,46 @@ pub struct Report {
 }
 
 impl Report {
-    /// Whether the tolerance tests passed, or the target was reached, or there was nothing to search.
+    /// Whether the tolerance tests passed, or the x test alone where nothing but noise was left, or the target was reached, or there
+    /// was nothing to search.
     pub fn is_success(&self) -> bool {
-        self.termination.is_success()
+        match self.termination {
+            Termination::Noise => self.tests.is_some_and(|tests| tests.x_passed),
+            _ => self.termination.is_success(),
+        }
+    }
+
+    /// The report of a run whose time was up before any evaluation had ended: its start, with a cost of NaN.
+    pub fn without_cost(x: &[f64], method: &str, found: NothingFound, seconds: f64) -> Self {
+        Self {
+            message: String::new(),
+            x: x.to_vec(),
+            fun: f64::NAN,
+            n_evaluations: found.n_evaluations,
+            n_iterations: 0,
+            n_batches: 0,
+            n_failed: found.failures.iter().map(|(_, count)| count).sum(),
+            n_cached: 0,
+            n_speculative: 0,
+            termination: Termination::MaxTime,
+            tests: None,
+            failures: found.failures,
+            trace: found.trace,
+            final_simplex: None,
+            final_population: None,
+            schedule: Vec::new(),
+            optima: Vec::new(),
+            seed: None,
+            method: method.to_owned().into(),
+            method_reason: None,
+            batch: String::new().into(),
+            workers: 1,
+            seconds,
+            residuals: None,
+            jacobian: None,
+            active: Vec::new(),
+            loss: RobustLoss::default(),
+        }
     }
 
     /// Whether the lengths of its parts fit together: what comes from a file may not.
@@ -214,10 +251,12 @@ fn message<M: Method + ?Sized>(
     let with_tests = |text: String| if tests.is_empty() { text } else { format!("{text}; {tests}") };
     let message = match termination {
         Termination::Converged => format!("converged; {tests}"),
-        Termination::Noise => with_tests(
-            "ended in the noise of the residuals: what could still be gained is less than it makes of it"
-                .to_owned(),
-        ),
+        Termination::Noise => {
+            let is_known = details.tests.is_some_and(|tests| tests.x_passed);
+            let ended = if is_known { "ended" } else { "not converged: ended" };
+            let why = "in the noise of the residuals: what could still be gained is less than it makes of it";
+            with_tests(format!("{ended} {why}"))
+        }
         Termination::Target => {
             format!("target reached: cost {fun:e} <= {:e}", limits.target.unwrap_or(f64::NAN))
         }
