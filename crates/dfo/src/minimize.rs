@@ -429,6 +429,7 @@ impl<M: MethodOptions> Minimize<'_, M> {
             before,
             needs_residuals,
             method_reason,
+            resumed,
             ..
         } = self.description.begin(has_residuals)?;
         if needs_residuals && !may_have_some {
@@ -455,7 +456,7 @@ impl<M: MethodOptions> Minimize<'_, M> {
         let drive = Drive { method, gateway, limits, workers, writer, observed, first_recent, unsaved: None };
         let mut report = drive.run(observer.as_deref_mut())?;
         report.undo(loss);
-        report.method_reason = method_reason;
+        (report.method_reason, report.resumed) = (method_reason, resumed);
         Ok(report)
     }
 }

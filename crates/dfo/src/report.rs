@@ -11,6 +11,23 @@ use crate::trace::Trace;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::fmt;
+use std::path::PathBuf;
+
+/// The checkpoint that a run was continued from. `Display` says so.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Resumed {
+    /// The file.
+    pub path: PathBuf,
+    /// Evaluations that were made before.
+    pub n_evaluations: usize,
+}
+
+impl fmt::Display for Resumed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (path, n) = (self.path.display(), self.n_evaluations);
+        write!(f, "continued from {path}: its first {n} evaluations are from there")
+    }
+}
 
 /// The result of a run. `Display` prints a summary for people.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -73,6 +90,9 @@ pub struct Report {
     pub active: Vec<i8>,
     /// What the residuals counted in [`fun`](Self::fun).
     pub loss: RobustLoss,
+    /// What the run was continued from; `None`: it began anew.
+    #[serde(default)]
+    pub resumed: Option<Resumed>,
 }
 
 impl Report {
@@ -115,6 +135,7 @@ impl Report {
             jacobian: None,
             active: Vec::new(),
             loss: RobustLoss::default(),
+            resumed: None,
         }
     }
 
@@ -177,6 +198,9 @@ impl fmt::Display for Report {
         writeln!(f, "  iterations   {}", self.n_iterations)?;
         write!(f, "  evaluations  {} in {} batches", self.n_evaluations, self.n_batches)?;
         writeln!(f, " ({} failed, {} speculative)", self.n_failed, self.n_speculative)?;
+        if let Some(resumed) = &self.resumed {
+            writeln!(f, "  {resumed}")?;
+        }
         for (reason, count) in &self.failures {
             writeln!(f, "    {count} x {reason}")?;
         }
@@ -235,6 +259,7 @@ pub(crate) fn conclude<M: Method + ?Sized>(
         jacobian,
         active,
         loss: RobustLoss::default(),
+        resumed: None,
     })
 }
 

@@ -10,6 +10,7 @@ pub use finding::{Check, Finding, Severity};
 
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
+use ode::Stats;
 use subject::Subject;
 
 impl Calibration {
@@ -32,9 +33,21 @@ impl Calibration {
         simulate: bool,
         cancelled: &dyn Fn() -> bool,
     ) -> Result<Check, CalibrationError> {
+        self.check_counted((simulate, None), cancelled, &mut Stats::default())
+    }
+
+    /// The same; `known`: the residuals at the parameters' start values, without a loss, which are not simulated again then. What
+    /// simulations take is added to `stats`.
+    pub(crate) fn check_counted(
+        &self,
+        (simulate, known): (bool, Option<&[f64]>),
+        cancelled: &dyn Fn() -> bool,
+        stats: &mut Stats,
+    ) -> Result<Check, CalibrationError> {
         let (problem, description) = (self.problem(), self.fmu().description());
         let mut findings = model::construction_warnings(self.warnings());
         findings.extend(model::parameters(self.parameters(), description));
+        findings.extend(model::priors(problem));
         let names = problem.experiment_names();
         let is_one = names.len() == 1;
         let subjects: Vec<Subject<'_>> = (problem.experiments.iter().zip(&names).enumerate())
@@ -53,7 +66,15 @@ impl Calibration {
         }
         let mut n_evaluations = 0;
         if simulate {
-            findings.extend(simulated::findings(self, &subjects, cancelled, &mut n_evaluations)?);
+            let at_start = match known {
+                Some(residuals) => Ok(residuals.to_vec()),
+                None => {
+                    n_evaluations += 1;
+                    self.residuals_counted(&self.start(), cancelled, stats)
+                }
+            };
+            let asked = (cancelled, &mut n_evaluations, stats);
+            findings.extend(simulated::findings(self, &subjects, at_start, asked)?);
         }
         findings.sort_by_key(|finding| finding.severity);
         Ok(Check { findings, n_evaluations })

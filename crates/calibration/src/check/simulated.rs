@@ -7,7 +7,7 @@ use crate::column_units::declared;
 use crate::data::{UnitConversion, parts, sampling_interval};
 use crate::error::CalibrationError;
 use crate::layout::OutputResiduals;
-use ode::Number;
+use ode::{Number, Stats};
 use std::f64::consts::PI;
 
 /// Measured and simulated values that differ in size by less than this are left to the parameters.
@@ -43,18 +43,20 @@ struct Series<'a> {
     simulated: Vec<f64>,
 }
 
-/// The findings of all experiments.
+/// What simulations are asked with: what cancels them, how many there were, and what they took.
+type Asked<'a> = (&'a dyn Fn() -> bool, &'a mut usize, &'a mut Stats);
+
+/// The findings of all experiments, from the residuals at the start values.
 ///
 /// # Errors
 /// [`CalibrationError::Cancelled`].
 pub(super) fn findings(
     calibration: &Calibration,
     subjects: &[Subject<'_>],
-    cancelled: &dyn Fn() -> bool,
-    n_evaluations: &mut usize,
+    at_start: Result<Vec<f64>, CalibrationError>,
+    asked: Asked<'_>,
 ) -> Result<Vec<Finding>, CalibrationError> {
-    *n_evaluations += 1;
-    let residuals = match calibration.residuals_until(&calibration.start(), cancelled) {
+    let residuals = match at_start {
         Ok(residuals) => residuals,
         Err(CalibrationError::Cancelled) => return Err(CalibrationError::Cancelled),
         Err(error) => {
@@ -75,7 +77,7 @@ pub(super) fn findings(
         findings.extend(found);
     }
     findings.extend(swapped(&series, subjects));
-    findings.extend(in_milliseconds(calibration, &series, subjects, cancelled, n_evaluations)?);
+    findings.extend(in_milliseconds(calibration, &series, subjects, asked)?);
     Ok(findings)
 }
 
@@ -283,8 +285,7 @@ fn in_milliseconds(
     calibration: &Calibration,
     series: &[Series<'_>],
     subjects: &[Subject<'_>],
-    cancelled: &dyn Fn() -> bool,
-    n_evaluations: &mut usize,
+    (cancelled, n_evaluations, stats): Asked<'_>,
 ) -> Result<Option<Finding>, CalibrationError> {
     let is_coarse =
         |s: &Subject<'_>| s.experiment.data.sampling_interval().is_some_and(|interval| interval >= 0.5);
@@ -310,7 +311,7 @@ fn in_milliseconds(
     }
     let Some(fast) = a_thousandth_as_long(calibration) else { return Ok(None) };
     *n_evaluations += 1;
-    let residuals = match fast.residuals_until(&fast.start(), cancelled) {
+    let residuals = match fast.residuals_counted(&fast.start(), cancelled, stats) {
         Ok(residuals) => residuals,
         Err(CalibrationError::Cancelled) => return Err(CalibrationError::Cancelled),
         Err(_) => return Ok(None),

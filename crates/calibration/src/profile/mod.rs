@@ -59,7 +59,8 @@ impl Calibration {
     /// (Bates and Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1; Raue et al., Bioinformatics 25, 2009,
     /// with the quantile of chi-square, its limit for many measurements). It is about the optimum of the weighted sum, which is found
     /// first: with outputs of different variances it differs a little from that of the fit. For a linear model and one output the interval
-    /// is that of the covariance.
+    /// is that of the covariance. Where there are priors the weights are those of the fit, taken for the inverse of the standard
+    /// deviations, for they decide what the priors count.
     ///
     /// The sides of the parameters run in parallel. `cancelled` is asked on the calling thread; after the optimum is found, an
     /// interrupt leaves what is there in hand ([`Profile::is_interrupted`]).
@@ -114,7 +115,11 @@ impl Calibration {
         let quantile = check_level(options.level, self.n_residuals().saturating_sub(n_free))?;
         let threshold = quantile * quantile;
         let by_output = fit.worth.as_ref().is_none_or(|worth| worth.estimator == Estimator::Sandwich);
-        let weighted = self.weighted_by_variance(&fit.x, n_free, by_output, cancelled)?;
+        // Beside priors residuals are in units of their standard deviations, as the fit took them: other weights have another optimum.
+        let weighted = match self.residual_layout().priors.is_empty() {
+            true => self.weighted_by_variance(&fit.x, n_free, by_output, cancelled)?,
+            false => self.derived(self.problem().clone())?,
+        };
         let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
         let size = |i: usize| weighted.size_of(&self.parameters()[i], fit.x[i]);
         let mut refits = Refits {

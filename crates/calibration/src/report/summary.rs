@@ -98,7 +98,9 @@ impl Summary {
 /// How the fit ended and how good it is.
 fn sentence(fit: &Fit) -> String {
     let ended = match &fit.report.termination {
-        Termination::Converged | Termination::Noise => "The fit converged",
+        Termination::Converged => "The fit converged",
+        Termination::Noise if fit.report.is_success() => "The fit converged to the noise of the simulations",
+        Termination::Noise => "The fit ended in the noise of the simulations before it converged",
         Termination::Target => "The fit reached its target",
         Termination::AllFixed => "All parameters are fixed",
         Termination::MaxEvaluations => "The fit did not converge within its limit of evaluations",
@@ -135,7 +137,14 @@ fn sentence(fit: &Fit) -> String {
         None => "",
     };
     let rms = rounded(fit.rms, FEW_DIGITS);
-    format!("{ended}: RMS {rms} ({before}) over {} measurements.{mistrust}{correlated}", fit.n_measurements)
+    let resumed = match &fit.report.resumed {
+        Some(resumed) => format!(" It was {resumed}."),
+        None => String::new(),
+    };
+    format!(
+        "{ended}: RMS {rms} ({before}) over {} measurements.{resumed}{mistrust}{correlated}",
+        fit.n_measurements
+    )
 }
 
 /// What is not to be trusted.
