@@ -10,7 +10,7 @@ use crate::no_cost::NoCost;
 use crate::parameter::Parameter;
 use crate::problem::{ModelFile, Problem};
 use crate::residual::CostRule;
-use crate::solver::{Choice, Solver};
+use crate::solver::{AtStart, Choice, Solver};
 use crate::warning::{SETUP_LOG_TARGET, SetupWarning};
 use dfo::{Answer, Checkpoint, Failure, Objective, Outcome, Query, RobustLoss, Want};
 use fmi::{FmiError, Fmu, Pool, Trajectory};
@@ -256,7 +256,17 @@ impl Calibration {
     /// # Errors
     /// As [`solver`](Self::solver), and [`CalibrationError::Cancelled`].
     pub fn solver_until(&self, cancelled: &dyn Fn() -> bool) -> Result<&Solver, CalibrationError> {
-        self.choice.chosen(&self.evaluator, cancelled).map(|chosen| &chosen.solver)
+        self.solver_counted(cancelled, &mut Stats::default()).map(|(solver, _)| solver)
+    }
+
+    /// The same; what a race takes is added to `stats`, and the evaluation at the start values that was part of it is handed on.
+    pub(crate) fn solver_counted(
+        &self,
+        cancelled: &dyn Fn() -> bool,
+        stats: &mut Stats,
+    ) -> Result<(&Solver, Option<AtStart>), CalibrationError> {
+        let (chosen, at_start) = self.choice.chosen(&self.evaluator, cancelled, stats)?;
+        Ok((&chosen.solver, at_start))
     }
 
     /// Takes a solver that was found for the same problem elsewhere, unless there is one already.
@@ -285,7 +295,7 @@ impl Calibration {
     /// # Errors
     /// As [`cost`](Self::cost), and [`CalibrationError::Cancelled`].
     pub fn cost_until(&self, x: &[f64], cancelled: &dyn Fn() -> bool) -> Result<f64, CalibrationError> {
-        self.evaluate_fully(x, cancelled).map(|(cost, _)| cost)
+        self.evaluate_fully(x, cancelled, &mut Stats::default()).map(|(cost, _)| cost)
     }
 
     /// The residuals at `x`, simulated minus measured times weight: experiment by experiment, output by output, in the
@@ -306,7 +316,17 @@ impl Calibration {
         x: &[f64],
         cancelled: &dyn Fn() -> bool,
     ) -> Result<Vec<f64>, CalibrationError> {
-        self.evaluate_fully(x, cancelled).map(|(_, residuals)| residuals)
+        self.residuals_counted(x, cancelled, &mut Stats::default())
+    }
+
+    /// The same; what the simulations take is added to `stats`.
+    pub(crate) fn residuals_counted(
+        &self,
+        x: &[f64],
+        cancelled: &dyn Fn() -> bool,
+        stats: &mut Stats,
+    ) -> Result<Vec<f64>, CalibrationError> {
+        self.evaluate_fully(x, cancelled, stats).map(|(_, residuals)| residuals)
     }
 
     /// Simulates every experiment at `x` and keeps the trajectories of the compared outputs, at the measured times or,
@@ -400,11 +420,12 @@ impl Calibration {
         &self,
         x: &[f64],
         cancelled: &dyn Fn() -> bool,
+        stats: &mut Stats,
     ) -> Result<(f64, Vec<f64>), CalibrationError> {
         self.check_length(x)?;
         let mut residuals = vec![0.0; self.n_residuals()];
         let rule = CostRule::whole(RobustLoss::default(), cancelled);
-        let cost = self.evaluate_into(x, rule, &mut residuals, &mut Stats::default());
+        let cost = self.evaluate_into(x, rule, &mut residuals, stats);
         cost.map(|cost| (cost, residuals)).map_err(|no_cost| match no_cost {
             NoCost::Failed { message, source, .. } => self.failed_at(x, message, source),
             NoCost::Over(error) => CalibrationError::Model(*error),

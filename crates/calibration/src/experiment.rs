@@ -414,7 +414,8 @@ pub struct SimulationSettings {
     /// Integration method. Default [`ode::Method::Auto`]: the winner of a race between the methods, see
     /// [`Calibration::solver`](crate::Calibration::solver).
     pub method: ode::Method,
-    /// Relative tolerance; default: the model's default experiment, else 1e-6.
+    /// Relative tolerance; default: the model's default experiment, but at most 1e-6, else 1e-6: a fit says where it is smaller than
+    /// the model's.
     pub relative_tolerance: Option<f64>,
     /// Step of a fixed-step method; the communication step of co-simulation.
     pub step_size: Option<f64>,
@@ -430,6 +431,20 @@ pub struct SimulationSettings {
     pub timeout: Option<Duration>,
     /// How simulations that run in parallel share the library of the FMU. The costs do not depend on it.
     pub sharing: fmi::Sharing,
+}
+
+/// The largest relative tolerance that simulations of a fit have where none is asked for. With it a cost of residuals of usual noise is
+/// smooth far below 1e-4 of itself, the `f_tol` of a fit; at 1e-4, which many models state, it is not.
+const LOOSEST: f64 = 1e-6;
+
+impl SimulationSettings {
+    /// The relative tolerance that simulations are asked for: what is set, else [`LOOSEST`] where the model states a larger one; `None`: its
+    /// own, or the default.
+    pub(crate) fn tolerance_of_fits(&self, description: &fmi::ModelDescription) -> Option<f64> {
+        let stated = description.default_experiment.tolerance;
+        self.relative_tolerance
+            .or_else(|| stated.filter(|stated| *stated > LOOSEST && *stated < 1.0).map(|_| LOOSEST))
+    }
 }
 
 fn no_result(variable: &str, column: &str, what: &str) -> CalibrationError {

@@ -7,15 +7,16 @@ use crate::finding::{Finding, Severity};
 use crate::objective::CostKind;
 use crate::output_fit::{KeptResiduals, OutputFit};
 use crate::parameter::{Parameter, Scale};
+use crate::phase::{CurrentPhase, Deadline, FitPhase};
 use crate::preflight::{Preflight, PreflightOptions};
-use crate::residual::CostRule;
+use crate::residual::{CostRule, sum_of_squares};
 use crate::simulations::Simulations;
 use crate::solver::Solver;
 use crate::spot_checks::SpotChecks;
 use crate::worth::{KnownPoint, Worth, WorthOptions, digits};
 use dfo::{
-    Answer, AnyMethod, ByRef, Kind, Measure, Objective, Outcome, Progress, Query, Report, Resume, RobustLoss,
-    RunOptions, Search, Stop, Tolerances, Want,
+    Answer, AnyMethod, ByRef, Kind, Measure, NothingFound, Objective, Outcome, Progress, Query, Report,
+    Resume, RobustLoss, RunOptions, Search, Stop, Termination, Tolerances, Trace, Want, typical_size,
 };
 use ode::{Number, Stats};
 use serde::{Deserialize, Serialize};
@@ -35,7 +36,9 @@ pub type FitObserver<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
 
 /// How a fit is made.
 pub struct FitOptions<'a> {
-    /// The method, tolerances, limits, workers (default: all cores), checkpoint and so on. Model, data, parameters and settings
+    /// The method, tolerances, limits, workers (default: all cores), checkpoint and so on. The time limit holds for the whole fit, from
+    /// the choice of a solver to the standard errors: where it is over before any evaluation has ended, the result is the start,
+    /// with a cost of NaN. Model, data, parameters and settings
     /// of the calibration identify the fit's problem: a checkpoint of another one is refused, and points that are known
     /// from another one are evaluated again.
     pub run: RunOptions<AnyMethod>,
@@ -64,6 +67,8 @@ pub struct FitOptions<'a> {
     pub poll: Option<Box<dyn FnMut() -> bool + 'a>>,
     /// A flag that interrupts the fit when it is raised, within a step of the simulations that are running.
     pub cancel: Option<Arc<AtomicBool>>,
+    /// Where the fit says what it does.
+    pub phase: Arc<CurrentPhase>,
 }
 
 impl FitOptions<'_> {
@@ -90,6 +95,7 @@ impl Default for FitOptions<'_> {
             observer: None,
             poll: None,
             cancel: None,
+            phase: Arc::default(),
         }
     }
 }
@@ -166,7 +172,8 @@ pub struct Fit {
     pub setup_findings: Vec<Finding>,
     /// What the fit is worth; `None` where it was not asked for, or the run was ended from outside.
     pub worth: Option<Worth>,
-    /// What the simulations of the fit took in all: right-hand sides, steps, events, seconds (added up over all workers).
+    /// What the simulations of the fit took in all: right-hand sides, steps, events, seconds (added up over all workers), from the
+    /// choice of a solver, where this fit made it, to the standard errors.
     /// Those that failed or were given up count, those of a resumed fit from before do not.
     pub stats: Stats,
     /// The integration method of all simulations, and how it was found.
@@ -228,6 +235,8 @@ struct Counted<'a> {
     kind: &'a CostKind,
     loss: RobustLoss,
     start: &'a [f64],
+    /// The residuals there, as they count, where they are known already.
+    at_start: Option<Vec<f64>>,
     stats: Mutex<(Stats, SpotChecks, KeptResiduals)>,
     /// Findings before the run.
     n_findings: u64,
@@ -241,7 +250,13 @@ impl Objective for Counted<'_> {
         }
         let wanted = std::mem::replace(&mut query.want, Want::Residuals);
         let mut stats = Stats::default();
-        self.calibration.evaluate_counted(x, (&query, self.loss), answer, &mut stats);
+        match &self.at_start {
+            Some(residuals) if x == self.start => {
+                answer.residuals.clone_from(residuals);
+                answer.outcome = Outcome::Value(sum_of_squares(residuals));
+            }
+            _ => self.calibration.evaluate_counted(x, (&query, self.loss), answer, &mut stats),
+        }
         // A poisoned lock is no reason to fail: the counts are whole at every instant.
         let mut known = self.stats.lock().unwrap_or_else(|e| e.into_inner());
         known.0 += stats;
@@ -282,6 +297,86 @@ impl Objective for Counted<'_> {
     }
 }
 
+/// What a fit is asked for, checked, with its clock.
+struct Job<'a> {
+    run: RunOptions<AnyMethod>,
+    start: Vec<f64>,
+    held: Vec<usize>,
+    cutoffs: bool,
+    objective: CostKind,
+    loss: RobustLoss,
+    wants_preflight: bool,
+    worth: Option<WorthOptions>,
+    observer: RefCell<Option<Box<FitObserver<'a>>>>,
+    poll: RefCell<Option<Box<dyn FnMut() -> bool + 'a>>>,
+    cancel: Option<Arc<AtomicBool>>,
+    phase: Arc<CurrentPhase>,
+    deadline: Deadline,
+    /// The residuals at the start, as they count, where they were known before the search.
+    at_start: RefCell<Option<Vec<f64>>>,
+}
+
+impl<'a> Job<'a> {
+    fn new(calibration: &Calibration, options: FitOptions<'a>) -> Result<Self, CalibrationError> {
+        let deadline = Deadline::new(options.run.limits.max_time);
+        let mut run = options.run;
+        options.objective.check(calibration.residual_layout(), !options.loss.is_linear())?;
+        run.workers.get_or_insert_with(|| available_parallelism().map_or(1, usize::from));
+        let start = options.start.unwrap_or_else(|| calibration.start());
+        calibration.check_start(&start)?;
+        if let Some(index) = options.held.iter().find(|&&i| i >= start.len()) {
+            let n = start.len();
+            return Err(CalibrationError::Setup(format!(
+                "parameter {index} is held, but there are only {n}"
+            )));
+        }
+        Ok(Self {
+            run,
+            start,
+            held: options.held,
+            cutoffs: options.cutoffs && options.objective.is_sum_of_squares(),
+            objective: options.objective,
+            loss: options.loss,
+            wants_preflight: options.preflight,
+            worth: options.worth,
+            observer: RefCell::new(options.observer),
+            poll: RefCell::new(options.poll),
+            cancel: options.cancel,
+            phase: options.phase,
+            deadline,
+            at_start: RefCell::default(),
+        })
+    }
+
+    fn is_polled(&self) -> bool {
+        self.poll.borrow_mut().as_mut().is_some_and(|poll| poll())
+    }
+
+    /// Whether it is interrupted.
+    fn is_asked(&self) -> bool {
+        self.cancel.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed)) || self.is_polled()
+    }
+
+    /// Whether it is interrupted, or its time is up.
+    fn is_cancelled(&self) -> bool {
+        self.deadline.is_over() || self.is_asked()
+    }
+}
+
+/// What the search of a fit gave.
+struct Searched {
+    report: Report,
+    found: Findings,
+    residuals: KeptResiduals,
+    preflight: Option<Preflight>,
+    solver: Solver,
+    /// Those that held.
+    tolerances: Tolerances,
+    /// What is to be said of them.
+    raised: Vec<Finding>,
+    n_beginnings: usize,
+}
+
 impl Calibration {
     /// Fits the parameters.
     ///
@@ -292,167 +387,65 @@ impl Calibration {
     /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
     /// cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
     pub fn fit<'a>(&self, options: impl Into<FitOptions<'a>>) -> Result<Fit, CalibrationError> {
-        let FitOptions {
-            run: mut described,
-            start,
-            held,
-            cutoffs,
-            objective,
-            loss,
-            preflight,
-            worth,
-            mut observer,
-            poll,
-            cancel,
-        } = options.into();
-        objective.check(self.residual_layout(), !loss.is_linear())?;
-        let cutoffs = cutoffs && objective.is_sum_of_squares();
-        let poll = RefCell::new(poll);
-        described.workers.get_or_insert_with(|| available_parallelism().map_or(1, usize::from));
-        let start = start.unwrap_or_else(|| self.start());
-        self.check_start(&start)?;
-        if let Some(index) = held.iter().find(|&&i| i >= start.len()) {
-            let n = start.len();
-            return Err(CalibrationError::Setup(format!(
-                "parameter {index} is held, but there are only {n}"
-            )));
-        }
-        let bound = |side: fn(&Parameter) -> f64| {
-            let mut bounds: Vec<f64> = self.parameters().iter().map(side).collect();
-            held.iter().for_each(|&i| bounds[i] = start[i]);
-            bounds
-        };
-        let transforms: Vec<Scale> = self.parameters().iter().map(Parameter::scale_kind).collect();
-        let mut kinds: Vec<Kind> = self.parameters().iter().map(Parameter::value_kind).collect();
-        // What is held can have any value, and does not choose the method.
-        held.iter().for_each(|&i| kinds[i] = Kind::Continuous);
-        let sizes: Vec<Option<f64>> =
-            self.parameters().iter().zip(&start).map(|(p, x)| self.known_size(p, *x)).collect();
-        if let Some(checkpoint) = &described.checkpoint {
-            self.adopt_solver(checkpoint)?;
-        }
-        let is_flagged = || cancel.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed));
-        let is_asked = || is_flagged() || poll.borrow_mut().as_mut().is_some_and(|poll| poll());
-        // The race and the model's first-use test are not part of the time that the fit is given.
-        let solver = self.solver_until(&is_asked)?;
-        self.prepare(&is_asked)?;
-        let max_time = described.limits.max_time;
-        let late = max_time.and_then(|limit| Instant::now().checked_add(limit));
-        let is_late = || late.is_some_and(|late| Instant::now() >= late);
-        let cancelled = || is_late() || is_asked();
-        let problem = self.problem_hash(solver);
-        let problem = if loss.is_linear() { problem } else { format!("{problem}, loss {loss}") };
-        let is_usual = objective.is_sum_of_squares();
-        described.problem =
-            Some(if is_usual { problem } else { format!("{problem}, objective {}", objective.name()) });
-        described.checkpoint = described.checkpoint.map(|checkpoint| self.tag(checkpoint, solver));
-        let (mut stats, mut n_beginnings) = (Stats::default(), 0);
-        let preflight = preflight.then(|| {
-            let options = PreflightOptions { start: Some(start.clone()), workers: described.workers, loss };
-            self.preflight_counted(&options, &cancelled, &mut stats)
-        });
-        let preflight = preflight.transpose()?;
-        let mut remarks: Vec<Finding> = Vec::new();
-        if let Some(found) = &preflight
-            && described.tolerances.measure == Measure::Relative
-            && found.f_tol_above_noise(described.tolerances.f_tol) > described.tolerances.f_tol
-        {
-            described.tolerances.f_tol = found.noise;
-            let sentence =
-                format!("f_tol was raised to the noise of the simulations, {}", digits(found.noise));
-            remarks.push(Finding::new(Severity::Note, "f_tol", sentence, ""));
-        }
-        let tolerances = described.tolerances;
-        let (report, found, residuals) = loop {
-            n_beginnings += 1;
-            let n_findings = self.n_history_findings();
-            let counted = Counted {
-                calibration: self,
-                cutoffs,
-                kind: &objective,
-                loss,
-                start: &start,
-                stats: Mutex::default(),
-                n_findings,
+        self.fit_and_keep(options.into()).map(|(fit, _)| fit)
+    }
+
+    /// The same, with the residuals that the run has computed.
+    pub(crate) fn fit_and_keep(
+        &self,
+        options: FitOptions<'_>,
+    ) -> Result<(Fit, KeptResiduals), CalibrationError> {
+        let job = Job::new(self, options)?;
+        let mut stats = Stats::default();
+        let searched = self.search(&job, &mut stats);
+        let Searched { report, found, residuals, preflight, solver, tolerances, raised, n_beginnings } =
+            match searched {
+                Err(error) if !job.is_asked() => self.start_alone(&job, error)?,
+                searched => searched?,
             };
-            let left = late.map(|late| late.saturating_duration_since(Instant::now()));
-            described.limits.max_time = left.or(max_time);
-            let mut run = dfo::minimize(ByRef(&counted))
-                .start(&start)
-                .bounds(&bound(Parameter::lower), &bound(Parameter::upper))
-                .map_err(|e| self.name_parameter(e))?
-                .transforms(&transforms)
-                .kinds(&kinds)
-                .known_scales(&sizes)
-                .options(described.clone());
-            if let Some(observer) = &mut observer {
-                run = run.observer(|progress| observer(progress));
-            }
-            if poll.borrow().is_some() {
-                run = run.poll(|| poll.borrow_mut().as_mut().is_some_and(|poll| poll()));
-            }
-            if let Some(flag) = &cancel {
-                run = run.cancel(Arc::clone(flag));
-            }
-            let began = Instant::now();
-            let outcome = run.run().map_err(|error| match error {
-                dfo::Error::NeedsResiduals { method } => CalibrationError::Setup(format!(
-                    "{method} minimises sums of squares, and the objective '{}' is none: leave the method to the fit \
-                     (method auto), or take nelder-mead",
-                    objective.name()
-                )),
-                error => self.name_parameter(error),
-            });
-            let took = began.elapsed();
-            let (taken, checks, residuals) = counted.stats.into_inner().unwrap_or_else(|e| e.into_inner());
-            stats += taken;
-            let is_sound = || self.n_history_findings() == n_findings;
-            if is_sound() || cancelled() {
-                let report = outcome?;
-                let differs = || self.depends_on_history(&report.x, &cancelled);
-                if cancelled()
-                    || !(differs()
-                        || self.costs_depend_on_history(&checks, took, CostRule::whole(loss, &cancelled)))
-                {
-                    let of_run = (start.as_slice(), held.as_slice(), &report, &objective);
-                    let found = self.findings(of_run, &tolerances, &cancelled, &mut stats);
-                    if is_sound() || cancelled() {
-                        break (report, found, residuals);
-                    }
-                }
-            }
-            log::warn!("{}: {HISTORY}: it begins anew", self.fmu().description().model_name);
-            // What was stored, here or by an earlier fit, may depend on what ran before.
-            described.checkpoint = described.checkpoint.map(|checkpoint| checkpoint.resume(Resume::Never));
-            described.known.iter_mut().for_each(|known| known.problem = None);
-        };
+        let Job { start, held, objective, loss, deadline, phase, worth, .. } = &job;
+        let cancelled = || job.is_cancelled();
+        let mut remarks = raised;
         if n_beginnings > 1 {
             let sentence = format!("begun {n_beginnings} times: {HISTORY}");
             remarks.push(Finding::new(Severity::Note, "fit", sentence, ""));
         }
+        phase.set(FitPhase::Checks);
         let is_whole = worth.is_some() && held.is_empty();
         let (at_start, at_end) =
-            self.plain_residuals((&start, &report.x), (residuals, loss), &cancelled, &mut stats);
+            self.plain_residuals((start, &report.x), (&residuals, *loss), &cancelled, &mut stats);
         if let Some(at_end) = at_end.as_deref().filter(|_| is_whole && is_over(&report.termination)) {
             let (from, to) = ((start.as_slice(), at_start.as_deref()), (report.x.as_slice(), at_end));
             remarks.extend(self.check_after_fit(from, to, &cancelled, &mut stats));
         }
         let outputs =
-            at_end.map_or_else(Vec::new, |at_end| self.output_fits_of(&at_end, at_start.as_deref()));
-        let worth = worth.filter(|_| objective.has_worth()).and_then(|mut options| {
-            options.workers = options.workers.or(described.workers);
-            options.held.extend(&held);
-            let asked = WorthOptions { loss, is_likelihood: objective.is_likelihood(), ..options };
-            self.worth_of_fit((&report, &found), &tolerances, asked, (&cancelled, &mut stats))
+            at_end.as_deref().map_or_else(Vec::new, |at_end| self.output_fits_of(at_end, at_start.as_deref()));
+        phase.set(FitPhase::Worth);
+        let worth = worth.clone().filter(|_| objective.has_worth()).and_then(|mut options| {
+            options.workers = options.workers.or(job.run.workers);
+            options.held.extend(held);
+            let asked = WorthOptions { loss: *loss, is_likelihood: objective.is_likelihood(), ..options };
+            let known = report.residuals.as_deref().or(at_end.as_deref());
+            let worth =
+                self.worth_of_fit((&report, &found, known), &tolerances, asked, (&cancelled, &mut stats));
+            if worth.is_none() && is_over(&report.termination) && deadline.is_over() {
+                let sentence = "the time was up before the standard errors were known";
+                remarks.push(Finding::new(Severity::Warning, "max_time", sentence, ""));
+            }
+            worth
         });
         let start_cost =
             report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());
-        let mut rms = |x: &[f64], cost: Option<f64>| {
+        let is_start = report.trace.is_empty() && report.fun.is_finite();
+        let start_cost = start_cost.or(Some(report.fun).filter(|_| is_start));
+        let mut rms = |x: &[f64], cost: Option<f64>| match (objective.is_sum_of_squares(), cost) {
+            (true, cost) => cost.map(|cost| self.rms(x, cost, *loss)),
             // Of another cost the residuals have to be known.
-            match objective.is_sum_of_squares() {
-                true => cost.map(|cost| self.rms(x, cost, loss)),
-                false => self.cost_and_rms(x, (&objective, loss), &cancelled, &mut stats).map(|(_, rms)| rms),
-            }
+            (false, None) => None,
+            (false, Some(_)) => match residuals.at((x, start)) {
+                Some(known) => Some(self.rms(x, sum_of_squares(known), *loss)),
+                None => self.cost_and_rms(x, (objective, *loss), &cancelled, &mut stats).map(|(_, rms)| rms),
+            },
         };
         let names: Vec<String> = self.parameters().iter().map(|p| p.name().to_owned()).collect();
         let mut shown_names: Vec<String> =
@@ -462,7 +455,7 @@ impl Calibration {
         }
         let description = self.fmu().description();
         let unit = |p: &Parameter| p.unit(description).map(str::to_owned);
-        Ok(Fit {
+        let fit = Fit {
             units: self.parameters().iter().map(unit).collect(),
             bounds: self.parameters().iter().map(|p| (p.lower(), p.upper())).collect(),
             model: description.model_name.clone(),
@@ -478,17 +471,211 @@ impl Calibration {
             rms: rms(&report.x, Some(report.fun)).unwrap_or(f64::NAN),
             tied: self.tied_values(&report.x),
             start_cost,
-            start_rms: rms(&start, start_cost),
+            start_rms: rms(start, start_cost),
             objective: objective.name().to_owned(),
-            start,
+            start: start.clone(),
             stages: Vec::new(),
             at_bound: found.at_bound,
             without_effect: found.without_effect,
             n_checks: found.n_checks,
             n_beginnings,
             stats,
-            solver: solver.clone(),
+            solver,
             report,
+        };
+        Ok((fit, residuals))
+    }
+
+    /// The search for the best point, with what comes before it.
+    fn search(&self, job: &Job<'_>, stats: &mut Stats) -> Result<Searched, CalibrationError> {
+        let Job { start, held, cutoffs, objective, loss, deadline, .. } = job;
+        let (cutoffs, loss, deadline) = (*cutoffs, *loss, *deadline);
+        let mut described = job.run.clone();
+        let bound = |side: fn(&Parameter) -> f64| {
+            let mut bounds: Vec<f64> = self.parameters().iter().map(side).collect();
+            held.iter().for_each(|&i| bounds[i] = start[i]);
+            bounds
+        };
+        let transforms: Vec<Scale> = self.parameters().iter().map(Parameter::scale_kind).collect();
+        let mut kinds: Vec<Kind> = self.parameters().iter().map(Parameter::value_kind).collect();
+        // What is held can have any value, and does not choose the method.
+        held.iter().for_each(|&i| kinds[i] = Kind::Continuous);
+        let sizes: Vec<Option<f64>> = self.parameters().iter().map(|p| self.given_size(p)).collect();
+        if let Some(checkpoint) = &described.checkpoint {
+            self.adopt_solver(checkpoint)?;
+        }
+        let cancelled = || job.is_cancelled();
+        job.phase.set(FitPhase::Solver);
+        let (solver, raced) = self.solver_counted(&cancelled, stats)?;
+        let raced = raced.filter(|_| *start == self.start());
+        let counted = |plain: Vec<f64>| plain.into_iter().map(|r| loss.transform(r)).collect::<Vec<f64>>();
+        let mut at_start = raced.map(|raced| (counted(raced.residuals), raced.seconds));
+        *job.at_start.borrow_mut() = at_start.as_ref().map(|(residuals, _)| residuals.clone());
+        job.phase.set(FitPhase::ModelTest);
+        self.prepare(&cancelled)?;
+        let problem = self.problem_hash(solver);
+        let problem = if loss.is_linear() { problem } else { format!("{problem}, loss {loss}") };
+        let is_usual = objective.is_sum_of_squares();
+        described.problem =
+            Some(if is_usual { problem } else { format!("{problem}, objective {}", objective.name()) });
+        described.checkpoint = described.checkpoint.map(|checkpoint| self.tag(checkpoint, solver));
+        let preflight = job.wants_preflight.then(|| {
+            job.phase.set(FitPhase::Preflight);
+            let options = PreflightOptions { start: Some(start.clone()), workers: described.workers, loss };
+            self.preflight_counted(&options, &mut at_start, &cancelled, stats)
+        });
+        let preflight = preflight.transpose()?;
+        let mut raised: Vec<Finding> = self.tightened().into_iter().collect();
+        if let Some(found) = &preflight
+            && described.tolerances.measure == Measure::Relative
+            && found.f_tol_above_noise(described.tolerances.f_tol) > described.tolerances.f_tol
+        {
+            described.tolerances.f_tol = found.noise;
+            let sentence =
+                format!("f_tol was raised to the noise of the simulations, {}", digits(found.noise));
+            raised.push(Finding::new(Severity::Note, "f_tol", sentence, ""));
+        }
+        let tolerances = described.tolerances;
+        job.phase.set(FitPhase::Search);
+        let mut observer = job.observer.borrow_mut();
+        let mut n_beginnings = 0;
+        let (report, found, residuals) = loop {
+            n_beginnings += 1;
+            let n_findings = self.n_history_findings();
+            let known = at_start.take().map(|(residuals, _)| residuals);
+            job.at_start.borrow_mut().clone_from(&known);
+            let counted = Counted {
+                calibration: self,
+                cutoffs,
+                kind: objective,
+                loss,
+                start,
+                at_start: known.clone(),
+                stats: Mutex::new((Stats::default(), SpotChecks::default(), KeptResiduals::of_start(known))),
+                n_findings,
+            };
+            described.limits.max_time = deadline.left();
+            let mut run = dfo::minimize(ByRef(&counted))
+                .start(start)
+                .bounds(&bound(Parameter::lower), &bound(Parameter::upper))
+                .map_err(|e| self.name_parameter(e))?
+                .transforms(&transforms)
+                .kinds(&kinds)
+                .known_scales(&sizes)
+                .options(described.clone());
+            if let Some(observer) = &mut *observer {
+                run = run.observer(|progress| observer(progress));
+            }
+            if job.poll.borrow().is_some() {
+                run = run.poll(|| job.is_polled());
+            }
+            if let Some(flag) = &job.cancel {
+                run = run.cancel(Arc::clone(flag));
+            }
+            let began = Instant::now();
+            let outcome = run.run().map_err(|error| match error {
+                dfo::Error::NeedsResiduals { method } => CalibrationError::Setup(format!(
+                    "{method} minimises sums of squares, and the objective '{}' is none: leave the method to the fit \
+                     (method auto), or take nelder-mead",
+                    objective.name()
+                )),
+                error => self.name_parameter(error),
+            });
+            let took = began.elapsed();
+            job.phase.set(FitPhase::Checks);
+            let (taken, checks, residuals) = counted.stats.into_inner().unwrap_or_else(|e| e.into_inner());
+            *stats += taken;
+            let is_sound = || self.n_history_findings() == n_findings;
+            if is_sound() || cancelled() {
+                let report = outcome?;
+                let differs = || self.depends_on_history(&report.x, &cancelled);
+                if cancelled()
+                    || !(differs()
+                        || self.costs_depend_on_history(&checks, took, CostRule::whole(loss, &cancelled)))
+                {
+                    let of_run = (start.as_slice(), held.as_slice(), &report, objective);
+                    let found = self.findings(of_run, &tolerances, &cancelled, stats);
+                    if is_sound() || cancelled() {
+                        break (report, found, residuals);
+                    }
+                }
+            }
+            log::warn!("{}: {HISTORY}: it begins anew", self.fmu().description().model_name);
+            // What was stored, here or by an earlier fit, may depend on what ran before.
+            described.checkpoint = described.checkpoint.map(|checkpoint| checkpoint.resume(Resume::Never));
+            described.known.iter_mut().for_each(|known| known.problem = None);
+        };
+        Ok(Searched {
+            report,
+            found,
+            residuals,
+            preflight,
+            solver: solver.clone(),
+            tolerances,
+            raised,
+            n_beginnings,
+        })
+    }
+
+    /// What is said where simulations have a smaller tolerance than the model states.
+    fn tightened(&self) -> Option<Finding> {
+        let (settings, description) = (&self.problem().settings, self.fmu().description());
+        let used = match settings.relative_tolerance {
+            None => settings.tolerance_of_fits(description)?,
+            Some(_) => return None,
+        };
+        let stated = description.default_experiment.tolerance.unwrap_or(f64::NAN);
+        let sentence = format!(
+            "simulations have the relative tolerance {} instead of the model's {}, which leaves the cost noisy",
+            Number(used),
+            Number(stated)
+        );
+        Some(Finding::new(Severity::Note, "relative tolerance", sentence, "relative_tolerance overrides it"))
+    }
+
+    /// The start as the result of a search that had no time for a single evaluation.
+    ///
+    /// # Errors
+    /// The error that ended the search, unless it is that.
+    fn start_alone(&self, job: &Job<'_>, error: CalibrationError) -> Result<Searched, CalibrationError> {
+        let found = match error {
+            CalibrationError::Cancelled if job.deadline.is_over() => {
+                NothingFound { n_evaluations: 0, failures: Vec::new(), x: None, trace: Trace::default() }
+            }
+            CalibrationError::Optimiser(dfo::Error::EndedWithoutPoint {
+                termination: Termination::MaxTime,
+                found,
+            }) => *found,
+            error => return Err(error),
+        };
+        let named = Solver { method: self.problem().settings.method, race: None };
+        let mut report = Report::without_cost(
+            &job.start,
+            job.run.method.name(),
+            found,
+            job.deadline.elapsed().as_secs_f64(),
+        );
+        let residuals = KeptResiduals::of_start(job.at_start.take());
+        if let Some(known) = residuals.at_start() {
+            let of_squares = (sum_of_squares(known), known);
+            let outcome = job.objective.outcome(self.residual_layout(), of_squares, &mut Vec::new());
+            report.fun = outcome.value().unwrap_or(f64::NAN);
+        }
+        report.message = format!(
+            "stopped at the time limit of {} s before the search had found anything: the result is the start",
+            Number(job.run.limits.max_time.unwrap_or_default().as_secs_f64())
+        );
+        report.workers = job.run.workers.unwrap_or(1);
+        report.loss = job.loss;
+        Ok(Searched {
+            report,
+            found: Findings::default(),
+            residuals,
+            preflight: None,
+            solver: self.known_solver().cloned().unwrap_or(named),
+            tolerances: job.run.tolerances,
+            raised: Vec::new(),
+            n_beginnings: 1,
         })
     }
 
@@ -506,10 +693,11 @@ impl Calibration {
         Some((outcome.value()?, self.rms(x, sum, loss)))
     }
 
-    /// What the result of a run is worth; `None` where it cannot be found out, or shall not.
+    /// What the result of a run is worth, from the residuals there, without a loss, where they are known; `None` where it cannot be found
+    /// out, or shall not.
     pub(crate) fn worth_of_fit(
         &self,
-        (report, found): (&Report, &Findings),
+        (report, found, residuals): (&Report, &Findings, Option<&[f64]>),
         tolerances: &Tolerances,
         mut options: WorthOptions,
         (cancelled, stats): (&dyn Fn() -> bool, &mut Stats),
@@ -524,7 +712,7 @@ impl Calibration {
         options.held.extend(at_bound.filter(|index| !inert.contains(index)));
         let known = KnownPoint {
             // Those of a stage with a window of its own are others.
-            residuals: report.residuals.as_deref().filter(|r| r.len() == self.n_residuals()),
+            residuals: residuals.filter(|r| r.len() == self.n_residuals()),
             jacobian: report.jacobian.as_deref(),
             held: options.held,
             inert,
@@ -576,29 +764,25 @@ impl Calibration {
         Ok(())
     }
 
-    /// Typical size of a parameter: what the user said, else the model's nominal value, else the width of its box,
-    /// else its start value; none if that is zero. On a log scale: of its logarithm.
-    fn known_size(&self, parameter: &Parameter, start: f64) -> Option<f64> {
-        let (lower, upper) = (parameter.lower(), parameter.upper());
-        let usable = |size: f64| (size.is_finite() && size > 0.0).then_some(size);
-        match parameter.scale_kind() {
-            Scale::Log => Some(usable((upper / lower).ln()).unwrap_or(1.0)),
-            Scale::Linear => {
-                let variable = parameter.variable().and_then(|name| self.fmu().description().variable(name));
-                // That of the model is in the unit of the model.
-                let nominal = variable.filter(|_| parameter.given_unit().is_none()).and_then(|v| v.nominal);
-                parameter
-                    .nominal_size()
-                    .or(nominal)
-                    .and_then(|n| usable(n.abs()))
-                    .or_else(|| usable(upper - lower))
-                    .or_else(|| usable(start.abs()))
-            }
+    /// The size that was given for a parameter on a linear scale: what the user said, else the model's nominal value, but no more
+    /// than the width of the bounds.
+    fn given_size(&self, parameter: &Parameter) -> Option<f64> {
+        if parameter.scale_kind() == Scale::Log {
+            return None;
         }
+        let variable = parameter.variable().and_then(|name| self.fmu().description().variable(name));
+        // That of the model is in the unit of the model.
+        let nominal = variable.filter(|_| parameter.given_unit().is_none()).and_then(|v| v.nominal);
+        let width = parameter.upper() - parameter.lower();
+        let of_model = nominal.map(|n| if width > 0.0 { n.abs().min(width) } else { n.abs() });
+        parameter.nominal_size().or(of_model).map(f64::abs).filter(|size| size.is_finite() && *size > 0.0)
     }
 
-    /// The same; 1 where nothing is known.
-    pub(crate) fn size_of(&self, parameter: &Parameter, start: f64) -> f64 {
-        self.known_size(parameter, start).unwrap_or(1.0)
+    /// Typical size of a parameter near a value, by the rule of the search ([`dfo::typical_size`]); of its logarithm on a logarithmic
+    /// scale; 1 where nothing is known. A value that has come near zero has the size that it had at the start.
+    pub(crate) fn size_of(&self, parameter: &Parameter, at: f64) -> f64 {
+        let (bounds, given) = ((parameter.lower(), parameter.upper()), self.given_size(parameter));
+        let largest = at.abs().max(parameter.start().abs());
+        typical_size(parameter.scale_kind(), largest, bounds, given).unwrap_or(1.0)
     }
 }

@@ -45,6 +45,28 @@ struct Kept {
 }
 
 impl KeptResiduals {
+    /// Those at the start, known before the run.
+    pub(crate) fn of_start(start: Option<Vec<f64>>) -> Self {
+        Self { start, best: None }
+    }
+
+    /// Those at the start, and those of a point, as they counted.
+    pub(crate) fn of_both(start: Option<&[f64]>, best: Option<(&[f64], &[f64])>) -> Self {
+        let best = best.map(|(x, residuals)| Kept { x: x.to_vec(), cost: f64::NAN, residuals: residuals.to_vec() });
+        Self { start: start.map(<[f64]>::to_vec), best }
+    }
+
+    /// Those at the start, as they counted.
+    pub(crate) fn at_start(&self) -> Option<&[f64]> {
+        self.start.as_deref()
+    }
+
+    /// Those at `x`, as they counted, if they are known: at the point of the lowest cost, and at the start.
+    pub(crate) fn at(&self, (x, start): (&[f64], &[f64])) -> Option<&[f64]> {
+        let best = self.best.as_ref().filter(|kept| kept.x == x).map(|kept| kept.residuals.as_slice());
+        best.or_else(|| self.at_start().filter(|_| x == start))
+    }
+
     /// Notes an evaluation that has a cost.
     pub(crate) fn note(&mut self, (x, start): (&[f64], &[f64]), cost: f64, residuals: &[f64]) {
         if self.start.is_none() && x == start {
@@ -62,9 +84,9 @@ impl KeptResiduals {
     }
 
     /// The residuals at the start and at `x`, without the loss.
-    fn plain(self, x: &[f64], loss: RobustLoss) -> [Option<Vec<f64>>; 2] {
-        let best = self.best.filter(|kept| kept.x == x).map(|kept| kept.residuals);
-        [self.start, best].map(|residuals| residuals.map(|r| r.iter().map(|r| loss.inverse(*r)).collect()))
+    fn plain(&self, (start, x): (&[f64], &[f64]), loss: RobustLoss) -> [Option<Vec<f64>>; 2] {
+        [self.at_start(), self.at((x, start))]
+            .map(|residuals| residuals.map(|r| r.iter().map(|r| loss.inverse(*r)).collect()))
     }
 }
 
@@ -74,11 +96,11 @@ impl Calibration {
     pub(crate) fn plain_residuals(
         &self,
         (start, x): (&[f64], &[f64]),
-        (known, loss): (KeptResiduals, RobustLoss),
+        (known, loss): (&KeptResiduals, RobustLoss),
         cancelled: &dyn Fn() -> bool,
         stats: &mut Stats,
     ) -> (Option<Vec<f64>>, Option<Vec<f64>>) {
-        let [at_start, at_end] = known.plain(x, loss);
+        let [at_start, at_end] = known.plain((start, x), loss);
         let mut simulated = |x: &[f64]| {
             let mut residuals = vec![0.0; self.n_residuals()];
             let rule = CostRule::whole(RobustLoss::default(), cancelled);
@@ -136,7 +158,7 @@ mod tests {
         kept.note((&[1.0], &start), 9.0, &[3.0]);
         kept.note((&[0.5], &start), 1.0, &[-1.0]);
         kept.note((&[0.7], &start), 2.0, &[1.0]);
-        let plain = kept.plain(&[0.5], RobustLoss::default());
+        let plain = kept.plain((&start, &[0.5]), RobustLoss::default());
         assert_eq!(plain, [Some(vec![3.0]), Some(vec![-1.0])]);
     }
 

@@ -99,13 +99,15 @@ impl Calibration {
         options: &PreflightOptions,
         cancelled: &dyn Fn() -> bool,
     ) -> Result<Preflight, CalibrationError> {
-        self.preflight_counted(options, cancelled, &mut Stats::default())
+        self.preflight_counted(options, &mut None, cancelled, &mut Stats::default())
     }
 
-    /// The same; what its simulations took is added to `stats`.
+    /// The same; what its simulations took is added to `stats`. `known`: the residuals at the start, as they count, and the seconds
+    /// that they took, which are not simulated again then, and are handed on.
     pub(crate) fn preflight_counted(
         &self,
         options: &PreflightOptions,
+        known: &mut Option<(Vec<f64>, f64)>,
         cancelled: &dyn Fn() -> bool,
         stats: &mut Stats,
     ) -> Result<Preflight, CalibrationError> {
@@ -113,11 +115,17 @@ impl Calibration {
         self.check_length(&start)?;
         let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
         let mut simulations = Simulations::new(self, (options.loss, workers), cancelled)?;
-        // One alone, on a machine that does nothing else: that is its time.
-        let began = Instant::now();
-        let at_start = simulations.residuals(&[Point::new(start.clone())])?.swap_remove(0);
-        let seconds_per_evaluation = began.elapsed().as_secs_f64();
-        let residuals = at_start.map_err(|message| self.failed_at(&start, message, None))?;
+        let (residuals, seconds_per_evaluation) = match known {
+            Some(known) => known.clone(),
+            None => {
+                // One alone, on a machine that does nothing else: that is its time.
+                let began = Instant::now();
+                let at_start = simulations.residuals(&[Point::new(start.clone())])?.swap_remove(0);
+                let seconds = began.elapsed().as_secs_f64();
+                let residuals = at_start.map_err(|message| self.failed_at(&start, message, None))?;
+                known.insert((residuals, seconds)).clone()
+            }
+        };
         let parameters = self.parameters();
         let free: Vec<usize> =
             (0..start.len()).filter(|&i| parameters[i].lower() < parameters[i].upper()).collect();

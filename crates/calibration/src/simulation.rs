@@ -75,7 +75,7 @@ impl Simulation {
             parameters: names.clone(),
             outputs: Some(experiment.outputs.iter().map(|o| o.variable.clone()).collect()),
             inputs: inputs(&signals, assigned.input_shifts(&start)),
-            relative_tolerance: settings.relative_tolerance,
+            relative_tolerance: settings.tolerance_of_fits(description),
             kind: settings.kind,
             method: settings.method,
             step_size: settings.step_size,

@@ -4,6 +4,8 @@ use crate::error::CalibrationError;
 use crate::evaluate::Evaluator;
 use crate::no_cost::NoCost;
 use crate::race::{Race, RaceOutcome, race};
+use crate::residual::{Accumulator, CostRule};
+use dfo::RobustLoss;
 use fmi::{FmiError, InterfaceKind, Pool, SimulateOptions, SimulationPlan, Simulator};
 use ode::{ErrorKind, Method, Observer, Sample, Stats};
 use serde::{Deserialize, Serialize};
@@ -37,11 +39,21 @@ pub(crate) struct Chosen {
     pools: Vec<Pool>,
 }
 
-/// Keeps the samples of one simulation.
+/// What the evaluation at the parameters' start values gave that was part of a race.
+#[derive(Debug, Clone)]
+pub(crate) struct AtStart {
+    /// The residuals, without a loss.
+    pub(crate) residuals: Vec<f64>,
+    /// Wall-clock seconds of its simulations.
+    pub(crate) seconds: f64,
+}
+
+/// Keeps the samples of one simulation, and compares them with what was measured.
 struct Samples<'a> {
     values: Vec<f64>,
     /// Numbers of a sample that have a name.
     named: usize,
+    compared: Accumulator<'a>,
     cancelled: &'a dyn Fn() -> bool,
     was_cancelled: bool,
 }
@@ -50,6 +62,10 @@ impl Observer for Samples<'_> {
     fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()> {
         if sample.index.is_some() {
             self.values.extend_from_slice(&sample.outputs[..self.named]);
+        }
+        // A residual that is not finite ends no race.
+        if self.compared.stop.is_none() {
+            let _ = self.compared.sample(sample);
         }
         ControlFlow::Continue(())
     }
@@ -73,41 +89,44 @@ impl Choice {
         experiment: usize,
         cancelled: &dyn Fn() -> bool,
     ) -> Result<&'a Pool, NoCost> {
-        let chosen = self.chosen(problem, cancelled).map_err(|error| match error {
+        let chosen = self.chosen(problem, cancelled, &mut Stats::default()).map_err(|error| match error {
             CalibrationError::Model(error) => error.into(),
             _ => NoCost::Cancelled,
         })?;
+        let chosen = chosen.0;
         Ok(chosen.pools.get(experiment).unwrap_or(&problem.simulations[experiment].pool))
     }
 
-    /// The choice, made now if it is not yet.
+    /// The choice, made now if it is not yet: then with the evaluation at the start by the method that was chosen. What its simulations
+    /// take is added to `stats`.
     pub(crate) fn chosen(
         &self,
         problem: &Evaluator,
         cancelled: &dyn Fn() -> bool,
-    ) -> Result<&Chosen, CalibrationError> {
+        stats: &mut Stats,
+    ) -> Result<(&Chosen, Option<AtStart>), CalibrationError> {
         if let Some(chosen) = self.made.get() {
-            return Ok(chosen);
+            return Ok((chosen, None));
         }
         let _turn = self.racing.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(chosen) = self.made.get() {
-            return Ok(chosen);
+            return Ok((chosen, None));
         }
         let method = problem.problem.settings.method;
         let integrates = problem.simulations[0].pool.plan().kind() == InterfaceKind::ModelExchange;
-        let solver = if method == Method::Auto && integrates {
-            let race = loop {
+        let (solver, at_start) = if method == Method::Auto && integrates {
+            let (race, at_start) = loop {
                 let before = problem.n_history_findings();
-                let race = run_race(problem, cancelled)?;
+                let raced = run_race(problem, cancelled, stats)?;
                 if problem.n_history_findings() == before {
-                    break race;
+                    break raced;
                 }
             };
-            Solver { method: race.method, race: Some(race) }
+            (Solver { method: race.method, race: Some(race) }, at_start)
         } else {
-            Solver { method, race: None }
+            (Solver { method, race: None }, None)
         };
-        self.choose(problem, solver)
+        Ok((self.choose(problem, solver)?, at_start))
     }
 
     /// Fixes the choice, unless it is made.
@@ -124,8 +143,12 @@ impl Choice {
     }
 }
 
-/// Races the methods on the simulations of a problem, at the start values of its parameters.
-fn run_race(problem: &Evaluator, cancelled: &dyn Fn() -> bool) -> Result<Race, CalibrationError> {
+/// Races the methods on the simulations of a problem, at the start values of its parameters; with the evaluation there by the winner.
+fn run_race(
+    problem: &Evaluator,
+    cancelled: &dyn Fn() -> bool,
+    stats: &mut Stats,
+) -> Result<(Race, Option<AtStart>), CalibrationError> {
     let plan = problem.simulations[0].pool.plan();
     let (relative, n) = (plan.relative_tolerance(), plan.n_states());
     let variables = &problem.fmu.description().variables;
@@ -140,9 +163,20 @@ fn run_race(problem: &Evaluator, cancelled: &dyn Fn() -> bool) -> Result<Race, C
         })
         .collect();
     let start = problem.start();
-    race(relative, &absolute, n, |task| {
+    let never = || false;
+    let rule = CostRule::whole(RobustLoss::default(), &never);
+    let mut evaluated: Vec<(Method, AtStart)> = Vec::new();
+    let raced = race(relative, &absolute, n, |task| {
         let (mut all, mut total) = (Vec::new(), Stats::default());
+        let mut residuals = vec![0.0; problem.n_residuals];
+        let (mut rest, priors) = residuals.split_at_mut(problem.layout.n_measurements());
+        let mut is_whole = problem.prior_residuals(&start, rule, priors).is_ok();
         for simulation in &problem.simulations {
+            let (part, others) = rest.split_at_mut(simulation.comparison.n_residuals());
+            rest = others;
+            let (schedule, offsets) = (simulation.schedule(&start), simulation.output_offsets(&start));
+            let compared =
+                Accumulator::new((&simulation.comparison, &*schedule), &offsets, rule, (0.0, part));
             let options = SimulateOptions {
                 method: task.method,
                 relative_tolerance: Some(task.relative_tolerance),
@@ -152,11 +186,17 @@ fn run_race(problem: &Evaluator, cancelled: &dyn Fn() -> bool) -> Result<Race, C
             let plan = Arc::new(SimulationPlan::new(&problem.fmu, &options)?);
             let named = plan.output_names().len();
             let mut simulator = Simulator::new(plan)?;
-            let mut samples = Samples { values: all, named, cancelled, was_cancelled: false };
-            let ran = simulator.run(&simulation.values(&start), &mut samples);
+            let mut samples = Samples { values: all, named, compared, cancelled, was_cancelled: false };
+            let ran = simulation.run(&mut simulator, &start, &schedule, &mut samples);
+            match &ran {
+                Ok(report) => *stats += report.stats,
+                Err(FmiError::Simulation(error)) => *stats += error.stats,
+                Err(_) => {}
+            }
             if samples.was_cancelled {
                 return Err(CalibrationError::Cancelled);
             }
+            is_whole &= samples.compared.stop.is_none() && samples.compared.is_complete();
             all = samples.values;
             match ran {
                 Ok(report) => total += report.stats,
@@ -172,6 +212,11 @@ fn run_race(problem: &Evaluator, cancelled: &dyn Fn() -> bool) -> Result<Race, C
                 }
             }
         }
+        if is_whole && task.relative_tolerance == relative {
+            evaluated.push((task.method, AtStart { residuals, seconds: total.seconds.get() }));
+        }
         Ok(RaceOutcome::Finished { samples: all, stats: total })
-    })
+    })?;
+    let of_winner = evaluated.into_iter().find(|(method, _)| *method == raced.method);
+    Ok((raced, of_winner.map(|(_, at_start)| at_start)))
 }

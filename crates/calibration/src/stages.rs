@@ -6,12 +6,13 @@ use crate::error::CalibrationError;
 use crate::finding::{Finding, Severity};
 use crate::fit::{Fit, FitOptions};
 use crate::output_fit::KeptResiduals;
+use crate::phase::{Deadline, FitPhase};
 use crate::worth::WorthOptions;
 use dfo::{AnyMethod, Checkpoint, Limits, Progress, Report, Resume, Termination, Tolerances};
 use ode::Stats;
 use std::cell::RefCell;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Instant;
 
 /// One stage of a fit.
 ///
@@ -126,7 +127,9 @@ impl Calibration {
             mut observer,
             poll,
             cancel,
+            phase,
         } = options.into();
+        let deadline = Deadline::new(run.limits.max_time);
         let poll = RefCell::new(poll);
         let start = start.unwrap_or_else(|| self.start());
         let in_stage =
@@ -142,24 +145,27 @@ impl Calibration {
         }
         let is_flagged = || cancel.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed));
         let is_asked = || is_flagged() || poll.borrow_mut().as_mut().is_some_and(|poll| poll());
-        // As in a fit of one stage, the race is not part of the time.
-        self.solver_until(&is_asked)?;
-        self.prepare(&is_asked)?;
+        let is_late = || deadline.is_over() || is_asked();
+        let mut stats = Stats::default();
+        // The stages have one solver. Where there is no time for that, the first one ends at its start.
+        match self.solver_counted(&is_late, &mut stats) {
+            Err(error) if !deadline.is_over() || is_asked() => return Err(error),
+            _ => {}
+        }
         let windowed = (stages.iter().enumerate())
             .map(|(k, stage)| match stage.windows.is_empty() {
                 true => Ok(None),
                 false => self.windowed(&stage.windows).map(Some).map_err(in_stage(k)),
             })
             .collect::<Result<Vec<_>, _>>()?;
-        let began = Instant::now();
-        let late = run.limits.max_time.and_then(|limit| began.checked_add(limit));
         let (mut x, mut fits, mut ended) = (start.clone(), Vec::<Fit>::new(), None);
+        let (mut first_kept, mut last_kept) = (KeptResiduals::default(), KeptResiduals::default());
         for (k, stage) in stages.iter().enumerate() {
             let spent = |count: fn(&Report) -> usize| fits.iter().map(|f| count(&f.report)).sum::<usize>();
             let (n_evaluations, n_iterations) = (spent(|r| r.n_evaluations), spent(|r| r.n_iterations));
             let evaluations = run.limits.max_evaluations.map(|n| n.saturating_sub(n_evaluations));
             let iterations = run.limits.max_iterations.map(|n| n.saturating_sub(n_iterations));
-            let time = late.map(|late| late.saturating_duration_since(Instant::now()));
+            let time = deadline.left();
             ended = match (evaluations, iterations, time) {
                 _ if k == 0 => None,
                 (Some(0), ..) => Some(Termination::MaxEvaluations),
@@ -183,8 +189,8 @@ impl Calibration {
                 target: stage.limits.target.or(run.limits.target.filter(|_| stage.windows.is_empty())),
             };
             own.checkpoint = run.checkpoint.as_ref().map(|checkpoint| checkpoint_of(checkpoint, k));
-            let before = began.elapsed().as_secs_f64();
-            let fitted = windowed[k].as_ref().unwrap_or(self).fit(FitOptions {
+            let before = deadline.elapsed().as_secs_f64();
+            let fitted = windowed[k].as_ref().unwrap_or(self).fit_and_keep(FitOptions {
                 run: own,
                 start: Some(x.clone()),
                 held: (0..x.len()).filter(|i| !freed[k].contains(i)).collect(),
@@ -204,9 +210,21 @@ impl Calibration {
                 }),
                 poll: poll.borrow().is_some().then(|| Box::new(&is_asked) as Box<dyn FnMut() -> bool>),
                 cancel: cancel.clone(),
+                phase: Arc::clone(&phase),
             });
             let fit = match fitted {
-                Ok(fit) => fit,
+                // It had no time for a single evaluation.
+                Ok((fit, _)) if k > 0 && fit.cost.is_nan() && deadline.is_over() => {
+                    ended = Some(fit.report.termination);
+                    break;
+                }
+                Ok((fit, kept)) => {
+                    if k == 0 {
+                        first_kept = KeptResiduals::of_start(kept.at_start().map(<[f64]>::to_vec));
+                    }
+                    last_kept = kept;
+                    fit
+                }
                 // The results of the stages before are not lost.
                 Err(error) if k > 0 => match ended_by(&error) {
                     Some(termination) => {
@@ -231,11 +249,10 @@ impl Calibration {
                 break;
             }
         }
-        let mut stats = Stats::default();
         let mut n_checks = 0;
         let mut cost_at = |x: &[f64]| {
             n_checks += 1;
-            self.cost_and_rms(x, (&objective, loss), &is_asked, &mut stats)
+            self.cost_and_rms(x, (&objective, loss), &is_late, &mut stats)
         };
         let is_own = |k: usize| stages[k].windows.is_empty();
         let (is_first_own, is_last_own) = (is_own(0), is_own(fits.len() - 1));
@@ -250,12 +267,16 @@ impl Calibration {
         if let Some((cost, rms)) = at_end {
             (fit.cost, fit.report.fun, fit.rms) = (cost, cost, rms);
         }
-        let is_late = || late.is_some_and(|late| Instant::now() >= late) || is_asked();
+        phase.set(FitPhase::Checks);
         let is_checked = worth.is_some() && is_over(&fit.report.termination) && !is_late();
         let (at_start, at_end) = match is_checked || !(is_first_own && is_last_own) {
             true => {
-                let unknown = (KeptResiduals::default(), loss);
-                self.plain_residuals((&start, &x), unknown, &is_asked, &mut fit.stats)
+                let of_stage = &fit.stages[fit.stages.len() - 1].start;
+                let known = KeptResiduals::of_both(
+                    first_kept.at_start().filter(|_| is_first_own),
+                    last_kept.at((&x, of_stage)).filter(|_| is_last_own).map(|residuals| (x.as_slice(), residuals)),
+                );
+                self.plain_residuals((&start, &x), (&known, loss), &is_late, &mut fit.stats)
             }
             false => (None, None),
         };
@@ -265,6 +286,7 @@ impl Calibration {
             found.retain(|finding| !fit.setup_findings.contains(finding));
             fit.setup_findings.extend(found);
         }
+        phase.set(FitPhase::Worth);
         fit.worth = worth.filter(|_| objective.has_worth()).and_then(|mut options| {
             options.workers = options.workers.or(Some(fit.report.workers));
             options.held.extend((0..x.len()).filter(|i| !freed.iter().any(|freed| freed.contains(i))));
@@ -277,7 +299,8 @@ impl Calibration {
                 without_effect: fit.without_effect.clone(),
                 n_checks: 0,
             };
-            self.worth_of_fit((&fit.report, &found), &run.tolerances, asked, (&is_late, &mut fit.stats))
+            let known = fit.report.residuals.as_deref().or(at_end.as_deref());
+            self.worth_of_fit((&fit.report, &found, known), &run.tolerances, asked, (&is_late, &mut fit.stats))
         });
         (fit.start_cost, fit.start_rms) = cost_at_start.unzip();
         fit.n_measurements = self.n_measurements();
@@ -332,8 +355,9 @@ impl Calibration {
                     None => report.failures.push((reason.clone(), *count)),
                 }
             }
-            if report.termination.is_success() {
+            if report.is_success() {
                 report.termination.clone_from(&before.termination);
+                report.tests = before.tests;
             }
             report.message =
                 format!("stage {} of {}: {}; {}", k + 1, stages.len(), before.message, report.message);

@@ -55,7 +55,32 @@ pub struct Checkpoint {
     pub interval: Duration,
     /// What else identifies the run, by name: what the objective is made from, for example.
     pub tags: Vec<(String, String)>,
+    /// What identifies the code of the objective, see [`code`](Self::code).
+    #[serde(default)]
+    pub code: Option<Code>,
 }
+
+/// What identifies the code of an objective.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Code {
+    /// A hash.
+    Hash(String),
+    /// It cannot be told from other code, for this reason.
+    Unknown(String),
+}
+
+impl Code {
+    fn text(&self) -> &str {
+        match self {
+            Self::Hash(hash) => hash,
+            Self::Unknown(_) => "not known",
+        }
+    }
+}
+
+/// Name of the code among what identifies a run.
+const CODE: &str = "code of the function";
 
 impl Checkpoint {
     /// Writes to this file and resumes from it, if it is there.
@@ -65,7 +90,16 @@ impl Checkpoint {
             resume: Resume::Auto,
             interval: Duration::from_millis(200),
             tags: Vec::new(),
+            code: None,
         }
+    }
+
+    /// Says by what the code of the objective is known. With [`Resume::Auto`] a file of other code is refused, and so is any file where
+    /// the code is not known; with [`Resume::Require`] the user says that it is the right one.
+    #[must_use]
+    pub fn code(mut self, code: Code) -> Self {
+        self.code = Some(code);
+        self
     }
 
     /// Sets what to do with a file that is there already.
@@ -143,7 +177,7 @@ pub(crate) fn fingerprint(
     (method, options, budget): (&str, Vec<(String, String)>, bool),
     setup: &Setup,
     (cache, trace_limit, n_pinned): (usize, Option<usize>, usize),
-    (problem, tags): (Option<&str>, &[(String, String)]),
+    (problem, place): (Option<&str>, &Checkpoint),
 ) -> Vec<(String, String)> {
     let Setup { space, tolerances, prior, .. } = setup;
     let named = |name: &str, value: String| (name.to_owned(), value);
@@ -165,7 +199,8 @@ pub(crate) fn fingerprint(
             format!("{} points, {n_pinned} with costs ({:08x})", prior.len(), crc32fast::hash(&bytes)),
         ));
     }
-    all.extend(tags.iter().map(|(name, value)| (name.clone(), value.clone())));
+    all.extend(place.tags.iter().map(|(name, value)| (name.clone(), value.clone())));
+    all.extend(place.code.iter().map(|code| named(CODE, code.text().to_owned())));
     // After the tags, which say in words what a hash cannot.
     if let Some(problem) = problem {
         all.push(named("problem", problem.to_owned()));
@@ -246,14 +281,27 @@ pub(crate) fn read(
         stored: stored.to_owned(),
         given: given.to_owned(),
     };
-    for (name, given) in fingerprint {
+    let of_code = |all: &[(String, String)]| all.iter().find(|(n, _)| n == CODE).map(|(_, v)| v.clone());
+    let (stored, given) = (of_code(&snapshot.fingerprint), of_code(fingerprint));
+    let is_other = stored != given || matches!(options.code, Some(Code::Unknown(_)));
+    if is_other && options.resume == Resume::Auto {
+        let what = match &options.code {
+            Some(Code::Unknown(why)) => format!("whether it belongs to this function cannot be told: {why}"),
+            _ => "it belongs to a function with other code".to_owned(),
+        };
+        let what = format!(
+            "{what}; give resume=\"require\" to continue it all the same, or resume=\"never\" to begin anew"
+        );
+        return Err(failed(path, what));
+    }
+    for (name, given) in fingerprint.iter().filter(|(name, _)| name != CODE) {
         let stored = snapshot.fingerprint.iter().find(|(n, _)| n == name).map(|(_, v)| &v[..]);
         if stored != Some(given) {
             return Err(mismatch(name, stored.unwrap_or("nothing"), given));
         }
     }
     if let Some((name, stored)) =
-        snapshot.fingerprint.iter().find(|(n, _)| fingerprint.iter().all(|(m, _)| m != n))
+        (snapshot.fingerprint.iter()).find(|(n, _)| n != CODE && fingerprint.iter().all(|(m, _)| m != n))
     {
         return Err(mismatch(name, stored, "nothing"));
     }

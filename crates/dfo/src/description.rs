@@ -9,6 +9,7 @@ use crate::gateway::cache::Cache;
 use crate::gateway::ledger::Ledger;
 use crate::method::{Method, MethodOptions, ProblemClass, Setup};
 use crate::methods::NelderMead;
+use crate::report::Resumed;
 use crate::run_options::{Known, RunOptions};
 use crate::space::Bounds;
 use crate::space::Space;
@@ -40,6 +41,8 @@ pub(crate) struct StartedRun<T> {
     /// Whether the method needs residuals, and why it was chosen.
     pub(crate) needs_residuals: bool,
     pub(crate) method_reason: Option<String>,
+    /// What it was continued from.
+    pub(crate) resumed: Option<Resumed>,
 }
 
 impl<M> Description<M> {
@@ -125,6 +128,7 @@ impl<M: MethodOptions> Description<M> {
             before: 0.0,
             needs_residuals: method.needs_residuals(),
             method_reason: options.method_reason,
+            resumed: None,
         };
         started.batch_ledger.ledger.trace.set_problem(options.problem.clone());
         let Some(place) = options.checkpoint else { return Ok(started) };
@@ -133,7 +137,7 @@ impl<M: MethodOptions> Description<M> {
             words,
             &setup,
             (capacity, options.trace_limit, started.batch_ledger.cache.n_pinned()),
-            (options.problem.as_deref(), &place.tags),
+            (options.problem.as_deref(), &place),
         );
         if let Some(stored) = checkpoint::read(&place, &fingerprint, setup.seed, n)? {
             started.method = method.restore(&setup, &stored.method)?;
@@ -142,6 +146,8 @@ impl<M: MethodOptions> Description<M> {
             (started.batch_ledger.replay, started.batch_ledger.stale) = (stored.replay, stored.stale);
             (started.observed, started.first_recent) = (stored.observed, stored.first_recent);
             started.before = stored.seconds;
+            let n_evaluations = started.batch_ledger.ledger.n_evaluations;
+            started.resumed = Some(Resumed { path: place.path.clone(), n_evaluations });
         }
         started.writer = Some(Writer::new(place, fingerprint)?);
         Ok(started)

@@ -72,7 +72,7 @@ mod tolerances;
 mod trace;
 
 pub use answer::{Answer, Answers, Failure, FailureKind, Outcome, Want};
-pub use checkpoint::{Checkpoint, Resume};
+pub use checkpoint::{Checkpoint, Code, Resume};
 pub use choices::{BoundsHandling, Kind, Measure, Search, Stop, Transform};
 pub use error::{Error, NothingFound};
 pub use evaluator::{BatchView, WorkerPool};
@@ -96,10 +96,10 @@ pub use objective::{
 };
 pub use observe::Progress;
 pub use optimizer::{Optimizer, Point};
-pub use report::Report;
+pub use report::{Report, Resumed};
 pub use run_options::{Known, RunOptions};
 pub use sampling::Sampling;
-pub use space::{Bounds, Space};
+pub use space::{Bounds, Space, typical_size};
 pub use termination::Termination;
 pub use tolerances::{Extent, Limits, Tests, Tolerances};
 pub use trace::{Trace, TraceEntry};

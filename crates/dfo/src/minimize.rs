@@ -159,7 +159,7 @@ impl<'a, M, D> Minimize<'a, M, D> {
     }
 
     /// Lower and upper bounds; infinite where there is none, equal where a parameter is fixed. Default none.
-    /// Huge ones that stand for "none" count as none where a search starts from a point, see [`Bounds`].
+    /// Of a box that is too wide to tell the size of a parameter see [`Bounds`].
     ///
     /// # Errors
     /// As [`Bounds::new`].
@@ -274,8 +274,8 @@ impl<'a, M, D> Minimize<'a, M, D> {
         self
     }
 
-    /// Typical sizes of the parameters, positive: the unit of a relative `x_tol`. Default: width of the box, else
-    /// |x0|, else what the method finds out (see [`InitialSimplex::Auto`](crate::InitialSimplex::Auto)). For a logarithmic
+    /// Typical sizes of the parameters, positive: the unit of a relative `x_tol`. Default: see
+    /// [`typical_size`](crate::typical_size), else what the method finds out (see [`InitialSimplex::Auto`](crate::InitialSimplex::Auto)). For a logarithmic
     /// parameter in units of `ln x`.
     pub fn scales(self, sizes: &[f64]) -> Self {
         let sizes: Vec<_> = sizes.iter().copied().map(Some).collect();
@@ -429,6 +429,7 @@ impl<M: MethodOptions> Minimize<'_, M> {
             before,
             needs_residuals,
             method_reason,
+            resumed,
             ..
         } = self.description.begin(has_residuals)?;
         if needs_residuals && !may_have_some {
@@ -455,7 +456,7 @@ impl<M: MethodOptions> Minimize<'_, M> {
         let drive = Drive { method, gateway, limits, workers, writer, observed, first_recent, unsaved: None };
         let mut report = drive.run(observer.as_deref_mut())?;
         report.undo(loss);
-        report.method_reason = method_reason;
+        (report.method_reason, report.resumed) = (method_reason, resumed);
         Ok(report)
     }
 }

@@ -10,7 +10,7 @@ use crate::gateway::batch_ledger::reset;
 use crate::method::{Batch, Lookahead, Method};
 use crate::methods::BoxedMethod;
 use crate::objective::Query;
-use crate::report::{self, Report};
+use crate::report::{self, Report, Resumed};
 use crate::termination::Termination;
 use crate::tolerances::Limits;
 use crate::trace::Trace;
@@ -68,6 +68,8 @@ pub struct Optimizer {
     written: bool,
     /// Why the method was chosen, where the user left it open.
     method_reason: Option<String>,
+    /// What it was continued from.
+    resumed: Option<Resumed>,
     /// `Some(None)`: the method had nothing to start from.
     ended: Option<Option<Termination>>,
 }
@@ -76,7 +78,16 @@ impl Optimizer {
     /// A limit of time counts from here and is looked at when a batch is complete or asked for.
     pub(crate) fn start<T: Method + Send + 'static>(started: StartedRun<T>) -> Result<Self, Error> {
         let StartedRun {
-            method, batch_ledger, limits, workers, writer, observed, before, method_reason, ..
+            method,
+            batch_ledger,
+            limits,
+            workers,
+            writer,
+            observed,
+            before,
+            method_reason,
+            resumed,
+            ..
         } = started;
         let method = BoxedMethod::new(method);
         // A run that was resumed may be over already.
@@ -96,6 +107,7 @@ impl Optimizer {
             before,
             written: false,
             method_reason,
+            resumed,
             ended,
         };
         optimizer.advance()?;
@@ -307,6 +319,7 @@ impl Optimizer {
         let (workers, seconds) = (self.workers, self.elapsed());
         let report =
             report::conclude(&self.method, &mut ledger, &self.limits, workers, termination, seconds)?;
-        Ok(Report { method_reason: self.method_reason.clone(), ..report })
+        let (method_reason, resumed) = (self.method_reason.clone(), self.resumed.clone());
+        Ok(Report { method_reason, resumed, ..report })
     }
 }

@@ -1,6 +1,6 @@
 //! The result of a run: the best point, what it cost, and why the run ended.
 
-use crate::error::Error;
+use crate::error::{Error, NothingFound};
 use crate::gateway::ledger::Ledger;
 use crate::linear_model::{Covariance, LinearModel};
 use crate::loss::RobustLoss;
@@ -11,6 +11,23 @@ use crate::trace::Trace;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::fmt;
+use std::path::PathBuf;
+
+/// The checkpoint that a run was continued from. `Display` says so.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Resumed {
+    /// The file.
+    pub path: PathBuf,
+    /// Evaluations that were made before.
+    pub n_evaluations: usize,
+}
+
+impl fmt::Display for Resumed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (path, n) = (self.path.display(), self.n_evaluations);
+        write!(f, "continued from {path}: its first {n} evaluations are from there")
+    }
+}
 
 /// The result of a run. `Display` prints a summary for people.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -73,12 +90,53 @@ pub struct Report {
     pub active: Vec<i8>,
     /// What the residuals counted in [`fun`](Self::fun).
     pub loss: RobustLoss,
+    /// What the run was continued from; `None`: it began anew.
+    #[serde(default)]
+    pub resumed: Option<Resumed>,
 }
 
 impl Report {
-    /// Whether the tolerance tests passed, or the target was reached, or there was nothing to search.
+    /// Whether the tolerance tests passed, or the x test alone where nothing but noise was left, or the target was reached, or there
+    /// was nothing to search.
     pub fn is_success(&self) -> bool {
-        self.termination.is_success()
+        match self.termination {
+            Termination::Noise => self.tests.is_some_and(|tests| tests.x_passed),
+            _ => self.termination.is_success(),
+        }
+    }
+
+    /// The report of a run whose time was up before any evaluation had ended: its start, with a cost of NaN.
+    pub fn without_cost(x: &[f64], method: &str, found: NothingFound, seconds: f64) -> Self {
+        Self {
+            message: String::new(),
+            x: x.to_vec(),
+            fun: f64::NAN,
+            n_evaluations: found.n_evaluations,
+            n_iterations: 0,
+            n_batches: 0,
+            n_failed: found.failures.iter().map(|(_, count)| count).sum(),
+            n_cached: 0,
+            n_speculative: 0,
+            termination: Termination::MaxTime,
+            tests: None,
+            failures: found.failures,
+            trace: found.trace,
+            final_simplex: None,
+            final_population: None,
+            schedule: Vec::new(),
+            optima: Vec::new(),
+            seed: None,
+            method: method.to_owned().into(),
+            method_reason: None,
+            batch: String::new().into(),
+            workers: 1,
+            seconds,
+            residuals: None,
+            jacobian: None,
+            active: Vec::new(),
+            loss: RobustLoss::default(),
+            resumed: None,
+        }
     }
 
     /// Whether the lengths of its parts fit together: what comes from a file may not.
@@ -140,6 +198,9 @@ impl fmt::Display for Report {
         writeln!(f, "  iterations   {}", self.n_iterations)?;
         write!(f, "  evaluations  {} in {} batches", self.n_evaluations, self.n_batches)?;
         writeln!(f, " ({} failed, {} speculative)", self.n_failed, self.n_speculative)?;
+        if let Some(resumed) = &self.resumed {
+            writeln!(f, "  {resumed}")?;
+        }
         for (reason, count) in &self.failures {
             writeln!(f, "    {count} x {reason}")?;
         }
@@ -198,6 +259,7 @@ pub(crate) fn conclude<M: Method + ?Sized>(
         jacobian,
         active,
         loss: RobustLoss::default(),
+        resumed: None,
     })
 }
 
@@ -214,10 +276,12 @@ fn message<M: Method + ?Sized>(
     let with_tests = |text: String| if tests.is_empty() { text } else { format!("{text}; {tests}") };
     let message = match termination {
         Termination::Converged => format!("converged; {tests}"),
-        Termination::Noise => with_tests(
-            "ended in the noise of the residuals: what could still be gained is less than it makes of it"
-                .to_owned(),
-        ),
+        Termination::Noise => {
+            let is_known = details.tests.is_some_and(|tests| tests.x_passed);
+            let ended = if is_known { "ended" } else { "not converged: ended" };
+            let why = "in the noise of the residuals: what could still be gained is less than it makes of it";
+            with_tests(format!("{ended} {why}"))
+        }
         Termination::Target => {
             format!("target reached: cost {fun:e} <= {:e}", limits.target.unwrap_or(f64::NAN))
         }

@@ -9,7 +9,7 @@ use std::fmt;
 pub enum Termination {
     /// The tolerance tests passed.
     Converged,
-    /// What could still be gained is less than the noise of the residuals makes of it: the tolerance tests cannot pass.
+    /// What could still be gained is less than the noise of the residuals makes of it: the f test cannot pass.
     Noise,
     /// The target value was reached.
     Target,
@@ -47,9 +47,10 @@ pub enum Termination {
 pub(crate) const UNBOUNDED: f64 = -1e300;
 
 impl Termination {
-    /// Whether the tolerance tests passed, or nothing but noise is left, or the target was reached, or there was nothing to search.
+    /// Whether the tolerance tests passed, or the target was reached, or there was nothing to search. The end in noise is a success
+    /// where the x test passed, which [`Report::is_success`](crate::Report::is_success) knows.
     pub fn is_success(&self) -> bool {
-        matches!(self, Self::Converged | Self::Noise | Self::Target | Self::AllFixed)
+        matches!(self, Self::Converged | Self::Target | Self::AllFixed)
     }
 
     /// A short name, fit for tables and files.

@@ -109,6 +109,7 @@ impl Calibration {
     /// What is found without a simulation.
     fn findings_of_description_and_data(&self, subjects: &[Subject<'_>]) -> Vec<Finding> {
         let mut findings = model::parameters(self.parameters(), self.fmu().description());
+        findings.extend(model::priors(self.problem()));
         for subject in subjects {
             findings.extend(model::inputs(subject));
             findings.extend(model::units(subject));

@@ -4,7 +4,9 @@ use super::subject::Subject;
 use crate::column_units::declared;
 use crate::data::UnitConversion;
 use crate::finding::{Finding, Severity};
+use crate::experiment::Weight;
 use crate::parameter::Parameter;
+use crate::problem::Problem;
 use crate::warning::SetupWarning;
 use fmi::ModelDescription;
 use fmi::description::{Causality, Variable};
@@ -14,6 +16,35 @@ use ode::Number;
 pub(super) fn construction_warnings(warnings: &[SetupWarning]) -> Vec<Finding> {
     let finding = |warning: &SetupWarning| Finding::new(warning.severity(), "setup", warning.to_string(), "");
     warnings.iter().map(finding).collect()
+}
+
+/// Priors beside measurements whose noise nothing states: then a weight of 1 decides how much the priors count.
+pub(super) fn priors(problem: &Problem) -> Vec<Finding> {
+    let with_prior: Vec<&str> =
+        (problem.parameters.iter()).filter(|p| p.known_prior().is_some()).map(|p| p.name()).collect();
+    let is_unstated = |weight: &Weight| match weight {
+        Weight::Constant(weight) => *weight == 1.0,
+        Weight::Inverse(_) => true,
+        Weight::Column(_) | Weight::Rows(_) => false,
+    };
+    let outputs = problem.experiments.iter().flat_map(|experiment| &experiment.outputs);
+    let mut unstated: Vec<&str> =
+        outputs.filter(|output| is_unstated(&output.weight)).map(|output| &*output.variable).collect();
+    unstated.sort_unstable();
+    unstated.dedup();
+    if with_prior.is_empty() || unstated.is_empty() {
+        return Vec::new();
+    }
+    let (priors, outputs) = (with_prior.join(", "), unstated.join(", "));
+    vec![Finding::new(
+        Severity::Warning,
+        format!("prior of {priors}"),
+        format!(
+            "it counts in units of its standard deviation, but nothing states the standard deviation of the noise of {outputs}, which is \
+             taken for 1 over the weight: where it is smaller, the prior decides"
+        ),
+        "give weights of 1/sigma, or objective 'likelihood', which estimates the noise of each output with the parameters",
+    )]
 }
 
 /// Parameters whose start or bounds lie beyond the range that the model states.

@@ -102,7 +102,9 @@ impl Summary {
 /// How the fit ended and how good it is.
 fn sentence(fit: &Fit) -> String {
     let ended = match &fit.report.termination {
-        Termination::Converged | Termination::Noise => "The fit converged",
+        Termination::Converged => "The fit converged",
+        Termination::Noise if fit.report.is_success() => "The fit converged to the noise of the simulations",
+        Termination::Noise => "The fit ended in the noise of the simulations before it converged",
         Termination::Target => "The fit reached its target",
         Termination::AllFixed => "All parameters are fixed",
         Termination::MaxEvaluations => "The fit did not converge within its limit of evaluations",
@@ -122,7 +124,11 @@ fn sentence(fit: &Fit) -> String {
         counts => format!(" {counts}."),
     };
     let errors = relative_errors(fit);
-    format!("{ended}: RMS {rms} ({before}) over {} measurements.{errors}{counts}", fit.n_measurements)
+    let resumed = match &fit.report.resumed {
+        Some(resumed) => format!(" It was {resumed}."),
+        None => String::new(),
+    };
+    format!("{ended}: RMS {rms} ({before}) over {} measurements.{errors}{resumed}{counts}", fit.n_measurements)
 }
 
 /// The standard errors of what was fitted, relative to the values: of each parameter, or of many the smallest and the largest. Those

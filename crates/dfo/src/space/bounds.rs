@@ -5,9 +5,8 @@ use serde::{Deserialize, Serialize};
 
 /// Lower and upper bounds per parameter; infinite where there is none; equal where the parameter is fixed.
 ///
-/// Better infinite than huge: of a box some methods take the sizes of parameters. Those that start from a point take a bound
-/// of a linear parameter that lies at least 1e10 times as far as the largest of 1, |x0| and the given size as none, but for
-/// keeping to it.
+/// A box that is more than 100 times as wide as the parameter is large (as given, else |x0|) tells nothing of its size. Methods that
+/// start from a point take bounds from 1e10 times that on as none, but for keeping to them; those that sample a box search all of it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Bounds {
     lower: Vec<f64>,

@@ -26,13 +26,18 @@ pub struct Space {
     pub(super) units: Vec<f64>,
     /// Whether the user's bounds are finite on both sides (in working coordinates).
     pub(super) boxed: Vec<bool>,
+    /// Whether this is the space of a search that starts from a point, see [`without_far_bounds`](Self::without_far_bounds).
+    #[serde(default)]
+    pub(super) is_local: bool,
     /// Whether the lower and the upper bound count as none, see [`without_far_bounds`](Self::without_far_bounds).
     pub(super) far: Vec<[bool; 2]>,
 }
 
+/// A box that is so many times wider than the parameter is large tells nothing of its size.
+const WIDE: f64 = 100.0;
+
 /// A bound that lies so many times farther than what is known of a parameter counts as none. Beyond that the rounding of an
-/// angle between the bounds (1e-16 of the width) is more than the default `x_tol` of 1e-6 near the start, and `x_tol` in
-/// units of the width is wider than all that the start tells of the parameter.
+/// angle between the bounds (1e-16 of the width) is more than the default `x_tol` of 1e-6 near the start.
 const FAR: f64 = 1e10;
 
 /// Logarithms of about the smallest and the largest normal number, with room for rounding.
@@ -40,6 +45,33 @@ const LN_RANGE: (f64, f64) = (-708.0, 709.0);
 
 /// Up to here every whole number is a number of its own.
 const LARGEST_WHOLE: f64 = 9_007_199_254_740_992.0;
+
+/// Typical size of a parameter on its scale, as far as something tells it: the given size; else the width of the box, unless it is
+/// more than 100 times |start|; else |start|, or on a logarithmic scale 1. A logarithmic box tells a size where it reaches over at
+/// most a factor of 100 to each side of its middle. Of a parameter that starts at zero a box tells the size up to a width of 100.
+///
+/// The same rule as in [`Space`], for whoever moves parameters by a share of their size.
+pub fn typical_size(
+    transform: Transform,
+    start: f64,
+    (lower, upper): (f64, f64),
+    given: Option<f64>,
+) -> Option<f64> {
+    let (width, magnitude) = match transform {
+        Transform::Linear => (upper - lower, start.abs()),
+        Transform::Log => (upper.ln() - lower.max(0.0).ln(), 1.0),
+    };
+    let of_box = Some(width).filter(|width| *width > 0.0 && *width <= widest(transform, start.abs()));
+    given.or(of_box).or(Some(magnitude).filter(|size| *size > 0.0 && size.is_finite()))
+}
+
+/// The widest box that tells the size of a parameter of this magnitude.
+fn widest(transform: Transform, magnitude: f64) -> f64 {
+    match transform {
+        Transform::Linear => (WIDE * if magnitude > 0.0 { magnitude } else { 1.0 }).min(f64::MAX),
+        Transform::Log => 2.0 * WIDE.ln(),
+    }
+}
 
 impl Space {
     /// Checks everything. `transforms` and `sizes` may be empty (all linear, all sizes by default); a size of a
@@ -81,6 +113,7 @@ impl Space {
             sine: false,
             units: Vec::new(),
             boxed: Vec::new(),
+            is_local: false,
             far: Vec::new(),
         };
         for index in 0..n {
@@ -106,8 +139,8 @@ impl Space {
         if lower == upper {
             return Ok(());
         }
-        let (lo, hi, default) = match transform {
-            Transform::Linear => (lower, upper, if value != 0.0 { value.abs() } else { 1.0 }),
+        let (lo, hi) = match transform {
+            Transform::Linear => (lower, upper),
             Transform::Log => {
                 let no_logarithm = |what, value| Err(Error::LogScale { index, what, value });
                 if value <= 0.0 {
@@ -116,7 +149,7 @@ impl Space {
                 if lower <= 0.0 && lower.is_finite() {
                     return no_logarithm("lower bound", lower);
                 }
-                (lower.max(0.0).ln(), upper.ln(), 1.0)
+                (lower.max(0.0).ln(), upper.ln())
             }
         };
         let width = hi - lo;
@@ -130,7 +163,9 @@ impl Space {
         self.kinds.push(Kind::Continuous);
         self.lower.push(lo);
         self.upper.push(hi);
-        self.sizes.push(size.unwrap_or(if width.is_finite() && width > 0.0 { width } else { default }));
+        // Of a start at zero a wide box says little, but to a search of the box itself.
+        let known = typical_size(transform, value, (lower, upper), size);
+        self.sizes.push(known.unwrap_or(if width.is_finite() && width > 0.0 { width } else { 1.0 }));
         self.size_given.push(size.is_some());
         let linear = transform == Transform::Linear;
         self.size_unknown.push(linear && value == 0.0 && size.is_none() && width.is_infinite());
@@ -139,27 +174,30 @@ impl Space {
         Ok(())
     }
 
-    /// The same problem for a search that starts from a point: finite bounds that stand for "none" tell no size, and the
-    /// coordinates are those of a parameter without them. They are kept all the same: points are clamped to them. A bound
-    /// of a linear parameter is one of these from 1e10 times the largest of 1, |x0| and the given size on.
+    /// The same problem for a search that starts from a point: a box that is too wide to tell a size has no [`width`](Self::width).
+    /// Bounds of a linear parameter from 1e10 times the largest of 1, |x0| and the given size on stand for "none": the
+    /// coordinates are those of a parameter without them, and points are clamped to them.
     pub(crate) fn without_far_bounds(&self) -> Self {
-        let mut space = self.clone();
+        let mut space = Self { is_local: true, ..self.clone() };
         for (k, &i) in self.free.iter().enumerate().filter(|(k, _)| self.transforms[*k] == Transform::Linear)
         {
             let (value, size) = (self.x0[i].abs(), if self.size_given[k] { self.sizes[k] } else { 0.0 });
             let limit = FAR * value.max(size).max(1.0);
             let far = [self.lower[k], self.upper[k]].map(|bound| bound.is_finite() && bound.abs() >= limit);
             space.far[k] = far;
-            if far == [false; 2] {
-                continue;
-            }
-            space.boxed[k] = false;
-            if !self.size_given[k] {
-                space.sizes[k] = if value > 0.0 { value } else { 1.0 };
-                space.size_unknown[k] = value == 0.0;
+            space.boxed[k] &= far == [false; 2];
+            if value == 0.0 && !self.size_given[k] && space.width(k).is_none() {
+                (space.sizes[k], space.size_unknown[k]) = (1.0, true);
             }
         }
         space
+    }
+
+    /// Whether the box is too wide to tell the size of coordinate `k`, see [`typical_size`].
+    fn is_wide(&self, k: usize) -> bool {
+        let known = self.size_given[k].then(|| self.sizes[k]);
+        let magnitude = known.unwrap_or(self.x0[self.free[k]].abs());
+        self.upper[k] - self.lower[k] > widest(self.transforms[k], magnitude)
     }
 
     /// Whether coordinate `k` has no bound that counts.
@@ -352,9 +390,10 @@ impl Space {
         }
     }
 
-    /// Width of the box along working coordinate `k`, if the user's bounds make it finite.
+    /// Width of the box along working coordinate `k`, if the user's bounds make it finite; for a search that starts from a point,
+    /// if it also tells the size of the parameter.
     pub fn width(&self, k: usize) -> Option<f64> {
-        self.boxed[k].then(|| self.upper[k] - self.lower[k])
+        (self.boxed[k] && !(self.is_local && self.is_wide(k))).then(|| self.upper[k] - self.lower[k])
     }
 
     /// Working coordinates of a point (`x` of length [`n`](Self::n), `u` of length [`n_free`](Self::n_free)).

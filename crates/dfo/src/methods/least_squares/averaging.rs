@@ -1,7 +1,7 @@
 //! Steps on regression models of all points around, for residuals with noise: the more points, the less of it is left in the model.
 
 use super::model::Regression;
-use super::points::{difference, distance, sum};
+use super::points::{difference, distance, norm, sum};
 use super::state::{Averaging, Candidate, Known, LeastSquaresState, Phase, Role};
 use crate::method::Operation;
 use crate::termination::Termination;
@@ -91,7 +91,9 @@ impl LeastSquaresState {
             let (step, predicted) = regression.minimise(averaging.radius, &lower, &upper);
             averaging.centre = sum(&averaging.centre, &step);
             let best = self.best_of(0..self.points.len()).map_or(0.0, |k| self.points[k].cost);
-            self.tests = Some(self.judge(averaging.radius, predicted, best));
+            // The minimum is known as well as the noise lets it, however wide the points lie around it.
+            let x_size = averaging.radius.min(norm(&step) + regression.uncertainty(&step));
+            self.tests = Some(self.judge(x_size, predicted, best));
             let tolerances = &self.setup.tolerances;
             let may_end = tolerances.x_tol > 0.0 || tolerances.f_tol > 0.0;
             let is_straight = regression.is_quadratic || regression.bent.is_some_and(|bent| bent < BENT);

@@ -3,7 +3,7 @@
 use super::points::norm;
 use super::subproblem::{Linear, Subproblem};
 use nalgebra::linalg::LU;
-use nalgebra::{DMatrix, DVector, Dyn};
+use nalgebra::{DMatrix, DVector, Dyn, SVD};
 
 /// Steps to the minimum of a quadratic model of the residuals.
 const MOST_INNER: usize = 30;
@@ -158,6 +158,15 @@ impl Regression {
             add(j, column, w[i] / self.length);
         }
         Linear::new(&self.residuals(w), jacobian / self.length)
+    }
+
+    /// How far the minimum of the cost may lie from that of the model, which is at this displacement: where noise hides the rise of
+    /// the cost along the direction of least curvature.
+    pub(super) fn uncertainty(&self, w: &[f64]) -> f64 {
+        let factor = self.linear(w).factor;
+        let svd = SVD::try_new(factor, false, false, f64::EPSILON, 1000);
+        let smallest = svd.map_or(0.0, |svd| svd.singular_values.min());
+        if smallest > 0.0 { self.excess.sqrt() / smallest } else { f64::INFINITY }
     }
 
     /// The displacement within a ball and a box at which the model is smallest, and the decrease from the centre.

@@ -140,12 +140,13 @@ impl Coefficients {
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum InitialSimplex {
-    /// From the sizes of the parameters: the nominal value where one was given, else the width of the box, else |x0|.
+    /// From the sizes of the parameters: the nominal value where one was given, else the width of the box if it tells one
+    /// (see [`typical_size`](crate::typical_size)), else |x0|.
     /// Where x0 is zero and nothing else is known, the size is looked for first, by steps of powers of ten along the
     /// parameter: the one at which the cost is least becomes a vertex. That takes some ten evaluations per such
     /// parameter at the start, and some at the end; nominal values save them. Without any bound: a regular simplex
     /// with edges of `0.3 * size`, away from zero, so that multiplying a parameter by a constant changes nothing.
-    /// Else one step along each free parameter: a tenth of the width of the box where that is finite, else `0.3 *
+    /// Else one step along each free parameter: a tenth of the width of the box where that tells a size, else `0.3 *
     /// size` (a logarithmic parameter has the size 1 of its logarithm).
     #[default]
     Auto,

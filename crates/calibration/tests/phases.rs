@@ -1,0 +1,112 @@
+//! What a fit does beside its evaluations: every simulation is counted, none is made twice, and one time limit holds for all of it.
+#![cfg(target_os = "linux")]
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use calibration::{
+    Calibration, CurrentPhase, Data, Experiment, FitOptions, FitPhase, Parameter, SimulationSettings, Stage,
+};
+use dfo::{Limits, NelderMead, RunOptions, Termination};
+use example_models::example_fmu;
+use fmi::Fmu;
+use ode::{Method, Stats};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+fn decay(parameter: Parameter, method: Method, step: Option<f64>) -> Calibration {
+    let t: Vec<f64> = (0..51).map(|i| 0.1 * f64::from(i)).collect();
+    let x = t.iter().map(|t| (-2.0 * t).exp()).collect();
+    let settings = SimulationSettings { method, step_size: step, ..SimulationSettings::default() };
+    Calibration::builder(Fmu::open(example_fmu("dahlquist").unwrap()).unwrap())
+        .experiment(Experiment::new(Data::from_columns(t, [("x".to_owned(), x)]).unwrap()).output("x", "x"))
+        .parameter(parameter)
+        .settings(settings)
+        .build()
+        .unwrap()
+}
+
+fn limited(method: NelderMead, limits: Limits) -> RunOptions<dfo::AnyMethod> {
+    RunOptions { method: method.into(), limits, workers: Some(1), ..FitOptions::default_run() }
+}
+
+/// Simulations of one length: a fixed step. So the right-hand sides tell how many there were.
+#[test]
+fn every_simulation_is_counted_and_none_is_made_twice() {
+    let evaluations = 12;
+    let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Rk4, Some(0.01));
+    let limits = Limits { max_evaluations: Some(evaluations), ..Limits::default() };
+    let options = FitOptions { cutoffs: false, ..limited(NelderMead::default(), limits).into() };
+    let fit = calibration.fit(options).unwrap();
+    let one = calibration.simulate(&[1.0], None).unwrap()[0].stats.right_hand_sides;
+    let worth = fit.worth.as_ref().unwrap();
+    // The accurate simulation of a fixed step has the same length; the end and the start were among the evaluations.
+    let expected = evaluations + fit.report.n_speculative + fit.n_checks + worth.n_simulations;
+    assert_eq!(fit.stats.right_hand_sides, one * expected as u64, "{fit}");
+    assert!(worth.n_simulations <= 1 + 2 * 2 * 2, "{}", worth.n_simulations);
+}
+
+/// The race is part of the fit that chose the solver, and its simulation of the start is the first evaluation.
+#[test]
+fn the_choice_of_a_solver_counts_once() {
+    let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Auto, None);
+    let limits = Limits { max_evaluations: Some(5), ..Limits::default() };
+    let options =
+        || FitOptions { worth: None, cutoffs: false, ..limited(NelderMead::default(), limits).into() };
+    let (first, second) = (calibration.fit(options()).unwrap(), calibration.fit(options()).unwrap());
+    assert_eq!(first.stats, second.stats);
+    assert_eq!(first.report.trace.len(), 5);
+    let mut total = Stats::default();
+    for entry in first.report.trace.iter() {
+        total += calibration.simulate(entry.x, None).unwrap()[0].stats;
+    }
+    assert_eq!(first.stats, total);
+    for (one, other) in first.report.trace.iter().zip(second.report.trace.iter()) {
+        assert_eq!((one.x, one.outcome), (other.x, other.outcome));
+    }
+}
+
+/// A simulation of a million million steps.
+fn endless() -> Calibration {
+    decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Euler, Some(1e-12))
+}
+
+#[test]
+fn the_start_is_the_result_where_one_simulation_is_endless() {
+    let limit = Duration::from_millis(300);
+    let limits = Limits { max_time: Some(limit), ..Limits::default() };
+    let calibration = endless();
+    let phase = Arc::new(CurrentPhase::default());
+    let began = Instant::now();
+    let options = FitOptions {
+        preflight: true,
+        phase: Arc::clone(&phase),
+        ..limited(NelderMead::default(), limits).into()
+    };
+    let fit = calibration.fit(options).unwrap();
+    // Ten times as much as is needed, on a machine that does other things, too; without the limit it takes hours.
+    assert!(began.elapsed() < 20 * limit);
+    assert_eq!((&fit.x[..], &fit.report.termination), (&[1.0][..], &Termination::MaxTime));
+    assert!(fit.cost.is_nan() && fit.worth.is_none() && !fit.report.is_success());
+    assert!(fit.report.message.contains("the result is the start"), "{}", fit.report.message);
+    assert_eq!(phase.get(), FitPhase::Worth);
+    let stages = [Stage::new(["k"])];
+    let fit = calibration.fit_stages(&stages, limited(NelderMead::default(), limits)).unwrap();
+    assert_eq!((&fit.x[..], &fit.report.termination), (&[1.0][..], &Termination::MaxTime));
+    assert!(fit.report.message.contains("the result is the start"), "{}", fit.report.message);
+}
+
+/// The best point of a search that the limit ends is the result, and nothing is simulated afterwards.
+#[test]
+fn nothing_is_simulated_when_the_time_is_up() {
+    let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Euler, Some(1e-5));
+    // The first use of the model is tested, once per process.
+    calibration.preflight(&calibration::PreflightOptions::default(), &|| false).unwrap();
+    let began = Instant::now();
+    calibration.cost(&[1.0]).unwrap();
+    let limits = Limits { max_time: Some(10 * began.elapsed()), ..Limits::default() };
+    let mut run = limited(NelderMead::default(), limits);
+    (run.tolerances.x_tol, run.tolerances.f_tol) = (0.0, 0.0);
+    let fit = calibration.fit(run).unwrap();
+    assert_eq!(fit.report.termination, Termination::MaxTime);
+    assert!(fit.worth.is_none() && fit.n_checks == 0 && fit.findings.is_empty());
+    assert!(fit.cost.is_finite() && fit.outputs.len() == 1);
+}
