@@ -28,9 +28,20 @@ pub struct Space {
     pub(super) boxed: Vec<bool>,
     /// Whether this is the space of a search that starts from a point, see [`without_far_bounds`](Self::without_far_bounds).
     #[serde(default)]
-    pub(super) is_local: bool,
+    pub(super) is_local: Local,
     /// Whether the lower and the upper bound count as none, see [`without_far_bounds`](Self::without_far_bounds).
     pub(super) far: Vec<[bool; 2]>,
+}
+
+/// Whether a space is that of a search that starts from a point. It follows from the method: no two spaces differ by it, and files
+/// from before there was one are read.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+pub(super) struct Local(bool);
+
+impl PartialEq for Local {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
 }
 
 /// A box that is so many times wider than the parameter is large tells nothing of its size.
@@ -113,7 +124,7 @@ impl Space {
             sine: false,
             units: Vec::new(),
             boxed: Vec::new(),
-            is_local: false,
+            is_local: Local(false),
             far: Vec::new(),
         };
         for index in 0..n {
@@ -178,7 +189,7 @@ impl Space {
     /// Bounds of a linear parameter from 1e10 times the largest of 1, |x0| and the given size on stand for "none": the
     /// coordinates are those of a parameter without them, and points are clamped to them.
     pub(crate) fn without_far_bounds(&self) -> Self {
-        let mut space = Self { is_local: true, ..self.clone() };
+        let mut space = Self { is_local: Local(true), ..self.clone() };
         for (k, &i) in self.free.iter().enumerate().filter(|(k, _)| self.transforms[*k] == Transform::Linear)
         {
             let (value, size) = (self.x0[i].abs(), if self.size_given[k] { self.sizes[k] } else { 0.0 });
@@ -393,7 +404,7 @@ impl Space {
     /// Width of the box along working coordinate `k`, if the user's bounds make it finite; for a search that starts from a point,
     /// if it also tells the size of the parameter.
     pub fn width(&self, k: usize) -> Option<f64> {
-        (self.boxed[k] && !(self.is_local && self.is_wide(k))).then(|| self.upper[k] - self.lower[k])
+        (self.boxed[k] && !(self.is_local.0 && self.is_wide(k))).then(|| self.upper[k] - self.lower[k])
     }
 
     /// Working coordinates of a point (`x` of length [`n`](Self::n), `u` of length [`n_free`](Self::n_free)).
