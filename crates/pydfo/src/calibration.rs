@@ -12,7 +12,9 @@ use crate::stages::StageFields;
 use crate::threads::lock;
 use crate::trajectory::Counts;
 use crate::{error, files, fmu_error, logs};
-use calibration::{CalibrationError, Entry, Experiment, FitOptions, Problem, Severity, Solver, Verdict};
+use calibration::{
+    CalibrationError, CurrentPhase, Entry, Experiment, FitOptions, Problem, Severity, Solver, Verdict,
+};
 use dfo::{Progress, RobustLoss, Termination};
 use fmi::OpenOptions;
 use numpy::PyArray1;
@@ -409,6 +411,8 @@ impl PyCalibration {
         let (inner, asked) = (Arc::clone(&self.inner), Arc::clone(&stop));
         let (seen, notified) = (Arc::clone(&last_progress), listener.clone());
         let callbacks = self.callbacks.clone();
+        let phase = Arc::<CurrentPhase>::default();
+        let told = Arc::clone(&phase);
         let outcome = watch.run_with_ticks(
             move |caller| {
                 let options = FitOptions {
@@ -418,6 +422,7 @@ impl PyCalibration {
                     loss,
                     preflight,
                     worth,
+                    phase: told,
                     observer: Some(Box::new(|progress: &Progress<'_>| {
                         seen.pass_on(progress, caller, notified.as_ref())
                     })),
@@ -432,7 +437,10 @@ impl PyCalibration {
                     None => inner.fit(options),
                 }
             },
-            tick.as_ref(),
+            |py| match &tick {
+                Some(tick) => tick.call1(py, (phase.get().name(),)).map(|_| ()),
+                None => Ok(()),
+            },
         )?;
         logs::pass_on(py)?;
         let Some(outcome) = outcome else {

@@ -187,7 +187,7 @@ pub(crate) type SignalFunctions = Vec<(usize, String, Py<PyAny>)>;
 #[derive(FromPyObject)]
 pub(crate) struct SettingsFields {
     kind: String,
-    max_time: Option<f64>,
+    timeout: Option<f64>,
     relative_tolerance: Option<f64>,
     solver: String,
     step_size: Option<f64>,
@@ -206,7 +206,7 @@ impl SettingsFields {
             step_size: self.step_size,
             max_step: self.max_step,
             input_derivatives: Some(self.input_derivatives),
-            timeout: time_limit("max_time", self.max_time)?,
+            timeout: time_limit("timeout", self.timeout)?,
             chattering: self.chattering.parse().map_err(|e| fmu_error::raise(py, &FmiError::Options(e)))?,
             sharing: self.sharing.parse().map_err(|e| fmu_error::raise(py, &e))?,
         })

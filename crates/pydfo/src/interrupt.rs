@@ -301,14 +301,13 @@ impl<'py> Watch<'py> {
     pub(crate) fn run_with_ticks<T: Send + 'static>(
         &self,
         work: impl FnOnce(&CallingThread) -> T + Send + 'static,
-        tick: Option<&Py<PyAny>>,
+        mut tick: impl FnMut(Python<'_>) -> PyResult<()>,
     ) -> PyResult<Option<T>> {
-        let Some(tick) = tick else { return self.run(work) };
         let mut last = Instant::now();
         self.serve(work, EndRequest::look, &mut |py| {
             if last.elapsed() >= TICK {
                 last = Instant::now();
-                if let Err(e) = tick.call0(py) {
+                if let Err(e) = tick(py) {
                     self.stop.end_with(e);
                 }
             }

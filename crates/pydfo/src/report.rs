@@ -209,7 +209,11 @@ pub(crate) fn to_python<'py>(
     fields.set_item("solve_time", report.seconds)?;
     fields.set_item("termination", report.termination.name())?;
     fields.set_item("success", report.is_success())?;
-    fields.set_item("message", &report.message)?;
+    let message = match &report.resumed {
+        Some(resumed) => format!("{}; {resumed}", report.message),
+        None => report.message.clone(),
+    };
+    fields.set_item("message", message)?;
     fields.set_item("x_size", report.tests.map(|t| t.x_size))?;
     fields.set_item("f_spread", report.tests.and_then(|t| t.f_spread))?;
     fields.set_item("final_simplex", report.final_simplex.as_ref().map(|s| simplex(py, s)).transpose()?)?;

@@ -4,7 +4,7 @@ use crate::methods;
 use crate::words::{word, words};
 use calibration::{Estimator, WorthOptions};
 use dfo::{
-    AnyMethod, Checkpoint, Kind, Known, Limits, Minimize, RobustLoss, RunOptions, Tolerances, Transform,
+    AnyMethod, Checkpoint, Code, Kind, Known, Limits, Minimize, RobustLoss, RunOptions, Tolerances, Transform,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -39,8 +39,12 @@ pub(crate) struct Options {
     known: Vec<(Vec<f64>, f64)>,
     known_problem: Option<String>,
     problem: Option<String>,
+    code: Option<CodeFields>,
     unlimited: bool,
 }
+
+/// A hash of the code of a Python function, or why there is none; whether it is one.
+pub(crate) type CodeFields = (String, bool);
 
 /// The same for the optimiser.
 #[derive(Debug, Clone)]
@@ -75,6 +79,10 @@ impl Options {
         let max_time = time_limit("max_time", self.max_time)?;
         let resume = word("resume", &self.resume)?;
         let mut checkpoint = self.checkpoint.map(|path| Checkpoint::new(path).resume(resume));
+        if let Some((text, is_hash)) = self.code {
+            let code = if is_hash { Code::Hash(text) } else { Code::Unknown(text) };
+            checkpoint = checkpoint.map(|c| c.code(code));
+        }
         if let Some(seconds) = self.checkpoint_interval {
             let interval = Duration::try_from_secs_f64(seconds).map_err(|_| {
                 PyValueError::new_err(format!(

@@ -51,7 +51,7 @@ def timeless(result):
     """All of a run's path but what the clock says."""
     trace, path = result.trace, slice(result.nfev)
     return (
-        result.x.tobytes(), result.fun, result.nit, result.nfev, result.n_cached, result.message,
+        result.x.tobytes(), result.fun, result.nit, result.nfev, result.n_cached, result.message.partition("; continued from ")[0],
         trace.x[path].tobytes(), trace.fun[path].tobytes(), trace.above[path].tobytes(), trace.used[path].tobytes(),
         trace.id[path].tobytes(), trace.batch[path].tobytes(),
         tuple(sorted((k, text) for k, text in trace.messages.items() if k < result.nfev)),

@@ -237,7 +237,7 @@ def test_simulations_that_fail(dahlquist):
         ({"data": {"t": TIME, "x": TRUE}}, ValueError, "no column 'time'; there are: 't', 'x'"),
         ({"data": {"time [y]": TIME, "x": TRUE}}, ValueError, "unit 'y' is none of s, ms"),
         ({"data": {"time": TIME + 100.0, "x": TRUE}}, ValueError, "Give start_time = 100 .* start_time = 0"),
-        ({"timeout": -1.0}, ValueError, "max_time = -1"),
+        ({"timeout": -1.0}, ValueError, "timeout = -1"),
         ({"relative_tolerance": -1.0}, ValueError, "toleran"),
         ({"solver": "magic"}, ValueError, "magic"),
         ({"solver": None}, TypeError, "solver must be a string"),
@@ -445,7 +445,7 @@ def test_ctrl_c_does_not_wait_for_a_long_simulation(call):
         Parameter("armFriction", 0.012),
         solver="euler",
         step_size=2e-6,
-        max_time=4.0,
+        timeout=4.0,
     )
     timer = threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT))
     start = time.monotonic()

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import concurrent.futures
+import functools
 import multiprocessing
 import os
 import random
 import shutil
 import signal
+import threading
 import time
 
+import numpy as np
 import pytest
 from conftest import Recorder
 from methods import METHODS, RUN, rosenbrock, timeless
@@ -58,7 +61,9 @@ def test_interrupted_at_random_points_and_resumed_is_the_uninterrupted_run(metho
 
         try:
             arguments = {**run, "options": options, **limits}
-            res = minimize(func, **arguments, checkpoint=path, workers=workers, callback=stop)
+            # Each function here is another one.
+            resume = "require" if path.exists() else "auto"
+            res = minimize(func, **arguments, checkpoint=path, resume=resume, workers=workers, callback=stop)
         except (RuntimeError, pydfo.Interrupted, Exit):
             assert path.exists()
             continue
@@ -154,7 +159,8 @@ def test_ctrl_c_with_an_executor_leaves_out_what_has_not_begun(tmp_path):
         with pytest.raises(pydfo.Interrupted) as info:
             minimize(func, **run, workers=threads, checkpoint=tmp_path / "run")
     assert info.value.result.nfev == len(started) == 30
-    assert timeless(minimize(func, **run, checkpoint=tmp_path / "run")) == whole
+    # What it refers to has changed.
+    assert timeless(minimize(func, **run, checkpoint=tmp_path / "run", resume="require")) == whole
     assert len(started) == 300
 
 
@@ -178,15 +184,92 @@ def test_a_file_that_cannot_be_written_any_more_costs_no_result(tmp_path):
     assert len(calls) == res.nfev
 
 
-def test_a_file_that_nothing_binds_to_the_function_is_told_of(tmp_path, caplog):
+FACTOR = 2.0
+
+
+def scaled(x):
+    return FACTOR * float(x @ x)
+
+
+def test_a_file_belongs_to_the_code_of_its_function(tmp_path, monkeypatch):
     path = tmp_path / "run.ckpt"
 
-    def run(offset, **more):
-        return pydfo.minimize(lambda x: float(x @ x) + offset, [1.0], checkpoint=path, **more)
+    def run(fun, **more):
+        return minimize(fun, [1.0], checkpoint=path, **more)
 
-    assert run(0.0).fun < 1e-9 and not caplog.records
-    assert run(5.0).fun < 1e-9
-    assert "run.ckpt is there: the run goes on from it, or its result is returned" in caplog.text
-    caplog.clear()
-    run(5.0, resume="require")
-    assert run(5.0, resume="never").fun >= 5.0 and not caplog.records
+    def around(minimum):
+        return lambda x: float((x[0] - minimum) ** 2)
+
+    first = run(lambda x: float((x[0] - 2.0) ** 2))
+    before = path.read_bytes()
+    # The same code, made anew; then another constant, other code, another value in a closure.
+    again = run(lambda x: float((x[0] - 2.0) ** 2))
+    assert timeless(again) == timeless(first)
+    assert f"continued from {path}: its first {first.nfev} evaluations are from there" in again.message
+    assert "continued" not in first.message
+    for other in (lambda x: float((x[0] - 4.0) ** 2), lambda x: float(abs(x[0] - 2.0)), around(2.0)):
+        with pytest.raises(pydfo.CheckpointError, match='other code; give resume="require"'):
+            run(other)
+        assert path.read_bytes() == before
+    assert "continued from" in run(around(4.0), resume="require").message
+    assert run(around(2.0), resume="never").x == pytest.approx([2.0], abs=1e-3)
+    run(around(2.0))
+    with pytest.raises(pydfo.CheckpointError, match="other code"):
+        run(around(4.0))
+    run(scaled, resume="never")
+    run(scaled)
+    monkeypatch.setitem(globals(), "FACTOR", 3.0)
+    with pytest.raises(pydfo.CheckpointError, match="other code"):
+        run(scaled)
+    run(scaled, options={"problem": "a word of the user's"}, resume="never")
+    run(lambda x: 0.0, options={"problem": "a word of the user's"})
+
+
+def test_code_that_cannot_be_told_is_not_resumed_by_itself(tmp_path):
+    path, lock = tmp_path / "run.ckpt", threading.Lock()
+
+    def guarded(x):
+        with lock:
+            return float(x @ x)
+
+    minimize(guarded, [1.0], checkpoint=path)
+    with pytest.raises(pydfo.CheckpointError, match="cannot be told: it refers to 'lock', an object of type lock; give resume"):
+        minimize(guarded, [1.0], checkpoint=path)
+    assert "continued from" in minimize(guarded, [1.0], checkpoint=path, resume="require").message
+
+
+def test_what_a_hash_of_code_is_made_of():
+    from pydfo._identity import of_code
+
+    def make(default=1.0, *, key=(1, 2)):
+        values = np.arange(3.0)
+
+        def inner(x, a=default):
+            return [v * a + len(key) for v in values if v > x]
+
+        return inner
+
+    same = of_code(make())
+    assert same == of_code(make()) and same[1]
+    assert len({of_code(make(2.0)), of_code(make(key=(1, 3))), of_code(functools.partial(make(), a=2.0)), same}) == 4
+
+    class Model:
+        def __init__(self, k):
+            self.k = k
+
+        def cost(self, x):
+            return self.k * float(x @ x)
+
+        def __call__(self, x):
+            return self.cost(x)
+
+    one, other = of_code(Model(1.0)), of_code(Model(2.0))
+    assert one[1] and one != other and one == of_code(Model(1.0))
+    assert of_code(Model(1.0).cost) != of_code(Model(2.0).cost)
+    # A function that calls itself, and what is installed.
+    assert of_code(factorial)[1] and of_code(np.linalg.norm, os.path.join, len, np.sin)[1]
+    assert of_code(lambda x: 1) != of_code(lambda x: True) and of_code(0.0) != of_code(-0.0)
+
+
+def factorial(n):
+    return 1 if n < 2 else n * factorial(n - 1)

@@ -148,7 +148,7 @@ def test_budgets_are_exact_and_a_resumed_run_is_the_same(tmp_path):
             lambda x: calls.append(x) or decay(x), START, loss="huber", f_scale=0.1, max_evaluations=limit, checkpoint=file
         )
         assert res.nfev == limit and len(calls) == 1 and res.status == 1 and res.fun.shape == (12,)
-    assert timeless(least_squares(decay, START, loss="huber", f_scale=0.1, checkpoint=file)) == timeless(whole)
+    assert timeless(least_squares(decay, START, loss="huber", f_scale=0.1, checkpoint=file, resume="require")) == timeless(whole)
     with pytest.raises(pydfo.CheckpointError, match="loss"):
         least_squares(decay, START, loss="huber", f_scale=0.2, checkpoint=file)
     assert least_squares(decay, START, target=0.5).cost <= 0.5

@@ -364,7 +364,7 @@ def test_keywords_are_pointed_to_ours(call, said):
         (lambda c: c().fit(resume="require"), "resume='require' has no effect without a checkpoint"),
         (lambda c: c().fit(options={"checkpoint_interval": 1.0}), "checkpoint_interval = 1.0 has no effect without a checkpoint"),
         (lambda c: c().fit(max_time=0), "max_time = 0 must be a positive number"),
-        (lambda c: c(max_time=0), "max_time = 0 must be a positive number"),
+        (lambda c: c(timeout=0), "timeout = 0 must be a positive number"),
         (lambda c: Parameter("k", 1.0, nominal=-3), "parameter 'k': nominal -3 must be positive"),
         (lambda c: c(weights="x"), "weights = 'x' is none of 'range', 'mean', 'sd'; give one of them, or numbers"),
         (lambda c: c(outputs=["k"]), "output 'k' is compared with column 'k', but it is a parameter that is fitted, not a result"),

@@ -93,15 +93,17 @@ class Calibration:
         held. A time that stands there twice is a jump. In a dict also by a number or a function of time, see `Experiment`.
     window : (float, float), optional
         Only measurements at times in this interval count, in s; the simulation still starts at its start time.
-    max_time : float, optional
-        Wall-clock limit of one simulation in s (also called `timeout`). One that reaches it counts as failed.
+    timeout : float, optional
+        Wall-clock limit of one simulation in s. One that reaches it counts as failed. (The limit of a whole fit is the `max_time` of
+        `fit`.)
     weights : dict, or sequence, optional
         Per output, what its residuals are multiplied with (default 1): the inverse of the standard deviation of its noise,
         if that is known; or a weight per measurement, or "range", "mean", "sd", see `Experiment`.
     start_values : dict, optional
         Values of other parameters and start values of variables, by name; not of those that are fitted.
     relative_tolerance : float, optional
-        Of the integration; default: that of the model's default experiment, else 1e-6.
+        Of the integration; default: that of the model's default experiment, but at most 1e-6 (a larger one makes the cost noisy; the
+        message of a fit says so), else 1e-6.
     solver : str
         "auto", "tsit5", "dop853", "radau5", "bdf", "rk4" or "euler". With "auto" methods are compared at the first use, at
         the parameters' start values, see `solver`.
@@ -153,7 +155,7 @@ class Calibration:
         Data, parameters or settings that do not fit together; the message says which, where, and with which numbers.
     """
 
-    @also_called(timeout="max_time", input="inputs", output="outputs")
+    @also_called(input="inputs", output="outputs")
     def __init__(
         self,
         model: Any,
@@ -162,7 +164,7 @@ class Calibration:
         parameters: Sequence[Parameter] | Parameter | None = None,
         inputs: Inputs | None = None,
         window: tuple[float, float] | None = None,
-        max_time: SupportsFloat | None = None,
+        timeout: SupportsFloat | None = None,
         weights: Weights | None = None,
         start_values: Mapping[str, Any] | None = None,
         relative_tolerance: SupportsFloat | None = None,
@@ -207,7 +209,7 @@ class Calibration:
                 )
         settings = Settings(
             kind=_options.choice("kind", getattr(model, "kind", "auto") if kind is None else kind),
-            max_time=_options.optional_number("max_time", max_time),
+            timeout=_options.optional_number("timeout", timeout),
             relative_tolerance=_options.optional_number("relative_tolerance", relative_tolerance),
             solver=_solver(solver),
             step_size=_options.optional_number("step_size", step_size),
@@ -497,7 +499,8 @@ class Calibration:
             What else the method can be told, see `minimize` (scales and sizes are those of the parameters).
         checkpoint, resume : optional
             A file for the state of the fit, and whether to continue from it; see `minimize`. A file that belongs to
-            another model, other data, parameters or settings is refused, saying what differs.
+            another model, other data, parameters, settings or, where `objective` is a function, of other code is refused, saying what
+            differs. The message of a fit that was continued says so.
         search : {"local", "global"}
             With method "auto": the minimum next to the start, or the best within the bounds of the parameters, by least squares from
             several starts ("multistart"), which needs two finite bounds for every parameter; the minima found are the
@@ -573,6 +576,7 @@ class Calibration:
                 bounds=self._bounds(),
                 search=search,
                 residuals=cost.has_residuals,
+                function=() if cost.function is None else (cost.function,),
                 parameter_kinds=[
                     kind
                     for name, (lower, upper, kind) in zip(self.names, self._native.bounds())

@@ -191,7 +191,7 @@ class Settings:
     """How simulations are made, as the native code reads it."""
 
     kind: str
-    max_time: float | None
+    timeout: float | None
     relative_tolerance: float | None
     solver: str
     step_size: float | None

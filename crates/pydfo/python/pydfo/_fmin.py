@@ -156,7 +156,7 @@ def fmin(
         counts in ``n_speculative`` only.
     initial_simplex : array_like, optional
         Vertices, shape (n + 1, n), or steps from `xstart` along each axis, shape (n,). By default each parameter has a
-        step of its own: a tenth of the width of its box, else 0.3 abs(xstart); where that is 0, one that is found by steps
+        step of its own: a tenth of the width of its box (up to 100 abs(xstart)), else 0.3 abs(xstart); where that is 0, one that is found by steps
         of powers of ten.
     target : float, optional
         End the run with the first evaluation whose cost is at or below this, for any number of workers. What was evaluated
@@ -231,7 +231,6 @@ def fmin(
     if limits.max_evaluations is None:
         # The user asked for no limit: the optimiser's own does not apply.
         limits = replace(limits, unlimited=True)
-    _options.tell_of_checkpoint(checkpoint, resume, own)
     built = _options.build(
         fmin,
         method,
@@ -243,6 +242,7 @@ def fmin(
         checkpoint=checkpoint,
         resume=resume,
         bounds=(lower, upper),
+        function=(func,),
     )
     listeners: list[Callback] = []
     if debug:

@@ -26,7 +26,7 @@ _FOREIGN: Final[Mapping[str, tuple[str, ...]]] = {
     "rtol": ("rtol", "relative_tolerance"),
     **dict.fromkeys(("tol", "tolerance"), ("relative_tolerance", "rtol", "x_tol and f_tol")),
     **dict.fromkeys(("seed", "random_state"), ("rng",)),
-    **dict.fromkeys(("maxtime", "time_limit", "timeout"), ("max_time",)),
+    **dict.fromkeys(("maxtime", "time_limit", "timeout", "max_time"), ("max_time", "timeout")),
     "adaptive": ('options={"coefficients": "adaptive"}',),
     "popsize": ("population",),
     "mutation": ("weight",),

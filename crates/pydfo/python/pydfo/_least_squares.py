@@ -139,7 +139,19 @@ def least_squares(
     limits = (max_evaluations, max_iterations, max_time, target)
     bounds = _options.bounds_of_least_squares(bounds, start)
     begin, lower, upper, built = describe(
-        least_squares, "least-squares" if search == "local" else "auto", start, bounds, given, count, rng, limits, checkpoint, resume, search=search, residuals=True
+        least_squares,
+        "least-squares" if search == "local" else "auto",
+        start,
+        bounds,
+        given,
+        count,
+        rng,
+        limits,
+        checkpoint,
+        resume,
+        search=search,
+        residuals=True,
+        function=(fun, extra),
     )
     result = _core.minimize(
         batches or called,

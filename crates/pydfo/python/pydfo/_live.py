@@ -15,6 +15,9 @@ from ._progress import Progress
 #: A fit that nobody asked to be shown is shown from then on, in s.
 DELAY = 2.0
 
+#: What the native code calls the phase in which evaluations are counted; the others are named in the line.
+SEARCH = "searching"
+
 #: More parameters are not shown.
 MOST_PARAMETERS = 3
 
@@ -118,15 +121,17 @@ class LiveLine:
         limits = {"max_evaluations": max_evaluations, "max_iterations": max_iterations, "max_time": max_time}
         self._limits = {name: number(name, limit) for name, limit in limits.items() if limit is not None}
         self._progress: Progress | None = None
+        self._phase = SEARCH
         self._display: _Plain | _Rich | _Tqdm | None = None
 
     def __call__(self, progress: Progress) -> None:
         """Takes in the progress after an iteration."""
         self._progress = progress
-        self.tick()
+        self.tick(SEARCH)
 
-    def tick(self) -> None:
-        """Draws the line again, if it is time to."""
+    def tick(self, phase: str) -> None:
+        """Draws the line again, if it is time to; `phase` is what the fit does."""
+        self._phase = phase
         now = time.monotonic()
         if now < self._due:
             return
@@ -140,8 +145,9 @@ class LiveLine:
 
     def text(self, seconds: float) -> str:
         """The line after so many seconds."""
+        phase = "first simulations" if self._phase == SEARCH else self._phase
         if (progress := self._progress) is None:
-            return f"fit: first simulations, {seconds:.0f} s"
+            return f"fit: {phase}, {seconds:.0f} s"
         values = [f"{name} = {value:.4g}" for name, value in zip(self._names, progress.x)][:MOST_PARAMETERS]
         if len(self._names) > MOST_PARAMETERS:
             values.append("...")
@@ -154,7 +160,8 @@ class LiveLine:
             )
             if (limit := self._limits.get(name)) is not None
         ]
-        return ", ".join([f"fit: {progress.nfev} evaluations", f"best cost {progress.fun:.6g}", *values, f"{seconds:.0f} s", *left])
+        done = [f"fit: {progress.nfev} evaluations", *([] if self._phase == SEARCH else [self._phase])]
+        return ", ".join([*done, f"best cost {progress.fun:.6g}", *values, f"{seconds:.0f} s", *left])
 
     def close(self) -> None:
         """Takes the line away."""

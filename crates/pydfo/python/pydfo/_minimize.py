@@ -59,9 +59,8 @@ def minimize(
         so can "cma-es" and "pattern-search", which then begin in its middle.
     bounds : sequence of pairs, or scipy.optimize.Bounds, optional
         ``(low, high)`` per parameter, None or infinite where there is no bound. Equal bounds fix a parameter. No point
-        outside is ever evaluated. "nelder-mead", "barrier" and "quadratic-model" take a bound that lies at least 1e10
-        times as far as the largest of 1, abs(x0) and the nominal size as none, but for keeping to it: it tells nothing of
-        the size.
+        outside is ever evaluated. Bounds more than 100 times as wide as the nominal size, else abs(x0), tell nothing of the
+        parameter's size: methods that start from `x0` then take it from there, and those that sample the box search all of it.
     method : str
         "nelder-mead"; "barrier" (Nelder-Mead with a sequential barrier: starts strictly inside of its bounds);
         "de" (L-SHADE) and "de-classic" (rand/1/bin); "ga" (genetic algorithm on bit strings); "quadratic-model" (trust
@@ -126,8 +125,10 @@ def minimize(
         A file for the state of the run, written after batches and at the end.
     resume : {"auto", "never", "require"}
         Whether to continue from that file: if it is there, never, or as a must. A finished run gives its stored result; a
-        file of another run is refused and left as it is. What `fun` computes is not part of what identifies a run, unless
-        the option ``problem`` names it: else the log (level WARNING) says where "auto" finds a file.
+        file of another run is refused and left as it is. The code of `fun` is part of what identifies a run, with its constants and
+        the variables that it refers to; where that cannot be told (it refers to an open model, for example), or has changed on purpose,
+        "require" continues all the same. The option ``problem`` stands for the code where it is given. The message of a run that was
+        continued says so.
     on_error : {"raise", "fail"}
         What an exception in `fun` means: it is raised, or it counts as a failed evaluation. A return value that is no
         number is always raised.
@@ -192,6 +193,7 @@ def minimize(
         checkpoint,
         resume,
         search=search,
+        function=(fun, extra),
     )
     result: OptimizeResult = _core.minimize(
         batches or called,
@@ -221,6 +223,7 @@ def describe(
     resume: str,
     search: str = "local",
     residuals: bool = False,
+    function: Sequence[Any] = (),
 ) -> tuple[list[float] | None, list[float], list[float], _options.Options]:
     """Start, bounds and options of a run, as the native code takes them; `of` is the function that the user called."""
     start = None if x0 is None else _options.vector("x0", x0).tolist()
@@ -229,7 +232,8 @@ def describe(
     checked = _options.Limits.check(
         ("max_evaluations", max_evaluations), ("max_iterations", max_iterations), max_time, target
     )
-    _options.tell_of_checkpoint(checkpoint, resume, options)
+    if not function:
+        _options.tell_of_checkpoint(checkpoint, resume, options)
     built = _options.build(
         of,
         method,
@@ -243,5 +247,6 @@ def describe(
         bounds=(lower, upper),
         search=search,
         residuals=residuals,
+        function=function,
     )
     return start, lower.tolist(), upper.tolist(), built

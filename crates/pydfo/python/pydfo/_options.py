@@ -15,7 +15,7 @@ from typing import Any, SupportsFloat, SupportsIndex
 import numpy as np
 import numpy.typing as npt
 
-from . import _core, _keywords
+from . import _core, _identity, _keywords
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -82,6 +82,8 @@ class Options:
     known: list[tuple[list[float], float]] = field(default_factory=list)
     known_problem: str | None = None
     problem: str | None = None
+    #: The hash of the code of the function that is minimised and True, or why there is none and False.
+    code: tuple[str, bool] | None = None
     unlimited: bool = False
 
 
@@ -128,10 +130,11 @@ def build(
     search: str = "local",
     residuals: bool = False,
     parameter_kinds: Sequence[str] = (),
+    function: Sequence[Any] = (),
 ) -> Options:
     """What the user of the function `of` chose about a run over `n` parameters. What is not the method's own is taken out of
     `options`. With `method` "auto" the native code chooses: by bounds, kinds, whether there are residuals, and what the search is
-    for."""
+    for. `function`: what is minimised, and what it is called with; nothing where no Python function is."""
     own = dictionary(options)
     _keywords.check_options(own, of)
 
@@ -191,12 +194,14 @@ def build(
         known=known,
         known_problem=known_problem,
         problem=None if problem is None else choice("problem", problem),
+        # A problem with a name is the user's word for what is minimised.
+        code=_identity.of_code(*function) if function and checkpoint is not None and problem is None else None,
         unlimited=limits.unlimited,
     )
 
 
 def tell_of_checkpoint(checkpoint: str | os.PathLike[str] | None, resume: str, options: Mapping[str, Any] | None) -> None:
-    """Logs that a run goes on from a file that nothing binds to the function that is minimised."""
+    """Logs that a run goes on from a file that nothing binds to what is minimised, for the costs are told by hand."""
     if checkpoint is None or resume != "auto" or (options or {}).get("problem") is not None or not os.path.isfile(checkpoint):
         return
     _log.warning(

@@ -77,8 +77,9 @@ class Parameter:
         magnitude). Values and bounds are in the model's unit either way.
     nominal : float, optional
         A typical size, from which steps and tolerances are taken; worth giving where `start` is 0 and there are no bounds.
-        Default: the nominal value in the model, else the width of the bounds, else the start value; else Nelder-Mead finds
-        it by steps of powers of ten.
+        Default: the nominal value in the model, else the width of the bounds if it is at most 100 times the start value, else the
+        start value; from a start at 0 with wide bounds Nelder-Mead and least squares find it by steps of powers of ten. "de" and
+        the other methods that sample the bounds search all of them, however wide.
     kind : {"continuous", "integer", "categorical"}
         Whether it takes any value, whole numbers, or whole numbers that stand for choices. The search is then by "de"
         (integers) or "ga" (both).
