@@ -114,10 +114,12 @@ pub enum Error {
         range: &'static str,
     },
     /// There is no method of this name or number.
-    #[error("there is no method '{name}': known are {known}")]
+    #[error("there is no method '{name}'{hint}; known are {known}")]
     UnknownMethod {
         /// What was asked for.
         name: String,
+        /// The one that may be meant.
+        hint: String,
         /// The names that there are.
         known: String,
     },

@@ -15,12 +15,12 @@
 //! | `least-squares` | a cost that is a sum of squares of residuals: [`least_squares`] | [`LeastSquares`] |
 //! | `nelder-mead` | smooth or not, few parameters, with or without bounds | [`NelderMead`] |
 //! | `quadratic-model` | smooth, with or without bounds: the fewest evaluations | [`QuadraticModel`] |
-//! | `barrier` | the same, strictly inside of bounds | [`Barrier`] |
-//! | `de`, `de-classic` | many minima in a box; integers | [`DifferentialEvolution`] |
+//! | `barrier` | the same, strictly inside of bounds: needs at least one | [`Barrier`] |
+//! | `de` (`differential-evolution`), `de-classic` | many minima in a box; integers | [`DifferentialEvolution`] |
 //! | `cma-es` | badly scaled and turned valleys, noise; with restarts many minima in a box | [`CmaEs`] |
 //! | `multistart` | the same by local searches from several starts: least squares or Nelder-Mead; reports all minima found | [`Multistart`] |
-//! | `pattern-search` | kinks and jumps; few parameters, with or without bounds | [`PatternSearch`] |
-//! | `ga` | integers and choices next to numbers, in a box | [`Genetic`] |
+//! | `pattern-search` | kinks and jumps, not smooth costs; few parameters, with or without bounds | [`PatternSearch`] |
+//! | `ga` (`genetic`) | integers and choices next to numbers, in a box | [`Genetic`] |
 //!
 //! [`AnyMethod`] has them by name; [`Optimizer`] (ask/tell) leaves the evaluations to the caller.
 //!

@@ -4,6 +4,7 @@
 mod problems;
 
 use dfo::{BatchPlan, BoundsHandling, NelderMead, Termination, minimize};
+use problems::boxes::{BOUNDED, bounded_box};
 use problems::solve::least_squares;
 use problems::{instances, residuals, start};
 
@@ -183,44 +184,6 @@ fn moving_several_vertices_saves_rounds() {
     assert!(parallel.iter().zip(&serial).all(|(p, s)| 1.5 * p < *s), "{parallel:?} {serial:?}");
     assert!(2.0 * ahead[0] < serial[0], "{ahead:?} {serial:?}");
     assert!(still_solved >= solved - 0.05, "{still_solved} {solved}");
-}
-
-const BOUNDED: [(usize, usize, usize); 16] = [
-    (4, 2, 2),
-    (5, 3, 3),
-    (6, 4, 4),
-    (7, 2, 2),
-    (8, 3, 15),
-    (9, 4, 11),
-    (12, 3, 10),
-    (13, 2, 10),
-    (14, 4, 20),
-    (15, 6, 6),
-    (16, 10, 10),
-    (17, 5, 33),
-    (19, 8, 8),
-    (20, 5, 5),
-    (22, 8, 8),
-    (11, 6, 31),
-];
-
-/// The box around start and minimum; `active` cuts every other coordinate before the minimum.
-fn bounded_box(number: usize, n: usize, m: usize, active: bool) -> (Vec<f64>, Vec<f64>) {
-    let x0 = start(number, n);
-    let free = (vec![f64::NEG_INFINITY; n], vec![f64::INFINITY; n]);
-    let f = |x: &[f64]| residuals(number, m, x);
-    let (minimum, _) = least_squares(&f, &x0, (&free.0, &free.1), 2000);
-    let (mut lower, mut upper) = (Vec::new(), Vec::new());
-    for k in 0..n {
-        let half = (1.5 * (minimum[k] - x0[k]).abs()).max(0.5 * x0[k].abs().max(0.1));
-        lower.push(x0[k].min(minimum[k]) - half);
-        upper.push(x0[k].max(minimum[k]) + half);
-        if active && k % 2 == 0 && minimum[k] != x0[k] {
-            let cut = x0[k] + 0.6 * (minimum[k] - x0[k]);
-            if minimum[k] > x0[k] { upper[k] = cut } else { lower[k] = cut }
-        }
-    }
-    (lower, upper)
 }
 
 #[test]

@@ -63,7 +63,7 @@ mod core_module {
         fit_curves, fit_findings, fit_html, fit_outputs, fit_report, fit_sensitivities, fit_text,
     };
     #[pymodule_export]
-    use super::methods::{auto_method, method_names, option_names};
+    use super::methods::{auto_method, method_name, method_names, method_of_number, option_names};
     #[pymodule_export]
     use super::minimize::minimize;
     #[pymodule_export]

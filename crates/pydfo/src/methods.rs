@@ -36,6 +36,18 @@ pub(crate) fn method_names() -> Vec<(&'static str, bool)> {
     AnyMethod::NAMES.map(|name| (name, needs_start(name))).to_vec()
 }
 
+/// The name of the method that is called so, or "auto".
+#[pyfunction]
+pub(crate) fn method_name(name: &str) -> PyResult<&'static str> {
+    Ok(default(name)?.0.name())
+}
+
+/// The name of the method that `fmin` has under this number.
+#[pyfunction]
+pub(crate) fn method_of_number(number: usize) -> PyResult<&'static str> {
+    AnyMethod::by_number(number).map(|method| method.name()).map_err(|e| PyValueError::new_err(e.to_string()))
+}
+
 /// A method's name, options that are not its defaults, and why it was chosen.
 type AutoMethod = (&'static str, Vec<(String, String)>, String);
 

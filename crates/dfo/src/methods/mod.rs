@@ -59,11 +59,11 @@ use std::str::FromStr;
 pub enum AnyMethod {
     /// `nelder-mead`, number 1.
     NelderMead(NelderMead),
-    /// `barrier`, number 2.
+    /// `barrier`, number 2: for problems with at least one bound.
     Barrier(Barrier),
-    /// `de` (L-SHADE) and `de-classic` (rand/1/bin), which is number 3.
+    /// `de` or `differential-evolution` (L-SHADE), and `de-classic` (rand/1/bin), which is number 3.
     DifferentialEvolution(DifferentialEvolution),
-    /// `ga`, number 4.
+    /// `ga` or `genetic`, number 4.
     Genetic(Genetic),
     /// `least-squares`, for objectives with residuals.
     LeastSquares(LeastSquares),
@@ -75,25 +75,122 @@ pub enum AnyMethod {
     Auto(Auto),
     /// `quadratic-model`, for smooth costs.
     QuadraticModel(QuadraticModel),
-    /// `pattern-search`.
+    /// `pattern-search`, for costs with kinks; not for smooth ones.
     PatternSearch(PatternSearch),
 }
 
-/// A method's name, its number in `fmin`, and its default options.
-type Listed = (&'static str, Option<usize>, fn() -> AnyMethod);
+/// A method of the list.
+struct Listed {
+    name: &'static str,
+    /// Its number in `fmin`.
+    number: Option<usize>,
+    /// Its other names.
+    also: &'static [&'static str],
+    /// Methods of other tools that solve the same problems otherwise: named in the error where they are asked for.
+    similar: &'static [&'static str],
+    options: fn() -> AnyMethod,
+}
 
 /// The methods: a new one is added here.
 const LIST: [Listed; 10] = [
-    ("nelder-mead", Some(1), || NelderMead::default().into()),
-    ("barrier", Some(2), || Barrier::default().into()),
-    ("de", None, || DifferentialEvolution::default().into()),
-    ("de-classic", Some(3), || DifferentialEvolution::classic().into()),
-    ("ga", Some(4), || Genetic::default().into()),
-    ("least-squares", None, || LeastSquares::default().into()),
-    ("cma-es", None, || CmaEs::default().into()),
-    ("multistart", None, || Multistart::default().into()),
-    ("quadratic-model", None, || QuadraticModel::default().into()),
-    ("pattern-search", None, || PatternSearch::default().into()),
+    Listed {
+        name: "nelder-mead",
+        number: Some(1),
+        also: &["nm"],
+        similar: &["simplex", "fmin", "sbplx", "subplex"],
+        options: || NelderMead::default().into(),
+    },
+    Listed {
+        name: "barrier",
+        number: Some(2),
+        also: &["sequential-barrier"],
+        similar: &["interior-point"],
+        options: || Barrier::default().into(),
+    },
+    Listed {
+        name: "de",
+        number: None,
+        also: &["differential-evolution", "l-shade"],
+        similar: &["jade", "shade", "sade", "jso"],
+        options: || DifferentialEvolution::default().into(),
+    },
+    Listed {
+        name: "de-classic",
+        number: Some(3),
+        also: &["differential-evolution-classic", "rand1bin"],
+        similar: &[],
+        options: || DifferentialEvolution::classic().into(),
+    },
+    Listed {
+        name: "ga",
+        number: Some(4),
+        also: &["genetic", "genetic-algorithm"],
+        similar: &["evolution", "evolutionary"],
+        options: || Genetic::default().into(),
+    },
+    Listed {
+        name: "least-squares",
+        number: None,
+        also: &[],
+        similar: &[
+            "lsq",
+            "leastsq",
+            "levenberg-marquardt",
+            "lm",
+            "trf",
+            "dogbox",
+            "dfo-ls",
+            "pounders",
+            "gauss-newton",
+        ],
+        options: || LeastSquares::default().into(),
+    },
+    Listed {
+        name: "cma-es",
+        number: None,
+        also: &["cma"],
+        similar: &["ipop-cma-es", "bipop-cma-es", "evolution-strategy"],
+        options: || CmaEs::default().into(),
+    },
+    Listed {
+        name: "multistart",
+        number: None,
+        also: &[],
+        similar: &["basinhopping", "dual-annealing", "shgo", "mlsl", "brute"],
+        options: || Multistart::default().into(),
+    },
+    Listed {
+        name: "quadratic-model",
+        number: None,
+        also: &[],
+        similar: &[
+            "cobyqa",
+            "bobyqa",
+            "newuoa",
+            "uobyqa",
+            "cobyla",
+            "powell",
+            "cg",
+            "bfgs",
+            "l-bfgs-b",
+            "tnc",
+            "slsqp",
+            "newton-cg",
+            "trust-constr",
+            "dogleg",
+            "trust-ncg",
+            "trust-exact",
+            "trust-krylov",
+        ],
+        options: || QuadraticModel::default().into(),
+    },
+    Listed {
+        name: "pattern-search",
+        number: None,
+        also: &[],
+        similar: &["mads", "orthomads", "nomad", "compass-search", "direct-search", "direct", "hooke-jeeves"],
+        options: || PatternSearch::default().into(),
+    },
 ];
 
 impl AnyMethod {
@@ -102,7 +199,7 @@ impl AnyMethod {
         let mut names = [""; LIST.len()];
         let mut k = 0;
         while k < names.len() {
-            names[k] = LIST[k].0;
+            names[k] = LIST[k].name;
             k += 1;
         }
         names
@@ -130,20 +227,56 @@ impl AnyMethod {
     /// # Errors
     /// Another number.
     pub fn by_number(number: usize) -> Result<Self, Error> {
-        listed(&number.to_string(), |(_, known)| known == Some(number))
+        listed(&number.to_string(), |method| method.number == Some(number))
     }
 }
 
 /// The method of the list for which this holds.
-fn listed(asked: &str, is_it: impl Fn((&str, Option<usize>)) -> bool) -> Result<AnyMethod, Error> {
-    if let Some((.., options)) = LIST.iter().find(|(name, number, _)| is_it((name, *number))) {
-        return Ok(options());
+fn listed(asked: &str, is_it: impl Fn(&Listed) -> bool) -> Result<AnyMethod, Error> {
+    if let Some(method) = LIST.iter().find(|method| is_it(method)) {
+        return Ok((method.options)());
     }
-    let known = LIST.map(|(name, number, _)| match number {
+    let known = LIST.iter().map(|Listed { name, number, .. }| match number {
         Some(number) => format!("{name} ({number})"),
-        None => name.to_owned(),
+        None => (*name).to_owned(),
     });
-    Err(Error::UnknownMethod { name: asked.to_owned(), known: known.join(", ") })
+    let known: Vec<String> = known.chain(["auto".to_owned()]).collect();
+    let hint = meant(asked).map_or_else(String::new, |name| format!("; did you mean '{name}'?"));
+    Err(Error::UnknownMethod { name: asked.to_owned(), hint, known: known.join(", ") })
+}
+
+/// A name without what people write differently: the case of letters, and what stands between words.
+fn folded(name: &str) -> String {
+    name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
+}
+
+/// The method that somebody means who writes this: the one that solves the same problems, or the one whose name differs by few
+/// letters.
+fn meant(asked: &str) -> Option<&'static str> {
+    let asked = folded(asked);
+    if let Some(method) = LIST.iter().find(|m| m.similar.iter().any(|name| folded(name) == asked)) {
+        return Some(method.name);
+    }
+    let names = LIST.iter().flat_map(|m| {
+        m.also.iter().chain(m.similar).chain([&m.name]).map(move |name| (m.name, folded(name)))
+    });
+    let near = names.map(|(name, known)| (edits(&asked, &known), known.len(), name)).min()?;
+    // A third of the letters may differ.
+    (3 * near.0 <= near.1).then_some(near.2)
+}
+
+/// How many letters must be changed, added or taken away to make one word of the other (Levenshtein, Sov. Phys. Dokl. 10, 1966).
+fn edits(from: &str, to: &str) -> usize {
+    let to: Vec<char> = to.chars().collect();
+    let mut row: Vec<usize> = (0..=to.len()).collect();
+    for (i, c) in from.chars().enumerate() {
+        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
+        for (j, d) in to.iter().enumerate() {
+            let least = (diagonal + usize::from(c != *d)).min(row[j] + 1).min(row[j + 1] + 1);
+            diagonal = std::mem::replace(&mut row[j + 1], least);
+        }
+    }
+    row[to.len()]
 }
 
 impl Default for AnyMethod {
@@ -156,12 +289,13 @@ impl Default for AnyMethod {
 impl FromStr for AnyMethod {
     type Err = Error;
 
+    /// The method of a name: the short one, the full one, or that of SciPy, in any case and with any sign between words.
     fn from_str(name: &str) -> Result<Self, Error> {
-        if name == "auto" {
-            Ok(Self::Auto(Auto::default()))
-        } else {
-            listed(name, |(known, _)| known == name)
+        let asked = folded(name);
+        if asked == "auto" {
+            return Ok(Self::Auto(Auto::default()));
         }
+        listed(name, |method| method.also.iter().chain([&method.name]).any(|known| folded(known) == asked))
     }
 }
 

@@ -27,9 +27,6 @@ _log = logging.getLogger("pydfo")
 Objective = Callable[[npt.NDArray[np.float64]], Any]
 Callback = Callable[[Progress], Any]
 
-#: The numbers that the tool of the paper has for its methods.
-_NUMBERS: dict[int, str] = {1: "nelder-mead", 2: "barrier", 3: "de-classic", 4: "ga"}
-
 
 def _algorithm(alg: int | str | None) -> str:
     """The name of a method from its number or name; None stands for Nelder-Mead."""
@@ -38,10 +35,9 @@ def _algorithm(alg: int | str | None) -> str:
     if isinstance(alg, str):
         return _options.method_name(alg)
     try:
-        return _NUMBERS[operator.index(alg)]
-    except (KeyError, TypeError):
-        known = ", ".join(f"{number} ({name})" for number, name in _NUMBERS.items())
-        raise ValueError(f"alg = {alg!r} is none of {known}, or a name as in minimize") from None
+        return _core.method_of_number(operator.index(alg))
+    except (ValueError, TypeError, OverflowError):
+        raise ValueError(f"alg = {alg!r} is none of the numbers 1 to 4, nor a name as in minimize") from None
 
 
 def check_callback(callback: Any) -> None:

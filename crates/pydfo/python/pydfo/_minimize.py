@@ -62,10 +62,11 @@ def minimize(
         outside is ever evaluated. Bounds more than 100 times as wide as the nominal size, else abs(x0), tell nothing of the
         parameter's size: methods that start from `x0` then take it from there, and those that sample the box search all of it.
     method : str
-        "nelder-mead"; "barrier" (Nelder-Mead with a sequential barrier: starts strictly inside of its bounds);
-        "de" (L-SHADE) and "de-classic" (rand/1/bin); "ga" (genetic algorithm on bit strings); "quadratic-model" (trust
+        "nelder-mead"; "barrier" (Nelder-Mead with a sequential barrier: needs at least one finite bound, starts strictly inside);
+        "de" or "differential-evolution" (L-SHADE) and "de-classic" (rand/1/bin); "ga" or "genetic" (genetic algorithm on bit
+        strings); names in any case, with "-", "_" or a space between words; "quadratic-model" (trust
         region on quadratic interpolation models, for smooth costs, with options `radius`, `points`, `restarts`); "cma-es" (covariance matrix
-        adaptation); "pattern-search" (mesh adaptive direct search); "multistart" (differential
+        adaptation); "pattern-search" (mesh adaptive direct search, for kinks and steps, not for smooth costs); "multistart" (differential
         evolution, then local searches from several starts in a box; the minima they end at are the result's ``optima``).
         "auto" is Nelder-Mead, "multistart" where ``search="global"``, with integer parameters "de", with categorical ones "ga";
         the result has the reason (``method_reason``).

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import logging
 import operator
 import os
@@ -36,22 +35,8 @@ def beginning(text: str) -> str:
     return text if len(text) <= 500 else f"{text[:500]}..."
 
 
-#: The names of the methods; "auto" stands for one of them.
-METHODS = tuple(name for name, _ in _core.method_names())
-
 #: The methods that need no start: they sample a box, or begin in its middle.
 SAMPLERS = tuple(name for name, needs_start in _core.method_names() if not needs_start)
-
-#: Other names of the methods.
-_SYNONYMS: Mapping[str, str] = {
-    **dict.fromkeys(("neldermead", "nm", "simplex", "fmin"), "nelder-mead"),
-    **dict.fromkeys(("differential-evolution", "differentialevolution", "l-shade", "lshade"), "de"),
-    **dict.fromkeys(("genetic", "genetic-algorithm"), "ga"),
-    **dict.fromkeys(("leastsquares", "lsq", "levenberg-marquardt", "lm", "trf", "dfo-ls"), "least-squares"),
-    **dict.fromkeys(("bobyqa", "cobyqa", "newuoa"), "quadratic-model"),
-    **dict.fromkeys(("cma", "cmaes", "ipop-cma-es", "bipop-cma-es"), "cma-es"),
-    **dict.fromkeys(("mads", "compass-search", "direct-search", "patternsearch"), "pattern-search"),
-}
 
 
 @dataclass(frozen=True)
@@ -219,15 +204,8 @@ def dictionary(options: Mapping[str, Any] | None) -> dict[str, Any]:
 
 
 def method_name(method: str) -> str:
-    """The method of a name, or "auto"."""
-    name = choice("method", method).strip().lower().replace("_", "-").replace(" ", "-")
-    if name == "auto":
-        return name
-    if name not in METHODS:
-        near = [_SYNONYMS[name]] if name in _SYNONYMS else difflib.get_close_matches(name, METHODS, 1)
-        hint = f"; did you mean '{near[0]}'?" if near else ""
-        raise ValueError(f"method = {method!r} is none of 'auto', {', '.join(map(repr, METHODS))}{hint}")
-    return name
+    """The name of the method that is called so, or "auto"."""
+    return _core.method_name(choice("method", method))
 
 
 def seed(rng: int | np.random.Generator | None) -> int | None:

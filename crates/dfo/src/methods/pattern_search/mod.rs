@@ -1,6 +1,11 @@
 //! Pattern search: a mesh adaptive direct search that polls along orthogonal directions (Audet and Dennis, SIAM J. Optim. 17,
 //! 2006; Abramson, Audet, Dennis and Le Digabel, SIAM J. Optim. 20, 2009: OrthoMADS).
 //!
+//! It is for costs with kinks, steps or failures, and few parameters. It is not for smooth costs: its directions know nothing of the
+//! curvature, and where the cost lies in a narrow valley it needs several times the evaluations of
+//! [`QuadraticModel`](crate::QuadraticModel) (of the 53 smooth problems of Moré and Wild it solves 57 % within 100 (n + 1)
+//! evaluations, that one 92 %: `benches/dfo`).
+//!
 //! A poll looks at the `2 n` points of a frame around the best point, along both ways of `n` orthogonal directions, rounded to
 //! a mesh that becomes finer than the frame as that shrinks. The first better point in the order of the poll is taken, and the
 //! step to it is doubled for as long as that gains; three doublings double the frame. After a poll without a better point

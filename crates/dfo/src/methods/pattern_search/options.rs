@@ -41,7 +41,9 @@ impl PollPlan {
     }
 }
 
-/// Options of pattern search. It starts from the start point; without one, from the middle of the box.
+/// Options of pattern search, for costs with kinks, steps or failures and few parameters; for smooth ones
+/// [`QuadraticModel`](crate::QuadraticModel) takes a fraction of the evaluations. It starts from the start point; without one, from the
+/// middle of the box.
 ///
 /// ```
 /// use dfo::{PatternSearch, minimize};

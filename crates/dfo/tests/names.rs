@@ -1,0 +1,36 @@
+//! The names by which methods are asked for.
+#![allow(clippy::unwrap_used)]
+
+use dfo::AnyMethod;
+
+#[test]
+fn methods_have_their_full_names_and_those_of_scipy() {
+    let name = |asked: &str| asked.parse::<AnyMethod>().map(|method| method.name());
+    for (asked, expected) in [
+        ("differential_evolution", "de"),
+        ("differential-evolution", "de"),
+        ("DE", "de"),
+        ("de_classic", "de-classic"),
+        ("genetic", "ga"),
+        ("Genetic Algorithm", "ga"),
+        ("ga", "ga"),
+        ("Nelder-Mead", "nelder-mead"),
+        ("neldermead", "nelder-mead"),
+        ("least_squares", "least-squares"),
+        ("cma", "cma-es"),
+        ("Auto", "auto"),
+    ] {
+        assert_eq!(name(asked).unwrap(), expected);
+    }
+    for (asked, hint) in [
+        ("COBYQA", "did you mean 'quadratic-model'?"),
+        ("L-BFGS-B", "did you mean 'quadratic-model'?"),
+        ("simplex", "did you mean 'nelder-mead'?"),
+        ("nelder-maed", "did you mean 'nelder-mead'?"),
+        ("trf", "did you mean 'least-squares'?"),
+        ("dual_annealing", "did you mean 'multistart'?"),
+        ("", "there is no method ''; known are nelder-mead (1), barrier (2), de,"),
+    ] {
+        assert!(name(asked).unwrap_err().to_string().contains(hint), "{asked}: {}", name(asked).unwrap_err());
+    }
+}
