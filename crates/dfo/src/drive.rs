@@ -71,9 +71,8 @@ impl<M: Method> Drive<'_, M> {
             if stopped.is_none() && (end.is_some() || self.writer.as_ref().is_some_and(Writer::is_due)) {
                 self.save(&[]);
             }
-            match end {
-                Some(end) => return Ok(end.map(|termination| self.unless_unsaved(termination))),
-                None => {}
+            if let Some(end) = end {
+                return Ok(end.map(|termination| self.unless_unsaved(termination)));
             }
         }
     }
