@@ -418,8 +418,9 @@ impl Calibration {
             let (from, to) = ((start.as_slice(), at_start.as_deref()), (report.x.as_slice(), at_end));
             remarks.extend(self.check_after_fit(from, to, &cancelled, &mut stats));
         }
-        let outputs =
-            at_end.as_deref().map_or_else(Vec::new, |at_end| self.output_fits_of(at_end, at_start.as_deref()));
+        let outputs = at_end
+            .as_deref()
+            .map_or_else(Vec::new, |at_end| self.output_fits_of(at_end, at_start.as_deref()));
         phase.set(FitPhase::Worth);
         let worth = worth.clone().filter(|_| objective.has_worth()).and_then(|mut options| {
             options.workers = options.workers.or(job.run.workers);

@@ -52,7 +52,8 @@ impl KeptResiduals {
 
     /// Those at the start, and those of a point, as they counted.
     pub(crate) fn of_both(start: Option<&[f64]>, best: Option<(&[f64], &[f64])>) -> Self {
-        let best = best.map(|(x, residuals)| Kept { x: x.to_vec(), cost: f64::NAN, residuals: residuals.to_vec() });
+        let best =
+            best.map(|(x, residuals)| Kept { x: x.to_vec(), cost: f64::NAN, residuals: residuals.to_vec() });
         Self { start: start.map(<[f64]>::to_vec), best }
     }
 

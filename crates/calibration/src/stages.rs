@@ -274,7 +274,10 @@ impl Calibration {
                 let of_stage = &fit.stages[fit.stages.len() - 1].start;
                 let known = KeptResiduals::of_both(
                     first_kept.at_start().filter(|_| is_first_own),
-                    last_kept.at((&x, of_stage)).filter(|_| is_last_own).map(|residuals| (x.as_slice(), residuals)),
+                    last_kept
+                        .at((&x, of_stage))
+                        .filter(|_| is_last_own)
+                        .map(|residuals| (x.as_slice(), residuals)),
                 );
                 self.plain_residuals((&start, &x), (&known, loss), &is_late, &mut fit.stats)
             }
@@ -300,7 +303,12 @@ impl Calibration {
                 n_checks: 0,
             };
             let known = fit.report.residuals.as_deref().or(at_end.as_deref());
-            self.worth_of_fit((&fit.report, &found, known), &run.tolerances, asked, (&is_late, &mut fit.stats))
+            self.worth_of_fit(
+                (&fit.report, &found, known),
+                &run.tolerances,
+                asked,
+                (&is_late, &mut fit.stats),
+            )
         });
         (fit.start_cost, fit.start_rms) = cost_at_start.unzip();
         fit.n_measurements = self.n_measurements();

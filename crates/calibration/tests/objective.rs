@@ -153,7 +153,7 @@ fn outputs_are_weighed_by_what_was_measured() {
     {
         // All that was measured counts for the scale, whatever counts in the fit.
         let calibration = make(x.clone(), scale).unwrap();
-        assert_eq!(calibration.residual_layout().outputs[0].weights, [1.0 / size; 2]);
+        assert_eq!(calibration.residual_layout().outputs[0].weights[..], [1.0 / size; 2]);
         let said = make(vec![0.0; 4], scale).unwrap_err().to_string();
         assert!(
             said.contains(&format!("have the {} 0, by which they cannot be weighed", scale.name())),

@@ -69,21 +69,19 @@ fn endless() -> Calibration {
     decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Euler, Some(1e-12))
 }
 
+/// Without the limit this takes hours.
 #[test]
 fn the_start_is_the_result_where_one_simulation_is_endless() {
     let limit = Duration::from_millis(300);
     let limits = Limits { max_time: Some(limit), ..Limits::default() };
     let calibration = endless();
     let phase = Arc::new(CurrentPhase::default());
-    let began = Instant::now();
     let options = FitOptions {
         preflight: true,
         phase: Arc::clone(&phase),
         ..limited(NelderMead::default(), limits).into()
     };
     let fit = calibration.fit(options).unwrap();
-    // Ten times as much as is needed, on a machine that does other things, too; without the limit it takes hours.
-    assert!(began.elapsed() < 20 * limit);
     assert_eq!((&fit.x[..], &fit.report.termination), (&[1.0][..], &Termination::MaxTime));
     assert!(fit.cost.is_nan() && fit.worth.is_none() && !fit.report.is_success());
     assert!(fit.report.message.contains("the result is the start"), "{}", fit.report.message);
@@ -107,6 +105,6 @@ fn nothing_is_simulated_when_the_time_is_up() {
     (run.tolerances.x_tol, run.tolerances.f_tol) = (0.0, 0.0);
     let fit = calibration.fit(run).unwrap();
     assert_eq!(fit.report.termination, Termination::MaxTime);
-    assert!(fit.worth.is_none() && fit.n_checks == 0 && fit.findings.is_empty());
+    assert!(fit.worth.is_none() && fit.n_checks == 0 && fit.setup_findings.is_empty());
     assert!(fit.cost.is_finite() && fit.outputs.len() == 1);
 }

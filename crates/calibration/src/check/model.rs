@@ -3,8 +3,8 @@
 use super::subject::Subject;
 use crate::column_units::declared;
 use crate::data::UnitConversion;
-use crate::finding::{Finding, Severity};
 use crate::experiment::Weight;
+use crate::finding::{Finding, Severity};
 use crate::parameter::Parameter;
 use crate::problem::Problem;
 use crate::warning::SetupWarning;

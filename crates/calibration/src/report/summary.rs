@@ -128,7 +128,10 @@ fn sentence(fit: &Fit) -> String {
         Some(resumed) => format!(" It was {resumed}."),
         None => String::new(),
     };
-    format!("{ended}: RMS {rms} ({before}) over {} measurements.{errors}{resumed}{counts}", fit.n_measurements)
+    format!(
+        "{ended}: RMS {rms} ({before}) over {} measurements.{errors}{resumed}{counts}",
+        fit.n_measurements
+    )
 }
 
 /// The standard errors of what was fitted, relative to the values: of each parameter, or of many the smallest and the largest. Those
