@@ -179,9 +179,9 @@ fn the_layout_of_the_residuals_says_what_each_one_compares() {
         .map(|o| (o.experiment, o.output, o.variable.as_str(), o.column.as_str(), o.range.clone()))
         .collect();
     assert_eq!(rows, [(0, 0, "x", "x", 0..3), (0, 1, "der(x)", "z", 3..5), (1, 0, "x", "z", 5..6)]);
-    assert_eq!(layout.outputs[1].times, [0.5, 1.5]);
-    assert_eq!(layout.outputs[1].measured, [0.7, 0.1]);
-    assert_eq!(layout.outputs[1].weights, [2.0, 2.0]);
+    assert_eq!(layout.outputs[1].times[..], [0.5, 1.5]);
+    assert_eq!(layout.outputs[1].measured[..], [0.7, 0.1]);
+    assert_eq!(layout.outputs[1].weights[..], [2.0, 2.0]);
     assert_eq!(layout.n_residuals(), calibration.n_residuals());
     // Together with a simulation they make the residuals.
     let (residuals, trajectories) =
