@@ -27,6 +27,9 @@ pub struct Batch {
     ids: Vec<u64>,
 }
 
+/// No run counts more points, batches or iterations: to add two such numbers is no overflow.
+const MOST_COUNTED: u64 = 1 << 60;
+
 impl Batch {
     /// An empty batch.
     pub fn new() -> Self {
@@ -78,6 +81,15 @@ impl Batch {
         self.points.extend_from_slice(&other.points);
         self.cutoffs.extend_from_slice(&other.cutoffs);
         self.ids.extend_from_slice(&other.ids);
+    }
+
+    /// Whether its lists fit together and to points of this length: what comes from a file may not.
+    pub(crate) fn is_sound(&self, n: usize) -> bool {
+        let len = self.cutoffs.len();
+        (len == 0 || self.n == n)
+            && self.points.len() == len * self.n
+            && self.ids.len() == len
+            && [self.index, self.first_id].iter().chain(&self.ids).all(|number| *number <= MOST_COUNTED)
     }
 
     /// The place of a point by its number; numbers ascend.
@@ -465,10 +477,27 @@ pub(crate) fn saved<S: Serialize>(state: &S) -> Option<Vec<u8>> {
     encode(state).ok()
 }
 
+/// Whether no field that counts (`n_...`, `idle`) has a number that no run comes to.
+fn counts_are_possible(state: &ciborium::Value) -> bool {
+    use ciborium::Value;
+    match state {
+        Value::Map(fields) => fields.iter().all(|(key, value)| match (key.as_text(), value) {
+            (Some(key), Value::Integer(count)) if key.starts_with("n_") || key == "idle" => {
+                i128::from(*count) <= i128::from(MOST_COUNTED)
+            }
+            _ => counts_are_possible(value),
+        }),
+        Value::Array(items) => items.iter().all(counts_are_possible),
+        _ => true,
+    }
+}
+
 /// A state from bytes, if it is `sound`.
 pub(crate) fn restored<S: DeserializeOwned>(state: &[u8], sound: impl Fn(&S) -> bool) -> Result<S, Error> {
-    let state: S = decode(state).map_err(|message| Error::State { message })?;
-    if sound(&state) {
+    let bad = |message| Error::State { message };
+    let counts: ciborium::Value = decode(state).map_err(bad)?;
+    let state: S = decode(state).map_err(bad)?;
+    if counts_are_possible(&counts) && sound(&state) {
         Ok(state)
     } else {
         Err(Error::State { message: "its parts do not fit together".to_owned() })

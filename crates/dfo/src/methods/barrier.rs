@@ -152,7 +152,7 @@ impl MethodOptions for Barrier {
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<BarrierState, Error> {
-        restored(state, |s: &BarrierState| s.is_sound(setup))
+        restored(state, |s: &BarrierState| s.options == *self && s.is_sound(setup))
     }
 }
 
@@ -224,12 +224,24 @@ pub struct BarrierState {
 impl BarrierState {
     fn is_sound(&self, setup: &Setup) -> bool {
         let space = &setup.space;
-        let inner = inner_setup(&self.setup, &self.stage_start, self.schedule.len());
+        let is_point = |x: &[f64]| x.len() == space.n() && x.iter().all(|v| v.is_finite());
+        // The problem of the stage can be made of sound parts only.
         self.setup.space == space.without_far_bounds()
+            && self.setup.tolerances.check().is_ok()
+            && self.mu.is_none_or(|mu| mu >= 0.0 && mu.is_finite())
+            && self.f_0 >= 0.0
+            && self.f_0.is_finite()
             && self.working.len() == space.n_free()
-            && self.stage_start.len() == space.n()
+            && is_point(&self.stage_start)
+            && space.bounds().contains(&self.stage_start)
+            && self.schedule.len() <= MAX_STAGES
+            && self.schedule.iter().all(|stage| is_point(&stage.x))
+            && self.asked.is_sound(space.n())
             && self.best.is_sound(space.n())
-            && self.inner.is_sound(&self.options.inner().prepared(&inner))
+            && {
+                let inner = inner_setup(&self.setup, &self.stage_start, self.schedule.len());
+                self.inner.is_sound(&self.options.inner().prepared(&inner))
+            }
     }
 
     /// `B(x)`; positive, finite inside of the bounds.

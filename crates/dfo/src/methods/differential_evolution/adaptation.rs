@@ -153,13 +153,22 @@ impl Adaptation {
         }
     }
 
-    pub(super) fn is_sound(&self, n: usize) -> bool {
-        self.n == n
+    /// Whether it fits to so many parameters and members.
+    pub(super) fn is_sound(&self, n: usize, members: usize) -> bool {
+        // Without parameters there is one member.
+        let is_whole = n == 0 || self.options.final_population <= members;
+        let is_factor = |f: &f64| *f > 0.0 && *f <= 1.0;
+        is_whole
+            && members <= self.first_population
+            && self.n == n
+            && self.archive.iter().all(|u| u.is_finite())
+            && self.successes.iter().all(|s| is_factor(&s.f) && (0.0..=1.0).contains(&s.cr) && s.gain >= 0.0)
+            && self.memory_cr.iter().flatten().all(|cr| (0.0..=1.0).contains(cr))
             && self.archive.len().is_multiple_of(n.max(1))
             && !self.memory_f.is_empty()
             && self.memory_f.len() == self.memory_cr.len()
             && self.next < self.memory_f.len()
-            && self.memory_f.iter().all(|f| *f > 0.0)
+            && self.memory_f.iter().all(is_factor)
     }
 }
 

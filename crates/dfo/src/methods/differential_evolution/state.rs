@@ -56,6 +56,17 @@ impl DifferentialRules {
     }
 }
 
+impl DifferentialRules {
+    /// Whether it was made with these options.
+    pub(super) fn is_of(&self, options: &DifferentialEvolution) -> bool {
+        let adaptive = match options.scheme {
+            Scheme::Adaptive(adaptive) => Some(adaptive),
+            Scheme::Classic { .. } => None,
+        };
+        self.options == *options && self.adaptation.as_ref().map(|adaptation| adaptation.options) == adaptive
+    }
+}
+
 impl GenerationRules for DifferentialRules {
     fn name(&self) -> &'static str {
         self.options.name()
@@ -151,6 +162,6 @@ impl GenerationRules for DifferentialRules {
             && (pool.candidates.len(), self.factors.len()) == (members, members)
             && self.trial.len() == n
             && adaptive == self.adaptation.is_some()
-            && self.adaptation.as_ref().is_none_or(|a| a.is_sound(n))
+            && self.adaptation.as_ref().is_none_or(|a| a.is_sound(n, members))
     }
 }

@@ -41,7 +41,11 @@ impl MethodOptions for Genetic {
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<GeneticState, Error> {
-        Generations::restore(setup, state)
+        let restored: GeneticState = Generations::restore(setup, state)?;
+        match restored.rules().is_of(self) {
+            true => Ok(restored),
+            false => Err(Error::State { message: "it was made with other options".to_owned() }),
+        }
     }
 
     fn needs_start(&self) -> bool {

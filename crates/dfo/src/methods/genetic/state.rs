@@ -18,6 +18,11 @@ fn n_seen(members: usize, n: usize) -> usize {
     members.div_ceil(8).max(n + 1).min(100)
 }
 
+/// The rate at which bits of a string of this length change.
+fn mutation_rate(options: &Genetic, length: usize) -> f64 {
+    options.mutation_rate.unwrap_or((1.0 / length.max(1) as f64).min(0.1))
+}
+
 /// A running genetic algorithm; made by [`Genetic`].
 pub type GeneticState = Generations<GeneticRules>;
 
@@ -42,6 +47,11 @@ pub struct GeneticRules {
 }
 
 impl GeneticRules {
+    /// Whether it was made with these options.
+    pub(super) fn is_of(&self, options: &Genetic) -> bool {
+        self.options == *options && self.mutation_rate == mutation_rate(options, self.coding.length())
+    }
+
     pub(super) fn begin(
         options: &Genetic,
         setup: Setup,
@@ -68,7 +78,7 @@ impl GeneticRules {
         let best_seen = RankedPoints::new(&setup.space, n_seen(members, n));
         let rules = Self {
             best_seen,
-            mutation_rate: options.mutation_rate.unwrap_or((1.0 / length.max(1) as f64).min(0.1)),
+            mutation_rate: mutation_rate(options, length),
             options: options.clone(),
             coding,
             bits,
@@ -180,7 +190,7 @@ impl GenerationRules for GeneticRules {
             && members >= 1
             && self.best_seen.is_sound(space)
             && self.best_seen.len() == n_seen(members, space.n_free())
-            && (children + self.options.elite == members || space.n_free() == 0)
+            && (members.checked_sub(children) == Some(self.options.elite) || space.n_free() == 0)
             && (self.bits.len(), self.child_bits.len()) == (members * length, children * length)
             && self.spare.len() == length
             && self.decoded.len() == space.n_free()

@@ -107,7 +107,14 @@ impl PatternSearchState {
     /// Whether this state fits to a problem and to itself.
     pub(super) fn is_sound(&self, setup: &Setup) -> bool {
         let n = setup.space.n_free();
+        // The frame is a length, at most the largest that it grows to.
+        let is_length = |length: f64| length > 0.0 && length <= 2.0 * LARGEST;
         self.setup.space == setup.space
+            && self.setup.tolerances.check().is_ok()
+            && is_length(self.first)
+            && is_length(self.first * self.scale)
+            && self.scale > 0.0
+            && self.scale.is_finite()
             && self.best.len() == 1
             && self.best.is_sound(&setup.space)
             && (self.trial.0.len(), self.trial.1.len()) == (n, setup.space.n())

@@ -115,7 +115,16 @@ impl QuadraticModelState {
     pub(super) fn is_sound(&self, setup: &Setup) -> bool {
         let space = &setup.space;
         let n = space.n_free();
+        // The radii of the trust region are lengths, and the resolution is the smaller.
+        let is_length = |length: f64| length > 0.0 && length.is_finite();
         *space == self.setup.space
+            && self.setup.tolerances.check().is_ok()
+            && is_length(self.rho)
+            && is_length(self.radius)
+            && is_length(self.delta)
+            && self.delta >= self.rho
+            && !self.f_0.is_nan()
+            && !self.f_restart.is_nan()
             && self.points.is_sound(space)
             && self.trial.is_sound(space)
             && self.trial.len() == 1

@@ -125,6 +125,11 @@ impl<B: GenerationRules> Generations<B> {
         })
     }
 
+    /// What the method keeps besides its population.
+    pub(crate) fn rules(&self) -> &B {
+        &self.rules
+    }
+
     fn start_known(&mut self) {
         let Populations { population, setup, .. } = &mut self.pool;
         population.rank();

@@ -133,7 +133,8 @@ impl RankedPoints {
         (self.n, self.n_user) == (space.n_free(), space.n())
             && self.u.len() == len * self.n
             && self.x.len() == len * self.n_user
-            && self.values.len() == len
+            && self.values.iter().copied().eq(self.costs.iter().map(|cost| cost.value()))
+            && self.values.iter().flatten().all(|value| value.is_finite())
             && slots.into_iter().eq(0..len)
     }
 }

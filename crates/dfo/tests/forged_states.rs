@@ -1,0 +1,181 @@
+//! Saved states in which one field was changed: they are refused, or the search goes on and nothing panics or hangs.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use ciborium::Value;
+use dfo::{Answers, AnyMethod, Batch, Bounds, Method, MethodOptions, Outcome, Setup, Space};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::time::Duration;
+
+/// No single state takes as long, on however slow a machine.
+const HANGS: Duration = Duration::from_secs(120);
+
+/// So many rounds are made from a forged state.
+const ROUNDS: usize = 30;
+
+fn cost(x: &[f64]) -> f64 {
+    (x[0] - 0.3).powi(2) + (x[1] + 0.2).powi(4)
+}
+
+fn setup() -> Setup {
+    let bounds = Bounds::new(&[-1.0, -2.0], &[2.0, 2.0]).unwrap();
+    let mut setup = Setup::new(Space::new(&[1.0, 1.0], bounds, &[], &[]).unwrap());
+    setup.seed = Some(3);
+    setup.max_evaluations = Some(400);
+    setup
+}
+
+fn go_on(method: &mut impl Method, rounds: usize) {
+    let mut batch = Batch::new();
+    for _ in 0..rounds {
+        method.ask(&mut batch);
+        if batch.is_empty() {
+            break;
+        }
+        let outcomes: Vec<_> = batch.points().map(|x| Outcome::Value(cost(x))).collect();
+        if method.tell(&Answers::from(&outcomes[..])).is_err() {
+            break;
+        }
+        (method.details(), method.status(), method.best());
+    }
+}
+
+/// The numbers and lists of a state, each as the way that leads to it.
+fn places(value: &Value, way: &mut Vec<usize>, found: &mut Vec<Vec<usize>>) {
+    match value {
+        Value::Array(items) => {
+            found.push(way.clone());
+            // Of long lists the first, one in the middle and the last.
+            let n = items.len();
+            for k in (0..n).filter(|k| n <= 4 || [0, n / 2, n - 1].contains(k)) {
+                way.push(k);
+                places(&items[k], way, found);
+                way.pop();
+            }
+        }
+        Value::Map(entries) => {
+            for (k, (_, inner)) in entries.iter().enumerate() {
+                way.push(k);
+                places(inner, way, found);
+                way.pop();
+            }
+        }
+        Value::Float(_) | Value::Integer(_) => found.push(way.clone()),
+        _ => {}
+    }
+}
+
+fn at<'v>(value: &'v mut Value, way: &[usize], name: &mut String) -> &'v mut Value {
+    let Some((k, rest)) = way.split_first() else { return value };
+    match value {
+        Value::Array(items) => {
+            name.push_str(&format!("[{k}]"));
+            at(&mut items[*k], rest, name)
+        }
+        Value::Map(entries) => {
+            let (key, inner) = &mut entries[*k];
+            name.push_str(&format!(".{}", key.as_text().unwrap_or("?")));
+            at(inner, rest, name)
+        }
+        _ => unreachable!("a way leads through lists and maps"),
+    }
+}
+
+/// What a number or a list is replaced with.
+fn others(value: &Value) -> Vec<Value> {
+    match value {
+        Value::Float(_) => {
+            [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 0.0, -1.0, 1e308, -1e308].map(Value::Float).into()
+        }
+        Value::Integer(_) => [0u64, 1, 1 << 20, 1 << 62, u64::MAX].map(Value::from).into(),
+        Value::Array(items) => {
+            let shorter = items.split_last().map(|(_, rest)| rest.to_vec()).unwrap_or_default();
+            let longer = items.iter().chain(items.first()).cloned().collect();
+            [shorter, Vec::new(), longer].map(Value::Array).into()
+        }
+        _ => Vec::new(),
+    }
+}
+
+/// All forged states of a method after some rounds, with what was changed.
+fn forged(options: &AnyMethod, rounds: usize) -> Vec<(String, Vec<u8>)> {
+    let mut method = options.begin(&setup()).unwrap();
+    go_on(&mut method, rounds);
+    options.restore(&setup(), &method.save().unwrap()).expect("a state as it was saved");
+    let state: Value = ciborium::from_reader(&method.save().unwrap()[..]).unwrap();
+    let mut found = Vec::new();
+    places(&state, &mut Vec::new(), &mut found);
+    let mut all = Vec::new();
+    for way in found {
+        let mut forged = state.clone();
+        let mut name = String::new();
+        for other in others(at(&mut forged, &way, &mut String::new())) {
+            let mut forged = state.clone();
+            name.clear();
+            *at(&mut forged, &way, &mut name) = other.clone();
+            let mut bytes = Vec::new();
+            ciborium::into_writer(&forged, &mut bytes).unwrap();
+            let other = format!("{other:?}");
+            all.push((format!("{name} = {}", &other[..other.len().min(60)]), bytes));
+        }
+    }
+    all
+}
+
+fn check(name: &str) {
+    let options: AnyMethod = name.parse().unwrap();
+    let mut failures = Vec::new();
+    let mut n = 0;
+    for rounds in [0, 3, 12, 40] {
+        let all = forged(&options, rounds);
+        n += all.len();
+        let (tell, told) = channel();
+        let (options, states) = (options.clone(), all.clone());
+        std::thread::spawn(move || {
+            for (_, state) in states {
+                let end = catch_unwind(AssertUnwindSafe(|| {
+                    if let Ok(mut method) = options.restore(&setup(), &state) {
+                        go_on(&mut method, ROUNDS);
+                    }
+                }));
+                if tell.send(end.is_ok()).is_err() {
+                    break;
+                }
+            }
+        });
+        for (what, _) in &all {
+            match told.recv_timeout(HANGS) {
+                Ok(true) => {}
+                Ok(false) => failures.push(format!("after {rounds} rounds {what} panics")),
+                Err(RecvTimeoutError::Timeout) => {
+                    failures.push(format!("after {rounds} rounds {what} hangs"));
+                    break;
+                }
+                Err(RecvTimeoutError::Disconnected) => unreachable!("panics are caught"),
+            }
+        }
+    }
+    assert!(n > 300, "{n} states");
+    assert!(failures.is_empty(), "{name}: {} of {n}:\n{}", failures.len(), failures.join("\n"));
+}
+
+macro_rules! methods {
+    ($($function:ident: $name:literal),* $(,)?) => {
+        $(#[test]
+        fn $function() {
+            check($name);
+        })*
+    };
+}
+
+methods!(
+    barrier: "barrier",
+    cma_es: "cma-es",
+    differential_evolution: "de",
+    classic_differential_evolution: "de-classic",
+    genetic: "ga",
+    multistart: "multistart",
+    nelder_mead: "nelder-mead",
+    pattern_search: "pattern-search",
+    quadratic_model: "quadratic-model",
+);
