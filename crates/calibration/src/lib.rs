@@ -54,6 +54,7 @@ mod worth;
 
 pub use calibration::{Calibration, CalibrationBuilder};
 pub use check::{Check, Finding, Severity};
+pub use column_units::{InputColumn, recorded_inputs};
 pub use cross_validation::{CrossValidation, CrossValidationOptions, Fold};
 pub use data::{Data, PairUnit, TimeColumn, Unit, UnitConversion, UnitError, date_seconds, find_column};
 pub use dfo;

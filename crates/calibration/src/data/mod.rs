@@ -10,6 +10,6 @@ mod units;
 pub use dates::date_seconds;
 pub use table::Data;
 pub(crate) use table::sampling_interval;
-pub(crate) use time_column::parts;
 pub use time_column::{PairUnit, TimeColumn, find_column};
+pub(crate) use time_column::{listed, parts};
 pub use units::{Unit, UnitConversion, UnitError};

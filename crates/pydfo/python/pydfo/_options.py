@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import importlib
 import logging
 import operator
 import os
@@ -29,6 +30,14 @@ _shortened.maxstring = _shortened.maxother = 80
 def show(value: object) -> str:
     """A value for a message: of long ones the beginning."""
     return " ".join(_shortened.repr(value).split())
+
+
+def pandas() -> Any:
+    """The module, where a table of it is asked for."""
+    try:
+        return importlib.import_module("pandas")
+    except ImportError as e:
+        raise ImportError("to_dataframe() needs pandas: pip install pandas") from e
 
 
 #: The names of the methods; "auto" stands for one of them.
