@@ -16,9 +16,10 @@ ROOT = Path(__file__).resolve().parent.parent
 # The modules at the top of each crate, lowest layers first; a line is one layer, and its modules import none of each other.
 LAYERS = {
     "calibration": """
-        error parallel prior race
-        data layout no_cost parameter
-        input
+        error parallel prior race visible
+        finding
+        data no_cost parameter
+        input layout
         experiment
         measurements names
         objective residual warning
@@ -60,7 +61,8 @@ LAYERS = {
         cancel log platform
         archive
         description
-        source sys
+        sys
+        source
         open_options
         fmu
         fmu_cache instance
@@ -84,7 +86,7 @@ LAYERS = {
         interrupt logs methods
         fmu_error objective report
         error files values
-        data
+        data findings
         description inputs trajectory
         settings
         cost experiment fit minimize model py_system stages

@@ -3,6 +3,7 @@
 use crate::error::CalibrationError;
 use crate::evaluate::Evaluator;
 use crate::experiment::{Experiment, SimulationSettings};
+use crate::finding::Severity;
 use crate::identity::{hash, identity};
 use crate::layout::ResidualLayout;
 use crate::no_cost::NoCost;
@@ -13,6 +14,7 @@ use crate::solver::{Choice, Solver};
 use crate::warning::{SETUP_LOG_TARGET, SetupWarning};
 use dfo::{Answer, Checkpoint, Failure, Objective, Outcome, Query, RobustLoss, Want};
 use fmi::{FmiError, Fmu, Pool, Trajectory};
+use log::Level;
 use ode::{Method, Number, Stats, Termination};
 use std::ops::ControlFlow;
 
@@ -111,7 +113,8 @@ impl Calibration {
         problem.model.check(&fmu)?;
         let evaluator = Evaluator::new(fmu, problem)?;
         for warning in &evaluator.warnings {
-            log::warn!(target: SETUP_LOG_TARGET, "{warning}");
+            let level = if warning.severity() == Severity::Note { Level::Info } else { Level::Warn };
+            log::log!(target: SETUP_LOG_TARGET, level, "{warning}");
         }
         let identity = identity(&evaluator.problem, &evaluator.parameters);
         Ok(Self { evaluator, choice: Choice::default(), identity })
@@ -160,7 +163,7 @@ impl Calibration {
         &self.evaluator.fmu
     }
 
-    /// What may not be meant as it was given: columns without use, inputs that are held. Each was logged once, when
+    /// What may not be meant as it was given: columns without use, units that were read from names. Each was logged once, when
     /// the calibration was built.
     pub fn warnings(&self) -> &[SetupWarning] {
         &self.evaluator.warnings

@@ -30,7 +30,7 @@ fn convert(
     experiment: &mut Experiment,
     description: &ModelDescription,
 ) -> Result<Vec<SetupWarning>, CalibrationError> {
-    let mut warnings = Vec::new();
+    let (mut warnings, mut converted) = (Vec::new(), Vec::new());
     // Columns that have been looked at, with the variable that they were converted for.
     let mut seen: Vec<(String, String)> = Vec::new();
     for (variable_name, column) in experiment.columns_in_use() {
@@ -39,7 +39,9 @@ fn convert(
         let Some(full) = data.full_name(&column).map(str::to_owned) else { continue };
         // The name of a variable may end with what looks like a unit; a line of units is none.
         let is_variable = description.variable(&full).is_some();
-        let given = if is_variable { data.unit_beside_name(&column) } else { data.unit(&column) };
+        let beside = data.unit_beside_name(&column);
+        let is_in_name = beside.is_none();
+        let given = if is_variable { beside } else { data.unit(&column) };
         let Some(given) = given.map(str::to_owned) else { continue };
         let bad = |message: String| CalibrationError::Data { source_name: data.source().to_owned(), message };
         let earlier = seen.iter().find(|(name, _)| *name == full).map(|(_, variable)| variable);
@@ -54,6 +56,9 @@ fn convert(
                     )));
                 }
                 data.convert(&column, conversion, &unit);
+                if is_in_name {
+                    converted.push((full.clone(), given, unit));
+                }
             }
             Err(reason @ UnitError::Dimension { .. }) => {
                 return Err(bad(format!(
@@ -80,6 +85,10 @@ fn convert(
         }
         seen.push((full, variable_name));
     }
+    if !converted.is_empty() {
+        let data = experiment.data.source().to_owned();
+        warnings.push(SetupWarning::Converted { data, columns: converted });
+    }
     Ok(warnings)
 }
 
@@ -103,7 +112,7 @@ pub fn recorded_inputs(
         let inputs = description.variables.iter().filter(|v| v.causality == Causality::Input);
         let message = format!(
             "no column has the name of an input of the model; the columns are {}, the inputs {}",
-            listed(data.names()),
+            listed(data.all_names()),
             listed(inputs.map(|v| v.name.as_str()))
         );
         return Err(CalibrationError::Data { source_name: data.source().to_owned(), message });

@@ -3,6 +3,7 @@
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::{Fit, FitOptions};
+use crate::objective::CostKind;
 use crate::parallel;
 use crate::validation::{Validation, ValidationSet};
 use crate::worth::digits;
@@ -13,7 +14,7 @@ use std::thread::available_parallelism;
 use std::time::{Duration, Instant};
 
 /// How a cross-validation is made.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct CrossValidationOptions {
     /// Number of folds: at each turn one of them is held out, which has every k-th recording; default: as many as there are
     /// recordings, so that one is held out at a time.
@@ -23,11 +24,14 @@ pub struct CrossValidationOptions {
     pub run: RunOptions<AnyMethod>,
     /// What a residual counts.
     pub loss: RobustLoss,
+    /// What is minimised; a cost with a name, where local parameters are fitted to recordings that are held out.
+    pub objective: CostKind,
 }
 
 impl Default for CrossValidationOptions {
     fn default() -> Self {
-        Self { folds: None, run: FitOptions::default_run(), loss: RobustLoss::default() }
+        let (loss, objective) = (RobustLoss::default(), CostKind::default());
+        Self { folds: None, run: FitOptions::default_run(), loss, objective }
     }
 }
 
@@ -39,6 +43,9 @@ pub struct Fold {
     pub held_out: Vec<String>,
     /// The fit to the others.
     pub fit: Fit,
+    /// Root of the mean squared weighted residual of those that it was fitted to: of plain residuals, as that of the validation, whatever
+    /// the loss.
+    pub fit_rms: f64,
     /// How well it reproduces those that were held out.
     pub validation: Validation,
 }
@@ -109,7 +116,7 @@ impl Calibration {
                 run.limits.max_time = Some(left.max(Duration::from_millis(1)));
             }
             let is_late = || late.is_some_and(|late| Instant::now() >= late);
-            match self.fold((fold, k), run, options.loss, &|| cancelled() || is_late()) {
+            match self.fold((fold, k), run, options, &|| cancelled() || is_late()) {
                 // What it was when the time was up says nothing.
                 _ if is_late() && !cancelled() => Ok(None),
                 fold => fold.map(Some),
@@ -154,7 +161,7 @@ impl Calibration {
         &self,
         (fold, k): (usize, usize),
         run: RunOptions<AnyMethod>,
-        loss: RobustLoss,
+        options: &CrossValidationOptions,
         cancelled: &dyn Fn() -> bool,
     ) -> Result<Fold, CalibrationError> {
         let mut problem = self.problem().clone();
@@ -175,14 +182,28 @@ impl Calibration {
         let fitted = self.derived(problem).map_err(without)?;
         let poll: Option<Box<dyn FnMut() -> bool>> = Some(Box::new(cancelled));
         let fit = fitted
-            .fit(FitOptions { run, loss, poll, worth: None, ..FitOptions::default() })
+            .fit(FitOptions {
+                run,
+                loss: options.loss,
+                objective: options.objective.clone(),
+                poll,
+                worth: None,
+                ..FitOptions::default()
+            })
             .map_err(without)?;
         if cancelled() {
             return Err(CalibrationError::Cancelled);
         }
         let validation = fitted.validate_until(&fit, &ValidationSet::Experiments(held_out), cancelled);
-        let validation = validation.map_err(without)?;
-        Ok(Fold { held_out: names, fit, validation })
+        let mut validation = validation.map_err(without)?;
+        let mut fit_rms = fit.rms;
+        if !options.loss.is_linear() {
+            let plain = (&options.objective, RobustLoss::default());
+            let found = fitted.cost_and_rms(&fit.x, plain, cancelled, &mut validation.stats);
+            validation.n_simulations += 1;
+            fit_rms = found.map_or(f64::NAN, |(_, rms)| rms);
+        }
+        Ok(Fold { held_out: names, fit, fit_rms, validation })
     }
 }
 
@@ -197,7 +218,7 @@ impl fmt::Display for CrossValidation {
             write!(f, "  {name:>column$}")?;
         }
         for (fold, name) in self.folds.iter().zip(&held_out) {
-            let [rms, of_fit] = [fold.validation.rms, fold.fit.rms].map(|rms| digits(rms).to_string());
+            let [rms, of_fit] = [fold.validation.rms, fold.fit_rms].map(|rms| digits(rms).to_string());
             write!(f, "\n{name:<width$}  {rms:>10}  {of_fit:>10}")?;
             for ((name, ..), column) in self.parameters.iter().zip(&columns) {
                 let value = fold.fit.names.iter().position(|n| n == name).map(|i| fold.fit.x[i]);

@@ -6,7 +6,7 @@ use crate::objective::CostKind;
 use crate::parameter::{Parameter, Scale};
 use crate::residual::CostRule;
 use dfo::{FailureKind, Kind, Measure, Outcome, Report, Termination, Tolerances};
-use ode::{Number, Stats};
+use ode::Stats;
 use serde::{Deserialize, Serialize};
 
 /// One of the two bounds of a parameter.
@@ -84,7 +84,7 @@ impl Calibration {
     ) -> Findings {
         let mut candidates = self.near_bound(report, tolerances);
         candidates.retain(|c| !held.contains(&c.index));
-        let mut suspects = self.suspects(start, report);
+        let mut suspects = self.suspects(start, report, kind);
         suspects.retain(|s| !held.contains(&s.index));
         let mut found = Findings {
             at_bound: candidates.iter().filter(|c| c.is_likely).map(|c| (c.index, c.side)).collect(),
@@ -111,7 +111,7 @@ impl Calibration {
             let is_at = is_sure || (is_spent && is_likely) || {
                 let parameter = &self.parameters()[index];
                 match cost_with(index, side.of(parameter)) {
-                    Ok(cost) => cost <= report.fun || self.is_equal_cost(report.fun, cost),
+                    Ok(cost) => cost <= report.fun || self.is_equal_cost(kind, report.fun, cost),
                     Err(NoCost::Cancelled) => break,
                     Err(_) => false,
                 }
@@ -126,7 +126,7 @@ impl Calibration {
                 continue;
             }
             match cost_with(index, self.moved(&self.parameters()[index], report.x[index])) {
-                Ok(cost) if self.is_equal_cost(report.fun, cost) => checked.without_effect.push(index),
+                Ok(cost) if self.is_equal_cost(kind, report.fun, cost) => checked.without_effect.push(index),
                 Err(NoCost::Cancelled) => break,
                 _ => {}
             }
@@ -169,7 +169,7 @@ impl Calibration {
 
     /// Parameters of which no evaluation shows that they change the cost, as far as two evaluations differ from each other
     /// in one parameter alone: most methods begin with such.
-    fn suspects(&self, start: &[f64], report: &Report) -> Vec<Suspect> {
+    fn suspects(&self, start: &[f64], report: &Report, kind: &CostKind) -> Vec<Suspect> {
         let free = |(i, p): (usize, &Parameter)| (p.lower() < p.upper() && !p.is_fixed()).then_some(i);
         let mut suspects: Vec<Suspect> = (self.parameters().iter().enumerate().filter_map(free))
             .map(|index| Suspect { index, is_seen: false })
@@ -181,7 +181,9 @@ impl Calibration {
             let (Some(index), None) = (moved.next(), moved.next()) else { continue };
             let Some(place) = suspects.iter().position(|s| s.index == index) else { continue };
             match entry.outcome {
-                Outcome::Value(other) if self.is_equal_cost(cost, *other) => suspects[place].is_seen = true,
+                Outcome::Value(other) if self.is_equal_cost(kind, cost, *other) => {
+                    suspects[place].is_seen = true;
+                }
                 Outcome::Above(cutoff) if *cutoff < cost => {}
                 Outcome::Abort(_) | Outcome::Skipped => {}
                 _ => drop(suspects.remove(place)),
@@ -191,19 +193,9 @@ impl Calibration {
     }
 
     /// Whether two costs differ by no more than the integration leaves uncertain.
-    fn is_equal_cost(&self, a: f64, b: f64) -> bool {
-        (a - b).abs() <= self.evaluator().simulations[0].pool.plan().relative_tolerance() * a
-    }
-
-    /// What is appended to the message of a fit.
-    pub(crate) fn remarks(&self, findings: &Findings) -> String {
-        let bound = |(i, side): &(usize, BoundSide)| {
-            let p = &self.parameters()[*i];
-            format!("; {} is at its {} bound {}", p.name(), side.name(), Number(side.of(p)))
-        };
-        let inert = |i: &usize| format!("; {} did not change the cost", self.parameters()[*i].name());
-        let Findings { at_bound, without_effect, .. } = findings;
-        at_bound.iter().map(bound).chain(without_effect.iter().map(inert)).collect()
+    fn is_equal_cost(&self, kind: &CostKind, a: f64, b: f64) -> bool {
+        let tolerance = self.evaluator().simulations[0].pool.plan().relative_tolerance();
+        (a - b).abs() <= tolerance * kind.size(a, self.n_measurements())
     }
 
     /// A value of a parameter some way from `x`, towards the bound that is farther.

@@ -1,6 +1,6 @@
 //! One recording: which column measures which output, which drives which input, and which part of it counts.
 
-use crate::data::Data;
+use crate::data::{Data, Series};
 use crate::error::CalibrationError;
 use crate::input::{InputSource, SignalFunction};
 use crate::parameter::Parameter;
@@ -66,7 +66,7 @@ pub enum Weight {
     /// Each with what stands in its row of this column.
     Column(String),
     /// Each with the number of its row of the recording.
-    Rows(Vec<f64>),
+    Rows(Series),
     /// All with the inverse of this scale of what was measured in the whole recording, whichever part of it counts: so that outputs of
     /// different units count alike.
     Inverse(OutputScale),
@@ -260,6 +260,12 @@ impl Experiment {
             None => self.inputs.push((variable, source)),
         }
         self
+    }
+
+    /// The inputs that functions drove which were not stored: [`function_input`](Self::function_input) gives them again.
+    pub fn lost_functions(&self) -> impl Iterator<Item = &str> {
+        let lost = InputSource::Function(SignalFunction::default());
+        self.inputs.iter().filter(move |(_, source)| *source == lost).map(|(name, _)| name.as_str())
     }
 
     /// Whether the recording of an input is held where the simulation goes on beyond it, by its first and last values. Else more than

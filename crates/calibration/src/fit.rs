@@ -1,9 +1,9 @@
 //! The fit: the objective meets an optimiser; parameters with names come out.
 
 use crate::calibration::Calibration;
-use crate::check::{Check, Finding};
 use crate::effect::{BoundSide, Findings, is_over};
 use crate::error::CalibrationError;
+use crate::finding::{Finding, Severity};
 use crate::objective::CostKind;
 use crate::output_fit::{KeptResiduals, OutputFit};
 use crate::parameter::{Parameter, Scale};
@@ -161,8 +161,9 @@ pub struct Fit {
     pub outputs: Vec<OutputFit>,
     /// What was found before the fit, where it was asked for.
     pub preflight: Option<Preflight>,
-    /// What a [check](Calibration::check) says of the problem beyond notes; empty where the fit is not asked what it is worth.
-    pub findings: Vec<Finding>,
+    /// What a [check](Calibration::check) says of the problem beyond notes, judged again with the fitted values (not where the fit is not
+    /// asked what it is worth), and what is to be said of the run. [`Fit::findings`] has all.
+    pub setup_findings: Vec<Finding>,
     /// What the fit is worth; `None` where it was not asked for, or the run was ended from outside.
     pub worth: Option<Worth>,
     /// What the simulations of the fit took in all: right-hand sides, steps, events, seconds (added up over all workers).
@@ -178,6 +179,40 @@ impl Fit {
     /// What reports and figures call the parameters.
     pub fn shown_names(&self) -> &[String] {
         if self.shown_names.is_empty() { &self.names } else { &self.shown_names }
+    }
+
+    /// What is to be said of the fit, the gravest first: parameters at a bound or without effect, what a check finds, what the data
+    /// cannot tell, what the residuals look like.
+    pub fn findings(&self) -> Vec<Finding> {
+        self.findings_with(&self.names)
+    }
+
+    /// The same with other names of the parameters.
+    pub(crate) fn findings_with(&self, names: &[String]) -> Vec<Finding> {
+        let at_bound = |(i, side): &(usize, BoundSide)| {
+            let bound = match side {
+                BoundSide::Lower => self.bounds[*i].0,
+                BoundSide::Upper => self.bounds[*i].1,
+            };
+            let sentence = format!(
+                "{} is at its {} bound {}: the best value may lie beyond",
+                names[*i],
+                side.name(),
+                Number(bound)
+            );
+            Finding::new(Severity::Warning, &names[*i], sentence, "")
+        };
+        let without_effect = |i: &usize| {
+            let sentence = format!("{} did not change the cost: its value says nothing", names[*i]);
+            Finding::new(Severity::Warning, &names[*i], sentence, "")
+        };
+        let is_said = |i: &&usize| !self.worth.as_ref().is_some_and(|worth| worth.undetermined.contains(i));
+        let mut all: Vec<Finding> = self.at_bound.iter().map(at_bound).collect();
+        all.extend(self.without_effect.iter().filter(is_said).map(without_effect));
+        all.extend(self.setup_findings.iter().cloned());
+        all.extend(self.worth.iter().flat_map(|worth| worth.findings_with(names)));
+        all.sort_by_key(|finding| finding.severity);
+        all
     }
 
     /// The RMS over that at the start, on the same measurements; `None` if the simulation failed at the start.
@@ -317,16 +352,18 @@ impl Calibration {
             self.preflight_counted(&options, &cancelled, &mut stats)
         });
         let preflight = preflight.transpose()?;
-        let mut raised = String::new();
+        let mut remarks: Vec<Finding> = Vec::new();
         if let Some(found) = &preflight
             && described.tolerances.measure == Measure::Relative
             && found.f_tol_above_noise(described.tolerances.f_tol) > described.tolerances.f_tol
         {
             described.tolerances.f_tol = found.noise;
-            raised = format!("; f_tol raised to the noise of the simulations, {}", digits(found.noise));
+            let sentence =
+                format!("f_tol was raised to the noise of the simulations, {}", digits(found.noise));
+            remarks.push(Finding::new(Severity::Note, "f_tol", sentence, ""));
         }
         let tolerances = described.tolerances;
-        let (mut report, found, residuals) = loop {
+        let (report, found, residuals) = loop {
             n_beginnings += 1;
             let n_findings = self.n_history_findings();
             let counted = Counted {
@@ -389,21 +426,27 @@ impl Calibration {
             described.checkpoint = described.checkpoint.map(|checkpoint| checkpoint.resume(Resume::Never));
             described.known.iter_mut().for_each(|known| known.problem = None);
         };
-        report.message += &(self.remarks(&found) + &raised);
+        if n_beginnings > 1 {
+            let sentence = format!("begun {n_beginnings} times: {HISTORY}");
+            remarks.push(Finding::new(Severity::Note, "fit", sentence, ""));
+        }
         let is_whole = worth.is_some() && held.is_empty();
-        let findings = if is_whole { self.findings_of_check(&mut report, &cancelled) } else { Vec::new() };
-        let worth = worth.filter(|_| objective.is_sum_of_squares()).and_then(|mut options| {
+        let (at_start, at_end) =
+            self.plain_residuals((&start, &report.x), (residuals, loss), &cancelled, &mut stats);
+        if let Some(at_end) = at_end.as_deref().filter(|_| is_whole && is_over(&report.termination)) {
+            let (from, to) = ((start.as_slice(), at_start.as_deref()), (report.x.as_slice(), at_end));
+            remarks.extend(self.check_after_fit(from, to, &cancelled, &mut stats));
+        }
+        let outputs =
+            at_end.map_or_else(Vec::new, |at_end| self.output_fits_of(&at_end, at_start.as_deref()));
+        let worth = worth.filter(|_| objective.has_worth()).and_then(|mut options| {
             options.workers = options.workers.or(described.workers);
             options.held.extend(&held);
-            let asked = WorthOptions { loss, ..options };
-            self.worth_of_fit((&mut report, &found), &tolerances, asked, (&cancelled, &mut stats))
+            let asked = WorthOptions { loss, is_likelihood: objective.is_likelihood(), ..options };
+            self.worth_of_fit((&report, &found), &tolerances, asked, (&cancelled, &mut stats))
         });
-        if n_beginnings > 1 {
-            report.message += &format!("; begun {n_beginnings} times: {HISTORY}");
-        }
         let start_cost =
             report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());
-        let outputs = self.output_fits((&start, &report.x), (residuals, loss), &cancelled, &mut stats);
         let mut rms = |x: &[f64], cost: Option<f64>| {
             // Of another cost the residuals have to be known.
             match objective.is_sum_of_squares() {
@@ -429,7 +472,7 @@ impl Calibration {
             shown_names,
             outputs,
             preflight,
-            findings,
+            setup_findings: remarks,
             worth,
             cost: report.fun,
             rms: rms(&report.x, Some(report.fun)).unwrap_or(f64::NAN),
@@ -463,27 +506,10 @@ impl Calibration {
         Some((outcome.value()?, self.rms(x, sum, loss)))
     }
 
-    /// What is likely not meant as it was given, added to the message of a run: no fit ends as converged without it.
-    pub(crate) fn findings_of_check(
-        &self,
-        report: &mut Report,
-        cancelled: &dyn Fn() -> bool,
-    ) -> Vec<Finding> {
-        if !is_over(&report.termination) || cancelled() {
-            return Vec::new();
-        }
-        let found = self.check_until(true, cancelled).map(Check::into_doubts).unwrap_or_default();
-        for finding in &found {
-            report.message += &format!("; {}: {}", finding.subject, finding.sentence);
-        }
-        found
-    }
-
-    /// What the result of a run is worth, with what is to be said of it added to its message; `None` where it cannot be found out, or
-    /// shall not.
+    /// What the result of a run is worth; `None` where it cannot be found out, or shall not.
     pub(crate) fn worth_of_fit(
         &self,
-        (report, found): (&mut Report, &Findings),
+        (report, found): (&Report, &Findings),
         tolerances: &Tolerances,
         mut options: WorthOptions,
         (cancelled, stats): (&dyn Fn() -> bool, &mut Stats),
@@ -492,8 +518,8 @@ impl Calibration {
             return None;
         }
         let workers = options.workers.unwrap_or(1);
-        let mut simulations = Simulations::new(self, (options.loss, workers), cancelled).ok()?;
-        let inert = &found.without_effect;
+        let mut simulations = Simulations::new(self, (RobustLoss::default(), workers), cancelled).ok()?;
+        let (inert, criterion) = (&found.without_effect, options.criterion());
         let at_bound = found.at_bound.iter().map(|(index, _)| index);
         options.held.extend(at_bound.filter(|index| !inert.contains(index)));
         let known = KnownPoint {
@@ -504,16 +530,14 @@ impl Calibration {
             inert,
             f_tol: match tolerances.measure {
                 Measure::Relative => tolerances.f_tol,
-                Measure::Absolute => tolerances.f_tol / report.fun,
+                Measure::Absolute => tolerances.f_tol / report.fun.abs(),
             },
+            criterion,
         };
         let worth = self.worth_of(&report.x, options.estimator, &known, &mut simulations);
         *stats += simulations.stats;
         match worth {
-            Ok(worth) => {
-                report.message += &worth.remarks(known.f_tol);
-                Some(worth)
-            }
+            Ok(worth) => Some(worth),
             Err(error) => {
                 log::info!("what the fit is worth could not be found out: {error}");
                 None

@@ -70,13 +70,18 @@ impl Signal {
         let setup = |message: String| Err(CalibrationError::Setup(message));
         let source = match source {
             InputSource::Column(column) => {
-                let values = data.column(column)?;
+                let values = data.series(column)?;
                 let rows = || data.time().iter().zip(values).filter(|(_, v)| !v.is_nan());
-                if rows().next().is_none() {
-                    return setup(format!("all values of input column '{column}' are missing"));
+                match rows().count() {
+                    0 => return setup(format!("all values of input column '{column}' are missing")),
+                    n if n == values.len() => {
+                        SignalSource::Rows(data.time_series().shared(), values.shared())
+                    }
+                    _ => {
+                        let (times, values): (Vec<f64>, Vec<f64>) = rows().unzip();
+                        SignalSource::Rows(times.into(), values.into())
+                    }
                 }
-                let (times, values): (Vec<f64>, Vec<f64>) = rows().unzip();
-                SignalSource::Rows(times.into(), values.into())
             }
             InputSource::Constant(value) if !value.is_finite() => {
                 return setup(format!(

@@ -1,5 +1,6 @@
 //! What each entry of the residual vector stands for.
 
+use crate::data::Series;
 use crate::prior::Prior;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -27,11 +28,11 @@ pub struct OutputResiduals {
     /// Where they stand in the residual vector.
     pub range: Range<usize>,
     /// Times of the measurements, in s.
-    pub times: Vec<f64>,
+    pub times: Series,
     /// What was measured.
-    pub measured: Vec<f64>,
+    pub measured: Series,
     /// What the differences are multiplied with.
-    pub weights: Vec<f64>,
+    pub weights: Series,
 }
 
 /// The residual of a prior.

@@ -24,6 +24,7 @@ mod error;
 mod evaluate;
 mod experiment;
 mod export;
+mod finding;
 mod fit;
 mod identity;
 mod input;
@@ -49,20 +50,25 @@ mod solver;
 mod spot_checks;
 mod stages;
 mod validation;
+mod visible;
 mod warning;
 mod worth;
 
 pub use calibration::{Calibration, CalibrationBuilder};
-pub use check::{Check, Finding, Severity};
+pub use check::Check;
 pub use column_units::{InputColumn, recorded_inputs};
 pub use cross_validation::{CrossValidation, CrossValidationOptions, Fold};
-pub use data::{Data, PairUnit, TimeColumn, Unit, UnitConversion, UnitError, date_seconds, find_column};
+pub use data::{
+    ClockChange, CsvRequest, Data, DateError, PairUnit, Series, TimeColumn, Unit, UnitConversion, UnitError,
+    clock_change, date_seconds, find_column,
+};
 pub use dfo;
 pub use dfo::Kind;
 pub use effect::BoundSide;
 pub use error::CalibrationError;
 pub use experiment::{Experiment, InitialState, OutputScale, SimulationSettings, Weight};
 pub use export::{FmuExport, SavedFit, Table};
+pub use finding::{Finding, Severity};
 pub use fit::{Fit, FitObserver, FitOptions};
 pub use fmi;
 pub use layout::{OutputResiduals, PriorResidual, ResidualLayout};
@@ -80,5 +86,6 @@ pub use residual::quad_err;
 pub use solver::Solver;
 pub use stages::Stage;
 pub use validation::{ValidatedOutput, Validation, ValidationSet};
+pub use visible::visible;
 pub use warning::{SETUP_LOG_TARGET, SetupWarning};
 pub use worth::{Estimator, ResidualCheck, Worth, WorthOptions};

@@ -1,19 +1,32 @@
 //! Which measurements of an experiment count, with which weights, and when its simulation starts.
 
+use crate::data::Series;
 use crate::error::CalibrationError;
 use crate::experiment::{Experiment, Measured, Weight};
 use ode::Number;
-use std::borrow::Cow;
 
 /// Where no start time is given, a recording may begin so many of its sampling intervals after the model's.
 const MOST_BEFORE: f64 = 10.0;
 
-/// A measurement that counts.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Measurement {
-    pub(crate) time: f64,
-    pub(crate) value: f64,
-    pub(crate) weight: f64,
+/// The measurements of an output that count, in the order of time.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Counted {
+    pub(crate) times: Series,
+    pub(crate) values: Series,
+    pub(crate) weights: Series,
+}
+
+impl Counted {
+    /// Those of some rows, which are counted from 0.
+    fn rows(&self, keep: impl Fn(usize) -> bool) -> Self {
+        let n = self.times.len();
+        // What is whole is shared.
+        if (0..n).all(&keep) {
+            return self.clone();
+        }
+        let of = |series: &Series| (0..n).filter(|row| keep(*row)).map(|row| series[row]).collect();
+        Self { times: of(&self.times), values: of(&self.values), weights: of(&self.weights) }
+    }
 }
 
 /// What the simulation of an experiment is compared with.
@@ -21,8 +34,8 @@ pub(crate) struct Measurement {
 pub(crate) struct Measurements {
     /// Where the simulation starts.
     pub(crate) start_time: f64,
-    /// Per output, in the order of time, at least one.
-    pub(crate) outputs: Vec<Vec<Measurement>>,
+    /// Per output, at least one.
+    pub(crate) outputs: Vec<Counted>,
 }
 
 impl Measurements {
@@ -33,9 +46,8 @@ impl Measurements {
             return setup(format!("{source}: no output is compared with a column"));
         }
         let mut outputs = in_windows(experiment)?;
-        let first =
-            |outputs: &[Vec<Measurement>]| outputs.iter().map(|o| o[0].time).fold(f64::INFINITY, f64::min);
-        let last = outputs.iter().map(|o| o[o.len() - 1].time).fold(f64::NEG_INFINITY, f64::max);
+        let first = |outputs: &[Counted]| outputs.iter().map(|o| o.times[0]).fold(f64::INFINITY, f64::min);
+        let last = outputs.iter().filter_map(|o| o.times.last()).copied().fold(f64::NEG_INFINITY, f64::max);
         let warm_up = experiment.warm_up.unwrap_or(0.0);
         if !(warm_up.is_finite() && warm_up >= 0.0) {
             return setup(format!("warm_up = {} must be a number of seconds, not negative", Number(warm_up)));
@@ -46,8 +58,8 @@ impl Measurements {
         let rounding = 100.0 * f64::EPSILON / 2.0 * start_time.abs().max(last.abs());
         if experiment.warm_up.is_some() {
             for (measured, Measured { variable, column, .. }) in outputs.iter_mut().zip(&experiment.outputs) {
-                measured.retain(|m| m.time >= start_time + warm_up - rounding);
-                if measured.is_empty() {
+                *measured = measured.rows(|row| measured.times[row] >= start_time + warm_up - rounding);
+                if measured.times.is_empty() {
                     let [start, warm_up, last] = [start_time, warm_up, last].map(Number);
                     return setup(format!(
                         "{source}: no measurement of '{variable}' (column '{column}') is left after the warm-up of {warm_up} s from \
@@ -89,12 +101,12 @@ impl Measurements {
 
     /// The time of the last measurement.
     pub(crate) fn last_time(&self) -> f64 {
-        self.outputs.iter().filter_map(|o| o.last()).map(|m| m.time).fold(self.start_time, f64::max)
+        self.outputs.iter().filter_map(|o| o.times.last()).copied().fold(self.start_time, f64::max)
     }
 }
 
 /// The measurements in the windows that have a weight.
-fn in_windows(experiment: &Experiment) -> Result<Vec<Vec<Measurement>>, CalibrationError> {
+fn in_windows(experiment: &Experiment) -> Result<Vec<Counted>, CalibrationError> {
     let (data, time) = (&experiment.data, experiment.data.time());
     for (from, to) in &experiment.windows {
         if from.is_nan() || to.is_nan() || from > to {
@@ -120,16 +132,11 @@ fn in_windows(experiment: &Experiment) -> Result<Vec<Vec<Measurement>>, Calibrat
     let of_output = |Measured { variable, column, weight }: &Measured| {
         let weights = weights(experiment, (variable, column), weight)?;
         let measured = data.measured(column, rows.clone())?;
-        let of_row = |(row, value): (usize, &f64)| {
-            let (time, weight) = (time[row], weights[row % weights.len()]);
-            (!value.is_nan() && weight != 0.0 && counts(&time)).then_some(Measurement {
-                time,
-                value: *value,
-                weight,
-            })
-        };
-        let counted: Vec<Measurement> = rows.clone().zip(measured).filter_map(of_row).collect();
-        if counted.is_empty() {
+        let all = Counted { times: data.time_series().clone(), values: measured.clone(), weights };
+        let counted = all.rows(|row| {
+            rows.contains(&row) && !measured[row].is_nan() && all.weights[row] != 0.0 && counts(&time[row])
+        });
+        if counted.times.is_empty() {
             return setup(format!(
                 "{}: no measurement of '{variable}' (column '{column}') counts: all in the windows are missing, or have the weight 0",
                 data.source()
@@ -140,12 +147,12 @@ fn in_windows(experiment: &Experiment) -> Result<Vec<Vec<Measurement>>, Calibrat
     experiment.outputs.iter().map(of_output).collect()
 }
 
-/// The weights of an output: one for all, or one per row.
-fn weights<'a>(
-    experiment: &'a Experiment,
+/// The weights of an output, one per row.
+fn weights(
+    experiment: &Experiment,
     (variable, column): (&str, &str),
-    weight: &'a Weight,
-) -> Result<Cow<'a, [f64]>, CalibrationError> {
+    weight: &Weight,
+) -> Result<Series, CalibrationError> {
     let (data, n) = (&experiment.data, experiment.data.time().len());
     let (weights, place) = match weight {
         Weight::Constant(weight) if !(weight.is_finite() && *weight > 0.0) => {
@@ -155,11 +162,11 @@ fn weights<'a>(
                 "weight {weight} of output '{variable}' must be positive and finite{hint}"
             ));
         }
-        Weight::Constant(weight) => return Ok(Cow::Owned(vec![*weight])),
+        Weight::Constant(weight) => return Ok(vec![*weight; n].into()),
         Weight::Inverse(scale) => {
             let weight = 1.0 / scale.of(data.measured(column, 0..n)?);
             if weight.is_finite() && weight > 0.0 {
-                return Ok(Cow::Owned(vec![weight]));
+                return Ok(vec![weight; n].into());
             }
             let (scale, value) = (scale.name(), Number(1.0 / weight));
             return setup(format!(
@@ -167,7 +174,7 @@ fn weights<'a>(
                  number"
             ));
         }
-        Weight::Column(column) => (data.column(column)?, format!(" in column '{column}'")),
+        Weight::Column(column) => (data.series(column)?, format!(" in column '{column}'")),
         Weight::Rows(weights) if weights.len() != n => {
             return setup(format!(
                 "{} weights of output '{variable}' for {n} rows of {}: give a number, or one weight per row",
@@ -175,7 +182,7 @@ fn weights<'a>(
                 data.source()
             ));
         }
-        Weight::Rows(weights) => (&weights[..], String::new()),
+        Weight::Rows(weights) => (weights, String::new()),
     };
     match weights.iter().position(|w| !(w.is_finite() && *w >= 0.0)) {
         Some(row) => setup(format!(
@@ -183,23 +190,8 @@ fn weights<'a>(
             Number(weights[row]),
             Number(data.time()[row])
         )),
-        None => Ok(Cow::Borrowed(weights)),
+        None => Ok(weights.clone()),
     }
-}
-
-/// The weight of an output, counted from 0, times a factor.
-pub(crate) fn scaled_weight(
-    experiment: &Experiment,
-    output: usize,
-    factor: f64,
-) -> Result<Weight, CalibrationError> {
-    let Measured { variable, column, weight } = &experiment.outputs[output];
-    let scaled: Vec<f64> =
-        weights(experiment, (variable, column), weight)?.iter().map(|weight| factor * weight).collect();
-    Ok(match (weight, &scaled[..]) {
-        (Weight::Constant(_) | Weight::Inverse(_), [one]) => Weight::Constant(*one),
-        _ => Weight::Rows(scaled),
-    })
 }
 
 fn setup<T>(message: String) -> Result<T, CalibrationError> {

@@ -1,7 +1,8 @@
 //! Checks what parameters, delays and initial states name: variables of the model, outputs and inputs of the experiments.
 
+use crate::data::find_column;
 use crate::error::CalibrationError;
-use crate::experiment::{Experiment, InitialState};
+use crate::experiment::{Experiment, InitialState, Measured};
 use crate::parameter::{Parameter, Target};
 use fmi::ModelDescription;
 use ode::Number;
@@ -106,6 +107,36 @@ pub(crate) fn check_names(
     description: &ModelDescription,
 ) -> Result<(), CalibrationError> {
     let setup = |message: String| Err(CalibrationError::Setup(message));
+    for (i, output) in experiment.outputs.iter().enumerate() {
+        let full = |column: &str| experiment.data.full_name(column).map(str::to_owned);
+        let column = full(&output.column);
+        let has = |name: &str| find_column(experiment.data.all_names(), name).is_ok();
+        let (variable, named) = (&output.variable, &output.column);
+        if !has(named)
+            && has(variable)
+            && description.variable(named).is_some()
+            && description.variable(variable).is_none()
+        {
+            return setup(format!(
+                "output '{variable}' with the column '{named}' is the wrong way round: '{named}' is a variable of the model and '{variable}' a \
+                 column; outputs map variables to columns, {{\"{named}\": \"{variable}\"}}"
+            ));
+        }
+        // A variable that there is not is named elsewhere.
+        let is_known = |name: &str| description.variable(name).is_some();
+        let same = |other: &&Measured| {
+            column.is_some()
+                && full(&other.column) == column
+                && other.variable != output.variable
+                && [&other.variable, variable].iter().all(|name| is_known(name))
+        };
+        if let Some(other) = experiment.outputs[..i].iter().find(same) {
+            return setup(format!(
+                "column '{}' is compared with two outputs, '{}' and '{}': give each the column that measured it",
+                output.column, other.variable, output.variable
+            ));
+        }
+    }
     for (i, (variable, delay)) in experiment.delays.iter().enumerate() {
         if !experiment.shifts(variable) {
             let known = experiment.shifted_names().collect::<Vec<_>>().join(", ");

@@ -11,7 +11,7 @@ use std::sync::Arc;
 /// deviation of the noise, the sum of squares is twice the negative logarithm of the likelihood, up to a constant.
 ///
 /// Sums of squares (a [custom](Self::Custom) one, too) give their residuals to least squares; only the one of the residuals themselves
-/// can be given up early, has a robust loss, and a [worth](crate::Fit::worth). All others go to methods that see the cost alone.
+/// can be given up early and has a robust loss. All others go to methods that see the cost alone.
 #[derive(Debug, Clone, Default)]
 #[non_exhaustive]
 pub enum CostKind {
@@ -114,6 +114,13 @@ impl CustomCost {
 }
 
 impl CostKind {
+    /// The cost of this name, as [`name`](Self::name) gives it; `None`: it is a function of the user's.
+    pub fn of_name(name: &str) -> Option<Self> {
+        let named = [NamedCost::Mae, NamedCost::Rmse, NamedCost::Nrmse, NamedCost::Likelihood];
+        let named = named.into_iter().map(Self::Named);
+        std::iter::once(Self::SumOfSquares).chain(named).find(|kind| kind.name() == name)
+    }
+
     /// "sum-of-squares", a name as of [`NamedCost::name`], or that of a function of the user's.
     pub fn name(&self) -> &str {
         match self {
@@ -126,6 +133,21 @@ impl CostKind {
     /// Whether it is the sum of the squares of the residuals themselves.
     pub fn is_sum_of_squares(&self) -> bool {
         matches!(self, Self::SumOfSquares)
+    }
+
+    /// Whether a fit of it has a [worth](crate::Fit::worth): the sum of squares, with a loss too, and the likelihood.
+    pub fn has_worth(&self) -> bool {
+        self.is_sum_of_squares() || self.is_likelihood()
+    }
+
+    pub(crate) fn is_likelihood(&self) -> bool {
+        matches!(self, Self::Named(NamedCost::Likelihood))
+    }
+
+    /// The size of a cost that differences of it are compared with: the cost, where it cannot be negative or nothing is known of it. Of
+    /// the likelihood the part of it that goes with a relative change of the sums of squares: N / 2.
+    pub(crate) fn size(&self, cost: f64, n_measurements: usize) -> f64 {
+        if self.is_likelihood() { 0.5 * n_measurements as f64 } else { cost.abs() }
     }
 
     /// Whether it is a sum of squares, of which least squares can have the residuals.
@@ -181,7 +203,7 @@ impl CostKind {
 }
 
 impl NamedCost {
-    fn cost(self, layout: &ResidualLayout, residuals: &[f64]) -> f64 {
+    pub(crate) fn cost(self, layout: &ResidualLayout, residuals: &[f64]) -> f64 {
         let of_measurements = &residuals[..layout.n_measurements()];
         let n = of_measurements.len() as f64;
         let squares = |of: &[f64]| of.iter().map(|r| r * r).sum::<f64>();
@@ -267,9 +289,9 @@ mod tests {
                 output: 0,
                 variable: variable.to_owned(),
                 column: variable.to_owned(),
-                times: vec![0.0; range.len()],
+                times: vec![0.0; range.len()].into(),
                 measured: (0..range.len()).map(|i| i as f64).collect(),
-                weights: vec![weight; range.len()],
+                weights: vec![weight; range.len()].into(),
                 range,
             };
         let outputs = vec![output(0, "x", 0..2, 1.0), output(0, "y", 2..5, 2.0), output(1, "x", 5..7, 1.0)];

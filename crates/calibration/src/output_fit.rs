@@ -69,15 +69,15 @@ impl KeptResiduals {
 }
 
 impl Calibration {
-    /// How well each output is reproduced at `x`, and was at the start of a fit: from residuals that are known, else from
-    /// simulations, as long as it is not cancelled. Empty if there are no residuals at `x`.
-    pub(crate) fn output_fits(
+    /// The residuals at the start of a fit and at `x`, without a loss: those that are known, else from simulations, as long as it is
+    /// not cancelled. None at the start where there are none at `x`.
+    pub(crate) fn plain_residuals(
         &self,
         (start, x): (&[f64], &[f64]),
         (known, loss): (KeptResiduals, RobustLoss),
         cancelled: &dyn Fn() -> bool,
         stats: &mut Stats,
-    ) -> Vec<OutputFit> {
+    ) -> (Option<Vec<f64>>, Option<Vec<f64>>) {
         let [at_start, at_end] = known.plain(x, loss);
         let mut simulated = |x: &[f64]| {
             let mut residuals = vec![0.0; self.n_residuals()];
@@ -85,12 +85,11 @@ impl Calibration {
             let cost = (!cancelled()).then(|| self.evaluate_into(x, rule, &mut residuals, stats));
             cost.is_some_and(|cost| cost.is_ok()).then_some(residuals)
         };
-        let Some(at_end) = at_end.or_else(|| simulated(x)) else { return Vec::new() };
-        let at_start = at_start.or_else(|| simulated(start));
-        self.output_fits_of(&at_end, at_start.as_deref())
+        let Some(at_end) = at_end.or_else(|| simulated(x)) else { return (None, None) };
+        (at_start.or_else(|| simulated(start)), Some(at_end))
     }
 
-    /// The same from the plain residuals at both points.
+    /// How well each output is reproduced, and was at the start of a fit, from the plain residuals.
     pub(crate) fn output_fits_of(&self, at_end: &[f64], at_start: Option<&[f64]>) -> Vec<OutputFit> {
         let of_output = |series: &OutputResiduals| {
             let rms = |residuals: &[f64]| {

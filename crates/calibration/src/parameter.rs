@@ -28,6 +28,9 @@ pub struct Tie {
     pub factor: f64,
     /// Offset, in the unit of the parameter that is tied.
     pub offset: f64,
+    /// Whether the factor has a unit, so that both may have unlike ones.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub across_units: bool,
 }
 
 /// A parameter to be fitted.
@@ -86,7 +89,18 @@ impl Parameter {
     /// It is no entry of the vectors of values; the results list its value. Of a [local](Self::local) one it follows the value in
     /// each experiment. Bounds, scale, prior and the like are those of the other one.
     pub fn tied(name: impl Into<String>, to: impl Into<String>, factor: f64, offset: f64) -> Self {
-        Self { tie: Some(Tie { to: to.into(), factor, offset }), ..Self::new(name, 0.0) }
+        let tie = Tie { to: to.into(), factor, offset, across_units: false };
+        Self { tie: Some(tie), ..Self::new(name, 0.0) }
+    }
+
+    /// Says that the factor of a [tied](Self::tied) parameter has a unit: without it both parameters must be quantities of one kind, and
+    /// have one unit where the factor is 1.
+    #[must_use]
+    pub fn across_units(mut self, across_units: bool) -> Self {
+        if let Some(tie) = &mut self.tie {
+            tie.across_units = across_units;
+        }
+        self
     }
 
     /// The variables of the model that it sets, all to the same value; its name is free then.
@@ -361,6 +375,18 @@ impl Parameter {
         if let Some(problem) = self.prior.and_then(|prior| prior.problem()) {
             return bad(problem);
         }
+        let likeliest = self.prior.map(|prior| match prior {
+            Prior::Normal { mean, .. } => ("mean", mean),
+            Prior::LogNormal { median, .. } => ("median", median),
+        });
+        if let Some((what, value)) = likeliest.filter(|(_, value)| !(*lower..=*upper).contains(value))
+            && !self.fixed
+        {
+            let value = Number(value);
+            return bad(format!(
+                "the {what} of its prior, {value}, is outside of its bounds {low} and {high}: widen the bounds, or correct the prior"
+            ));
+        }
         if matches!(self.prior, Some(Prior::LogNormal { .. }))
             && !self.fixed
             && self.scale != Scale::Log
@@ -379,7 +405,7 @@ impl Parameter {
         Ok(())
     }
 
-    fn check_tie(&self, Tie { to, factor, offset }: &Tie) -> Result<(), CalibrationError> {
+    fn check_tie(&self, Tie { to, factor, offset, across_units }: &Tie) -> Result<(), CalibrationError> {
         let Self { name, target, unit, display_name, .. } = self;
         let bad = |message: String| Err(CalibrationError::Parameter { name: name.clone(), message });
         if !factor.is_finite() || *factor == 0.0 || !offset.is_finite() {
@@ -393,7 +419,7 @@ impl Parameter {
             target: target.clone(),
             unit: unit.clone(),
             display_name: display_name.clone(),
-            ..Self::tied(name, to, *factor, *offset)
+            ..Self::tied(name, to, *factor, *offset).across_units(*across_units)
         };
         if *self != bare {
             return bad(format!(
@@ -434,6 +460,11 @@ mod tests {
             (normal(0.5, 0.0), "mean 0.5 and sd 0"),
             (relative(0.1, -1.0), "median 1 and sigma -1"),
             (relative(0.0, 0.1), "give a lower bound above 0"),
+            (normal(1.5, 1.0), "the mean of its prior, 1.5, is outside of its bounds 0 and 1"),
+            (
+                p(0.5, 0.2, 0.9).prior(Prior::LogNormal { median: 0.1, sigma: 1.0 }),
+                "the median of its prior, 0.1, is outside",
+            ),
             (p(0.5, f64::NEG_INFINITY, 1.0).delay_of("y"), "a delay needs a finite lower bound"),
             (p(0.5, 0.0, 1.0).variables([""; 0]), "variables is empty"),
             (Parameter::tied("k", "c", 0.0, 1.0), "factor 0 and offset 1"),

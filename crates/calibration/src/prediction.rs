@@ -1,9 +1,11 @@
 //! Prediction bands: how uncertain the parameters of a fit leave what the model predicts.
 
 use crate::calibration::Calibration;
+use crate::effect::{inner, outer};
 use crate::error::CalibrationError;
 use crate::fit::Fit;
 use crate::parallel;
+use crate::parameter::Parameter;
 use crate::worth::{Worth, check_level};
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use ode::Number;
@@ -27,6 +29,8 @@ pub struct BandOptions {
     pub times: Option<Vec<f64>>,
     /// The probability that an interval shall hold; default 0.95.
     pub level: f64,
+    /// Whether autocorrelated residuals are taken account of, as [`Worth::covariance`] does; default yes.
+    pub is_corrected: bool,
     /// Only these outputs; default: all that are compared.
     pub outputs: Option<Vec<String>>,
     /// Simulations that run at once; default: all cores. The result does not depend on it.
@@ -35,7 +39,7 @@ pub struct BandOptions {
 
 impl Default for BandOptions {
     fn default() -> Self {
-        Self { times: None, level: 0.95, outputs: None, workers: None }
+        Self { times: None, level: 0.95, is_corrected: true, outputs: None, workers: None }
     }
 }
 
@@ -78,10 +82,11 @@ impl Calibration {
     /// Seber and Wild, Nonlinear Regression, 1989, section 5.1): the variance of an output y is `J C J'`, with `J = dy/dx` and C the
     /// [covariance](Worth::covariance). With `C = L L'`, L the principal axes, it is the sum of the squares of the changes of y over
     /// one standard error along each axis, which are taken from two simulations each. A new measurement has the variance of the residuals
-    /// of this output on top. Intervals are by Student's t.
+    /// of this output on top. Intervals are by Student's t, with the fewest [degrees of
+    /// freedom](Worth::effective_degrees_of_freedom) of the parameters; autocorrelated residuals are in the covariance.
     ///
     /// # Errors
-    /// A fit without [worth](Fit::worth), or with parameters that the data do not determine; a level that does not lie between 0 and 1,
+    /// A fit without [worth](Fit::worth), without degrees of freedom, or with parameters that the data do not determine; a level that does not lie between 0 and 1,
     /// an output that is not compared, times that cannot be used; simulations that fail; [`CalibrationError::Cancelled`].
     pub fn prediction_bands(
         &self,
@@ -94,10 +99,11 @@ impl Calibration {
         let Some(worth) = &fit.worth else {
             return setup(
                 "a prediction band needs the covariance of the parameters: this fit has none, for it was ended early, told not to find out \
-                 what it is worth, or did not minimise a sum of squares"
+                 what it is worth, or minimised neither a sum of squares nor the likelihood"
                     .to_owned(),
             );
         };
+        let worth = &if options.is_corrected { worth.clone() } else { worth.uncorrected() };
         if !worth.undetermined.is_empty() {
             let names: Vec<&str> = worth.undetermined.iter().map(|i| fit.names[*i].as_str()).collect();
             return setup(format!(
@@ -105,7 +111,16 @@ impl Calibration {
                 names.join(", ")
             ));
         }
-        let quantile = check_level(options.level, worth.degrees_of_freedom)?;
+        if worth.degrees_of_freedom == 0 {
+            return setup(format!(
+                "there is no prediction band: {} residuals are no more than the parameters that were fitted, and say nothing of the \
+                 noise; fit fewer parameters, or give more measurements",
+                worth.residuals.len()
+            ));
+        }
+        let of_noise = check_level(options.level, worth.degrees_of_freedom as f64)?;
+        let fewest = worth.effective_degrees_of_freedom.iter().copied().fold(f64::INFINITY, f64::min);
+        let quantile = check_level(options.level, fewest)?;
         let known: Vec<&str> =
             self.residual_layout().outputs.iter().map(|output| output.variable.as_str()).collect();
         let chosen = options.outputs.as_deref();
@@ -121,7 +136,11 @@ impl Calibration {
         let steps = self.principal_steps(fit, worth);
         let point = |step: &Step, by: f64| -> Vec<f64> {
             let moved = fit.x.iter().zip(step.direction.iter()).zip(self.parameters());
-            moved.map(|((x, d), p)| (x + by * d).clamp(p.lower(), p.upper())).collect()
+            let value = |((x, d), p): ((&f64, &f64), &Parameter)| match *d {
+                0.0 => *x,
+                d => outer(p, inner(p, *x) + by * d).clamp(p.lower(), p.upper()),
+            };
+            moved.map(value).collect()
         };
         let mut points = vec![fit.x.clone()];
         for step in &steps {
@@ -164,7 +183,7 @@ impl Calibration {
             }
             let standard_errors: Vec<f64> = variances.iter().map(|v| v.sqrt()).collect();
             let at = |sign: f64, noise: f64| -> Vec<f64> {
-                let width = |v: &f64| sign * quantile * (v + noise * noise).sqrt();
+                let width = |v: &f64| sign * (quantile * quantile * v + (of_noise * noise).powi(2)).sqrt();
                 values.iter().zip(&variances).map(|(y, v)| y + width(v)).collect()
             };
             let declared = self.fmu().description().variable(&output.variable);
@@ -185,10 +204,11 @@ impl Calibration {
         Ok(outputs.map(band).collect())
     }
 
-    /// Steps of one standard error along the principal axes of the correlation, as far as the bounds let them go.
+    /// Steps of one standard error along the principal axes of the correlation, in the coordinates of the search, as far as the bounds let
+    /// them go.
     fn principal_steps(&self, fit: &Fit, worth: &Worth) -> Vec<Step> {
         let n = fit.x.len();
-        let errors = &worth.standard_errors;
+        let errors: Vec<f64> = worth.errors_of_search().collect();
         let free: Vec<usize> = (0..n).filter(|&i| errors[i] > 0.0 && errors[i].is_finite()).collect();
         let correlation =
             DMatrix::from_fn(free.len(), free.len(), |a, b| worth.correlation[free[a] * n + free[b]]);
@@ -204,14 +224,18 @@ impl Calibration {
             }
             let (mut part, mut forward, mut backward) = (0.0_f64, f64::INFINITY, f64::INFINITY);
             for (i, p) in self.parameters().iter().enumerate().filter(|(i, _)| direction[*i] != 0.0) {
-                let (x, d) = (fit.x[i], direction[i]);
-                let (up, down) = ((p.upper() - x) / d.abs(), (x - p.lower()) / d.abs());
+                let (x, d) = (inner(p, fit.x[i]), direction[i]);
+                let (up, down) = ((inner(p, p.upper()) - x) / d.abs(), (x - inner(p, p.lower())) / d.abs());
                 (forward, backward) = if d > 0.0 {
                     (forward.min(up), backward.min(down))
                 } else {
                     (forward.min(down), backward.min(up))
                 };
-                let size = if x == 0.0 { self.size_of(p, x) } else { x.abs() };
+                let size = match (worth.is_log[i], x.abs()) {
+                    (true, _) => 1.0,
+                    (false, 0.0) => self.size_of(p, x),
+                    (false, size) => size,
+                };
                 part = part.max(d.abs() / size);
             }
             let length = (SHORTEST / part).max(1.0);

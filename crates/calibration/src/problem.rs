@@ -1,11 +1,13 @@
 //! What is fitted to what, as plain data: it can be stored, and sent to other processes.
 
+use crate::data::{UnitConversion, UnitError};
 use crate::error::CalibrationError;
 use crate::experiment::{Experiment, InitialState, SimulationSettings};
 use crate::names::{check_names, check_targets};
 use crate::parameter::{Parameter, Tie};
-use crate::warning::{SetupWarning, ignored_nominals, unused_columns};
+use crate::warning::{SetupWarning, clock_change, ignored_nominals, unused_columns};
 use fmi::{FmiError, Fmu, ModelDescription};
+use ode::Number;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -188,15 +190,50 @@ impl Problem {
             return Err(CalibrationError::Setup(format!("two experiments are named '{}'", names[twice])));
         }
         check_targets(&self.parameters, &self.experiments, &names, description)?;
+        for parameter in &self.parameters {
+            if let Some(tie) = parameter.tie().filter(|tie| !tie.across_units) {
+                check_units_of_tie(
+                    (parameter, &self.parameters[self.tied_to(parameter, tie)?]),
+                    tie,
+                    description,
+                )?;
+            }
+        }
         let mut warnings = Vec::new();
         for (k, experiment) in self.experiments.iter().enumerate() {
             let checked = check_names(experiment, &self.parameters, description)
                 .and_then(|()| experiment.check_start_values(description, &self.parameters));
             checked.map_err(|error| self.error_in(k, error))?;
-            let unused = unused_columns(description, experiment).into_iter();
-            warnings.extend(unused.map(|warning| self.warning_in(k, warning)));
+            let doubts = unused_columns(description, experiment).into_iter().chain(clock_change(experiment));
+            warnings.extend(doubts.map(|warning| self.warning_in(k, warning)));
         }
         warnings.extend(ignored_nominals(&self.parameters));
         Ok(warnings)
     }
+}
+
+/// Refuses a tie between quantities of unlike kinds, and one of equal numbers in unlike units.
+fn check_units_of_tie(
+    (parameter, other): (&Parameter, &Parameter),
+    tie: &Tie,
+    description: &ModelDescription,
+) -> Result<(), CalibrationError> {
+    let (Some(own), Some(of_other)) = (parameter.unit(description), other.unit(description)) else {
+        return Ok(());
+    };
+    let is_equal = tie.factor == 1.0 && tie.offset == 0.0;
+    let is_like = own == of_other
+        || match UnitConversion::between(own, of_other) {
+            Ok(conversion) => conversion.is_identity() || !is_equal,
+            Err(reason) => !matches!(reason, UnitError::Dimension { .. }),
+        };
+    if is_like {
+        return Ok(());
+    }
+    let (name, to) = (parameter.name().to_owned(), &tie.to);
+    let message = format!(
+        "is in '{own}', and '{to}', which it is tied to, in '{of_other}': give across_units = true if the factor {} turns one into the other",
+        Number(tie.factor)
+    );
+    Err(CalibrationError::Parameter { name, message })
 }

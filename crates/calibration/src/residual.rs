@@ -1,7 +1,8 @@
 //! Simulated against measured, sample by sample while the simulation runs; no trajectory is stored.
 
+use crate::data::Series;
 use crate::layout::OutputResiduals;
-use crate::measurements::Measurement;
+use crate::measurements::Counted;
 use dfo::RobustLoss;
 use ode::{Observer, Sample};
 use std::ops::ControlFlow;
@@ -10,118 +11,104 @@ use std::ops::ControlFlow;
 /// time.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Comparison {
-    points: Vec<Point>,
-    n_outputs: usize,
-}
-
-/// A measurement that counts.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Point {
-    output: usize,
-    time: f64,
-    measured: f64,
-    weight: f64,
+    outputs: Vec<Counted>,
+    /// Where the residuals of each output begin, and where those of the last end.
+    begins: Vec<usize>,
 }
 
 /// At which times the simulation is sampled, and which measurements each sample is compared with.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct Schedule {
     /// Ascending, each once.
-    pub(crate) times: Vec<f64>,
-    /// Where the measurements of each time end.
-    ends: Vec<usize>,
-    /// Measurements by number, those of one time together.
-    points: Vec<usize>,
+    pub(crate) times: Series,
+    /// Per output, the sample that each of its measurements is compared with, ascending; none: each has its own.
+    samples: Vec<Vec<u32>>,
 }
 
 impl Comparison {
-    pub(crate) fn new(outputs: &[Vec<Measurement>]) -> Self {
-        let point = |output: usize| {
-            move |m: &Measurement| Point { output, time: m.time, measured: m.value, weight: m.weight }
-        };
-        let points =
-            outputs.iter().enumerate().flat_map(|(output, measured)| measured.iter().map(point(output)));
-        Self { points: points.collect(), n_outputs: outputs.len() }
+    pub(crate) fn new(outputs: &[Counted]) -> Self {
+        let begins = outputs.iter().scan(0, |end, output| {
+            *end += output.times.len();
+            Some(*end)
+        });
+        Self { begins: std::iter::once(0).chain(begins).collect(), outputs: outputs.to_vec() }
     }
 
     /// How many residuals there are.
     pub(crate) fn n_residuals(&self) -> usize {
-        self.points.len()
+        self.begins[self.outputs.len()]
     }
 
     /// The samples of outputs that are late by these delays, of which none is before the start of the simulation; times within
     /// rounding are one.
     pub(crate) fn schedule(&self, delays: impl Fn(usize) -> f64, start: f64) -> Schedule {
-        let delays: Vec<f64> = (0..self.n_outputs).map(delays).collect();
-        let mut sampled: Vec<(f64, usize)> = self
-            .points
-            .iter()
-            .enumerate()
-            .map(|(i, p)| ((p.time - delays[p.output]).max(start), i))
-            .collect();
-        // Stable: at one time the outputs stay in their order.
-        sampled.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let last = sampled.last().map_or(start, |(time, _)| *time);
+        let delays: Vec<f64> = (0..self.outputs.len()).map(delays).collect();
+        let time = |output: usize, time: f64| (time - delays[output]).max(start);
+        let ends = self.outputs.iter().enumerate().filter_map(|(k, o)| Some(time(k, *o.times.last()?)));
+        let last = ends.fold(start, f64::max);
         let rounding = 100.0 * f64::EPSILON / 2.0 * start.abs().max(last.abs()).max(last - start);
-        let mut schedule = Schedule::default();
-        for (time, point) in sampled {
-            schedule.points.push(point);
-            if schedule.times.last().is_some_and(|known| time - known <= rounding) {
-                schedule.ends.pop();
-            } else {
-                schedule.times.push(time);
-            }
-            schedule.ends.push(schedule.points.len());
+        let is_apart = |times: &[f64]| times.windows(2).all(|pair| pair[1] - pair[0] > rounding);
+        if let Some((first, others)) = self.outputs.split_first()
+            && delays.iter().all(|delay| *delay == 0.0)
+            && others.iter().all(|other| other.times == first.times)
+            && first.times.first().is_some_and(|first| *first >= start)
+            && is_apart(&first.times)
+        {
+            return Schedule { times: first.times.clone(), samples: Vec::new() };
         }
-        schedule
+        let mut next = vec![0; self.outputs.len()];
+        let mut samples: Vec<Vec<u32>> =
+            self.outputs.iter().map(|o| Vec::with_capacity(o.times.len())).collect();
+        let mut times: Vec<f64> = Vec::new();
+        // The earliest of the measurements that are left.
+        while let Some((now, output)) = (self.outputs.iter().enumerate())
+            .filter_map(|(k, o)| Some((time(k, *o.times.get(next[k])?), k)))
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+        {
+            next[output] += 1;
+            if !times.last().is_some_and(|known| now - known <= rounding) {
+                times.push(now);
+            }
+            samples[output].push(u32::try_from(times.len() - 1).unwrap_or(u32::MAX));
+        }
+        Schedule { times: times.into(), samples }
     }
 
     /// Outputs that are only sampled, all at these times.
     pub(crate) fn at_times(times: &[f64], n_outputs: usize) -> Self {
-        let at = |time: &f64| Measurement { time: *time, value: f64::NAN, weight: 1.0 };
-        Self::new(&vec![times.iter().map(at).collect(); n_outputs])
+        let none: Series = vec![f64::NAN; times.len()].into();
+        let output = Counted { times: times.to_vec().into(), values: none.clone(), weights: none };
+        Self::new(&vec![output; n_outputs])
     }
 
     /// Per output, its values where it is compared, from columns of samples.
     pub(crate) fn gather(&self, schedule: &Schedule, columns: &[Vec<f64>]) -> Vec<Vec<f64>> {
-        let mut sample_of = vec![0; self.points.len()];
-        for sample in 0..schedule.times.len() {
-            schedule.at(sample).iter().for_each(|&number| sample_of[number] = sample);
-        }
-        let mut gathered = vec![Vec::new(); self.n_outputs];
-        for (point, sample) in self.points.iter().zip(sample_of) {
-            gathered[point.output].push(columns[point.output][sample]);
-        }
-        gathered
+        let of_output = |(k, output): (usize, &Counted)| {
+            (0..output.times.len()).map(|row| columns[k][schedule.sample_of(k, row)]).collect()
+        };
+        self.outputs.iter().enumerate().map(of_output).collect()
     }
 
     /// What stands in the residual vector, output by output, from position `offset` on.
-    pub(crate) fn layout(&self, mut offset: usize) -> Vec<OutputResiduals> {
-        let of_output = |output: usize| {
-            let points = || self.points.iter().filter(move |p| p.output == output);
-            let measured: Vec<f64> = points().map(|p| p.measured).collect();
-            let range = offset..offset + measured.len();
-            offset = range.end;
-            OutputResiduals {
-                experiment: 0,
-                output,
-                variable: String::new(),
-                column: String::new(),
-                range,
-                times: points().map(|p| p.time).collect(),
-                measured,
-                weights: points().map(|p| p.weight).collect(),
-            }
+    pub(crate) fn layout(&self, offset: usize) -> Vec<OutputResiduals> {
+        let of_output = |(output, counted): (usize, &Counted)| OutputResiduals {
+            experiment: 0,
+            output,
+            variable: String::new(),
+            column: String::new(),
+            range: offset + self.begins[output]..offset + self.begins[output + 1],
+            times: counted.times.clone(),
+            measured: counted.values.clone(),
+            weights: counted.weights.clone(),
         };
-        (0..self.n_outputs).map(of_output).collect()
+        self.outputs.iter().enumerate().map(of_output).collect()
     }
 }
 
 impl Schedule {
-    /// The measurements that are compared with a sample, by number.
-    fn at(&self, sample: usize) -> &[usize] {
-        let begin = sample.checked_sub(1).map_or(0, |before| self.ends[before]);
-        &self.points[begin..self.ends[sample]]
+    /// The sample that a measurement of an output is compared with.
+    fn sample_of(&self, output: usize, row: usize) -> usize {
+        self.samples.get(output).map_or(row, |samples| samples[row] as usize)
     }
 }
 
@@ -161,6 +148,8 @@ pub(crate) struct Accumulator<'a> {
     pub(crate) sum: f64,
     /// Samples seen.
     seen: usize,
+    /// Per output, the first measurement that is not compared yet.
+    next: Vec<usize>,
     /// Where the residuals go.
     out: &'a mut [f64],
     pub(crate) stop: Option<Stop>,
@@ -184,7 +173,8 @@ impl<'a> Accumulator<'a> {
         rule: CostRule<'a>,
         (sum, out): (f64, &'a mut [f64]),
     ) -> Self {
-        Self { comparison, schedule, offsets, rule, sum, seen: 0, out, stop: None }
+        let next = vec![0; comparison.outputs.len()];
+        Self { comparison, schedule, offsets, rule, sum, seen: 0, next, out, stop: None }
     }
 
     /// Whether every requested time has been delivered.
@@ -201,14 +191,18 @@ impl<'a> Accumulator<'a> {
 impl Observer for Accumulator<'_> {
     fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()> {
         let Some(index) = sample.index else { return ControlFlow::Continue(()) };
-        for &number in self.schedule.at(index) {
-            let Point { output, measured, weight, .. } = self.comparison.points[number];
-            let simulated = sample.outputs[output] + self.offsets[output];
-            let residual = self.rule.loss.transform(weight * (simulated - measured));
-            self.out[number] = residual;
-            self.sum += residual * residual;
-            if !self.sum.is_finite() {
-                return self.end(Stop::NotFinite(output));
+        for (k, output) in self.comparison.outputs.iter().enumerate() {
+            while self.next[k] < output.times.len() && self.schedule.sample_of(k, self.next[k]) == index {
+                let row = self.next[k];
+                self.next[k] += 1;
+                let simulated = sample.outputs[k] + self.offsets[k];
+                let residual =
+                    self.rule.loss.transform(output.weights[row] * (simulated - output.values[row]));
+                self.out[self.comparison.begins[k] + row] = residual;
+                self.sum += residual * residual;
+                if !self.sum.is_finite() {
+                    return self.end(Stop::NotFinite(k));
+                }
             }
         }
         self.seen = index + 1;
@@ -291,8 +285,12 @@ mod tests {
     use super::*;
     use ode::Side;
 
-    fn measured(rows: &[(f64, f64)]) -> Vec<Measurement> {
-        rows.iter().map(|&(time, value)| Measurement { time, value, weight: 1.0 }).collect()
+    fn measured(rows: &[(f64, f64)]) -> Counted {
+        Counted {
+            times: rows.iter().map(|row| row.0).collect(),
+            values: rows.iter().map(|row| row.1).collect(),
+            weights: vec![1.0; rows.len()].into(),
+        }
     }
 
     fn sample<'a>(index: usize, outputs: &'a [f64]) -> Sample<'a> {
@@ -302,10 +300,10 @@ mod tests {
     #[test]
     fn the_vector_is_ordered_output_by_output() {
         let mut second = measured(&[(0.0, 10.0), (1.0, 20.0)]);
-        second.iter_mut().for_each(|m| m.weight = 2.0);
+        second.weights = vec![2.0; 2].into();
         let c = Comparison::new(&[measured(&[(0.0, 1.0), (1.0, 2.0), (3.0, 3.0)]), second]);
         let schedule = c.schedule(|_| 0.0, 0.0);
-        assert_eq!(schedule.times, [0.0, 1.0, 3.0]);
+        assert_eq!(schedule.times[..], [0.0, 1.0, 3.0]);
         assert_eq!(c.n_residuals(), 5);
         let mut out = [f64::NAN; 5];
         let rule = CostRule::whole(RobustLoss::default(), &|| false);
@@ -328,8 +326,7 @@ mod tests {
         let schedule = c.schedule(|output| [0.4, 0.1][output], 0.0);
         // 1 - 0.4 and 0.7 - 0.1 are one up to rounding.
         assert_eq!(schedule.times.len(), 4);
-        let at: Vec<&[usize]> = (0..4).map(|k| schedule.at(k)).collect();
-        assert_eq!(at, [&[0][..], &[1, 3], &[4], &[2]], "{:?}", schedule.times);
+        assert_eq!(schedule.samples, [vec![0, 1, 3], vec![1, 2]], "{:?}", schedule.times);
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! How an experiment is simulated: its plan, what the entries of `x` set in it, and what it is compared with.
 
 use crate::assignment::{Affine, Assignments, initial_values};
+use crate::data::Series;
 use crate::error::CalibrationError;
 use crate::experiment::{Experiment, InitialState};
 use crate::input::{Shift, Signal};
@@ -23,13 +24,13 @@ pub(crate) struct Simulation {
     pub(crate) name: String,
     /// Simulators with the method that the settings name.
     pub(crate) pool: Pool,
-    /// The same at the parameters' start values, by which others are made with another method.
+    /// The same at the parameters' start values, without the times of the rows.
     pub(crate) options: SimulateOptions,
     pub(crate) comparison: Comparison,
     /// That of the start values.
     schedule: Schedule,
     /// At which something was measured.
-    times: Vec<f64>,
+    times: Series,
     signals: Vec<Signal>,
     assigned: Assignments,
     /// Delays of outputs, or delays or offsets of inputs, follow `x`.
@@ -70,7 +71,6 @@ impl Simulation {
         let options = SimulateOptions {
             start_time: Some(start_time),
             final_time: Some(final_time),
-            times: Some(times.clone()),
             start_values,
             parameters: names.clone(),
             outputs: Some(experiment.outputs.iter().map(|o| o.variable.clone()).collect()),
@@ -93,12 +93,13 @@ impl Simulation {
             fmu,
             &SimulateOptions {
                 final_time: Some(final_time.max(measurements.last_time())),
+                times: Some(times.to_vec()),
                 ..options.clone()
             },
         )?;
-        let options = SimulateOptions { times: Some(schedule.times.clone()), ..options };
         if is_late {
-            plan = plan.with_rows(&options)?;
+            plan =
+                plan.with_rows(&SimulateOptions { times: Some(schedule.times.to_vec()), ..options.clone() })?;
         }
         plan.require_single_numbers()?;
         experiment.check_outputs(description, &names)?;
@@ -158,6 +159,11 @@ impl Simulation {
     fn scheduled(&self, comparison: &Comparison, x: &[f64]) -> Schedule {
         let start = self.options.start_time.unwrap_or_default();
         comparison.schedule(|output| self.assigned.outputs[output].0.in_model(x), start)
+    }
+
+    /// The options at the parameters' start values, by which others are made with another method.
+    pub(crate) fn options_at_start(&self) -> SimulateOptions {
+        SimulateOptions { times: Some(self.schedule.times.to_vec()), ..self.options.clone() }
     }
 
     /// The options at `x`, with these rows.
@@ -302,7 +308,7 @@ fn final_time(
                 format!("a delay follows it that may be {} s: give it finite bounds", Number(lowest));
             return Err(CalibrationError::Parameter { name, message });
         }
-        end = measured.iter().fold(end, |end, m| end.max(m.time - lowest.min(0.0)));
+        end = measured.times.iter().fold(end, |end, time| end.max(time - lowest.min(0.0)));
     }
     Ok(end)
 }

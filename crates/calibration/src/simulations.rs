@@ -116,11 +116,11 @@ impl Calibration {
     ) -> Result<f64, NoCost> {
         self.evaluator().evaluate(x, rule, out, stats, |k, run| {
             let tolerance = self.pool(k, rule.cancelled)?.plan().relative_tolerance();
-            let asked = &self.evaluator().simulations[k].options;
+            let asked = self.evaluator().simulations[k].options_at_start();
             let options = SimulateOptions {
                 method: self.known_solver().map_or(asked.method, |solver| solver.method),
                 relative_tolerance: Some((tolerance / ACCURATE).max(SMALLEST_TOLERANCE).min(tolerance)),
-                ..asked.clone()
+                ..asked
             };
             Ok(SimulationPlan::new(self.fmu(), &options)
                 .and_then(|plan| run(&mut Simulator::new(Arc::new(plan))?)))

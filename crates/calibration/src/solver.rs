@@ -115,7 +115,7 @@ impl Choice {
         let mut pools = Vec::new();
         if solver.method != problem.problem.settings.method {
             for simulation in &problem.simulations {
-                let options = SimulateOptions { method: solver.method, ..simulation.options.clone() };
+                let options = SimulateOptions { method: solver.method, ..simulation.options_at_start() };
                 let plan = Arc::new(SimulationPlan::new(&problem.fmu, &options)?);
                 pools.push(Pool::with_reference(plan, &simulation.values(&problem.start()))?);
             }
@@ -147,7 +147,7 @@ fn run_race(problem: &Evaluator, cancelled: &dyn Fn() -> bool) -> Result<Race, C
                 method: task.method,
                 relative_tolerance: Some(task.relative_tolerance),
                 max_work: task.max_work.map(|most| (most - total.work(n)).max(0.0)),
-                ..simulation.options.clone()
+                ..simulation.options_at_start()
             };
             let plan = Arc::new(SimulationPlan::new(&problem.fmu, &options)?);
             let named = plan.output_names().len();

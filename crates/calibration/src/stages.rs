@@ -1,8 +1,9 @@
 //! Fits in stages: each frees some of the parameters, holds the others, and starts from the result of the last.
 
 use crate::calibration::Calibration;
-use crate::effect::Findings;
+use crate::effect::{Findings, is_over};
 use crate::error::CalibrationError;
+use crate::finding::{Finding, Severity};
 use crate::fit::{Fit, FitOptions};
 use crate::output_fit::KeptResiduals;
 use crate::worth::WorthOptions;
@@ -239,7 +240,7 @@ impl Calibration {
         let is_own = |k: usize| stages[k].windows.is_empty();
         let (is_first_own, is_last_own) = (is_own(0), is_own(fits.len() - 1));
         let at_end = if is_last_own { None } else { Some(cost_at(&x).unwrap_or((f64::NAN, f64::NAN))) };
-        let at_start = match is_first_own {
+        let cost_at_start = match is_first_own {
             true => fits[0].start_cost.zip(fits[0].start_rms),
             false => cost_at(&start),
         };
@@ -250,31 +251,42 @@ impl Calibration {
             (fit.cost, fit.report.fun, fit.rms) = (cost, cost, rms);
         }
         let is_late = || late.is_some_and(|late| Instant::now() >= late) || is_asked();
-        if worth.is_some() {
-            fit.findings = self.findings_of_check(&mut fit.report, &is_late);
+        let is_checked = worth.is_some() && is_over(&fit.report.termination) && !is_late();
+        let (at_start, at_end) = match is_checked || !(is_first_own && is_last_own) {
+            true => {
+                let unknown = (KeptResiduals::default(), loss);
+                self.plain_residuals((&start, &x), unknown, &is_asked, &mut fit.stats)
+            }
+            false => (None, None),
+        };
+        if let Some(at_end) = at_end.as_deref().filter(|_| is_checked) {
+            let (from, to) = ((start.as_slice(), at_start.as_deref()), (x.as_slice(), at_end));
+            let mut found = self.check_after_fit(from, to, &is_late, &mut fit.stats);
+            found.retain(|finding| !fit.setup_findings.contains(finding));
+            fit.setup_findings.extend(found);
         }
-        fit.worth = worth.filter(|_| objective.is_sum_of_squares()).and_then(|mut options| {
+        fit.worth = worth.filter(|_| objective.has_worth()).and_then(|mut options| {
             options.workers = options.workers.or(Some(fit.report.workers));
             options.held.extend((0..x.len()).filter(|i| !freed.iter().any(|freed| freed.contains(i))));
             if !is_own(fit.stages.len() - 1) {
                 fit.report.residuals = None;
             }
-            let asked = WorthOptions { loss, ..options };
+            let asked = WorthOptions { loss, is_likelihood: objective.is_likelihood(), ..options };
             let found = Findings {
                 at_bound: fit.at_bound.clone(),
                 without_effect: fit.without_effect.clone(),
                 n_checks: 0,
             };
-            self.worth_of_fit((&mut fit.report, &found), &run.tolerances, asked, (&is_late, &mut fit.stats))
+            self.worth_of_fit((&fit.report, &found), &run.tolerances, asked, (&is_late, &mut fit.stats))
         });
-        (fit.start_cost, fit.start_rms) = at_start.unzip();
+        (fit.start_cost, fit.start_rms) = cost_at_start.unzip();
         fit.n_measurements = self.n_measurements();
         if is_first_own && is_last_own {
             let at_start = fit.stages[0].outputs.iter().map(|output| output.start_rms);
             fit.outputs.iter_mut().zip(at_start).for_each(|(output, rms)| output.start_rms = rms);
         } else {
-            let unknown = (KeptResiduals::default(), loss);
-            fit.outputs = self.output_fits((&start, &x), unknown, &is_asked, &mut fit.stats);
+            fit.outputs =
+                at_end.map_or_else(Vec::new, |at_end| self.output_fits_of(&at_end, at_start.as_deref()));
         }
         Ok(fit)
     }
@@ -346,7 +358,9 @@ impl Calibration {
         let held = (0..all.x.len()).filter(|i| !is_freed(i) && !self.parameters()[*i].is_fixed());
         let names: Vec<&str> = held.map(|i| all.names[i].as_str()).collect();
         if !names.is_empty() {
-            report.message += &format!("; no stage frees {}: at the start", names.join(", "));
+            let names = names.join(", ");
+            let sentence = format!("no stage frees {names}: at the start");
+            all.setup_findings.push(Finding::new(Severity::Note, names, sentence, ""));
         }
         all.stages = fits;
         all

@@ -3,14 +3,18 @@
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::experiment::Experiment;
+use crate::finding::{Finding, Severity, table};
 use crate::fit::{Fit, FitOptions};
+use crate::layout::OutputResiduals;
 use crate::no_cost::NoCost;
+use crate::objective::CostKind;
 use crate::output_fit::OutputFit;
 use crate::residual::CostRule;
 use crate::worth::digits;
 use dfo::RobustLoss;
 use ode::Stats;
 use serde::{Deserialize, Serialize};
+use std::collections::HashSet;
 use std::fmt;
 
 /// What a fit is validated on.
@@ -35,10 +39,13 @@ pub struct Validation {
     pub outputs: Vec<ValidatedOutput>,
     /// How many measurements count.
     pub n: usize,
-    /// Root of the mean squared weighted residual.
+    /// Root of the mean squared weighted residual, plain ones with a loss, too.
     pub rms: f64,
     /// The same at the start of the fit; `None` if the simulation failed there.
     pub start_rms: Option<f64>,
+    /// Measurements that the fit has seen: of these the RMS says nothing of predictions.
+    #[serde(default)]
+    pub findings: Vec<Finding>,
     /// Simulations that were made.
     pub n_simulations: usize,
     /// What they took; not stored.
@@ -101,14 +108,15 @@ impl fmt::Display for Validation {
             "all, weighted",
             self.n,
             digits(self.rms).to_string()
-        )
+        )?;
+        f.write_str(&table(&self.findings))
     }
 }
 
 impl Calibration {
     /// Simulates with the parameters of a fit of this calibration, and compares with measurements that it was not fitted to. Local
     /// parameters of other recordings, which the fit does not know, are fitted to these recordings first, from their start
-    /// values there, with all others held.
+    /// values there, with all others held, the same cost and the same loss. All RMS are of plain residuals, whatever the loss.
     ///
     /// ```
     /// use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, ValidationSet};
@@ -126,7 +134,8 @@ impl Calibration {
     /// ```
     ///
     /// # Errors
-    /// Windows or recordings that cannot be used; a simulation that fails at the fitted parameters.
+    /// Windows or recordings that cannot be used; local parameters that are to be fitted, after a fit of a function of the user's; a
+    /// simulation that fails at the fitted parameters.
     pub fn validate(&self, fit: &Fit, set: &ValidationSet) -> Result<Validation, CalibrationError> {
         self.validate_until(fit, set, &|| false)
     }
@@ -145,7 +154,9 @@ impl Calibration {
         self.solver_until(cancelled)?;
         match set {
             ValidationSet::Windows(windows) => {
-                self.windowed(windows)?.validation((&fit.start, &fit.x), Stats::default(), 0, cancelled)
+                let other = self.windowed(windows)?;
+                let validation = other.validation((&fit.start, &fit.x), Stats::default(), 0, cancelled)?;
+                Ok(Validation { findings: self.seen(&other, 0.0), ..validation })
             }
             ValidationSet::Experiments(experiments) => {
                 let mut problem = self.problem().clone();
@@ -157,10 +168,21 @@ impl Calibration {
                 if local.iter().any(|&i| !other.parameters()[i].is_fixed()) {
                     let held = (0..x.len()).filter(|i| !local.contains(i)).collect();
                     let poll: Option<Box<dyn FnMut() -> bool>> = Some(Box::new(cancelled));
+                    let Some(objective) = CostKind::of_name(&fit.objective) else {
+                        let names: Vec<&str> = local.iter().map(|&i| other.parameters()[i].name()).collect();
+                        return Err(CalibrationError::Setup(format!(
+                            "{} would be fitted to these recordings, and the fit minimised a function that it does not hold ('{}'): \
+                             give them as fixed parameters, or fit with an objective that has a name",
+                            names.join(", "),
+                            fit.objective
+                        )));
+                    };
                     let refit = other.fit(FitOptions {
                         start: Some(x),
                         held,
                         poll,
+                        objective,
+                        loss: fit.report.loss,
                         worth: None,
                         ..FitOptions::default()
                     })?;
@@ -170,9 +192,39 @@ impl Calibration {
                     n = refit.report.n_evaluations + refit.report.n_speculative + refit.n_checks;
                     (stats, x) = (refit.stats, refit.x);
                 }
-                other.validation((&start, &x), stats, n, cancelled)
+                let validation = other.validation((&start, &x), stats, n, cancelled)?;
+                // A time and a value may be equal by chance.
+                Ok(Validation { findings: self.seen(&other, 0.5), ..validation })
             }
         }
+    }
+
+    /// Outputs of which this calibration is fitted to measurements of `other`, to this share of them or more.
+    fn seen(&self, other: &Calibration, share: f64) -> Vec<Finding> {
+        let points = |output: &OutputResiduals| -> Vec<(u64, u64)> {
+            output.times.iter().zip(&output.measured).map(|(t, y)| (t.to_bits(), y.to_bits())).collect()
+        };
+        let own = &self.residual_layout().outputs;
+        let names = other.problem().experiment_names();
+        let finding = |output: &OutputResiduals| {
+            let same = own.iter().filter(|o| o.variable == output.variable);
+            let known: HashSet<(u64, u64)> = same.flat_map(points).collect();
+            let n = points(output).iter().filter(|point| known.contains(point)).count();
+            let all = output.measured.len();
+            let is_seen = n > 0 && n as f64 >= share * all as f64;
+            is_seen.then(|| {
+                Finding::new(
+                    Severity::Warning,
+                    format!("{}: {}", names[output.experiment], output.variable),
+                    format!(
+                        "the fit has seen {n} of these {all} measurements: there the RMS says how well they are reproduced, not how well \
+                         new ones are predicted"
+                    ),
+                    "fit in one window and validate in another, or on another recording",
+                )
+            })
+        };
+        other.residual_layout().outputs.iter().filter_map(finding).collect()
     }
 
     /// Compares with the measurements of this calibration.
@@ -197,8 +249,8 @@ impl Calibration {
                 |of: &[f64]| of[own.range.clone()].iter().zip(&own.weights).map(|(r, w)| r / w).collect();
             ValidatedOutput {
                 fit,
-                times: own.times.clone(),
-                measured: own.measured.clone(),
+                times: own.times.to_vec(),
+                measured: own.measured.to_vec(),
                 residuals: plain(&residuals),
                 start_residuals: at_start.as_deref().map(plain),
             }
@@ -212,6 +264,7 @@ impl Calibration {
             n,
             rms: rms(&residuals),
             start_rms: at_start.as_deref().map(rms),
+            findings: Vec::new(),
             n_simulations: n_simulations + 2,
             stats,
         })

@@ -1,7 +1,8 @@
 //! What a setup leaves in doubt: it can be evaluated, but perhaps it is not what was meant.
 
-use crate::data::{UnitError, parts};
+use crate::data::{ClockChange, UnitError, parts};
 use crate::experiment::{Experiment, Weight};
+use crate::finding::Severity;
 use crate::input::InputSource;
 use crate::parameter::{Parameter, Scale};
 use fmi::ModelDescription;
@@ -35,6 +36,20 @@ pub enum SetupWarning {
         /// Why not.
         reason: UnitError,
     },
+    /// Columns were converted by the units that their names end with, in brackets. A note: brackets may mean something else.
+    Converted {
+        /// The recording.
+        data: String,
+        /// Column, unit in its name, unit of its variable.
+        columns: Vec<(String, String, String)>,
+    },
+    /// An hour is missing or doubled in times without a zone.
+    ClockChange {
+        /// The recording.
+        data: String,
+        /// Where.
+        change: ClockChange,
+    },
     /// A setting that is ignored; the sentence says which, and why.
     NoEffect(String),
     /// What is in doubt about one of several experiments.
@@ -44,6 +59,17 @@ pub enum SetupWarning {
         /// What is in doubt.
         warning: Box<SetupWarning>,
     },
+}
+
+impl SetupWarning {
+    /// How grave it is.
+    pub fn severity(&self) -> Severity {
+        match self {
+            Self::Converted { .. } => Severity::Note,
+            Self::Experiment { warning, .. } => warning.severity(),
+            _ => Severity::Warning,
+        }
+    }
 }
 
 impl fmt::Display for SetupWarning {
@@ -60,6 +86,13 @@ impl fmt::Display for SetupWarning {
                     "{data}: column '{column}' is taken in the unit of '{variable}', without conversion: {reason}"
                 )
             }
+            Self::Converted { data, columns } => {
+                let one =
+                    |(column, from, to): &(String, String, String)| format!("'{column}' from {from} to {to}");
+                let all = columns.iter().map(one).collect::<Vec<_>>().join(", ");
+                write!(f, "{data}: converted by the units in the names of the columns: {all}")
+            }
+            Self::ClockChange { data, change } => write!(f, "{data}: {change}"),
             Self::NoEffect(sentence) => f.write_str(sentence),
             Self::Experiment { name, warning } => write!(f, "{name}: {warning}"),
         }
@@ -93,6 +126,12 @@ pub(crate) fn unused_columns(description: &ModelDescription, experiment: &Experi
         Some(SetupWarning::UnusedColumn { data, column: column.to_owned(), input })
     };
     data.all_names().filter(|column| !is_used(column)).filter_map(warning).collect()
+}
+
+/// An hour that is missing or doubled in the times of a recording.
+pub(crate) fn clock_change(experiment: &Experiment) -> Option<SetupWarning> {
+    let (data, change) = (&experiment.data, experiment.data.clock_change()?.clone());
+    Some(SetupWarning::ClockChange { data: data.source().to_owned(), change })
 }
 
 /// Typical sizes that are not used, because a logarithmic scale has sizes of its own.

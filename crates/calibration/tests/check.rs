@@ -2,7 +2,10 @@
 
 #![allow(clippy::unwrap_used)]
 
-use calibration::{Calibration, CalibrationBuilder, Check, Data, Experiment, Parameter, Severity};
+use calibration::dfo::{DifferentialEvolution, RunOptions};
+use calibration::{
+    Calibration, CalibrationBuilder, Check, Data, Experiment, Finding, FitOptions, Parameter, Scale, Severity,
+};
 use example_models::example_fmu;
 use fmi::{Fmu, SimulateOptions};
 use std::path::Path;
@@ -238,4 +241,86 @@ fn a_simulation_that_fails_is_a_finding() {
     assert!(check.findings[0].sentence.contains("k = -1000000"), "{check}");
     assert!(calibration.check_until(false, &|| false).unwrap().is_ok());
     assert!(calibration.check_until(true, &|| true).is_err());
+}
+
+/// A decay with k = 20 and x(0) = 0.9, its value and its derivative measured with these errors; k and x(0) from 15 and 0.5.
+fn fast_decay(errors: [f64; 2], weights: [f64; 2]) -> Calibration {
+    let t: Vec<f64> = (0..61).map(|k| f64::from(k) / 200.0).collect();
+    let x = |t: f64| 0.9 * (-20.0 * t).exp();
+    let measured = |of: &dyn Fn(f64) -> f64, from: usize, error: f64| {
+        t.iter().enumerate().map(|(k, t)| of(*t) + error * noise(from + k)).collect::<Vec<f64>>()
+    };
+    let columns = [
+        ("value".to_owned(), measured(&x, 0, errors[0])),
+        ("slope".to_owned(), measured(&|t| -20.0 * x(t), 100, errors[1])),
+    ];
+    let experiment = Experiment::new(Data::from_columns(t, columns).unwrap())
+        .weighted_output("x", "value", weights[0])
+        .weighted_output("der(x)", "slope", weights[1])
+        .initial_state("x", Parameter::new("x0", 0.5).bounds(0.0, 2.0));
+    Calibration::builder(open("dahlquist"))
+        .experiment(experiment)
+        .parameter(Parameter::new("k", 15.0).bounds(1.0, 100.0))
+        .build()
+        .unwrap()
+}
+
+fn of_scales(findings: &[Finding]) -> Vec<&Finding> {
+    findings
+        .iter()
+        .filter(|f| f.remedy.contains("weights=\"sd\"") && f.subject.starts_with("outputs"))
+        .collect()
+}
+
+#[test]
+fn outputs_of_unlike_scale_are_named_before_the_fit_and_after_it_where_their_noise_is_unlike() {
+    for (errors, is_unlike) in [([1e-3, 0.4], true), ([0.02, 0.02], false)] {
+        let calibration = fast_decay(errors, [1.0; 2]);
+        let check = calibration.check();
+        let [before] = of_scales(&check.findings)[..] else { panic!("{check}") };
+        assert_eq!(before.severity, Severity::Warning);
+        assert!(
+            before.subject == "outputs 'x' and 'der(x)'" && before.sentence.contains("at the start values")
+        );
+        // Without a simulation as well.
+        let unsimulated = calibration.check_until(false, &|| false).unwrap();
+        assert_eq!(of_scales(&unsimulated.findings).len(), 1, "{unsimulated}");
+        let fit = calibration.fit(FitOptions::default()).unwrap();
+        assert_eq!(of_scales(&fit.findings()).len(), usize::from(is_unlike), "{fit}");
+        // The model is right, and nothing else is said of it.
+        assert!(!fit.to_string().contains("leaves out"), "{fit}");
+        let checks = &fit.worth.as_ref().unwrap().residual_checks;
+        assert_eq!((checks[0].is_by_weights, checks[1].is_by_weights), (is_unlike, false), "{fit}");
+    }
+    // Whoever gives weights has chosen.
+    let weighted = fast_decay([1e-3, 0.4], [1e3, 2.5]);
+    assert!(of_scales(&weighted.check().findings).is_empty(), "{}", weighted.check());
+}
+
+#[test]
+fn what_a_check_says_of_the_start_is_judged_again_after_the_fit() {
+    let calibration = fast_decay([0.02, 0.02], [1.0; 2]);
+    let said = "the simulation starts at 0.5";
+    assert!(calibration.check().to_string().contains(said), "{}", calibration.check());
+    let fit = calibration.fit(FitOptions::default()).unwrap();
+    assert!((fit.x[1] - 0.9).abs() < 0.02 && !fit.to_string().contains(said), "{fit}");
+    assert!(!fit.report.message.contains("measurement"), "{}", fit.report.message);
+    // Times in ms, which the fit makes up for by a parameter that is a thousandth.
+    let t: Vec<f64> = (0..61).map(|k| 50.0 * f64::from(k)).collect();
+    let x = t.iter().enumerate().map(|(k, t)| (-2e-3 * t).exp() + 1e-3 * noise(k)).collect();
+    let experiment = Experiment::new(Data::from_columns(t, [("x".to_owned(), x)]).unwrap()).output("x", "x");
+    let calibration = Calibration::builder(open("dahlquist"))
+        .experiment(experiment)
+        .parameter(Parameter::new("k", 1.5).bounds(1e-4, 10.0).scale(Scale::Log))
+        .build()
+        .unwrap();
+    let global = RunOptions {
+        method: DifferentialEvolution::default().into(),
+        seed: Some(1),
+        ..FitOptions::default_run()
+    };
+    let fit = calibration.fit(FitOptions { run: global, ..FitOptions::default() }).unwrap();
+    assert!((fit.x[0] - 2e-3).abs() < 1e-4, "{fit}");
+    let in_ms = |f: &Finding| f.severity == Severity::Warning && f.sentence.contains("as if they were in ms");
+    assert!(fit.findings().iter().any(in_ms), "{fit}");
 }

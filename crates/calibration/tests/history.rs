@@ -20,7 +20,7 @@ fn a_fit_begins_anew_where_its_simulations_depend_on_earlier_ones() {
             let calibration = calibration(fmu, Sharing::Copies);
             let found = fit(&calibration, workers, 150);
             assert!(
-                found.n_beginnings > 1 && found.report.message.contains("begun"),
+                found.n_beginnings > 1 && found.to_string().contains("begun"),
                 "{}",
                 found.report.message
             );

@@ -3,8 +3,9 @@
 #![allow(clippy::unwrap_used)]
 
 use calibration::{
-    BandOptions, Calibration, CrossValidationOptions, Data, Experiment, FitOptions, Parameter,
+    BandOptions, Calibration, CrossValidationOptions, Data, Experiment, FitOptions, Parameter, Scale,
 };
+use dfo::{Loss, RobustLoss};
 use example_models::example_fmu;
 
 /// Alternating, so that it is independent of the parameters for all that a fit can see.
@@ -55,6 +56,60 @@ fn the_band_is_that_of_the_delta_method() {
     assert_eq!(&calibration.prediction_bands(&fit, &one, &|| false).unwrap()[0], band);
     let half = BandOptions { level: 0.5, ..options };
     assert!(calibration.prediction_bands(&fit, &half, &|| false).unwrap()[0].upper[2] < band.upper[2]);
+}
+
+#[test]
+fn a_band_of_parameters_on_a_log_scale_is_that_of_linear_ones() {
+    let band = |scale, has_bounds| {
+        let bounded = |p: Parameter| if has_bounds { p.bounds(1e-3, 1e3) } else { p };
+        let calibration = Calibration::builder(fmi::Fmu::open(example_fmu("dahlquist").unwrap()).unwrap())
+            .parameter(bounded(Parameter::new("k", 1.0).scale(scale)))
+            .parameter(bounded(Parameter::new("x", 1.5).scale(scale)))
+            .experiment(recording(2.0, 1.0))
+            .build()
+            .unwrap();
+        let fit = calibration.fit(FitOptions::default()).unwrap();
+        calibration.prediction_bands(&fit, &BandOptions::default(), &|| false).unwrap().swap_remove(0)
+    };
+    let expected = band(Scale::Linear, true);
+    for has_bounds in [true, false] {
+        let found = band(Scale::Log, has_bounds);
+        for (got, expected) in found.standard_errors.iter().zip(&expected.standard_errors) {
+            assert!((got / expected - 1.0).abs() < 0.03, "{got} instead of {expected}");
+        }
+        assert!(found.lower.iter().zip(&found.upper).all(|(low, high)| low < high));
+    }
+}
+
+#[test]
+fn a_band_without_degrees_of_freedom_is_refused() {
+    let calibration = calibration(vec![recording(2.0, 1.0).window(0.0, 0.1)], false);
+    let fit = calibration.fit(FitOptions::default()).unwrap();
+    assert_eq!(fit.worth.as_ref().unwrap().degrees_of_freedom, 0);
+    let error = calibration.prediction_bands(&fit, &BandOptions::default(), &|| false).unwrap_err();
+    assert!(error.to_string().contains("2 residuals are no more than the parameters"), "{error}");
+}
+
+#[test]
+fn local_parameters_of_what_is_held_out_are_fitted_with_the_loss_of_the_fit() {
+    let with_outliers = |k: f64, x0: f64| {
+        let t: Vec<f64> = (0..40).map(|i| i as f64 / 10.0).collect();
+        let off = |i: usize| if i % 8 == 1 { 3.0 } else { noise(i) };
+        let x = t.iter().enumerate().map(|(i, t)| x0 * (-k * t).exp() + off(i)).collect();
+        Experiment::new(Data::from_columns(t, [("x".to_owned(), x)]).unwrap()).output("x", "x")
+    };
+    let recordings = vec![recording(2.0, 1.0), recording(2.0, 2.0), with_outliers(2.0, 2.5)];
+    let calibration = calibration(recordings, true);
+    let loss = RobustLoss::new(Loss::Cauchy, 0.02).unwrap();
+    let found = calibration
+        .cross_validate(&CrossValidationOptions { loss, ..CrossValidationOptions::default() })
+        .unwrap();
+    let of_third = &found.folds[2].validation;
+    assert!((of_third.x[1] - 2.5).abs() < 0.02, "{found}");
+    // Both columns are of plain residuals: of the first fold the outliers are among those that were fitted.
+    let outliers = (5.0 * 9.0 / 80.0_f64).sqrt();
+    assert!((found.folds[0].fit_rms / outliers - 1.0).abs() < 0.05, "{found}");
+    assert!((of_third.rms / (5.0 * 9.0 / 40.0_f64).sqrt() - 1.0).abs() < 0.05, "{found}");
 }
 
 #[test]

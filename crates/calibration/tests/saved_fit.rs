@@ -124,8 +124,8 @@ fn files_that_are_no_fits_are_refused() {
         });
         refusal(&bytes)
     };
-    let other = text("\"format_version\": 1", "\"format_version\": 2");
-    assert!(other.contains("format 2") && other.contains("reads format 1"), "{other}");
+    let other = text("\"format_version\": 2", "\"format_version\": 3");
+    assert!(other.contains("format 3") && other.contains("reads format 2"), "{other}");
     assert!(text("\"fmufit fit\"", "\"something\"").contains("no saved fit"));
     let unknown = text("\"n_checks\"", "\"later\": 1, \"n_checks\"");
     assert!(unknown.contains("fit.later"), "{unknown}");
@@ -150,6 +150,13 @@ fn files_that_are_no_fits_are_refused() {
     }
     let weakest = edited("/fit/worth/weakest", serde_json::json!([0, 7]));
     assert!(weakest.contains("fit.worth.weakest names parameter 7"), "{weakest}");
+    // What takes many times the size of the file.
+    let large = changed(&bytes, "modelDescription.xml", |_| Some(vec![b' '; 9 << 20]));
+    assert!(refusal(&large).contains("more than the 8388608 that a file of"));
+    let many = changed(&bytes, "fit.json", |_| Some(format!("[{}1]", "[],".repeat(1 << 18)).into_bytes()));
+    assert!(refusal(&many).contains("fit.json has some 524289 values, more than the 262144"));
+    let twice = edited("/written_by", serde_json::json!({ "$array": "arrays/0.npy" }));
+    assert!(twice.contains("it refers to arrays/0.npy twice"), "{twice}");
     let without = |name: &str| refusal(&changed(&bytes, name, |_| None));
     assert!(without("fit.json").contains("holds no fit.json"));
     assert!(without("modelDescription.xml").contains("modelDescription.xml"));

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
-use calibration::{Calibration, CalibrationError, Data, Experiment, Parameter};
+use calibration::{Calibration, CalibrationError, Data, Experiment, FitOptions, Parameter, Severity};
 use example_models::example_fmu;
 use fmi::Fmu;
 
@@ -38,7 +38,16 @@ fn columns_are_converted_to_the_units_of_the_model() {
         (["x1[cm]", "x2 [cm]"], 1e2, ("u (V)", 5.0)),
     ] {
         let calibration = tank(names, per_metre, voltages).unwrap();
-        assert!(calibration.warnings().is_empty(), "{:?}", calibration.warnings());
+        // Only that they were converted is said, and only by a note: brackets may mean something else.
+        let said: Vec<String> = calibration.warnings().iter().map(ToString::to_string).collect();
+        assert!(calibration.warnings().iter().all(|w| w.severity() == Severity::Note), "{said:?}");
+        let converted = "by the units in the names of the columns: 'x1 [mm]' from mm to m, 'x2 (mm)' from mm to m, 'u [mV]' from mV to V";
+        assert_eq!(said.iter().any(|said| said.contains(converted)), names[0] == "x1 [mm]", "{said:?}");
+        assert_eq!(said.is_empty(), per_metre == 1.0, "{said:?}");
+        let (check, fit) = (calibration.check(), calibration.fit(FitOptions::default()).unwrap());
+        for printed in [check.to_string(), fit.to_string()] {
+            assert_eq!(printed.contains(converted), names[0] == "x1 [mm]", "{printed}");
+        }
         let cost = calibration.cost(&[2.7e-6]).unwrap();
         assert!((cost - expected).abs() <= 1e-12 * expected, "{names:?}: {cost} {expected}");
         let data = calibration.problem().experiments[0].data();

@@ -4,7 +4,8 @@
 
 use calibration::dfo::Limits;
 use calibration::{
-    Calibration, CrossValidationOptions, Data, Experiment, Fit, FitOptions, Parameter, ValidationSet,
+    Calibration, CrossValidationOptions, Data, Experiment, Fit, FitOptions, Parameter, Severity,
+    ValidationSet,
 };
 use example_models::example_fmu;
 use std::time::Duration;
@@ -56,6 +57,18 @@ fn a_window_is_reached_with_its_history() {
     let again = calibration.validate(&fit, &ValidationSet::Windows(vec![(0.0, 1.0)])).unwrap();
     assert_eq!((again.rms, again.scaled_rms()), (fit.rms, fit.scaled_rms()));
     assert_eq!(again.outputs[0].fit, fit.outputs[0]);
+    // Which is said, as it is of a part of it, and of the recording given once more; of another one nothing is.
+    assert!(validation.findings.is_empty() && again.findings[0].severity == Severity::Warning, "{again}");
+    assert!(
+        again.to_string().contains("\nwarning  run1: x: the fit has seen 11 of these 11 measurements"),
+        "{again}"
+    );
+    let part = calibration.validate(&fit, &ValidationSet::Windows(vec![(0.8, 1.2)])).unwrap();
+    assert!(part.findings[0].sentence.contains("3 of these 5 measurements"), "{part}");
+    let on = |e: Experiment| {
+        calibration.validate(&fit, &ValidationSet::Experiments(vec![e])).unwrap().findings.len()
+    };
+    assert_eq!((on(experiment(2.0, 1.0).window(0.0, 1.0)), on(experiment(2.0, 1.5))), (1, 0));
     let text = validation.to_string();
     assert!(text.contains("run1: x") && text.contains("scaled RMS") && text.lines().count() == 3, "{text}");
 }

@@ -3,8 +3,8 @@
 #![allow(clippy::print_stderr, clippy::unwrap_used)]
 
 use calibration::{
-    Calibration, Data, Estimator, Experiment, Fit, FitOptions, Parameter, PreflightOptions, Prior, Scale,
-    Worth, WorthOptions,
+    Calibration, CostKind, Data, Estimator, Experiment, Fit, FitOptions, NamedCost, Parameter,
+    PreflightOptions, Prior, Scale, Severity, Worth, WorthOptions,
 };
 use dfo::{Limits, NelderMead, RunOptions};
 use example_models::example_fmu;
@@ -30,7 +30,7 @@ fn near(got: f64, expected: f64, relative: f64) {
 
 /// Numbers between -1 and 1 that look like chance.
 fn noise(n: usize) -> impl Iterator<Item = f64> {
-    (0..n).map(|k| ((k as f64 * 12.9898).sin() * 43758.5453).fract())
+    (0..n).map(|k| 2.0 * ((k as f64 * 12.9898).sin() * 43758.5453).abs().fract() - 1.0)
 }
 
 /// x = x0 exp(-k t), with noise.
@@ -130,14 +130,16 @@ fn a_stop_that_is_never_reached_is_named() {
         .build()
         .unwrap();
     let fit = calibration.fit(FitOptions::default()).unwrap();
-    let worth = fit.worth.unwrap();
+    let worth = fit.worth.clone().unwrap();
     assert_eq!(
         (&worth.undetermined[..], &worth.without_effect[..], &worth.identifiable[..]),
         (&[0][..], &[0][..], &[1][..])
     );
     assert!(worth.standard_errors[0].is_infinite() && worth.standard_errors[1] < 0.01);
     let said = "the data do not determine e: it moves no output that was measured";
-    assert!(fit.report.message.contains(said) && worth.verdict[0] == said, "{}", fit.report.message);
+    assert!(worth.verdict()[0] == said && fit.findings()[0].severity == Severity::Warning, "{fit}");
+    // The message is that of the run alone.
+    assert!(!fit.report.message.contains("determine"), "{fit}");
 }
 
 #[test]
@@ -163,7 +165,7 @@ fn parameters_that_only_count_together_are_named() {
         for x in [[3e-6, 3e-6, 3e-6, 3e-6, 9.81], [2.1e-6, 3.3e-6, 2.9e-6, 3.7e-6, 12.0]] {
             let found = worth(&calibration, &x, Estimator::Sandwich);
             assert_eq!(found.undetermined, [0, 1, 2, 3, 4], "{scale:?} {found:?}");
-            assert!(found.without_effect.is_empty() && found.verdict[0].contains("together"));
+            assert!(found.without_effect.is_empty() && found.verdict()[0].contains("together"));
             // All but one of them can be told.
             assert_eq!(found.identifiable.len(), 4, "{found:?}");
         }
@@ -195,13 +197,12 @@ fn outputs_have_variances_of_their_own_unless_they_are_pooled() {
     let (mut normal, mut middle) = ([[0.0; 2]; 2], [[0.0; 2]; 2]);
     let residuals = calibration.residuals(&x).unwrap();
     let sum = |from: usize| residuals[from..from + 50].iter().map(|r| r * r).sum::<f64>();
-    let factor = 200.0 / 198.0 / 100.0;
-    let variances = [(sum(0) + sum(100)) * factor, (sum(50) + sum(150)) * factor];
+    let mut of_output = [[[0.0; 2]; 2]; 2];
     for t in time.iter().chain(&time) {
-        for (row, variance) in [([1.0, *t], variances[0]), ([0.0, 1.0], variances[1])] {
+        for (row, of_output) in [[1.0, *t], [0.0, 1.0]].iter().zip(&mut of_output) {
             for (i, j) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
                 normal[i][j] += row[i] * row[j];
-                middle[i][j] += variance * row[i] * row[j];
+                of_output[i][j] += row[i] * row[j];
             }
         }
     }
@@ -213,13 +214,24 @@ fn outputs_have_variances_of_their_own_unless_they_are_pooled() {
     let product = |a: [[f64; 2]; 2], b: [[f64; 2]; 2]| {
         [0, 1].map(|i| [0, 1].map(|j| a[i][0] * b[0][j] + a[i][1] * b[1][j]))
     };
+    // The mean of the sums of squares of h and v is linear in both variances.
+    let shares = of_output.map(|own| product(inverse, own));
+    let trace = |a: [[f64; 2]; 2]| a[0][0] + a[1][1];
+    let own = |k: usize| 100.0 - 2.0 * trace(shares[k]) + trace(product(shares[k], shares[k]));
+    let (first, second, between) = (own(0), own(1), trace(product(shares[0], shares[1])));
+    let (of_h, of_v) = (sum(0) + sum(100), sum(50) + sum(150));
+    let of_both = first * second - between * between;
+    let variances = [(second * of_h - between * of_v) / of_both, (first * of_v - between * of_h) / of_both];
+    for (i, j) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+        middle[i][j] = variances[0] * of_output[0][i][j] + variances[1] * of_output[1][i][j];
+    }
     let sandwich = product(product(inverse, middle), inverse).concat();
     let pooled = sum(0) + sum(50) + sum(100) + sum(150);
     for (estimator, expected) in [
         (Estimator::Sandwich, sandwich),
         (Estimator::Pooled, inverse.concat().iter().map(|i| i * pooled / 198.0).collect()),
     ] {
-        let found = worth(&calibration, &x, estimator);
+        let found = worth(&calibration, &x, estimator).uncorrected();
         found.covariance.iter().zip(&expected).for_each(|(got, expected)| near(*got, *expected, 1e-4));
     }
 }
@@ -235,8 +247,50 @@ fn autocorrelated_residuals_are_said_and_corrected() {
         .unwrap();
     let worth = calibration.fit(FitOptions::default()).unwrap().worth.unwrap();
     assert!(worth.residual_checks[0].autocorrelation > 0.9);
-    assert!(worth.corrected_errors.unwrap()[0] > 2.0 * worth.standard_errors[0]);
-    assert!(worth.verdict.iter().any(|said| said.contains("autocorrelated (0.9")), "{:?}", worth.verdict);
+    assert!(worth.autocorrelations[0] > 0.9 && worth.effective_degrees_of_freedom[0] < 40.0);
+    // One answer everywhere; the other one on request.
+    let uncorrected = worth.uncorrected();
+    assert_eq!(worth.uncorrected_errors().unwrap(), uncorrected.standard_errors);
+    assert!(worth.standard_errors[0] > 2.0 * uncorrected.standard_errors[0]);
+    let width = |worth: &Worth| worth.confidence_intervals(0.95).map(|ends| ends[0].1 - ends[0].0).unwrap();
+    assert!(width(&worth) > 2.0 * width(&uncorrected));
+    assert_eq!(
+        (uncorrected.effective_degrees_of_freedom[0], &uncorrected.autocorrelations[..]),
+        (79.0, &[0.0][..])
+    );
+    assert!(worth.to_string().contains("corrected for autocorrelated residuals"), "{worth}");
+    let verdict = worth.verdict();
+    assert!(verdict.iter().any(|said| said.contains("autocorrelated (0.9")), "{verdict:?}");
+}
+
+#[test]
+fn a_likelihood_has_the_errors_of_its_curvature_and_names_dead_parameters() {
+    // The ball does not bounce; costs are negative.
+    let time: Vec<f64> = (0..40).map(|k| 0.01 * f64::from(k)).collect();
+    let h = time.iter().zip(noise(40)).map(|(t, e)| 1.0 - 0.5 * 9.81 * t * t + 1e-3 * e).collect();
+    let calibration = Calibration::builder(open("bouncing_ball"))
+        .experiment(Experiment::new(data(&time, &[("h", h)])).output("h", "h"))
+        .parameter(Parameter::new("g", -9.0).bounds(-15.0, -5.0))
+        .parameter(Parameter::new("e", 0.7).bounds(0.1, 0.95))
+        .build()
+        .unwrap();
+    let fit =
+        |objective, held| calibration.fit(FitOptions { objective, held, ..FitOptions::default() }).unwrap();
+    let likelihood = CostKind::Named(NamedCost::Likelihood);
+    let found = fit(likelihood.clone(), vec![]);
+    assert!(found.cost < -200.0 && found.without_effect == [1], "{found}");
+    assert!(found.to_string().contains("e did not change the cost"), "{found}");
+    let (found, expected) = (fit(likelihood, vec![1]), fit(CostKind::default(), vec![1]));
+    let error = |fit: &Fit| fit.worth.as_ref().unwrap().standard_errors[0];
+    near(found.x[0], expected.x[0], 1e-4);
+    near(error(&found), error(&expected), 1e-3);
+    assert_eq!(found.worth.unwrap().cost.to_bits(), found.cost.to_bits());
+    // The curvature by hand, of N / 2 ln(r'r / N).
+    let half = |g: f64| 20.0 * (calibration.cost(&[g, 0.7]).unwrap() / 40.0).ln();
+    let h = 0.3 * error(&expected);
+    let g = expected.x[0];
+    let curvature = (half(g + h) - 2.0 * half(g) + half(g - h)) / (h * h);
+    near(error(&expected), (40.0 / 39.0 / curvature).sqrt(), 0.02);
 }
 
 #[test]
@@ -249,8 +303,8 @@ fn data_without_noise_raise_no_doubt_of_the_accuracy() {
         .build()
         .unwrap();
     let fit = calibration.fit(FitOptions { preflight: true, ..FitOptions::default() }).unwrap();
-    let worth = fit.worth.unwrap();
-    assert!(worth.is_exact && !fit.report.message.contains("relative_tolerance"), "{}", fit.report.message);
+    let worth = fit.worth.clone().unwrap();
+    assert!(worth.is_exact && !fit.to_string().contains("relative_tolerance"), "{fit}");
     assert_eq!(worth.undetermined, [] as [usize; 0]);
     let at_truth = PreflightOptions { start: Some(vec![2.0]), ..PreflightOptions::default() };
     assert_eq!(calibration.preflight(&at_truth, &|| false).unwrap().noise, 0.0);
@@ -284,8 +338,9 @@ fn four_parameters_of_the_exhaust_pipe_are_confounded() {
         ([337.0, 16.4, 21576.0, 248.2], &[(0, 3, -0.92)], false),
     ] {
         let found = worth(&calibration, &x, Estimator::Pooled);
+        let independent = found.uncorrected();
         for (i, j, expected) in pairs {
-            let correlation = found.correlation[i * 4 + j];
+            let correlation = independent.correlation[i * 4 + j];
             assert!((correlation - expected).abs() < 0.03, "{x:?} {i} {j}: {correlation}");
             let is_named = found.confounded.iter().any(|(a, b, _)| (a, b) == (i, j));
             assert_eq!(is_named, expected.abs() > 0.9, "{:?}", found.confounded);
@@ -360,7 +415,7 @@ fn a_parameter_that_only_its_prior_tells_is_named() {
         .parameter(Parameter::new("e", 0.7).prior(Prior::Normal { mean: 0.7, sd: 0.1 }))
         .build()
         .unwrap();
-    let verdict = worth(&ball, &[2.0, 0.7], Estimator::Sandwich).verdict;
+    let verdict = worth(&ball, &[2.0, 0.7], Estimator::Sandwich).verdict();
     let said: Vec<&String> = verdict.iter().filter(|said| said.contains("prior alone")).collect();
     assert_eq!(said, ["e is known from its prior alone: the data do not move it"], "{verdict:?}");
 }
@@ -382,6 +437,6 @@ fn data_without_noise_draw_one_remark_and_no_pairs() {
         .build()
         .unwrap();
     let worth = ball.fit(FitOptions::default()).unwrap().worth.unwrap();
-    assert!(worth.confounded.is_empty() && worth.corrected_errors.is_none(), "{:?}", worth.verdict);
-    assert!(worth.verdict.len() == 1 && worth.verdict[0].contains("say little"), "{:?}", worth.verdict);
+    assert!(worth.confounded.is_empty() && worth.uncorrected_covariance.is_none(), "{:?}", worth.verdict());
+    assert!(worth.findings.len() == 1 && worth.verdict()[0].contains("say little"), "{:?}", worth.verdict());
 }

@@ -31,6 +31,8 @@ const CLEAN_STEPS: u32 = 6;
 /// they advance. Trials after the first come after as many of the explicit method; each one that is lost makes the next one wait
 /// twice as long.
 const WASTE: f64 = 30.0;
+/// How many times what a trial wastes the right-hand sides before the next one are, at first.
+const PATIENCE: f64 = 3.0;
 /// Right-hand sides of a Jacobian up to which the first trial does not wait: it bounds what a system that is not stiff can lose.
 const AFFORDABLE: f64 = 100.0;
 /// A trial is won when so many more of its steps advanced more per right-hand side than less, and lost when so many more advanced less:
@@ -44,8 +46,8 @@ const LINEAR: f64 = 1e-6;
 const REAL: f64 = -0.9;
 /// Share of the past in the means of work and advance, per step.
 const FORGET: f64 = 0.9;
-/// Right-hand sides that a return to the explicit method must have saved at least: several trials.
-const RETURN: f64 = 10.0 * WASTE;
+/// So many steps of the explicit method after its return tell whether it was right.
+const RETURN_STEPS: u32 = 8;
 
 /// The method in use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -92,8 +94,17 @@ pub(crate) struct Auto {
     bdf_is_next: bool,
     /// The share of a step of Radau5, of order 5, that the first one of BDF, of order 1, begins with.
     first_share: f64,
-    /// Right-hand sides that the explicit method would have saved in the steps of Radau5 so far.
+    /// Right-hand sides that the explicit method would have saved in the steps of Radau5 so far, by an estimate, and how many times
+    /// more they must be after returns that made things worse.
     saved: f64,
+    caution: f64,
+    /// Right-hand sides that Radau5 has saved since it took over, its trial included, by the same estimate.
+    ledger: f64,
+    /// Means over the last steps of Radau5; their quotient when the explicit method returned, and its steps since.
+    radau5_work: f64,
+    radau5_advance: f64,
+    left_at: Option<f64>,
+    since_return: u32,
     /// The estimated largest eigenvalue, in modulus, of the last good step of the explicit method.
     rate: f64,
     /// Its product with that step.
@@ -130,6 +141,12 @@ impl Auto {
             bdf_is_next: false,
             first_share: rtol.powf(0.25),
             saved: 0.0,
+            caution: 1.0,
+            ledger: 0.0,
+            radau5_work: 0.0,
+            radau5_advance: 0.0,
+            left_at: None,
+            since_return: 0,
             rate: 0.0,
             response: 0.0,
             is_first: true,
@@ -199,6 +216,9 @@ impl Auto {
             _ => self.dop853.derivative(),
         };
         self.radau5.take_over(f);
+        self.judge_return();
+        (self.radau5_work, self.radau5_advance) = (0.0, 0.0);
+        self.ledger = 0.0;
         self.calm();
         self.active = Active::Radau5;
         self.on_trial = true;
@@ -207,24 +227,59 @@ impl Auto {
         Ok(())
     }
 
-    /// Back to the explicit method; the next trial waits longer.
+    /// Back to the explicit method after a trial that was lost: the next one waits longer.
+    fn give_up_trial(&mut self) {
+        self.leave_radau5();
+        if !std::mem::take(&mut self.is_first) {
+            self.patience *= 2.0;
+        }
+    }
+
+    /// Back to the explicit method.
     fn leave_radau5(&mut self) {
         let f = self.radau5.derivative();
         match self.explicit {
             Active::Tsit5 => self.tsit5.take_over(f),
             _ => self.dop853.take_over(f),
         }
-        if !std::mem::take(&mut self.is_first) {
-            self.patience *= 2.0;
-        }
+        (self.mean_work, self.mean_advance) = (0.0, 0.0);
         self.calm();
         self.active = self.explicit;
+    }
+
+    /// Where the explicit method advances less since its return than Radau5 did before, the next one must be worth more.
+    fn judge_return(&mut self) {
+        if let Some(rate) = self.left_at.take() {
+            let was_right = self.mean_advance >= rate * self.mean_work;
+            self.caution = if was_right { (0.5 * self.caution).max(1.0) } else { 2.0 * self.caution };
+        }
+    }
+
+    /// How many times longer the steps of the explicit method are than those of Radau5 where only the error test bounds either: what the
+    /// non-stiff problems of `benches/auto.rs` and an oscillator show.
+    fn reach(&self) -> f64 {
+        if self.explicit == Active::Tsit5 { 1.5 } else { 3.0 }
+    }
+
+    /// Counts a step of Radau5. Returns the right-hand sides that the explicit method would have saved (or needed more, below zero),
+    /// by the steps that its stability and the error test allow it.
+    fn enter(&mut self, work: f64, h: f64) -> f64 {
+        let (stages, limit) = self.stages_and_limit();
+        let saved = work - stages * (h * self.radau5.spectrum().0 / limit).max(1.0 / self.reach());
+        self.radau5_work = FORGET * self.radau5_work + work;
+        self.radau5_advance = FORGET * self.radau5_advance + h;
+        self.ledger -= saved;
+        saved
     }
 
     /// After an accepted step of the explicit method.
     fn watch_explicit(&mut self, work: f64, h: f64) {
         self.mean_work = FORGET * self.mean_work + work;
         self.mean_advance = FORGET * self.mean_advance + h;
+        self.since_return += 1;
+        if self.since_return == RETURN_STEPS {
+            self.judge_return();
+        }
         self.since_trial += work;
         if self.response > self.stages_and_limit().1 {
             self.hits += 1;
@@ -240,6 +295,7 @@ impl Auto {
     /// After an accepted step of Radau5 on trial; returns the step size to go on with.
     fn judge(&mut self, work: f64, h: f64, proposed: f64) -> f64 {
         self.nonlinear += u32::from(self.radau5.contraction() > LINEAR);
+        self.enter(work, h);
         let to_beat = if self.is_first {
             // Its steps have not settled yet: the most that stability allows them.
             let (stages, limit) = self.stages_and_limit();
@@ -250,7 +306,7 @@ impl Auto {
         let better = h > to_beat * work;
         self.balance += if better { 1 } else { -1 };
         if self.balance <= -DECIDED {
-            self.leave_radau5();
+            self.give_up_trial();
             return self.explicit_h;
         }
         if self.balance >= DECIDED {
@@ -266,7 +322,7 @@ impl Auto {
             return proposed;
         }
         self.nonlinear += u32::from(self.radau5.contraction() > LINEAR);
-        let (radius, cosine) = self.radau5.spectrum();
+        let (_, cosine) = self.radau5.spectrum();
         if self.radau5.derivative().len() >= LARGE {
             self.bdf_is_next = self.nonlinear >= NONLINEAR_STEPS && cosine < REAL;
             if self.bdf_is_next {
@@ -274,9 +330,14 @@ impl Auto {
             }
         }
         // The right-hand sides that the explicit method would have saved. It takes over when they would have paid for coming back.
-        let (stages, limit) = self.stages_and_limit();
-        self.saved = (self.saved + work - stages * (h * radius / limit).max(1.0)).max(0.0);
-        if self.saved > self.patience * (self.jacobian_cost + RETURN) {
+        self.saved = (self.saved + self.enter(work, h)).max(0.0);
+        if self.saved > self.caution * (self.jacobian_cost + WASTE) {
+            // What it cost to come here, and to find out that this phase is over, was more than it has brought.
+            if self.ledger < 0.0 {
+                self.patience *= 2.0;
+            }
+            self.left_at = Some(self.radau5_advance / self.radau5_work);
+            self.since_return = 0;
             self.leave_radau5();
         }
         proposed
@@ -297,7 +358,9 @@ impl Stepper for Auto {
         self.bdf_is_next = false;
         let pattern = system.jacobian_pattern();
         self.jacobian_cost = pattern.map_or(system.n_states(), |p| p.widest_column()) as f64;
-        self.patience = 1.0;
+        self.patience = PATIENCE;
+        self.caution = 1.0;
+        self.left_at = None;
         self.rate = 0.0;
         self.response = 0.0;
         self.mean_work = 0.0;
@@ -381,7 +444,7 @@ impl Stepper for Auto {
         let is_hopeless = matches!(attempt, Ok(Attempt::NotSolved { .. }) | Err(CallError::Discard));
         if self.on_trial && is_hopeless {
             // Equations or a Jacobian that cannot be had here: the explicit method does without.
-            self.leave_radau5();
+            self.give_up_trial();
             return Ok(Attempt::NotSolved { h: self.explicit_h });
         }
         if matches!(attempt, Ok(Attempt::Good)) {

@@ -1,8 +1,8 @@
 //! Weighted norms, the first step, and the step-size controller.
 
-use crate::options::AbsoluteTolerance;
+use crate::options::{AbsoluteTolerance, Options};
 
-/// Below this absolute tolerances mean zero.
+/// Stands for absolute tolerances of zero, because the inverse of a weight must be a number.
 const LEAST_ATOL: f64 = 1e-300;
 
 /// The relative tolerance of unbounded states: what rounding leaves of a difference of large numbers.
@@ -16,23 +16,19 @@ pub(crate) struct Weights {
     relative: Vec<f64>,
     atol: Vec<f64>,
     scale: Vec<f64>,
+    has_purely_relative: bool,
 }
 
 impl Weights {
     /// Sets tolerances for `nominals.len()` states; corrects nominals that are zero, negative or not finite.
     /// The caller has checked that a list of tolerances has this length.
-    pub(crate) fn set(
-        &mut self,
-        rtol: f64,
-        atol: &AbsoluteTolerance,
-        nominals: &[f64],
-        is_unbounded: impl Fn(usize) -> bool,
-    ) {
-        self.rtol = rtol;
+    pub(crate) fn set(&mut self, options: &Options, nominals: &[f64], is_unbounded: impl Fn(usize) -> bool) {
+        let rtol = options.relative_tolerance;
+        self.rtol = options.rtol_or_like();
         self.relative.clear();
         self.relative.extend((0..nominals.len()).map(|i| if is_unbounded(i) { ROUNDING } else { rtol }));
         self.atol.clear();
-        match atol {
+        match &options.absolute_tolerance {
             AbsoluteTolerance::FromNominals => self.atol.extend(nominals.iter().map(|nominal| {
                 let n = nominal.abs();
                 0.01 * rtol * if n > 0.0 && n.is_finite() { n } else { 1.0 }
@@ -40,16 +36,24 @@ impl Weights {
             AbsoluteTolerance::Scalar(v) => self.atol.resize(nominals.len(), *v),
             AbsoluteTolerance::PerState(list) => self.atol.extend_from_slice(list),
         }
-        // The inverse of a weight must be a number.
+        self.has_purely_relative = self.atol.iter().any(|&atol| atol < LEAST_ATOL);
         self.atol.iter_mut().for_each(|atol| *atol = atol.max(LEAST_ATOL));
         self.scale.clear();
         self.scale.extend(nominals.iter().zip(&self.atol).map(|(nominal, atol)| {
             let n = nominal.abs();
-            (if n > 0.0 && n.is_finite() { n } else { 1.0 }).min(atol / (0.01 * rtol))
+            (if n > 0.0 && n.is_finite() { n } else { 1.0 }).min(atol / (0.01 * self.rtol))
         }));
     }
 
-    /// The relative tolerance.
+    /// A state that has no tolerance at `x`: it is zero, and so is its absolute tolerance.
+    pub(crate) fn without_tolerance(&self, x: &[f64]) -> Option<usize> {
+        if !self.has_purely_relative {
+            return None;
+        }
+        (0..x.len()).find(|&i| self.weight(i, x[i], x[i]) <= LEAST_ATOL)
+    }
+
+    /// The relative tolerance, or [what stands for it](Options::rtol_or_like) where it is zero.
     pub(crate) fn rtol(&self) -> f64 {
         self.rtol
     }
@@ -204,7 +208,7 @@ mod tests {
     #[test]
     fn bad_nominals_are_corrected() {
         let mut w = Weights::default();
-        w.set(1e-6, &AbsoluteTolerance::FromNominals, &[2.0, 0.0, -3.0, f64::NAN, f64::INFINITY], |_| false);
+        w.set(&Options::default(), &[2.0, 0.0, -3.0, f64::NAN, f64::INFINITY], |_| false);
         let expected = [2e-8, 1e-8, 3e-8, 1e-8, 1e-8];
         for (a, e) in w.atol.iter().zip(expected) {
             assert!((a - e).abs() < 1e-20);
@@ -214,7 +218,12 @@ mod tests {
     #[test]
     fn the_norm_is_the_root_mean_square_of_the_weighted_error() {
         let mut w = Weights::default();
-        w.set(0.1, &AbsoluteTolerance::Scalar(1.0), &[1.0, 1.0], |_| false);
+        let absolute_tolerance = AbsoluteTolerance::Scalar(1.0);
+        w.set(
+            &Options { relative_tolerance: 0.1, absolute_tolerance, ..Options::default() },
+            &[1.0, 1.0],
+            |_| false,
+        );
         // weights 1 + 0.1 * 10 = 2 and 1 + 0.1 * 20 = 3
         let n = w.error_norm(&[10.0, 0.0], &[-5.0, 20.0], &[2.0, 6.0]);
         assert!((n - (5.0_f64 / 2.0).sqrt()).abs() < 1e-15);

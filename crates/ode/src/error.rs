@@ -52,6 +52,11 @@ pub enum ErrorKind {
         /// States of the model.
         states: usize,
     },
+    /// A state is zero, and so is its absolute tolerance: no error of it would be small enough.
+    NoTolerance {
+        /// The state.
+        state: usize,
+    },
     /// The error test or a discarded point wanted a step below what the numbers can resolve.
     StepTooSmall {
         /// The model refused the last point that was tried (discard, NaN or infinity).
@@ -149,6 +154,7 @@ impl ErrorKind {
             Self::Span { .. } => "the span is not one".to_owned(),
             Self::SampleTimes { .. } => "the requested times cannot be used".to_owned(),
             Self::ToleranceCount { .. } => "the tolerances do not fit the states".to_owned(),
+            Self::NoTolerance { .. } => "a state has no tolerance".to_owned(),
             Self::StepTooSmall { discarded: false } => {
                 "the error test wants steps that are too small".to_owned()
             }
@@ -330,6 +336,11 @@ impl fmt::Display for SimulationError {
             ErrorKind::ToleranceCount { given, states } => {
                 return write!(f, "{given} absolute tolerances given for {states} states");
             }
+            ErrorKind::NoTolerance { state } => write!(
+                f,
+                "state {state} is 0 at t = {t}, and so is its absolute tolerance: a relative tolerance alone is none \
+                 there; give a positive absolute one"
+            )?,
             ErrorKind::StepTooSmall { discarded: false } => {
                 write!(f, "the error test wants steps below {h} at t = {t}")?;
             }

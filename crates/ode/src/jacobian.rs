@@ -255,7 +255,7 @@ fn all_finite(values: &[f64]) -> bool {
 mod tests {
     use super::*;
     use crate::control::Weights;
-    use crate::options::AbsoluteTolerance;
+    use crate::options::Options;
     use crate::stats::Stats;
     use crate::system::EventOutcome;
 
@@ -338,7 +338,7 @@ mod tests {
 
     fn evaluated(chain: &mut Chain, x: &[f64]) -> (CallResult<()>, f64, Stats) {
         let mut weights = Weights::default();
-        weights.set(1e-6, &AbsoluteTolerance::FromNominals, &vec![1.0; chain.n], |_| false);
+        weights.set(&Options::default(), &vec![1.0; chain.n], |_| false);
         let mut f = vec![0.0; chain.n];
         chain.derivatives(0.0, x, &mut f).unwrap();
         let (mut jacobian, mut stats) = (Jacobian::default(), Stats::default());

@@ -146,9 +146,10 @@ pub enum AbsoluteTolerance {
     /// `0.01 * relative_tolerance * nominal_i`, the rule that users of FMUs know; follows changed nominals.
     #[default]
     FromNominals,
-    /// The same for all states.
+    /// The same for all states. Zero is a purely relative tolerance: a state of value zero has none then, which is
+    /// [an error](crate::ErrorKind::NoTolerance) when it happens.
     Scalar(f64),
-    /// One per state.
+    /// One per state, each as above.
     PerState(Vec<f64>),
 }
 
@@ -158,6 +159,7 @@ pub struct Options {
     /// The method; default [`Method::Auto`].
     pub method: Method,
     /// Relative tolerance of the adaptive methods; default 1e-6. Not of [unbounded](crate::HybridSystem::is_unbounded) states.
+    /// Zero where positive absolute tolerances are given.
     pub relative_tolerance: f64,
     /// Absolute tolerances; default [`AbsoluteTolerance::FromNominals`].
     pub absolute_tolerance: AbsoluteTolerance,
@@ -171,8 +173,9 @@ pub struct Options {
     /// Also sample both sides of every event.
     pub record_events: bool,
     /// Points inside each step at which the event indicators are looked at too, so that a crossing and its return do not
-    /// hide in one step; each is compared with the one before. Default: one for methods that take long steps (DOP853, Radau5, BDF) and where a step is more
-    /// than three times as long as the one before, else none, and none where an event is known to lie in the step. Whatever
+    /// hide in one step; each is compared with the one before. Default: one (three with DOP853 and Radau5, whose steps are long), none
+    /// where an event is known to lie in the step, and up to 32 more where three neighbouring values bend by more than they stay away
+    /// from zero, in the middle of the interval beside them. Whatever
     /// this is, the turning points of parabolas through three neighbouring values are looked at where they lie near zero (below a
     /// quarter of these values), again and again while they come nearer; and
     /// an indicator next to zero after its event, that leads out of its domain, is followed until it is seen there or the
@@ -214,6 +217,18 @@ impl Default for Options {
 }
 
 impl Options {
+    /// The relative tolerance, or what stands for it in rules that need one where it is zero: the smallest absolute tolerance, as if states
+    /// were of the size 1.
+    pub(crate) fn rtol_or_like(&self) -> f64 {
+        let least = match &self.absolute_tolerance {
+            _ if self.relative_tolerance > 0.0 => return self.relative_tolerance,
+            AbsoluteTolerance::FromNominals => return self.relative_tolerance,
+            AbsoluteTolerance::Scalar(v) => *v,
+            AbsoluteTolerance::PerState(list) => list.iter().copied().fold(f64::INFINITY, f64::min),
+        };
+        least.clamp(1e-14, 1e-3)
+    }
+
     /// Checks every number.
     ///
     /// # Errors
@@ -226,20 +241,21 @@ impl Options {
             _ => Ok(()),
         };
         let rtol = self.relative_tolerance;
-        if !(1e-14..1.0).contains(&rtol) {
-            return Err(OptionsError::OutOfRange {
-                name: "relative_tolerance",
-                value: rtol,
-                range: "at least 1e-14 and below 1",
-            });
+        let given = match &self.absolute_tolerance {
+            AbsoluteTolerance::FromNominals => None,
+            AbsoluteTolerance::Scalar(v) => Some(std::slice::from_ref(v)),
+            AbsoluteTolerance::PerState(list) => Some(list.as_slice()),
+        };
+        if !((rtol == 0.0 && given.is_some()) || (1e-14..1.0).contains(&rtol)) {
+            let range = "at least 1e-14 and below 1, or 0 where absolute tolerances are given";
+            return Err(OptionsError::OutOfRange { name: "relative_tolerance", value: rtol, range });
         }
-        match &self.absolute_tolerance {
-            AbsoluteTolerance::FromNominals => {}
-            AbsoluteTolerance::Scalar(v) => positive("absolute_tolerance", Some(*v))?,
-            AbsoluteTolerance::PerState(list) => {
-                for v in list {
-                    positive("absolute_tolerance", Some(*v))?;
-                }
+        for &value in given.unwrap_or_default() {
+            let name = "absolute_tolerance";
+            if rtol == 0.0 {
+                positive(name, Some(value))?;
+            } else if !(value >= 0.0 && value.is_finite()) {
+                return Err(OptionsError::OutOfRange { name, value, range: "finite and not negative" });
             }
         }
         positive("step_size", self.step_size)?;

@@ -83,8 +83,9 @@ pub(crate) struct Properties {
     pub(crate) only_own_slopes: bool,
     /// What is done with a step inside of which an event was located.
     pub(crate) step_with_event: StepWithEvent,
-    /// Its steps are so long that a crossing and its return may hide in one.
-    pub(crate) takes_long_steps: bool,
+    /// At how many points inside its steps event indicators are looked at by default: more where steps are longer, as seen
+    /// against the curvature of the solution.
+    pub(crate) interior_samples: u32,
     /// It [begins](Stepper::begin_with) with the second derivative where indicators slide.
     pub(crate) wants_second_derivative: bool,
     /// [`Stepper::derivative`] is the right-hand side itself also where a whole step has led, and not only where it was
@@ -103,7 +104,7 @@ impl Default for Properties {
             takes_residual: false,
             only_own_slopes: false,
             step_with_event: StepWithEvent::Interpolated,
-            takes_long_steps: false,
+            interior_samples: 1,
             wants_second_derivative: false,
             evaluates_ends: true,
             takes_jacobians: false,

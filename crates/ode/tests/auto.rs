@@ -47,6 +47,32 @@ fn a_stiff_oscillator_is_left_to_radau5_before_its_oscillations_are_excited() {
     }
 }
 
+/// Slow phases that are a little stiff, and fast ones that are not.
+#[test]
+fn an_oscillator_costs_little_more_than_by_the_explicit_method_alone() {
+    let work = |method, mu: f64, rtol, end| {
+        let f = move |_: f64, x: &[f64], dx: &mut [f64]| {
+            (dx[0], dx[1]) = (x[1], mu * (1.0 - x[0] * x[0]) * x[1] - x[0]);
+        };
+        let run = ode::solve(f, 0.0..end, &[2.0, 0.0]).method(method).relative_tolerance(rtol).run();
+        run.unwrap().report.stats.right_hand_sides as f64
+    };
+    for mu in [3.0, 5.0, 7.0, 10.0] {
+        for rtol in [1e-4, 1e-5, 1e-6, 1e-8] {
+            for end in [50.0, 200.0] {
+                let ratio = work(Method::Auto, mu, rtol, end) / work(Method::Tsit5, mu, rtol, end);
+                assert!(ratio <= 1.15, "mu = {mu}, {rtol:e}, to {end}: {ratio}");
+            }
+        }
+    }
+    // Where all but the jumps is stiff, both methods in turn beat either.
+    for rtol in [1e-4, 1e-6, 1e-8] {
+        let [auto, explicit, implicit] =
+            [Method::Auto, Method::Dop853, Method::Radau5].map(|m| work(m, 20.0, rtol, 50.0));
+        assert!(auto < 0.9 * explicit.min(implicit), "{rtol:e}: {auto}, {explicit}, {implicit}");
+    }
+}
+
 fn run(method: Method, system: &mut dyn HybridSystem, end: f64) -> Result<Report, Box<SimulationError>> {
     Driver::new(Options { method, ..Options::default() }).unwrap().run(system, 0.0, end, &[end], &mut Ignore)
 }

@@ -120,3 +120,58 @@ fn steps_after_an_event_that_are_shorter_than_its_location_show_nothing_of_a_ret
         }
     }
 }
+
+/// A harmonic oscillator whose steps know nothing of an event function of time: `sin(w t) + offset`.
+struct Dips {
+    w: f64,
+    offset: f64,
+    times: Vec<f64>,
+}
+
+impl HybridSystem for Dips {
+    fn n_states(&self) -> usize {
+        2
+    }
+    fn n_event_indicators(&self) -> usize {
+        1
+    }
+    fn start(&mut self, _: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        x.copy_from_slice(&[1.0, 0.0]);
+        Ok(EventOutcome::default())
+    }
+    fn derivatives(&mut self, _: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        dx.copy_from_slice(&[x[1], -x[0]]);
+        Ok(())
+    }
+    fn event_indicators(&mut self, t: f64, _: &[f64], z: &mut [f64]) -> CallResult<()> {
+        z[0] = (self.w * t).sin() + self.offset;
+        Ok(())
+    }
+    fn handle_event(&mut self, visit: &EventVisit<'_>, _: &mut [f64]) -> CallResult<EventOutcome> {
+        self.times.push(visit.time);
+        Ok(EventOutcome::default())
+    }
+}
+
+/// Every crossing and its return in short dips below zero, which lie between long steps.
+#[test]
+fn short_dips_between_long_steps_are_found() {
+    use std::f64::consts::PI;
+    for method in [Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf] {
+        for (w, offset) in [(7.0, 0.99), (7.0, 0.9), (5.0, 0.99), (3.3, 0.95)] {
+            let mut system = Dips { w, offset, times: Vec::new() };
+            let options = Options { method, ..Options::default() };
+            Driver::new(options).unwrap().run(&mut system, 0.0, 40.0, &[], &mut Ignore).unwrap();
+            let from = f64::asin(offset) + PI;
+            let dips = (0..)
+                .map(|k| 2.0 * PI * f64::from(k))
+                .flat_map(|turn| [turn + from, turn + 3.0 * PI - from].map(|phase| phase / w));
+            let expected: Vec<f64> = dips.take_while(|t| *t < 40.0).collect();
+            let what = format!("{method:?}, sin({w} t) + {offset}");
+            assert_eq!(system.times.len(), expected.len(), "{what}");
+            for (found, expected) in system.times.iter().zip(expected) {
+                assert!((found - expected).abs() < 1e-9, "{what}: {found} and {expected}");
+            }
+        }
+    }
+}

@@ -135,5 +135,45 @@ fn messages_show_numbers_with_exponents() {
         Driver::new(options).unwrap().run(&mut oscillator(), 0.0, 1e-12, &[], &mut Ignore).unwrap_err();
     assert_eq!(error.to_string(), "the limit of 1 steps was reached at t = 2.5e-13");
     let error = Driver::new(Options { relative_tolerance: 1e-30, ..Options::default() }).err().unwrap();
-    assert_eq!(error.to_string(), "relative_tolerance = 1e-30 must be at least 1e-14 and below 1");
+    assert_eq!(
+        error.to_string(),
+        "relative_tolerance = 1e-30 must be at least 1e-14 and below 1, or 0 where absolute tolerances are given"
+    );
+}
+
+/// Either tolerance may be zero: SciPy and CVODE take that, too.
+#[test]
+fn one_of_the_tolerances_may_be_zero() {
+    let (sine, cosine) = 10f64.sin_cos();
+    let exact = [1e4 + cosine + 1e4 * sine, 1e4 * cosine - sine];
+    let is_near = |method, rtol, atol: [f64; 2]| {
+        let rotation = |_: f64, x: &[f64], dx: &mut [f64]| (dx[0], dx[1]) = (x[1], 1e4 - x[0]);
+        let solve = ode::solve(rotation, 0.0..10.0, &[1e4 + 1.0, 1e4]).method(method);
+        let solution = solve.relative_tolerance(rtol).absolute_tolerances(&atol).run().unwrap();
+        exact.iter().zip(solution.last()).all(|(exact, x)| (exact - x).abs() < 1.0)
+    };
+    for method in ADAPTIVE {
+        for (rtol, atol) in [(0.0, [1e-3, 1e-3]), (0.0, [1e-3, 1e-2]), (1e-7, [0.0, 1e-3])] {
+            assert!(is_near(method, rtol, atol), "{method:?} with rtol = {rtol}, atol = {atol:?}");
+        }
+    }
+    for (relative_tolerance, absolute_tolerance) in [
+        (0.0, AbsoluteTolerance::FromNominals),
+        (0.0, AbsoluteTolerance::Scalar(0.0)),
+        (0.0, AbsoluteTolerance::PerState(vec![1.0, 0.0])),
+        (1e-6, AbsoluteTolerance::Scalar(-1.0)),
+        (1e-6, AbsoluteTolerance::Scalar(f64::NAN)),
+    ] {
+        let options = Options { relative_tolerance, absolute_tolerance, ..Options::default() };
+        assert!(options.check().is_err(), "{options:?}");
+    }
+}
+
+#[test]
+fn a_state_of_zero_without_an_absolute_tolerance_is_named() {
+    let options = Options { absolute_tolerance: AbsoluteTolerance::Scalar(0.0), ..Options::default() };
+    let mut system = Smooth { x0: vec![1.0, 0.0], f: |_: f64, _: &[f64], dx: &mut [f64]| dx.fill(1.0) };
+    let error = Driver::new(options).unwrap().run(&mut system, 0.0, 1.0, &[], &mut Ignore).unwrap_err();
+    assert!(matches!(error.kind, ErrorKind::NoTolerance { state: 1 }), "{error}");
+    assert!(error.to_string().contains("state 1 is 0 at t = 0"), "{error}");
 }

@@ -12,7 +12,7 @@ use crate::stages::StageFields;
 use crate::threads::lock;
 use crate::trajectory::Counts;
 use crate::{error, files, fmu_error, logs};
-use calibration::{CalibrationError, Entry, Experiment, FitOptions, Problem, Solver, Verdict};
+use calibration::{CalibrationError, Entry, Experiment, FitOptions, Problem, Severity, Solver, Verdict};
 use dfo::{Progress, RobustLoss, Termination};
 use fmi::OpenOptions;
 use numpy::PyArray1;
@@ -204,17 +204,18 @@ impl PyCalibration {
         };
         let experiments =
             experiments.into_iter().enumerate().map(&mut named).collect::<PyResult<Vec<_>>>()?;
-        let built = py.detach(move || {
+        let built = files::watched(py, move |cancel| {
+            let cancelled = || cancel.is_asked();
             let mut builder = calibration::Calibration::builder(fmu).settings(settings);
             for (name, resolved, experiment) in experiments {
-                let made = experiment.experiment(resolved).map_err(|e| match name {
+                let made = experiment.experiment(resolved, &cancelled).map_err(|e| match name {
                     Some(name) => CalibrationError::Experiment { name, source: Box::new(e) },
                     None => e,
                 });
                 builder = builder.experiment(made?);
             }
             parameters.into_iter().fold(builder, |builder, parameter| builder.parameter(parameter)).build()
-        });
+        })?;
         Self::finish(py, built, callbacks)
     }
 
@@ -282,9 +283,13 @@ impl PyCalibration {
         self.inner.problem().experiment_names()
     }
 
-    /// What may not be meant as it was given.
+    /// What may not be meant as it was given, without notes.
     fn warnings(&self) -> Vec<String> {
-        self.inner.warnings().iter().map(ToString::to_string).collect()
+        let warnings = self.inner.warnings().iter();
+        warnings
+            .filter(|w| w.severity() != Severity::Note)
+            .map(|w| calibration::visible(&w.to_string()).into_owned())
+            .collect()
     }
 
     #[getter]
@@ -382,7 +387,7 @@ impl PyCalibration {
     /// The measurements that count, as a function of the user's sees them.
     fn measured_series<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let outputs = &self.inner.residual_layout().outputs;
-        let measured = outputs.iter().map(|o| (o.experiment, o.variable.as_str(), o.measured.as_slice()));
+        let measured = outputs.iter().map(|o| (o.experiment, o.variable.as_str(), &o.measured[..]));
         cost::series(py, &self.inner.problem().experiment_names(), measured)
     }
 

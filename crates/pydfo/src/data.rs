@@ -1,12 +1,16 @@
 //! Recordings: what Python asks of the native code while it reads them.
 
 use crate::error;
-use calibration::{Data, PairUnit, TimeColumn};
+use crate::interrupt::Watch;
+use calibration::{CalibrationError, ClockChange, CsvRequest, Data, DateError, PairUnit, TimeColumn};
+use numpy::{PyArray1, PyReadonlyArray1};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+use std::path::PathBuf;
 
-/// Columns by name, and the names of others.
-type Columns = (Vec<(String, Vec<f64>)>, Vec<String>);
+/// Local times before and after, and whether an hour is doubled: see [`ClockChange`].
+type Change = (String, String, bool);
 
 /// Position of the column of times among columns of these names, and the length of its unit in s as a fraction.
 #[pyfunction]
@@ -22,36 +26,118 @@ pub(crate) fn find_column(names: Vec<String>, wanted: &str) -> PyResult<usize> {
     calibration::find_column(names.iter().map(String::as_str), wanted).map_err(PyValueError::new_err)
 }
 
-/// Dates and times of day in s since the first; the name of the column may say what two numbers (`10:02`) are.
+/// Dates and times of day in s since the first, and what is said about an hour that is missing in them; the name of the column may say
+/// what two numbers (`10:02`) are.
 #[pyfunction]
-pub(crate) fn date_seconds(texts: Vec<String>, column: &str) -> PyResult<Vec<f64>> {
-    let place = |(row, message): (usize, String)| PyValueError::new_err(format!("row {row}: {message}"));
-    calibration::date_seconds(&texts, PairUnit::of_column(column)).map_err(place)
+pub(crate) fn date_seconds<'py>(
+    py: Python<'py>,
+    texts: Vec<String>,
+    column: &str,
+) -> PyResult<(Bound<'py, PyArray1<f64>>, Option<Change>)> {
+    let pair = PairUnit::of_column(column);
+    let watch = Watch::without_handler(py);
+    match watch.run_here(|cancelled| calibration::date_seconds(&texts, pair, cancelled)) {
+        Ok((seconds, change)) => Ok((PyArray1::from_vec(py, seconds), change.map(fields))),
+        Err(DateError::Cell(row, message)) => Err(at_row(row, &message)),
+        Err(DateError::Cancelled) => Err(watch.interrupted()),
+    }
 }
 
-/// The times and those columns of a CSV text that are needed, with their units in their names, and the names of the others.
+/// What is said about an hour that is missing in times without a zone, in s, of which the first is `start` in s since 1970.
 #[pyfunction]
-pub(crate) fn read_csv(
-    py: Python<'_>,
-    text: &[u8],
-    source: &str,
-    time: Option<&str>,
-    needed: Vec<String>,
-) -> PyResult<Columns> {
-    let bad = |e| error::calibration(py, &e);
-    let data = Data::from_csv_text(text, source, time).map_err(bad)?;
-    let names: Vec<&str> = data.names().collect();
-    let mut columns = vec![("time".to_owned(), data.time().to_vec())];
-    let mut taken = Vec::new();
-    for wanted in &needed {
-        let values = data.column(wanted).map_err(bad)?;
-        let Ok(index) = calibration::find_column(names.iter().copied(), wanted) else { continue };
-        if !taken.contains(&index) {
-            taken.push(index);
-            let name = data.name_with_unit(names[index]).unwrap_or_else(|| names[index].to_owned());
-            columns.push((name, values.to_vec()));
+pub(crate) fn clock_change(start: f64, times: PyReadonlyArray1<'_, f64>) -> PyResult<Option<Change>> {
+    match calibration::clock_change(start, times.as_slice()?) {
+        Ok(change) => Ok(change.map(fields)),
+        Err((row, change)) => Err(at_row(row, &change.to_string())),
+    }
+}
+
+fn fields(change: ClockChange) -> Change {
+    (change.from, change.to, change.is_doubled)
+}
+
+fn at_row(row: usize, message: &str) -> PyErr {
+    PyValueError::new_err(format!("row {row}: {message}"))
+}
+
+/// Refuses what is no regular file: the libraries that read it would wait for a named pipe.
+#[pyfunction]
+pub(crate) fn check_regular(py: Python<'_>, path: PathBuf) -> PyResult<()> {
+    match py.detach(|| base::files::open_regular(&path)) {
+        Ok(_) => Ok(()),
+        Err(source) => Err(error::calibration(py, &CalibrationError::DataFile { path, source })),
+    }
+}
+
+/// A recording in memory.
+#[pyclass(frozen, eq, module = "pydfo._core", name = "Table")]
+#[derive(PartialEq)]
+pub(crate) struct PyTable {
+    pub(crate) inner: Data,
+}
+
+#[pymethods]
+impl PyTable {
+    /// Columns of which one, `time`, holds the times; the names of others; an hour that is missing in the times.
+    #[new]
+    fn new(
+        py: Python<'_>,
+        columns: Vec<(String, PyReadonlyArray1<'_, f64>)>,
+        time: &str,
+        left_out: Vec<String>,
+        clock_change: Option<Change>,
+    ) -> PyResult<Self> {
+        let column =
+            |(name, values): (String, PyReadonlyArray1<'_, f64>)| Ok((name, values.as_slice()?.to_vec()));
+        let columns = columns.into_iter().map(column).collect::<PyResult<Vec<_>>>()?;
+        let change = clock_change.map(|(from, to, is_doubled)| ClockChange { from, to, is_doubled });
+        let made = py.detach(|| Data::from_table(columns, Some(time)));
+        let inner = made.map_err(|e| error::calibration(py, &e))?;
+        Ok(Self { inner: inner.left_out(left_out).with_clock_change(change) })
+    }
+
+    /// The times and those columns of a CSV text that are needed; the names of others that it was made without.
+    #[staticmethod]
+    fn from_csv(
+        py: Python<'_>,
+        text: &[u8],
+        source: &str,
+        time: Option<&str>,
+        needed: Vec<String>,
+        left_out: Vec<String>,
+    ) -> PyResult<Self> {
+        let watch = Watch::without_handler(py);
+        let read = |cancelled: &dyn Fn() -> bool| {
+            Data::read_csv_text(text, source, CsvRequest { time, columns: Some(&needed), cancelled })
+        };
+        match watch.run_here(read) {
+            Ok(inner) => Ok(Self { inner: inner.left_out(left_out) }),
+            Err(CalibrationError::Cancelled) => Err(watch.interrupted()),
+            Err(e) => Err(error::calibration(py, &e)),
         }
     }
-    let others = names.iter().enumerate().filter(|(index, _)| !taken.contains(index));
-    Ok((columns, others.map(|(_, name)| (*name).to_owned()).collect()))
+
+    /// One that was pickled.
+    #[staticmethod]
+    fn restore(state: &[u8]) -> PyResult<Self> {
+        let inner = ciborium::from_reader(state).map_err(|e| PyValueError::new_err(e.to_string()))?;
+        Ok(Self { inner })
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyBytes>,))> {
+        let mut state = Vec::new();
+        ciborium::into_writer(&slf.get().inner, &mut state)
+            .map_err(|e| PyValueError::new_err(e.to_string()))?;
+        Ok((slf.get_type().getattr("restore")?, (PyBytes::new(slf.py(), &state),)))
+    }
+
+    /// Names of the columns beside the times, also of those that were left out.
+    fn names(&self) -> Vec<&str> {
+        self.inner.all_names().collect()
+    }
+
+    /// Its rows.
+    fn __len__(&self) -> usize {
+        self.inner.time().len()
+    }
 }

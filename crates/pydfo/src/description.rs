@@ -12,7 +12,7 @@ use fmi::{
 };
 use pyo3::IntoPyObjectExt;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyList, PyString, PyTuple};
+use pyo3::types::{PyBytes, PyDict, PyList, PyString, PyTuple};
 use std::path::{Path, PathBuf};
 
 /// `pydfo._model.OpenOptions`, field by field.
@@ -98,6 +98,26 @@ impl Fmu {
     fn new(py: Python<'_>, path: PathBuf, options: Option<OpenFields>) -> PyResult<Self> {
         let options = options.map(OpenOptions::from).unwrap_or_default();
         Ok(Self { fmu: files::open(py, path, &options)? })
+    }
+
+    /// The bytes of its model description.
+    fn description_file<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let bytes = py.detach(|| self.fmu.description_file()).map_err(|e| fmu_error::raise(py, &e))?;
+        Ok(PyBytes::new(py, &bytes))
+    }
+
+    /// The FMU that was at `path` with this content, where there is nothing but its model description.
+    #[staticmethod]
+    fn described(
+        py: Python<'_>,
+        path: PathBuf,
+        description: Vec<u8>,
+        content_hash: String,
+    ) -> PyResult<Self> {
+        let reason = "a pickle of a Description holds no more of it: open the file".to_owned();
+        let options = OpenOptions::default();
+        let fmu = py.detach(|| fmi::Fmu::absent(path, description, content_hash, reason, &options));
+        Ok(Self { fmu: fmu.map_err(|e| fmu_error::raise(py, &e))? })
     }
 
     /// How instances are brought back to their beginning between simulations; None before it was tried.

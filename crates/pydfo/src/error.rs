@@ -55,7 +55,7 @@ pub(crate) fn optimiser(py: Python<'_>, error: &dfo::Error) -> PyErr {
 /// An error of a calibration.
 pub(crate) fn calibration(py: Python<'_>, error: &calibration::CalibrationError) -> PyErr {
     use calibration::CalibrationError as E;
-    let message = error.to_string();
+    let message = calibration::visible(&error.to_string()).into_owned();
     match error {
         E::DataFile { path, source } => file("cannot read", path, source),
         E::ReportFile { path, source } => file("cannot write", path, source),
@@ -99,6 +99,9 @@ pub(crate) fn warn(py: Python<'_>, message: &str) -> PyResult<()> {
 /// An error of the operating system; Python chooses FileNotFoundError and its like by the number.
 fn file(action: &str, path: &Path, error: &io::Error) -> PyErr {
     match error.raw_os_error() {
+        _ if error.kind() == io::ErrorKind::OutOfMemory => {
+            PyMemoryError::new_err(format!("{action} {}: {error}", path.display()))
+        }
         Some(number) => {
             let text = error.to_string();
             let reason = text.split(" (os error").next().unwrap_or(&text);

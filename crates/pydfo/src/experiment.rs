@@ -1,12 +1,13 @@
 //! Parameters, experiments and settings of a calibration, from the fields of their Python classes.
 
+use crate::data::PyTable;
 use crate::inputs::{Callback, Callbacks};
 use crate::settings::time_limit;
 use crate::words::word;
 use crate::{error, fmu_error, values};
 use calibration::{
-    CalibrationError, Data, Experiment, InitialState, OutputScale, Parameter, Prior, SimulationSettings,
-    Weight,
+    CalibrationError, CsvRequest, Data, Experiment, InitialState, OutputScale, Parameter, Prior,
+    SimulationSettings, Weight,
 };
 use fmi::FmiError;
 use pyo3::exceptions::PyValueError;
@@ -32,6 +33,7 @@ pub(crate) struct ParameterFields {
     tied_to: Option<String>,
     factor: f64,
     offset: f64,
+    across_units: bool,
     unit: Option<String>,
     display_name: Option<String>,
     prior: Option<PriorFields>,
@@ -63,13 +65,17 @@ impl ParameterFields {
             Err(error::calibration(py, &CalibrationError::Parameter { name: name.clone(), message }))
         };
         let mut parameter = match (&self.tied_to, self.start) {
-            (Some(to), None) => Parameter::tied(&name, to, self.factor, self.offset),
+            (Some(to), None) => {
+                Parameter::tied(&name, to, self.factor, self.offset).across_units(self.across_units)
+            }
             (Some(_), Some(_)) => {
                 return bad("it is tied to another one, whose start counts: leave start out");
             }
             (None, None) => return bad("start is missing: give a number to start from"),
-            (None, Some(_)) if (self.factor, self.offset) != (1.0, 0.0) => {
-                return bad("factor and offset are those of tied_to: name the parameter that it follows");
+            (None, Some(_)) if (self.factor, self.offset, self.across_units) != (1.0, 0.0, false) => {
+                return bad(
+                    "factor, offset and across_units are those of tied_to: name the parameter that it follows",
+                );
             }
             (None, Some(start)) => Parameter::new(&name, start),
         };
@@ -113,12 +119,10 @@ pub(crate) fn check_parameter(py: Python<'_>, parameter: ParameterFields) -> PyR
 #[derive(FromPyObject)]
 pub(crate) struct ExperimentFields {
     pub(crate) name: Option<String>,
-    /// A CSV file; None: `columns`.
+    /// A CSV file; None: `table`.
     path: Option<PathBuf>,
-    columns: Vec<(String, Vec<f64>)>,
-    /// Names of columns that are not among them.
-    left_out: Vec<String>,
-    /// Name of the column of times; None: "time".
+    table: Option<Py<PyTable>>,
+    /// Name of the column of times of the file; None: "time".
     time: Option<String>,
     /// Variable, column, weight.
     outputs: Vec<(String, String, WeightFields)>,
@@ -257,11 +261,34 @@ impl ExperimentFields {
         Ok(Resolved { start_values, initial_states, functions: functions.collect() })
     }
 
-    pub(crate) fn experiment(self, resolved: Resolved) -> Result<Experiment, CalibrationError> {
-        let data = match (self.path, &self.time) {
-            (Some(path), None) => Data::from_csv(path)?,
-            (Some(path), Some(time)) => Data::from_csv_with_time(path, time)?,
-            (None, time) => Data::from_table(self.columns, time.as_deref())?.left_out(self.left_out),
+    /// The columns that are used.
+    fn columns(&self) -> Vec<String> {
+        let measured = self.outputs.iter().map(|(_, column, _)| column);
+        let weights = self.outputs.iter().filter_map(|(_, _, weight)| match weight {
+            WeightFields::Column(column) => Some(column),
+            _ => None,
+        });
+        let driving = self.inputs.iter().filter_map(|(_, source)| match source {
+            InputFields::Column(column) => Some(column),
+            _ => None,
+        });
+        measured.chain(weights).chain(driving).chain(&self.mask_column).cloned().collect()
+    }
+
+    /// The experiment with its recording, which is read unless `cancelled` says that it is to end.
+    pub(crate) fn experiment(
+        self,
+        resolved: Resolved,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Experiment, CalibrationError> {
+        let data = match (&self.path, &self.table) {
+            (Some(path), _) => {
+                let columns = self.columns();
+                let request = CsvRequest { time: self.time.as_deref(), columns: Some(&columns), cancelled };
+                Data::read_csv(path, request)?
+            }
+            (None, Some(table)) => table.get().inner.clone(),
+            (None, None) => return Err(CalibrationError::Setup("there is no recording".to_owned())),
         };
         let measured: Vec<&str> = self.outputs.iter().map(|(_, column, _)| column.as_str()).collect();
         let data = match (&self.mask, &self.mask_column) {
@@ -282,7 +309,7 @@ impl ExperimentFields {
                 WeightFields::Constant(weight) => Weight::Constant(weight),
                 WeightFields::Column(column) => Weight::Column(column),
                 WeightFields::Inverse((name,)) => Weight::Inverse(OutputScale::named(&name)?),
-                WeightFields::Rows(weights) => Weight::Rows(weights),
+                WeightFields::Rows(weights) => Weight::Rows(weights.into()),
             };
             experiment = experiment.weighted_output(variable, column, weight);
         }

@@ -4,7 +4,7 @@ use crate::interrupt::Watch;
 use crate::{fmu_error, logs};
 use example_models::ExampleKind;
 use fmi::{Cancel, FmiError, FmuCache, OpenOptions};
-use pyo3::exceptions::{PyKeyboardInterrupt, PyValueError};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use std::sync::LazyLock;
@@ -43,14 +43,13 @@ pub(crate) fn try_open(
 }
 
 /// Does work of some seconds while this thread looks for signals: one that asks for an early end ends it.
-fn watched<T: Send + 'static>(
+pub(crate) fn watched<T: Send + 'static>(
     py: Python<'_>,
     work: impl FnOnce(Cancel) -> T + Send + 'static,
 ) -> PyResult<T> {
     let watch = Watch::new(py)?;
     let cancel = Cancel::when(watch.stop().flag());
-    let interrupted = || watch.stop().take_raised().unwrap_or_else(|| PyKeyboardInterrupt::new_err(()));
-    watch.run_briefly(move || work(cancel))?.ok_or_else(interrupted)
+    watch.run_briefly(move || work(cancel))?.ok_or_else(|| watch.interrupted())
 }
 
 /// Forgets the FMUs that were kept open; called when the interpreter ends, so that no unpacked folder stays behind.

@@ -1,6 +1,7 @@
 //! What a fit found, for people: as text, as a part of a notebook, and as a page.
 
 use crate::error;
+use crate::findings::{self, FindingFields};
 use crate::fit::PyFit;
 use crate::interrupt::Watch;
 use crate::logs;
@@ -16,6 +17,12 @@ use std::sync::atomic::Ordering;
 #[pyfunction]
 pub(crate) fn fit_text(fit: &PyFit) -> String {
     fit.inner.to_string()
+}
+
+/// What is to be said of a fit, the gravest first.
+#[pyfunction]
+pub(crate) fn fit_findings(fit: &PyFit) -> Vec<FindingFields> {
+    findings::fields(fit.inner.findings())
 }
 
 /// The summary of a fit as an HTML element.

@@ -1,5 +1,6 @@
 //! Errors of models as Python exceptions: a class for each sort of mistake, and numbers to work with where there are any.
 
+use calibration::visible;
 use fmi::FmiError;
 use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::{PyFileNotFoundError, PyKeyboardInterrupt, PyMemoryError, PyOSError};
@@ -15,7 +16,7 @@ pyo3::import_exception!(pydfo._errors, UnknownVariableError);
 
 /// The exception for an error of a model.
 pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
-    let message = error.to_string();
+    let message = visible(&error.to_string()).into_owned();
     match error {
         FmiError::Cancelled => PyKeyboardInterrupt::new_err(()),
         FmiError::Memory { .. } => PyMemoryError::new_err(message),

@@ -283,6 +283,11 @@ impl<'py> Watch<'py> {
         &self.stop
     }
 
+    /// What is raised where the work was ended: what a handler of signals has raised, else KeyboardInterrupt.
+    pub(crate) fn interrupted(&self) -> PyErr {
+        self.stop.take_raised().unwrap_or_else(|| PyKeyboardInterrupt::new_err(()))
+    }
+
     /// Runs `work` on a thread of its own without the interpreter lock, while this thread handles signals and does
     /// what `work` asks for at the [`CallingThread`]. `None`: the user has interrupted it twice; `work` will end on its own some time.
     pub(crate) fn run<T: Send + 'static>(

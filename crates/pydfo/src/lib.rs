@@ -10,6 +10,7 @@ mod dict;
 mod error;
 mod experiment;
 mod files;
+mod findings;
 mod fit;
 mod fit_report;
 mod fmu_error;
@@ -48,7 +49,7 @@ mod core_module {
     #[pymodule_export]
     use super::calibration::PyCalibration;
     #[pymodule_export]
-    use super::data::{date_seconds, find_column, find_time, read_csv};
+    use super::data::{PyTable, check_regular, clock_change, date_seconds, find_column, find_time};
     #[pymodule_export]
     use super::description::Fmu;
     #[pymodule_export]
@@ -58,7 +59,9 @@ mod core_module {
     #[pymodule_export]
     use super::fit::PyFit;
     #[pymodule_export]
-    use super::fit_report::{fit_curves, fit_html, fit_outputs, fit_report, fit_sensitivities, fit_text};
+    use super::fit_report::{
+        fit_curves, fit_findings, fit_html, fit_outputs, fit_report, fit_sensitivities, fit_text,
+    };
     #[pymodule_export]
     use super::methods::{auto_method, method_names, option_names};
     #[pymodule_export]
@@ -75,8 +78,8 @@ mod core_module {
     use super::recordings::{check, recorded, recorded_inputs};
     #[pymodule_export]
     use super::share::{
-        export_fmu, export_ssv, fit_to_bytes, fit_to_csv, fit_to_json, load_fit, parameters_of, save_fit,
-        simulate_variables, variable_values,
+        export_fmu, export_ssv, fit_to_bytes, fit_to_csv, fit_to_json, functions_of_fit, load_fit,
+        parameters_of, save_fit, simulate_variables, variable_values,
     };
     #[pymodule_export]
     use super::solve::solve;

@@ -27,7 +27,7 @@ impl Log for Keeper {
         if !self.enabled(record.metadata()) {
             return;
         }
-        let line = record.args().to_string();
+        let line = calibration::visible(&record.args().to_string()).into_owned();
         let mut lines = lock(&self.lines);
         if lines.len() < MOST_LINES {
             lines.push((record.level(), line));

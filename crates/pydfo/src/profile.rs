@@ -10,21 +10,21 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
 
-/// `Fit.profile`, to an extent of a level and a number of points per side; an interrupt carries the fields of what there is.
+/// `Fit.profile`, to an extent of a level, whether it is corrected for autocorrelated residuals, and a number of points per side; an interrupt carries the fields of what there is.
 #[pyfunction]
 pub(crate) fn profile<'py>(
     py: Python<'py>,
     calibration: &PyCalibration,
     fit: &PyFit,
     parameters: Option<Vec<usize>>,
-    extent: (f64, Option<usize>),
+    extent: (f64, bool, Option<usize>),
     workers: Option<usize>,
     checkpoint: Option<PathBuf>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let fit = fit.inner.clone();
-    let (level, max_points) = extent;
+    let (level, is_corrected, max_points) = extent;
     let max_points = max_points.unwrap_or_else(|| ProfileOptions::default().max_points);
-    let options = ProfileOptions { parameters, level, max_points, workers, checkpoint };
+    let options = ProfileOptions { parameters, level, is_corrected, max_points, workers, checkpoint };
     let work = move |calibration: &calibration::Calibration, cancelled: &dyn Fn() -> bool| {
         calibration.profile(&fit, &options, cancelled)
     };

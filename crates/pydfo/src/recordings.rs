@@ -1,15 +1,14 @@
 //! What a calibration's recordings hold, and what does not fit about them.
 
 use crate::calibration::PyCalibration;
+use crate::data::PyTable;
 use crate::description::Fmu;
 use crate::error;
+use crate::findings::{self, FindingFields};
 use calibration::{Data, Experiment};
 use numpy::PyArray1;
 use pyo3::prelude::*;
 use std::path::PathBuf;
-
-/// Severity, subject, sentence, remedy.
-type Found = (&'static str, String, String, String);
 
 /// The findings of a check, the same as a table, how many evaluations were made, and whether there are notes only.
 #[pyfunction]
@@ -17,11 +16,10 @@ pub(crate) fn check(
     py: Python<'_>,
     calibration: &PyCalibration,
     simulate: bool,
-) -> PyResult<(Vec<Found>, String, usize, bool)> {
+) -> PyResult<(Vec<FindingFields>, String, usize, bool)> {
     let check = calibration.compute(py, move |c, cancelled| c.check_until(simulate, cancelled))?;
     let (table, is_ok) = (check.to_string(), check.is_ok());
-    let findings = check.findings.into_iter().map(|f| (f.severity.name(), f.subject, f.sentence, f.remedy));
-    Ok((findings.collect(), table, check.n_evaluations, is_ok))
+    Ok((findings::fields(check.findings), table, check.n_evaluations, is_ok))
 }
 
 /// Variable, column, unit, values, whether it is an input.
@@ -51,20 +49,19 @@ pub(crate) fn recorded<'py>(py: Python<'py>, calibration: &PyCalibration) -> Vec
 /// Input, times, values.
 type InputSeries<'py> = (String, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
 
-/// The columns of a recording (a CSV file, or columns in memory, the times first) that have the names of inputs of a model, in
+/// The columns of a recording (a CSV file, or one in memory) that have the names of inputs of a model, in
 /// its units, with the times at which they are known.
 #[pyfunction]
 pub(crate) fn recorded_inputs<'py>(
     py: Python<'py>,
     fmu: &Bound<'py, Fmu>,
     path: Option<PathBuf>,
-    columns: Vec<(String, Vec<f64>)>,
-    time: Option<&str>,
+    table: Option<Bound<'py, PyTable>>,
 ) -> PyResult<Vec<InputSeries<'py>>> {
     let bad = |e| error::calibration(py, &e);
-    let data = match path {
-        Some(path) => Data::from_csv(path),
-        None => Data::from_table(columns, time),
+    let data = match (path, table) {
+        (_, Some(table)) => Ok(table.get().inner.clone()),
+        (path, None) => Data::from_csv(path.unwrap_or_default()),
     };
     let description = fmu.get().fmu.description();
     let (data, pairs, warnings) =

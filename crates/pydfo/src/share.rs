@@ -25,6 +25,17 @@ pub(crate) fn fit_to_bytes<'py>(py: Python<'py>, fit: &PyFit) -> PyResult<Bound<
     Ok(PyBytes::new(py, &bytes))
 }
 
+/// The inputs of a fit in a file that functions drove: number and name of the experiment, input.
+#[pyfunction]
+pub(crate) fn functions_of_fit(py: Python<'_>, path: PathBuf) -> PyResult<Vec<(usize, String, String)>> {
+    let saved = py.detach(|| SavedFit::load(&path)).map_err(|e| error::calibration(py, &e))?;
+    let names = saved.problem.experiment_names().into_iter().enumerate();
+    let lost = names.zip(&saved.problem.experiments).flat_map(|((k, name), experiment)| {
+        experiment.lost_functions().map(move |input| (k, name.clone(), input.to_owned())).collect::<Vec<_>>()
+    });
+    Ok(lost.collect())
+}
+
 /// A fit from a file, or from its bytes, with its model: the one given, else the one at its place if that has the content. Its
 /// calibration, and what a `pydfo.Fit` is made of.
 #[pyfunction]
@@ -68,10 +79,11 @@ pub(crate) fn parameters_of<'py>(
         let arguments = PyDict::new(py);
         arguments.set_item("name", p.name())?;
         match p.tie() {
-            Some(Tie { to, factor, offset }) => {
+            Some(Tie { to, factor, offset, across_units }) => {
                 arguments.set_item("tied_to", to)?;
                 arguments.set_item("factor", factor)?;
                 arguments.set_item("offset", offset)?;
+                arguments.set_item("across_units", across_units)?;
             }
             None => {
                 arguments.set_item("start", p.start())?;

@@ -276,6 +276,7 @@ fn is_misuse(kind: &ErrorKind) -> bool {
             | ErrorKind::MassMatrix { .. }
             | ErrorKind::MassMatrixNeedsImplicit
             | ErrorKind::StepBelowRounding { .. }
+            | ErrorKind::NoTolerance { .. }
     )
 }
 

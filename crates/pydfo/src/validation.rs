@@ -3,8 +3,10 @@
 use crate::calibration::PyCalibration;
 use crate::error;
 use crate::experiment::ExperimentFields;
+use crate::findings;
 use crate::fit::PyFit;
 use crate::inputs::Callbacks;
+use crate::interrupt::Watch;
 use crate::settings::{self, LossFields, Options, Settings};
 use crate::trajectory::Counts;
 use calibration::{
@@ -27,7 +29,12 @@ fn experiments(
     let made = |(k, mut fields): (usize, ExperimentFields)| {
         let name = fields.name.clone().unwrap_or_else(|| Experiment::default_name(k));
         let resolved = fields.resolve(py, of, callbacks)?;
-        fields.experiment(resolved).map_err(|e| {
+        let watch = Watch::without_handler(py);
+        let made = watch.run_here(|cancelled| fields.experiment(resolved, cancelled));
+        if let Err(CalibrationError::Cancelled) = made {
+            return Err(watch.interrupted());
+        }
+        made.map_err(|e| {
             let named = if is_one { e } else { CalibrationError::Experiment { name, source: Box::new(e) } };
             error::calibration(py, &named)
         })
@@ -74,6 +81,7 @@ pub(crate) fn to_python<'py>(py: Python<'py>, validation: &Validation) -> PyResu
     fields.set_item("n_simulations", validation.n_simulations)?;
     fields.set_item("stats", Counts::new(&validation.stats))?;
     fields.set_item("text", validation.to_string())?;
+    fields.set_item("findings", findings::fields(validation.findings.clone()))?;
     let outputs = validation.outputs.iter().map(|output| of_output(py, output));
     fields.set_item("outputs", outputs.collect::<PyResult<Vec<_>>>()?)?;
     Ok(fields)
@@ -110,7 +118,7 @@ pub(crate) fn cross_validate<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let loss = settings::loss(loss)?.unwrap_or_default();
     let Settings { run, .. } = options.check(py, FitOptions::default_run().tolerances)?;
-    let options = CrossValidationOptions { folds, run, loss };
+    let options = CrossValidationOptions { folds, run, loss, ..CrossValidationOptions::default() };
     let found = calibration
         .compute(py, move |calibration, cancelled| calibration.cross_validate_until(&options, cancelled))?;
     let fields = PyDict::new(py);
@@ -119,7 +127,7 @@ pub(crate) fn cross_validate<'py>(
         let values = fold.fit.names.iter().zip(&fold.fit.x);
         fields.set_item("held_out", &fold.held_out)?;
         fields.set_item("parameters", values.into_py_dict(py)?)?;
-        fields.set_item("fit_rms", fold.fit.rms)?;
+        fields.set_item("fit_rms", fold.fit_rms)?;
         fields.set_item("nfev", fold.fit.report.n_evaluations)?;
         fields.set_item("success", fold.fit.report.is_success())?;
         fields.set_item("message", &fold.fit.report.message)?;
@@ -136,18 +144,19 @@ pub(crate) fn cross_validate<'py>(
     Ok(fields)
 }
 
-/// `Fit.prediction_band`: per experiment and output.
+/// `Fit.prediction_band`: per experiment and output, to an extent of a level and whether it is corrected for autocorrelated residuals.
 #[pyfunction]
 pub(crate) fn prediction_bands<'py>(
     py: Python<'py>,
     calibration: &PyCalibration,
     fit: &PyFit,
     times: Option<Vec<f64>>,
-    level: f64,
+    extent: (f64, bool),
     outputs: Option<Vec<String>>,
 ) -> PyResult<Vec<Bound<'py, PyDict>>> {
     let fit = fit.inner.clone();
-    let options = BandOptions { times, level, outputs, workers: None };
+    let (level, is_corrected) = extent;
+    let options = BandOptions { times, level, is_corrected, outputs, workers: None };
     let bands = calibration
         .compute(py, move |calibration, cancelled| calibration.prediction_bands(&fit, &options, cancelled))?;
     let to_python = |band: PredictionBand| {

@@ -2,12 +2,14 @@
 
 use crate::calibration::PyCalibration;
 use crate::error;
+use crate::findings;
 use crate::fit::PyFit;
 use crate::settings;
 use calibration::{Preflight, PreflightOptions, Worth, WorthOptions};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyBytes, PyDict};
 use std::sync::Arc;
 
 /// What a point is worth as the result of a fit.
@@ -91,6 +93,22 @@ fn matrix<'py>(py: Python<'py>, rows: &[f64], n: usize) -> PyResult<Bound<'py, P
 
 #[pymethods]
 impl PyWorth {
+    /// All of it: what a pickle holds.
+    fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let mut bytes = Vec::new();
+        ciborium::into_writer(&*self.inner, &mut bytes).map_err(|e| PyValueError::new_err(e.to_string()))?;
+        Ok(PyBytes::new(py, &bytes))
+    }
+
+    /// From its state.
+    #[staticmethod]
+    fn restore(state: &[u8]) -> PyResult<Self> {
+        let bad = |what: String| PyValueError::new_err(format!("this is no state of a Worth: {what}"));
+        let worth: Worth = ciborium::from_reader(state).map_err(|e| bad(e.to_string()))?;
+        worth.check_lengths().map_err(bad)?;
+        Ok(Self { inner: Arc::new(worth) })
+    }
+
     /// The fields of `pydfo.Worth`.
     fn fields<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let (worth, fields) = (&*self.inner, PyDict::new(py));
@@ -103,8 +121,11 @@ impl PyWorth {
         fields.set_item("correlation", matrix(py, &worth.correlation, n)?)?;
         fields.set_item("jacobian", matrix(py, &worth.jacobian, n)?)?;
         fields.set_item("stderr", PyArray1::from_slice(py, &worth.standard_errors))?;
-        let corrected = worth.corrected_errors.as_ref().map(|errors| PyArray1::from_slice(py, errors));
-        fields.set_item("corrected_stderr", corrected)?;
+        let uncorrected = worth.uncorrected_errors().map(|errors| PyArray1::from_vec(py, errors));
+        fields.set_item("uncorrected_stderr", uncorrected)?;
+        fields.set_item("autocorrelations", PyArray1::from_slice(py, &worth.autocorrelations))?;
+        let degrees = PyArray1::from_slice(py, &worth.effective_degrees_of_freedom);
+        fields.set_item("effective_degrees_of_freedom", degrees)?;
         let checks = worth.residual_checks.iter().map(|check| {
             let fields = PyDict::new(py);
             fields.set_item("experiment", &check.experiment)?;
@@ -130,14 +151,15 @@ impl PyWorth {
         }
         let pairs = worth.confounded.iter().map(|(i, j, c)| (&worth.names[*i], &worth.names[*j], *c));
         fields.set_item("confounded", pairs.collect::<Vec<_>>())?;
-        fields.set_item("verdict", &worth.verdict)?;
+        fields.set_item("verdict", worth.verdict())?;
+        fields.set_item("findings", findings::fields(worth.findings.clone()))?;
         fields.set_item("cost", worth.cost)?;
         fields.set_item("accurate_cost", worth.accurate_cost)?;
         fields.set_item("n_simulations", worth.n_simulations)?;
         Ok(fields)
     }
 
-    /// Lower and upper ends, n x 2; `corrected`: with the corrected standard errors, where there are such.
+    /// Lower and upper ends, n x 2; not `corrected`: with the standard errors that suppose independent residuals.
     fn intervals<'py>(
         &self,
         py: Python<'py>,
@@ -145,8 +167,11 @@ impl PyWorth {
         corrected: bool,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let worth = &self.inner;
-        let errors = worth.corrected_errors.as_ref().filter(|_| corrected).unwrap_or(&worth.standard_errors);
-        let ends = worth.intervals(level, errors).map_err(|e| error::calibration(py, &e))?;
+        let ends = match corrected {
+            true => worth.confidence_intervals(level),
+            false => worth.uncorrected().confidence_intervals(level),
+        };
+        let ends = ends.map_err(|e| error::calibration(py, &e))?;
         matrix(py, &ends.iter().flat_map(|(low, high)| [*low, *high]).collect::<Vec<_>>(), 2)
     }
 

@@ -154,7 +154,6 @@ def test_failures_name_the_experiment():
         (([], [SHARED]), ValueError, "there are no experiments"),
         (([Experiment(decay(1.0), {"x": "y"}), decay(1.0)], [SHARED]), TypeError, "entry 1 of the list is a dict, not an Exp"),
         (({"a": Experiment(decay(1.0), {"x": "y"})}, [SHARED]), TypeError, "must be a list, not a dict"),
-        (([Experiment(decay(1.0), {"x": "y"}), Experiment(BAD, ["x"])], [SHARED]), ValueError, "^run2: data: time 0 at row 1 comes"),
         (([Experiment(decay(1.0), {"x": "y"}), Experiment(decay(1.0), {"z": "y"}, name="b")], [SHARED]), KeyError, "b: .*\"z\""),
         (([Experiment(decay(1.0), {"x": "y"}, start_values={"x": 20.0})], [LOCAL]), ValueError, r"'x\[run1\]': start 20 is outside"),
         (([Experiment(decay(1.0), {"x": "y"}, start_values={"k": 2.0})], [SHARED]), ValueError, "'k': it is fitted, and start_values"),
@@ -163,6 +162,11 @@ def test_failures_name_the_experiment():
 def test_what_does_not_fit_together_says_so(arguments, kind, said):
     with pytest.raises(kind, match=said):
         Calibration(example_fmu("dahlquist"), *arguments)
+
+
+def test_a_recording_is_checked_when_its_experiment_is_made():
+    with pytest.raises(ValueError, match="^cold: data: time 0 at row 1 comes after 1"):
+        Experiment(BAD, ["x"], name="cold")
 
 
 # --- Pickles ------------------------------------------------------------------------------------------------------------

@@ -26,10 +26,10 @@ def decay(upper=5.0):
 @pytest.mark.parametrize("which", recordings.at_hand("FurutaData.mat"))
 def test_the_profile_of_the_pendulum_agrees_with_its_standard_errors(which):
     fit = Calibration(example_fmu("furuta"), recordings.furuta(which), ANGLES, FRICTION).fit()
-    profile = fit.profile()
+    profile = fit.profile(corrected=False)
     assert list(profile.intervals) == fit._calibration.names and profile.message == "" and not profile.interrupted
     widths = np.diff(list(profile.intervals.values()))[:, 0]
-    expected = np.diff(fit.confidence_intervals())[:, 0]
+    expected = np.diff(fit.confidence_intervals(corrected=False))[:, 0]
     np.testing.assert_allclose(widths, expected, rtol=0.15)
     if which == "published":
         np.testing.assert_allclose(widths / (2 * np.sqrt(profile.threshold)), [1.375e-5, 1.094e-6], rtol=0.15)
@@ -51,7 +51,26 @@ def test_intervals_values_costs_text_and_picture(tmp_path):
     panels = fit.plot_profiles(profile).axes
     assert [axes.get_xlabel() for axes in panels] == ["k", "x"]
     (axes,) = again.plot().axes
-    assert "open" not in axes.get_title() and axes.get_lines()
+    assert "open" not in axes.get_title()
+    # a smooth curve through the points, some of them near the optimum
+    (curve,) = [line for line in axes.get_lines() if len(line.get_xdata()) > 50]
+    values, costs = again.values["x"], again.costs["x"]
+    assert np.sum(costs < 0.1 * again.threshold) >= 3
+    np.testing.assert_allclose(np.interp(values, *curve.get_data()), costs, atol=0.02 * again.threshold)
+    # straight lines between the points would bend at them alone
+    bends = np.diff(curve.get_ydata(), 2)
+    assert np.mean(bends > 0) > 0.95 and bends.max() < 3 * np.median(bends)
+
+
+def test_the_curve_of_a_parabola_is_one():
+    pytest.importorskip("matplotlib").use("Agg")
+    from pydfo._plot.profile import smooth
+
+    values = np.array([-3.0, -1.0, -0.4, 0.0, 0.5, 2.0])
+    at, costs = smooth(values, values**2, 0.0)
+    np.testing.assert_allclose(costs, at**2, atol=1e-9)
+    at, costs = smooth(values, np.array([4.0, 4.0, 1.0, 0.0, 1.0, 1.0]), 0.0)
+    assert costs.max() <= 4.0 + 1e-12 and costs.min() >= 0.0
 
 
 def test_an_open_side_is_infinite_and_said():
@@ -97,5 +116,5 @@ def test_mistakes_are_named(tmp_path):
             fit.profile(**options)
     with pytest.raises(OSError):
         fit.profile(checkpoint=tmp_path)
-    with pytest.raises(ValueError, match="another cost"):
+    with pytest.raises(ValueError, match="another cost \\(mae\\)"):
         decay().fit(objective="mae").profile()

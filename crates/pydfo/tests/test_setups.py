@@ -130,7 +130,7 @@ def test_inputs_of_a_simulation_follow_the_same_rule():
     expected = model.simulate(final_time=10, input={"time": [0.0, 10.0], **volts})["qt.x1"]
     for name, times in [("Time [s]", [0.0, 10.0]), ("time (ms)", [0.0, 1e4])]:
         assert np.array_equal(model.simulate(final_time=10, input={name: times, **volts})["qt.x1"], expected)
-    with pytest.raises(ValueError, match="the dict of inputs: there is no column 'time'; there are: 'u1', 'u2'"):
+    with pytest.raises(ValueError, match="the dict of inputs has no times, there are: u1, u2; add them"):
         model.simulate(final_time=10, input=volts)
 
 
@@ -238,7 +238,7 @@ def gravity():
 def test_a_parameter_that_moves_nothing_is_named(method):
     fit = falling([gravity(), E]).fit(method=method, rng=1, max_iterations=60, workers=1)
     assert fit.without_effect == ["e"] and fit.at_bound == {}
-    assert "e did not change the cost" in fit.message
+    assert any("determine e" in f.sentence or "e did not change the cost" in f.sentence for f in fit.findings), fit
     # The first simplex shows that g has an effect; what it shows of e, and for other methods both, is tested.
     assert fit.n_checks == (1 if method == "nelder-mead" else 2) and len(fit.trace) == fit.nfev
     assert abs(fit.parameters["g"]) == pytest.approx(9.0, rel=1e-2)
@@ -264,7 +264,7 @@ def test_a_parameter_at_its_bound_is_named(scale, lower, upper, side):
     fit = decay({"time": TIME, "x": DECAY}, parameters=[parameter]).fit()
     assert fit.at_bound == ({} if side is None else {"k": side}) and fit.without_effect == []
     bound = lower if side == "lower" else upper
-    assert (f"k is at its {side} bound {bound:g}" in fit.message) == (side is not None)
+    assert any(f"k is at its {side} bound {bound:g}" in f.sentence for f in fit.findings) == (side is not None)
     # A wide box, and a best value that is no farther from its end than the tolerance of the fit, is another matter.
     wide = decay({"time": TIME, "x": DECAY}, parameters=[Parameter("k", 1.0, 0.0, 1e5)]).fit()
     assert wide.at_bound == {} and wide.x[0] < 10.0
@@ -470,3 +470,48 @@ def test_attributes_that_would_do_nothing():
 def test_a_model_that_is_loaded_cannot_be_pickled():
     with pytest.raises(TypeError, match="open the FMU in each process"):
         pickle.dumps(FMUModel(example_fmu("dahlquist")))
+
+
+def test_advice_is_right():
+    """Each of these once got an advice that was refused, or none."""
+    model = example_fmu("quad_tank")
+    with pytest.raises(ValueError, match=r"has no times, there are: u1; add them, inputs=\{'time'"):
+        FMUModel(model).simulate(final_time=1, inputs={"u1": [0, 1]})
+    with pytest.warns(UserWarning, match="inputs u1 are given from 0 s to 2 s and the simulation runs from 0 s to 5 s"):
+        FMUModel(model).simulate(final_time=5, inputs={"time": [0, 1, 2], "u1": [5, 5, 5]})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        FMUModel(model).simulate(final_time=2, inputs={"time": [0, 1, 2], "u1": [5, 5, 5]})
+    with pytest.raises(TypeError, match="did you mean options|here it is the argument options"):
+        pydfo.minimize(lambda x: x[0] ** 2, [1.0], opts={})
+    with pytest.warns(pydfo.CalibrationWarning, match="there is no CVode here: solver='auto' is used instead"):
+        calibration = Calibration(example_fmu("dahlquist"), {"time": TIME, "x": DECAY}, ["x"], Parameter("k", 1, 0.1, 10), solver="CVode")
+    with pytest.raises(ValueError, match="a report is a page in HTML"):
+        calibration.fit().report("fit.pdf")
+    with pytest.raises(ValueError, match="the wrong way round"):
+        Calibration(example_fmu("dahlquist"), {"time": TIME, "decay": DECAY}, {"decay": "x"}, Parameter("k", 1, 0.1, 10))
+
+
+def test_executors_that_are_none_are_named_with_the_one_to_pass():
+    class Client:
+        def submit(self, *args):
+            raise AssertionError
+
+        def get_executor(self):
+            raise AssertionError
+
+    Parallel = type("Parallel", (), {"__module__": "joblib.parallel", "__call__": lambda self, tasks: list(tasks)})
+    for workers, instead in ((Client(), r"workers=client.get_executor\(\)"), (Parallel(), "loky.get_reusable_executor")):
+        with pytest.raises(TypeError, match=instead):
+            pydfo.minimize(lambda x: x[0] ** 2, [1.0], workers=workers)
+
+
+def test_columns_with_a_unit_in_brackets_are_said_to_be_converted():
+    ball = {"time": TIME[:5], "h (in)": (1 - 0.5 * 9.81 * TIME[:5] ** 2) / 0.0254}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        calibration = Calibration(example_fmu("bouncing_ball"), ball, {"h": "h (in)"}, Parameter("g", -9, -12, -8))
+    said = "converted by the units in the names of the columns: 'h (in)' from in to m"
+    fit = calibration.fit()
+    assert said in str(calibration.check()) and said in str(fit) and fit.x[0] == pytest.approx(-9.81, rel=1e-3)
+    assert [f.severity for f in fit.findings if said in f.sentence] == ["note"]

@@ -373,3 +373,33 @@ def test_rows_of_late_outputs_are_checked(times, message):
     calibration = pydfo.Calibration(pydfo.example_fmu("dahlquist"), experiment, parameters=[Parameter("k", 1.0, 0.1, 10.0)])
     with pytest.raises(ValueError, match=message):
         calibration.simulate([1.0], times)
+
+
+def test_a_fit_with_functions_is_loaded_with_them(tmp_path):
+    model = example_fmu("quad_tank")
+    time = np.arange(0.0, 31.0)
+    voltage = lambda t: 5.0 + 0.1 * t  # noqa: E731
+    inputs = {"u1": voltage, "u2": 5.0}
+    res = FMUModel(model).simulate(times=time, inputs={"u1": voltage, "u2": lambda t: 5.0}, start_values={"qt.a1": 2.7e-6})
+    data = {"time": time, "level": res["qt.x1"]}
+    fit = Calibration(model, data, {"qt.x1": "level"}, Parameter("qt.a1", 3e-6, 2e-6, 4e-6), inputs=inputs).fit()
+    path = tmp_path / "tank.fit"
+    fit.save(path)
+    for given in ({"u1": voltage}, {"run1": {"u1": voltage}}):
+        loaded = load_fit(path, inputs=given, fmu=model)
+        assert loaded.x.tobytes() == fit.x.tobytes() and loaded.residuals().tobytes() == fit.residuals().tobytes()
+    for given, expected in (
+        ({}, r"functions of time drive u1, and a file does not hold functions: give them again, load_fit\(..., inputs="),
+        ({"u1": voltage, "u3": voltage}, "no function of time drives 'u3'; inputs that functions drive: u1"),
+    ):
+        with pytest.raises(pydfo.BadCalibrationError, match=expected):
+            load_fit(path, inputs=given)
+    with pytest.raises(TypeError, match="must be a function of time, not 5"):
+        load_fit(path, inputs={"u1": 5.0})
+
+
+def test_a_description_is_pickled_with_all_that_the_file_says():
+    description = FMUModel(example_fmu("quad_tank")).description
+    copy = pickle.loads(pickle.dumps(description))
+    assert (copy.model_name, copy.guid, copy.path) == (description.model_name, description.guid, description.path)
+    assert list(copy.variables) == list(description.variables) and copy.variables["qt.a1"] == description.variables["qt.a1"]

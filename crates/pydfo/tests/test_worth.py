@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 import recordings
@@ -50,10 +52,45 @@ def test_the_published_errors_of_the_tanks(n, sandwich, pooled):
     )
     for estimator, expected in (("sandwich", sandwich), ("pooled", pooled)):
         fit = calibration.fit(covariance=estimator)
-        np.testing.assert_allclose(fit.stderr * 1e6, expected, atol=1e-4)
-        assert (fit.worth.corrected_stderr > 2 * fit.stderr).all()
+        np.testing.assert_allclose(fit.worth.uncorrected_stderr * 1e6, expected, atol=1e-4)
+        assert (fit.stderr > 2 * fit.worth.uncorrected_stderr).all()
         assert all(0.79 < check.autocorrelation < 0.93 for check in fit.worth.residual_checks)
     assert any("autocorrelated" in said for said in fit.worth.verdict)
+
+
+def test_autocorrelated_residuals_have_one_answer_and_the_other_on_request(tmp_path):
+    time = np.linspace(0, 4, 80)
+    x = np.exp(-1.5 * time) + 0.02 * np.sin(4 * time)
+    fit = Calibration(example_fmu("dahlquist"), {"time": time, "x": x}, ["x"], [Parameter("k", 1.0, 0.1, 5.0)]).fit()
+    worth = fit.worth
+    assert worth.autocorrelations[0] > 0.8 and worth.effective_degrees_of_freedom[0] < worth.degrees_of_freedom
+    assert fit.stderr[0] > 2 * worth.uncorrected_stderr[0]
+
+    def width(corrected):
+        intervals = fit.confidence_intervals(corrected=corrected)
+        band = fit.prediction_band([1.0], corrected=corrected)["x"]
+        (low, high) = fit.profile(corrected=corrected).intervals["k"]
+        return np.array([np.diff(intervals)[0, 0], band.upper[0] - band.lower[0], high - low])
+
+    assert (width(True) > 2 * width(False)).all()
+    assert (width(True)[0] == np.diff(fit.confidence_intervals())).all()
+    low, high = fit.confidence_intervals()[0]
+    assert f"+- {fit.stderr[0]:.2g}"[:6] in str(fit) and "uncorrected" in str(fit) and "corrected for" in str(worth)
+    fit.report(tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert f"{low:.4g}"[:5] in page and f"{high:.4g}"[:5] in page and "uncorrected" in page
+
+
+def test_a_likelihood_has_standard_errors_and_a_plot_of_its_negative_costs():
+    time = np.linspace(0, 3, 60)
+    x = np.exp(-1.5 * time) + np.random.default_rng(3).normal(0, 0.02, time.size)
+    calibration = Calibration(example_fmu("dahlquist"), {"time": time, "x": x}, ["x"], [Parameter("k", 1.0, 0.1, 5.0)])
+    fit, plain = calibration.fit(objective="likelihood"), calibration.fit()
+    assert fit.cost < 0
+    np.testing.assert_allclose(fit.stderr, plain.stderr, rtol=0.01)
+    pytest.importorskip("matplotlib").use("Agg")
+    assert fit.plot_convergence().axes[0].get_yscale() == "linear"
+    assert plain.plot_convergence().axes[0].get_yscale() == "log"
 
 
 def test_the_covariance_is_that_of_curve_fit():
@@ -77,7 +114,10 @@ def test_what_cannot_be_told_is_said(furuta):
     )
     fit = calibration.fit()
     assert fit.worth.undetermined == ["e"] and np.isinf(fit.stderr[0]) and fit.worth.identifiable == ["g"]
-    assert "the data do not determine e" in fit.message and "do not determine e" in fit.cov_message
+    assert fit.findings[0].severity == "warning" and fit.findings[0].sentence.startswith("the data do not determine e")
+    assert "determine" not in fit.message and "do not determine e" in fit.cov_message
+    copy = pickle.loads(pickle.dumps(fit.worth))
+    assert copy.findings == fit.worth.findings and repr(copy) == repr(fit.worth) and copy.covariance.tobytes() == fit.cov.tobytes()
     before = calibration.preflight()
     assert [check.has_effect for check in before.parameters] == [False, True] and before.n_simulations == 4
     assert "e moves no output" in before.messages[0] and "moves no output" in repr(before) and before.cost == calibration.cost()
@@ -105,6 +145,6 @@ def test_a_fit_to_a_model_whose_inputs_nothing_drives_says_so():
         example_fmu("quad_tank"), recording, {"qt.x1": "level"}, [Parameter("qt.a1", 3e-6, 2e-6, 4e-6)]
     )
     fit = calibration.fit()
-    for text in (fit.message, repr(fit)):
-        assert "input 'u1': nothing drives it" in text
-    assert "nothing drives it" not in calibration.fit(covariance=None).message
+    (said,) = [finding for finding in fit.findings if finding.subject == "input 'u1'"]
+    assert said.severity == "warning" and "warning  input 'u1': nothing drives it" in repr(fit)
+    assert "nothing drives it" not in fit.message and "nothing drives it" not in repr(calibration.fit(covariance=None))

@@ -1,9 +1,9 @@
 //! What the description of the model says about parameters, inputs and units.
 
-use super::finding::{Finding, SETUP, Severity};
 use super::subject::Subject;
 use crate::column_units::declared;
 use crate::data::UnitConversion;
+use crate::finding::{Finding, Severity};
 use crate::parameter::Parameter;
 use crate::warning::SetupWarning;
 use fmi::ModelDescription;
@@ -12,7 +12,7 @@ use ode::Number;
 
 /// What was in doubt when the calibration was built.
 pub(super) fn construction_warnings(warnings: &[SetupWarning]) -> Vec<Finding> {
-    let finding = |warning: &SetupWarning| Finding::new(Severity::Warning, SETUP, warning.to_string(), "");
+    let finding = |warning: &SetupWarning| Finding::new(warning.severity(), "setup", warning.to_string(), "");
     warnings.iter().map(finding).collect()
 }
 

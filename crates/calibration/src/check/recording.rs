@@ -1,8 +1,8 @@
 //! What a recording shows by itself: its times, and values that are constant, clipped or missing.
 
-use super::finding::{Finding, Severity};
 use super::subject::Subject;
 use crate::data::sampling_interval;
+use crate::finding::{Finding, Severity};
 use ode::Number;
 
 /// A distance of times so many times the usual one is a gap.

@@ -1,14 +1,18 @@
 //! What an evaluation at the start values shows: measurements in another unit, swapped, or far from the simulation from the start.
 
-use super::finding::{Finding, Severity};
 use super::subject::Subject;
 use crate::calibration::Calibration;
 use crate::column_units::declared;
 use crate::data::{UnitConversion, parts, sampling_interval};
 use crate::error::CalibrationError;
+use crate::finding::{Finding, Severity};
 use crate::layout::OutputResiduals;
-use ode::Number;
+use crate::no_cost::NoCost;
+use crate::residual::CostRule;
+use dfo::RobustLoss;
+use ode::{Number, Stats};
 use std::f64::consts::PI;
+use std::fmt;
 
 /// Measured and simulated values that differ in size by less than this are left to the parameters.
 const LARGE: f64 = 30.0;
@@ -34,8 +38,43 @@ const SMALL_RATIOS: [(f64, &str); 4] = [
 ];
 const CLOSE: f64 = 0.1;
 
+/// A simulation that leaves more of the variance of the measurements than this has not followed them.
+const UNEXPLAINED: f64 = 0.5;
+
+/// A millisecond in s.
+const MILLI: f64 = 1e-3;
+
 /// 0 degC in K.
 const ZERO_CELSIUS: f64 = 273.15;
+
+/// Values of the parameters, and the residuals there.
+pub(super) struct Evaluated {
+    pub(super) x: Vec<f64>,
+    pub(super) residuals: Vec<f64>,
+}
+
+/// Evaluations that are made: how many, and what they take.
+pub(super) struct Evaluations<'a> {
+    pub(super) cancelled: &'a dyn Fn() -> bool,
+    pub(super) n: usize,
+    pub(super) stats: Stats,
+}
+
+/// Where the parameters are as they are looked at.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum Place {
+    Start,
+    Fitted,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Start => "at the start values",
+            Self::Fitted => "at the fitted values",
+        })
+    }
+}
 
 /// An output as it was measured and simulated.
 struct Series<'a> {
@@ -43,40 +82,48 @@ struct Series<'a> {
     simulated: Vec<f64>,
 }
 
-/// The findings of all experiments.
+/// The findings of all experiments at the start, judged again where there is a result of a fit: what holds an output or its initial
+/// value off may have been fitted. Another unit, or swapped columns, parameters make up for by values that mean nothing: such doubts
+/// stay if the parameters have moved as far as that takes, or the result has them, too.
 ///
 /// # Errors
 /// [`CalibrationError::Cancelled`].
 pub(super) fn findings(
     calibration: &Calibration,
     subjects: &[Subject<'_>],
-    cancelled: &dyn Fn() -> bool,
-    n_evaluations: &mut usize,
+    (at_start, fitted): (&Evaluated, Option<&Evaluated>),
+    evaluations: &mut Evaluations<'_>,
 ) -> Result<Vec<Finding>, CalibrationError> {
-    *n_evaluations += 1;
-    let residuals = match calibration.residuals_until(&calibration.start(), cancelled) {
-        Ok(residuals) => residuals,
-        Err(CalibrationError::Cancelled) => return Err(CalibrationError::Cancelled),
-        Err(error) => {
-            return Ok(vec![Finding::new(
-                Severity::Error,
-                "start values",
-                error.to_string(),
-                "start where the model can be simulated; fits try other points, but their first steps are taken from here",
-            )]);
-        }
-    };
-    let series = all_series(calibration, &residuals);
+    let series = all_series(calibration, &at_start.residuals);
+    let fitted_series = fitted.map(|fitted| all_series(calibration, &fitted.residuals));
+    let place = if fitted.is_some() { Place::Fitted } else { Place::Start };
+    let may_be = |factor: f64| fitted.is_none_or(|fitted| has_moved((&at_start.x, &fitted.x), factor));
     let mut findings = Vec::new();
-    for one in &series {
+    for (k, one) in series.iter().enumerate() {
         let subject = &subjects[one.of.experiment];
+        let last = fitted_series.as_ref().map_or(one, |fitted| &fitted[k]);
+        let of_unit =
+            unit(one, subject).filter(|(_, factor)| may_be(*factor) || unit(last, subject).is_some());
         // In another unit everything else is off, too.
-        let found = unit(one, subject).or_else(|| held(one, subject)).or_else(|| initial(one, subject));
-        findings.extend(found);
+        let found = of_unit.map(|(finding, _)| finding);
+        findings.extend(found.or_else(|| held(last, subject, place)).or_else(|| initial(last, subject)));
     }
     findings.extend(swapped(&series, subjects));
-    findings.extend(in_milliseconds(calibration, &series, subjects, cancelled, n_evaluations)?);
+    if may_be(MILLI.recip())
+        || fitted_series.as_ref().is_some_and(|fitted| unexplained(fitted) >= UNEXPLAINED)
+    {
+        findings.extend(in_milliseconds(calibration, &series, subjects, evaluations)?);
+    }
     Ok(findings)
+}
+
+/// Whether a fit has moved a parameter as far as a factor in the data or in time takes, by half of it on a logarithmic scale, or from
+/// zero or through it.
+fn has_moved((start, x): (&[f64], &[f64]), factor: f64) -> bool {
+    let has = |(from, to): (&f64, &f64)| {
+        from != to && (from * to <= 0.0 || (to / from).ln().abs() >= 0.5 * factor.ln().abs())
+    };
+    start.iter().zip(x).any(has)
 }
 
 fn all_series<'a>(calibration: &'a Calibration, residuals: &[f64]) -> Vec<Series<'a>> {
@@ -110,8 +157,9 @@ fn size_of_difference(measured: &[f64], simulated: impl Iterator<Item = f64>) ->
     size(differences.into_iter())
 }
 
-/// Measurements whose range and size are both some other multiple of those of the simulation, or that are 273.15 away.
-fn unit(series: &Series<'_>, subject: &Subject<'_>) -> Option<Finding> {
+/// Measurements whose range and size are both some other multiple of those of the simulation, with the factor; or that are 273.15
+/// away, which a parameter may make up for at any size.
+fn unit(series: &Series<'_>, subject: &Subject<'_>) -> Option<(Finding, f64)> {
     let (measured, simulated) = (&series.of.measured, &series.simulated);
     let unit = declared(subject.description, &series.of.variable).and_then(|v| v.unit.as_deref());
     let (m, s) = (size(measured.iter().copied()), size(simulated.iter().copied()));
@@ -130,8 +178,8 @@ fn unit(series: &Series<'_>, subject: &Subject<'_>) -> Option<Finding> {
         ),
         None => format!("convert it to {stated}"),
     };
-    let finding = |sentence: String| {
-        Some(Finding::new(Severity::Warning, series.name(subject), sentence, remedy.clone()))
+    let finding = |sentence: String, factor: f64| {
+        Some((Finding::new(Severity::Warning, series.name(subject), sentence, remedy.clone()), factor))
     };
     let off = size_of_difference(measured, simulated.iter().copied());
     let times = |factor: f64| size_of_difference(measured, simulated.iter().map(|s| factor * s));
@@ -143,10 +191,11 @@ fn unit(series: &Series<'_>, subject: &Subject<'_>) -> Option<Finding> {
             || SMALL_RATIOS.iter().any(|(factor, _)| times(*factor).min(times(1.0 / factor)) < left);
         let may_be = is_temperature || unit.is_none() && !is_multiple();
         if may_be && left < 0.3 * off && off > 0.5 * ZERO_CELSIUS {
-            return finding(format!(
+            let sentence = format!(
                 "the measurements are {} off the simulation at the start values, about as degC from K: another unit?",
                 Number(rounded(off))
-            ));
+            );
+            return finding(sentence, 1.0);
         }
     }
     // Neither ratio is that of the parameters alone, if both are so large: a gain that is wrong by so much is worth the same words.
@@ -166,23 +215,25 @@ fn unit(series: &Series<'_>, subject: &Subject<'_>) -> Option<Finding> {
         };
         let hint = RATIOS.iter().find(near).map_or_else(String::new, |(_, units, _)| format!(" ({units})"));
         let numbers = [range_m, range_s].map(|range| Number(rounded(range)));
-        return finding(format!(
+        let sentence = format!(
             "the measurements range over {}, the simulation at the start values over {}: the ratio is about {}, as of another unit{hint}, \
              or of parameters that start far off",
             numbers[0],
             numbers[1],
             Number(rounded(middle))
-        ));
+        );
+        return finding(sentence, middle);
     }
     for (factor, units) in SMALL_RATIOS.into_iter().filter(|_| !is_temperature) {
         for factor in [factor, 1.0 / factor] {
             let left = times(factor);
             if left < CLOSE * m && left < CLOSE * off {
-                return finding(format!(
+                let sentence = format!(
                     "the measurements are {} times the simulation at the start values, up to {} of their size: another unit ({units})?",
                     Number(rounded(factor)),
                     Number(rounded(left / m))
-                ));
+                );
+                return finding(sentence, factor);
             }
         }
     }
@@ -190,7 +241,7 @@ fn unit(series: &Series<'_>, subject: &Subject<'_>) -> Option<Finding> {
 }
 
 /// Three digits.
-fn rounded(value: f64) -> f64 {
+pub(super) fn rounded(value: f64) -> f64 {
     if value == 0.0 {
         return value;
     }
@@ -199,7 +250,7 @@ fn rounded(value: f64) -> f64 {
 }
 
 /// Outputs that stay where they start in the simulation, but not in the recording.
-fn held(series: &Series<'_>, subject: &Subject<'_>) -> Option<Finding> {
+fn held(series: &Series<'_>, subject: &Subject<'_>, place: Place) -> Option<Finding> {
     let (measured, simulated) = (&series.of.measured, &series.simulated);
     let is_held = simulated.len() > 2 && range(simulated) <= 1e-12 * size(simulated.iter().copied());
     (is_held && range(measured) > 0.0).then(|| {
@@ -207,7 +258,7 @@ fn held(series: &Series<'_>, subject: &Subject<'_>) -> Option<Finding> {
             Severity::Warning,
             series.name(subject),
             format!(
-                "the simulation at the start values holds it at {}, the measurements range over {}",
+                "the simulation {place} holds it at {}, the measurements range over {}",
                 Number(rounded(simulated[0])),
                 Number(rounded(range(measured)))
             ),
@@ -277,48 +328,48 @@ fn swapped(series: &[Series<'_>], subjects: &[Subject<'_>]) -> Vec<Finding> {
     findings
 }
 
+/// How much of the variance of the measurements is left, on average over the outputs.
+fn unexplained(series: &[Series<'_>]) -> f64 {
+    let of_one = |s: &Series<'_>| {
+        let n = s.of.measured.len() as f64;
+        let mean = s.of.measured.iter().sum::<f64>() / n;
+        let spread = size_of_difference(&s.of.measured, std::iter::repeat(mean)).powi(2);
+        let left = size_of_difference(&s.of.measured, s.simulated.iter().copied()).powi(2);
+        if spread > 0.0 { left / spread } else { 0.0 }
+    };
+    series.iter().map(of_one).sum::<f64>() / series.len() as f64
+}
+
 /// Recordings that the simulation answers a thousand times faster: each row at least half a unit from the next, the costs of the whole a
 /// tenth, and the measurements better explained than by their means.
 fn in_milliseconds(
     calibration: &Calibration,
     series: &[Series<'_>],
     subjects: &[Subject<'_>],
-    cancelled: &dyn Fn() -> bool,
-    n_evaluations: &mut usize,
+    evaluations: &mut Evaluations<'_>,
 ) -> Result<Option<Finding>, CalibrationError> {
     let is_coarse =
         |s: &Subject<'_>| s.experiment.data.sampling_interval().is_some_and(|interval| interval >= 0.5);
     if !subjects.iter().all(is_coarse) {
         return Ok(None);
     }
-    let squares = |series: &[Series<'_>]| {
-        let sum = |s: &Series<'_>| {
-            let n = s.of.measured.len() as f64;
-            let mean = s.of.measured.iter().sum::<f64>() / n;
-            let spread = size_of_difference(&s.of.measured, std::iter::repeat(mean)).powi(2);
-            if spread > 0.0 {
-                size_of_difference(&s.of.measured, s.simulated.iter().copied()).powi(2) / spread
-            } else {
-                0.0
-            }
-        };
-        series.iter().map(sum).sum::<f64>() / series.len() as f64
-    };
-    let as_given = squares(series);
-    if as_given < 0.5 {
+    let as_given = unexplained(series);
+    if as_given < UNEXPLAINED {
         return Ok(None);
     }
     let Some(fast) = a_thousandth_as_long(calibration) else { return Ok(None) };
-    *n_evaluations += 1;
-    let residuals = match fast.residuals_until(&fast.start(), cancelled) {
-        Ok(residuals) => residuals,
-        Err(CalibrationError::Cancelled) => return Err(CalibrationError::Cancelled),
+    evaluations.n += 1;
+    let mut residuals = vec![0.0; fast.n_residuals()];
+    let rule = CostRule::whole(RobustLoss::default(), evaluations.cancelled);
+    match fast.evaluate_into(&fast.start(), rule, &mut residuals, &mut evaluations.stats) {
+        Ok(_) => {}
+        Err(NoCost::Cancelled) => return Err(CalibrationError::Cancelled),
         Err(_) => return Ok(None),
-    };
-    let in_ms = squares(&all_series(&fast, &residuals));
+    }
+    let in_ms = unexplained(&all_series(&fast, &residuals));
     let duration = subjects[0].experiment.data.time();
     let duration = duration[duration.len() - 1] - duration[0];
-    Ok((in_ms < 0.1 * as_given && in_ms < 0.5).then(|| {
+    Ok((in_ms < 0.1 * as_given && in_ms < UNEXPLAINED).then(|| {
         Finding::new(
             Severity::Warning,
             format!("{}{}", subjects[0].prefix, subjects[0].experiment.data.source()),
@@ -337,12 +388,12 @@ fn in_milliseconds(
 fn a_thousandth_as_long(calibration: &Calibration) -> Option<Calibration> {
     let mut problem = calibration.problem().clone();
     for experiment in &mut problem.experiments {
-        experiment.data.scale_times(1e-3);
+        experiment.data.scale_times(MILLI);
         let windows = experiment.windows.iter_mut();
-        windows.for_each(|(from, to)| (*from, *to) = (1e-3 * *from, 1e-3 * *to));
-        experiment.warm_up = experiment.warm_up.map(|seconds| 1e-3 * seconds);
-        experiment.start_time = experiment.start_time.map(|start| 1e-3 * start);
-        experiment.delays.iter_mut().for_each(|(_, delay)| *delay *= 1e-3);
+        windows.for_each(|(from, to)| (*from, *to) = (MILLI * *from, MILLI * *to));
+        experiment.warm_up = experiment.warm_up.map(|seconds| MILLI * seconds);
+        experiment.start_time = experiment.start_time.map(|start| MILLI * start);
+        experiment.delays.iter_mut().for_each(|(_, delay)| *delay *= MILLI);
     }
     calibration.derived(problem).ok()
 }

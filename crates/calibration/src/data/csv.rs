@@ -1,20 +1,48 @@
 //! CSV files as tables, as spreadsheets and data loggers write them.
 
-use super::dates::date_seconds;
+use super::dates::{DateError, date_seconds};
 use super::table::{Column, Data, mixed_decimal_signs};
-use super::time_column::{PairUnit, TimeColumn, time_unit};
+use super::text::shortened;
+use super::time_column::{PairUnit, TimeColumn, find_column, time_unit};
 use super::units::Unit;
 use crate::error::CalibrationError;
 use std::borrow::Cow;
-use std::path::Path;
+use std::io;
+use std::path::{Path, PathBuf};
 
 /// Spellings of a missing value in a CSV file; compared without regard to case.
 const MISSING: [&str; 5] = ["", "nan", "na", "n/a", "null"];
 
+/// A header with more columns is that of something else. Each takes some 200 bytes beside its values.
+const MOST_COLUMNS: usize = 1 << 16;
+
+/// A longer name of a column, in bytes, is something else.
+const LONGEST_NAME: usize = 1000;
+
+/// After so many rows it is asked whether reading is to end.
+const ROWS_PER_LOOK: usize = 4096;
+
+/// What of a CSV file is read, and until when.
+#[derive(Clone, Copy)]
+pub struct CsvRequest<'a> {
+    /// Name of the column of times; `None`: `time`, in any case.
+    pub time: Option<&'a str>,
+    /// The columns that are kept beside the times; of the others only the names. `None`: all.
+    pub columns: Option<&'a [String]>,
+    /// Asked every few thousand rows; reading ends when it says so.
+    pub cancelled: &'a dyn Fn() -> bool,
+}
+
+impl Default for CsvRequest<'_> {
+    fn default() -> Self {
+        Self { time: None, columns: None, cancelled: &|| false }
+    }
+}
+
 impl Data {
     /// Reads a CSV file with a header line, which a line of units may follow. The delimiter is the one of comma, semicolon and tab that stands most
     /// often in the header (a first line `sep=;`, as spreadsheets write it, names it); one more at the end of each
-    /// row is no column. Where it is no comma, numbers may have decimal commas, all of them: where some have commas
+    /// row is no column, nor are columns without a name at the end of the header. Where it is no comma, numbers may have decimal commas, all of them: where some have commas
     /// and others points, one of the two separates thousands. The times are those of the column `time` (in any case),
     /// in s or in the unit that follows in brackets or parentheses: s, ms, us, ns, min, h, d (`time [ms]`); dates (of ISO 8601, or as
     /// `31.05.2024 13:45:10`) and times of day become s since the first row; `00:01` wants a name such as `time [mm:ss]` or `time [hh:mm]`
@@ -22,11 +50,14 @@ impl Data {
     /// cells, `NaN` and `NA` are missing values. Columns of text are kept aside: only using one is an error. Lines that begin with
     /// `#` are comments.
     ///
+    /// The memory that reading takes is at most 8 times the size of the file.
+    ///
     /// # Errors
     /// The file cannot be read, has no column of times (the message lists those there are), no rows, rows of different
-    /// length, or times that are missing or not ascending; each error names the line.
+    /// length, more than 65536 columns, or times that are missing or not ascending; each error names the line.
+    /// [`CalibrationError::DataFile`] of the kind [`io::ErrorKind::OutOfMemory`] where there is no memory for it.
     pub fn from_csv(path: impl AsRef<Path>) -> Result<Self, CalibrationError> {
-        Self::read_csv(path.as_ref(), None)
+        Self::read_csv(path, CsvRequest::default())
     }
 
     /// As [`from_csv`](Self::from_csv), with the times in the column `time`, whatever it is called.
@@ -34,13 +65,19 @@ impl Data {
     /// # Errors
     /// As [`from_csv`](Self::from_csv).
     pub fn from_csv_with_time(path: impl AsRef<Path>, time: &str) -> Result<Self, CalibrationError> {
-        Self::read_csv(path.as_ref(), Some(time))
+        Self::read_csv(path, CsvRequest { time: Some(time), ..CsvRequest::default() })
     }
 
-    fn read_csv(path: &Path, time: Option<&str>) -> Result<Self, CalibrationError> {
+    /// As [`from_csv`](Self::from_csv), what is asked for.
+    ///
+    /// # Errors
+    /// As [`from_csv`](Self::from_csv), and [`CalibrationError::Cancelled`]. That a column which is asked for is not there, is said
+    /// where it is used.
+    pub fn read_csv(path: impl AsRef<Path>, request: CsvRequest<'_>) -> Result<Self, CalibrationError> {
+        let path = path.as_ref();
         let text = base::files::read_regular(path)
             .map_err(|source| CalibrationError::DataFile { path: path.to_owned(), source })?;
-        Self::from_csv_text(&text, &path.display().to_string(), time)
+        Self::read_csv_text(&text, &path.display().to_string(), request)
     }
 
     /// As [`from_csv`](Self::from_csv), from the text itself; `source` names it in errors, `time` the column of times.
@@ -48,58 +85,65 @@ impl Data {
     /// # Errors
     /// As [`from_csv`](Self::from_csv).
     pub fn from_csv_text(text: &[u8], source: &str, time: Option<&str>) -> Result<Self, CalibrationError> {
-        let bad = |message: String| CalibrationError::Data { source_name: source.to_owned(), message };
+        Self::read_csv_text(text, source, CsvRequest { time, ..CsvRequest::default() })
+    }
+
+    /// As [`read_csv`](Self::read_csv), from the text itself; `source_name` names it in errors.
+    ///
+    /// # Errors
+    /// As [`read_csv`](Self::read_csv).
+    pub fn read_csv_text(
+        text: &[u8],
+        source_name: &str,
+        request: CsvRequest<'_>,
+    ) -> Result<Self, CalibrationError> {
+        let bad = |message: String| CalibrationError::Data { source_name: source_name.to_owned(), message };
         if text.starts_with(b"PK\x03\x04") {
             return Err(bad("this is a zip archive (an FMU, a workbook), no CSV file".to_owned()));
         }
         let text = decode(text);
-        // Comments and blank lines go first, so that the reader below sees a table and each row knows its line.
-        let mut numbers = Vec::new();
-        let mut table = String::with_capacity(text.len());
-        let mut named_delimiter = None;
-        for (number, line) in text.lines().enumerate() {
-            if let (0, Some([delimiter])) = (number, line.trim_end().strip_prefix("sep=").map(str::as_bytes))
-            {
-                named_delimiter = Some(*delimiter);
-            } else if !line.trim().is_empty() && !line.trim_start().starts_with('#') {
-                numbers.push(number + 1);
-                table.push_str(line);
-                table.push('\n');
-            }
-        }
-        let delimiter =
-            named_delimiter.unwrap_or_else(|| delimiter(table.lines().next().unwrap_or_default()));
-        let mut reader = csv::ReaderBuilder::new()
-            .delimiter(delimiter)
-            .flexible(true)
-            .trim(csv::Trim::All)
-            .from_reader(table.as_bytes());
-        let line_of = |position: Option<&csv::Position>| {
-            let index = position.map_or(0, |p| p.line() as usize).saturating_sub(1);
-            numbers.get(index).copied().unwrap_or(0)
-        };
-        let names: Vec<String> =
-            reader.headers().map_err(|e| bad(e.to_string()))?.iter().map(str::to_owned).collect();
-        if !names.is_empty() && names.iter().all(|n| number(n, delimiter).is_some()) {
-            return Err(bad(format!("there is no header: line {} holds numbers only", numbers[0])));
-        }
-        if names.is_empty() {
+        let (mut records, delimiter) = Records::new(&text);
+        let (names, expected, line) = header(&mut records).map_err(bad)?;
+        if expected == 0 {
             return Err(bad("there are no rows".to_owned()));
         }
+        if names.iter().all(|n| number(n, delimiter).is_some()) {
+            return Err(bad(format!("there is no header: line {line} holds numbers only")));
+        }
         let mut time_column =
-            TimeColumn::find(names.iter().map(String::as_str), time).map_err(|message| {
+            TimeColumn::find(names.iter().map(String::as_str), request.time).map_err(|message| {
                 let hint = "; there is one column only: columns are separated by commas, semicolons or tabs";
-                bad(if names.len() == 1 { message + hint } else { message })
+                bad(if expected == 1 { message + hint } else { message })
             })?;
+        let at = time_column.index;
+        let mut is_kept = vec![request.columns.is_none(); names.len()];
+        is_kept[at] = true;
+        for wanted in request.columns.unwrap_or_default() {
+            // One that is not there, or twice, is refused where it is used.
+            if let Ok(index) = find_column(names.iter().map(String::as_str), wanted) {
+                is_kept[index] = true;
+            }
+        }
+        // A row has at least a byte per column.
+        let no_memory = || {
+            let source = io::Error::new(io::ErrorKind::OutOfMemory, "there is no memory for its columns");
+            CalibrationError::DataFile { path: PathBuf::from(source_name), source }
+        };
+        let (first_row, lines) = (records.clone(), records.n_lines());
+        let most_rows = lines.min(records.rest().len() / names.len() + 1);
         let mut columns: Vec<Column> = names.iter().map(|n| Column::new(n.clone(), Vec::new())).collect();
-        let (mut lines, mut dates, mut has_units) = (Vec::new(), Vec::new(), false);
-        for record in reader.records() {
-            let record = record.map_err(|e| bad(e.to_string()))?;
-            let line = line_of(record.position());
+        let mut values: Vec<Vec<f64>> = vec![Vec::new(); names.len()];
+        for (values, _) in values.iter_mut().zip(&is_kept).filter(|(_, is_kept)| **is_kept) {
+            values.try_reserve_exact(most_rows).map_err(|_| no_memory())?;
+        }
+        let (mut n_rows, mut dates, mut has_units) = (0, Vec::new(), false);
+        let (mut cells, empty) = (Vec::new(), Cow::Borrowed(""));
+        while let Some((line, len)) = records.next(&mut cells) {
+            if n_rows % ROWS_PER_LOOK == 0 && (request.cancelled)() {
+                return Err(CalibrationError::Cancelled);
+            }
             // A delimiter at the end of a row or of the header makes an empty cell that belongs to no column.
-            let (len, expected) = (record.len(), names.len());
-            let is_whole = record.iter().skip(expected).chain(names.iter().skip(len).map(String::as_str));
-            if !is_whole.clone().all(str::is_empty) {
+            if cells.len() > expected || len < names.len() {
                 let hint = match delimiter {
                     b',' if len == 2 * expected => {
                         "; numbers with decimal commas need semicolons or tabs between the columns"
@@ -108,51 +152,233 @@ impl Data {
                 };
                 return Err(bad(format!("line {line} has {len} cells, the header has {expected}{hint}")));
             }
-            if lines.is_empty()
+            if n_rows == 0
                 && !has_units
-                && let Some(units) = line_of_units(&record, time_column.index)
+                && let Some(units) = line_of_units(&cells, at)
             {
                 has_units = true;
                 for (column, unit) in columns.iter_mut().zip(units) {
                     column.unit = unit;
                 }
-                let (name, unit) = (&names[time_column.index], &columns[time_column.index].unit);
+                let (name, unit) = (&names[at], &columns[at].unit);
                 if let Some(unit) = unit {
                     time_column.unit = time_unit(name, unit).map_err(bad)?;
                 }
                 continue;
             }
-            lines.push(line);
-            for (column, cell) in columns.iter_mut().zip(record.iter().chain(std::iter::repeat(""))) {
-                column.push(cell, line, delimiter);
+            n_rows += 1;
+            let row = cells.iter().chain(std::iter::repeat(&empty));
+            for (k, (column, cell)) in columns.iter_mut().zip(row).enumerate() {
+                // Where commas separate, no number has one, and other columns say nothing about those that are kept.
+                if is_kept[k] {
+                    let value = column.note(cell, line, delimiter);
+                    values[k].push(value);
+                } else if delimiter != b',' && column.text.is_none() {
+                    column.note(cell, line, delimiter);
+                }
             }
-            let cell = record.get(time_column.index).unwrap_or_default();
-            if !cell.is_empty() && number(cell, delimiter).is_none() {
-                dates.push(cell.to_owned());
+            if columns[at].text.is_some()
+                && let Some(cell) = cells.get_mut(at).filter(|cell| number(cell, delimiter).is_none())
+            {
+                dates.push(std::mem::take(cell));
             }
         }
-        if lines.is_empty() {
+        if n_rows == 0 {
             return Err(bad("there are no rows".to_owned()));
         }
-        if let Some(message) = mixed_decimal_signs(&columns, &columns[time_column.index]) {
+        // What is kept on request is used.
+        let is_used = |k: usize| k == at || (is_kept[k] && request.columns.is_some());
+        let mut used = columns.iter().enumerate().filter(|(k, _)| is_used(*k));
+        if let Some(message) = used.find_map(|(_, column)| mixed_decimal_signs(&columns, column)) {
             return Err(bad(message));
         }
-        let mut time = columns.remove(time_column.index);
+        let line_of = |row: usize| {
+            let mut records = first_row.clone();
+            let mut lines = std::iter::from_fn(|| records.next(&mut Vec::new()));
+            lines.nth(row + usize::from(has_units)).unwrap_or_default().0
+        };
+        let mut times = std::mem::take(&mut values[at]);
+        columns.iter_mut().zip(values).for_each(|(column, values)| column.values = values.into());
+        is_kept.remove(at);
+        let (time, mut is_kept) = (columns.remove(at), is_kept.into_iter());
+        let (columns, others): (Vec<_>, Vec<_>) =
+            columns.into_iter().partition(|_| is_kept.next() == Some(true));
+        let mut clock_change = None;
         if let Some((line, text)) = &time.text {
-            if dates.len() != lines.len() {
+            if dates.len() != n_rows {
                 return Err(bad(format!(
                     "time '{text}' in line {line} is not a number, as those of other lines are, or there is none in them"
                 )));
             }
             let stated = time.unit.as_deref().and_then(PairUnit::named);
             let pair = stated.or_else(|| PairUnit::of_column(&time.name));
-            let seconds = date_seconds(&dates, pair);
-            time.values = seconds.map_err(|(row, why)| bad(format!("time in line {}: {why}", lines[row])))?;
+            let found = date_seconds(&dates, pair, request.cancelled);
+            (times, clock_change) = found.map_err(|error| match error {
+                DateError::Cell(row, why) => bad(format!("time in line {}: {why}", line_of(row))),
+                DateError::Cancelled => CalibrationError::Cancelled,
+            })?;
             time_column.unit = (1.0, 1.0);
         }
-        time.values.iter_mut().for_each(|t| *t = time_column.seconds(*t));
-        Self::new(source.to_owned(), time.name, time.values, columns, |row| format!("line {}", lines[row]))
+        times.iter_mut().for_each(|t| *t = time_column.seconds(*t));
+        let place = |row| format!("line {}", line_of(row));
+        let data = Self::new(source_name.to_owned(), time.name, times, columns, place)?;
+        Ok(data.left_out(others.into_iter().map(|column| column.name)).with_clock_change(clock_change))
     }
+}
+
+/// The records of a table from a line on. Blank lines and comments are none.
+#[derive(Clone)]
+struct Records<'t> {
+    text: &'t str,
+    /// Where the next record begins.
+    at: usize,
+    /// The line in which it begins, from 1.
+    line: usize,
+    delimiter: u8,
+}
+
+impl<'t> Records<'t> {
+    /// Those of a text, and their delimiter.
+    fn new(text: &'t str) -> (Self, u8) {
+        let mut records = Self { text, at: 0, line: 1, delimiter: b',' };
+        records.skip();
+        let header = records.rest().lines().next().unwrap_or_default();
+        match header.trim_end().strip_prefix("sep=").map(str::as_bytes) {
+            Some([delimiter]) if records.line == 1 => {
+                records.at += header.len();
+                records.delimiter = *delimiter;
+            }
+            _ => records.delimiter = delimiter(header),
+        }
+        let delimiter = records.delimiter;
+        (records, delimiter)
+    }
+
+    fn rest(&self) -> &'t str {
+        &self.text[self.at..]
+    }
+
+    /// How many lines are left.
+    fn n_lines(&self) -> usize {
+        self.rest().bytes().filter(|byte| matches!(byte, b'\n' | b'\r')).count() + 1
+    }
+
+    /// Goes to the next line that is neither blank nor a comment.
+    fn skip(&mut self) {
+        let bytes = self.text.as_bytes();
+        loop {
+            let blank = bytes[self.at..].iter().take_while(|byte| matches!(byte, b' ' | b'\t')).count();
+            let next = self.at + blank;
+            match bytes.get(next) {
+                Some(b'#') => {
+                    let is_end = |byte: &u8| matches!(byte, b'\n' | b'\r');
+                    let end = bytes[next..].iter().position(is_end);
+                    self.at = end.map_or(bytes.len(), |end| next + end);
+                }
+                Some(b'\n' | b'\r') => self.at = next,
+                None => self.at = next,
+                Some(_) => return,
+            }
+            if self.at == bytes.len() {
+                return;
+            }
+            self.end_line();
+        }
+    }
+
+    /// Goes over the end of a line.
+    fn end_line(&mut self) {
+        let rest = &self.text.as_bytes()[self.at..];
+        self.at += if rest.starts_with(b"\r\n") { 2 } else { usize::from(!rest.is_empty()) };
+        self.line += 1;
+    }
+
+    /// The cells of the next record, without spaces around them, up to the last that is not empty; of more than [`MOST_COLUMNS`]
+    /// one more than these. The line in which it begins, and how many there are; `None` at the end.
+    fn next(&mut self, cells: &mut Vec<Cow<'t, str>>) -> Option<(usize, usize)> {
+        cells.clear();
+        self.skip();
+        let (bytes, line, mut n_cells) = (self.text.as_bytes(), self.line, 0);
+        if self.at == bytes.len() {
+            return None;
+        }
+        loop {
+            let begin = self.at;
+            let cell = match bytes.get(begin) {
+                Some(b'"') => self.quoted(),
+                _ => {
+                    self.at += self.to_end_of_cell();
+                    Cow::Borrowed(trimmed(&self.text[begin..self.at]))
+                }
+            };
+            if !cell.is_empty() && cells.len() <= MOST_COLUMNS {
+                cells.resize(n_cells.min(MOST_COLUMNS), Cow::Borrowed(""));
+                cells.push(cell);
+            }
+            n_cells += 1;
+            match bytes.get(self.at) {
+                Some(byte) if *byte == self.delimiter => self.at += 1,
+                Some(_) => {
+                    self.end_line();
+                    return Some((line, n_cells));
+                }
+                None => return Some((line, n_cells)),
+            }
+        }
+    }
+
+    /// The bytes until the next delimiter or end of a line.
+    fn to_end_of_cell(&self) -> usize {
+        let rest = &self.text.as_bytes()[self.at..];
+        let is_end = |byte: &u8| *byte == self.delimiter || matches!(byte, b'\n' | b'\r');
+        rest.iter().position(is_end).unwrap_or(rest.len())
+    }
+
+    /// A cell in quotes, in which two quotes are one, with what stands behind it. Lines may end in it.
+    fn quoted(&mut self) -> Cow<'t, str> {
+        let mut cell = String::new();
+        loop {
+            self.at += 1;
+            let begin = self.at;
+            let length = self.rest().find('"').unwrap_or(self.rest().len());
+            self.at += length;
+            let part = &self.text[begin..self.at];
+            self.line += part.bytes().filter(|byte| *byte == b'\n').count();
+            cell.push_str(part);
+            self.at = (self.at + 1).min(self.text.len());
+            if !self.rest().starts_with('"') {
+                break;
+            }
+            cell.push('"');
+        }
+        let begin = self.at;
+        self.at += self.to_end_of_cell();
+        cell.push_str(&self.text[begin..self.at]);
+        Cow::Owned(trimmed(&cell).to_owned())
+    }
+}
+
+/// Without white space around it.
+fn trimmed(cell: &str) -> &str {
+    let is_plain = |byte: Option<&u8>| byte.is_none_or(|byte| (b'!'..=b'~').contains(byte));
+    let bytes = cell.as_bytes();
+    if is_plain(bytes.first()) && is_plain(bytes.last()) { cell } else { cell.trim() }
+}
+
+/// The names of the columns up to the last that has one, the number of cells of the header, and its line.
+fn header(records: &mut Records<'_>) -> Result<(Vec<String>, usize, usize), String> {
+    let mut names = Vec::new();
+    let (line, expected) = records.next(&mut names).unwrap_or_default();
+    if names.len() > MOST_COLUMNS {
+        return Err(format!("the header in line {line} has more than {MOST_COLUMNS} columns with a name"));
+    }
+    if let Some(long) = names.iter().find(|name| name.len() > LONGEST_NAME) {
+        let (length, shown) = (long.len(), shortened(long));
+        return Err(format!(
+            "the header in line {line} has a name of {length} bytes, more than {LONGEST_NAME}: '{shown}'"
+        ));
+    }
+    Ok((names.into_iter().map(Cow::into_owned).collect(), expected, line))
 }
 
 /// UTF-8, UTF-16 with a byte order mark, else Windows-1252 (which reads Latin 1 too): what spreadsheets write.
@@ -180,14 +406,14 @@ fn delimiter(header: &str) -> u8 {
 
 /// The units of the columns, where the first line below the header has no values: the cell of the times is a unit of time or empty, and
 /// no other is a number, but for the unit 1.
-fn line_of_units(record: &csv::StringRecord, time: usize) -> Option<Vec<Option<String>>> {
-    let bare = |cell: &str| {
+fn line_of_units(record: &[Cow<'_, str>], time: usize) -> Option<Vec<Option<String>>> {
+    let bare = |cell: &Cow<'_, str>| {
         let inner = |(open, close)| cell.strip_prefix(open)?.strip_suffix(close).map(str::trim);
         [('[', ']'), ('(', ')')].into_iter().find_map(inner).unwrap_or(cell).to_owned()
     };
     let is_unit = |cell: &str| Unit::parse(cell).is_ok();
     let cells: Vec<String> = record.iter().map(bare).collect();
-    let is_of_time = match cells.get(time)?.as_str() {
+    let is_of_time = match cells.get(time).map_or("", String::as_str) {
         "" | "-" => cells.iter().any(|cell| !matches!(&cell[..], "1" | "-") && is_unit(cell)),
         cell => {
             PairUnit::named(cell).is_some()
@@ -201,26 +427,30 @@ fn line_of_units(record: &csv::StringRecord, time: usize) -> Option<Vec<Option<S
 
 /// The number in a cell, NaN for a missing one, `None` for a text.
 fn number(cell: &str, delimiter: u8) -> Option<f64> {
-    if MISSING.iter().any(|m| cell.eq_ignore_ascii_case(m)) {
-        return Some(f64::NAN);
-    }
     // A decimal comma is safe to read where the comma does not separate.
-    let with_comma = || (delimiter != b',').then(|| cell.replacen(',', ".", 1).parse().ok()).flatten();
-    cell.parse().ok().or_else(with_comma)
+    let with_comma = || {
+        (delimiter != b',' && cell.contains(',')).then(|| cell.replacen(',', ".", 1).parse().ok()).flatten()
+    };
+    let missing = || MISSING.iter().any(|m| cell.eq_ignore_ascii_case(m)).then_some(f64::NAN);
+    cell.parse().ok().or_else(missing).or_else(with_comma)
 }
 
 impl Column {
-    fn push(&mut self, cell: &str, line: usize, delimiter: u8) {
+    /// The value of a cell, NaN where it has none. The first text and the first numbers with a comma and with a point are kept.
+    fn note(&mut self, cell: &str, line: usize, delimiter: u8) -> f64 {
         let number = number(cell, delimiter);
-        let first = match number {
-            None => &mut self.text,
-            Some(_) if cell.contains(',') => &mut self.comma,
-            _ => &mut self.point,
-        };
-        if first.is_none() && (number.is_none() || cell.contains([',', '.'])) {
-            *first = Some((line, cell.to_owned()));
+        let is_known = self.point.is_some() && (delimiter == b',' || self.comma.is_some());
+        if number.is_none() || !is_known {
+            let first = match number {
+                None => &mut self.text,
+                Some(_) if cell.contains(',') => &mut self.comma,
+                _ => &mut self.point,
+            };
+            if first.is_none() && (number.is_none() || cell.contains([',', '.'])) {
+                *first = Some((line, shortened(cell).into_owned()));
+            }
         }
-        self.values.push(number.unwrap_or(f64::NAN));
+        number.unwrap_or(f64::NAN)
     }
 }
 
@@ -295,7 +525,7 @@ mod tests {
     fn what_spreadsheets_write_is_read() {
         let d = csv("time,y,,\r\n0,1,,\r\n1,2,,\r\n").unwrap();
         assert_eq!(d.column("y").unwrap(), [1.0, 2.0]);
-        assert!(d.column("").unwrap_err().to_string().contains("two columns are named ''"));
+        assert!(d.column("").unwrap_err().to_string().contains("there is no column ''; there are: 'y'"));
         let d = Data::from_csv_text(b"time,\xb0C\n0,20\n", "latin.csv", None).unwrap();
         assert_eq!(d.column("\u{b0}C").unwrap(), [20.0]);
         let utf16: Vec<u8> = "\u{feff}time,y\n0,1\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
@@ -338,6 +568,80 @@ mod tests {
         }
     }
 
+    /// Only these columns.
+    fn some(text: &str, columns: &[&str]) -> Result<Data, CalibrationError> {
+        let columns: Vec<String> = columns.iter().map(|name| (*name).to_owned()).collect();
+        let request = CsvRequest { columns: Some(&columns), ..CsvRequest::default() };
+        Data::read_csv_text(text.as_bytes(), "test.csv", request)
+    }
+
+    #[test]
+    fn columns_without_a_name_take_no_memory() {
+        // As a table it would have 4e9 cells.
+        let rows: String = (0..20_000).map(|k| format!("{k},1\n")).collect();
+        let d = csv(&format!("time,y{}\n{rows}", ",".repeat(200_000))).unwrap();
+        assert_eq!((d.names().collect::<Vec<_>>(), d.time().len()), (vec!["y"], 20_000));
+        let d = csv(&format!("time,y,,\n0,1,{}\n", "2,".repeat(3))).unwrap_err().to_string();
+        assert!(d.contains("line 2 has 6 cells, the header has 4"), "{d}");
+        let e = csv(&format!("time{}\n0\n", ",a".repeat(MOST_COLUMNS))).unwrap_err().to_string();
+        assert!(e.contains("more than 65536 columns with a name"), "{e}");
+    }
+
+    #[test]
+    fn only_columns_that_are_asked_for_are_kept() {
+        let d = some("time,a,y [mm],y [m]\n0,1,2,soon\n1,3,4,5\n", &["y [mm]", "b"]).unwrap();
+        assert_eq!(
+            (d.names().collect::<Vec<_>>(), d.column("y [mm]").unwrap()),
+            (vec!["y [mm]"], &[2.0, 4.0][..])
+        );
+        let message = |name| d.column(name).unwrap_err().to_string();
+        assert!(
+            message("b").contains("there is no column 'b'; there are: 'y [mm]', 'a', 'y [m]'"),
+            "{}",
+            message("b")
+        );
+        assert!(message("a").contains("column 'a' was left out"));
+        assert!(message("y").contains("several columns are called 'y'"));
+        // Another column may show what a comma means.
+        let text = "time;y;z\n0;1,234;1\n1;2,5;2.5\n";
+        let e = some(text, &["y"]).unwrap_err().to_string();
+        assert!(e.contains("has a comma and '2.5' in column 'z', line 3, a point"), "{e}");
+        assert!(some("time;y;z\n0;1,234;1\n1;2,5;2\n", &["y"]).is_ok());
+    }
+
+    #[test]
+    fn long_cells_are_shortened_and_reading_ends_when_asked() {
+        let long = "x".repeat(1 << 20);
+        for text in [
+            format!("time,y\n0,{long}\n"),
+            format!("time,y\n{long},1\n"),
+            format!("time,{long}\n0,1\n"),
+            format!("{long}\n0\n"),
+        ] {
+            let e = some(&text, &["y"]).and_then(|d| d.column("y").map(|_| ())).unwrap_err().to_string();
+            assert!(
+                e.len() < 500 && e.contains("... (1048576 bytes)") || e.contains("name of 1048576 bytes"),
+                "{e:.300}"
+            );
+        }
+        let request = CsvRequest { cancelled: &|| true, ..CsvRequest::default() };
+        let cancelled = Data::read_csv_text(b"time,y\n0,1\n", "test.csv", request);
+        assert!(matches!(cancelled, Err(CalibrationError::Cancelled)));
+    }
+
+    #[test]
+    fn cells_in_quotes_may_hold_delimiters_quotes_and_lines() {
+        let d =
+            csv("time,\"a \"\"b\"\", c\",\"two\nlines\",\ty\n0,\"1\",x, 2 \r\n# c\n1,3,\"y\n\",4\n").unwrap();
+        assert_eq!(d.names().collect::<Vec<_>>(), ["a \"b\", c", "two\nlines", "y"]);
+        assert_eq!((d.column("y").unwrap(), d.time()), (&[2.0, 4.0][..], &[0.0, 1.0][..]));
+        let e = d.column("two\nlines").unwrap_err().to_string();
+        assert!(e.contains("'x'") && e.contains("line 3"), "{e}");
+        assert!(csv("time,y\r0,1\r1,2").unwrap().column("y").is_ok());
+        let open = csv("time,y\n0,\"1\n1,2\n").unwrap();
+        assert!(open.column("y").unwrap_err().to_string().contains("in column 'y', line 2, is not a number"));
+    }
+
     #[test]
     fn bad_tables_say_where() {
         for (text, expected) in [
@@ -375,6 +679,11 @@ mod tests {
         let d = csv("time,y\n0,\n1,nan\n").unwrap();
         assert!(d.measured("y", 0..2).unwrap_err().to_string().contains("all 2 values"));
         let d = csv("time,y\n0,inf\n1,2\n").unwrap();
-        assert!(d.measured("y", 0..2).unwrap_err().to_string().contains("infinite at time 0"));
+        assert!(
+            d.measured("y", 0..2)
+                .unwrap_err()
+                .to_string()
+                .contains("beyond the largest number 1.8e308, at time 0")
+        );
     }
 }

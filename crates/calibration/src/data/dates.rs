@@ -4,7 +4,12 @@ use jiff::Timestamp;
 use jiff::civil::{Date, DateTime, Time};
 use jiff::fmt::strtime;
 
+use super::clock_change::{ClockChange, clock_change};
+use super::text::shortened;
 use super::time_column::PairUnit;
+
+/// After so many cells it is asked whether reading is to end.
+const CELLS_PER_LOOK: usize = 4096;
 
 /// Formats beside those of ISO 8601; what comes after the seconds is a fraction of them.
 const DATES: [&str; 5] =
@@ -12,10 +17,11 @@ const DATES: [&str; 5] =
 const TIME_OF_DAY: &str = "%H:%M:%S%.f";
 
 /// Minutes and seconds where one of the first numbers is no hour of a day; `None` where it can be either.
-fn pair_of(cells: &[String]) -> Option<PairUnit> {
-    let first = |cell: &String| cell.trim().split_once(':').and_then(|(first, _)| first.parse::<u32>().ok());
-    let is_no_hour = cells.iter().filter_map(first).any(|first| first > 23);
-    (is_no_hour || cells.iter().any(|cell| cell.contains(['.', ',']))).then_some(PairUnit::MinutesSeconds)
+fn pair_of(cells: &[impl AsRef<str>]) -> Option<PairUnit> {
+    let cells = || cells.iter().map(AsRef::as_ref);
+    let first = |cell: &str| cell.trim().split_once(':').and_then(|(first, _)| first.parse::<u32>().ok());
+    let is_no_hour = cells().filter_map(first).any(|first| first > 23);
+    (is_no_hour || cells().any(|cell| cell.contains(['.', ',']))).then_some(PairUnit::MinutesSeconds)
 }
 
 /// How the times of a column are written.
@@ -30,35 +36,57 @@ enum Form {
     Pair,
 }
 
-/// The times in s since the first. All are written as the first is: as dates, dates with a zone, or times of day. Two numbers (`10:02`) are
-/// what `pair` says, else minutes and seconds where they can be nothing else.
+/// Why there are no times.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum DateError {
+    /// What is wrong with a cell, counted from 0.
+    Cell(usize, String),
+    /// Reading was ended.
+    Cancelled,
+}
+
+/// The times in s since the first, and an hour that is missing in those without a zone. All are written as the first is: as dates, dates
+/// with a zone, or times of day. Two numbers (`10:02`) are what `pair` says, else minutes and seconds where they can be nothing else. Ends
+/// when `cancelled` says so.
 ///
 /// # Errors
-/// The index of a cell that is none, and what is wrong with it; two numbers that may be hours and minutes or minutes and seconds.
-pub fn date_seconds(cells: &[String], pair: Option<PairUnit>) -> Result<Vec<f64>, (usize, String)> {
+/// The index of a cell that is none, and what is wrong with it; two numbers that may be hours and minutes or minutes and seconds; an hour
+/// that is doubled. [`DateError::Cancelled`].
+pub fn date_seconds(
+    cells: &[impl AsRef<str>],
+    pair: Option<PairUnit>,
+    cancelled: &dyn Fn() -> bool,
+) -> Result<(Vec<f64>, Option<ClockChange>), DateError> {
     let mut first = None;
     let pair = pair.or_else(|| pair_of(cells));
-    cells
-        .iter()
-        .enumerate()
-        .map(|(row, cell)| {
-            let (form, nanoseconds) = parse(cell, pair).ok_or_else(|| (row, complaint(cell)))?;
-            let (known, start) = *first.get_or_insert((form, nanoseconds));
-            if form != known {
-                let text = format!("'{cell}' is not written like the first, '{}'", cells[0]);
-                return Err((row, text));
-            }
-            if form == Form::Pair && pair.is_none() {
-                let text = format!(
-                    "'{cell}' may be hours and minutes or minutes and seconds: say so in the name of the column, 'time [hh:mm]' or \
-                     'time [mm:ss]'"
-                );
-                return Err((row, text));
-            }
-            // Whole numbers until here: times of equal distance stay so.
-            Ok((nanoseconds - start) as f64 / 1e9)
-        })
-        .collect()
+    let mut seconds = Vec::with_capacity(cells.len());
+    for (row, cell) in cells.iter().map(AsRef::as_ref).enumerate() {
+        if row % CELLS_PER_LOOK == 0 && cancelled() {
+            return Err(DateError::Cancelled);
+        }
+        let (form, nanoseconds) = parse(cell, pair).ok_or_else(|| DateError::Cell(row, complaint(cell)))?;
+        let (known, start) = *first.get_or_insert((form, nanoseconds));
+        let shown = shortened(cell);
+        if form != known {
+            let other = shortened(cells[0].as_ref());
+            return Err(DateError::Cell(row, format!("'{shown}' is not written like the first, '{other}'")));
+        }
+        if form == Form::Pair && pair.is_none() {
+            let text = format!(
+                "'{shown}' may be hours and minutes or minutes and seconds: say so in the name of the column, 'time [hh:mm]' or \
+                 'time [mm:ss]'"
+            );
+            return Err(DateError::Cell(row, text));
+        }
+        // Whole numbers until here: times of equal distance stay so.
+        seconds.push((nanoseconds - start) as f64 / 1e9);
+    }
+    let change = match first {
+        Some((Form::Date, start)) => clock_change(start as f64 / 1e9, &seconds)
+            .map_err(|(row, change)| DateError::Cell(row, change.to_string()))?,
+        _ => None,
+    };
+    Ok((seconds, change))
 }
 
 fn parse(cell: &str, pair: Option<PairUnit>) -> Option<(Form, i128)> {
@@ -117,8 +145,9 @@ fn complaint(cell: &str) -> String {
         ""
     };
     format!(
-        "'{cell}' is neither a number nor a date{hint}: dates are written as 2024-05-31T13:45:10.5 or 31.05.2024 13:45:10.5, \
-         times of day as 13:45:10.5"
+        "'{}' is neither a number nor a date{hint}: dates are written as 2024-05-31T13:45:10.5 or 31.05.2024 13:45:10.5, \
+         times of day as 13:45:10.5",
+        shortened(cell)
     )
 }
 
@@ -131,7 +160,11 @@ mod tests {
     }
 
     fn with_pair(cells: &[&str], pair: Option<PairUnit>) -> Result<Vec<f64>, (usize, String)> {
-        date_seconds(&cells.iter().map(|c| (*c).to_owned()).collect::<Vec<_>>(), pair)
+        match date_seconds(cells, pair, &|| false) {
+            Ok((seconds, _)) => Ok(seconds),
+            Err(DateError::Cell(row, message)) => Err((row, message)),
+            Err(DateError::Cancelled) => unreachable!("nothing cancels"),
+        }
     }
 
     #[test]
@@ -156,6 +189,22 @@ mod tests {
         assert_eq!(of(&["31.05.2024 10:00", "31.05.2024 10:02"]).unwrap(), [0.0, 120.0]);
         let tenths = of(&["10:00:00.0", "10:00:00.1", "10:00:00.2", "10:00:00.3"]).unwrap();
         assert_eq!(tenths, [0.0, 0.1, 0.2, 0.3]);
+    }
+
+    #[test]
+    fn a_clock_that_was_changed_is_said() {
+        let days = |hours: [&str; 5]| hours.map(|hour| format!("2024-10-27 {hour}"));
+        let found = |cells: &[String]| date_seconds(cells, None, &|| false);
+        let (times, change) = found(&days(["01:00", "01:30", "03:00", "03:30", "04:00"])).unwrap();
+        assert_eq!(times, [0.0, 1800.0, 7200.0, 9000.0, 10800.0]);
+        assert_eq!(change.unwrap().from, "2024-10-27T01:30:00");
+        let doubled = found(&days(["02:00", "02:30", "02:00", "02:30", "03:00"])).unwrap_err();
+        let DateError::Cell(2, message) = doubled else { panic!("{doubled:?}") };
+        assert!(message.contains("an hour is doubled") && message.contains("02:00:00+02:00"), "{message}");
+        // Times with a zone need no guess.
+        let zoned: Vec<String> = days(["01:00", "01:30", "03:00", "03:30", "04:00"]).map(|t| t + "Z").into();
+        assert_eq!(found(&zoned).unwrap().1, None);
+        assert_eq!(date_seconds(&zoned, None, &|| true), Err(DateError::Cancelled));
     }
 
     #[test]

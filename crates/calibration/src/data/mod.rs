@@ -1,15 +1,21 @@
 //! Recordings: tables from CSV files and from memory, their column of times and its unit.
 
+mod clock_change;
 mod csv;
 mod dates;
+mod series;
 mod symbols;
 mod table;
+mod text;
 mod time_column;
 mod units;
 
-pub use dates::date_seconds;
+pub use clock_change::{ClockChange, clock_change};
+pub use csv::CsvRequest;
+pub use dates::{DateError, date_seconds};
+pub use series::Series;
+pub(crate) use series::sampling_interval;
 pub use table::Data;
-pub(crate) use table::sampling_interval;
 pub use time_column::{PairUnit, TimeColumn, find_column};
 pub(crate) use time_column::{listed, parts};
 pub use units::{Unit, UnitConversion, UnitError};

@@ -1,5 +1,7 @@
 //! A table of recorded series over one column of times: irregular times, missing values.
 
+use super::clock_change::ClockChange;
+use super::series::{Series, sampling_interval};
 use super::time_column::{TimeColumn, find_column, parts};
 use super::units::UnitConversion;
 use crate::error::CalibrationError;
@@ -15,10 +17,13 @@ use std::ops::Range;
 pub struct Data {
     source: String,
     time_name: String,
-    time: Vec<f64>,
+    time: Series,
     columns: Vec<Column>,
     /// Names of columns that were left out.
     left_out: Vec<String>,
+    /// An hour that is missing in times without a zone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    clock_change: Option<ClockChange>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -26,7 +31,7 @@ pub(super) struct Column {
     pub(super) name: String,
     /// The unit of the values, where it is not the one in the name: from a line of units, or converted to.
     pub(super) unit: Option<String>,
-    pub(super) values: Vec<f64>,
+    pub(super) values: Series,
     /// The first cell that is no number.
     pub(super) text: Option<Cell>,
     /// The first numbers with a comma and with a point.
@@ -73,8 +78,20 @@ impl Data {
         self
     }
 
+    /// An hour that is missing in the times, which are those of a clock without a zone: a [warning](crate::SetupWarning) says so.
+    #[must_use]
+    pub fn with_clock_change(mut self, change: Option<ClockChange>) -> Self {
+        self.clock_change = change;
+        self
+    }
+
+    /// An hour that is missing in the times.
+    pub(crate) fn clock_change(&self) -> Option<&ClockChange> {
+        self.clock_change.as_ref()
+    }
+
     /// Names of all columns beside the time, those left out last.
-    pub(crate) fn all_names(&self) -> impl Iterator<Item = &str> + Clone {
+    pub fn all_names(&self) -> impl Iterator<Item = &str> + Clone {
         self.names().chain(self.left_out.iter().map(String::as_str))
     }
 
@@ -98,10 +115,11 @@ impl Data {
     pub(super) fn new(
         source: String,
         time_name: String,
-        time: Vec<f64>,
+        time: impl Into<Series>,
         columns: Vec<Column>,
         place: impl Fn(usize) -> String,
     ) -> Result<Self, CalibrationError> {
+        let time = time.into();
         let bad = |message: String| Err(CalibrationError::Data { source_name: source.clone(), message });
         if time.is_empty() {
             return bad("there are no rows".to_owned());
@@ -132,7 +150,7 @@ impl Data {
                 return bad(format!("time {} at {} stands there for the third time", Number(*t), place(i)));
             }
         }
-        Ok(Self { source, time_name, time, columns, left_out: Vec::new() })
+        Ok(Self { source, time_name, time, columns, left_out: Vec::new(), clock_change: None })
     }
 
     /// Where the table comes from, as errors name it.
@@ -160,6 +178,11 @@ impl Data {
         &self.time
     }
 
+    /// The times as they are shared.
+    pub(crate) fn time_series(&self) -> &Series {
+        &self.time
+    }
+
     /// Names of the columns beside the time, in their order.
     pub fn names(&self) -> impl Iterator<Item = &str> + Clone {
         self.columns.iter().map(|c| c.name.as_str())
@@ -170,6 +193,11 @@ impl Data {
     /// # Errors
     /// No such column (the message lists those there are), a cell that is no number, an infinite value.
     pub fn column(&self, name: &str) -> Result<&[f64], CalibrationError> {
+        self.series(name).map(|values| &values[..])
+    }
+
+    /// As [`column`](Self::column), as it is shared.
+    pub(crate) fn series(&self, name: &str) -> Result<&Series, CalibrationError> {
         let bad = |message: String| CalibrationError::Data { source_name: self.source.clone(), message };
         let Some(index) = self.position(name)? else { return Ok(&self.time) };
         let column = &self.columns[index];
@@ -184,7 +212,10 @@ impl Data {
             return Err(bad(message));
         }
         if let Some(row) = column.values.iter().position(|v| v.is_infinite()) {
-            return Err(bad(format!("column '{name}' is infinite at time {}", self.time[row])));
+            return Err(bad(format!(
+                "column '{name}' is infinite, or beyond the largest number 1.8e308, at time {}",
+                self.time[row]
+            )));
         }
         Ok(&column.values)
     }
@@ -194,8 +225,7 @@ impl Data {
         if name == self.time_name {
             return Ok(None);
         }
-        let found = find_column(self.names(), name).or_else(|_| find_column(self.all_names(), name));
-        let message = match found {
+        let message = match find_column(self.all_names(), name) {
             Ok(index) if index < self.columns.len() => return Ok(Some(index)),
             Ok(_) => format!("column '{name}' was left out"),
             Err(message) => message,
@@ -241,7 +271,7 @@ impl Data {
         }
         for name in columns {
             let Some(index) = self.position(name)? else { continue };
-            let rows = self.columns[index].values.iter_mut().zip(keep);
+            let rows = self.columns[index].values.to_mut().iter_mut().zip(keep);
             rows.filter(|(_, keep)| !**keep).for_each(|(value, _)| *value = f64::NAN);
         }
         Ok(self)
@@ -319,14 +349,14 @@ impl Data {
                 values.into_iter().for_each(|(k, value)| means[k][last] = value);
             }
         }
-        self.time = time;
-        self.columns.iter_mut().zip(means).for_each(|(column, values)| column.values = values);
+        self.time = time.into();
+        self.columns.iter_mut().zip(means).for_each(|(column, values)| column.values = values.into());
         Ok(self)
     }
 
     /// Multiplies the times with a positive factor.
     pub(crate) fn scale_times(&mut self, factor: f64) {
-        self.time.iter_mut().for_each(|time| *time *= factor);
+        self.time.to_mut().iter_mut().for_each(|time| *time *= factor);
     }
 
     /// The name of a column in full, with its unit if it has one there.
@@ -338,7 +368,7 @@ impl Data {
     pub(crate) fn convert(&mut self, column: &str, conversion: UnitConversion, unit: &str) {
         if let Ok(Some(index)) = self.position(column) {
             let column = &mut self.columns[index];
-            column.values.iter_mut().for_each(|value| *value = conversion.apply(*value));
+            column.values.to_mut().iter_mut().for_each(|value| *value = conversion.apply(*value));
             column.unit = Some(unit.to_owned());
         }
     }
@@ -377,15 +407,16 @@ impl Data {
         Ok(v0 + (v1 - v0) * (time - t0) / (t1 - t0))
     }
 
-    /// The rows of a column that was measured: at least one value, and no time with two of them.
+    /// A column that was measured: at least one value in these rows, and no time with two of them.
     ///
     /// # Errors
     /// As [`column`](Self::column), all values missing, two values at one time.
     ///
     /// # Panics
     /// If `rows` reaches beyond the table.
-    pub(crate) fn measured(&self, name: &str, rows: Range<usize>) -> Result<&[f64], CalibrationError> {
-        let values = &self.column(name)?[rows.clone()];
+    pub(crate) fn measured(&self, name: &str, rows: Range<usize>) -> Result<&Series, CalibrationError> {
+        let series = self.series(name)?;
+        let values = &series[rows.clone()];
         let time = &self.time[rows];
         let bad = |message: String| Err(CalibrationError::Data { source_name: self.source.clone(), message });
         if values.iter().all(|v| v.is_nan()) {
@@ -406,21 +437,13 @@ impl Data {
                 Number(values[i])
             ));
         }
-        Ok(values)
+        Ok(series)
     }
 }
 
-/// The distance of ascending times from each other: the median, without times that stand twice.
-pub(crate) fn sampling_interval(times: &[f64]) -> Option<f64> {
-    let mut distances: Vec<f64> =
-        times.windows(2).map(|pair| pair[1] - pair[0]).filter(|d| *d > 0.0).collect();
-    let middle = distances.len().checked_sub(1)? / 2;
-    Some(*distances.select_nth_unstable_by(middle, f64::total_cmp).1)
-}
-
 impl Column {
-    pub(super) fn new(name: String, values: Vec<f64>) -> Self {
-        Self { name, unit: None, values, text: None, comma: None, point: None }
+    pub(super) fn new(name: String, values: impl Into<Series>) -> Self {
+        Self { name, unit: None, values: values.into(), text: None, comma: None, point: None }
     }
 }
 

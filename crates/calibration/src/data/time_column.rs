@@ -1,5 +1,6 @@
 //! Which column of a table holds the times, and in which unit.
 
+use super::text::shortened;
 use super::units::Unit;
 
 /// Names beyond these are counted only.
@@ -162,7 +163,8 @@ pub(super) fn time_unit(name: &str, given: &str) -> Result<(f64, f64), String> {
 
 /// Names in quotes, not too many of them.
 pub(crate) fn listed<'a>(names: impl Iterator<Item = &'a str> + Clone) -> String {
-    let shown = names.clone().take(MOST_LISTED).map(|n| format!("'{n}'")).collect::<Vec<_>>().join(", ");
+    let shown =
+        names.clone().take(MOST_LISTED).map(|n| format!("'{}'", shortened(n))).collect::<Vec<_>>().join(", ");
     match names.count().saturating_sub(MOST_LISTED) {
         0 => shown,
         more => format!("{shown} and {more} more"),

@@ -41,6 +41,27 @@ impl Document {
         })
     }
 
+    /// Refuses a text that refers to an array twice: each stands in one place.
+    pub(super) fn check_references(&self) -> Result<(), String> {
+        fn collect<'j>(json: &'j Json, names: &mut Vec<&'j str>) {
+            match json {
+                Json::Array(items) => items.iter().for_each(|item| collect(item, names)),
+                Json::Object(object) => match special(object) {
+                    Some(("$array", Json::String(name))) => names.push(name),
+                    _ => object.values().for_each(|value| collect(value, names)),
+                },
+                _ => {}
+            }
+        }
+        let mut names = Vec::new();
+        self.text.values().for_each(|value| collect(value, &mut names));
+        names.sort_unstable();
+        match names.windows(2).find(|pair| pair[0] == pair[1]) {
+            Some(pair) => Err(format!("it refers to {} twice", pair[0])),
+            None => Ok(()),
+        }
+    }
+
     fn store(&mut self, value: Value) -> Result<Json, String> {
         Ok(match value {
             Value::Null => Json::Null,

@@ -5,6 +5,7 @@ use super::tables::unit_of;
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::Fit;
+use crate::worth::Worth;
 use serde_json::{Value as Json, json};
 
 impl Fit {
@@ -26,6 +27,9 @@ impl Fit {
             // As long as the recordings.
             fields.remove("jacobian");
             fields.remove("residuals");
+            // Those of the fit have them.
+            fields.remove("findings");
+            fields.insert("verdict".to_owned(), self.worth.as_ref().map(Worth::verdict).into());
         }
         let parameters = calibration.parameters().iter().enumerate().map(|(k, p)| {
             let side = self.at_bound.iter().find(|(index, _)| *index == k).map(|(_, side)| side.name());
@@ -71,6 +75,7 @@ impl Fit {
             "success": report.is_success(),
             "termination": report.termination.name(),
             "message": report.message,
+            "findings": serde_json::to_value(self.findings())?,
             "method": report.method,
             "solver": self.solver.method.name(),
             "n_evaluations": report.n_evaluations,

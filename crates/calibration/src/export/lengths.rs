@@ -41,6 +41,16 @@ fn check_fit(fit: &Fit, place: &str) -> Result<(), String> {
     stages.iter().enumerate().try_for_each(stage)
 }
 
+impl Worth {
+    /// Refuses one that comes from elsewhere and of which parts have other lengths than its parameters and residuals ask for.
+    ///
+    /// # Errors
+    /// The message names the first of them.
+    pub fn check_lengths(&self) -> Result<(), String> {
+        check_worth(self, self.x.len(), "worth")
+    }
+}
+
 fn check_worth(worth: &Worth, n: usize, place: &str) -> Result<(), String> {
     let m = worth.residuals.len();
     let lengths = [
@@ -50,7 +60,9 @@ fn check_worth(worth: &Worth, n: usize, place: &str) -> Result<(), String> {
         ("covariance", worth.covariance.len(), n * n),
         ("standard_errors", worth.standard_errors.len(), n),
         ("correlation", worth.correlation.len(), n * n),
-        ("corrected_errors", worth.corrected_errors.as_ref().map_or(n, Vec::len), n),
+        ("uncorrected_covariance", worth.uncorrected_covariance.as_ref().map_or(n * n, Vec::len), n * n),
+        ("autocorrelations", worth.autocorrelations.len(), worth.residual_checks.len()),
+        ("effective_degrees_of_freedom", worth.effective_degrees_of_freedom.len(), n),
         ("jacobian", worth.jacobian.len(), m * n),
     ];
     lengths.into_iter().try_for_each(|(field, found, wanted)| same(place, field, (found, wanted)))?;

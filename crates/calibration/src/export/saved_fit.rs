@@ -21,13 +21,20 @@ use zip::{CompressionMethod, ZipArchive};
 const FORMAT: &str = "fmufit fit";
 
 /// The format that this version reads and writes. It changes with everything that a file holds.
-const FORMAT_VERSION: u64 = 1;
+const FORMAT_VERSION: u64 = 2;
 
 const TEXT: &str = "fit.json";
 const DESCRIPTION: &str = "modelDescription.xml";
 
-/// A file that claims to hold more than this many bytes is none of ours.
-const MOST_BYTES: u64 = 8 << 30;
+/// What a file holds may be so many times as large as the file itself, or [`LEAST_BYTES`]; what compresses better is stored as it is.
+const MOST_COMPRESSED: u64 = 8;
+
+/// So many bytes may every file hold.
+const LEAST_BYTES: u64 = 8 << 20;
+
+/// So many values may the text of every file have, of a larger file one for so many bytes.
+const LEAST_VALUES: u64 = 1 << 18;
+const BYTES_PER_VALUE: u64 = 4;
 
 /// A fit that was read from a file, and what it is a fit of.
 ///
@@ -192,19 +199,28 @@ fn document(fit: &Fit, problem: &Problem, open_options: &OpenOptions) -> Result<
 }
 
 fn pack(document: &Document, description: &[u8]) -> Result<Vec<u8>, zip::result::ZipError> {
-    let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     let text = serde_json::to_vec_pretty(&document.text).map_err(std::io::Error::from)?;
-    let arrays = document.arrays.iter().map(|(name, numbers)| (name.as_str(), to_npy(numbers)));
-    let files = [(TEXT, text), (DESCRIPTION, description.to_vec())].into_iter().chain(arrays);
+    let mut files = vec![(TEXT, text), (DESCRIPTION, description.to_vec())];
+    files.extend(document.arrays.iter().map(|(name, numbers)| (name.as_str(), to_npy(numbers))));
+    let packed = zipped(&files, CompressionMethod::Deflated)?;
+    let (total, length) = (files.iter().map(|(_, bytes)| bytes.len() as u64).sum(), packed.len() as u64);
+    match check_size(total, length).and_then(|()| check_text(&files[0].1, length)) {
+        Ok(()) => Ok(packed),
+        Err(_) => zipped(&files, CompressionMethod::Stored),
+    }
+}
+
+fn zipped(files: &[(&str, Vec<u8>)], method: CompressionMethod) -> Result<Vec<u8>, zip::result::ZipError> {
+    let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     for (name, bytes) in files {
         // Without a time: the same fit gives the same bytes.
         let options = SimpleFileOptions::default()
-            .compression_method(CompressionMethod::Deflated)
+            .compression_method(method)
             .last_modified_time(zip::DateTime::default())
             .large_file(bytes.len() as u64 >= u64::from(u32::MAX))
             .unix_permissions(0o644);
-        archive.start_file(name, options)?;
-        archive.write_all(&bytes)?;
+        archive.start_file(*name, options)?;
+        archive.write_all(bytes)?;
     }
     Ok(archive.finish()?.into_inner())
 }
@@ -220,13 +236,21 @@ fn unpack(bytes: &[u8]) -> Result<(Document, Vec<u8>), String> {
     if !names.iter().any(|name| name == TEXT) {
         return Err(format!("this is no saved fit: it holds no {TEXT}"));
     }
-    let text =
-        serde_json::from_slice(&entry(&mut archive, TEXT)?).map_err(|e| format!("{TEXT} is damaged: {e}"))?;
+    let (mut total, file) = (0u64, bytes.len() as u64);
+    for k in 0..archive.len() {
+        let entry = archive.by_index_raw(k).map_err(|e| format!("the file is damaged: {e}"))?;
+        total = total.saturating_add(entry.size());
+    }
+    check_size(total, file)?;
+    let text = entry(&mut archive, TEXT)?;
+    check_text(&text, file)?;
+    let text = serde_json::from_slice(&text).map_err(|e| format!("{TEXT} is damaged: {e}"))?;
     let Json::Object(text) = text else {
         return Err(format!("this is no saved fit: {TEXT} is something else"));
     };
     let mut document = Document { text, ..Document::default() };
     check_format(&document)?;
+    document.check_references()?;
     for name in names.iter().filter(|name| name.starts_with("arrays/")) {
         let numbers = from_npy(&entry(&mut archive, name)?).map_err(|e| format!("{name} is damaged: {e}"))?;
         document.arrays.insert(name.clone(), numbers);
@@ -255,13 +279,33 @@ fn check_format(document: &Document) -> Result<(), String> {
     }
 }
 
+/// Refuses a file that holds more than its size allows: it would take many times its size in memory.
+fn check_size(total: u64, file: u64) -> Result<(), String> {
+    let most = LEAST_BYTES.max(file.saturating_mul(MOST_COMPRESSED));
+    match total > most {
+        true => Err(format!(
+            "it is said to hold {total} bytes, more than the {most} that a file of {file} bytes may"
+        )),
+        false => Ok(()),
+    }
+}
+
+/// The same for the number of values in its text.
+fn check_text(text: &[u8], file: u64) -> Result<(), String> {
+    let most = LEAST_VALUES.max(file / BYTES_PER_VALUE);
+    let found = text.iter().filter(|byte| matches!(byte, b',' | b'[' | b'{')).count() as u64;
+    match found > most {
+        true => Err(format!(
+            "{TEXT} has some {found} values, more than the {most} that a file of {file} bytes may"
+        )),
+        false => Ok(()),
+    }
+}
+
 fn entry(archive: &mut ZipArchive<impl Read + Seek>, name: &str) -> Result<Vec<u8>, String> {
     let damaged = |e: &dyn std::fmt::Display| format!("{name} is cut off or damaged: {e}");
     let file = archive.by_name(name).map_err(|e| damaged(&e))?;
     let size = file.size();
-    if size > MOST_BYTES {
-        return Err(format!("{name} is said to have {size} bytes, more than {MOST_BYTES}"));
-    }
     let mut bytes = Vec::new();
     file.take(size.saturating_add(1)).read_to_end(&mut bytes).map_err(|e| damaged(&e))?;
     if bytes.len() as u64 == size { Ok(bytes) } else { Err(damaged(&"it has another length than it says")) }

@@ -6,7 +6,7 @@ use crate::error::CalibrationError;
 use crate::fit::Fit;
 use fmi::description::VariableKind;
 use fmi::description::{BaseUnit, Unit};
-use quick_xml::escape::escape;
+use quick_xml::escape;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -60,7 +60,7 @@ impl Fit {
                     let of = model.type_definitions.iter().find(|t| Some(t.name.as_str()) == types);
                     let item = of.and_then(|of| of.items.iter().find(|item| item.value as f64 == *value));
                     match item {
-                        Some(item) => ("Enumeration", escape(&item.name).into_owned()),
+                        Some(item) => ("Enumeration", escape(&item.name)),
                         None => ("Integer", format!("{value}")),
                     }
                 }
@@ -104,6 +104,18 @@ impl Fit {
     }
 }
 
+/// A text as the value of an attribute: line breaks and tabulators by their numbers, which a reader would take for spaces (XML 1.0,
+/// section 3.3.3); characters that XML cannot hold as they are shown (section 2.2).
+fn escape(text: &str) -> String {
+    let is_no_character = |c: char| matches!(c, '\u{0}'..='\u{8}' | '\u{b}' | '\u{c}' | '\u{e}'..='\u{1f}' | '\u{fffe}' | '\u{ffff}');
+    let held = |c: char| match c {
+        c if is_no_character(c) => c.escape_unicode().to_string(),
+        c => c.to_string(),
+    };
+    let held: String = text.chars().map(held).collect();
+    escape::escape(&held).replace('\t', "&#9;").replace('\n', "&#10;").replace('\r', "&#13;")
+}
+
 /// What a unit is made of, as attributes; those by default left out.
 fn attributes(base: &BaseUnit) -> String {
     let BaseUnit { kg, m, s, a, k, mol, cd, rad, factor, offset } = *base;
@@ -114,4 +126,18 @@ fn attributes(base: &BaseUnit) -> String {
     let numbers = [("factor", factor, 1.0), ("offset", offset, 0.0)];
     let numbers = numbers.into_iter().filter(|(_, value, default)| value != default);
     exponents.chain(numbers.map(|(name, value, _)| format!(" {name}=\"{value:?}\""))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn attributes_hold_any_name() {
+        let escaped = escape("a\u{1b}[2J\u{0}\n\t<\"k\">\u{ffff}");
+        assert_eq!(escaped, "a\\u{1b}[2J\\u{0}&#10;&#9;&lt;&quot;k&quot;&gt;\\u{ffff}");
+        let xml = format!("<a name=\"{escaped}\"/>");
+        let mut reader = quick_xml::Reader::from_str(&xml);
+        assert!(matches!(reader.read_event(), Ok(quick_xml::events::Event::Empty(_))));
+    }
 }

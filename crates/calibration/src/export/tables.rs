@@ -9,7 +9,8 @@ use crate::parameter::Parameter;
 use dfo::Outcome;
 use std::path::Path;
 
-/// Which table of a fit. All numbers have the digits that stand for the same number when they are read again; missing ones
+/// Which table of a fit. Names of the model and of the recordings stand as they are: a spreadsheet takes a cell that begins with `=`,
+/// `+`, `-` or `@` for a formula, so import tables of models that you do not trust as text. All numbers have the digits that stand for the same number when they are read again; missing ones
 /// are empty.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -70,7 +71,7 @@ impl Fit {
             "name",
             "value",
             "standard_error",
-            "corrected_error",
+            "uncorrected_error",
             "start",
             "lower",
             "upper",
@@ -81,13 +82,13 @@ impl Fit {
         let row = |(k, p): (usize, &Parameter)| {
             let worth = self.worth.as_ref();
             let error = worth.map(|worth| worth.standard_errors[k]);
-            let corrected = worth.and_then(|worth| worth.corrected_errors.as_ref()).map(|errors| errors[k]);
+            let uncorrected = worth.and_then(crate::worth::Worth::uncorrected_errors).map(|errors| errors[k]);
             let side = self.at_bound.iter().find(|(index, _)| *index == k).map(|(_, side)| side.name());
             vec![
                 p.name().to_owned(),
                 number(self.x[k]),
                 error.map_or_else(String::new, number),
-                corrected.map_or_else(String::new, number),
+                uncorrected.map_or_else(String::new, number),
                 number(self.start[k]),
                 number(p.lower()),
                 number(p.upper()),
@@ -101,7 +102,7 @@ impl Fit {
                 tied.name,
                 number(tied.value),
                 tied.standard_error.map_or_else(String::new, number),
-                tied.corrected_error.map_or_else(String::new, number),
+                tied.uncorrected_error.map_or_else(String::new, number),
                 number(tied.start),
                 String::new(),
                 String::new(),
@@ -189,7 +190,7 @@ pub(super) struct Tied {
     pub(super) start: f64,
     /// That of the other one times the size of the factor.
     pub(super) standard_error: Option<f64>,
-    pub(super) corrected_error: Option<f64>,
+    pub(super) uncorrected_error: Option<f64>,
     pub(super) unit: Option<String>,
 }
 
@@ -215,7 +216,7 @@ impl Fit {
                 value: of.value(&self.x),
                 start: of.value(&self.start),
                 standard_error: worth.and_then(|worth| error(&worth.standard_errors)),
-                corrected_error: worth.and_then(|worth| error(worth.corrected_errors.as_deref()?)),
+                uncorrected_error: worth.and_then(|worth| error(&worth.uncorrected_errors()?)),
                 unit: parameter.and_then(|p| unit_of(p, calibration)),
             })
         };

@@ -9,12 +9,11 @@ use crate::calibration::Calibration;
 use crate::effect::{AT, BoundSide, inner};
 use crate::error::CalibrationError;
 use crate::fit::Fit;
-use crate::measurements::scaled_weight;
 use crate::objective::CostKind;
 use crate::parallel;
 use crate::parameter::Parameter;
 use crate::simulations::Simulations;
-use crate::worth::{Estimator, KnownPoint, Noise, Worth, check_level};
+use crate::worth::{Criterion, KnownPoint, Worth, check_level};
 use dfo::{Kind, RobustLoss};
 use refit::{NoFit, Refits};
 pub use result::{ParameterProfile, Profile, ProfileEnd, ProfilePoint};
@@ -32,6 +31,8 @@ pub struct ProfileOptions {
     pub parameters: Option<Vec<usize>>,
     /// The level of the intervals; default 0.95.
     pub level: f64,
+    /// Whether autocorrelated residuals are taken account of, as [`Worth::covariance`] does; default yes.
+    pub is_corrected: bool,
     /// Points on each side of the optimum before a side that has not crossed the threshold is said to be open; default 20. Refits that
     /// find the crossing come on top.
     pub max_points: usize,
@@ -43,7 +44,14 @@ pub struct ProfileOptions {
 
 impl Default for ProfileOptions {
     fn default() -> Self {
-        Self { parameters: None, level: 0.95, max_points: 20, workers: None, checkpoint: None }
+        Self {
+            parameters: None,
+            level: 0.95,
+            is_corrected: true,
+            max_points: 20,
+            workers: None,
+            checkpoint: None,
+        }
     }
 }
 
@@ -53,20 +61,21 @@ impl Calibration {
     /// do not bound a parameter.
     ///
     /// Each parameter is held at values farther and farther from the optimum, and the others are fitted again by least squares. The
-    /// statistic is the rise of the sum of the squared residuals, those of each output divided by their standard deviation
-    /// (`r'r / N_o N / (N - p)` at the fit is its square, and stays; with the pooled estimator of [`Fit::worth`] there is one for all). An
-    /// interval ends where the statistic is the quantile of F with 1 and N - p degrees of freedom, the square of that of Student's t
-    /// (Bates and Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1; Raue et al., Bioinformatics 25, 2009,
-    /// with the quantile of chi-square, its limit for many measurements). It is about the optimum of the weighted sum, which is found
-    /// first: with outputs of different variances it differs a little from that of the fit. For a linear model and one output the interval
-    /// is that of the covariance.
+    /// statistic is the rise of the cost that the fit minimised, with its weights and loss, in units in which it is the square of the
+    /// distance in standard errors where the cost is quadratic: with one variance `s^2` for all residuals the rise over `s^2`; with
+    /// variances of each output, a robust loss, or autocorrelated residuals the rise times the parameter's entry of the inverse of half the
+    /// second derivatives over its variance in [`Worth::covariance`] (Rotnitzky and Jewell, Biometrika 77, 1990; Pace, Salvan and Sartori,
+    /// Statistica Sinica 21, 2011). An interval ends where the statistic is the quantile of F with 1 and N - p degrees of freedom, the
+    /// square of that of Student's t (Bates and Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1; Raue et al.,
+    /// Bioinformatics 25, 2009, with the quantile of chi-square, its limit for many measurements). It is about the optimum of the cost,
+    /// which is found more accurately first. For a linear model the interval is that of the covariance.
     ///
     /// The sides of the parameters run in parallel. `cancelled` is asked on the calling thread; after the optimum is found, an
     /// interrupt leaves what is there in hand ([`Profile::is_interrupted`]).
     ///
     /// # Errors
     /// Parameters that there are not, or that were not fitted; a level that does not lie between 0 and 1; a fit of something else than
-    /// a plain sum of squares; residuals that are all zero, or no more of them than parameters; no optimum; a file of another problem,
+    /// a sum of squares; residuals that are all zero, or no more of them than parameters; no optimum; a file of another problem,
     /// or that cannot be read or written; [`CalibrationError::Cancelled`] before there is an optimum.
     pub fn profile(
         &self,
@@ -76,11 +85,10 @@ impl Calibration {
     ) -> Result<Profile, CalibrationError> {
         let setup = |message: String| Err(CalibrationError::Setup(message));
         self.check_length(&fit.x)?;
-        if fit.objective != CostKind::default().name() || !fit.report.loss.is_linear() {
-            let what =
-                if fit.report.loss.is_linear() { &fit.objective } else { &fit.report.loss.to_string() };
+        if fit.objective != CostKind::default().name() {
+            let what = &fit.objective;
             return setup(format!(
-                "a profile likelihood is that of a plain sum of squares, and the fit minimised another cost ({what})"
+                "a profile likelihood is that of a sum of squares, and the fit minimised another cost ({what})"
             ));
         }
         let held = self.held_in(fit);
@@ -111,44 +119,71 @@ impl Calibration {
             self.set_solver(fit.solver.clone())?;
         }
         let n_free = n - held.len();
-        let quantile = check_level(options.level, self.n_residuals().saturating_sub(n_free))?;
+        let degrees_of_freedom = self.n_residuals().saturating_sub(n_free);
+        if degrees_of_freedom == 0 {
+            let n = self.n_residuals();
+            return setup(format!(
+                "{n} residuals say nothing of the noise of a fit of {n_free} parameters: there is no profile without more of them"
+            ));
+        }
+        let quantile = check_level(options.level, degrees_of_freedom as f64)?;
         let threshold = quantile * quantile;
-        let by_output = fit.worth.as_ref().is_none_or(|worth| worth.estimator == Estimator::Sandwich);
-        let weighted = self.weighted_by_variance(&fit.x, n_free, by_output, cancelled)?;
+        let estimator = fit.worth.as_ref().map(|worth| worth.estimator).unwrap_or_default();
         let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
-        let size = |i: usize| weighted.size_of(&self.parameters()[i], fit.x[i]);
+        let size = |i: usize| self.size_of(&self.parameters()[i], fit.x[i]);
         let mut refits = Refits {
-            calibration: &weighted,
+            calibration: self,
+            loss: fit.report.loss,
             held: &held,
             sizes: (0..n).map(|i| step_of(fit.worth.as_ref(), i).unwrap_or_else(|| 0.01 * size(i))).collect(),
-            threshold,
-            cost: self.n_residuals() as f64,
+            f_tol: refit::F_TOL * threshold / (self.n_residuals() as f64).max(threshold),
             stats: Mutex::default(),
         };
-        let problem = self.profile_hash(fit, (&held, by_output), options);
+        let problem = self.profile_hash(
+            fit,
+            &format!("{held:?} {estimator:?} {} {}", fit.report.loss, options.is_corrected),
+            options,
+        );
         let saved = SavedSides::open(options.checkpoint.as_deref(), problem, n)?;
         let mut n_simulations = 0;
         let (x, cost) = refits.refit(&fit.x, n, &mut n_simulations, cancelled).map_err(|e| match e {
             NoFit::Cancelled => CalibrationError::Cancelled,
-            NoFit::Failed(message) => CalibrationError::Setup(format!(
-                "the optimum of the sum of squares weighted by the variances of the outputs is not found: {message}"
-            )),
+            NoFit::Failed(message) => {
+                CalibrationError::Setup(format!("the optimum of the cost is not found: {message}"))
+            }
         })?;
-        let mut simulations = Simulations::new(&weighted, (RobustLoss::default(), workers), cancelled)?;
-        let known = KnownPoint { held: held.clone(), f_tol: 1e-4, ..KnownPoint::default() };
-        let worth = weighted.worth_of(&x, Estimator::Pooled, &known, &mut simulations)?;
+        if !(cost > 0.0 && cost.is_finite()) {
+            return setup(
+                "the residuals are all zero: without noise there is no profile likelihood".to_owned(),
+            );
+        }
+        let mut simulations = Simulations::new(self, (RobustLoss::default(), workers), cancelled)?;
+        let criterion = Criterion::Loss(fit.report.loss);
+        let known = KnownPoint { held: held.clone(), f_tol: 1e-4, criterion, ..KnownPoint::default() };
+        let (worth, curvature) = self.worth_and_curvature(&x, estimator, &known, &mut simulations)?;
+        let worth = if options.is_corrected { worth } else { worth.uncorrected() };
         n_simulations += simulations.n;
         refits.sizes = (0..n).map(|i| step_of(Some(&worth), i).unwrap_or(refits.sizes[i])).collect();
-        let origins: Vec<Origin<'_>> = (asked.iter())
-            .map(|&i| Origin {
-                x: &x,
-                cost,
-                threshold,
-                max_points: options.max_points,
-                standard_error: refits.sizes[i],
-                direction: direction(&worth, i),
+        let per_rise = |i: usize| -> Result<f64, CalibrationError> {
+            let own = check_level(options.level, worth.effective_degrees_of_freedom[i])?;
+            let found = curvature[i] / worth.covariance[i * n + i] * threshold / (own * own);
+            // Of one that is not determined, or at its bound, nothing else is known.
+            let is_known = found > 0.0 && found.is_finite();
+            Ok(if is_known { found } else { degrees_of_freedom as f64 / cost })
+        };
+        let origins = (asked.iter())
+            .map(|&i| {
+                Ok(Origin {
+                    x: &x,
+                    cost,
+                    threshold,
+                    per_rise: per_rise(i)?,
+                    max_points: options.max_points,
+                    standard_error: refits.sizes[i],
+                    direction: direction(&worth, i),
+                })
             })
-            .collect();
+            .collect::<Result<Vec<Origin<'_>>, CalibrationError>>()?;
         let sides: Vec<(usize, BoundSide)> = (0..asked.len())
             .flat_map(|k| [BoundSide::Lower, BoundSide::Upper].map(|side| (k, side)))
             .collect();
@@ -201,9 +236,9 @@ impl Calibration {
         Ok(Profile {
             level: options.level,
             threshold,
-            degrees_of_freedom: self.n_residuals() - n_free,
+            degrees_of_freedom,
             is_interrupted: parameters.iter().any(is_cut),
-            is_autocorrelated: worth.corrected_errors.is_some(),
+            is_autocorrelated: worth.uncorrected_covariance.is_some(),
             parameters,
             n_simulations,
             stats,
@@ -227,51 +262,13 @@ impl Calibration {
         self.parameters().iter().enumerate().filter(is_held).map(|(i, _)| i).collect()
     }
 
-    /// The same problem with the residuals divided by their standard deviations at `x`.
-    fn weighted_by_variance(
-        &self,
-        x: &[f64],
-        n_free: usize,
-        by_output: bool,
-        cancelled: &dyn Fn() -> bool,
-    ) -> Result<Self, CalibrationError> {
-        let residuals = self.residuals_until(x, cancelled)?;
-        let layout = self.residual_layout();
-        let noise = Noise::estimate(layout, &residuals, n_free, by_output);
-        if noise.degrees_of_freedom == 0 {
-            let n = residuals.len();
-            return Err(CalibrationError::Setup(format!(
-                "{n} residuals say nothing of the noise of a fit of {n_free} parameters: there is no profile without more of them"
-            )));
-        }
-        let mut problem = self.problem().clone();
-        for output in &layout.outputs {
-            let variance = noise.variances.get(output.range.start).copied().unwrap_or(1.0);
-            if !(variance > 0.0 && variance.is_finite()) {
-                return Err(CalibrationError::Setup(format!(
-                    "the residuals of {} are all zero: without noise there is no profile likelihood",
-                    output.variable
-                )));
-            }
-            let experiment = &mut problem.experiments[output.experiment];
-            let weight = scaled_weight(experiment, output.output, 1.0 / variance.sqrt())?;
-            experiment.outputs[output.output].weight = weight;
-        }
-        self.derived(problem)
-    }
-
     /// What the sides of profiles depend on but their parameter, as a hash.
-    fn profile_hash(
-        &self,
-        fit: &Fit,
-        (held, by_output): (&[usize], bool),
-        options: &ProfileOptions,
-    ) -> String {
+    fn profile_hash(&self, fit: &Fit, statistic: &str, options: &ProfileOptions) -> String {
         let bounds: Vec<_> =
             self.parameters().iter().map(|p| (p.lower(), p.upper(), p.scale_kind())).collect();
         let costs = self.problem_hash(&fit.solver);
         let (level, points) = (options.level, options.max_points);
-        let words = format!("{costs} {:?} {bounds:?} {held:?} {by_output} {level:?} {points}", fit.x);
+        let words = format!("{costs} {:?} {bounds:?} {statistic} {level:?} {points}", fit.x);
         Sha256::digest(words).iter().map(|byte| format!("{byte:02x}")).collect()
     }
 }

@@ -16,7 +16,7 @@ const RADIUS: f64 = 0.3;
 const X_TOL: f64 = 0.01;
 
 /// The cost is as accurate as this part of the threshold.
-const F_TOL: f64 = 1e-4;
+pub(super) const F_TOL: f64 = 1e-4;
 
 /// Evaluations of a refit for each parameter: least squares needs about 5.
 const EVALUATIONS: usize = 60;
@@ -24,13 +24,14 @@ const EVALUATIONS: usize = 60;
 /// Makes refits of a calibration.
 pub(super) struct Refits<'a> {
     pub(super) calibration: &'a Calibration,
+    /// What a residual counts.
+    pub(super) loss: RobustLoss,
     /// Parameters that are never fitted.
     pub(super) held: &'a [usize],
     /// Steps that matter, in the coordinates of the search: standard errors, where they are known.
     pub(super) sizes: Vec<f64>,
-    pub(super) threshold: f64,
-    /// About what the cost is.
-    pub(super) cost: f64,
+    /// Differences of the cost that count as none, relative to it.
+    pub(super) f_tol: f64,
     pub(super) stats: Mutex<Stats>,
 }
 
@@ -43,12 +44,16 @@ pub(super) enum NoFit {
 impl Objective for Refits<'_> {
     fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
         let mut stats = Stats::default();
-        self.calibration.evaluate_counted(x, (query, RobustLoss::default()), answer, &mut stats);
+        self.calibration.evaluate_counted(x, (query, self.loss), answer, &mut stats);
         *self.stats.lock().unwrap_or_else(|e| e.into_inner()) += stats;
     }
 
     fn has_residuals(&self) -> bool {
         true
+    }
+
+    fn residual_loss(&self) -> RobustLoss {
+        self.loss
     }
 }
 
@@ -73,11 +78,7 @@ impl Refits<'_> {
         };
         let transforms: Vec<Scale> = parameters.iter().map(Parameter::scale_kind).collect();
         let sizes: Vec<Option<f64>> = self.sizes.iter().map(|size| Some(*size)).collect();
-        let tolerances = Tolerances {
-            x_tol: X_TOL,
-            f_tol: F_TOL * self.threshold / self.cost.max(self.threshold),
-            ..Tolerances::default()
-        };
+        let tolerances = Tolerances { x_tol: X_TOL, f_tol: self.f_tol, ..Tolerances::default() };
         let n_free = (0..start.len()).filter(|i| !is_held(*i)).count();
         let limits = Limits { max_evaluations: Some(EVALUATIONS * (n_free + 1)), ..Limits::default() };
         let method = LeastSquares::default().radius(RADIUS);

@@ -11,7 +11,8 @@ use std::fmt;
 pub struct ProfilePoint {
     /// Where the parameter was held, in the user's units.
     pub value: f64,
-    /// The cost there, in residual variances, less that of the optimum.
+    /// The rise of the cost from the optimum, as the square of a distance in standard errors; see
+    /// [`Calibration::profile`](crate::Calibration::profile).
     pub statistic: f64,
     /// All parameters there.
     pub x: Vec<f64>,
@@ -79,7 +80,7 @@ pub struct ParameterProfile {
     pub parameter: usize,
     /// Its name.
     pub name: String,
-    /// Its value at the optimum of the weighted cost.
+    /// Its value at the optimum.
     pub optimum: f64,
     /// The points, by ascending value, the optimum among them.
     pub points: Vec<ProfilePoint>,
@@ -112,15 +113,16 @@ pub struct Profile {
     pub threshold: f64,
     /// Residuals less fitted parameters.
     pub degrees_of_freedom: usize,
-    /// The optimum of the weighted cost, about which the intervals are; with one variance for all outputs that of the fit.
+    /// The optimum of the cost, about which the intervals are: that of the fit, found more accurately.
     pub x: Vec<f64>,
-    /// The weighted cost there, in residual variances.
+    /// The cost there, as the fit has it.
     pub cost: f64,
     /// The profiles, in the order in which they were asked for.
     pub parameters: Vec<ParameterProfile>,
     /// Whether it was interrupted: some sides are not complete.
     pub is_interrupted: bool,
-    /// Whether residuals of an output are autocorrelated: the intervals suppose independent ones, and are too narrow then.
+    /// Whether residuals of an output are autocorrelated: the intervals are corrected for that, as those of
+    /// [`Worth`](crate::Worth).
     pub is_autocorrelated: bool,
     /// Points that were simulated, those of a file that was continued included.
     pub n_simulations: usize,
@@ -149,9 +151,7 @@ impl fmt::Display for Profile {
             write!(f, "\n- {}: {}", profile.name, profile.message())?;
         }
         if self.is_autocorrelated {
-            f.write_str(
-                "\n- the residuals are autocorrelated: intervals that suppose independent ones are too narrow",
-            )?;
+            f.write_str("\n- the residuals are autocorrelated: the intervals are corrected for that")?;
         }
         if self.is_interrupted { f.write_str("\n- interrupted: not all sides are complete") } else { Ok(()) }
     }

@@ -11,6 +11,9 @@ const GROWTH: (f64, f64) = (0.1, 3.0);
 /// The statistic grows by this part of the threshold per step.
 const PER_STEP: f64 = 0.25;
 
+/// The first point, which shows how the cost begins to rise, is at this part of it.
+const FIRST: f64 = 0.05;
+
 /// A statistic below zero by this part of the threshold is that of another minimum, not noise.
 const BELOW: f64 = 0.05;
 
@@ -32,6 +35,8 @@ pub(super) struct Origin<'a> {
     pub(super) x: &'a [f64],
     pub(super) cost: f64,
     pub(super) threshold: f64,
+    /// The statistic that a rise of the cost by one is.
+    pub(super) per_rise: f64,
     pub(super) max_points: usize,
     /// The first step that makes the statistic one, in the coordinates of the search, and the changes of all parameters with the
     /// parameter, there.
@@ -80,7 +85,7 @@ pub(super) fn walk(
             NoFit::Cancelled => ProfileEnd::Interrupted,
             NoFit::Failed(message) => ProfileEnd::Failed { at: value, message },
         })?;
-        let statistic = cost - origin.cost;
+        let statistic = (cost - origin.cost) * origin.per_rise;
         let place = Place {
             u: parameters.iter().zip(&x).map(|(p, x)| inner(p, *x)).collect(),
             root: statistic.max(0.0).sqrt(),
@@ -96,7 +101,7 @@ pub(super) fn walk(
         a.u.iter().zip(&b.u).map(|(a, b)| if by == 0.0 { 0.0 } else { (b - a) / by }).collect()
     };
     let (mut last, mut toward) = (Place { u: start, root: 0.0 }, origin.direction.clone());
-    let mut step = (PER_STEP * origin.threshold).sqrt() * origin.standard_error;
+    let mut step = (FIRST * origin.threshold).sqrt() * origin.standard_error;
     let mut retries = RETRIES;
     done.end = loop {
         if is_at_limit(last.u[index]) {

@@ -6,7 +6,6 @@ use crate::fit::Fit;
 use crate::input::InputSource;
 use crate::layout::OutputResiduals;
 use crate::parallel;
-use dfo::RobustLoss;
 use fmi::Trajectory;
 use std::thread::available_parallelism;
 
@@ -69,13 +68,7 @@ impl Calibration {
         self.check_length(&fit.x)?;
         let layout = self.residual_layout();
         let residuals = match &fit.worth {
-            // With a robust loss those are not the plain ones.
-            Some(worth)
-                if worth.residuals.len() == layout.n_residuals()
-                    && fit.report.loss == RobustLoss::default() =>
-            {
-                worth.residuals.clone()
-            }
+            Some(worth) if worth.residuals.len() == layout.n_residuals() => worth.residuals.clone(),
             _ => self.residuals_until(&fit.x, cancelled)?,
         };
         let names = self.problem().experiment_names();

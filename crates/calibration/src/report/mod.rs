@@ -31,7 +31,8 @@ impl Calibration {
     /// experiment is simulated at the start and at the fitted values. An existing file is replaced once the new one is whole.
     ///
     /// # Errors
-    /// [`CalibrationError::ReportFile`]: the file cannot be written. The fit has another number of parameters, or its simulation
+    /// [`CalibrationError::ReportFile`]: the file cannot be written. [`CalibrationError::Setup`]: its name ends in something else than
+    /// `.html`. The fit has another number of parameters, or its simulation
     /// fails now.
     pub fn report(&self, fit: &Fit, path: impl AsRef<Path>) -> Result<(), CalibrationError> {
         self.report_until(fit, path, &|| false)
@@ -48,6 +49,13 @@ impl Calibration {
         cancelled: &dyn Fn() -> bool,
     ) -> Result<(), CalibrationError> {
         let path = path.as_ref();
+        let suffix = path.extension().map(|suffix| suffix.to_string_lossy().to_lowercase());
+        if let Some(other) = suffix.filter(|suffix| suffix != "html" && suffix != "htm") {
+            return Err(CalibrationError::Setup(format!(
+                "{}: a report is a page in HTML, which no '.{other}' holds: give a name that ends in .html",
+                path.display()
+            )));
+        }
         let failed = |source| CalibrationError::ReportFile { path: path.to_owned(), source };
         // Before the simulations, which may take long.
         let unfinished = Unfinished::new(path).map_err(failed)?;
@@ -58,7 +66,7 @@ impl Calibration {
 
 #[cfg(test)]
 mod tests {
-    use crate::{BoundSide, Calibration, Data, Experiment, Fit, FitOptions, Parameter};
+    use crate::{BoundSide, Calibration, Data, Experiment, Finding, Fit, FitOptions, Parameter, Severity};
 
     /// x' = -k x with k = 2, recorded with an error of a thousandth; c has no effect.
     fn decay() -> (Calibration, Fit) {
@@ -96,23 +104,30 @@ mod tests {
     fn text_says_start_value_error_and_what_to_mistrust() {
         let (_, mut fit) = decay();
         let worth = fit.worth.as_mut().unwrap();
-        (worth.standard_errors, worth.corrected_errors, worth.verdict) = (vec![1e-3], None, Vec::new());
+        (worth.standard_errors, worth.uncorrected_covariance, worth.findings) =
+            (vec![1e-3], None, Vec::new());
         let text = fit.to_string();
         assert!(text.contains("The fit converged: RMS 0.001 (at the start 0.1629) over 31"), "{text}");
         assert!(text.contains("k  1  -> 2.0001  +- 0.001  1/s") && text.contains("sandwich"), "{text}");
-        assert!(!text.contains("Mistrust") && !text.contains('!'), "{text}");
+        assert!(text.contains("31 measurements. Standard errors: k 0.05 %.\n"), "{text}");
+        assert!(!text.contains("warning") && !text.contains("note"), "{text}");
         let worth = fit.worth.as_mut().unwrap();
-        worth.corrected_errors = Some(vec![2e-3]);
-        worth.verdict = vec!["the residuals are not white".to_owned()];
+        worth.uncorrected_covariance = Some(vec![25e-8]);
+        worth.findings =
+            vec![Finding::new(Severity::Note, "residuals", "the residuals are not white", "wait")];
         fit.at_bound = vec![(0, BoundSide::Upper)];
         let text = fit.to_string();
         assert!(
-            text.contains("+- 0.001 (corrected 0.002)") && text.contains("at its upper bound 10"),
+            text.contains("+- 0.001 (uncorrected 0.0005)") && text.contains("at its upper bound 10"),
             "{text}"
         );
-        assert!(text.contains("! the residuals are not white") && text.contains("Mistrust k"), "{text}");
+        assert!(text.contains("Standard errors: k 0.1 %. 1 warning, 1 note.\n"), "{text}");
+        let said = "\nwarning  k is at its upper bound 10: the best value may lie beyond\nnote     the residuals are not white\n         -> wait\n";
+        assert!(text.contains(said), "{text}");
         fit.worth.as_mut().unwrap().standard_errors = vec![f64::INFINITY];
+        fit.worth.as_mut().unwrap().uncorrected_covariance = None;
         assert!(fit.to_string().contains("(not determined"), "{fit}");
+        assert!(fit.to_string().contains("31 measurements. Not determined: k. 1 warning"), "{fit}");
         fit.worth = None;
         assert!(fit.to_string().contains("none were estimated"), "{fit}");
     }
@@ -126,26 +141,43 @@ mod tests {
         let mut fit = calibration.fit(FitOptions::default()).unwrap();
         let sentence = "the data do not determine k: other values fit as well";
         let worth = fit.worth.as_mut().unwrap();
-        (worth.undetermined, worth.verdict) = (vec![0], vec![sentence.to_owned(), "all is well".to_owned()]);
-        fit.report.message = format!("f_tol reached; {sentence}; begun twice");
+        worth.undetermined = vec![0];
+        worth.findings = vec![
+            Finding::new(Severity::Warning, "k", sentence, ""),
+            Finding::new(Severity::Note, "", "all is well", ""),
+        ];
+        fit.report.message = "f_tol reached".to_owned();
         let text = fit.to_string();
-        assert!(
-            text.contains("rate of decay  1  -> 2.0001") && text.contains("Mistrust rate of decay"),
-            "{text}"
-        );
-        let doubts = "! the data do not determine rate of decay: other values fit as well\n! all is well\n";
-        assert!(text.contains(doubts), "{text}");
-        // What is said above is not said again.
-        assert!(text.contains(": f_tol reached; begun twice\n"), "{text}");
+        assert!(text.contains("rate of decay  1  -> 2.0001"), "{text}");
+        let said = "\nwarning  the data do not determine rate of decay: other values fit as well\nnote     all is well\n";
+        assert!(text.contains(said), "{text}");
+        assert!(text.contains(": f_tol reached\n"), "{text}");
         assert!(fit.to_html().contains("rate of decay"));
         assert!(fit.to_json(&calibration).unwrap().contains("\"name\": \"k\""));
+    }
+
+    #[test]
+    fn nothing_in_a_name_moves_the_cursor_or_turns_the_text() {
+        let (calibration, _) = decay();
+        let mut problem = calibration.problem().clone();
+        problem.parameters[0] = problem.parameters[0].clone().display_name("k\u{1b}[2J\u{202e}");
+        let calibration = Calibration::from_problem(calibration.fmu().clone(), problem).unwrap();
+        let fit = calibration.fit(FitOptions::default()).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("report.html");
+        calibration.report(&fit, &path).unwrap();
+        for text in [fit.to_string(), fit.to_html(), std::fs::read_to_string(&path).unwrap()] {
+            assert!(text.contains("k\\u{1b}[2J\\u{202e}"), "{text}");
+            assert!(!text.contains(['\u{1b}', '\u{202e}']), "{text}");
+        }
     }
 
     #[test]
     fn the_page_needs_nothing_but_itself_and_escapes_names() {
         let (calibration, mut fit) = decay();
         let worth = fit.worth.as_mut().unwrap();
-        (worth.standard_errors, worth.verdict) = (vec![1e-3], vec!["the residuals are not white".to_owned()]);
+        worth.standard_errors = vec![1e-3];
+        worth.findings = vec![Finding::new(Severity::Note, "<x>", "the residuals are not white", "")];
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("report.html");
         std::fs::write(&path, "an older one").unwrap();
@@ -160,6 +192,8 @@ mod tests {
             "relative tolerance",
             &calibration.problem().model.content_hash,
             "SHA-256 of the data",
+            "<strong>note</strong> &lt;x&gt;: the residuals are not white",
+            "<details>\n<summary>Experiment run1: ",
             "prefers-color-scheme",
         ] {
             assert!(page.contains(expected), "{expected}: {page}");
@@ -177,9 +211,11 @@ mod tests {
     fn a_report_that_cannot_be_written_says_where_and_why() {
         let (calibration, mut fit) = decay();
         let error = calibration.report(&fit, "/no/such/folder/x.html").unwrap_err().to_string();
-        assert!(error.contains("cannot write /no/such/folder/x.html: No such file"), "{error}");
+        assert!(error.contains("cannot write /no/such/folder/x.html: there is no folder"), "{error}");
         let folder = tempfile::tempdir().unwrap();
         assert!(calibration.report(&fit, folder.path()).is_err());
+        let error = calibration.report(&fit, folder.path().join("x.pdf")).unwrap_err().to_string();
+        assert!(error.contains("x.pdf: a report is a page in HTML"), "{error}");
         fit.x.push(1.0);
         assert!(calibration.report(&fit, folder.path().join("x.html")).is_err());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);

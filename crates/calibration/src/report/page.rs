@@ -21,7 +21,6 @@ struct Page {
     search: Vec<Figure>,
     correlation: Option<Correlation>,
     residual_checks: Vec<[String; 8]>,
-    warnings: Vec<String>,
     settings: Vec<Fact>,
     experiments: Vec<Setup>,
     origin: Vec<Fact>,
@@ -53,6 +52,7 @@ struct Cell {
 #[derive(Serialize)]
 struct Setup {
     name: String,
+    recording: String,
     facts: Vec<(String, String)>,
 }
 
@@ -67,7 +67,6 @@ pub(super) fn page(
         search: [convergence(fit), waterfall(fit)].into_iter().flatten().collect(),
         correlation: correlation(fit),
         residual_checks: residual_checks(fit),
-        warnings: calibration.warnings().iter().map(ToString::to_string).collect(),
         settings: settings(calibration, fit),
         experiments: experiments(calibration),
         origin: origin(calibration),
@@ -111,14 +110,14 @@ fn output_figures(experiments: &[ExperimentCurves]) -> Vec<Figure> {
     experiments.iter().flat_map(|e| e.outputs.iter().map(move |output| figure(e, output))).collect()
 }
 
-/// A cost as it is drawn.
-fn logarithm(cost: f64) -> f64 {
-    // A cost of zero has none: the point is left out.
-    cost.log10()
+/// Costs as they are drawn: their logarithms (that of zero is none, and is left out), unless some are negative, as a likelihood may be.
+fn drawn(is_logarithm: bool, points: Vec<Point>) -> Vec<Point> {
+    let value = |cost: f64| if is_logarithm { cost.log10() } else { cost };
+    points.into_iter().map(|(k, cost)| (k, value(cost))).collect()
 }
 
-fn cost_panel(series: Vec<Series>) -> Panel {
-    Panel { height: TALL, y_label: "cost".to_owned(), series, is_logarithm: true, has_zero: false }
+fn cost_panel(is_logarithm: bool, series: Vec<Series>) -> Panel {
+    Panel { height: TALL, y_label: "cost".to_owned(), series, is_logarithm, has_zero: false }
 }
 
 /// The costs of all evaluations, and the best so far.
@@ -133,13 +132,14 @@ fn convergence(fit: &Fit) -> Option<Figure> {
         if cost < best {
             steps.extend(steps.last().map(|(_, before)| (k, *before)));
             best = cost;
-            steps.push((k, logarithm(cost)));
+            steps.push((k, cost));
         }
     }
     steps.extend(steps.last().map(|(_, last)| ((first + trace.len() - 1) as f64, *last)));
-    let evaluated = costs().map(|(k, cost)| (k, logarithm(cost))).collect();
-    let svg =
-        figure::draw(&[cost_panel(vec![Series::Measured(evaluated), Series::Fitted(steps)])], "evaluation");
+    let is_logarithm = costs().all(|(_, cost)| cost >= 0.0);
+    let evaluated = drawn(is_logarithm, costs().collect());
+    let series = vec![Series::Measured(evaluated), Series::Fitted(drawn(is_logarithm, steps))];
+    let svg = figure::draw(&[cost_panel(is_logarithm, series)], "evaluation");
     let failed = match fit.report.n_failed {
         0 => String::new(),
         n => format!(" {n} evaluations failed."),
@@ -152,11 +152,12 @@ fn convergence(fit: &Fit) -> Option<Figure> {
 fn waterfall(fit: &Fit) -> Option<Figure> {
     let optima = &fit.report.optima;
     let ends = optima.iter().flat_map(|optimum| std::iter::repeat_n(optimum.cost, optimum.n_starts.max(1)));
-    let ends: Vec<Point> = ends.enumerate().map(|(k, cost)| ((k + 1) as f64, logarithm(cost))).collect();
+    let ends: Vec<Point> = ends.enumerate().map(|(k, cost)| ((k + 1) as f64, cost)).collect();
     let caption =
         format!("Costs of {} local searches, sorted: {} distinct minima.", ends.len(), optima.len());
-    let svg =
-        figure::draw(&[cost_panel(vec![Series::Marks(ends)])], "local search, from the best to the worst");
+    let is_logarithm = ends.iter().all(|(_, cost)| *cost >= 0.0);
+    let panel = cost_panel(is_logarithm, vec![Series::Marks(drawn(is_logarithm, ends))]);
+    let svg = figure::draw(&[panel], "local search, from the best to the worst");
     (!optima.is_empty()).then(|| Figure { title: "Minima found".to_owned(), caption, svg })
 }
 
@@ -222,9 +223,8 @@ fn experiments(calibration: &Calibration) -> Vec<Setup> {
             let name = if name == "data" { "SHA-256 of the data" } else { name };
             (!value.is_empty()).then(|| (name.to_owned(), value.clone()))
         };
-        let source = ("recording".to_owned(), problem.experiments[k].data.source().to_owned());
-        let facts = std::iter::once(source).chain(calibration.identity().iter().filter_map(own)).collect();
-        Setup { name, facts }
+        let recording = problem.experiments[k].data.source().to_owned();
+        Setup { name, recording, facts: calibration.identity().iter().filter_map(own).collect() }
     };
     problem.experiment_names().into_iter().enumerate().map(setup).collect()
 }

@@ -2,6 +2,7 @@
 
 use super::number::{rounded, with_error};
 use crate::effect::BoundSide;
+use crate::finding::{Finding, counts};
 use crate::fit::Fit;
 use crate::worth::Worth;
 use dfo::Termination;
@@ -13,6 +14,9 @@ const DIGITS: usize = 8;
 
 /// Digits of an RMS, a share or an error.
 const FEW_DIGITS: usize = 4;
+
+/// So many standard errors stand in the sentence, of more the smallest and the largest.
+const LISTED: usize = 4;
 
 /// Level of the intervals: 95 %.
 const LEVEL: f64 = 0.95;
@@ -26,13 +30,13 @@ pub(super) struct Summary {
     pub(super) is_success: bool,
     /// How it ended and how good it is, in a sentence.
     pub(super) sentence: String,
-    /// What is not to be trusted, in sentences.
-    pub(super) doubts: Vec<String>,
+    /// What is to be said of it, the gravest first.
+    pub(super) findings: Vec<Finding>,
     pub(super) parameters: Vec<ParameterRow>,
     pub(super) outputs: Vec<OutputRow>,
-    /// Whether the fit has standard errors, and corrected ones.
+    /// Whether the fit has standard errors, and whether they are corrected for autocorrelated residuals.
     pub(super) has_errors: bool,
-    pub(super) has_corrected_errors: bool,
+    pub(super) has_uncorrected_errors: bool,
     /// Whether outputs belong to several experiments.
     pub(super) has_several_experiments: bool,
     /// How it was found: names and values.
@@ -54,8 +58,8 @@ pub(super) struct ParameterRow {
     pub(super) value: String,
     /// Its standard error, or why it has none; empty without any errors.
     pub(super) error: String,
-    /// The standard error that takes account of autocorrelated residuals.
-    pub(super) corrected_error: String,
+    /// The standard error that supposes independent residuals, where they are not.
+    pub(super) uncorrected_error: String,
     /// Bounds of its 95 % interval.
     pub(super) interval: Option<[String; 2]>,
     pub(super) unit: String,
@@ -84,11 +88,11 @@ impl Summary {
             title: format!("Fit of {}", fit.model),
             is_success: fit.report.is_success(),
             sentence: sentence(fit),
-            doubts: doubts(fit),
+            findings: fit.findings_with(fit.shown_names()),
             parameters: (0..fit.x.len()).map(|i| parameter(fit, i)).collect(),
             outputs: outputs(fit),
             has_errors: worth.is_some(),
-            has_corrected_errors: worth.is_some_and(|worth| worth.corrected_errors.is_some()),
+            has_uncorrected_errors: worth.is_some_and(|worth| worth.uncorrected_covariance.is_some()),
             has_several_experiments: fit.outputs.iter().any(|output| Some(&output.experiment) != first),
             facts: facts(fit),
         }
@@ -112,46 +116,43 @@ fn sentence(fit: &Fit) -> String {
         Some(rms) => format!("at the start {}", rounded(rms, FEW_DIGITS)),
         None => "none at the start".to_owned(),
     };
-    let mut suspects: Vec<usize> = fit.at_bound.iter().map(|(i, _)| *i).collect();
-    suspects.extend(&fit.without_effect);
-    if let Some(Worth { undetermined, confounded, .. }) = &fit.worth {
-        suspects.extend(undetermined);
-        suspects.extend(confounded.iter().flat_map(|(i, k, _)| [*i, *k]));
-    }
-    suspects.sort_unstable();
-    suspects.dedup();
-    let names: Vec<&str> =
-        suspects.iter().filter_map(|i| fit.shown_names().get(*i)).map(String::as_str).collect();
-    let mistrust = match (names.as_slice(), fit.report.is_success()) {
-        ([], true) => String::new(),
-        ([], false) => " Mistrust all values.".to_owned(),
-        (names, true) => format!(" Mistrust {}: see the remarks.", names.join(", ")),
-        (names, false) => {
-            format!(" Mistrust all values, and {} above all: see the remarks.", names.join(", "))
-        }
-    };
-    let correlated = match fit.worth.as_ref().and_then(|worth| worth.corrected_errors.as_ref()) {
-        Some(_) => " The residuals are not independent: of the standard errors take the corrected ones.",
-        None => "",
-    };
     let rms = rounded(fit.rms, FEW_DIGITS);
-    format!("{ended}: RMS {rms} ({before}) over {} measurements.{mistrust}{correlated}", fit.n_measurements)
+    let counts = match counts(&fit.findings()) {
+        counts if counts.is_empty() => String::new(),
+        counts => format!(" {counts}."),
+    };
+    let errors = relative_errors(fit);
+    format!("{ended}: RMS {rms} ({before}) over {} measurements.{errors}{counts}", fit.n_measurements)
 }
 
-/// What is not to be trusted.
-fn doubts(fit: &Fit) -> Vec<String> {
-    let name = |i: &usize| fit.shown_names()[*i].as_str();
-    let at_bound = |(i, side): &(usize, BoundSide)| {
-        let bound = Number(bound(fit, *i, *side));
-        format!("{} is at its {} bound {bound}: the best value may lie beyond", name(i), side.name())
+/// The standard errors of what was fitted, relative to the values: of each parameter, or of many the smallest and the largest. Those
+/// corrected for autocorrelated residuals, where there are such.
+fn relative_errors(fit: &Fit) -> String {
+    let Some(worth) = &fit.worth else { return String::new() };
+    let errors = &worth.standard_errors;
+    let free = (0..fit.x.len()).filter(|i| !worth.held.contains(i));
+    let (known, open): (Vec<usize>, Vec<usize>) = free.partition(|i| errors[*i].is_finite());
+    let name = |i: usize| &fit.shown_names()[i];
+    let relative = |i: usize| errors[i] / fit.x[i].abs();
+    let one = |i: usize| match fit.x[i] {
+        0.0 => format!("{} +- {}", name(i), rounded(errors[i], 2)),
+        _ => format!("{} {} %", name(i), rounded(100.0 * relative(i), 2)),
     };
-    let without_effect = |i: &usize| format!("{} did not change the cost: its value says nothing", name(i));
-    let is_said = |i: &usize| fit.worth.as_ref().is_some_and(|worth| worth.undetermined.contains(i));
-    let mut all: Vec<String> = fit.at_bound.iter().map(at_bound).collect();
-    all.extend(fit.without_effect.iter().filter(|i| !is_said(i)).map(without_effect));
-    all.extend(fit.findings.iter().map(|finding| format!("{}: {}", finding.subject, finding.sentence)));
-    all.extend(fit.worth.iter().flat_map(|worth| worth.verdict_with(fit.shown_names())));
-    all
+    let by_size = |a: &&usize, b: &&usize| relative(**a).total_cmp(&relative(**b));
+    let of_known = match (known.iter().min_by(by_size), known.iter().max_by(by_size)) {
+        (Some(least), Some(most)) if known.len() > LISTED => {
+            Some(format!("from {} to {}", one(*least), one(*most)))
+        }
+        (Some(_), _) => Some(known.iter().map(|i| one(*i)).collect::<Vec<_>>().join(", ")),
+        _ => None,
+    };
+    let of_known = of_known.map(|errors| format!(" Standard errors: {errors}."));
+    let open: Vec<&str> = open.iter().map(|i| name(*i).as_str()).collect();
+    let not_known = match open.is_empty() {
+        true => String::new(),
+        false => format!(" Not determined: {}.", open.join(", ")),
+    };
+    of_known.unwrap_or_default() + &not_known
 }
 
 fn bound(fit: &Fit, i: usize, side: BoundSide) -> f64 {
@@ -170,7 +171,7 @@ fn parameter(fit: &Fit, i: usize) -> ParameterRow {
     let worth = fit.worth.as_ref();
     let of = |errors: &[f64]| errors.get(i).copied().unwrap_or(f64::NAN);
     let error = worth.map_or(f64::NAN, |worth| of(&worth.standard_errors));
-    let corrected = worth.and_then(|worth| worth.corrected_errors.as_deref()).map(of);
+    let uncorrected = worth.and_then(Worth::uncorrected_errors).map(|errors| of(&errors));
     let is_known = |error: f64| error.is_finite() && error > 0.0;
     let shown = |error: f64| match error {
         error if is_known(error) => rounded(error, 2),
@@ -186,18 +187,16 @@ fn parameter(fit: &Fit, i: usize) -> ParameterRow {
     if fit.without_effect.contains(&i) {
         remarks.push("without effect".to_owned());
     }
-    let widest = corrected.filter(|corrected| is_known(*corrected)).unwrap_or(error);
-    let interval = worth.filter(|_| is_known(widest)).and_then(|worth| {
-        let errors = worth.corrected_errors.as_deref().unwrap_or(&worth.standard_errors);
-        let (lower, upper) = *worth.intervals(LEVEL, errors).ok()?.get(i)?;
-        Some([lower, upper].map(|end| with_error(end, widest)))
+    let interval = worth.filter(|_| is_known(error)).and_then(|worth| {
+        let (lower, upper) = *worth.confidence_intervals(LEVEL).ok()?.get(i)?;
+        Some([lower, upper].map(|end| with_error(end, error)))
     });
     ParameterRow {
         name: fit.shown_names()[i].clone(),
         start: rounded(fit.start[i], DIGITS),
         value: with_error(value, error),
         error: worth.map_or_else(String::new, |_| shown(error)),
-        corrected_error: corrected.map_or_else(String::new, shown),
+        uncorrected_error: uncorrected.map_or_else(String::new, shown),
         interval,
         unit: fit.units[i].clone().unwrap_or_default(),
         bounds: [lower, upper].map(|bound| Number(bound).to_string()),
@@ -228,11 +227,7 @@ fn facts(fit: &Fit) -> Vec<Fact> {
         Some(cost) => format!(" ({} at the start)", rounded(cost, DIGITS)),
         None => String::new(),
     };
-    // Without what stands among the doubts.
-    let said = fit.worth.iter().flat_map(|worth| &worth.verdict);
-    let message =
-        said.fold(report.message.clone(), |message, doubt| message.replace(&format!("; {doubt}"), ""));
-    let mut facts = vec![("ended", format!("{}: {message}", report.method))];
+    let mut facts = vec![("ended", format!("{}: {}", report.method, report.message))];
     facts.extend(report.method_reason.iter().map(|reason| ("chosen", reason.clone())));
     facts.extend(fit.stages.iter().map(|stage| ("stage", stage.report.message.clone())));
     facts.push(("cost", format!("{}{before}, RMS {}", rounded(fit.cost, DIGITS), rounded(fit.rms, DIGITS))));
@@ -277,6 +272,6 @@ fn facts(fit: &Fit) -> Vec<Fact> {
 fn errors(fit: &Fit) -> String {
     let Some(worth) = &fit.worth else { return "none were estimated".to_owned() };
     let corrected =
-        worth.corrected_errors.as_ref().map_or("", |_| "; corrected for autocorrelated residuals beside");
+        worth.uncorrected_covariance.as_ref().map_or("", |_| ", corrected for autocorrelated residuals");
     format!("{}{corrected}; {} simulations", worth.estimator, worth.n_simulations)
 }

@@ -1,6 +1,7 @@
 //! The templates of the report and of the part for notebooks. What they are given is escaped: names in an FMU are anybody's.
 
 use super::summary::Summary;
+use crate::visible::visible;
 use minijinja::value::Serde;
 use minijinja::{Environment, Value, context};
 use serde::Serialize;
@@ -28,5 +29,5 @@ fn render(name: &str, values: Value) -> String {
         .into_iter()
         .try_for_each(|(name, source)| environment.add_template(name, source))
         .and_then(|()| environment.get_template(name)?.render(values));
-    rendered.unwrap_or_else(|error| error.to_string())
+    visible(&rendered.unwrap_or_else(|error| error.to_string())).into_owned()
 }

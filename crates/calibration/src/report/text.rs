@@ -1,33 +1,37 @@
 //! The summary of a fit as plain text.
 
 use super::summary::{OutputRow, ParameterRow, Summary};
+use crate::finding::table;
 use crate::fit::Fit;
-use std::fmt;
+use crate::visible::visible;
+use std::fmt::{self, Write};
 
 /// Longer names are cut in their middle, so that a line stays one.
 const LONGEST: usize = 48;
 
 impl fmt::Display for Fit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let summary = Summary::new(self);
-        writeln!(f, "{}\n{}\n", summary.title, summary.sentence)?;
-        lines(f, &parameters(&summary), &PARAMETER_SIDES)?;
-        if !summary.outputs.is_empty() {
-            writeln!(f)?;
-            lines(f, &outputs(&summary), &OUTPUT_SIDES)?;
-        }
-        if !summary.doubts.is_empty() {
-            writeln!(f)?;
-        }
-        for doubt in &summary.doubts {
-            writeln!(f, "! {doubt}")?;
-        }
-        let width = summary.facts.iter().map(|fact| fact.name.len()).max().unwrap_or(0);
-        for fact in &summary.facts {
-            write!(f, "\n{:width$}  {}", fact.name, fact.value)?;
-        }
-        Ok(())
+        let mut text = String::new();
+        write(&mut text, &Summary::new(self))?;
+        f.write_str(&visible(&text))
     }
+}
+
+fn write(f: &mut String, summary: &Summary) -> fmt::Result {
+    writeln!(f, "{}\n{}\n", summary.title, summary.sentence)?;
+    lines(f, &parameters(summary), &PARAMETER_SIDES)?;
+    if !summary.outputs.is_empty() {
+        writeln!(f)?;
+        lines(f, &outputs(summary), &OUTPUT_SIDES)?;
+    }
+    if !summary.findings.is_empty() {
+        writeln!(f, "{}", table(&summary.findings))?;
+    }
+    let width = summary.facts.iter().map(|fact| fact.name.len()).max().unwrap_or(0);
+    for fact in &summary.facts {
+        write!(f, "\n{:width$}  {}", fact.name, fact.value)?;
+    }
+    Ok(())
 }
 
 /// Whether the columns of the parameters stand at the right of theirs: name, start, value, error, unit, remark.
@@ -35,10 +39,10 @@ const PARAMETER_SIDES: [bool; 6] = [false, true, false, false, false, false];
 
 fn parameters(summary: &Summary) -> Vec<[String; 6]> {
     let row = |p: &ParameterRow| {
-        let error = match (p.error.is_empty(), p.corrected_error.is_empty()) {
+        let error = match (p.error.is_empty(), p.uncorrected_error.is_empty()) {
             (true, _) => String::new(),
             (false, true) => format!("+- {}", p.error),
-            (false, false) => format!("+- {} (corrected {})", p.error, p.corrected_error),
+            (false, false) => format!("+- {} (uncorrected {})", p.error, p.uncorrected_error),
         };
         let error = error.replace("+- none", "").replace("+- not determined", "(not determined)");
         [short(&p.name), p.start.clone(), format!("-> {}", p.value), error, p.unit.clone(), p.remark.clone()]
@@ -68,11 +72,7 @@ fn outputs(summary: &Summary) -> Vec<[String; 5]> {
 }
 
 /// The rows in columns as wide as their widest cells; columns that are empty are left out.
-fn lines<const N: usize>(
-    f: &mut fmt::Formatter<'_>,
-    rows: &[[String; N]],
-    to_right: &[bool; N],
-) -> fmt::Result {
+fn lines<const N: usize>(f: &mut String, rows: &[[String; N]], to_right: &[bool; N]) -> fmt::Result {
     let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
     let widths: [usize; N] = std::array::from_fn(width);
     for row in rows {

@@ -1,7 +1,10 @@
 //! The covariance of the parameters from the changes of the residuals, with the variances of the residuals that an estimator supposes.
 
+use super::autocorrelation::Group;
 use super::differences::Differences;
-use super::residual_check::{autocorrelation, is_rounding, square_of_rounding};
+use super::residual_check::{is_rounding, square_of_rounding};
+use super::result::Estimator;
+use super::scores::{Criterion, Working};
 use crate::layout::{OutputResiduals, ResidualLayout};
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
@@ -10,12 +13,15 @@ use std::ops::Range;
 /// A parameter with more than this share in a combination that the residuals do not determine is not determined itself.
 const SHARE: f64 = 0.03;
 
-/// The residuals and what is supposed of them.
+/// A variance without bias that is below this part of the mean square is that of chance: a group says nothing of its own.
+const LEAST: f64 = 0.05;
+
+/// What is supposed of the residuals.
 pub(crate) struct Noise {
-    /// Variance of each residual.
+    /// Variance of each residual, if they are independent.
     pub(crate) variances: Vec<f64>,
-    /// Residuals in a row whose noise may be correlated, with the correlation of neighbours.
-    pub(crate) series: Vec<(Range<usize>, f64)>,
+    /// Those that share a variance.
+    pub(crate) groups: Vec<Group>,
     /// Residuals less free parameters.
     pub(crate) degrees_of_freedom: usize,
 }
@@ -23,41 +29,94 @@ pub(crate) struct Noise {
 /// The factors of `C = G U' S U G'`, where S is the covariance of the residuals, and who is left out.
 pub(crate) struct Factors {
     /// G, p x q, in the coordinates of the search.
-    inverse: DMatrix<f64>,
+    pub(crate) inverse: DMatrix<f64>,
     /// U, m x q: an orthonormal base of the changes that are no noise.
-    base: DMatrix<f64>,
+    pub(crate) base: DMatrix<f64>,
     /// Which of the p parameters the residuals do not determine.
     pub(crate) is_undetermined: Vec<bool>,
 }
 
+/// Outputs that share a variance, by number: those of a variable of the model, over all of its recordings with the same weight
+/// ([`Estimator::Sandwich`]) or with any (the likelihood); one group of all with [`Estimator::Pooled`], and where all residuals are
+/// rounding.
+pub(super) fn groups(
+    layout: &ResidualLayout,
+    residuals: &[f64],
+    (estimator, criterion): (Estimator, Criterion),
+) -> Vec<Vec<usize>> {
+    let is_all_rounding =
+        layout.outputs.iter().all(|output| is_rounding(output, &residuals[output.range.clone()]));
+    let mut groups: BTreeMap<(&str, Option<u64>), Vec<usize>> = BTreeMap::new();
+    for (k, output) in layout.outputs.iter().enumerate() {
+        let key = match (estimator, criterion) {
+            (_, Criterion::Likelihood) => (output.variable.as_str(), None),
+            (Estimator::Sandwich, _) if !is_all_rounding => group(output),
+            _ => ("", None),
+        };
+        groups.entry(key).or_default().push(k);
+    }
+    groups.into_values().collect()
+}
+
 impl Noise {
-    /// `by_output`: one variance for the residuals of each variable of the model, over all of its recordings with the same weight,
-    /// `r'r / N_o N / (N - p)`; else, and where all residuals are rounding, one for all, `r'r / (N - p)`. Residuals of priors have the
-    /// variance 1: they are measured in standard deviations.
-    pub(crate) fn estimate(layout: &ResidualLayout, residuals: &[f64], p: usize, by_output: bool) -> Self {
-        let n = residuals.len();
+    /// The variances of the groups are without bias: of residuals `r = M e` with `M = I - U U'`, U an orthonormal base of the changes that
+    /// the parameters make, the mean of `r_g'r_g` is the sum over the groups of their variances times `tr(M_gh M_hg)` (Searle, Casella and
+    /// McCulloch, Variance Components, 1992, section 5.2). Of one group it is `r'r / (N - p)`. Where this leaves no variance to one of
+    /// several, all are `r'r / N_g N / (N - p)`. Residuals of priors have the variance 1: they are measured in standard deviations.
+    pub(crate) fn estimate(
+        (layout, plain): (&ResidualLayout, &[f64]),
+        working: &Working,
+        groups: &[Vec<usize>],
+        (base, p): (&DMatrix<f64>, usize),
+    ) -> Self {
+        let n = working.residuals.len();
         let degrees_of_freedom = n.saturating_sub(p);
-        let factor = n as f64 / degrees_of_freedom as f64;
-        let is_all_rounding =
-            layout.outputs.iter().all(|output| is_rounding(output, &residuals[output.range.clone()]));
-        let group = |output| if by_output && !is_all_rounding { group(output) } else { ("", None) };
-        let mut sums: BTreeMap<(&str, Option<u64>), (f64, usize)> = BTreeMap::new();
-        for output in &layout.outputs {
-            let sum = sums.entry(group(output)).or_default();
-            let squares = residuals[output.range.clone()].iter().map(|r| r * r).sum::<f64>();
+        let is_rounded = |output: &OutputResiduals| is_rounding(output, &plain[output.range.clone()]);
+        let is_all_rounding = layout.outputs.iter().all(is_rounded);
+        let outputs = |g: usize| groups[g].iter().map(|k| &layout.outputs[*k]);
+        let sum = |output: &OutputResiduals| {
+            let squares = working.residuals[output.range.clone()].iter().map(|r| r * r).sum::<f64>();
             // An exact output beside others: less than rounding would be a variance that rounding of the derivatives outweighs.
-            let least = if is_all_rounding { 0.0 } else { square_of_rounding(output) };
-            sum.0 += squares.max(least);
-            sum.1 += output.range.len();
-        }
-        let mut variances = vec![1.0; n];
-        for output in &layout.outputs {
-            let (sum, count) = sums[&group(output)];
-            variances[output.range.clone()].fill(if count > 0 { sum / count as f64 * factor } else { 0.0 });
-        }
-        let correlation = |range: &Range<usize>| autocorrelation(&residuals[range.clone()]);
-        let series = layout.outputs.iter().map(|output| (output.range.clone(), correlation(&output.range)));
-        Self { variances, series: series.collect(), degrees_of_freedom }
+            let root = working.roots[output.range.start];
+            squares.max(if is_all_rounding { 0.0 } else { root * root * square_of_rounding(output) })
+        };
+        let sums: Vec<f64> = (0..groups.len()).map(|g| outputs(g).map(sum).sum()).collect();
+        let counts: Vec<usize> =
+            (0..groups.len()).map(|g| outputs(g).map(|output| output.range.len()).sum()).collect();
+        let gram = |range: Range<usize>| {
+            let rows = base.rows(range.start, range.len());
+            rows.tr_mul(&rows)
+        };
+        let zero = || DMatrix::zeros(base.ncols(), base.ncols());
+        let grams: Vec<DMatrix<f64>> = (0..groups.len())
+            .map(|g| outputs(g).fold(zero(), |sum, output| sum + gram(output.range.clone())))
+            .collect();
+        let of_priors =
+            (layout.n_measurements()..n).fold(zero(), |sum, i| sum + gram(i..i + 1) * working.corrections[i]);
+        let shares = DMatrix::from_fn(groups.len(), groups.len(), |g, h| {
+            let own = if g == h { counts[g] as f64 - 2.0 * grams[g].trace() } else { 0.0 };
+            own + grams[g].dot(&grams[h])
+        });
+        let left = (sums.iter().zip(&grams)).map(|(sum, gram)| sum - gram.dot(&of_priors));
+        let left = DVector::from_iterator(groups.len(), left);
+        let plainly = |g: usize| match counts[g] {
+            0 => 0.0,
+            count => sums[g] / count as f64 * n as f64 / degrees_of_freedom as f64,
+        };
+        let found = shares.lu().solve(&left).filter(|found| {
+            degrees_of_freedom > 0
+                && (0..groups.len()).all(|g| found[g] > LEAST * plainly(g) || sums[g] == 0.0)
+        });
+        let mut variances = working.corrections.clone();
+        let of_group = |g: usize| {
+            let correction = outputs(g).next().map_or(1.0, |output| working.corrections[output.range.start]);
+            let variance = found.as_ref().map_or_else(|| plainly(g), |found| found[g].max(0.0)) * correction;
+            outputs(g).for_each(|output| variances[output.range.clone()].fill(variance));
+            let series = outputs(g).map(|output| output.range.clone()).collect();
+            Group { series, variance, correction, is_rounding: outputs(g).all(is_rounded) }
+        };
+        let groups = (0..groups.len()).map(of_group).collect();
+        Self { variances, groups, degrees_of_freedom }
     }
 }
 
@@ -114,23 +173,6 @@ impl Factors {
         self.between(&weighted)
     }
 
-    /// The same with residuals of each output that follow a first-order autoregression, `S_ij = s^2 rho^|i - j|`: the covariance of
-    /// ordinary least squares with such errors (Seber and Wild, Nonlinear Regression, 1989, chapter 6). Negative rho count as zero.
-    pub(crate) fn corrected(&self, noise: &Noise) -> DMatrix<f64> {
-        let mut weighted = self.base.clone();
-        for mut column in weighted.column_iter_mut() {
-            column.iter_mut().zip(&noise.variances).for_each(|(u, variance)| *u *= variance);
-            for (range, rho) in noise.series.iter().filter(|(_, rho)| *rho > 0.0) {
-                let own: Vec<f64> = column.rows(range.start, range.len()).iter().copied().collect();
-                let mut sums = own.clone();
-                add_neighbours(*rho, &own, &mut sums, 0..own.len());
-                add_neighbours(*rho, &own, &mut sums, (0..own.len()).rev());
-                column.rows_mut(range.start, range.len()).copy_from_slice(&sums);
-            }
-        }
-        self.between(&weighted)
-    }
-
     fn between(&self, weighted: &DMatrix<f64>) -> DMatrix<f64> {
         &self.inverse * (self.base.transpose() * weighted) * self.inverse.transpose()
     }
@@ -142,15 +184,6 @@ fn group(output: &OutputResiduals) -> (&str, Option<u64>) {
     let first = output.weights.first();
     let constant = first.filter(|first| output.weights.iter().all(|weight| weight == *first));
     (&output.variable, constant.map(|weight| weight.to_bits()))
-}
-
-/// Adds to each sum the values that come before it in this order, each with the power of rho that its distance is.
-fn add_neighbours(rho: f64, values: &[f64], sums: &mut [f64], order: impl Iterator<Item = usize>) {
-    let mut before = 0.0;
-    for i in order {
-        sums[i] += rho * before;
-        before = values[i] + rho * before;
-    }
 }
 
 #[cfg(test)]
@@ -168,12 +201,24 @@ mod tests {
                 variable: (*variable).to_owned(),
                 column: String::new(),
                 range: from..from + n,
-                times: vec![0.0; *n],
-                measured: vec![0.0; *n],
-                weights: vec![1.0; *n],
+                times: vec![0.0; *n].into(),
+                measured: vec![0.0; *n].into(),
+                weights: vec![1.0; *n].into(),
             });
         }
         layout
+    }
+
+    fn estimate(
+        layout: &ResidualLayout,
+        residuals: &[f64],
+        base: &DMatrix<f64>,
+        estimator: Estimator,
+    ) -> Noise {
+        let criterion = Criterion::default();
+        let groups = groups(layout, residuals, (estimator, criterion));
+        let working = Working::new(criterion, (layout, residuals), &groups, base.ncols());
+        Noise::estimate((layout, residuals), &working, &groups, (base, base.ncols()))
     }
 
     fn line() -> Differences {
@@ -188,16 +233,21 @@ mod tests {
     #[test]
     fn a_line_has_the_textbook_covariances() {
         let residuals = [0.1, -0.2, 0.3, -0.1];
-        let pooled = Noise::estimate(&layout(&[("y", 4)]), &residuals, 2, false);
         let (factors, s2) = (Factors::new(&line()), 0.15 / 2.0);
+        let pooled = estimate(&layout(&[("y", 4)]), &residuals, &factors.base, Estimator::Pooled);
         assert!((pooled.variances[0] - s2).abs() < 1e-15 && pooled.degrees_of_freedom == 2);
         let covariance = factors.covariance(&pooled);
         for (got, expected) in covariance.iter().zip([0.7, -0.3, -0.3, 0.2]) {
             assert!((got - s2 * expected).abs() < 1e-14, "{covariance}");
         }
         // Two outputs of two residuals each: (X'X)^-1 X'SX (X'X)^-1 by hand.
-        let two = Noise::estimate(&layout(&[("y", 2), ("z", 2)]), &residuals, 2, true);
-        let variances = [0.05, 0.05, 0.1, 0.1];
+        let two = estimate(&layout(&[("y", 2), ("z", 2)]), &residuals, &factors.base, Estimator::Sandwich);
+        // The squares of the entries of M = I - X (X'X)^-1 X' in the blocks (0, 0), (0, 1) and (1, 1), by symmetry: those of
+        // [[3, -4, -1, 2], [-4, 7, -2, -1], [-1, -2, 7, -4], [2, -1, -4, 3]] / 10.
+        let (own, other) = (0.9, 0.1);
+        let solved = |a: f64, b: f64| (own * a - other * b) / (own * own - other * other);
+        let (first, second) = (solved(0.05, 0.1), solved(0.1, 0.05));
+        let variances = [first, first, second, second];
         let mut expected = DMatrix::zeros(2, 2);
         for (t, variance) in variances.iter().enumerate() {
             let t = t as f64;
@@ -212,34 +262,22 @@ mod tests {
     fn recordings_share_a_variance_where_their_weights_are_equal() {
         let residuals = [0.1, -0.1, 0.2, -0.2, 3.0, -3.0];
         let mut layout = layout(&[("y", 2), ("y", 2), ("y", 2)]);
-        layout.outputs[2].weights = vec![10.0; 2];
-        let noise = Noise::estimate(&layout, &residuals, 0, true);
+        layout.outputs[2].weights = vec![10.0; 2].into();
+        let noise = estimate(&layout, &residuals, &DMatrix::zeros(6, 0), Estimator::Sandwich);
         for (got, expected) in noise.variances.iter().zip([0.025, 0.025, 0.025, 0.025, 9.0, 9.0]) {
             assert!((got - expected).abs() < 1e-14, "{:?}", noise.variances);
         }
         // One exact output beside others has that of rounding.
-        layout.outputs[2].measured = vec![1e14; 2];
-        let variances = Noise::estimate(&layout, &residuals, 0, true).variances;
+        layout.outputs[2].measured = vec![1e14; 2].into();
+        let variances = estimate(&layout, &residuals, &DMatrix::zeros(6, 0), Estimator::Sandwich).variances;
         assert!(
             (variances[0] - 0.025).abs() < 1e-14 && (variances[4] / 1e10 - 1.0).abs() < 1e-12,
             "{variances:?}"
         );
         // Rounding has no variances of its own.
-        layout.outputs.iter_mut().for_each(|output| output.measured = vec![1e14; 2]);
-        let pooled = Noise::estimate(&layout, &residuals, 0, true).variances;
+        layout.outputs.iter_mut().for_each(|output| output.measured = vec![1e14; 2].into());
+        let pooled = estimate(&layout, &residuals, &DMatrix::zeros(6, 0), Estimator::Sandwich).variances;
         assert!(pooled.iter().all(|variance| (variance - 18.1 / 6.0).abs() < 1e-14), "{pooled:?}");
-    }
-
-    #[test]
-    fn autoregressive_residuals_have_the_covariance_of_their_toeplitz_matrix() {
-        let rho: f64 = 0.6;
-        let noise = Noise { variances: vec![2.0; 4], series: vec![(0..4, rho)], degrees_of_freedom: 2 };
-        let x = DMatrix::from_fn(4, 2, |t, k| if k == 0 { 1.0 } else { t as f64 });
-        let s = DMatrix::from_fn(4, 4, |i, j| 2.0 * rho.powi((i as i32 - j as i32).abs()));
-        let inverse = (x.transpose() * &x).try_inverse().unwrap();
-        let expected = &inverse * (x.transpose() * s * x) * &inverse;
-        let got = Factors::new(&line()).corrected(&noise);
-        assert!((&got - &expected).amax() < 1e-13, "{got} {expected}");
     }
 
     #[test]

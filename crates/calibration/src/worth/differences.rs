@@ -285,6 +285,15 @@ impl Differences {
         Ok(Ok(self))
     }
 
+    /// The same with the residuals multiplied by these factors.
+    pub(crate) fn weighted(mut self, factors: &[f64]) -> Self {
+        for mut column in self.changes.column_iter_mut() {
+            column.iter_mut().zip(factors).for_each(|(change, factor)| *change *= factor);
+        }
+        self.noise *= factors.iter().copied().fold(0.0, f64::max);
+        self
+    }
+
     /// By the coordinates of the search, m x p.
     pub(crate) fn jacobian(&self) -> DMatrix<f64> {
         if self.steps.is_empty() {

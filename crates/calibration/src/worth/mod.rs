@@ -1,10 +1,13 @@
 //! What a fit is worth: how uncertain its parameters are, which of them the data can tell apart, and what the residuals look like.
 
+mod autocorrelation;
+mod by_weights;
 mod covariance;
 mod differences;
 mod digits;
 mod residual_check;
 mod result;
+mod scores;
 mod verdict;
 
 use crate::calibration::Calibration;
@@ -13,15 +16,18 @@ use crate::error::CalibrationError;
 use crate::parameter::{Parameter, Scale};
 use crate::residual::sum_of_squares;
 use crate::simulations::{Point, Simulations};
-use covariance::Factors;
-pub(crate) use covariance::Noise;
-use dfo::Kind;
+use autocorrelation::Dependence;
+use covariance::{Factors, Noise, groups};
+use dfo::{Kind, RobustLoss};
 use differences::{Center, Differences};
 pub(crate) use digits::digits;
 use nalgebra::DMatrix;
 pub use residual_check::ResidualCheck;
 pub(crate) use result::check_level;
+use result::errors_and_correlation;
 pub use result::{Estimator, Worth, WorthOptions};
+pub(crate) use scores::Criterion;
+use scores::Working;
 use std::thread::available_parallelism;
 
 /// What is known before it is asked what a point is worth.
@@ -38,6 +44,8 @@ pub(crate) struct KnownPoint<'a> {
     pub(crate) inert: &'a [usize],
     /// What differences of the cost count as none, relative to it.
     pub(crate) f_tol: f64,
+    /// How the residuals make the cost.
+    pub(crate) criterion: Criterion,
 }
 
 impl Calibration {
@@ -56,14 +64,15 @@ impl Calibration {
     ) -> Result<Worth, CalibrationError> {
         self.check_length(x)?;
         let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
-        let mut simulations = Simulations::new(self, (options.loss, workers), cancelled)?;
+        let mut simulations = Simulations::new(self, (RobustLoss::default(), workers), cancelled)?;
         if let Some(index) = options.held.iter().find(|i| **i >= x.len()) {
             let n = x.len();
             return Err(CalibrationError::Setup(format!(
                 "parameter {index} is held, but there are only {n}"
             )));
         }
-        let known = KnownPoint { f_tol: 1e-4, held: options.held.clone(), ..KnownPoint::default() };
+        let (held, criterion) = (options.held.clone(), options.criterion());
+        let known = KnownPoint { f_tol: 1e-4, held, criterion, ..KnownPoint::default() };
         self.worth_of(x, options.estimator, &known, &mut simulations)
     }
 
@@ -74,6 +83,18 @@ impl Calibration {
         known: &KnownPoint<'_>,
         simulations: &mut Simulations<'_>,
     ) -> Result<Worth, CalibrationError> {
+        self.worth_and_curvature(x, estimator, known, simulations).map(|(worth, _)| worth)
+    }
+
+    /// The same with the diagonal of the inverse of half the cost's second derivatives, in the user's units; infinite where there is
+    /// none.
+    pub(crate) fn worth_and_curvature(
+        &self,
+        x: &[f64],
+        estimator: Estimator,
+        known: &KnownPoint<'_>,
+        simulations: &mut Simulations<'_>,
+    ) -> Result<(Worth, Vec<f64>), CalibrationError> {
         let parameters = self.parameters();
         let (n, before) = (x.len(), simulations.n);
         let is_held = |i: usize| {
@@ -83,14 +104,13 @@ impl Calibration {
             known.held.contains(&i) || is_fixed || is_at_bound
         };
         let (held, free): (Vec<usize>, Vec<usize>) = (0..n).partition(|i| is_held(*i));
-        let loss = simulations.loss;
         let mut points = vec![Point { x: x.to_vec(), is_accurate: true }];
         if known.residuals.is_none() {
             points.push(Point::new(x.to_vec()));
         }
         let mut found = simulations.residuals(&points)?;
         let residuals: Vec<f64> = match (known.residuals, found.len()) {
-            (Some(plain), _) => plain.iter().map(|r| loss.transform(*r)).collect(),
+            (Some(plain), _) => plain.to_vec(),
             (None, _) => found.swap_remove(1).map_err(|message| self.failed_at(x, message, None))?,
         };
         let accurate = found.swap_remove(0).ok();
@@ -111,16 +131,24 @@ impl Calibration {
         };
         // By the coordinates of the search.
         let per_unit: Vec<f64> = free.iter().map(|&i| slope(&parameters[i], x[i])).collect();
-        let guess = match (known.jacobian, known.residuals) {
-            (Some(jacobian), Some(plain)) => Some(DMatrix::from_fn(residuals.len(), free.len(), |r, k| {
-                jacobian[r * n + free[k]] * loss.slope(plain[r]) * per_unit[k]
-            })),
-            _ => None,
-        };
+        let guess = known.jacobian.filter(|_| known.residuals.is_some()).map(|jacobian| {
+            DMatrix::from_fn(residuals.len(), free.len(), |r, k| jacobian[r * n + free[k]] * per_unit[k])
+        });
         let differences = Differences::around(&center, guess, simulations)?
             .map_err(|message| self.failed_at(x, format!("around this point: {message}"), None))?;
-        let noise = Noise::estimate(layout, &residuals, free.len(), estimator == Estimator::Sandwich);
+        let jacobian = differences.jacobian();
+        let outputs = groups(layout, &residuals, (estimator, known.criterion));
+        let working = Working::new(known.criterion, (layout, &residuals), &outputs, free.len());
+        let differences_noise = differences.noise;
+        let differences = differences.weighted(&working.roots);
         let factors = Factors::new(&differences);
+        let of_fit = (&factors.base, free.len());
+        let noise = Noise::estimate((layout, &residuals), &working, &outputs, of_fit);
+        let most = noise.degrees_of_freedom as f64;
+        let of_base = (&factors.base, working.residuals.as_slice());
+        let dependence = (noise.degrees_of_freedom > 0)
+            .then(|| Dependence::find(of_base, &noise.groups, &noise.variances))
+            .flatten();
         let spread = |of_free: DMatrix<f64>| {
             let mut matrix = vec![0.0; n * n];
             for (a, &i) in free.iter().enumerate() {
@@ -135,19 +163,26 @@ impl Calibration {
             }
             matrix
         };
-        let covariance = spread(factors.covariance(&noise));
-        let standard_errors = roots(&covariance, n);
-        let correlation = (0..n * n).map(|k| {
-            let scale = standard_errors[k / n] * standard_errors[k % n];
-            match scale > 0.0 && scale.is_finite() {
-                true if k / n == k % n => 1.0,
-                true => (covariance[k] / scale).clamp(-1.0, 1.0),
-                false => f64::NAN,
+        let independent = factors.covariance(&noise);
+        let (corrected, degrees) = match &dependence {
+            None => (None, vec![most; free.len()]),
+            Some(dependence) => {
+                let (corrected, degrees) = dependence.covariance(&factors.inverse, most);
+                (Some(corrected), degrees)
             }
-        });
+        };
+        let mut effective_degrees_of_freedom = vec![most; n];
+        free.iter().zip(&degrees).for_each(|(&i, degrees)| effective_degrees_of_freedom[i] = *degrees);
+        let mut autocorrelations = vec![0.0; layout.outputs.len()];
+        for (g, group) in outputs.iter().enumerate() {
+            let of_group = dependence.as_ref().map_or(0.0, |found| found.autocorrelation(g));
+            group.iter().for_each(|k| autocorrelations[*k] = of_group);
+        }
+        let uncorrected_covariance = corrected.is_some().then(|| spread(independent.clone()));
+        let covariance = spread(corrected.unwrap_or(independent));
+        let curvature = spread(&factors.inverse * factors.inverse.transpose());
+        let (standard_errors, correlation) = errors_and_correlation(&covariance, n);
         let residual_checks = ResidualCheck::all(layout, &self.problem().experiment_names(), &residuals);
-        let corrected = residual_checks.iter().any(ResidualCheck::is_autocorrelated);
-        let jacobian = differences.jacobian();
         let mut by_parameters = vec![0.0; residuals.len() * n];
         for (k, &i) in free.iter().enumerate() {
             (0..residuals.len()).for_each(|r| by_parameters[r * n + i] = jacobian[(r, k)] / per_unit[k]);
@@ -157,15 +192,18 @@ impl Calibration {
         };
         let longest: Vec<f64> = differences.steps.row_iter().map(|row| row.amax()).collect();
         let is_inert = |k: usize| {
-            factors.is_undetermined[k] && jacobian.column(k).norm() * longest[k] <= differences.noise
+            factors.is_undetermined[k] && jacobian.column(k).norm() * longest[k] <= differences_noise
         };
+        let cost = |residuals: &[f64]| known.criterion.cost(layout, residuals);
         let mut worth = Worth {
             estimator,
             names: parameters.iter().map(|p| p.name().to_owned()).collect(),
             x: x.to_vec(),
             is_log: parameters.iter().map(|p| p.scale_kind() == Scale::Log).collect(),
-            correlation: correlation.collect(),
-            corrected_errors: corrected.then(|| roots(&spread(factors.corrected(&noise)), n)),
+            correlation,
+            uncorrected_covariance,
+            autocorrelations,
+            effective_degrees_of_freedom,
             covariance,
             standard_errors,
             degrees_of_freedom: noise.degrees_of_freedom,
@@ -175,10 +213,10 @@ impl Calibration {
             confounded: Vec::new(),
             weakest: Vec::new(),
             identifiable: Vec::new(),
-            verdict: Vec::new(),
-            cost: sum_of_squares(&residuals),
+            findings: Vec::new(),
+            cost: cost(&residuals),
             is_exact: self.is_within_tolerance(sum_of_squares(&residuals)),
-            accurate_cost: accurate.as_deref().map(sum_of_squares),
+            accurate_cost: accurate.as_deref().map(cost),
             jacobian: by_parameters,
             residuals,
             n_simulations: simulations.n - before,
@@ -187,8 +225,9 @@ impl Calibration {
         worth.find_confounded();
         worth.find_weakest(&jacobian, &free);
         worth.find_identifiable((&differences, &noise), &free, &sizes);
-        worth.verdict = worth.sentences(self.problem().experiments.len() > 1, known.f_tol);
-        Ok(worth)
+        by_weights::mark(&mut worth.residual_checks, &worth.residuals, &jacobian);
+        worth.findings = worth.all_findings(self.problem().experiments.len() > 1, known.f_tol);
+        Ok((worth, (0..n).map(|i| curvature[i * n + i]).collect()))
     }
 
     /// Whether a parameter lies at one of its bounds.
@@ -204,8 +243,4 @@ fn slope(p: &Parameter, x: f64) -> f64 {
         Scale::Linear => 1.0,
         Scale::Log => x,
     }
-}
-
-fn roots(matrix: &[f64], n: usize) -> Vec<f64> {
-    (0..n).map(|i| matrix[i * n + i].max(0.0).sqrt()).collect()
 }

@@ -1,6 +1,7 @@
 //! What the residuals of each output look like: mean, autocorrelation, outliers, runs.
 
 use super::digits::digits;
+use crate::finding::{Finding, Severity};
 use crate::layout::{OutputResiduals, ResidualLayout};
 use serde::{Deserialize, Serialize};
 
@@ -11,7 +12,7 @@ const OUTLIER: f64 = 4.0;
 const MANY_OUTLIERS: f64 = 0.2;
 
 /// The median absolute deviation of normally distributed numbers is this part of their standard deviation.
-const MEDIAN_DEVIATION: f64 = 0.674_489_750_196_081_7;
+pub(super) const MEDIAN_DEVIATION: f64 = 0.674_489_750_196_081_7;
 
 /// Autocorrelation above this makes standard errors too small that suppose independent residuals.
 pub(crate) const CORRELATED: f64 = 0.3;
@@ -47,60 +48,109 @@ pub struct ResidualCheck {
     /// Whether they are rounding, below 1e-10 of the size of the measurements: nothing is said of them.
     #[serde(default)]
     pub is_rounding: bool,
+    /// Whether they are autocorrelated, or have an offset, because the weights of other outputs keep the parameters from values that
+    /// would leave none of that.
+    #[serde(default)]
+    pub is_by_weights: bool,
 }
 
 impl ResidualCheck {
     pub(crate) fn all(layout: &ResidualLayout, names: &[String], residuals: &[f64]) -> Vec<Self> {
         let check = |output: &OutputResiduals| {
             let r = &residuals[output.range.clone()];
-            let (mean, deviation) = mean_and_deviation(r);
             Self {
                 experiment: names[output.experiment].clone(),
                 variable: output.variable.clone(),
-                n: r.len(),
-                mean,
-                deviation,
-                autocorrelation: autocorrelation(r),
-                n_outliers: n_outliers(r),
-                runs: runs(r),
+                n: 0,
+                mean: 0.0,
+                deviation: 0.0,
+                autocorrelation: 0.0,
+                n_outliers: 0,
+                runs: 0.0,
                 is_rounding: is_rounding(output, r),
+                is_by_weights: false,
             }
+            .with_numbers_of(r)
         };
         layout.outputs.iter().map(check).collect()
     }
 
     /// What is to be said of them; `name`: of the output.
-    pub(crate) fn sentences(&self, name: &str) -> Vec<String> {
+    pub(crate) fn findings(&self, name: &str) -> Vec<Finding> {
         let mut said = Vec::new();
         if self.is_rounding {
             return said;
         }
-        let n = self.n as f64;
-        if self.is_autocorrelated() {
-            said.push(format!(
-                "the residuals of {name} are autocorrelated ({:.2} at lag one): the model leaves out something that lasts, and \
-                 standard errors that suppose independent residuals are too small",
-                self.autocorrelation
-            ));
-        } else if self.runs < -BY_CHANCE {
-            said.push(format!("the residuals of {name} keep their sign longer than independent ones would"));
+        let subject = format!("residuals of {name}");
+        let mut find = |severity, sentence: String, remedy: &str| {
+            said.push(Finding::new(severity, subject.clone(), format!("the {subject} {sentence}"), remedy));
+        };
+        let lag = format!("are autocorrelated ({:.2} at lag one)", self.autocorrelation);
+        if self.is_by_weights {
+            let how =
+                if self.is_autocorrelated() { lag } else { "have an offset or keep their sign".to_owned() };
+            find(
+                Severity::Warning,
+                format!(
+                    "{how}, but other values of the parameters leave none of that: the weights of the other outputs keep them away"
+                ),
+                "give each output a weight of 1 over its noise (weights=\"sd\" where that is not known)",
+            );
+        } else {
+            if self.is_autocorrelated() {
+                let what = "the model leaves out something that lasts, or the noise lasts: standard errors are corrected for that, \
+                            the values of the parameters are not";
+                find(Severity::Warning, format!("{lag}: {what}"), "");
+            } else if self.keeps_sign() {
+                find(Severity::Note, "keep their sign longer than independent ones would".to_owned(), "");
+            }
+            if self.has_offset() {
+                let mean = digits(self.mean);
+                find(
+                    Severity::Warning,
+                    format!("have the mean {mean}: simulated minus measured, an offset"),
+                    "",
+                );
+            }
         }
-        let of_mean = self.deviation / n.sqrt();
-        if self.mean.abs() > BY_CHANCE * of_mean && self.mean.abs() > 0.1 * self.deviation && self.n > 2 {
-            let mean = digits(self.mean);
-            said.push(format!(
-                "the residuals of {name} have the mean {mean}: simulated minus measured, an offset"
-            ));
-        }
-        let share = 100.0 * self.n_outliers as f64 / n;
+        let share = 100.0 * self.n_outliers as f64 / self.n as f64;
         if share > MANY_OUTLIERS {
-            said.push(format!(
-                "{} of {} residuals of {name} ({share:.1} %) lie beyond 4 robust standard deviations: outliers; a robust \
-                 loss counts them less",
+            let sentence = format!(
+                "{} of {} {subject} ({share:.1} %) lie beyond 4 robust standard deviations: outliers",
                 self.n_outliers, self.n
-            ));
+            );
+            let remedy = "a robust loss counts them less";
+            said.push(Finding::new(Severity::Warning, subject, sentence, remedy));
         }
         said
+    }
+
+    fn keeps_sign(&self) -> bool {
+        self.runs < -BY_CHANCE
+    }
+
+    fn has_offset(&self) -> bool {
+        let of_mean = self.deviation / (self.n as f64).sqrt();
+        self.mean.abs() > BY_CHANCE * of_mean && self.mean.abs() > 0.1 * self.deviation && self.n > 2
+    }
+
+    /// Whether they show something that lasts.
+    pub(super) fn is_systematic(&self) -> bool {
+        !self.is_rounding && (self.is_autocorrelated() || self.keeps_sign() || self.has_offset())
+    }
+
+    /// The same with the numbers of other residuals.
+    pub(super) fn with_numbers_of(self, r: &[f64]) -> Self {
+        let (mean, deviation) = mean_and_deviation(r);
+        Self {
+            n: r.len(),
+            mean,
+            deviation,
+            autocorrelation: autocorrelation(r),
+            n_outliers: n_outliers(r),
+            runs: runs(r),
+            ..self
+        }
     }
 
     pub(crate) fn is_autocorrelated(&self) -> bool {
@@ -137,7 +187,8 @@ pub(crate) fn autocorrelation(r: &[f64]) -> f64 {
     products / r.iter().map(|r| (r - mean) * (r - mean)).sum::<f64>()
 }
 
-fn median(values: &mut [f64]) -> f64 {
+/// The values are sorted.
+pub(super) fn median(values: &mut [f64]) -> f64 {
     values.sort_by(f64::total_cmp);
     match values.len() {
         0 => f64::NAN,

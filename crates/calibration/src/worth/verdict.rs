@@ -3,7 +3,8 @@
 use super::covariance::{Factors, Noise};
 use super::differences::Differences;
 use super::digits::digits;
-use super::result::Worth;
+use super::result::{Worth, errors_and_correlation};
+use crate::finding::{Finding, Severity};
 use nalgebra::DMatrix;
 use std::ops::Range;
 
@@ -68,14 +69,19 @@ impl Worth {
         (0..self.n()).filter(|i| !self.held.contains(i)).filter(is_prior_alone).collect()
     }
 
-    /// Pairs with a high correlation, of those that move an output both.
+    /// Pairs with a high correlation, of those that move an output both: that of independent residuals, for how alike they move the
+    /// outputs has nothing to do with the noise.
     pub(super) fn find_confounded(&mut self) {
         let n = self.n();
+        let correlation = match &self.uncorrected_covariance {
+            Some(covariance) => errors_and_correlation(covariance, n).1,
+            None => self.correlation.clone(),
+        };
         let rows = self.rows();
         let share = |i, j| rows.iter().any(|rows| self.moves(i, rows) && self.moves(j, rows));
         let pairs = (0..n).flat_map(|i| (i + 1..n).map(move |j| (i, j)));
         let mut found: Vec<(usize, usize, f64)> = pairs
-            .map(|(i, j)| (i, j, self.correlation[i * n + j]))
+            .map(|(i, j)| (i, j, correlation[i * n + j]))
             .filter(|(i, j, correlation)| correlation.abs() >= CONFOUNDED && share(*i, *j))
             .collect();
         found.sort_by(|a, b| b.2.abs().total_cmp(&a.2.abs()));
@@ -161,99 +167,139 @@ impl Worth {
         }
     }
 
-    pub(super) fn undetermined_sentences(&self) -> Vec<String> {
+    /// Parameters that the data do not determine.
+    pub(super) fn undetermined_findings(&self) -> Vec<Finding> {
         let mut said = Vec::new();
+        let mut find = |names: String, sentence: String, remedy: &str| {
+            said.push(Finding::new(Severity::Warning, names, sentence, remedy));
+        };
         if self.degrees_of_freedom == 0 && self.held.len() < self.n() {
-            said.push(
-                "there are no more residuals than parameters: nothing is known of their errors".to_owned(),
-            );
+            let sentence = "there are no more residuals than parameters: nothing is known of their errors";
+            find("parameters".to_owned(), sentence.to_owned(), "");
         }
         let inert = &self.without_effect;
         if !inert.is_empty() {
             let moves = if inert.len() == 1 { "it moves" } else { "they move" };
-            said.push(format!(
-                "the data do not determine {}: {moves} no output that was measured",
-                self.list(inert)
-            ));
+            let names = self.list(inert);
+            let sentence = format!("the data do not determine {names}: {moves} no output that was measured");
+            find(names, sentence, "");
         }
         let together: Vec<usize> = self.undetermined.iter().copied().filter(|i| !inert.contains(i)).collect();
+        let names = self.list(&together);
         match together.len() {
             0 => {}
-            1 => said.push(format!("the data do not determine {}: other values fit as well", self.list(&together))),
-            _ => said.push(format!(
-                "the data do not determine {}: other values of them together fit as well; fix all but one, or combine them",
-                self.list(&together)
-            )),
+            1 => find(
+                names.clone(),
+                format!("the data do not determine {names}: other values fit as well"),
+                "",
+            ),
+            _ => find(
+                names.clone(),
+                format!("the data do not determine {names}: other values of them together fit as well"),
+                "fix all but one, or combine them",
+            ),
         }
         said
     }
 
-    pub(super) fn confounded_sentences(&self) -> Vec<String> {
-        let pair = |(i, j, correlation): &(usize, usize, f64)| {
+    /// Pairs with a high correlation: which combination is known worse than each alone, which better.
+    fn confounded_findings(&self) -> impl Iterator<Item = Finding> {
+        self.confounded.iter().map(|(i, j, correlation)| {
             let names = self.list(&[*i, *j]);
-            format!(
-                "{names} move the outputs the same way: correlation {correlation:.2}; fix one or fit in two stages"
-            )
-        };
-        self.confounded.iter().map(pair).collect()
-    }
-
-    /// A cost that another accuracy of the simulations changes by more than counts; not one that is all error of the simulations.
-    pub(super) fn accuracy_sentence(&self, f_tol: f64) -> Option<String> {
-        let accurate = self.accurate_cost?;
-        let difference = (accurate - self.cost).abs();
-        (difference > f_tol * self.cost.max(accurate) && !self.is_exact).then(|| {
-            format!(
-                "the cost is {} with a hundredth of the relative tolerance, {} with that of the fit: give a smaller \
-                 relative_tolerance",
-                digits(accurate),
-                digits(self.cost)
-            )
+            // Relative changes are those of logarithms, so that those of a product add up and those of a quotient cancel.
+            let relative = [*i, *j].map(|k| self.standard_errors[k] / self.x[k]);
+            let are_relative = relative.iter().all(|error| error.abs() < RELATIVE_ERROR);
+            let [a, b] = if are_relative { relative } else { [*i, *j].map(|k| self.standard_errors[k]) };
+            let error = |sign: f64| (a * a + b * b + sign * 2.0 * correlation * a * b).max(0.0).sqrt();
+            let (sum, difference) = (error(1.0), error(-1.0));
+            let [of_sum, of_difference] =
+                if are_relative { ["product", "quotient"] } else { ["sum", "difference"] };
+            let (worse, better) = match sum > difference {
+                true => (of_sum, of_difference),
+                false => (of_difference, of_sum),
+            };
+            let factor = digits(sum.max(difference) / sum.min(difference));
+            let sentence = format!(
+                "{names} move the outputs the same way: correlation {correlation:.2}. Their {worse} is known {factor} times worse than \
+                 their {better}; the standard errors of each take account of it"
+            );
+            let remedy = "where they are too large, fix one or fit in two stages";
+            Finding::new(Severity::Note, names, sentence, remedy)
         })
     }
 
-    /// All sentences.
-    pub(super) fn sentences(&self, are_several: bool, f_tol: f64) -> Vec<String> {
-        let mut said = self.undetermined_sentences();
+    /// A cost that another accuracy of the simulations changes by more than counts; not one that is all error of the simulations.
+    fn accuracy_finding(&self, f_tol: f64) -> Option<Finding> {
+        let accurate = self.accurate_cost?;
+        let difference = (accurate - self.cost).abs();
+        let size = self.cost.abs().max(accurate.abs());
+        (difference > f_tol * size && !self.is_exact).then(|| {
+            let sentence = format!(
+                "the cost is {} with that of the fit, and changes by {} with a hundredth of it, relative to itself by {}: more than \
+                 f_tol, {}",
+                digits(self.cost),
+                digits(accurate - self.cost),
+                digits(difference / size),
+                digits(f_tol),
+            );
+            Finding::new(Severity::Warning, "relative tolerance", sentence, "give a smaller relative_tolerance")
+        })
+    }
+
+    /// All of them.
+    pub(super) fn all_findings(&self, are_several: bool, f_tol: f64) -> Vec<Finding> {
+        let mut said = self.undetermined_findings();
+        let mut note = |subject: String, sentence: String| {
+            said.push(Finding::new(Severity::Note, subject, sentence, ""));
+        };
         for i in self.known_from_prior() {
-            said.push(format!("{} is known from its prior alone: the data do not move it", self.names[i]));
+            let name = &self.names[i];
+            let sentence = format!("{name} is known from its prior alone: the data do not move it");
+            note(name.clone(), sentence);
         }
-        said.extend(self.confounded_sentences());
         if !self.weakest.is_empty() {
             let names = self.list(&self.weakest);
-            said.push(format!("{names} together can be moved with little change of the outputs"));
+            let sentence = format!("{names} together can be moved with little change of the outputs");
+            note(names, sentence);
         }
+        said.extend(self.confounded_findings());
         for i in (0..self.n()).filter(|i| self.standard_errors[*i].is_finite() && self.x[*i] != 0.0) {
             let error = self.relative_error(i);
             if error > RELATIVE_ERROR {
-                let percent = digits((100.0 * error).round());
-                said.push(format!("the standard error of {} is {percent} % of its value", self.names[i]));
+                let (name, percent) = (&self.names[i], digits((100.0 * error).round()));
+                let sentence = format!("the standard error of {name} is {percent} % of its value");
+                said.push(Finding::new(Severity::Warning, name, sentence, ""));
             }
         }
         let n_free = self.n() - self.held.len();
         if self.identifiable.len() < n_free && self.degrees_of_freedom > 0 {
-            said.push(match self.identifiable.is_empty() {
-                true => "the data tell none of the parameters to half of its value".to_owned(),
-                false => format!(
-                    "with the others held the data tell {} (standard errors below half of their values, no correlation of 0.9)",
-                    self.list(&self.identifiable)
+            let (severity, sentence) = match self.identifiable.is_empty() {
+                true => {
+                    let sentence = "the data tell none of the parameters to half of its value";
+                    (Severity::Warning, sentence.to_owned())
+                }
+                false => (
+                    Severity::Note,
+                    format!(
+                        "with the others held the data tell {} (standard errors below half of their values, no correlation of 0.9)",
+                        self.list(&self.identifiable)
+                    ),
                 ),
-            });
+            };
+            said.push(Finding::new(severity, "", sentence, ""));
         }
         if self.is_exact {
-            said.push(
-                "the measurements are reproduced to the accuracy of the simulations: standard errors say little"
-                    .to_owned(),
-            );
+            let sentence = "the measurements are reproduced to the accuracy of the simulations: standard errors say little";
+            said.push(Finding::new(Severity::Note, "measurements", sentence, ""));
         }
         for check in self.residual_checks.iter().filter(|_| !self.is_exact) {
             let name = match are_several {
                 true => format!("{} of {}", check.variable, check.experiment),
                 false => check.variable.clone(),
             };
-            said.extend(check.sentences(&name));
+            said.extend(check.findings(&name));
         }
-        said.extend(self.accuracy_sentence(f_tol));
+        said.extend(self.accuracy_finding(f_tol));
         said
     }
 }

@@ -62,6 +62,8 @@ pub struct Variable {
     pub clock: Option<Box<ClockTiming>>,
     /// It can be set or read while a co-simulation makes a step (FMI 3.0).
     pub intermediate_update: bool,
+    /// The most bytes that a binary value has (FMI 3.0 `maxSize`).
+    pub max_size: Option<usize>,
     /// Its value is an `int` whatever its type: enumerations of FMI 1.0 and 2.0.
     pub(crate) is_narrow: bool,
 }

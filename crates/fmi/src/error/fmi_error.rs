@@ -240,8 +240,8 @@ pub enum FmiError {
         /// Length given.
         found: usize,
     },
-    /// The FMU says that a value has more bytes than there can be.
-    #[error("{call}: the FMU has a value of {size} bytes, more than memory can hold")]
+    /// The FMU says that a value has more bytes than its variable may have, or than there is memory for.
+    #[error("{call}: the FMU has a value of {size} bytes, more than its maxSize or than memory can hold")]
     TooLarge {
         /// The call.
         call: &'static str,

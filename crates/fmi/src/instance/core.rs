@@ -218,8 +218,9 @@ impl Core {
             }
             VariableKind::Binary => {
                 let mut values = Vec::with_capacity(n);
+                let most = |_| variable.max_size;
                 let read =
-                    self.raw.get_binary(&references, n, |bytes| values.push(Value::Binary(bytes.to_vec())));
+                    self.raw.get_binary(&references, n, most, |bytes| values.push(Value::Binary(bytes)));
                 read.map(|()| values)
             }
             kind => {

@@ -35,6 +35,7 @@
 #![allow(unsafe_code)]
 
 mod callbacks;
+mod child_limits;
 mod environment;
 mod fmi1;
 mod fmi1_fmi2_values;
@@ -50,6 +51,7 @@ mod symbols;
 mod types;
 mod version;
 
+pub(crate) use child_limits::limit as limit_child;
 pub(crate) use environment::{CallEnvironment, look_now_and_then};
 pub(crate) use library::{Library, LoadFrom};
 pub use platform::LoaderOptions;

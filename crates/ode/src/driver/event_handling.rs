@@ -311,8 +311,7 @@ where
         let space = &mut *self.space;
         self.system.nominals(&mut space.nominals).map_err(no_retreat)?;
         let (options, system) = (self.options, &*self.system);
-        let (rtol, atol) = (options.relative_tolerance, &options.absolute_tolerance);
-        space.weights.set(rtol, atol, &space.nominals, |i| system.is_unbounded(i));
+        space.weights.set(options, &space.nominals, |i| system.is_unbounded(i));
         Ok(())
     }
 

@@ -14,6 +14,9 @@ const MAX_REPETITIONS: u32 = 12;
 /// given up.
 const MAX_TURNS: u32 = 5;
 
+/// At so many more points of a step at most the indicators are looked at where their values do not tell what they do between.
+const MAX_LOOKS: u32 = 32;
+
 impl<S, M, O> Run<'_, S, M, O>
 where
     S: HybridSystem + ?Sized,
@@ -61,7 +64,7 @@ where
         ready: &mut bool,
     ) -> CallResult<Option<f64>> {
         let asked = self.options.interior_samples.is_some();
-        let points = if asked || !self.space.domains.changed() { self.interior_points(end) } else { 0 };
+        let points = if asked || !self.space.domains.changed() { self.interior_points() } else { 0 };
         let start = self.t;
         let inside = (1..=points).map(|i| start + h * i as f64 / (points + 1) as f64);
         for at in behind.into_iter().chain(inside) {
@@ -69,12 +72,23 @@ where
                 return Ok(Some(at));
             }
         }
+        let mut left = if asked || points == 0 { 0 } else { MAX_LOOKS };
         for i in 0..self.space.domains.len() {
-            for _ in 0..MAX_TURNS {
-                if self.space.domains.changed() {
-                    return Ok(Some(end));
+            loop {
+                for _ in 0..MAX_TURNS {
+                    if self.space.domains.changed() {
+                        return Ok(Some(end));
+                    }
+                    let Some(at) = self.space.domains.turning_point(i, start, end) else { break };
+                    if self.changed_at(at, end, h, ready)? {
+                        return Ok(Some(at));
+                    }
                 }
-                let Some(at) = self.space.domains.turning_point(i, start, end) else { break };
+                if left == 0 {
+                    break;
+                }
+                let Some(at) = self.space.domains.unresolved(i, (start, end), h / 32.0) else { break };
+                left -= 1;
                 if self.changed_at(at, end, h, ready)? {
                     return Ok(Some(at));
                 }
@@ -84,17 +98,13 @@ where
     }
 
     /// At how many points inside the step the indicators are looked at whatever they were.
-    fn interior_points(&self, end: f64) -> usize {
-        let domains = &self.space.domains;
-        if domains.len() == 0 {
+    fn interior_points(&self) -> usize {
+        if self.space.domains.len() == 0 {
             return 0;
         }
-        let long = || {
-            !self.space.x.is_empty()
-                && (self.stepper.properties().takes_long_steps
-                    || (self.fixed_step.is_none() && domains.growth(self.t, end).is_some_and(|g| g > 3.0)))
-        };
-        self.options.interior_samples.map_or_else(|| usize::from(long()), |k| k as usize)
+        let by_default =
+            || if self.space.x.is_empty() { 0 } else { self.stepper.properties().interior_samples };
+        self.options.interior_samples.unwrap_or_else(by_default) as usize
     }
 
     /// Looks at the indicators at a point inside the trial, unless changes count from a later one; `true`: one has an
@@ -195,7 +205,7 @@ where
     /// inside them. The end of a repeated step is the event when the indicators have changed there and, by the interpolant
     /// of that very step (which is exact at its end), not before it to speak of.
     fn polish(&mut self, first_guess: f64, end: f64, tight: f64) -> Step<Inside> {
-        let enough = tight.max(1e-3 * self.options.relative_tolerance * (end - self.t));
+        let enough = tight.max(1e-3 * self.options.rtol_or_like() * (end - self.t));
         let (mut lo, mut hi) = (self.t, end);
         let mut guess = (first_guess + tight).min(end);
         let mut rounds = 0;

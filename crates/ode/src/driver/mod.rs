@@ -99,7 +99,7 @@ impl Driver {
     pub fn new(options: Options) -> Result<Self, OptionsError> {
         options.check()?;
         let method = match options.method {
-            Method::Auto => MethodState::Auto(Box::new(Auto::new(options.relative_tolerance))),
+            Method::Auto => MethodState::Auto(Box::new(Auto::new(options.rtol_or_like()))),
             Method::Tsit5 => MethodState::Tsit5(ExplicitRk::new(&TSIT5)),
             Method::Radau5 => MethodState::Radau5(Box::default()),
             Method::Dop853 => MethodState::Dop853(Box::new(ExplicitRk::new(&DOP853))),
@@ -303,6 +303,11 @@ where
     /// One accepted step with everything that belongs to it, or one rejected trial.
     fn advance(&mut self) -> Step<()> {
         self.check_limits()?;
+        if self.fixed_step.is_none()
+            && let Some(state) = self.space.weights.without_tolerance(&self.space.x)
+        {
+            return Err(ErrorKind::NoTolerance { state }.into());
+        }
         let target = self.target();
         let h = self.step_towards(target);
         let hits_target = h == target - self.t;

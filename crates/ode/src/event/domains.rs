@@ -188,11 +188,6 @@ impl Domains {
         self.before_time = None;
     }
 
-    /// How many times longer the step from `start` to `end` is than the one before; `None`: there is none.
-    pub(crate) fn growth(&self, start: f64, end: f64) -> Option<f64> {
-        self.before_time.map(|before| (end - start) / (start - before))
-    }
-
     /// Whether indicator `i` is held at zero: it slides, and its events put it back by changing states.
     pub(crate) fn is_held(&self, i: usize) -> bool {
         self.slides(i) && self.resets[i]

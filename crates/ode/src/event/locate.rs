@@ -2,6 +2,7 @@
 
 use super::domains::{Domains, flipped};
 use crate::system::CallResult;
+use std::iter;
 
 /// A parabola comes near zero where its turning point is less than this share of the least value that it passes.
 const NEAR: f64 = 0.25;
@@ -34,20 +35,43 @@ fn turning_point([(t0, z0), (t1, z1), (t2, z2)]: [(f64, f64); 3], start: f64) ->
 }
 
 impl Domains {
-    /// Where between `start` and `end` a parabola through three neighbouring values of indicator `i` comes to its turning point, if
-    /// that lies in the other domain or near it: a crossing and its return may hide there.
-    pub(crate) fn turning_point(&self, i: usize, start: f64, end: f64) -> Option<f64> {
+    /// Times and values of indicator `i` that are known of the step from `start` to `end`, ascending.
+    fn known(&self, i: usize, start: f64, end: f64) -> impl Iterator<Item = (f64, f64)> {
         let looked =
             self.looked_at.iter().zip(self.looked[i.min(self.looked.len())..].iter().step_by(self.len()));
         let inside = looked.map(|(t, z)| (*t, *z));
+        iter::once((start, self.base[i])).chain(inside).chain([(end, self.end[i])])
+    }
+
+    /// Where between `start` and `end` a parabola through three neighbouring values of indicator `i` comes to its turning point, if
+    /// that lies in the other domain or near it: a crossing and its return may hide there.
+    pub(crate) fn turning_point(&self, i: usize, start: f64, end: f64) -> Option<f64> {
         let before = self.before_time.map(|t| (t, self.before[i]));
-        let mut points =
-            before.into_iter().chain([(start, self.base[i])]).chain(inside).chain([(end, self.end[i])]);
+        let mut points = before.into_iter().chain(self.known(i, start, end));
         let (mut a, mut b) = (points.next()?, points.next()?);
         points.find_map(|c| {
             let found = turning_point([a, b, c], start);
             (a, b) = (b, c);
             found
+        })
+    }
+
+    /// Where between `start` and `end` a crossing and its return may hide in what is not known of indicator `i`: the middle of the wider
+    /// one of two neighbouring intervals of at least `least`, between whose three ends, all in one domain, its graph bends by more
+    /// than it stays away from zero.
+    pub(crate) fn unresolved(&self, i: usize, (start, end): (f64, f64), least: f64) -> Option<f64> {
+        if self.slides(i) {
+            return None;
+        }
+        let mut points = self.known(i, start, end);
+        let (mut a, mut b) = (points.next()?, points.next()?);
+        points.find_map(|c| {
+            let [(t0, z0), (t1, z1), (t2, z2)] = [a, b, c];
+            (a, b) = (b, c);
+            let bend = (z1 - (z0 + (z2 - z0) * ((t1 - t0) / (t2 - t0)))).abs();
+            let (from, to) = if t1 - t0 >= t2 - t1 { (t0, t1) } else { (t1, t2) };
+            let hides = !flipped(z0, z1) && !flipped(z1, z2) && bend > z0.abs().min(z1.abs()).min(z2.abs());
+            (hides && to - from >= least).then(|| 0.5 * (from + to))
         })
     }
 

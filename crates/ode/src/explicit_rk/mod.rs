@@ -87,7 +87,7 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
         Properties {
             order: self.tableau.order,
             has_error_estimate: !matches!(self.tableau.error, Estimate::None),
-            takes_long_steps: own_stages,
+            interior_samples: if own_stages { 3 } else { 1 },
             step_with_event: if own_stages {
                 StepWithEvent::RepeatedToBefore
             } else {

@@ -210,7 +210,7 @@ class Calibration:
             kind=_options.choice("kind", getattr(model, "kind", "auto") if kind is None else kind),
             max_time=_options.optional_number("max_time", max_time),
             relative_tolerance=_options.optional_number("relative_tolerance", relative_tolerance),
-            solver=_options.solver(solver),
+            solver=_solver(solver),
             step_size=_options.optional_number("step_size", step_size),
             max_step=_options.optional_number("max_step", max_step),
             chattering=_options.choice("chattering", chattering),
@@ -651,7 +651,7 @@ class Calibration:
         Returns
         -------
         Check
-            A sequence of findings, the gravest first, which prints as a table; true in a condition if there are errors or warnings.
+            A sequence of findings, the gravest first, which prints as a table; its ``ok`` says whether there are neither errors nor warnings.
 
         Examples
         --------
@@ -725,7 +725,9 @@ class Calibration:
             As in `cost`.
         covariance : {"sandwich", "pooled"}
             With one residual variance per output of the model, over all of its recordings:
-            ``inv(J.T @ J) @ J.T @ S @ J @ inv(J.T @ J)``; or with one for all: ``s**2 * inv(J.T @ J)``.
+            ``inv(J.T @ J) @ J.T @ S @ J @ inv(J.T @ J)``; or with one for all: ``s**2 * inv(J.T @ J)``. Of a fit with a robust loss it is
+            that of an M-estimator, of one with the likelihood the inverse of its information; where the residuals of an output are
+            autocorrelated they are taken for a first-order autoregression (Seber and Wild, Nonlinear Regression, 1989, chapter 6).
         parameters : sequence of str, optional
             Only these are free, the others are taken as known: the standard errors are conditional then.
         workers : int, optional
@@ -821,6 +823,14 @@ class Calibration:
 
     def __repr__(self) -> str:
         return f"<Calibration of {', '.join(self.names)} in {self._model}: {self.n_measurements} measurements>"
+
+
+def _solver(name: str) -> str:
+    """The name of an integration method; says which one stands for that of another tool."""
+    ours = _options.solver(name)
+    if ours != name:
+        warnings.warn(f"there is no {name} here: solver={ours!r} is used instead", CalibrationWarning, stacklevel=4)
+    return ours
 
 
 def _restore(

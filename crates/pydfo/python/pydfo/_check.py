@@ -9,10 +9,11 @@ from . import _core
 
 
 class Finding(NamedTuple):
-    """Something that `Calibration.check` has found."""
+    """Something that `Calibration.check` has found, or that is to be said of a fit or a validation."""
 
     severity: str
-    """"error": nothing can be fitted as it is; "warning": it is likely not what is meant; "note": worth knowing."""
+    """"error": nothing can be fitted as it is; "warning": it is likely not what is meant, or a value is not to be relied on; "note":
+    worth knowing."""
     subject: str
     """What it is about: a recording, a column, a variable, a parameter."""
     sentence: str
@@ -22,12 +23,13 @@ class Finding(NamedTuple):
 
 
 class Check(Sequence[Finding]):
-    """What `Calibration.check` has found, the gravest first; ``print(check)`` shows a table.
+    """What `Calibration.check` has found, the gravest first: a sequence of `Finding`, true in a condition if there are any, notes
+    included; ``print(check)`` shows a table.
 
     Attributes
     ----------
     ok : bool
-        Whether there are no errors and no warnings. A check is true in a condition if there are some: ``if check: print(check)``.
+        Whether there are no errors and no warnings: ``assert calibration.check().ok``.
     n_evaluations : int
         Evaluations that were made for it, each a simulation of every experiment.
     """
@@ -47,9 +49,6 @@ class Check(Sequence[Finding]):
 
     def __len__(self) -> int:
         return len(self._findings)
-
-    def __bool__(self) -> bool:
-        return not self.ok
 
     def __str__(self) -> str:
         return self._table

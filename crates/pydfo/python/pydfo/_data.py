@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import datetime
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,8 +18,6 @@ from ._errors import BadCalibrationError
 FloatArray = npt.NDArray[np.float64]
 
 Path = str | os.PathLike[str]
-Columns = list[tuple[str, list[float]]]
-
 
 @dataclass(frozen=True)
 class Table:
@@ -26,11 +25,9 @@ class Table:
 
     #: A CSV file, or None.
     path: str | None
-    #: The columns in memory: the times first, in the unit in their name, then those needed.
-    columns: Columns
-    #: Names of the other columns.
-    left_out: list[str]
-    #: Name of the column of times; None: "time" in any case.
+    #: The times and the columns that are needed, in memory; None: they are in the file.
+    table: _core.Table | None
+    #: Name of the column of times of the file; None: "time" in any case.
     time: str | None
 
 
@@ -47,23 +44,23 @@ def read(data: Any, needed: list[str], time: str | None) -> Table:
         There is no column of times, or one of those needed is missing or holds text.
     """
     if not isinstance(data, (str, os.PathLike)):
-        return _selected(_columns(data), needed, time)
+        columns = _columns(data)
+        return _selected(_data_files.Columns(list(columns), lambda names: columns), needed, time)
     path = os.fspath(data)
     match _data_files.suffix(path):
         case ".parquet" | ".pq":
             return _selected(_data_files.parquet(path), needed, time)
         case ".mat":
-            variables = _data_files.mat(path)
-            found, others = _data_files.of_one_length(variables, list(variables)[_find_time(list(variables), time)[0]])
-            return _selected(found, needed, time, others)
+            return _selected(_data_files.mat(path, needed, time), needed, time)
         case ".xlsx" | ".xlsm":
-            return Table(None, *_core.read_csv(_data_files.workbook(path), path, time, needed), "time")
+            text, others = _data_files.workbook(path, needed, time)
+            return Table(None, _core.Table.from_csv(text, path, time, needed, others), None)
         case ".xls" | ".ods" | ".feather" | ".h5" | ".hdf5" | ".pkl" | ".json" | ".npy" | ".npz" as other:
             raise BadCalibrationError(
                 f"data: {path}: {other} files are not read; CSV, .mat, .parquet and .xlsx files are. Read it with a library, and "
                 "give a dict of arrays or a DataFrame"
             )
-    return Table(path, [], [], time)
+    return Table(path, None, time)
 
 
 def _find_time(names: list[str], time: str | None) -> tuple[int, tuple[float, float]]:
@@ -73,28 +70,30 @@ def _find_time(names: list[str], time: str | None) -> tuple[int, tuple[float, fl
         raise BadCalibrationError(f"data: {e}") from None
 
 
-def _selected(table: Mapping[str, Any], needed: list[str], time: str | None, others: list[str] | None = None) -> Table:
-    """The times and the columns that are needed; `others` are of another length than the times."""
-    names = list(table)
+def _selected(source: _data_files.Columns, needed: list[str], time: str | None) -> Table:
+    """The times and the columns that are needed."""
+    names = source.names
     index, (numerator, denominator) = _find_time(names, time)
     at = names[index]
-    durations = seconds(table[at], at)
+    taken = [at]
+    for name in needed:
+        try:
+            found = names[_core.find_column(names, name)]
+        except ValueError as e:
+            hint = f". Of another length than the times: {', '.join(source.others)}" if source.others else ""
+            raise BadCalibrationError(f"data: {e}{hint}") from None
+        if found not in taken:
+            taken.append(found)
+    table = source.read(taken)
+    durations, change = _seconds(table[at], at)
     if durations is not None and numerator != denominator:
         raise BadCalibrationError(
             f"data: column '{at}' holds durations or dates, which have a unit of their own; take the unit out of its name"
         )
-    columns = [(at, _numbers(at, table[at] if durations is None else durations))]
-    taken = [at]
-    for name in dict.fromkeys(needed):
-        try:
-            found = names[_core.find_column(names, name)]
-        except ValueError as e:
-            hint = f". Of another length than the times: {', '.join(others)}" if others else ""
-            raise BadCalibrationError(f"data: {e}{hint}") from None
-        if found not in taken:
-            columns.append((found, _numbers(found, table[found])))
-            taken.append(found)
-    return Table(None, columns, [name for name in names if name not in taken], at)
+    columns = [(name, _numbers(name, table[name])) for name in taken[1:]]
+    columns.insert(0, (at, _numbers(at, table[at]) if durations is None else durations))
+    left_out = [name for name in names if name not in taken]
+    return Table(None, _core.Table(columns, at, left_out, change), None)
 
 
 def _columns(data: Any) -> dict[str, Any]:
@@ -158,30 +157,55 @@ def _labelled(data: Any) -> dict[str, Any]:
     return table
 
 
+#: Local times before and after an hour that is missing or doubled, and whether it is doubled.
+ClockChange = tuple[str, str, bool]
+
+
 def seconds(values: Any, column: str = "") -> FloatArray | None:
     """Durations (``timedelta64`` of NumPy and pandas, ``datetime.timedelta``) in s, and dates (``datetime64``, ``datetime``, texts) in
     s since the first; None if `values` are something else. The name of the column may say what `10:02` is, as in ``time [mm:ss]``."""
+    return _seconds(values, column)[0]
+
+
+def _seconds(values: Any, column: str) -> tuple[FloatArray | None, ClockChange | None]:
+    """The same, and an hour that is missing in dates without a zone."""
     array = np.asarray(values)
     if array.ndim != 1 or not array.size:
-        return None
+        return None, None
     if array.dtype.kind == "U" or (array.dtype.kind in "OT" and all(isinstance(value, str) for value in array)):
-        try:
-            return np.array(_core.date_seconds([str(value) for value in array], column))
-        except ValueError as e:
-            raise BadCalibrationError(f"data: {e}") from None
+        with _refused():
+            return _core.date_seconds([str(value) for value in array], column)
     if array.dtype.kind == "O":
         for kind in (datetime.datetime, datetime.date, datetime.timedelta):
             if all(isinstance(value, kind) for value in array):
-                first = array[0] if kind is not datetime.timedelta else datetime.timedelta()
-                return np.array([(value - first).total_seconds() for value in array])
-    if array.dtype.kind == "M":
-        array = array - array[0]
-    if array.dtype.kind != "m":
-        return None
-    # A timedelta64 without a unit is a number of who knows what.
-    if np.datetime_data(array.dtype)[0] == "generic":
-        return None
-    return np.asarray(array / np.timedelta64(1, "s"), dtype=np.float64)
+                if kind is datetime.timedelta:
+                    return np.array([value.total_seconds() for value in array]), None
+                since = np.array([(value - array[0]).total_seconds() for value in array])
+                is_naive = kind is datetime.datetime and array[0].tzinfo is None
+                return since, _clock_change(np.datetime64(array[0], "us"), since) if is_naive else None
+    if array.dtype.kind not in "mM" or np.datetime_data(array.dtype)[0] == "generic":
+        # A timedelta64 without a unit is a number of who knows what.
+        return None, None
+    if array.dtype.kind == "m":
+        return np.asarray(array / np.timedelta64(1, "s"), dtype=np.float64), None
+    since = np.asarray((array - array[0]) / np.timedelta64(1, "s"), dtype=np.float64)
+    return since, _clock_change(array[0], since)
+
+
+def _clock_change(first: np.datetime64, since: FloatArray) -> ClockChange | None:
+    """An hour that is missing in the times since the first, a local time."""
+    start = (first - np.datetime64(0, "s")) / np.timedelta64(1, "s")
+    with _refused():
+        return _core.clock_change(float(start), since)
+
+
+@contextmanager
+def _refused() -> Iterator[None]:
+    """What native code refuses is wrong with the data."""
+    try:
+        yield
+    except ValueError as e:
+        raise BadCalibrationError(f"data: {e}") from None
 
 
 def mask(given: Any) -> tuple[list[bool] | None, str | None]:
@@ -194,7 +218,7 @@ def mask(given: Any) -> tuple[list[bool] | None, str | None]:
     return array.tolist(), None
 
 
-def _numbers(name: str, values: Any) -> list[float]:
+def _numbers(name: str, values: Any) -> FloatArray:
     """A column as floats; what is masked, None or NA is missing (NaN)."""
     if isinstance(values, np.ma.MaskedArray):
         values = np.ma.filled(values.astype(np.float64), np.nan)
@@ -212,16 +236,22 @@ def _numbers(name: str, values: Any) -> list[float]:
     if array.ndim != 1:
         raise BadCalibrationError(f"data: column '{name}' must be one-dimensional, not of shape {array.shape}")
     if array.dtype.kind in "fiub":
-        return [float(v) for v in array.tolist()]
-    return [_number(name, row, value) for row, value in enumerate(array.tolist())]
+        return np.ascontiguousarray(array, dtype=np.float64)
+    return np.fromiter((_number(name, row, value) for row, value in enumerate(array)), np.float64, array.size)
 
 
 def _number(name: str, row: int, value: Any) -> float:
     if value is None:
         return float("nan")
+    if isinstance(value, np.generic):
+        value = value.item()
     if not isinstance(value, (str, bytes)):
         try:
             return float(value)
+        except OverflowError:
+            raise BadCalibrationError(
+                f"data: a number in column '{name}', row {row}, is beyond the largest number 1.8e308"
+            ) from None
         except (TypeError, ValueError):
             pass
-    raise BadCalibrationError(f"data: {value!r} in column '{name}', row {row}, is not a number")
+    raise BadCalibrationError(f"data: {_options.show(value)} in column '{name}', row {row}, is not a number")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -354,6 +355,9 @@ class Description:
         vars(self).update(header)
         self.path = fmu.path
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (os.fspath(self.path), self._fmu.description_file(), self._fmu.content_hash)
+
     @cached_property
     def variables(self) -> Variables:
         """The variables by name (a mapping of str to `Variable`)."""
@@ -459,3 +463,8 @@ def _unit(name: str, base: dict[str, Any] | None, display_units: list[dict[str, 
 
 def _type_definition(items: list[dict[str, Any]], **fields: Any) -> TypeDefinition:
     return TypeDefinition(**fields, items=[EnumerationItem(**item) for item in items])
+
+
+def _restored(path: str, description: bytes, content_hash: str) -> Description:
+    """A description from its pickle, which needs no file."""
+    return Description(_core.Fmu.described(path, description, content_hash))

@@ -175,9 +175,17 @@ def executed(fun: Callable[..., Any], executor: concurrent.futures.Executor, tak
 
 
 def foreign(fun: Callable[..., Any], workers: Any, takes_cutoff: bool = False) -> Batches | None:
-    """How `workers` evaluates a batch; None if it is a number or nothing that could."""
+    """How `workers` evaluates a batch; None if it is a number or nothing that could.
+
+    TypeError for objects of Dask and joblib that are no executors, with the one to pass instead."""
+    if callable(getattr(workers, "get_executor", None)):
+        raise TypeError("a Dask Client is no executor: give workers=client.get_executor()")
     if callable(getattr(workers, "submit", None)):
         return executed(fun, workers, takes_cutoff)
+    if type(workers).__module__.partition(".")[0] == "joblib":
+        raise TypeError(
+            f"workers cannot be a joblib {type(workers).__name__}: give an executor, workers=joblib.externals.loky.get_reusable_executor()"
+        )
     if callable(workers):
         return mapped(fun, workers, takes_cutoff)
     if callable(getattr(workers, "map", None)):

@@ -10,7 +10,7 @@ from typing import Any, SupportsFloat
 
 import numpy as np
 
-from . import _data, _options
+from . import _core, _data, _options
 from ._errors import BadCalibrationError
 from ._keywords import explained
 from ._parameter import Parameter
@@ -95,8 +95,7 @@ class Experiment:
 
     name: str | None
     path: str | None
-    columns: _data.Columns
-    left_out: list[str]
+    table: _core.Table | None
     time: str | None
     outputs: list[tuple[str, str, Weight]]
     inputs: list[tuple[str, Source]]
@@ -143,13 +142,21 @@ class Experiment:
             columns += [source for _, source in driven if isinstance(source, str)]
             columns += [weight for _, _, weight in weighed if isinstance(weight, str)]
             rows, by = _data.mask(mask)
-            table = _data.read(data, columns + ([] if by is None else [by]), named)
+            try:
+                table = _data.read(data, columns + ([] if by is None else [by]), named)
+            except BadCalibrationError as e:
+                turned = [pair for pair in pairs if f"no column '{pair[1]}'" in str(e) and f"'{pair[0]}'" in str(e).partition("there are")[2]]
+                if not turned:
+                    raise
+                variable, column = turned[0]
+                raise BadCalibrationError(
+                    f"{e}. Are outputs the wrong way round? They map variables of the model to columns: {{{column!r}: {variable!r}}}"
+                ) from None
             put(self, "mask", rows)
             put(self, "mask_column", by)
             put(self, "resample", _options.optional_number("resample", resample))
             put(self, "path", table.path)
-            put(self, "columns", table.columns)
-            put(self, "left_out", table.left_out)
+            put(self, "table", table.table)
             put(self, "time", table.time)
             put(self, "outputs", weighed)
             put(self, "inputs", driven)
@@ -163,7 +170,7 @@ class Experiment:
             put(self, "hold_inputs", _options.flag("hold_inputs", hold_inputs))
 
     def __repr__(self) -> str:
-        source = self.path if self.path is not None else f"{len(self.columns[0][1])} rows"
+        source = self.path if self.table is None else f"{len(self.table)} rows"
         outputs = ", ".join(variable for variable, _, _ in self.outputs)
         return f"<Experiment{'' if self.name is None else ' ' + self.name}: {outputs} from {source}>"
 

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core, _profile, _share, _validation, _worth
+from ._check import Finding
 from ._errors import CalibrationError
 from ._experiment import Experiment
 from ._keywords import also_called
@@ -102,6 +103,12 @@ class Fit(OptimizeResult):
         was ended by an interrupt, an error or its time, or simulations around the result fail.
     preflight : Preflight or None
         What was found at the start, where ``preflight=True`` was given.
+    message : str
+        How the search ended, in one sentence. What is to be said of the result is among the `findings`.
+    findings : list of Finding
+        What is to be said of the fit, the gravest first, with a severity ("error", "warning", "note"): parameters at a bound or without
+        effect, what `Calibration.check` finds, judged again with the fitted values, what the data cannot tell, what the residuals look
+        like.
     cov, cov_message
         The covariance of `worth` and what is to be said of it.
     stats : SimulationStats or None
@@ -126,6 +133,7 @@ class Fit(OptimizeResult):
         self._native: _core.Fit | None = vars(self).get("_native")
         self.stages = [Fit(calibration, stage, np.array(stage._native.start), solver) for stage in vars(self).get("stages", [])]
         self._calibration = calibration
+        self.findings = [] if self._native is None else [Finding(*finding) for finding in _core.fit_findings(self._native)]
         self.worth = _worth.of_fit(vars(self).get("_native"))
         self.preflight = _worth.before_fit(vars(self).get("_native"))
         self.cov = None if self.worth is None else self.worth.covariance
@@ -151,7 +159,7 @@ class Fit(OptimizeResult):
         """Correlation of the parameters, shape (n, n); NaN where a standard error is zero or infinite."""
         return None if self.worth is None else self.worth.correlation
 
-    def confidence_intervals(self, level: SupportsFloat = 0.95) -> FloatArray:
+    def confidence_intervals(self, level: SupportsFloat = 0.95, *, corrected: bool = True) -> FloatArray:
         """Lower and upper ends of the confidence intervals, shape (n, 2); see `Worth.confidence_intervals`.
 
         Raises
@@ -161,7 +169,7 @@ class Fit(OptimizeResult):
         """
         if self.worth is None:
             raise ValueError("what the fit is worth was not found out: it was interrupted, or covariance=None was given")
-        return self.worth.confidence_intervals(level)
+        return self.worth.confidence_intervals(level, corrected=corrected)
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -249,7 +257,12 @@ class Fit(OptimizeResult):
         return _validation.validate(self, experiment, windows)
 
     def prediction_band(
-        self, times: npt.ArrayLike | None = None, level: float = 0.95, outputs: Sequence[str] | str | None = None
+        self,
+        times: npt.ArrayLike | None = None,
+        level: float = 0.95,
+        outputs: Sequence[str] | str | None = None,
+        *,
+        corrected: bool = True,
     ) -> dict[str, Any]:
         """What the model predicts at the fitted values, with the uncertainty that the covariance of the parameters leaves (delta
         method) and, for a new measurement, with its noise.
@@ -262,6 +275,8 @@ class Fit(OptimizeResult):
             The probability that each interval shall hold.
         outputs : list of str, optional
             Only these of the compared outputs.
+        corrected : bool
+            Whether autocorrelated residuals are taken account of, as in `Worth.covariance`; False: independent ones are supposed.
 
         Returns
         -------
@@ -272,9 +287,9 @@ class Fit(OptimizeResult):
         Raises
         ------
         ValueError
-            The fit has no covariance, or parameters that the data do not determine; a level that does not lie between 0 and 1.
+            The fit has no covariance or no degrees of freedom, or parameters that the data do not determine; a level that does not lie between 0 and 1.
         """
-        return _validation.prediction_band(self, times, level, outputs)
+        return _validation.prediction_band(self, times, level, outputs, corrected)
 
     def profile(
         self,
@@ -283,13 +298,15 @@ class Fit(OptimizeResult):
         max_points: SupportsFloat | None = None,
         workers: SupportsIndex | None = None,
         checkpoint: PathLike | None = None,
+        *,
+        corrected: bool = True,
     ) -> Profile:
         """Profile likelihoods: each parameter is held at values farther and farther from its best one, and the others are fitted
         again, until the cost has risen so much that the data exclude the value.
 
         The intervals need not be symmetric as those of `confidence_intervals` are, and they are open where the data do not bound a
-        parameter. The cost is the sum of the squared residuals, those of each output over its residual variance at the fit (with
-        ``covariance="pooled"``: over one variance for all); the threshold is the quantile of F with 1 and N - p degrees of freedom
+        parameter. The cost is that of the fit, with its weights and loss; its rise is measured in the standard errors of `worth`, so
+        that the interval of a linear model is that of `confidence_intervals`. The threshold is the quantile of F with 1 and N - p degrees of freedom
         (Bates and Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1).
 
         Parameters
@@ -304,6 +321,8 @@ class Fit(OptimizeResult):
             Sides that run at once; default: all cores. The result does not depend on it.
         checkpoint : path, optional
             A file that keeps the sides that are complete. If it exists, the profile is continued from it.
+        corrected : bool
+            Whether autocorrelated residuals are taken account of, as in `Worth.covariance`; False: independent ones are supposed.
 
         Returns
         -------
@@ -320,7 +339,7 @@ class Fit(OptimizeResult):
         OSError
             The file cannot be read or written.
         """
-        return _profile.of_fit(self, parameters, level, max_points, workers, checkpoint)
+        return _profile.of_fit(self, parameters, level, corrected, max_points, workers, checkpoint)
 
     def residuals(self) -> FloatArray:
         """The residuals at the fitted values, simulated minus measured times weight; see `Calibration.residuals`."""
@@ -379,7 +398,9 @@ class Fit(OptimizeResult):
         """Writes the fit to a file that `load_fit` reads: with all its numbers, bit for bit, its trace, and the calibration.
 
         The file is written in one step. It is a zip archive of ``fit.json`` and arrays in NumPy's format; it holds the recordings
-        by value, and the FMU by its path, a hash of its content and its model description.
+        by value, and the FMU by its path, a hash of its content and its model description. Reading it runs no code that it holds, and
+        neither functions nor pickles are in it; a pickle of a fit, as any pickle, runs code when it is read: of people that you do not
+        trust take files of `save` alone.
 
         Parameters
         ----------
@@ -433,6 +454,9 @@ class Fit(OptimizeResult):
         self, path: PathLike, what: Literal["parameters", "trajectories", "trace"] = "parameters"
     ) -> None:
         """Writes a table of the fit as comma-separated values, numbers with all their digits.
+
+        Names stand as they are in the model and in the recordings. A spreadsheet takes a cell that begins with ``=``, ``+``, ``-`` or
+        ``@`` for a formula: import tables of models that you do not trust as text.
 
         Parameters
         ----------
@@ -532,6 +556,8 @@ class Fit(OptimizeResult):
         ------
         OSError
             It cannot be written.
+        ValueError
+            The name of the file ends in something else than ``.html``.
         SimulationError
             A simulation fails that did not in the fit.
         """

@@ -65,13 +65,30 @@ def normalize(given: Any, fmu: _core.Fmu) -> tuple[list[Table], list[Function]]:
 def _recording(path: str, fmu: _core.Fmu) -> list[Table]:
     """The columns of a file that have the names of inputs."""
     found = _data.read(path, [], None)
-    if found.path is None:
+    if found.table is not None:
         # Elements of arrays and units follow the name.
-        inputs = {name.split("[")[0] for name in fmu.names_of("input")}
-        named = [name for name in found.left_out if re.split(r"[\[(]", name)[0].strip() in inputs]
-        found = _data.read(path, named or found.left_out, None)
-    series = _core.recorded_inputs(fmu, found.path, found.columns, found.time)
+        inputs, names = {name.split("[")[0] for name in fmu.names_of("input")}, found.table.names()
+        named = [name for name in names if re.split(r"[\[(]", name)[0].strip() in inputs]
+        found = _data.read(path, named, None)
+    series = _core.recorded_inputs(fmu, found.path, found.table)
     return [Table(times, [(name, values)], []) for name, times, values in series]
+
+
+def held_beyond(tables: list[Table], first: float, last: float) -> str:
+    """What is to be said of recordings of inputs that do not last as long as a simulation, by more than a row; empty if nothing is."""
+    for table in tables:
+        if len(table.times) < 2:
+            # A constant.
+            continue
+        start, end = float(np.min(table.times)), float(np.max(table.times))
+        row = float(np.median(np.diff(np.sort(table.times))))
+        if start - first > row or last - end > row:
+            named = ", ".join([name for name, _ in table.columns + table.values][:10])
+            return (
+                f"inputs {named} are given from {start:g} s to {end:g} s and the simulation runs from {first:g} s to {last:g} s: beyond "
+                "they keep their first and last values"
+            )
+    return ""
 
 
 def _mapping(given: Mapping[Any, Any]) -> tuple[list[Table], list[Function]]:
@@ -102,6 +119,12 @@ def _table(names: Sequence[str], column: Callable[[str], Any], what: str) -> Tab
     try:
         at, (numerator, denominator) = _core.find_time(list(names))
     except ValueError as e:
+        if not any("time" in name.lower() for name in names):
+            there = ", ".join(names[:10])
+            raise ValueError(
+                f"{what} of inputs has no times, there are: {there}; add them, inputs={{'time': [...], {names[0]!r}: [...]}}, or give a "
+                "number for an input that is constant"
+            ) from None
         raise ValueError(f"{what} of inputs: {e}") from None
     given = column(names[at])
     durations = _data.seconds(given)

@@ -52,6 +52,7 @@ _FOREIGN: Final[Mapping[str, tuple[str, ...]]] = {
     **dict.fromkeys(("t", "t_eval", "teval"), ("times", "t_eval")),
     "f": ("rhs",),
     "fmu": ("model", "path"),
+    **dict.fromkeys(("opts", "option", "opt"), ("options",)),
     "filename": ("path", "model"),
     "measurements": ("data",),
 }

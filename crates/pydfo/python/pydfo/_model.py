@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging as _logging
 import operator
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -404,7 +405,8 @@ class FMUModel:
         -----
         UserWarning
             A setting has no effect: `step_size` with a solver that chooses its steps itself, `max_step` with one that does
-            not, `solver` and `max_step` in co-simulation.
+            not, `solver` and `max_step` in co-simulation. Recorded inputs end before the simulation, or begin after it, by more than a
+            row: they keep their first and last values.
 
         Raises
         ------
@@ -444,6 +446,8 @@ class FMUModel:
             between_steps=_options.choice("between_steps", between_steps),
         )
         result = SimulationResult(**self._model.simulate(request))
+        if len(result.time) and (said := _inputs.held_beyond(tables, float(result.time[0]), float(result.time[-1]))):
+            warnings.warn(said, UserWarning, stacklevel=2)
         if chattering == "warn" and result.stats.chattering:
             _log.warning("simulate: %d times a hundred events hardly advanced time", result.stats.chattering)
         return result

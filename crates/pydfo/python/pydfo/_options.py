@@ -40,6 +40,11 @@ def pandas() -> Any:
         raise ImportError("to_dataframe() needs pandas: pip install pandas") from e
 
 
+def beginning(text: str) -> str:
+    """A text for a message: of a long one the beginning."""
+    return text if len(text) <= 500 else f"{text[:500]}..."
+
+
 #: The names of the methods; "auto" stands for one of them.
 METHODS = tuple(name for name, _ in _core.method_names())
 

@@ -99,6 +99,9 @@ class Parameter:
         prior and the like are those of the other, and ``fit.parameters`` has its value.
     factor, offset : float
         Those of `tied_to`.
+    across_units : bool
+        Whether `factor` has a unit: without it a parameter and the one that it is tied to must be quantities of one kind, and of one unit
+        where the factor is 1 (as far as the model states units).
     unit : str, optional
         The unit of start, bounds and results, where the model states another one for the variable ("kJ/K", "degC"): values are converted
         for the model.
@@ -140,6 +143,7 @@ class Parameter:
     tied_to: str | None
     factor: float
     offset: float
+    across_units: bool
     unit: str | None
     display_name: str | None
     prior: Normal | LogNormal | None
@@ -163,6 +167,7 @@ class Parameter:
         tied_to: str | None = None,
         factor: float = 1.0,
         offset: float = 0.0,
+        across_units: bool = False,
         unit: str | None = None,
         display_name: str | None = None,
         prior: Normal | LogNormal | None = None,
@@ -189,6 +194,7 @@ class Parameter:
             put(self, optional, None if text is None else choice(optional, text))
         put(self, "factor", number("factor", factor))
         put(self, "offset", number("offset", offset))
+        put(self, "across_units", flag("across_units", across_units))
         if prior is not None and not isinstance(prior, (Normal, LogNormal)):
             raise TypeError(f"prior must be pydfo.Normal(mean, sd) or pydfo.LogNormal(median, sigma), not {show(prior)}")
         put(self, "prior", prior)
@@ -208,4 +214,4 @@ class Parameter:
 
 
 #: What stands in no representation; None where it is not here.
-_DEFAULTS = {"scale": "linear", "kind": "continuous", "fixed": False, "local": False, "factor": 1.0, "offset": 0.0}
+_DEFAULTS = {"scale": "linear", "kind": "continuous", "fixed": False, "local": False, "factor": 1.0, "offset": 0.0, "across_units": False}

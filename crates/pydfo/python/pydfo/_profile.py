@@ -33,7 +33,9 @@ class Profile:
     values : dict of str to ndarray, shape (k,)
         Where a parameter was held, ascending; the optimum is one of them.
     costs : dict of str to ndarray, shape (k,)
-        The weighted cost there, the others fitted again, less that at the optimum, in residual variances.
+        How much the cost is above that of the optimum there, the others fitted again, as the square of a distance in standard
+        errors: the rise over the variance that `Worth.covariance` has for the residuals (one for each output; with a robust loss that
+        of an M-estimator; corrected where residuals are autocorrelated).
     points : dict of str to ndarray, shape (k, n)
         All parameters there.
     threshold : float
@@ -41,14 +43,13 @@ class Profile:
     level : float
         The level of the intervals.
     parameters : dict of str to float
-        The optimum of the weighted cost, about which the intervals are. With outputs of different variances it differs a little from
-        that of the fit.
+        The optimum of the fit's cost, about which the intervals are: that of the fit, found more accurately.
     degrees_of_freedom : int
         Residuals less parameters that were fitted.
     interrupted : bool
         Whether Ctrl-C ended it: some sides are not complete.
     autocorrelated : bool
-        Whether residuals of an output are autocorrelated: the intervals suppose independent ones, and are too narrow then.
+        Whether residuals of an output are autocorrelated: the intervals are corrected for that, as those of `Worth`.
     n_simulations : int
         Points that were simulated, those of a file that was continued included.
     stats : SimulationStats
@@ -118,6 +119,7 @@ def of_fit(
     fit: Fit,
     parameters: str | Sequence[str] | None,
     level: SupportsFloat,
+    corrected: bool,
     max_points: SupportsFloat | None,
     workers: SupportsIndex | None,
     checkpoint: str | os.PathLike[str] | None,
@@ -135,7 +137,7 @@ def of_fit(
             fit._calibration._native,
             _share.native_of(fit),
             chosen,
-            (_options.number("level", level), _options.limit("max_points", max_points, 1)),
+            (_options.number("level", level), _options.flag("corrected", corrected), _options.limit("max_points", max_points, 1)),
             _options.worker_count("workers", workers, None),
             None if checkpoint is None else os.fspath(checkpoint),
         )

@@ -5,12 +5,15 @@ from __future__ import annotations
 import io
 import os
 import warnings
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import _core, _options
-from ._errors import CalibrationWarning
+from ._errors import BadCalibrationError, CalibrationWarning
 from ._experiment import path_of
+from ._keywords import also_called
+from ._options import show
 from ._parameter import Parameter
 
 if TYPE_CHECKING:
@@ -19,8 +22,11 @@ if TYPE_CHECKING:
 
 PathLike = str | os.PathLike[str]
 
+Inputs = Mapping[str, Callable[[float], float]]
 
-def load_fit(path: PathLike, model: Any = None) -> Fit:
+
+@also_called(model="fmu")
+def load_fit(path: PathLike, fmu: Any = None, inputs: Inputs | Mapping[str, Inputs] | None = None) -> Fit:
     """A fit that `Fit.save` has written.
 
     It has the numbers that it had, bit for bit, and simulates as it did. Where its FMU is not at its place any more, or has
@@ -30,9 +36,12 @@ def load_fit(path: PathLike, model: Any = None) -> Fit:
     Parameters
     ----------
     path : path
-        The file. Of a fit with inputs that are functions of time it cannot be read: functions are not stored (a pickle has them).
-    model : path or FMUModel, optional
+        The file. Reading it runs no code that it holds, unlike a pickle: it is the way to take fits of others.
+    fmu : path or FMUModel, optional
         The FMU, where it is at another place than it was when the fit was made. It must have the same content.
+    inputs : dict of str to callable, optional
+        The functions of time that drive inputs, by the names of the inputs: they are not stored. Where experiments have functions of
+        their own, a dict of such by the names of the experiments.
 
     Returns
     -------
@@ -44,7 +53,7 @@ def load_fit(path: PathLike, model: Any = None) -> Fit:
         The file cannot be read.
     BadCalibrationError
         It holds no fit, is cut or damaged, or was written in a format that this version does not read (the message says by
-        which version it was); `model` has another content. A ValueError.
+        which version it was); `fmu` has another content; functions of time are missing. A ValueError.
 
     Examples
     --------
@@ -52,7 +61,38 @@ def load_fit(path: PathLike, model: Any = None) -> Fit:
     >>> pydfo.load_fit("furuta.fit").parameters  # doctest: +SKIP
     {'armFriction': 0.010001, 'pendulumFriction': 0.001}
     """
-    return _loaded(os.fspath(path), None, model, getattr(model, "_opened", None), [])
+    functions = _functions(os.fspath(path), {} if inputs is None else inputs)
+    return _loaded(os.fspath(path), None, fmu, getattr(fmu, "_opened", None), functions)
+
+
+def _functions(path: str, given: Inputs | Mapping[str, Inputs]) -> list[tuple[int, str, Any]]:
+    """The functions of time of a file, from those that are given."""
+    if not isinstance(given, Mapping):
+        raise TypeError(f"inputs must be a dict of functions by the names of the inputs, not {show(given)}")
+    wanted = _core.functions_of_fit(path)
+    experiments = {name for _, name, _ in wanted}
+    nested = {name: own for name, own in given.items() if isinstance(own, Mapping)}
+    found, missing = [], []
+    for k, experiment, variable in wanted:
+        function = nested.get(experiment, {}).get(variable, given.get(variable))
+        if callable(function):
+            found.append((k, variable, function))
+        elif function is not None:
+            raise TypeError(f"inputs[{variable!r}] must be a function of time, not {show(function)}")
+        else:
+            missing.append(variable)
+    known = {variable for _, _, variable in wanted}
+    named = [name for name in given if name not in nested] + [name for own in nested.values() for name in own]
+    if unknown := [name for name in nested if name not in experiments] + [name for name in named if name not in known]:
+        there = ", ".join(sorted(known)) or "none"
+        raise BadCalibrationError(f"{path}: no function of time drives {unknown[0]!r}; inputs that functions drive: {there}")
+    if missing:
+        names = ", ".join(dict.fromkeys(missing))
+        raise BadCalibrationError(
+            f"{path}: functions of time drive {names}, and a file does not hold functions: give them again, "
+            f"load_fit(..., inputs={{{missing[0]!r}: ...}})"
+        )
+    return found
 
 
 def _loaded(

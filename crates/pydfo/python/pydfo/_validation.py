@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core, _options
+from ._check import Finding
 from ._errors import BadCalibrationError
 from ._experiment import Experiment, listed
 from ._stages import Windows, intervals
@@ -78,6 +79,8 @@ class Validation:
         Each output of each experiment: RMS, fit percentage, what was measured and simulated.
     parameters : dict of str to float
         The values: those of the fit; local parameters as the validated recordings have them.
+    findings : list of Finding
+        Measurements that the fit has seen: of these the RMS says nothing of predictions. The print has them, too.
     n_simulations : int
         Simulations that were made.
     stats : SimulationStats
@@ -96,7 +99,9 @@ class Validation:
         stats: dict[str, Any],
         text: str,
         outputs: Sequence[dict[str, Any]],
+        findings: Sequence[tuple[str, str, str, str]],
     ) -> None:
+        self.findings = [Finding(*finding) for finding in findings]
         self.parameters = parameters
         self.n = n
         self.rms = rms
@@ -240,13 +245,16 @@ class PredictionBand:
         return f"<PredictionBand of {self.variable} in {self.experiment} at {len(self.time)} times>"
 
 
-def prediction_band(fit: Fit, times: npt.ArrayLike | None, level: float, outputs: Sequence[str] | str | None) -> dict[str, Any]:
+def prediction_band(
+    fit: Fit, times: npt.ArrayLike | None, level: float, outputs: Sequence[str] | str | None, corrected: bool
+) -> dict[str, Any]:
     """`Fit.prediction_band`."""
     rows = None if times is None else _options.vector("times", times).tolist()
     chosen = [outputs] if isinstance(outputs, str) else outputs
     names = None if chosen is None else [_options.choice("outputs", name) for name in chosen]
     calibration = fit._calibration
-    found = _core.prediction_bands(calibration._native, native(fit), rows, _options.number("level", level), names)
+    extent = (_options.number("level", level), _options.flag("corrected", corrected))
+    found = _core.prediction_bands(calibration._native, native(fit), rows, extent, names)
     bands = [PredictionBand(**fields) for fields in found]
     by_experiment = [{b.variable: b for b in bands if b.experiment == name} for name in calibration.experiments]
     return by_experiment[0] if len(by_experiment) == 1 else dict(zip(calibration.experiments, by_experiment))

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core, _options
+from ._check import Finding
 from ._errors import BadCalibrationError
 
 if TYPE_CHECKING:
@@ -46,14 +47,19 @@ class Worth:
     x : ndarray, shape (n,)
         The point.
     covariance, correlation : ndarray, shape (n, n)
-        In the units of the parameters. The covariance is zero for those that are `held`, infinite on the diagonal for those that
+        In the units of the parameters. Where the residuals of an output are autocorrelated they are taken for a first-order
+        autoregression; with a robust loss the covariance is that of an M-estimator. It is zero for those that are `held`, infinite on the diagonal for those that
         are `undetermined`; the correlation is NaN there.
     stderr : ndarray, shape (n,)
         Standard errors: the roots of the diagonal.
-    corrected_stderr : ndarray, shape (n,), or None
-        The same with the residuals of each output taken for a first-order autoregression; None where none are autocorrelated.
+    uncorrected_stderr : ndarray, shape (n,), or None
+        Standard errors that suppose independent residuals; None where no output has autocorrelated ones, and they are the same.
+    autocorrelations : ndarray, shape (k,)
+        The autocorrelation at lag one that the covariance supposes for each of `residual_checks`: zero where it is no more than chance.
     degrees_of_freedom : int
         Residuals less parameters that are not held.
+    effective_degrees_of_freedom : ndarray, shape (n,)
+        Those of each parameter's confidence interval: fewer where residuals are autocorrelated.
     residual_checks : list of ResidualCheck
         What the residuals of each output look like.
     held : list of str
@@ -67,8 +73,10 @@ class Worth:
     identifiable : list of str
         Parameters that this data can tell, the others held: with standard errors below half of their values, and no correlation of
         0.9 or more.
+    findings : list of Finding
+        What is to be said of all this, with a severity.
     verdict : list of str
-        What is to be said of all this, in sentences; empty if nothing is.
+        The same in sentences; empty if nothing is to be said.
     cost, accurate_cost : float
         The cost, and the same with a hundredth of the relative tolerance (None: that simulation failed).
     jacobian : ndarray, shape (m, n)
@@ -86,7 +94,9 @@ class Worth:
         self.covariance: FloatArray = fields["covariance"]
         self.correlation: FloatArray = fields["correlation"]
         self.stderr: FloatArray = fields["stderr"]
-        self.corrected_stderr: FloatArray | None = fields["corrected_stderr"]
+        self.uncorrected_stderr: FloatArray | None = fields["uncorrected_stderr"]
+        self.autocorrelations: FloatArray = fields["autocorrelations"]
+        self.effective_degrees_of_freedom: FloatArray = fields["effective_degrees_of_freedom"]
         self.degrees_of_freedom: int = fields["degrees_of_freedom"]
         self.residual_checks = [ResidualCheck(**check) for check in fields["residual_checks"]]
         self.held: list[str] = fields["held"]
@@ -96,12 +106,13 @@ class Worth:
         self.weakest: list[str] = fields["weakest"]
         self.identifiable: list[str] = fields["identifiable"]
         self.verdict: list[str] = fields["verdict"]
+        self.findings = [Finding(*finding) for finding in fields["findings"]]
         self.cost: float = fields["cost"]
         self.accurate_cost: float | None = fields["accurate_cost"]
         self.jacobian: FloatArray = fields["jacobian"]
         self.n_simulations: int = fields["n_simulations"]
 
-    def confidence_intervals(self, level: SupportsFloat = 0.95, *, corrected: bool = False) -> FloatArray:
+    def confidence_intervals(self, level: SupportsFloat = 0.95, *, corrected: bool = True) -> FloatArray:
         """Confidence intervals by Student's t: ``x -+ t s``, for a parameter on a log scale ``x * exp(-+ t s / x)``.
 
         Parameters
@@ -109,7 +120,7 @@ class Worth:
         level : float
             Between 0 and 1.
         corrected : bool
-            With `corrected_stderr`, where there are such.
+            Whether autocorrelated residuals are taken account of; False: with `uncorrected_stderr`.
 
         Returns
         -------
@@ -123,8 +134,15 @@ class Worth:
         """Who is not determined, who is taken as known; empty if there is nothing to be said."""
         return self._native.message()
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (self._native.state(),)
+
     def __repr__(self) -> str:
         return self._native.text().rstrip("\n")
+
+
+def _restored(state: bytes) -> Worth:
+    return Worth(_core.Worth.restore(state))
 
 
 class ParameterCheck(NamedTuple):

@@ -244,7 +244,8 @@ def solve(
     rtol : float
         Relative tolerance.
     atol : float or array_like, shape (n,), optional
-        Absolute tolerance, in the units of the states; by default ``0.01 * rtol``. Positive.
+        Absolute tolerance, in the units of the states; by default ``0.01 * rtol``. Either tolerance may be zero. A state
+        that becomes zero where it has no absolute tolerance ends the integration, which says so.
     jac : callable or array_like, shape (n, n), optional
         ``jac(t, y)``, or the constant Jacobian: ``jac[i, k]`` is the derivative of ``rhs[i]`` with respect to ``y[k]``.
         By default differences. A constant sparse matrix stays sparse, and so do those that a function returns where
@@ -263,11 +264,10 @@ def solve(
         Step of "rk4" and "euler"; by default a 500th of the span.
     interior_samples : int, optional
         At how many points inside each step the events are looked at besides its end, each compared with the one before,
-        so that a crossing and its return do not hide in one step. By default one where steps are long. An event function
+        so that a crossing and its return do not hide in one step. By default one ("dop853", "radau5": three), and up to 32
+        more where three neighbouring values bend by more than they stay away from zero. An event function
         next to zero after its event that `on_event` has turned back, or stopped, is always followed: its next crossing is
-        found, or the run fails and says so. Without it, what is seen within one step is: a change of sign between its ends or
-        at that one point, and a crossing and its return where a parabola through three neighbouring values has its turning
-        point near zero. A function that changes its sign twice within one step and shows nothing of it at these points (a
+        found, or the run fails and says so. A function that changes its sign twice within one step and shows nothing of it at these points (a
         narrow pulse in it, a function of values like -1 and 1) is not seen: use two functions, `max_step`, or more points
         (SciPy, MATLAB and SUNDIALS look at the ends of steps alone, Julia's OrdinaryDiffEq at ten points in each).
     chattering : {"error", "warn", "slide"}

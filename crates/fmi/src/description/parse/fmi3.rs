@@ -145,6 +145,9 @@ fn variables(
             let clock = ClockAttributes::of(&attributes, &mut draft.quirks);
             draft.budget.push(&mut clocks.variables, (position, clock));
         }
+        if kind == VariableKind::Binary {
+            variable.max_size = attributes.count("maxSize", &mut draft.quirks).map(|size| size as usize);
+        }
         let texts = variable_children(xml, &element, &mut variable, draft, (position, &mut later))?;
         let is_array = !variable.dimensions.is_empty();
         variable.start = match kind {

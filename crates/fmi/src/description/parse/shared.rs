@@ -304,6 +304,7 @@ pub(super) fn plain_variable(attributes: &Attributes<'_>, kind: VariableKind) ->
         clocks: Vec::new(),
         clock: None,
         intermediate_update: false,
+        max_size: None,
     })
 }
 

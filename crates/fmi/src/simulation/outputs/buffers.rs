@@ -72,6 +72,8 @@ pub(crate) struct OutputPlan {
     arrays: HashMap<(VariableKind, u32), usize>,
     texts: (Vec<u32>, usize),
     binaries: (Vec<u32>, usize),
+    /// The most bytes that each of these values has.
+    most_bytes: Vec<Option<usize>>,
     /// Value references of the clocks recorded.
     pub(crate) clocks: Vec<u32>,
     /// Columns without names, which stand behind the others: see `texts.rs`.
@@ -200,6 +202,7 @@ impl OutputPlan {
         } else if kind == VariableKind::String {
             (&mut self.texts.0, &mut self.texts.1)
         } else if kind == VariableKind::Binary {
+            self.most_bytes.extend(std::iter::repeat_n(variable.max_size, n));
             (&mut self.binaries.0, &mut self.binaries.1)
         } else if kind == VariableKind::Clock {
             self.clocks.push(reference);
@@ -331,8 +334,9 @@ impl OutputBuffers {
         if !self.binaries.is_empty() {
             let mut places = self.binaries.iter_mut();
             let table = &mut self.table;
-            raw.get_binary(&plan.binaries.0, places.len(), |bytes| {
-                places.next().into_iter().for_each(|place| *place = table.bytes(bytes));
+            let most = |k: usize| plan.most_bytes[k];
+            raw.get_binary(&plan.binaries.0, places.len(), most, |bytes| {
+                places.next().into_iter().for_each(|place| *place = table.bytes(&bytes));
             })?;
         }
         Ok(())

@@ -87,12 +87,14 @@ impl RawInstance {
         outcome
     }
 
-    /// Reads binary values and hands each, `count` in all, to `take` in turn.
+    /// Reads binary values and hands a copy of each, `count` in all, to `take` in turn. `most` says how many bytes each may have; more, or
+    /// more than there is memory for, are an error before any is read.
     pub(crate) fn get_binary(
         &mut self,
         references: &[u32],
         count: usize,
-        mut take: impl FnMut(&[u8]),
+        most: impl Fn(usize) -> Option<usize>,
+        mut take: impl FnMut(Vec<u8>),
     ) -> Outcome {
         self.lengths(references.len(), count)?;
         let (mut sizes, mut pointers) = self.buffers.take_binaries();
@@ -100,20 +102,28 @@ impl RawInstance {
         pointers.resize(count, std::ptr::null());
         let read =
             run!(self, |library, c| library.values.get_binary(c, references, &mut sizes, &mut pointers));
-        let largest = sizes.iter().copied().max().unwrap_or(0);
-        let outcome = match isize::try_from(largest) {
-            Err(_) if read.is_ok() => Err(Fault::TooLarge { call: "fmi3GetBinary", size: largest }),
+        let is_too_large = |(k, size): (usize, &usize)| {
+            isize::try_from(*size).is_err() || most(k).is_some_and(|most| *size > most)
+        };
+        let too_large = |size| Fault::TooLarge { call: "fmi3GetBinary", size };
+        let mut outcome = match sizes.iter().enumerate().position(|(k, size)| is_too_large((k, size))) {
+            Some(k) if read.is_ok() => Err(too_large(sizes[k])),
             _ => read,
         };
-        if outcome.is_ok() {
-            for (pointer, size) in pointers.iter().zip(&sizes) {
-                if pointer.is_null() || *size == 0 {
-                    take(&[]);
-                    continue;
-                }
+        for (pointer, size) in pointers.iter().zip(&sizes) {
+            if outcome.is_err() {
+                break;
+            }
+            let mut bytes = Vec::new();
+            if bytes.try_reserve_exact(*size).is_err() {
+                outcome = Err(too_large(*size));
+            } else if !pointer.is_null() && *size > 0 {
                 // SAFETY: the FMU says how many bytes there are, no more than a slice may have; they stay valid until the
                 // next call on it (FMI 3.0, section 2.2.6.2), and there is none while this instance is borrowed.
-                take(unsafe { std::slice::from_raw_parts(*pointer, *size) });
+                bytes.extend_from_slice(unsafe { std::slice::from_raw_parts(*pointer, *size) });
+            }
+            if outcome.is_ok() {
+                take(bytes);
             }
         }
         (self.buffers.sizes, self.buffers.binaries) = (sizes, pointers);

@@ -11,7 +11,7 @@ use crate::implicit::algebraic::Algebraic;
 use crate::implicit::jacobian_update::Freshness;
 use crate::jacobian::Jacobian;
 use crate::lu::{Lu, make_room};
-use crate::options::AbsoluteTolerance;
+use crate::options::Options;
 use crate::stepper::Equations;
 use crate::system::{CallError, CallResult, HybridSystem};
 
@@ -177,8 +177,8 @@ impl LeftSide {
         // Where the residual is affine, differences are the more exact the longer they are.
         let longer = if is_affine { (f64::EPSILON / 2.0).sqrt().recip() } else { 1.0 };
         self.nominals.iter_mut().for_each(|nominal| *nominal *= longer);
-        self.weights
-            .set(equations.weights.rtol(), &AbsoluteTolerance::FromNominals, &self.nominals, |_| false);
+        let options = Options { relative_tolerance: equations.weights.rtol(), ..Options::default() };
+        self.weights.set(&options, &self.nominals, |_| false);
         self.last.copy_from_slice(&self.slopes.values);
         self.value.iter_mut().zip(defect).for_each(|(r, d)| *r = -d);
         let mut at_state = AtState { system: &mut *equations.system, x };

@@ -315,7 +315,7 @@ impl Stepper for Bdf {
             takes_mass_matrix: true,
             takes_residual: true,
             only_own_slopes: !self.left.is_identity(),
-            takes_long_steps: true,
+            interior_samples: 1,
             wants_second_derivative: true,
             evaluates_ends: false,
             takes_jacobians: true,

@@ -210,7 +210,7 @@ impl Stepper for Radau5 {
             order: 3,
             takes_mass_matrix: true,
             step_with_event: StepWithEvent::RepeatedToIt,
-            takes_long_steps: true,
+            interior_samples: 3,
             takes_jacobians: true,
             ..Properties::default()
         }

@@ -9,12 +9,41 @@ import numpy as np
 from .style import FITTED, MEASURED, START, pyplot, short
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
     from matplotlib.figure import Figure
 
     from .._profile import Profile
 
+    FloatArray = npt.NDArray[np.float64]
+
 #: The panels end at this multiple of the threshold.
 HEIGHT = 1.6
+
+
+#: Points of a curve.
+SMOOTH = 200
+
+
+def smooth(values: FloatArray, costs: FloatArray, optimum: float) -> tuple[FloatArray, FloatArray]:
+    """A curve through the points of a profile: a cubic Hermite interpolant, monotone between them (Fritsch and Carlson, SIAM J.
+    Numer. Anal. 17, 1980), of the root of the cost with the sign of the side, which is a straight line where the cost is a parabola."""
+    if len(values) < 3:
+        return values, costs
+    roots = np.copysign(np.sqrt(np.maximum(costs, 0.0)), values - optimum)
+    slopes = np.gradient(roots, values)
+    widths, secants = np.diff(values), np.diff(roots) / np.diff(values)
+    limit = 3.0 * np.minimum(np.append(np.abs(secants), np.inf), np.insert(np.abs(secants), 0, np.inf))
+    slopes = np.clip(slopes, -limit, limit)
+    at = np.linspace(values[0], values[-1], SMOOTH)
+    k = np.clip(np.searchsorted(values, at, side="right") - 1, 0, len(values) - 2)
+    s = (at - values[k]) / widths[k]
+    curve = (
+        (1.0 + 2.0 * s) * (1.0 - s) ** 2 * roots[k]
+        + s * (1.0 - s) ** 2 * widths[k] * slopes[k]
+        + s * s * (3.0 - 2.0 * s) * roots[k + 1]
+        + s * s * (s - 1.0) * widths[k] * slopes[k + 1]
+    )
+    return at, curve * curve
 
 
 def profiles(profile: Profile) -> Figure:
@@ -35,7 +64,8 @@ def profiles(profile: Profile) -> Figure:
         for end in (low, high):
             if np.isfinite(end):
                 axes.axvline(end, color=FITTED, linewidth=0.8)
-        axes.plot(values[shown], costs[shown], ".-", color=FITTED, linewidth=1.1)
+        axes.plot(*smooth(values, costs, profile.parameters[name]), color=FITTED, linewidth=1.1)
+        axes.plot(values[shown], costs[shown], ".", color=FITTED)
         axes.axvline(profile.parameters[name], color=MEASURED, linewidth=0.8)
         axes.set_ylim(-0.05 * profile.threshold, HEIGHT * profile.threshold)
         axes.set_xlabel(short(name))
@@ -45,6 +75,6 @@ def profiles(profile: Profile) -> Figure:
     for axes in grid.flat[len(names) :]:
         axes.set_visible(False)
     for row in grid:
-        row[0].set_ylabel("rise of the cost [variances]")
+        row[0].set_ylabel("rise of the cost [standard errors squared]")
     figure.suptitle(f"Profile likelihood, {100.0 * profile.level:g} % intervals", fontsize="medium")
     return figure

@@ -34,7 +34,8 @@ def convergence(result: OptimizeResult, names: Sequence[str] | None = None) -> F
         for position, k in enumerate(trace.messages):
             costs.axvline(count[k], color=START, linewidth=0.5, alpha=0.5, label="failed" if position == 0 else None)
         if len(finite) > 0:
-            costs.set_yscale("log" if np.all(finite > 0.0) else "symlog")
+            # costs of zero have no logarithm and are left out; a likelihood may be negative
+            costs.set_yscale("log" if np.all(finite >= 0.0) and np.any(finite > 0.0) else "linear")
         # where the best changed, and which point it was until the next change
         better = np.flatnonzero(np.diff(best, prepend=np.inf) < 0.0)
         low, width = trace.x.min(axis=0), np.ptp(trace.x, axis=0)

@@ -1,0 +1,30 @@
+//! What a check has found.
+
+use crate::finding::{Finding, Severity, counts, table};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// What a check has found, the gravest first. Its `Display` is a table.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Check {
+    /// The findings.
+    pub findings: Vec<Finding>,
+    /// Evaluations that were made for it, each a simulation of every experiment.
+    pub n_evaluations: usize,
+}
+
+impl Check {
+    /// Whether there are no errors and no warnings.
+    pub fn is_ok(&self) -> bool {
+        self.findings.iter().all(|finding| finding.severity == Severity::Note)
+    }
+}
+
+impl fmt::Display for Check {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let counts = counts(&self.findings);
+        f.write_str(if counts.is_empty() { "nothing found" } else { &counts })?;
+        f.write_str(&table(&self.findings))
+    }
+}
