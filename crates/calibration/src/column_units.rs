@@ -1,12 +1,12 @@
 //! Recorded columns in the units of the variables that they measure or drive.
 
-use crate::data::{Unit, UnitConversion, UnitError};
+use crate::data::{Data, Unit, UnitConversion, UnitError, listed, parts};
 use crate::error::CalibrationError;
 use crate::experiment::Experiment;
 use crate::problem::Problem;
 use crate::warning::SetupWarning;
 use fmi::ModelDescription;
-use fmi::description::Variable;
+use fmi::description::{Causality, Variable};
 
 /// Converts the columns that state a unit to the units of their variables, where both are known; they state the unit of the
 /// variable then, so that nothing is converted twice. What is not converted comes back.
@@ -90,6 +90,39 @@ fn convert(
         warnings.push(SetupWarning::Converted { data, columns: converted });
     }
     Ok(warnings)
+}
+
+/// An input of a model, and the column that drives it.
+pub type InputColumn = (String, String);
+
+/// The recording with those of its columns that have the names of inputs of a model (units may follow the name) in the units of
+/// these; which they are; and what could not be converted.
+///
+/// # Errors
+/// No column has the name of an input; a unit is one of another quantity, or not known.
+pub fn recorded_inputs(
+    data: Data,
+    description: &ModelDescription,
+) -> Result<(Data, Vec<InputColumn>, Vec<SetupWarning>), CalibrationError> {
+    let is_input = |name: &&str| declared(description, name).is_some_and(|v| v.causality == Causality::Input);
+    let driven = |column: &str| [column, parts(column).0].into_iter().find(is_input).map(str::to_owned);
+    let pairs: Vec<InputColumn> =
+        data.names().filter_map(|column| Some((driven(column)?, column.to_owned()))).collect();
+    if pairs.is_empty() {
+        let inputs = description.variables.iter().filter(|v| v.causality == Causality::Input);
+        let message = format!(
+            "no column has the name of an input of the model; the columns are {}, the inputs {}",
+            listed(data.all_names()),
+            listed(inputs.map(|v| v.name.as_str()))
+        );
+        return Err(CalibrationError::Data { source_name: data.source().to_owned(), message });
+    }
+    let mut experiment = Experiment::new(data);
+    for (variable, column) in &pairs {
+        experiment = experiment.input(variable, column);
+    }
+    let warnings = convert(&mut experiment, description)?;
+    Ok((experiment.data, pairs, warnings))
 }
 
 /// The variable of a name, which may be that of an element of an array.

@@ -57,6 +57,7 @@ mod worth;
 
 pub use calibration::{Calibration, CalibrationBuilder};
 pub use check::Check;
+pub use column_units::{InputColumn, recorded_inputs};
 pub use cross_validation::{CrossValidation, CrossValidationOptions, Fold};
 pub use data::{
     ClockChange, CsvRequest, Data, DateError, PairUnit, Series, TimeColumn, Unit, UnitConversion, UnitError,

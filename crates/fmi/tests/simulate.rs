@@ -322,7 +322,7 @@ fn bad_tables_name_variable_row_and_number() {
         (new().series("u", vec![], vec![]), "no rows"),
         (new().series("gear", vec![0.0, 1.0], vec![1.0, 1.5]), "input gear: 1.5 in row 1 is not an integer"),
         (new().series("enabled", vec![0.0, 1.0], vec![1.0, 2.0]), "input enabled: 2 in row 1 is not 0 or 1"),
-        (new().function("gear", |t| t), "continuous real inputs only"),
+        (new().function("gear", |t| t), "continuous inputs of floating-point type only"),
         (new().function("u", |t| t).function("u", |t| t), "input u: it is given twice"),
         (new().function("K", |t| t), "input K: it is not an input"),
         (new().function("uu", |t| t), "did you mean u"),

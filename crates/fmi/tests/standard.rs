@@ -111,6 +111,28 @@ fn rows_are_read_before_the_inputs_of_the_next_step_are_set() {
 }
 
 #[test]
+fn inputs_of_models_that_extrapolate_have_their_first_values_before_the_initialization() {
+    let capability = " canInterpolateInputs=\"true\"";
+    for faults in [&["LATCHES", "EXTRAPOLATES"][..], &["LATCHES", "REFUSES_EARLY_INPUTS"]] {
+        let folder = slave(faults, capability);
+        let inputs = Inputs::new().series("u", vec![0.0], vec![3.0]);
+        let options = SimulateOptions::new()
+            .start_value("x", 0.5)
+            .step_size(0.1)
+            .output_interval(0.1)
+            .outputs(["y"])
+            .inputs(inputs);
+        let fmu = folder.open();
+        for _ in 0..3 {
+            let result = fmu.simulate(&options).unwrap();
+            for (t, y) in result.time.iter().zip(result.get("y").unwrap()) {
+                assert!((y - (0.5 + 3.0 * t)).abs() < 1e-12, "{y} at {t} with {faults:?}");
+            }
+        }
+    }
+}
+
+#[test]
 fn derivatives_of_inputs_are_told_unless_they_are_not_wanted() {
     let fmu =
         Fmu::open(example_models::example_fmu_as("switched_input", ExampleKind::Fmi2CoSimulation).unwrap())

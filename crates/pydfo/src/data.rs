@@ -131,6 +131,11 @@ impl PyTable {
         Ok((slf.get_type().getattr("restore")?, (PyBytes::new(slf.py(), &state),)))
     }
 
+    /// Names of the columns beside the times, also of those that were left out.
+    fn names(&self) -> Vec<&str> {
+        self.inner.all_names().collect()
+    }
+
     /// Its rows.
     fn __len__(&self) -> usize {
         self.inner.time().len()

@@ -8,10 +8,9 @@ use fmi::description::{
 };
 use fmi::{
     DescriptionLimits, InterfaceKind, LoaderOptions, LogFilter, LogOptions, ModelDescription, OpenOptions,
-    Reuse, Variable,
+    Reuse,
 };
 use pyo3::IntoPyObjectExt;
-use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PyList, PyString, PyTuple};
 use std::path::{Path, PathBuf};
@@ -158,7 +157,7 @@ impl Fmu {
 
     #[getter]
     fn n_variables(&self) -> usize {
-        self.description().variables.len()
+        self.description().names().count()
     }
 
     /// Everything but the lists.
@@ -178,9 +177,10 @@ impl Fmu {
         ))
     }
 
-    /// Names of all variables in the order of the file.
+    /// Names of all variables in the order of the file, each followed by its aliases.
     fn names<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
-        PyList::new(py, self.description().variables.iter().map(|v| PyString::new(py, &v.name)))
+        let names: Vec<_> = self.description().names().map(|(name, _)| PyString::new(py, name)).collect();
+        PyList::new(py, names)
     }
 
     /// Names of the states in the order of the state vector; None where the file does not tell.
@@ -200,9 +200,9 @@ impl Fmu {
         variables.filter(|v| v.causality.to_string() == causality).map(|v| v.name.as_str()).collect()
     }
 
-    /// Position of a variable; None if there is none of this name.
-    fn find(&self, name: &str) -> Option<usize> {
-        self.description().variable_index(name)
+    /// Whether there is a variable of this name.
+    fn has(&self, name: &str) -> bool {
+        self.description().variable_index(name).is_some()
     }
 
     /// Names that resemble `name`.
@@ -210,13 +210,10 @@ impl Fmu {
         self.description().nearest_names(name, 3)
     }
 
-    /// The attributes of the variable at a position.
-    fn variable<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyDict>> {
+    /// The attributes of a variable under one of its names; None if there is none of this name.
+    fn variable<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Option<Bound<'py, PyDict>>> {
         let description = self.description();
-        let variable = description.variables.get(index).ok_or_else(|| {
-            PyIndexError::new_err(format!("{index} of {} variables", description.variables.len()))
-        })?;
-        attributes(py, description, variable, index)
+        description.variable_index(name).map(|index| attributes(py, description, index, name)).transpose()
     }
 
     fn units<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
@@ -249,6 +246,7 @@ fn interface_fields<'py>(py: Python<'py>, interface: &Interface) -> PyResult<Bou
         can_not_use_memory_management_functions, can_get_and_set_state, can_serialize_state,
         provides_directional_derivative, provides_adjoint_derivative, can_handle_variable_communication_step_size,
         can_interpolate_inputs, can_run_asynchronuously, max_output_derivative_order, has_event_mode,
+        might_return_early_from_do_step, fixed_internal_step_size,
     );
     Ok(dict!(py; interface => model_identifier, source_files; "capabilities": capabilities))
 }
@@ -275,9 +273,13 @@ fn type_fields<'py>(py: Python<'py>, t: &TypeDefinition) -> PyResult<Bound<'py, 
 fn attributes<'py>(
     py: Python<'py>,
     description: &ModelDescription,
-    v: &Variable,
     index: usize,
+    name: &str,
 ) -> PyResult<Bound<'py, PyDict>> {
+    let v = &description.variables[index];
+    let alias = v.aliases.iter().find(|alias| alias.name == name && v.name != name);
+    let display_unit = alias.and_then(|alias| alias.display_unit.as_ref()).or(v.display_unit.as_ref());
+    let names = std::iter::once(&v.name).chain(v.aliases.iter().map(|alias| &alias.name));
     let shape = description.extents(v);
     let start = v.start.clone().map(|value| values::to_python(py, value, v.kind, &shape)).transpose()?;
     let name_of = |variable: usize| description.variables[variable].name.as_str();
@@ -286,9 +288,12 @@ fn attributes<'py>(
         Dimension::Parameter(index) => name_of(*index).into_bound_py_any(py),
     };
     Ok(dict!(py;
-        v => name, value_reference, description, declared_type, quantity, unit, display_unit, relative_quantity,
-        unbounded, min, max, nominal, reinit, can_handle_multiple_set_per_time_instant, line;
+        v => value_reference, declared_type, quantity, unit, relative_quantity, unbounded, min, max, nominal, reinit,
+        can_handle_multiple_set_per_time_instant, line;
+        "name": name,
         "index": index,
+        "description": alias.map_or(&v.description, |alias| &alias.description),
+        "display_unit": display_unit,
         "type": v.kind.name(),
         "causality": v.causality.to_string(),
         "variability": v.variability.to_string(),
@@ -296,7 +301,7 @@ fn attributes<'py>(
         "start": start,
         "shape": PyTuple::new(py, shape)?,
         "dimensions": PyTuple::new(py, v.dimensions.iter().map(dimension).collect::<PyResult<Vec<_>>>()?)?,
-        "aliases": PyTuple::new(py, v.aliases.iter().map(|alias| alias.name.as_str()))?,
+        "aliases": PyTuple::new(py, names.filter(|other| *other != name).collect::<Vec<_>>())?,
         "derivative": v.derivative.map(name_of),
         "interval_variability": v.clock.as_ref().map(|timing| timing.kind.name()),
     ))

@@ -75,7 +75,7 @@ mod core_module {
     #[pymodule_export]
     use super::quad_err::quad_err;
     #[pymodule_export]
-    use super::recordings::{check, recorded};
+    use super::recordings::{check, recorded, recorded_inputs};
     #[pymodule_export]
     use super::share::{
         export_fmu, export_ssv, fit_to_bytes, fit_to_csv, fit_to_json, functions_of_fit, load_fit,

@@ -6,6 +6,7 @@ use crate::interrupt::{CallingThread, EndRequest, Watch, fits_here};
 use crate::settings::time_limit;
 use crate::threads::lock;
 use crate::trajectory;
+use crate::words::word;
 use crate::{error, fmu_error, logs, values};
 use fmi::description::Interval;
 use fmi::{InterfaceKind, Session, SimulateOptions};
@@ -111,6 +112,8 @@ pub(crate) struct Request<'py> {
     input_derivatives: bool,
     #[pyo3(item(17))]
     chattering: String,
+    #[pyo3(item(18))]
+    between_steps: String,
 }
 
 #[pymethods]
@@ -276,6 +279,7 @@ impl Model {
         options.chattering =
             request.chattering.parse().map_err(|e: ode::OptionsError| fmu_error::raise(py, &e.into()))?;
         options.step_size = request.step_size;
+        options.between_steps = word("between_steps", &request.between_steps)?;
         options.max_step = request.max_step;
         for ignored in options.without_effect(self.kind) {
             error::warn(py, &ignored)?;

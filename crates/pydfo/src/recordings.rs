@@ -1,10 +1,14 @@
 //! What a calibration's recordings hold, and what does not fit about them.
 
 use crate::calibration::PyCalibration;
+use crate::data::PyTable;
+use crate::description::Fmu;
+use crate::error;
 use crate::findings::{self, FindingFields};
-use calibration::Experiment;
+use calibration::{Data, Experiment};
 use numpy::PyArray1;
 use pyo3::prelude::*;
+use std::path::PathBuf;
 
 /// The findings of a check, the same as a table, how many evaluations were made, and whether there are notes only.
 #[pyfunction]
@@ -40,4 +44,36 @@ pub(crate) fn recorded<'py>(py: Python<'py>, calibration: &PyCalibration) -> Vec
         (PyArray1::from_slice(py, data.time()), all, experiment.windows_of_measurements().to_vec())
     };
     calibration.inner.problem().experiments.iter().map(recording).collect()
+}
+
+/// Input, times, values.
+type InputSeries<'py> = (String, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
+
+/// The columns of a recording (a CSV file, or one in memory) that have the names of inputs of a model, in
+/// its units, with the times at which they are known.
+#[pyfunction]
+pub(crate) fn recorded_inputs<'py>(
+    py: Python<'py>,
+    fmu: &Bound<'py, Fmu>,
+    path: Option<PathBuf>,
+    table: Option<Bound<'py, PyTable>>,
+) -> PyResult<Vec<InputSeries<'py>>> {
+    let bad = |e| error::calibration(py, &e);
+    let data = match (path, table) {
+        (_, Some(table)) => Ok(table.get().inner.clone()),
+        (path, None) => Data::from_csv(path.unwrap_or_default()),
+    };
+    let description = fmu.get().fmu.description();
+    let (data, pairs, warnings) =
+        calibration::recorded_inputs(data.map_err(bad)?, description).map_err(bad)?;
+    for warning in warnings {
+        error::warn(py, &warning.to_string())?;
+    }
+    let series = |(variable, column): (String, String)| {
+        let known =
+            data.time().iter().zip(data.column(&column).map_err(bad)?).filter(|(_, value)| !value.is_nan());
+        let (times, values): (Vec<f64>, Vec<f64>) = known.unzip();
+        Ok((variable, PyArray1::from_vec(py, times), PyArray1::from_vec(py, values)))
+    };
+    pairs.into_iter().map(series).collect()
 }

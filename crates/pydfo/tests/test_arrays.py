@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import fmus
 import numpy as np
 import pytest
 
@@ -130,7 +131,7 @@ def test_elements_are_driven_and_fitted(path, kind):
 def test_description(path):
     d = pydfo.read_description(path)
     x, matrix, n = d.variables["x"], d.variables["matrix"], d.variables["n"]
-    assert (x.shape, x.dimensions, x.aliases) == ((3,), ("n",), ("level",)) and d.variables["level"].name == "x"
+    assert (x.shape, x.dimensions, x.aliases) == ((3,), ("n",), ("level",)) and d.variables["level"].aliases == ("x",)
     assert (matrix.shape, matrix.dimensions, matrix.start.tolist()) == ((2, 3), (2, 3), [[0, 1, 2], [3, 4, 5]])
     assert (n.type, n.causality, n.shape, n.start) == ("UInt64", "structuralParameter", (), 3)
 
@@ -172,3 +173,12 @@ def test_elements_of_an_array_of_another_size(path):
     with pytest.raises(KeyError):
         model.set(["k[1]", "k[5]"], [9, 9])
     assert model.get("k[1]") == 1
+
+
+def test_a_parameter_of_single_precision_is_fitted(tmp_path):
+    # x' = f32 - x, x(0) = 1.
+    path = fmus.compiled("arrays", tmp_path / "arrays.fmu", "SINGLE")
+    t = np.linspace(0, 1, 21)
+    data = {"time": t, "y": 2.0 - np.exp(-t)}
+    fit = pydfo.Calibration(path, data, {"x[1]": "y"}, [pydfo.Parameter("f32", 0.5, 0, 10)], kind="ME").fit()
+    assert fit.success and fit.x == pytest.approx([2.0], abs=1e-5)

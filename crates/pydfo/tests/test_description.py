@@ -158,3 +158,33 @@ def test_terminals(tmp_path):
     assert (bus.name, bus.matching_rule, bus.kind, bus.members) == ("bus", "bus", None, {})
     (pin,) = bus.terminals
     assert (pin.members, pin.streams, pin.icon) == ({"x": "signal"}, [("a", "b")], "p")
+
+
+ALIASES = """<fmiModelDescription fmiVersion="3.0" modelName="M" instantiationToken="g"><CoSimulation modelIdentifier="m"/>
+<ModelVariables><Float64 name="T" valueReference="1" description="temperature" causality="output" start="1" initial="exact">
+<Alias name="sensor.T" description="measured" displayUnit="degC"/></Float64><String name="s" valueReference="2" causality="parameter"
+variability="fixed" start="text"/></ModelVariables><ModelStructure><Output valueReference="1"/></ModelStructure></fmiModelDescription>"""
+
+
+def test_aliases_are_variables(tmp_path):
+    description = read_description(fmus.write(tmp_path / "m.fmu", ALIASES))
+    variables = description.variables
+    assert list(variables) == ["T", "sensor.T", "s"] and len(variables) == 3
+    alias, own = variables["sensor.T"], variables["T"]
+    assert (alias.name, alias.description, alias.display_unit, alias.aliases) == ("sensor.T", "measured", "degC", ("T",))
+    assert (own.description, own.display_unit, own.aliases) == ("temperature", None, ("sensor.T",))
+    assert (alias.index, alias.value_reference, alias.start) == (own.index, own.value_reference, 1.0)
+    assert variables["s"].start == "text" and [quirk.kind for quirk in description.quirks] == ["start"]
+
+
+def test_variables_are_a_table(tmp_path):
+    variables = read_description(fmus.write(tmp_path / "m.fmu", ALIASES)).variables
+    lines = str(variables).splitlines()
+    assert lines[0].split() == ["name", "type", "causality", "variability", "start", "unit", "description"]
+    assert [line.split()[0] for line in lines[1:]] == ["T", "sensor.T", "s"] and "measured" in lines[2]
+    frame = pytest.importorskip("pandas") and variables.to_dataframe()
+    assert list(frame.index) == list(variables) and frame.loc["T", "start"] == 1.0
+    one = '<ScalarVariable name="v{0}" valueReference="{0}"><Real/></ScalarVariable>'
+    path = fmus.write(tmp_path / "many.fmu", fmus.xml("".join(one.format(k) for k in range(150))))
+    many = str(read_description(path).variables).splitlines()
+    assert len(many) == 102 and "50 more" in many[-1]

@@ -159,7 +159,7 @@ def test_a_function_alone_for_one_input(tmp_path):
         ({"time": [0, 1], "gear": [1, 1.5]}, "not an integer"),
         ({"time": [0, 1], "enabled": [1, 2]}, "0 or 1"),
         ({"time": [0, 1], "K": [1, 2]}, "not an input"),
-        ({"time": [0, 1], "u": [1, 2], "gear": lambda t: 1}, "continuous real"),
+        ({"time": [0, 1], "u": [1, 2], "gear": lambda t: 1}, "continuous inputs of floating-point type"),
         (("u", np.zeros((3, 3))), r"\(3, 3\)"),
         (("u", np.zeros(3)), r"\(3,\)"),
         ((["u", "u"], np.zeros((3, 3))), "twice"),
@@ -174,7 +174,7 @@ def test_inputs_that_make_no_sense(switched, given, message):
 
 @pytest.mark.parametrize(
     "given",
-    [3.0, "u", ["u"], np.zeros((2, 2)), {3: [1]}, {"time": [0, 1], "u": ["a", "b"]}, {"u": "on"}, {"u": None}, ("u", "v"), ([3], np.zeros((2, 2)))],
+    [3.0, ["u"], np.zeros((2, 2)), {3: [1]}, {"time": [0, 1], "u": ["a", "b"]}, {"u": "on"}, {"u": None}, ("u", "v"), ([3], np.zeros((2, 2)))],
     ids=str,
 )
 def test_inputs_of_the_wrong_type(switched, given):
@@ -299,3 +299,46 @@ def test_pulses_narrower_than_a_step_are_not_lost(solver, width):
         expected = level(times, volts, 1e-10)
         assert expected - flat > 1e-5
         assert level(times, volts, 1e-6) - flat == pytest.approx(expected - flat, rel=0.02)
+
+
+def test_a_recording_drives_the_inputs_that_it_names(switched, tmp_path):
+    path = tmp_path / "u.csv"
+    path.write_text("time [ms],u,other,gear\n0,0,7,1\n1000,,8,2\n2000,0.6,9,2\n")
+    found = switched.simulate(0, 2, inputs=path, outputs=["x", "gear"])
+    # Where it is empty it is not known: the line goes on.
+    table = {"time": [0.0, 1.0, 2.0], "u": [0.0, 0.3, 0.6], "gear": [1.0, 2.0, 2.0]}
+    expected = switched.simulate(0, 2, inputs=table, outputs=["x", "gear"])
+    assert np.allclose(found["x"], expected["x"], rtol=1e-9) and np.array_equal(found["gear"], expected["gear"])
+    assert list(found["gear"][[0, -1]]) == [1, 2]
+    path.write_text("time,v\n0,0\n1,1\n")
+    with pytest.raises(ValueError, match=r"no column has the name of an input.*'?v'?.*'?u'?"):
+        switched.simulate(0, 2, inputs=str(path))
+    with pytest.raises(FileNotFoundError):
+        switched.simulate(0, 2, inputs=tmp_path / "none.csv")
+
+
+def test_a_recording_of_another_format(switched, tmp_path):
+    pytest.importorskip("pyarrow")
+    pd = pytest.importorskip("pandas")
+    path = tmp_path / "u.parquet"
+    pd.DataFrame({"time": [0.0, 2.0], "u": [0.0, 0.6], "note": ["a", "b"]}).to_parquet(path)
+    table = {"time": [0.0, 2.0], "u": [0.0, 0.6]}
+    assert np.array_equal(switched.simulate(0, 2, inputs=path)["x"], switched.simulate(0, 2, inputs=table)["x"])
+
+
+def test_a_matrix_for_an_array_is_refused_by_the_names_of_its_elements(switched):
+    with pytest.raises(ValueError, match=r"'u\[1\]', 'u\[2\]'"):
+        switched.simulate(0, 1, inputs={"time": [0.0, 1.0], "u": np.zeros((2, 2))})
+
+
+def test_rows_of_inputs_that_make_steps_are_said(caplog, tmp_path):
+    times = np.linspace(0.0, 2.0, 101)
+    path = tmp_path / "m.fmu"
+    path.write_bytes(example_fmu("switched_input", kind="CS").read_bytes())
+    for derivatives in (True, False):
+        res = FMUModel(path).simulate(
+            0, 2, times=[0, 2], step_size=0.5, inputs={"time": times, "u": np.sin(9 * times)}, input_derivatives=derivatives
+        )
+        assert res.stats.accepted_steps == 100
+    said = [record.getMessage() for record in caplog.records if "communication points" in record.getMessage()]
+    assert len(said) == 1 and "99 times" in said[0] and "step 0.5" in said[0]

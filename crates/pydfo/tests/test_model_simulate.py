@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import pydfo
-from pydfo import Calibration, FMUModel, Parameter, SimulationError, example_fmu
+from pydfo import Calibration, FmuError, FMUModel, Parameter, SimulationError, example_fmu
 
 #: Takes hours.
 LONG = {"final_time": 1e6, "ncp": 1, "solver": "euler", "step_size": 1e-5}
@@ -506,3 +506,36 @@ def test_the_words_of_other_tools_are_taken():
             model.simulate(0, 10, **twice)
     with pytest.raises(ValueError, match="final_time and stop_time mean the same"):
         model.simulate(0, 10, stop_time=10)
+
+
+def test_rows_between_fixed_steps_are_interpolated_or_refused(caplog, tmp_path):
+    step = ('mightReturnEarlyFromDoStep="true"', 'fixedInternalStepSize="0.1"')
+    path = fmus.compiled("early", tmp_path / "early.fmu", "INTERNAL_STEPS", replacements=[step])
+    model = FMUModel(path)
+    times = [0.0, 0.2, 0.25, 1.0]
+    # x' = 1 in steps of 0.1; in between the model keeps the value of the last one.
+    for size in (None, 0.1):
+        assert model.simulate(0, 1, times=times, step_size=size)["x"] == pytest.approx(times, abs=1e-14)
+    said = [record.getMessage() for record in caplog.records if "interpolated" in record.getMessage()]
+    assert len(said) == 1 and "t = 0.25" in said[0] and "0.2 and 0.3" in said[0]
+    with pytest.raises(ValueError, match="t = 0.25 lies between two steps"):
+        model.simulate(0, 1, times=times, between_steps="error")
+    with pytest.raises(ValueError, match="between_steps = 'no' is none of 'interpolate', 'error'"):
+        model.simulate(0, 1, times=times, between_steps="no")
+
+
+def test_the_model_s_own_span_is_named(tmp_path):
+    model = FMUModel(fmus.changed("dahlquist", tmp_path / "m.fmu", ('startTime="0"', 'startTime="20"')))
+    with pytest.raises(ValueError, match="from 20 to 1: .*20 is the model's own start, start_time another one"):
+        model.simulate(final_time=1)
+
+
+def test_what_cannot_run_is_said_before_what_is_missing(tmp_path):
+    variable = '<ScalarVariable name="x" valueReference="1"><Real/></ScalarVariable>'
+    path = fmus.write(tmp_path / "m.fmu", fmus.xml(variable), {"binaries/win32/m.dll": b"MZ"})
+    with pytest.raises(FmuError, match="no binary for this platform"):
+        FMUModel(path).simulate()
+    # One that runs and suggests no end.
+    path = fmus.changed("dahlquist", tmp_path / "d.fmu", ("stopTime", "suggested"))
+    with pytest.raises(ValueError, match="give final_time"):
+        FMUModel(path).simulate()

@@ -16,6 +16,6 @@ pub use dates::{DateError, date_seconds};
 pub use series::Series;
 pub(crate) use series::sampling_interval;
 pub use table::Data;
-pub(crate) use time_column::parts;
 pub use time_column::{PairUnit, TimeColumn, find_column};
+pub(crate) use time_column::{listed, parts};
 pub use units::{Unit, UnitConversion, UnitError};

@@ -91,7 +91,7 @@ impl Data {
     }
 
     /// Names of all columns beside the time, those left out last.
-    pub(crate) fn all_names(&self) -> impl Iterator<Item = &str> + Clone {
+    pub fn all_names(&self) -> impl Iterator<Item = &str> + Clone {
         self.names().chain(self.left_out.iter().map(String::as_str))
     }
 

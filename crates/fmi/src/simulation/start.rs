@@ -26,15 +26,29 @@ impl Running {
         // First, because some models make their data in this call.
         instance.set_up_experiment(plan.start, stop, plan.tolerance)?;
         plan.values.set_up(instance.core(), unset, input, signed)?;
-        let mut instance = instance.enter_initialization_mode()?;
-        instance.core().apply(&unset.inputs)?;
-        plan.values.set_up_inputs(instance.core(), input, signed)?;
         inputs.begin(&plan.inputs, plan.start);
         if !inputs.continuous_at(&plan.inputs, plan.start) {
             return Err(inputs.bad_function_value(plan.start));
         }
-        inputs.set_held(instance.core(), &plan.inputs)?;
-        plan.inputs.continuous.set(instance.core(), &inputs.continuous)?;
+        let mut is_refused = false;
+        let set_inputs = |core: &mut Core, signed: &mut Vec<f64>| {
+            core.apply(&unset.inputs)?;
+            plan.values.set_up_inputs(core, input, signed)?;
+            inputs.set_held(core, &plan.inputs)?;
+            plan.inputs.continuous.set(core, &inputs.continuous)
+        };
+        if plan.communication.as_ref().is_some_and(|communication| communication.extrapolates) {
+            // Co-simulations of Dymola extrapolate an input that changes in initialization mode, against the direction of the
+            // change.
+            is_refused = set_inputs(instance.core(), signed).is_err();
+        }
+        if is_refused && instance.core().call(RawInstance::reset).is_ok() {
+            // Models that take values of inputs in initialization mode only, as FMI 2.0 has it for those without `initial`.
+            instance.set_up_experiment(plan.start, stop, plan.tolerance)?;
+            plan.values.set_up(instance.core(), unset, input, signed)?;
+        }
+        let mut instance = instance.enter_initialization_mode()?;
+        set_inputs(instance.core(), signed)?;
         check_clocks(plan, instance.core())?;
         clocks.begin(&plan.clocks, instance.core(), plan.start)?;
         Ok(instance)

@@ -31,6 +31,8 @@ typedef struct {
 #ifdef LATCHES
     double u;
     int is_set, is_spoiled; /* u was set since the last step; and something was read since */
+    double known; /* u as the initialization mode found it */
+    int initialized, broken;
 #endif
     double y; /* x where the derivatives were computed last */
     int restored;
@@ -60,6 +62,7 @@ static void start_values(Model *m) {
     m->y = 1;
 #ifdef LATCHES
     m->u = m->is_set = m->is_spoiled = 0;
+    m->known = m->initialized = m->broken = 0;
 #endif
     m->time = 0;
     m->x = 1;
@@ -191,6 +194,11 @@ EXPORT fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance
 
 EXPORT fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
     (void)c;
+#ifdef LATCHES
+    if (((Model *)c)->broken) return fmi2Error;
+    ((Model *)c)->known = ((Model *)c)->u;
+    ((Model *)c)->initialized = 1;
+#endif
 #ifdef ONE_SET
     ((Model *)c)->is_late = 1;
 #endif
@@ -370,6 +378,12 @@ EXPORT fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference *vr, siz
 #endif
 #ifdef LATCHES
         case 7:
+#ifdef REFUSES_EARLY_INPUTS
+            if (!m->initialized) {
+                m->broken = 1;
+                return fmi2Error;
+            }
+#endif
             m->u = value[i];
             m->is_set = 1;
             m->is_spoiled = 0;
@@ -587,6 +601,10 @@ static void solve(Model *m, double h) {
 #ifdef LATCHES
     /* Without fresh inputs, or when values were read since they were set, nothing is integrated. */
     if (m->is_set && !m->is_spoiled) m->x += m->u * h;
+#ifdef EXTRAPOLATES
+    /* An input that was another one before the initialization goes back. */
+    if (m->known != m->u) m->x -= 2 * m->u * h;
+#endif
     m->is_set = m->is_spoiled = 0;
     m->time += h;
     return;

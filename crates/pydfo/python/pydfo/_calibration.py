@@ -109,7 +109,8 @@ class Calibration:
         the parameters' start values, see `solver`.
     step_size, max_step : float, optional
         Step of the fixed-step methods, or the communication step of co-simulation; largest step of the other methods;
-        in s.
+        in s. Measurements between the steps of a co-simulation that cannot stop there are compared with values interpolated
+        linearly between the steps, see `between_steps` in `FMUModel.simulate`.
     chattering : {"error", "warn", "slide"}
         What happens when state events follow each other so closely that time hardly advances, as in `FMUModel.simulate`;
         a simulation that ends with the error counts as failed.

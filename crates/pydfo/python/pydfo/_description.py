@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from . import _core
+from . import _core, _options
 from ._errors import UnknownVariableError
 from ._files import OpenOptions, PathLike, size_limit
 
@@ -33,7 +34,8 @@ class DefaultExperiment:
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What an FMU can do, in the words of FMI 2.0; those of the other versions are given the same names."""
+    """What an FMU can do, in the words of FMI 2.0; those of the other versions are given the same names. FMI 3.0 alone has
+    `has_event_mode`, `might_return_early_from_do_step` and `fixed_internal_step_size` (in s, None if there is none)."""
 
     needs_execution_tool: bool
     completed_integrator_step_not_needed: bool
@@ -48,6 +50,8 @@ class Capabilities:
     can_run_asynchronuously: bool
     max_output_derivative_order: int
     has_event_mode: bool
+    might_return_early_from_do_step: bool
+    fixed_internal_step_size: float | None
 
 
 @dataclass(frozen=True)
@@ -156,7 +160,7 @@ class Variable:
     ----------
     name : str
     index : int
-        Position in the file, from 0.
+        Position in the file, from 0; aliases have that of their variable.
     value_reference : int
         Handle within the FMU; aliases share it.
     description : str or None
@@ -179,7 +183,7 @@ class Variable:
     dimensions : tuple of int or str
         The extents, or the names of the structural parameters that they are.
     aliases : tuple of str
-        Further names, by which the variable is found too.
+        The other names of the variable (FMI 3.0): each is an entry of `Variables`, with its own description and display unit.
     derivative : str or None
         Name of the variable that this one is the time derivative of.
     reinit : bool
@@ -219,19 +223,29 @@ class Variable:
     line: int
 
 
+#: What a table of variables shows of them, and of how many.
+_COLUMNS = ("name", "type", "causality", "variability", "start", "unit", "description")
+_MOST_SHOWN = 100
+
+
+def _cell(value: object) -> str:
+    return "" if value is None else value if isinstance(value, str) else _options.show(value)
+
+
 class Variables(Mapping[str, Variable]):
-    """The variables of a model by name, in the order of the file; made when they are looked at."""
+    """The variables of a model by name, in the order of the file, each followed by its aliases (FMI 3.0); made when they are
+    looked at. Printed they are a table; `to_dataframe` makes one of pandas."""
 
     def __init__(self, fmu: _core.Fmu) -> None:
         self._fmu = fmu
 
     def __getitem__(self, name: str) -> Variable:
-        index = self._fmu.find(name) if isinstance(name, str) else None
-        if index is None:
+        found = self._fmu.variable(name) if isinstance(name, str) else None
+        if found is None:
             nearest = self._fmu.nearest(name) if isinstance(name, str) else []
             hint = f"; did you mean {', '.join(nearest)}?" if nearest else ""
             raise UnknownVariableError(f'the model has no variable "{name}"{hint}')
-        return Variable(**self._fmu.variable(index))
+        return Variable(**found)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._fmu.names())
@@ -240,10 +254,26 @@ class Variables(Mapping[str, Variable]):
         return self._fmu.n_variables
 
     def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and self._fmu.find(name) is not None
+        return isinstance(name, str) and self._fmu.has(name)
 
     def __repr__(self) -> str:
         return f"<Variables: {len(self)}>"
+
+    def __str__(self) -> str:
+        """A table of the first hundred variables."""
+        shown = list(itertools.islice(self.values(), _MOST_SHOWN))
+        rows = [_COLUMNS, *(tuple(_cell(getattr(variable, column)) for column in _COLUMNS) for variable in shown)]
+        widths = [max(map(len, column)) for column in zip(*rows)]
+        lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip() for row in rows]
+        if len(self) > len(shown):
+            lines.append(f"... and {len(self) - len(shown)} more: to_dataframe() has all")
+        return "\n".join(lines)
+
+    def to_dataframe(self) -> Any:
+        """A pandas.DataFrame with a row per variable and the attributes of `Variable` as columns; the names are its index.
+        Needs pandas."""
+        rows = [vars(variable) for variable in self.values()]
+        return _options.pandas().DataFrame(rows, columns=list(Variable.__dataclass_fields__)).set_index("name")
 
 
 @dataclass(frozen=True)

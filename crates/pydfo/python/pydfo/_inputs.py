@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -32,10 +34,12 @@ class Function:
     function: Callable[[float], Any]
 
 
-def normalize(given: Any, inputs: list[str]) -> tuple[list[Table], list[Function]]:
-    """Tables and functions from the argument ``inputs`` of a simulation; `inputs` are the names of the model's inputs."""
+def normalize(given: Any, fmu: _core.Fmu) -> tuple[list[Table], list[Function]]:
+    """Tables and functions from the argument ``inputs`` of a simulation."""
     if given is None:
         return [], []
+    if isinstance(given, (str, os.PathLike)):
+        return _recording(os.fspath(given), fmu), []
     if isinstance(given, Mapping):
         return _mapping(given)
     if isinstance(given, np.ndarray) and given.dtype.names is not None:
@@ -43,6 +47,7 @@ def normalize(given: Any, inputs: list[str]) -> tuple[list[Table], list[Function
     if hasattr(given, "columns") and hasattr(given, "to_numpy"):
         return [_frame(given)], []
     if callable(given):
+        inputs = fmu.names_of("input")
         if len(inputs) != 1:
             raise ValueError(
                 f"a function alone can drive a model with one input; this one has {len(inputs)} "
@@ -52,9 +57,21 @@ def normalize(given: Any, inputs: list[str]) -> tuple[list[Table], list[Function
     if isinstance(given, (tuple, list)) and len(given) == 2 and isinstance(given[0], (str, Sequence, np.ndarray)):
         return _pair(given[0], given[1])
     raise TypeError(
-        "inputs must be a dict or a DataFrame with 'time', a structured array, a function, (names, matrix) or "
-        f"(names, function), not {type(given).__name__}"
+        "inputs must be the path of a recording, a dict or a DataFrame with 'time', a structured array, a function, "
+        f"(names, matrix) or (names, function), not {type(given).__name__}"
     )
+
+
+def _recording(path: str, fmu: _core.Fmu) -> list[Table]:
+    """The columns of a file that have the names of inputs."""
+    found = _data.read(path, [], None)
+    if found.table is not None:
+        # Elements of arrays and units follow the name.
+        inputs, names = {name.split("[")[0] for name in fmu.names_of("input")}, found.table.names()
+        named = [name for name in names if re.split(r"[\[(]", name)[0].strip() in inputs]
+        found = _data.read(path, named, None)
+    series = _core.recorded_inputs(fmu, found.path, found.table)
+    return [Table(times, [(name, values)], []) for name, times, values in series]
 
 
 def held_beyond(tables: list[Table], first: float, last: float) -> str:
@@ -178,5 +195,7 @@ def _column(name: str, values: Any) -> FloatArray:
     if array.ndim == 2 and 1 in array.shape:
         array = array.ravel()
     if array.ndim != 1:
-        raise ValueError(f"input {name} must be one-dimensional, not of shape {array.shape}")
+        elements = ", ".join(f"'{name}[{k + 1}]'" for k in range(min(array.shape[-1], 3))) if array.ndim == 2 else ""
+        hint = f"; elements of an array are inputs of their own ({elements}), each with its column" if elements else ""
+        raise ValueError(f"input {name} must be one-dimensional, not of shape {array.shape}{hint}")
     return array

@@ -49,6 +49,7 @@ class Request(NamedTuple):
     record_events: bool
     input_derivatives: bool
     chattering: str
+    between_steps: str
 
 
 LOG_LEVELS = ("nothing", "fatal", "error", "warning", "info", "verbose", "debug", "all")
@@ -309,6 +310,7 @@ class FMUModel:
         record_events: bool = False,
         chattering: Literal["error", "warn", "slide"] = "error",
         input_derivatives: bool = True,
+        between_steps: Literal["interpolate", "error"] = "interpolate",
     ) -> SimulationResult:
         """Simulates from a freshly reset model with all values that were `set`.
 
@@ -335,11 +337,17 @@ class FMUModel:
             - a dict of arrays with "time", or a DataFrame with a column or an index "time", or a structured array (in a
               dict, a number is a constant);
             - ``(names, matrix)`` with the times in the first column;
+            - the path of a recording (CSV, ``.mat``, ``.parquet``, ``.xlsx``), read as that of an `Experiment`: its columns that
+              have the names of inputs drive them, converted to the units of the model; rows where one is not known are left out;
             - a function of time, for a model with one input; a dict of functions; ``(names, function)``.
 
-            Tables are linear between rows for continuous Real inputs, and held for all others; a time listed twice is a
-            jump. Jumps are events, and a step ends at every row where the slope changes: no pulse is too short to be seen.
-            Functions can drive continuous Real inputs and should be smooth. Of a triggered clock (FMI 3.0) the rows that hold
+            Elements of an array are inputs of their own: ``{"time": t, "u[1]": a, "u[2]": b}``.
+
+            Tables are linear between rows for continuous inputs of type Real (or Float32), and held for all others; a time
+            listed twice is a jump. Jumps are events, and a step ends at every row where the slope changes: no pulse is too
+            short to be seen. So a co-simulation communicates at each such row, too, also where that is more often than
+            `step_size` says (the log says so once); one that takes steps of one length only takes the inputs over at its
+            steps. Functions can drive continuous inputs of these types and should be smooth. Of a triggered clock (FMI 3.0) the rows that hold
             True are its ticks; a clock with an interval that can be deactivated leaves its ticks out where it holds False.
         outputs : str or iterable of str, optional
             Variables to record: names, elements of arrays (``name[2,1]``, counted from 1), patterns (``*`` stands for any
@@ -365,7 +373,8 @@ class FMUModel:
             taken as "auto", "tsit5", "radau5" and "auto".
         step_size : float, optional
             Model exchange: step of the methods with a fixed step; default: a 500th of the span. Co-simulation: the
-            communication step; default: that of the default experiment, else the distance of the rows.
+            communication step; default: that of the default experiment, else the distance of the rows. Where the model
+            can step to any time, it communicates at the rows of the result and of the inputs, too.
         max_step : float, optional
             Largest step of the other methods.
         max_time : float, optional
@@ -380,6 +389,12 @@ class FMUModel:
             Co-simulations of FMI 1.0 and 2.0 that extrapolate continuous inputs (``canInterpolateInputs``) are told their
             derivatives before each step: those of the line to the inputs at its end. With False inputs are held over each
             step, as by most other tools.
+        between_steps : {"interpolate", "error"}
+            Rows between the steps of a co-simulation that cannot stop there, because it takes steps of one length only
+            (``canHandleVariableCommunicationStepSize`` is not set) or moves from one multiple of a step of its own to the
+            next (``fixedInternalStepSize``, FMI 3.0): they are interpolated linearly between the steps on both sides (what is
+            not continuous has the value of the step before), which the log says once, or they are an error. Fits
+            interpolate.
 
         Returns
         -------
@@ -408,7 +423,7 @@ class FMUModel:
         Exception
             Whatever an input function raises comes out as it is.
         """
-        tables, functions = _inputs.normalize(inputs, self.description.inputs) if inputs is not None else ([], [])
+        tables, functions = _inputs.normalize(inputs, self._fmu) if inputs is not None else ([], [])
         request = Request(
             start_time=_options.optional_number("start_time", start_time),
             final_time=_options.optional_number("final_time", final_time),
@@ -428,6 +443,7 @@ class FMUModel:
             record_events=_options.flag("record_events", record_events),
             input_derivatives=_options.flag("input_derivatives", input_derivatives),
             chattering=_options.choice("chattering", chattering),
+            between_steps=_options.choice("between_steps", between_steps),
         )
         result = SimulationResult(**self._model.simulate(request))
         if len(result.time) and (said := _inputs.held_beyond(tables, float(result.time[0]), float(result.time[-1]))):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import logging
 import operator
 import os
@@ -28,6 +29,14 @@ _shortened.maxstring = _shortened.maxother = 80
 def show(value: object) -> str:
     """A value for a message: of long ones the beginning."""
     return " ".join(_shortened.repr(value).split())
+
+
+def pandas() -> Any:
+    """The module, where a table of it is asked for."""
+    try:
+        return importlib.import_module("pandas")
+    except ImportError as e:
+        raise ImportError("to_dataframe() needs pandas: pip install pandas") from e
 
 
 def beginning(text: str) -> str:

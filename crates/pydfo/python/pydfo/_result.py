@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import ItemsView, Iterator, KeysView, Sequence, ValuesView
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, overload
 
 import numpy as np
 import numpy.typing as npt
+
+from . import _options
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -108,14 +109,10 @@ class Trace:
 
     def to_dataframe(self) -> Any:
         """The trace as a pandas.DataFrame, one row per evaluation. Needs pandas."""
-        try:
-            pd: Any = importlib.import_module("pandas")
-        except ImportError as e:
-            raise ImportError("to_dataframe() needs pandas: pip install pandas") from e
         columns: dict[str, Any] = {f"x{i}": self.x[:, i] for i in range(self.x.shape[1])}
         columns |= {"fun": self.fun, "above": self.above, "used": self.used, "failed": self.failed}
         columns |= {"batch": self.batch, "seconds": self.seconds}
-        return pd.DataFrame(columns)
+        return _options.pandas().DataFrame(columns)
 
     def __len__(self) -> int:
         return len(self.fun)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import io
 import os
 import warnings
@@ -10,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from . import _core
+from . import _core, _options
 from ._errors import BadCalibrationError, CalibrationWarning
 from ._experiment import path_of
 from ._keywords import also_called
@@ -147,12 +146,8 @@ def native_of(fit: Fit) -> _core.Fit:
 
 def dataframe(fit: Fit, what: str) -> Any:
     """A table of a fit as a pandas.DataFrame."""
-    try:
-        pd: Any = importlib.import_module("pandas")
-    except ImportError as e:
-        raise ImportError("to_dataframe() needs pandas: pip install pandas") from e
     text = _core.fit_to_csv(native_of(fit), what)
-    return pd.read_csv(io.StringIO(text), float_precision="round_trip")
+    return _options.pandas().read_csv(io.StringIO(text), float_precision="round_trip")
 
 
 def export_fmu(fit: Fit, path: PathLike, experiment: str | None, keep: bool) -> Path:

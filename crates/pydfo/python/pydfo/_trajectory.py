@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import importlib
 from collections.abc import Iterable, Iterator, KeysView, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 import numpy.typing as npt
 
-from . import _core
+from . import _core, _options
 from ._errors import UnknownVariableError
 
 if TYPE_CHECKING:
@@ -241,12 +240,8 @@ class SimulationResult(Mapping[str, Column]):
     def to_dataframe(self) -> Any:
         """A pandas.DataFrame with a column per variable, or per element of an array, ``time`` first; Integers and Booleans
         have their types. Needs pandas."""
-        try:
-            pd: Any = importlib.import_module("pandas")
-        except ImportError as e:
-            raise ImportError("to_dataframe() needs pandas: pip install pandas") from e
         columns = self._flat(self)
-        return pd.DataFrame({name: column.astype(_DTYPES[self._types[variable]]) for name, variable, column in columns})
+        return _options.pandas().DataFrame({name: column.astype(_DTYPES[self._types[variable]]) for name, variable, column in columns})
 
     def plot(self, names: str | Sequence[str] | None = None) -> Figure:
         """Draws columns over time, those of one unit in one plot. Needs matplotlib.

@@ -27,7 +27,9 @@ pub(crate) struct Communication {
     internal: Option<f64>,
     /// The stop time may be told: no step leads beyond it.
     pub(crate) ends_exactly: bool,
-    /// The FMU extrapolates inputs from their derivatives, and is told them.
+    /// The FMU extrapolates inputs.
+    pub(crate) extrapolates: bool,
+    /// It does so from their derivatives, and is told them.
     pub(crate) input_derivatives: bool,
     /// The FMU tells the derivatives of outputs at the end of a step.
     pub(crate) output_derivatives: bool,
@@ -91,6 +93,7 @@ impl Communication {
             variable,
             internal,
             ends_exactly: variable,
+            extrapolates: capabilities.can_interpolate_inputs,
             input_derivatives: capabilities.can_interpolate_inputs
                 && options.input_derivatives != Some(false),
             output_derivatives: capabilities.max_output_derivative_order > 0,
