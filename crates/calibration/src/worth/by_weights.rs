@@ -119,7 +119,7 @@ mod tests {
             range: k * n..(k + 1) * n,
             times: (0..n).map(t).collect(),
             measured: (0..n).map(|i| slope(k * n) * t(i)).collect(),
-            weights: vec![1.0; n],
+            weights: vec![1.0; n].into(),
         };
         let layout = ResidualLayout { outputs: vec![output(0), output(1)], priors: Vec::new() };
         let mut checks = ResidualCheck::all(&layout, &["run1".to_owned()], r.as_slice());

@@ -11,7 +11,7 @@ impl Space {
         let mut space = self.clone();
         for k in 0..self.n_free() {
             let (lower, upper) = self.limits_of(k);
-            space.sizes[k] = match self.boxed[k].then(|| upper - lower) {
+            space.sizes[k] = match self.boxed[k].then_some(upper - lower) {
                 Some(width) if width > 0.0 => 2.0 * self.sizes[k] / width,
                 // A range without width on a logarithmic scale, or one bound.
                 Some(_) => 1.0,

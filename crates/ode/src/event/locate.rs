@@ -71,7 +71,7 @@ impl Domains {
             let bend = (z1 - (z0 + (z2 - z0) * ((t1 - t0) / (t2 - t0)))).abs();
             let (from, to) = if t1 - t0 >= t2 - t1 { (t0, t1) } else { (t1, t2) };
             let hides = !flipped(z0, z1) && !flipped(z1, z2) && bend > z0.abs().min(z1.abs()).min(z2.abs());
-            (hides && to - from >= least).then(|| 0.5 * (from + to))
+            (hides && to - from >= least).then_some(0.5 * (from + to))
         })
     }
 
