@@ -443,7 +443,7 @@ fn values_are_checked_by_name_type_and_settability() {
         let error = set(name, value).unwrap_err();
         assert!(error.contains(text), "{error}");
     }
-    for (name, kind) in [("n", "Real"), ("y", "calculates"), ("k2", "no variable")] {
+    for (name, kind) in [("n", "floating-point"), ("y", "calculates"), ("k2", "no variable")] {
         let error =
             SimulationPlan::new(&fmu, &SimulateOptions::new().parameters([name])).unwrap_err().to_string();
         assert!(error.contains(kind), "{error}");
