@@ -196,8 +196,8 @@ impl Study {
             let count = |count: &mut u32, (low, high): (f64, f64), truth: f64| {
                 *count += u32::from((low..=high).contains(&truth));
             };
-            for k in 0..2 {
-                count(&mut held.intervals[k], intervals[k], Self::TRUTH[k]);
+            for (k, interval) in intervals.iter().enumerate() {
+                count(&mut held.intervals[k], *interval, Self::TRUTH[k]);
             }
             if self.objective.is_none() {
                 let options = ProfileOptions { workers: Some(1), ..ProfileOptions::default() };

@@ -274,18 +274,13 @@ fn main() {
             .collect();
         for (which, (name, _)) in methods().iter().enumerate() {
             let mut line = format!("{name:16}");
-            for t in 0..set.taus.len() {
+            for (t, tau) in set.taus.iter().enumerate() {
                 let of = |m: usize| median(&units[m][t]);
                 let solved = |m: usize| {
                     100.0 * units[m][t].iter().filter(|u| u.is_finite()).count() as f64 / best.len() as f64
                 };
                 let ratio = of(which) / of(0).min(of(1));
-                line += &format!(
-                    " | {:5.0e} {:4.0} % {:6.1} ratio {ratio:4.2}",
-                    set.taus[t],
-                    solved(which),
-                    of(which)
-                );
+                line += &format!(" | {tau:5.0e} {:4.0} % {:6.1} ratio {ratio:4.2}", solved(which), of(which));
             }
             let ends: Vec<f64> =
                 runs[which].iter().map(|(r, _)| r.n_evaluations as f64 / (r.x.len() + 1) as f64).collect();

@@ -36,7 +36,9 @@ fn go_on(method: &mut impl Method, rounds: usize) {
         if method.tell(&Answers::from(&outcomes[..])).is_err() {
             break;
         }
-        (method.details(), method.status(), method.best());
+        method.details();
+        method.status();
+        method.best();
     }
 }
 

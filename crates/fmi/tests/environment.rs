@@ -221,6 +221,6 @@ fn a_binary_value_larger_than_memory_is_an_error() {
     let error = instance.get("bytes").unwrap_err().to_string();
     assert_eq!(
         error,
-        "fmi3GetBinary: the FMU has a value of 9223372036854775808 bytes, more than memory can hold"
+        "fmi3GetBinary: the FMU has a value of 9223372036854775808 bytes, more than its maxSize or than memory can hold"
     );
 }

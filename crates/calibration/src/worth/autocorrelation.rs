@@ -321,15 +321,15 @@ mod tests {
         (base, residuals.as_slice().to_vec())
     }
 
-    fn group(series: Vec<Range<usize>>) -> Group {
-        Group { series, variance: 1.0, correction: 1.0, is_rounding: false }
+    fn group(series: &[Range<usize>]) -> Group {
+        Group { series: series.to_vec(), variance: 1.0, correction: 1.0, is_rounding: false }
     }
 
     #[test]
     fn an_autocorrelation_is_found_and_chance_is_none() {
         for rho in [0.5, 0.9] {
             let (base, residuals) = left(&autoregressive(rho, 400));
-            let groups = [group(vec![0..400])];
+            let groups = [group(std::slice::from_ref(&(0..400)))];
             let found = Dependence::find((&base, &residuals), &groups, &[1.0; 400]).unwrap();
             assert!((found.autocorrelation(0) - rho).abs() < 0.06, "{}", found.autocorrelation(0));
             // U'S U of the Toeplitz matrix.
@@ -341,10 +341,13 @@ mod tests {
             assert!(degrees.iter().all(|d| (3.0..200.0).contains(d)), "{degrees:?}");
         }
         let (base, residuals) = left(&normal(400));
-        assert!(Dependence::find((&base, &residuals), &[group(vec![0..400])], &[1.0; 400]).is_none());
+        assert!(
+            Dependence::find((&base, &residuals), &[group(std::slice::from_ref(&(0..400)))], &[1.0; 400])
+                .is_none()
+        );
         // Nothing is read from rounding.
         let (base, residuals) = left(&autoregressive(0.9, 400));
-        let rounding = Group { is_rounding: true, ..group(vec![0..400]) };
+        let rounding = Group { is_rounding: true, ..group(std::slice::from_ref(&(0..400))) };
         assert!(Dependence::find((&base, &residuals), &[rounding], &[1.0; 400]).is_none());
     }
 
@@ -353,7 +356,7 @@ mod tests {
         let errors: Vec<f64> =
             normal(300).into_iter().chain(autoregressive(0.8, 300).iter().map(|e| 5.0 * e)).collect();
         let (base, residuals) = left(&errors);
-        let groups = [group(vec![0..150, 150..300]), group(vec![300..600])];
+        let groups = [group(&[0..150, 150..300]), group(std::slice::from_ref(&(300..600)))];
         let found = Dependence::find((&base, &residuals), &groups, &[1.0; 600]).unwrap();
         assert_eq!(found.autocorrelation(0), 0.0);
         assert!((found.autocorrelation(1) - 0.8).abs() < 0.08, "{}", found.autocorrelation(1));

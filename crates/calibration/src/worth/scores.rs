@@ -77,9 +77,9 @@ impl Working {
             && !loss.is_linear()
         {
             // Residuals of priors have the standard deviation one.
-            for i in layout.n_measurements()..n {
-                let root = slope(loss, plain[i], 1.0).max(f64::EPSILON).sqrt();
-                (own.roots[i], own.residuals[i]) = (root, score(loss, plain[i]) / root);
+            for (i, plain) in plain.iter().enumerate().skip(layout.n_measurements()) {
+                let root = slope(loss, *plain, 1.0).max(f64::EPSILON).sqrt();
+                (own.roots[i], own.residuals[i]) = (root, score(loss, *plain) / root);
                 own.corrections[i] = root * root;
             }
         }

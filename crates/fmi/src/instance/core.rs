@@ -219,8 +219,9 @@ impl Core {
             VariableKind::Binary => {
                 let mut values = Vec::with_capacity(n);
                 let most = |_| variable.max_size;
-                let read =
-                    self.raw.get_binary(&references, n, most, |bytes| values.push(Value::Binary(bytes)));
+                let read = self
+                    .raw
+                    .get_binary(&references, n, most, |bytes| values.push(Value::Binary(bytes.to_vec())));
                 read.map(|()| values)
             }
             kind => {

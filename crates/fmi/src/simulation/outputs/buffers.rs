@@ -336,7 +336,7 @@ impl OutputBuffers {
             let table = &mut self.table;
             let most = |k: usize| plan.most_bytes[k];
             raw.get_binary(&plan.binaries.0, places.len(), most, |bytes| {
-                places.next().into_iter().for_each(|place| *place = table.bytes(&bytes));
+                places.next().into_iter().for_each(|place| *place = table.bytes(bytes));
             })?;
         }
         Ok(())

@@ -75,18 +75,17 @@ impl Communication {
             (Some(internal), None, _) if !variable && makes_sense(&internal) => Some(internal),
             _ => step,
         };
-        if let (Some(internal), Some(step)) = (internal, step) {
-            if !is_multiple(step, internal) {
-                let (lower, upper) =
-                    ((step / internal).floor() * internal, (step / internal).ceil() * internal);
-                let (below, above) = (Number(lower), Number(upper));
-                let next = if lower > 0.0 { format!("{below} and {above}") } else { above.to_string() };
-                let (step, internal) = (Number(step), Number(internal));
-                let problem = format!(
-                    "a communication step of {step} is no multiple of the model's own step {internal}; next to it: {next}"
-                );
-                return Err(FmiError::BadSetting { problem });
-            }
+        if let (Some(internal), Some(step)) = (internal, step)
+            && !is_multiple(step, internal)
+        {
+            let (lower, upper) = ((step / internal).floor() * internal, (step / internal).ceil() * internal);
+            let (below, above) = (Number(lower), Number(upper));
+            let next = if lower > 0.0 { format!("{below} and {above}") } else { above.to_string() };
+            let (step, internal) = (Number(step), Number(internal));
+            let problem = format!(
+                "a communication step of {step} is no multiple of the model's own step {internal}; next to it: {next}"
+            );
+            return Err(FmiError::BadSetting { problem });
         }
         let communication = Self {
             step,

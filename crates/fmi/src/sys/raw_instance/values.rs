@@ -87,14 +87,14 @@ impl RawInstance {
         outcome
     }
 
-    /// Reads binary values and hands a copy of each, `count` in all, to `take` in turn. `most` says how many bytes each may have; more, or
+    /// Reads binary values and shows a copy of each, `count` in all, to `take` in turn. `most` says how many bytes each may have; more, or
     /// more than there is memory for, are an error before any is read.
     pub(crate) fn get_binary(
         &mut self,
         references: &[u32],
         count: usize,
         most: impl Fn(usize) -> Option<usize>,
-        mut take: impl FnMut(Vec<u8>),
+        mut take: impl FnMut(&[u8]),
     ) -> Outcome {
         self.lengths(references.len(), count)?;
         let (mut sizes, mut pointers) = self.buffers.take_binaries();
@@ -110,12 +110,13 @@ impl RawInstance {
             Some(k) if read.is_ok() => Err(too_large(sizes[k])),
             _ => read,
         };
+        let mut bytes = std::mem::take(&mut self.buffers.bytes);
         for (pointer, size) in pointers.iter().zip(&sizes) {
             if outcome.is_err() {
                 break;
             }
-            let mut bytes = Vec::new();
-            if bytes.try_reserve_exact(*size).is_err() {
+            bytes.clear();
+            if bytes.try_reserve(*size).is_err() {
                 outcome = Err(too_large(*size));
             } else if !pointer.is_null() && *size > 0 {
                 // SAFETY: the FMU says how many bytes there are, no more than a slice may have; they stay valid until the
@@ -123,9 +124,10 @@ impl RawInstance {
                 bytes.extend_from_slice(unsafe { std::slice::from_raw_parts(*pointer, *size) });
             }
             if outcome.is_ok() {
-                take(bytes);
+                take(&bytes);
             }
         }
+        self.buffers.bytes = bytes;
         (self.buffers.sizes, self.buffers.binaries) = (sizes, pointers);
         outcome
     }
