@@ -121,7 +121,7 @@ mod tests {
             text.contains("+- 0.001 (uncorrected 0.0005)") && text.contains("at its upper bound 10"),
             "{text}"
         );
-        assert!(text.contains("Standard errors: k 0.1 %. 1 warning, 1 note.\n"), "{text}");
+        assert!(text.contains("Standard errors: k 0.05 %. 1 warning, 1 note.\n"), "{text}");
         let said = "\nwarning  k is at its upper bound 10: the best value may lie beyond\nnote     the residuals are not white\n         -> wait\n";
         assert!(text.contains(said), "{text}");
         fit.worth.as_mut().unwrap().standard_errors = vec![f64::INFINITY];

@@ -107,11 +107,12 @@ impl PatternSearchState {
     /// Whether this state fits to a problem and to itself.
     pub(super) fn is_sound(&self, setup: &Setup) -> bool {
         let n = setup.space.n_free();
-        // The frame is a length, at most the largest that it grows to.
-        let is_length = |length: f64| length > 0.0 && length <= 2.0 * LARGEST;
+        // The frame is a length, at most the first one or the largest that it grows to.
+        let is_length = |length: f64| length > 0.0 && length <= self.first.max(2.0 * LARGEST);
         self.setup.space == setup.space
             && self.setup.tolerances.check().is_ok()
-            && is_length(self.first)
+            && self.first > 0.0
+            && self.first.is_finite()
             && is_length(self.first * self.scale)
             && self.scale > 0.0
             && self.scale.is_finite()
