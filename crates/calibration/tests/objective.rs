@@ -44,7 +44,10 @@ fn named_costs_are_minimised_by_methods_that_see_the_cost_alone() {
     for named in [NamedCost::Mae, NamedCost::Rmse, NamedCost::Nrmse, NamedCost::Likelihood] {
         let found = fit(CostKind::Named(named), None);
         assert_eq!((&*found.report.method, found.objective.as_str()), ("nelder-mead", named.name()));
-        assert!(found.report.is_success() && found.worth.is_some() == (named == NamedCost::Likelihood), "{found}");
+        assert!(
+            found.report.is_success() && found.worth.is_some() == (named == NamedCost::Likelihood),
+            "{found}"
+        );
         let r = calibration.residuals(&found.x).unwrap();
         let n = r.len() as f64;
         let sum: f64 = r.iter().map(|r| r * r).sum();

@@ -31,8 +31,9 @@ const CLEAN_STEPS: u32 = 6;
 /// they advance. Trials after the first come after as many of the explicit method; each one that is lost makes the next one wait
 /// twice as long.
 const WASTE: f64 = 30.0;
-/// How many times what a trial wastes the right-hand sides before the next one are, at first.
-const PATIENCE: f64 = 3.0;
+/// How many times what a trial wastes the right-hand sides before the next one are, at first. Of DOP853 once: its interpolant makes errors
+/// inside of steps where a fast component follows a slow one.
+const PATIENCE: f64 = 2.5;
 /// Right-hand sides of a Jacobian up to which the first trial does not wait: it bounds what a system that is not stiff can lose.
 const AFFORDABLE: f64 = 100.0;
 /// A trial is won when so many more of its steps advanced more per right-hand side than less, and lost when so many more advanced less:
@@ -358,7 +359,7 @@ impl Stepper for Auto {
         self.bdf_is_next = false;
         let pattern = system.jacobian_pattern();
         self.jacobian_cost = pattern.map_or(system.n_states(), |p| p.widest_column()) as f64;
-        self.patience = PATIENCE;
+        self.patience = if self.explicit == Active::Tsit5 { PATIENCE } else { 1.0 };
         self.caution = 1.0;
         self.left_at = None;
         self.rate = 0.0;

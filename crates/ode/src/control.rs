@@ -2,7 +2,7 @@
 
 use crate::options::{AbsoluteTolerance, Options};
 
-/// Stands for absolute tolerances of zero, because the inverse of a weight must be a number.
+/// The least absolute tolerance, because the inverse of a weight must be a number.
 const LEAST_ATOL: f64 = 1e-300;
 
 /// The relative tolerance of unbounded states: what rounding leaves of a difference of large numbers.
@@ -16,7 +16,8 @@ pub(crate) struct Weights {
     relative: Vec<f64>,
     atol: Vec<f64>,
     scale: Vec<f64>,
-    has_purely_relative: bool,
+    /// The states whose absolute tolerance is zero.
+    purely_relative: Vec<usize>,
 }
 
 impl Weights {
@@ -36,7 +37,8 @@ impl Weights {
             AbsoluteTolerance::Scalar(v) => self.atol.resize(nominals.len(), *v),
             AbsoluteTolerance::PerState(list) => self.atol.extend_from_slice(list),
         }
-        self.has_purely_relative = self.atol.iter().any(|&atol| atol < LEAST_ATOL);
+        self.purely_relative.clear();
+        self.purely_relative.extend((0..self.atol.len()).filter(|&i| self.atol[i] == 0.0));
         self.atol.iter_mut().for_each(|atol| *atol = atol.max(LEAST_ATOL));
         self.scale.clear();
         self.scale.extend(nominals.iter().zip(&self.atol).map(|(nominal, atol)| {
@@ -47,10 +49,7 @@ impl Weights {
 
     /// A state that has no tolerance at `x`: it is zero, and so is its absolute tolerance.
     pub(crate) fn without_tolerance(&self, x: &[f64]) -> Option<usize> {
-        if !self.has_purely_relative {
-            return None;
-        }
-        (0..x.len()).find(|&i| self.weight(i, x[i], x[i]) <= LEAST_ATOL)
+        self.purely_relative.iter().copied().find(|&i| self.relative[i] * x[i].abs() < LEAST_ATOL)
     }
 
     /// The relative tolerance, or [what stands for it](Options::rtol_or_like) where it is zero.
