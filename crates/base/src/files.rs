@@ -79,6 +79,10 @@ fn require_regular(file: File) -> io::Result<File> {
     let kind = file.metadata()?.file_type();
     match () {
         () if kind.is_file() => Ok(file),
+        // With the number that the system gives it where somebody asks for that.
+        #[cfg(unix)]
+        () if kind.is_dir() => Err(io::Error::from_raw_os_error(libc::EISDIR)),
+        #[cfg(not(unix))]
         () if kind.is_dir() => Err(io::ErrorKind::IsADirectory.into()),
         () => Err(io::Error::new(io::ErrorKind::InvalidInput, "it is no regular file")),
     }

@@ -173,7 +173,7 @@ def test_a_budget_that_ends_before_any_cost_is_an_error():
         ({"xstart": [1j, 0]}, TypeError, "xstart must be numbers"),
         ({"func": None}, TypeError, "func must be callable"),
         ({"alg": 7}, ValueError, "alg = 7 is none of"),
-        ({"alg": "bobyqa"}, ValueError, "none of"),
+        ({"alg": "bobyqa"}, ValueError, "no method 'bobyqa'; did you mean 'quadratic-model'"),
         ({"x_tol": -1.0}, ValueError, "x_tol = -1 must be finite and not negative"),
         ({"f_tol": np.nan}, ValueError, "f_tol = NaN"),
         ({"x_tol": "small"}, TypeError, "x_tol must be a number"),

@@ -436,7 +436,9 @@ def test_exceptions_keep_their_identity(method):
         ({"t_eval": [0.5, 0.2]}, ValueError, "requested time 0.2 at position 1"),
         ({"t_eval": [7.0]}, ValueError, "requested time 7 at position 0"),
         ({"method": "rk23"}, ValueError, "unknown solver 'rk23'; there are"),
-        ({"rtol": 0.0}, ValueError, "^rtol = 0"),
+        ({"rtol": 0.0}, ValueError, "^rtol = 0 needs a positive atol"),
+        ({"rtol": 0.0, "atol": 0.0}, ValueError, "^atol = 0"),
+        ({"rtol": 1e-15}, ValueError, "^rtol = 1e-15"),
         ({"atol": [1e-6]}, ValueError, "atol has 1 values for 2 states"),
         ({"atol": -1.0}, ValueError, "^atol = -1"),
         ({"events": [3]}, TypeError, "event 0 must be callable, not 3"),
@@ -600,3 +602,13 @@ def test_a_pulse_between_two_events_is_not_seen_by_the_interpolant_alone(method,
             lambda t, y: [1 / w if a <= t < a + w else 0.0], (0, 1), [0.0], method, rtol=rtol, events=[lambda t, y: t - a, lambda t, y: t - a - w]
         )
         assert sol.success and abs(sol.y[0, -1] - 1.0) < 100 * rtol, a
+
+
+def test_either_tolerance_may_be_zero():
+    exact = 3.0 * np.exp(-2.0)
+    for tolerances in ({"rtol": 0.0, "atol": 1e-8}, {"rtol": 1e-8, "atol": 0.0}, {"rtol": 0.0, "atol": [1e-8]}):
+        for method in ("auto", "tsit5", "dop853", "radau5", "bdf"):
+            res = ode.solve(lambda t, y: -y, (0, 2), [3.0], method=method, **tolerances)
+            assert res.success and res.y[0, -1] == pytest.approx(exact, rel=1e-5)
+    with pytest.raises(ValueError, match="state 0 is 0 at t = 0, and so is its absolute tolerance"):
+        ode.solve(lambda t, y: np.ones(1), (0, 1), [0.0], atol=0.0)

@@ -68,7 +68,7 @@ def test_what_it_cannot_do_is_said(capsys):
         optimize.minimize(rosenbrock, [0.0, 0.0], method=method, jac=optimize.rosen_der)
     with pytest.raises(ValueError, match="has no option 'gtol'"):
         optimize.minimize(rosenbrock, [0.0, 0.0], method=method, options={"gtol": 1})
-    with pytest.raises(ValueError, match="none of 'auto'"):
+    with pytest.raises(ValueError, match="no method 'bfgs'; did you mean 'quadratic-model'"):
         pydfo.scipy_method("bfgs")
     with warnings.catch_warnings():
         warnings.simplefilter("error")

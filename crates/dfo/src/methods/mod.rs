@@ -262,7 +262,7 @@ fn meant(asked: &str) -> Option<&'static str> {
     });
     let near = names.map(|(name, known)| (edits(&asked, &known), known.len(), name)).min()?;
     // A third of the letters may differ.
-    (3 * near.0 <= near.1).then_some(near.2)
+    (3 * near.0 <= near.1.max(asked.chars().count())).then_some(near.2)
 }
 
 /// How many letters must be changed, added or taken away to make one word of the other (Levenshtein, Sov. Phys. Dokl. 10, 1966).

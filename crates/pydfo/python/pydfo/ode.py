@@ -625,6 +625,8 @@ def _count(name: str, value: SupportsIndex) -> int:
 def _tolerances(atol: npt.ArrayLike | None, rtol: float, n: int) -> list[float]:
     """One absolute tolerance, or one per state."""
     if atol is None:
+        if rtol == 0.0:
+            raise ValueError("rtol = 0 needs a positive atol")
         return [0.01 * rtol]
     tolerances = _options.vector("atol", atol)
     if np.ndim(atol) > 0 and len(tolerances) != n:
