@@ -187,7 +187,6 @@ def _is_installed(value: Any) -> bool:
     return file is None or _is_installed_file(file)
 
 
-@functools.lru_cache(maxsize=None)
 def _is_installed_file(file: str | None) -> bool:
     return file is not None and (
         file.startswith("<frozen") or os.path.realpath(file).startswith((*_INSTALLED, os.path.dirname(os.path.realpath(__file__)) + os.sep))

@@ -9,12 +9,9 @@ import numpy as np
 from .style import FITTED, MEASURED, START, pyplot, short
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
     from matplotlib.figure import Figure
 
-    from .._profile import Profile
-
-    FloatArray = npt.NDArray[np.float64]
+    from .._profile import FloatArray, Profile
 
 #: The panels end at this multiple of the threshold.
 HEIGHT = 1.6
