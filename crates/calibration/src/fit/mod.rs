@@ -1,0 +1,210 @@
+//! The fit: what is asked for, the search, and what its result is worth; parameters with names come out.
+
+mod options;
+mod result;
+mod search;
+
+pub use options::{FitObserver, FitOptions};
+pub use result::Fit;
+
+use crate::calibration::Calibration;
+use crate::effect::{Findings, is_over};
+use crate::error::CalibrationError;
+use crate::finding::{Finding, Severity};
+use crate::objective::CostKind;
+use crate::output_fit::KeptResiduals;
+use crate::parameter::{Parameter, Scale};
+use crate::phase::FitPhase;
+use crate::residual::{CostRule, sum_of_squares};
+use crate::simulations::Simulations;
+use crate::worth::{KnownPoint, Worth, WorthOptions};
+use dfo::{Measure, Report, RobustLoss, Tolerances, typical_size};
+use ode::Stats;
+use search::{HISTORY, Job, Searched};
+
+impl Calibration {
+    /// Fits the parameters.
+    ///
+    /// Simulations run on threads of their own where they are long enough for that; the calling thread observes and polls.
+    /// Evaluations that can no longer matter are given up early (see [`dfo::Outcome::Above`]); this changes no decision.
+    ///
+    /// # Errors
+    /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
+    /// cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
+    pub fn fit<'a>(&self, options: impl Into<FitOptions<'a>>) -> Result<Fit, CalibrationError> {
+        self.fit_and_keep(options.into()).map(|(fit, _)| fit)
+    }
+
+    /// The same, with the residuals that the run has computed.
+    pub(crate) fn fit_and_keep(
+        &self,
+        options: FitOptions<'_>,
+    ) -> Result<(Fit, KeptResiduals), CalibrationError> {
+        let job = Job::new(self, options)?;
+        let mut stats = Stats::default();
+        let searched = self.search(&job, &mut stats);
+        let Searched { report, found, residuals, preflight, solver, tolerances, raised, n_beginnings } =
+            match searched {
+                Err(error) if !job.is_asked() => self.start_alone(&job, error)?,
+                searched => searched?,
+            };
+        let Job { start, held, objective, loss, deadline, phase, worth, .. } = &job;
+        let cancelled = || job.is_cancelled();
+        let mut remarks = raised;
+        if n_beginnings > 1 {
+            let sentence = format!("begun {n_beginnings} times: {HISTORY}");
+            remarks.push(Finding::new(Severity::Note, "fit", sentence, ""));
+        }
+        phase.set(FitPhase::Checks);
+        let is_whole = worth.is_some() && held.is_empty();
+        let (at_start, at_end) =
+            self.plain_residuals((start, &report.x), (&residuals, *loss), &cancelled, &mut stats);
+        if let Some(at_end) = at_end.as_deref().filter(|_| is_whole && is_over(&report.termination)) {
+            let (from, to) = ((start.as_slice(), at_start.as_deref()), (report.x.as_slice(), at_end));
+            remarks.extend(self.check_after_fit(from, to, &cancelled, &mut stats));
+        }
+        let outputs = at_end
+            .as_deref()
+            .map_or_else(Vec::new, |at_end| self.output_fits_of(at_end, at_start.as_deref()));
+        phase.set(FitPhase::Worth);
+        let worth = worth.clone().filter(|_| objective.has_worth()).and_then(|mut options| {
+            options.workers = options.workers.or(job.run.workers);
+            options.held.extend(held);
+            let asked = WorthOptions { loss: *loss, is_likelihood: objective.is_likelihood(), ..options };
+            let known = report.residuals.as_deref().or(at_end.as_deref());
+            let worth =
+                self.worth_of_fit((&report, &found, known), &tolerances, asked, (&cancelled, &mut stats));
+            if worth.is_none() && is_over(&report.termination) && deadline.is_over() {
+                let sentence = "the time was up before the standard errors were known";
+                remarks.push(Finding::new(Severity::Warning, "max_time", sentence, ""));
+            }
+            worth
+        });
+        let start_cost =
+            report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());
+        let is_start = report.trace.is_empty() && report.fun.is_finite();
+        let start_cost = start_cost.or(Some(report.fun).filter(|_| is_start));
+        let mut rms = |x: &[f64], cost: Option<f64>| match (objective.is_sum_of_squares(), cost) {
+            (true, cost) => cost.map(|cost| self.rms(x, cost, *loss)),
+            // Of another cost the residuals have to be known.
+            (false, None) => None,
+            (false, Some(_)) => match residuals.at((x, start)) {
+                Some(known) => Some(self.rms(x, sum_of_squares(known), *loss)),
+                None => self.cost_and_rms(x, (objective, *loss), &cancelled, &mut stats).map(|(_, rms)| rms),
+            },
+        };
+        let names: Vec<String> = self.parameters().iter().map(|p| p.name().to_owned()).collect();
+        let mut shown_names: Vec<String> =
+            self.parameters().iter().map(|p| p.shown_name().to_owned()).collect();
+        if shown_names == names {
+            shown_names.clear();
+        }
+        let description = self.fmu().description();
+        let unit = |p: &Parameter| p.unit(description).map(str::to_owned);
+        let fit = Fit {
+            units: self.parameters().iter().map(unit).collect(),
+            bounds: self.parameters().iter().map(|p| (p.lower(), p.upper())).collect(),
+            model: description.model_name.clone(),
+            n_measurements: self.n_measurements(),
+            x: report.x.clone(),
+            names,
+            shown_names,
+            outputs,
+            preflight,
+            setup_findings: remarks,
+            worth,
+            cost: report.fun,
+            rms: rms(&report.x, Some(report.fun)).unwrap_or(f64::NAN),
+            tied: self.tied_values(&report.x),
+            start_cost,
+            start_rms: rms(start, start_cost),
+            objective: objective.name().to_owned(),
+            start: start.clone(),
+            stages: Vec::new(),
+            at_bound: found.at_bound,
+            without_effect: found.without_effect,
+            n_checks: found.n_checks,
+            n_beginnings,
+            stats,
+            solver,
+            report,
+        };
+        Ok((fit, residuals))
+    }
+
+    /// The cost at `x` and the RMS of the measurements there; `None` where the simulation fails.
+    pub(crate) fn cost_and_rms(
+        &self,
+        x: &[f64],
+        (kind, loss): (&CostKind, RobustLoss),
+        cancelled: &dyn Fn() -> bool,
+        stats: &mut Stats,
+    ) -> Option<(f64, f64)> {
+        let mut residuals = vec![0.0; self.n_residuals()];
+        let sum = self.evaluate_into(x, CostRule::whole(loss, cancelled), &mut residuals, stats).ok()?;
+        let outcome = kind.outcome(self.residual_layout(), (sum, &residuals), &mut Vec::new());
+        Some((outcome.value()?, self.rms(x, sum, loss)))
+    }
+
+    /// What the result of a run is worth, from the residuals there, without a loss, where they are known; `None` where it cannot be found
+    /// out, or shall not.
+    pub(crate) fn worth_of_fit(
+        &self,
+        (report, found, residuals): (&Report, &Findings, Option<&[f64]>),
+        tolerances: &Tolerances,
+        mut options: WorthOptions,
+        (cancelled, stats): (&dyn Fn() -> bool, &mut Stats),
+    ) -> Option<Worth> {
+        if !is_over(&report.termination) || cancelled() {
+            return None;
+        }
+        let workers = options.workers.unwrap_or(1);
+        let mut simulations = Simulations::new(self, (RobustLoss::default(), workers), cancelled).ok()?;
+        let (inert, criterion) = (&found.without_effect, options.criterion());
+        let at_bound = found.at_bound.iter().map(|(index, _)| index);
+        options.held.extend(at_bound.filter(|index| !inert.contains(index)));
+        let known = KnownPoint {
+            // Those of a stage with a window of its own are others.
+            residuals: residuals.filter(|r| r.len() == self.n_residuals()),
+            jacobian: report.jacobian.as_deref(),
+            held: options.held,
+            inert,
+            f_tol: match tolerances.measure {
+                Measure::Relative => tolerances.f_tol,
+                Measure::Absolute => tolerances.f_tol / report.fun.abs(),
+            },
+            criterion,
+        };
+        let worth = self.worth_of(&report.x, options.estimator, &known, &mut simulations);
+        *stats += simulations.stats;
+        match worth {
+            Ok(worth) => Some(worth),
+            Err(error) => {
+                log::info!("what the fit is worth could not be found out: {error}");
+                None
+            }
+        }
+    }
+
+    /// The size that was given for a parameter on a linear scale: what the user said, else the model's nominal value, but no more
+    /// than the width of the bounds.
+    fn given_size(&self, parameter: &Parameter) -> Option<f64> {
+        if parameter.scale_kind() == Scale::Log {
+            return None;
+        }
+        let variable = parameter.variable().and_then(|name| self.fmu().description().variable(name));
+        // That of the model is in the unit of the model.
+        let nominal = variable.filter(|_| parameter.given_unit().is_none()).and_then(|v| v.nominal);
+        let width = parameter.upper() - parameter.lower();
+        let of_model = nominal.map(|n| if width > 0.0 { n.abs().min(width) } else { n.abs() });
+        parameter.nominal_size().or(of_model).map(f64::abs).filter(|size| size.is_finite() && *size > 0.0)
+    }
+
+    /// Typical size of a parameter near a value, by the rule of the search ([`dfo::typical_size`]); of its logarithm on a logarithmic
+    /// scale; 1 where nothing is known. A value that has come near zero has the size that it had at the start.
+    pub(crate) fn size_of(&self, parameter: &Parameter, at: f64) -> f64 {
+        let (bounds, given) = ((parameter.lower(), parameter.upper()), self.given_size(parameter));
+        let largest = at.abs().max(parameter.start().abs());
+        typical_size(parameter.scale_kind(), largest, bounds, given).unwrap_or(1.0)
+    }
+}

@@ -1,0 +1,94 @@
+//! What a fit is asked for.
+
+use crate::objective::CostKind;
+use crate::phase::CurrentPhase;
+use crate::worth::WorthOptions;
+use dfo::{AnyMethod, Measure, Progress, RobustLoss, RunOptions, Search, Stop, Tolerances};
+use std::fmt;
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// Called after each iteration; `Break` ends the fit.
+pub type FitObserver<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
+
+/// How a fit is made.
+pub struct FitOptions<'a> {
+    /// The method, tolerances, limits, workers (default: all cores), checkpoint and so on. The time limit holds for the whole fit, from
+    /// the choice of a solver to the standard errors: where it is over before any evaluation has ended, the result is the start,
+    /// with a cost of NaN. Model, data, parameters and settings
+    /// of the calibration identify the fit's problem: a checkpoint of another one is refused, and points that are known
+    /// from another one are evaluated again.
+    pub run: RunOptions<AnyMethod>,
+    /// Where to start; default: the parameters' start values.
+    pub start: Option<Vec<f64>>,
+    /// Parameters, by number, that stay at the start as if they were fixed; default: none.
+    pub held: Vec<usize>,
+    /// Whether a simulation is given up when its cost can no longer matter; default yes. Changes no decision, only the
+    /// work.
+    pub cutoffs: bool,
+    /// What is minimised; default: the sum of the squared residuals.
+    pub objective: CostKind,
+    /// What a residual counts; default: its square. With another loss [`Fit::cost`] is the sum of what they count, also where
+    /// the method sees costs alone.
+    pub loss: RobustLoss,
+    /// The start is looked at first, see [`Calibration::preflight`]; `f_tol` below the noise of the simulations is raised to it, with
+    /// a word in the message. Default: no.
+    pub preflight: bool,
+    /// What the fit is worth is found out after the run: standard errors, correlation, what the data cannot tell. Takes at least two
+    /// simulations for each parameter and one that is more accurate, in parallel; they are none of the run's evaluations, are not
+    /// made after an interrupt or when the time is up, and are part of `stats`. `None`: it is not. Its loss is that of the fit.
+    pub worth: Option<WorthOptions>,
+    /// Called after each iteration, on the calling thread.
+    pub observer: Option<Box<FitObserver<'a>>>,
+    /// Asked on the calling thread at least every 50 ms; `true` interrupts the fit.
+    pub poll: Option<Box<dyn FnMut() -> bool + 'a>>,
+    /// A flag that interrupts the fit when it is raised, within a step of the simulations that are running.
+    pub cancel: Option<Arc<AtomicBool>>,
+    /// Where the fit says what it does.
+    pub phase: Arc<CurrentPhase>,
+}
+
+impl FitOptions<'_> {
+    /// The run of a fit by default: the method for residuals that [`AnyMethod::chosen_for`] chooses, tolerances of 1e-4 each, `x_tol` in units of the parameters' sizes and `f_tol` as a
+    /// fraction of the cost, for a cost made of simulations is seldom smooth below that; all else as [`dfo::minimize`] has
+    /// it.
+    pub fn default_run() -> RunOptions<AnyMethod> {
+        let tolerances = Tolerances { x_tol: 1e-4, f_tol: 1e-4, measure: Measure::Relative, stop: Stop::All };
+        RunOptions { method: AnyMethod::auto(Search::Local), tolerances, ..RunOptions::default() }
+    }
+}
+
+impl Default for FitOptions<'_> {
+    fn default() -> Self {
+        Self {
+            run: Self::default_run(),
+            start: None,
+            held: Vec::new(),
+            cutoffs: true,
+            objective: CostKind::default(),
+            loss: RobustLoss::default(),
+            preflight: false,
+            worth: Some(WorthOptions::default()),
+            observer: None,
+            poll: None,
+            cancel: None,
+            phase: Arc::default(),
+        }
+    }
+}
+
+impl<'a> From<RunOptions<AnyMethod>> for FitOptions<'a> {
+    fn from(run: RunOptions<AnyMethod>) -> Self {
+        Self { run, ..Self::default() }
+    }
+}
+
+impl fmt::Debug for FitOptions<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("FitOptions")
+            .field("run", &self.run)
+            .field("start", &self.start)
+            .finish_non_exhaustive()
+    }
+}

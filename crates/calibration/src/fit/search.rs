@@ -1,0 +1,408 @@
+//! The search for the best point, with what comes before it: the objective meets an optimiser.
+
+use super::options::{FitObserver, FitOptions};
+use crate::calibration::Calibration;
+use crate::effect::Findings;
+use crate::error::CalibrationError;
+use crate::finding::{Finding, Severity};
+use crate::objective::CostKind;
+use crate::output_fit::KeptResiduals;
+use crate::parameter::{Parameter, Scale};
+use crate::phase::{CurrentPhase, Deadline, FitPhase};
+use crate::preflight::{Preflight, PreflightOptions};
+use crate::residual::{CostRule, sum_of_squares};
+use crate::solver::Solver;
+use crate::spot_checks::SpotChecks;
+use crate::worth::{WorthOptions, digits};
+use dfo::{
+    Answer, AnyMethod, ByRef, Kind, Measure, NothingFound, Objective, Outcome, Query, Report, Resume,
+    RobustLoss, RunOptions, Termination, Tolerances, Trace, Want,
+};
+use ode::{Number, Stats};
+use std::cell::RefCell;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::available_parallelism;
+use std::time::Instant;
+
+/// Why a fit is begun again.
+pub(super) const HISTORY: &str = "the fit's simulations were found to depend on earlier ones (a state that the model keeps and no variable shows)";
+
+/// The objective of one fit, which adds up what its simulations take.
+struct Counted<'a> {
+    calibration: &'a Calibration,
+    cutoffs: bool,
+    kind: &'a CostKind,
+    loss: RobustLoss,
+    start: &'a [f64],
+    /// The residuals there, as they count, where they are known already.
+    at_start: Option<Vec<f64>>,
+    stats: Mutex<(Stats, SpotChecks, KeptResiduals)>,
+    /// Findings before the run.
+    n_findings: u64,
+}
+
+impl Objective for Counted<'_> {
+    fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
+        let mut query = *query;
+        if !self.cutoffs {
+            query.cutoff = f64::INFINITY;
+        }
+        let wanted = std::mem::replace(&mut query.want, Want::Residuals);
+        let mut stats = Stats::default();
+        match &self.at_start {
+            Some(residuals) if x == self.start => {
+                answer.residuals.clone_from(residuals);
+                answer.outcome = Outcome::Value(sum_of_squares(residuals));
+            }
+            _ => self.calibration.evaluate_counted(x, (&query, self.loss), answer, &mut stats),
+        }
+        // A poisoned lock is no reason to fail: the counts are whole at every instant.
+        let mut known = self.stats.lock().unwrap_or_else(|e| e.into_inner());
+        known.0 += stats;
+        let sum = answer.outcome.value();
+        known.1.note(x, sum);
+        drop(known);
+        let mut own = Vec::new();
+        if let Some(sum) = sum {
+            // A function of the user's may take its time.
+            let layout = self.calibration.residual_layout();
+            answer.outcome = self.kind.outcome(layout, (sum, &answer.residuals), &mut own);
+            if let Some(cost) = answer.outcome.value() {
+                let mut known = self.stats.lock().unwrap_or_else(|e| e.into_inner());
+                known.2.note((x, self.start), cost, &answer.residuals);
+            }
+            if !self.kind.is_sum_of_squares() {
+                answer.residuals = own;
+            }
+        }
+        if wanted == Want::Cost {
+            answer.residuals.clear();
+        }
+        if self.calibration.n_history_findings() > self.n_findings {
+            answer.outcome = Outcome::Abort(HISTORY.to_owned());
+        }
+    }
+
+    fn uses_cutoff(&self) -> bool {
+        self.cutoffs
+    }
+
+    fn has_residuals(&self) -> bool {
+        self.kind.has_residuals()
+    }
+
+    fn residual_loss(&self) -> RobustLoss {
+        self.loss
+    }
+}
+
+/// What a fit is asked for, checked, with its clock.
+pub(super) struct Job<'a> {
+    pub(super) run: RunOptions<AnyMethod>,
+    pub(super) start: Vec<f64>,
+    pub(super) held: Vec<usize>,
+    pub(super) cutoffs: bool,
+    pub(super) objective: CostKind,
+    pub(super) loss: RobustLoss,
+    pub(super) wants_preflight: bool,
+    pub(super) worth: Option<WorthOptions>,
+    pub(super) observer: RefCell<Option<Box<FitObserver<'a>>>>,
+    pub(super) poll: RefCell<Option<Box<dyn FnMut() -> bool + 'a>>>,
+    pub(super) cancel: Option<Arc<AtomicBool>>,
+    pub(super) phase: Arc<CurrentPhase>,
+    pub(super) deadline: Deadline,
+    /// The residuals at the start, as they count, where they were known before the search.
+    pub(super) at_start: RefCell<Option<Vec<f64>>>,
+}
+
+impl<'a> Job<'a> {
+    pub(super) fn new(calibration: &Calibration, options: FitOptions<'a>) -> Result<Self, CalibrationError> {
+        let deadline = Deadline::new(options.run.limits.max_time);
+        let mut run = options.run;
+        options.objective.check(calibration.residual_layout(), !options.loss.is_linear())?;
+        run.workers.get_or_insert_with(|| available_parallelism().map_or(1, usize::from));
+        let start = options.start.unwrap_or_else(|| calibration.start());
+        calibration.check_start(&start)?;
+        if let Some(index) = options.held.iter().find(|&&i| i >= start.len()) {
+            let n = start.len();
+            return Err(CalibrationError::Setup(format!(
+                "parameter {index} is held, but there are only {n}"
+            )));
+        }
+        Ok(Self {
+            run,
+            start,
+            held: options.held,
+            cutoffs: options.cutoffs && options.objective.is_sum_of_squares(),
+            objective: options.objective,
+            loss: options.loss,
+            wants_preflight: options.preflight,
+            worth: options.worth,
+            observer: RefCell::new(options.observer),
+            poll: RefCell::new(options.poll),
+            cancel: options.cancel,
+            phase: options.phase,
+            deadline,
+            at_start: RefCell::default(),
+        })
+    }
+
+    fn is_polled(&self) -> bool {
+        self.poll.borrow_mut().as_mut().is_some_and(|poll| poll())
+    }
+
+    /// Whether it is interrupted.
+    pub(super) fn is_asked(&self) -> bool {
+        self.cancel.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed)) || self.is_polled()
+    }
+
+    /// Whether it is interrupted, or its time is up.
+    pub(super) fn is_cancelled(&self) -> bool {
+        self.deadline.is_over() || self.is_asked()
+    }
+}
+
+/// What the search of a fit gave.
+pub(super) struct Searched {
+    pub(super) report: Report,
+    pub(super) found: Findings,
+    pub(super) residuals: KeptResiduals,
+    pub(super) preflight: Option<Preflight>,
+    pub(super) solver: Solver,
+    /// Those that held.
+    pub(super) tolerances: Tolerances,
+    /// What is to be said of them.
+    pub(super) raised: Vec<Finding>,
+    pub(super) n_beginnings: usize,
+}
+
+impl Calibration {
+    /// The search for the best point, with what comes before it.
+    pub(super) fn search(&self, job: &Job<'_>, stats: &mut Stats) -> Result<Searched, CalibrationError> {
+        let Job { start, held, cutoffs, objective, loss, deadline, .. } = job;
+        let (cutoffs, loss, deadline) = (*cutoffs, *loss, *deadline);
+        let mut described = job.run.clone();
+        let bound = |side: fn(&Parameter) -> f64| {
+            let mut bounds: Vec<f64> = self.parameters().iter().map(side).collect();
+            held.iter().for_each(|&i| bounds[i] = start[i]);
+            bounds
+        };
+        let transforms: Vec<Scale> = self.parameters().iter().map(Parameter::scale_kind).collect();
+        let mut kinds: Vec<Kind> = self.parameters().iter().map(Parameter::value_kind).collect();
+        // What is held can have any value, and does not choose the method.
+        held.iter().for_each(|&i| kinds[i] = Kind::Continuous);
+        let sizes: Vec<Option<f64>> = self.parameters().iter().map(|p| self.given_size(p)).collect();
+        if let Some(checkpoint) = &described.checkpoint {
+            self.adopt_solver(checkpoint)?;
+        }
+        let cancelled = || job.is_cancelled();
+        job.phase.set(FitPhase::Solver);
+        let (solver, raced) = self.solver_counted(&cancelled, stats)?;
+        let raced = raced.filter(|_| *start == self.start());
+        let counted = |plain: Vec<f64>| plain.into_iter().map(|r| loss.transform(r)).collect::<Vec<f64>>();
+        let mut at_start = raced.map(|raced| (counted(raced.residuals), raced.seconds));
+        *job.at_start.borrow_mut() = at_start.as_ref().map(|(residuals, _)| residuals.clone());
+        job.phase.set(FitPhase::ModelTest);
+        self.prepare(&cancelled)?;
+        let problem = self.problem_hash(solver);
+        let problem = if loss.is_linear() { problem } else { format!("{problem}, loss {loss}") };
+        let is_usual = objective.is_sum_of_squares();
+        described.problem =
+            Some(if is_usual { problem } else { format!("{problem}, objective {}", objective.name()) });
+        described.checkpoint = described.checkpoint.map(|checkpoint| self.tag(checkpoint, solver));
+        let preflight = job.wants_preflight.then(|| {
+            job.phase.set(FitPhase::Preflight);
+            let options = PreflightOptions { start: Some(start.clone()), workers: described.workers, loss };
+            self.preflight_counted(&options, &mut at_start, &cancelled, stats)
+        });
+        let preflight = preflight.transpose()?;
+        let mut raised: Vec<Finding> = self.tightened().into_iter().collect();
+        if let Some(found) = &preflight
+            && described.tolerances.measure == Measure::Relative
+            && found.f_tol_above_noise(described.tolerances.f_tol) > described.tolerances.f_tol
+        {
+            described.tolerances.f_tol = found.noise;
+            let sentence =
+                format!("f_tol was raised to the noise of the simulations, {}", digits(found.noise));
+            raised.push(Finding::new(Severity::Note, "f_tol", sentence, ""));
+        }
+        let tolerances = described.tolerances;
+        job.phase.set(FitPhase::Search);
+        let mut observer = job.observer.borrow_mut();
+        let mut n_beginnings = 0;
+        let (report, found, residuals) = loop {
+            n_beginnings += 1;
+            let n_findings = self.n_history_findings();
+            let known = at_start.take().map(|(residuals, _)| residuals);
+            job.at_start.borrow_mut().clone_from(&known);
+            let counted = Counted {
+                calibration: self,
+                cutoffs,
+                kind: objective,
+                loss,
+                start,
+                at_start: known.clone(),
+                stats: Mutex::new((Stats::default(), SpotChecks::default(), KeptResiduals::of_start(known))),
+                n_findings,
+            };
+            described.limits.max_time = deadline.left();
+            let mut run = dfo::minimize(ByRef(&counted))
+                .start(start)
+                .bounds(&bound(Parameter::lower), &bound(Parameter::upper))
+                .map_err(|e| self.name_parameter(e))?
+                .transforms(&transforms)
+                .kinds(&kinds)
+                .known_scales(&sizes)
+                .options(described.clone());
+            if let Some(observer) = &mut *observer {
+                run = run.observer(|progress| observer(progress));
+            }
+            if job.poll.borrow().is_some() {
+                run = run.poll(|| job.is_polled());
+            }
+            if let Some(flag) = &job.cancel {
+                run = run.cancel(Arc::clone(flag));
+            }
+            let began = Instant::now();
+            let outcome = run.run().map_err(|error| match error {
+                dfo::Error::NeedsResiduals { method } => CalibrationError::Setup(format!(
+                    "{method} minimises sums of squares, and the objective '{}' is none: leave the method to the fit \
+                     (method auto), or take nelder-mead",
+                    objective.name()
+                )),
+                error => self.name_parameter(error),
+            });
+            let took = began.elapsed();
+            job.phase.set(FitPhase::Checks);
+            let (taken, checks, residuals) = counted.stats.into_inner().unwrap_or_else(|e| e.into_inner());
+            *stats += taken;
+            let is_sound = || self.n_history_findings() == n_findings;
+            if is_sound() || cancelled() {
+                let report = outcome?;
+                let differs = || self.depends_on_history(&report.x, &cancelled);
+                if cancelled()
+                    || !(differs()
+                        || self.costs_depend_on_history(&checks, took, CostRule::whole(loss, &cancelled)))
+                {
+                    let of_run = (start.as_slice(), held.as_slice(), &report, objective);
+                    let found = self.findings(of_run, &tolerances, &cancelled, stats);
+                    if is_sound() || cancelled() {
+                        break (report, found, residuals);
+                    }
+                }
+            }
+            log::warn!("{}: {HISTORY}: it begins anew", self.fmu().description().model_name);
+            // What was stored, here or by an earlier fit, may depend on what ran before.
+            described.checkpoint = described.checkpoint.map(|checkpoint| checkpoint.resume(Resume::Never));
+            described.known.iter_mut().for_each(|known| known.problem = None);
+        };
+        Ok(Searched {
+            report,
+            found,
+            residuals,
+            preflight,
+            solver: solver.clone(),
+            tolerances,
+            raised,
+            n_beginnings,
+        })
+    }
+
+    /// What is said where simulations have a smaller tolerance than the model states.
+    fn tightened(&self) -> Option<Finding> {
+        let (settings, description) = (&self.problem().settings, self.fmu().description());
+        let used = match settings.relative_tolerance {
+            None => settings.tolerance_of_fits(description)?,
+            Some(_) => return None,
+        };
+        let stated = description.default_experiment.tolerance.unwrap_or(f64::NAN);
+        let sentence = format!(
+            "simulations have the relative tolerance {} instead of the model's {}, which leaves the cost noisy",
+            Number(used),
+            Number(stated)
+        );
+        Some(Finding::new(Severity::Note, "relative tolerance", sentence, "relative_tolerance overrides it"))
+    }
+
+    /// The start as the result of a search that had no time for a single evaluation.
+    ///
+    /// # Errors
+    /// The error that ended the search, unless it is that.
+    pub(super) fn start_alone(
+        &self,
+        job: &Job<'_>,
+        error: CalibrationError,
+    ) -> Result<Searched, CalibrationError> {
+        let found = match error {
+            CalibrationError::Cancelled if job.deadline.is_over() => {
+                NothingFound { n_evaluations: 0, failures: Vec::new(), x: None, trace: Trace::default() }
+            }
+            CalibrationError::Optimiser(dfo::Error::EndedWithoutPoint {
+                termination: Termination::MaxTime,
+                found,
+            }) => *found,
+            error => return Err(error),
+        };
+        let named = Solver { method: self.problem().settings.method, race: None };
+        let mut report = Report::without_cost(
+            &job.start,
+            job.run.method.name(),
+            found,
+            job.deadline.elapsed().as_secs_f64(),
+        );
+        let residuals = KeptResiduals::of_start(job.at_start.take());
+        if let Some(known) = residuals.at_start() {
+            let of_squares = (sum_of_squares(known), known);
+            let outcome = job.objective.outcome(self.residual_layout(), of_squares, &mut Vec::new());
+            report.fun = outcome.value().unwrap_or(f64::NAN);
+        }
+        report.message = format!(
+            "stopped at the time limit of {} s before the search had found anything: the result is the start",
+            Number(job.run.limits.max_time.unwrap_or_default().as_secs_f64())
+        );
+        report.workers = job.run.workers.unwrap_or(1);
+        report.loss = job.loss;
+        Ok(Searched {
+            report,
+            found: Findings::default(),
+            residuals,
+            preflight: None,
+            solver: self.known_solver().cloned().unwrap_or(named),
+            tolerances: job.run.tolerances,
+            raised: Vec::new(),
+            n_beginnings: 1,
+        })
+    }
+
+    /// The optimiser knows parameters by number, the user by name.
+    fn name_parameter(&self, source: dfo::Error) -> CalibrationError {
+        match source.parameter() {
+            Some(index) => {
+                let name = self.parameters()[index].name().to_owned();
+                CalibrationError::OptimiserParameter { index, name, source: Box::new(source) }
+            }
+            None => source.into(),
+        }
+    }
+
+    /// Checks a start given for this fit as the parameters' own starts were checked.
+    fn check_start(&self, start: &[f64]) -> Result<(), CalibrationError> {
+        self.check_length(start)?;
+        for (parameter, value) in self.parameters().iter().zip(start) {
+            let (lower, upper) = (parameter.lower(), parameter.upper());
+            if !(lower..=upper).contains(value) {
+                let name = parameter.name().to_owned();
+                let is_fixed = lower == upper;
+                let [lower, upper, value] = [lower, upper, *value].map(Number);
+                let message = if is_fixed {
+                    format!("is fixed at {lower}, it cannot start at {value}")
+                } else {
+                    format!("start {value} is outside of the bounds {lower} and {upper}")
+                };
+                return Err(CalibrationError::Parameter { name, message });
+            }
+        }
+        Ok(())
+    }
+}
