@@ -29,10 +29,10 @@ pub struct FitOptions<'a> {
     pub cutoffs: bool,
     /// What is minimised; default: the sum of the squared residuals.
     pub objective: CostKind,
-    /// What a residual counts; default: its square. With another loss [`Fit::cost`] is the sum of what they count, also where
+    /// What a residual counts; default: its square. With another loss [`Fit::cost`](crate::Fit::cost) is the sum of what they count, also where
     /// the method sees costs alone.
     pub loss: RobustLoss,
-    /// The start is looked at first, see [`Calibration::preflight`]; `f_tol` below the noise of the simulations is raised to it, with
+    /// The start is looked at first, see [`Calibration::preflight`](crate::Calibration::preflight); `f_tol` below the noise of the simulations is raised to it, with
     /// a word in the message. Default: no.
     pub preflight: bool,
     /// What the fit is worth is found out after the run: standard errors, correlation, what the data cannot tell. Takes at least two

@@ -18,7 +18,7 @@ pub struct Fit {
     pub x: Vec<f64>,
     /// Names of the parameters, in the same order.
     pub names: Vec<String>,
-    /// What reports and figures call them, in the same order (see [`Parameter::display_name`]); empty: all as they are named.
+    /// What reports and figures call them, in the same order (see [`Parameter::display_name`](crate::Parameter::display_name)); empty: all as they are named.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub shown_names: Vec<String>,
     /// Values of the parameters that are tied to others, by name.
@@ -37,13 +37,13 @@ pub struct Fit {
     pub cost: f64,
     /// Root of the mean squared weighted residual of the measurements there; with a loss, of what they count.
     pub rms: f64,
-    /// Name of the cost, see [`CostKind::name`].
+    /// Name of the cost, see [`CostKind::name`](crate::CostKind::name).
     pub objective: String,
     /// Cost at the start, if the simulation did not fail there.
     pub start_cost: Option<f64>,
     /// RMS at the start, if the simulation did not fail there.
     pub start_rms: Option<f64>,
-    /// The fit of each stage, see [`Calibration::fit_stages`]; empty if there were none.
+    /// The fit of each stage, see [`Calibration::fit_stages`](crate::Calibration::fit_stages); empty if there were none.
     pub stages: Vec<Fit>,
     /// Parameters that ended at a bound, by number: the best values may lie beyond.
     pub at_bound: Vec<(usize, BoundSide)>,
@@ -62,7 +62,7 @@ pub struct Fit {
     pub outputs: Vec<OutputFit>,
     /// What was found before the fit, where it was asked for.
     pub preflight: Option<Preflight>,
-    /// What a [check](Calibration::check) says of the problem beyond notes, judged again with the fitted values (not where the fit is not
+    /// What a [check](crate::Calibration::check) says of the problem beyond notes, judged again with the fitted values (not where the fit is not
     /// asked what it is worth), and what is to be said of the run. [`Fit::findings`] has all.
     pub setup_findings: Vec<Finding>,
     /// What the fit is worth; `None` where it was not asked for, or the run was ended from outside.
