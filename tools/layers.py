@@ -24,7 +24,7 @@ LAYERS = {
         measurements names
         objective residual warning
         problem
-        column_units identity
+        column_units identity remote
         assignment
         simulation
         evaluate
@@ -38,6 +38,7 @@ LAYERS = {
         validation
         cross_validation
         report export
+        worker
     """,
     "dfo": """
         number option_texts choices rng answer encoding
@@ -62,7 +63,7 @@ LAYERS = {
         archive
         description
         sys
-        source
+        source worker
         open_options
         fmu
         fmu_cache instance

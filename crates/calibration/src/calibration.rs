@@ -9,11 +9,13 @@ use crate::layout::ResidualLayout;
 use crate::no_cost::NoCost;
 use crate::parameter::Parameter;
 use crate::problem::{ModelFile, Problem};
+use crate::remote::Job;
 use crate::residual::CostRule;
 use crate::solver::{AtStart, Choice, Solver};
 use crate::warning::{SETUP_LOG_TARGET, SetupWarning};
 use dfo::{Answer, Checkpoint, Failure, Objective, Outcome, Query, RobustLoss, Want};
-use fmi::{FmiError, Fmu, Pool, Trajectory};
+use fmi::worker::Isolation;
+use fmi::{FmiError, Fmu, InterfaceKind, Pool, Trajectory};
 use log::Level;
 use ode::{Method, Number, Stats, Termination};
 use std::ops::ControlFlow;
@@ -369,6 +371,11 @@ impl Calibration {
     ) -> Result<Trajectory, CalibrationError> {
         self.check_length(x)?;
         let method = self.solver_until(cancelled)?.method;
+        if let Ok(remote) = &self.evaluator.remote {
+            let times = times.map(<[f64]>::to_vec);
+            let job = Job::Experiment { experiment, x: x.to_vec(), method, times };
+            return remote.trajectory(&job, cancelled);
+        }
         let mut poll = || if cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
         let simulation = &self.evaluator.simulations[experiment];
         let trajectory = simulation.trajectory(self.fmu(), (x, method), times, &mut poll)?;
@@ -381,6 +388,10 @@ impl Calibration {
     /// Has the model tested before its first use (once per process): how instances are reused, and whether several can be
     /// used at once.
     pub(crate) fn prepare(&self, cancelled: &dyn Fn() -> bool) -> Result<(), CalibrationError> {
+        if self.evaluator.remote.is_ok() {
+            // Each process tests it for itself.
+            return Ok(());
+        }
         for k in 0..self.problem().experiments.len() {
             if let Ok(pool) = self.pool(k, cancelled) {
                 pool.prepare(cancelled).map_err(|error| match error {
@@ -478,6 +489,10 @@ impl Calibration {
         out: &mut [f64],
         stats: &mut Stats,
     ) -> Result<f64, NoCost> {
+        if let Ok(remote) = &self.evaluator.remote {
+            let method = self.method_until(rule.cancelled)?;
+            return remote.evaluate((x, method), rule, (false, false), out, stats);
+        }
         loop {
             let cost = self.evaluator.evaluate(x, rule, out, stats, |k, run| {
                 let pool = self.pool(k, rule.cancelled)?;
@@ -487,6 +502,28 @@ impl Calibration {
                 return cost;
             }
         }
+    }
+
+    /// The method in use, for an evaluation.
+    pub(crate) fn method_until(&self, cancelled: &dyn Fn() -> bool) -> Result<Method, NoCost> {
+        let solver = self.solver_until(cancelled).map_err(|error| match error {
+            CalibrationError::Model(error) => NoCost::Over(Box::new(error)),
+            _ => NoCost::Cancelled,
+        });
+        solver.map(|solver| solver.method)
+    }
+
+    /// Where the model runs; and why it runs in this process where another was asked for.
+    pub fn isolation(&self) -> (Isolation, Option<&str>) {
+        match &self.evaluator.remote {
+            Ok(_) => (Isolation::Process, None),
+            Err(reason) => (Isolation::None, reason.as_deref()),
+        }
+    }
+
+    /// How the model is run.
+    pub(crate) fn interface(&self) -> InterfaceKind {
+        self.evaluator.simulations[0].pool.plan().kind()
     }
 
     /// What identifies a fit with this solver.

@@ -7,6 +7,7 @@ use crate::layout::{PriorResidual, ResidualLayout};
 use crate::no_cost::NoCost;
 use crate::parameter::Parameter;
 use crate::problem::{Element, Problem};
+use crate::remote::Remote;
 use crate::residual::{Accumulator, CostRule, Stop, sum_of_squares};
 use crate::simulation::Simulation;
 use crate::warning::SetupWarning;
@@ -30,6 +31,8 @@ pub(crate) struct Evaluator {
     pub(crate) warnings: Vec<SetupWarning>,
     /// The values that are tied, by name.
     pub(crate) tied: Vec<(String, Affine)>,
+    /// Processes in which the model runs, or why it runs in this one (`None`: that was asked for).
+    pub(crate) remote: Result<Remote, Option<String>>,
 }
 
 impl Evaluator {
@@ -59,7 +62,8 @@ impl Evaluator {
         let n_residuals = layout.n_residuals();
         let tied = tied_values(&problem, &elements)?;
         let parameters = elements.into_iter().map(|element| element.parameter).collect();
-        Ok(Self { fmu, problem, parameters, simulations, n_residuals, layout, warnings, tied })
+        let remote = Remote::of(&fmu, &problem);
+        Ok(Self { remote, fmu, problem, parameters, simulations, n_residuals, layout, warnings, tied })
     }
 
     /// Start values of all entries of `x`.

@@ -5,6 +5,7 @@ use crate::error::CalibrationError;
 use crate::input::{InputSource, SignalFunction};
 use crate::parameter::Parameter;
 use fmi::description::{Causality, Variability};
+use fmi::worker::{Isolation, WorkerLimits};
 use fmi::{ModelDescription, Value};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -189,6 +190,13 @@ impl Experiment {
             InputSource::Column(column) => Some((input.as_str(), column.as_str())),
             InputSource::Constant(_) | InputSource::Function(_) => None,
         })
+    }
+
+    /// An input that a function of the user's drives.
+    pub(crate) fn driven_by_function(&self) -> Option<&str> {
+        let is_function =
+            |source: &InputSource| matches!(source, InputSource::Function(signal) if signal.function.is_some());
+        self.inputs.iter().find(|(_, source)| is_function(source)).map(|(input, _)| input.as_str())
     }
 
     /// Variables with the columns that measure or drive them.
@@ -431,6 +439,15 @@ pub struct SimulationSettings {
     pub timeout: Option<Duration>,
     /// How simulations that run in parallel share the library of the FMU. The costs do not depend on it.
     pub sharing: fmi::Sharing,
+    /// Where the FMU runs. The costs do not depend on it.
+    #[serde(default)]
+    pub isolation: Isolation,
+    /// Bytes of memory that a process of the FMU may have; default: the memory of the machine.
+    #[serde(default)]
+    pub memory_limit: Option<u64>,
+    /// Processes of the FMU may write into their own folder only, and open no connections.
+    #[serde(default)]
+    pub sandbox: bool,
 }
 
 /// The largest relative tolerance that simulations of a fit have where none is asked for. With it a cost of residuals of usual noise is
@@ -438,6 +455,12 @@ pub struct SimulationSettings {
 const LOOSEST: f64 = 1e-6;
 
 impl SimulationSettings {
+    /// What processes of the FMU may take.
+    pub(crate) fn worker_limits(&self) -> WorkerLimits {
+        let usual = WorkerLimits::default();
+        WorkerLimits { memory: self.memory_limit.or(usual.memory), sandbox: self.sandbox, ..usual }
+    }
+
     /// The relative tolerance that simulations are asked for: what is set, else [`LOOSEST`] where the model states a larger one; `None`: its
     /// own, or the default.
     pub(crate) fn tolerance_of_fits(&self, description: &fmi::ModelDescription) -> Option<f64> {

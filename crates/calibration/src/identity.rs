@@ -25,6 +25,9 @@ pub(crate) fn identity(problem: &Problem, parameters: &[Parameter]) -> Vec<(Stri
         chattering,
         timeout,
         sharing: _,
+        isolation: _,
+        memory_limit: _,
+        sandbox: _,
     } = &problem.settings;
     let held = if *input_derivatives == Some(false) { "not told" } else { "told" };
     let number = |value: Option<f64>| value.map_or_else(|| "by default".to_owned(), |v| format!("{v:?}"));

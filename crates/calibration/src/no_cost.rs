@@ -2,8 +2,10 @@
 
 use dfo::FailureKind;
 use fmi::FmiError;
+use fmi::error::{EndKind, Told};
 use fmi::platform::without_private_folders;
 use ode::ErrorKind;
+use serde::{Deserialize, Serialize};
 
 /// Why there is no cost at a point.
 pub(crate) enum NoCost {
@@ -33,9 +35,53 @@ impl NoCost {
         self
     }
 
+    /// Why a worker process has given no answer: such an error is none of a simulation, unless the process has ended in one.
+    pub(crate) fn of_worker(error: FmiError) -> Self {
+        match error {
+            FmiError::WorkerEnded(_) | FmiError::Cancelled => error.into(),
+            error => Self::Over(Box::new(error)),
+        }
+    }
+
     /// Whether an evaluation has failed because of earlier ones, and is to be made again.
     pub(crate) fn is_by_history(&self) -> bool {
         matches!(self, Self::Failed { source: Some(error), .. } if matches!(**error, FmiError::FailedByHistory { .. }))
+    }
+}
+
+/// A [`NoCost`] on its way from a worker process.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) enum ToldNoCost {
+    Above,
+    Cancelled,
+    Over(Told),
+    Failed { kind: FailureKind, reason: String, message: String, source: Option<Told> },
+}
+
+impl From<NoCost> for ToldNoCost {
+    fn from(no_cost: NoCost) -> Self {
+        match no_cost {
+            NoCost::Above => Self::Above,
+            NoCost::Cancelled => Self::Cancelled,
+            NoCost::Over(error) => Self::Over(error.told()),
+            NoCost::Failed { kind, reason, message, source } => {
+                Self::Failed { kind, reason, message, source: source.map(|source| source.told()) }
+            }
+        }
+    }
+}
+
+impl From<ToldNoCost> for NoCost {
+    fn from(told: ToldNoCost) -> Self {
+        let error = |told: Told| Box::new(FmiError::Told(Box::new(told)));
+        match told {
+            ToldNoCost::Above => Self::Above,
+            ToldNoCost::Cancelled => Self::Cancelled,
+            ToldNoCost::Over(told) => Self::Over(error(told)),
+            ToldNoCost::Failed { kind, reason, message, source } => {
+                Self::Failed { kind, reason, message, source: source.map(error) }
+            }
+        }
     }
 }
 
@@ -49,6 +95,12 @@ impl From<FmiError> for NoCost {
         }
         let mut kind = FailureKind::Error;
         let reason = match &error {
+            FmiError::WorkerEnded(end) => {
+                if end.kind == EndKind::Hung {
+                    kind = FailureKind::TimedOut;
+                }
+                end.reason()
+            }
             FmiError::Simulation(e) => match &e.kind {
                 ErrorKind::Cancelled => return NoCost::Cancelled,
                 ErrorKind::Model(inner) => {

@@ -25,7 +25,7 @@ const MOST_WORK: f64 = 20.0;
 const STIFF: [Method; 2] = [Method::Bdf, Method::Radau5];
 
 /// What is to be simulated in a race.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct RaceTask {
     /// With this method.

@@ -107,13 +107,17 @@ impl Calibration {
     }
 
     /// As [`evaluate_into`](Self::evaluate_into), with a hundredth of the relative tolerance.
-    fn evaluate_accurately(
+    pub(crate) fn evaluate_accurately(
         &self,
         x: &[f64],
         rule: CostRule<'_>,
         out: &mut [f64],
         stats: &mut Stats,
     ) -> Result<f64, NoCost> {
+        if let Ok(remote) = &self.evaluator().remote {
+            let method = self.method_until(rule.cancelled)?;
+            return remote.evaluate((x, method), rule, (true, false), out, stats);
+        }
         self.evaluator().evaluate(x, rule, out, stats, |k, run| {
             let tolerance = self.pool(k, rule.cancelled)?.plan().relative_tolerance();
             let asked = self.evaluator().simulations[k].options_at_start();

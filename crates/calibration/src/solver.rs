@@ -3,7 +3,7 @@
 use crate::error::CalibrationError;
 use crate::evaluate::Evaluator;
 use crate::no_cost::NoCost;
-use crate::race::{Race, RaceOutcome, race};
+use crate::race::{Race, RaceOutcome, RaceTask, race};
 use crate::residual::{Accumulator, CostRule};
 use dfo::RobustLoss;
 use fmi::{FmiError, InterfaceKind, Pool, SimulateOptions, SimulationPlan, Simulator};
@@ -162,61 +162,78 @@ fn run_race(
             plan.times().iter().flat_map(move |_| row.clone())
         })
         .collect();
-    let start = problem.start();
-    let never = || false;
-    let rule = CostRule::whole(RobustLoss::default(), &never);
     let mut evaluated: Vec<(Method, AtStart)> = Vec::new();
     let raced = race(relative, &absolute, n, |task| {
-        let (mut all, mut total) = (Vec::new(), Stats::default());
-        let mut residuals = vec![0.0; problem.n_residuals];
-        let (mut rest, priors) = residuals.split_at_mut(problem.layout.n_measurements());
-        let mut is_whole = problem.prior_residuals(&start, rule, priors).is_ok();
-        for simulation in &problem.simulations {
-            let (part, others) = rest.split_at_mut(simulation.comparison.n_residuals());
-            rest = others;
-            let (schedule, offsets) = (simulation.schedule(&start), simulation.output_offsets(&start));
-            let compared =
-                Accumulator::new((&simulation.comparison, &*schedule), &offsets, rule, (0.0, part));
-            let options = SimulateOptions {
-                method: task.method,
-                relative_tolerance: Some(task.relative_tolerance),
-                max_work: task.max_work.map(|most| (most - total.work(n)).max(0.0)),
-                ..simulation.options_at_start()
-            };
-            let plan = Arc::new(SimulationPlan::new(&problem.fmu, &options)?);
-            let named = plan.output_names().len();
-            let mut simulator = Simulator::new(plan)?;
-            let mut samples = Samples { values: all, named, compared, cancelled, was_cancelled: false };
-            let ran = simulation.run(&mut simulator, &start, &schedule, &mut samples);
-            match &ran {
-                Ok(report) => *stats += report.stats,
-                Err(FmiError::Simulation(error)) => *stats += error.stats,
-                Err(_) => {}
-            }
-            if samples.was_cancelled {
-                return Err(CalibrationError::Cancelled);
-            }
-            is_whole &= samples.compared.stop.is_none() && samples.compared.is_complete();
-            all = samples.values;
-            match ran {
-                Ok(report) => total += report.stats,
-                Err(FmiError::Simulation(e)) if matches!(e.kind, ErrorKind::TooMuchWork(_)) => {
-                    return Ok(RaceOutcome::GivenUp);
-                }
-                Err(error) => {
-                    return match NoCost::from(error) {
-                        NoCost::Failed { reason, .. } => Ok(RaceOutcome::Failed(reason)),
-                        NoCost::Over(error) => Err(CalibrationError::Model(*error)),
-                        NoCost::Above | NoCost::Cancelled => Err(CalibrationError::Cancelled),
-                    };
-                }
-            }
-        }
-        if is_whole && task.relative_tolerance == relative {
-            evaluated.push((task.method, AtStart { residuals, seconds: total.seconds.get() }));
-        }
-        Ok(RaceOutcome::Finished { samples: all, stats: total })
+        let (outcome, at_start) = match &problem.remote {
+            Ok(remote) => remote.race(*task, cancelled, stats)?,
+            Err(_) => simulate_race(problem, task, cancelled, stats)?,
+        };
+        let at_start = at_start.map(|(residuals, seconds)| (task.method, AtStart { residuals, seconds }));
+        evaluated.extend(at_start);
+        Ok::<_, CalibrationError>(outcome)
     })?;
     let of_winner = evaluated.into_iter().find(|(method, _)| *method == raced.method);
     Ok((raced, of_winner.map(|(_, at_start)| at_start)))
+}
+
+/// A simulation of a race; with the residuals and the seconds that they took where they are those of an evaluation.
+pub(crate) fn simulate_race(
+    problem: &Evaluator,
+    task: &RaceTask,
+    cancelled: &dyn Fn() -> bool,
+    stats: &mut Stats,
+) -> Result<(RaceOutcome, Option<(Vec<f64>, f64)>), CalibrationError> {
+    let plan = problem.simulations[0].pool.plan();
+    let (relative, n) = (plan.relative_tolerance(), plan.n_states());
+    let start = problem.start();
+    let never = || false;
+    let rule = CostRule::whole(RobustLoss::default(), &never);
+    let (mut all, mut total) = (Vec::new(), Stats::default());
+    let mut residuals = vec![0.0; problem.n_residuals];
+    let (mut rest, priors) = residuals.split_at_mut(problem.layout.n_measurements());
+    let mut is_whole = problem.prior_residuals(&start, rule, priors).is_ok();
+    for simulation in &problem.simulations {
+        let (part, others) = rest.split_at_mut(simulation.comparison.n_residuals());
+        rest = others;
+        let (schedule, offsets) = (simulation.schedule(&start), simulation.output_offsets(&start));
+        let compared =
+            Accumulator::new((&simulation.comparison, &*schedule), &offsets, rule, (0.0, part));
+        let options = SimulateOptions {
+            method: task.method,
+            relative_tolerance: Some(task.relative_tolerance),
+            max_work: task.max_work.map(|most| (most - total.work(n)).max(0.0)),
+            ..simulation.options_at_start()
+        };
+        let plan = Arc::new(SimulationPlan::new(&problem.fmu, &options)?);
+        let named = plan.output_names().len();
+        let mut simulator = Simulator::new(plan)?;
+        let mut samples = Samples { values: all, named, compared, cancelled, was_cancelled: false };
+        let ran = simulation.run(&mut simulator, &start, &schedule, &mut samples);
+        match &ran {
+            Ok(report) => *stats += report.stats,
+            Err(FmiError::Simulation(error)) => *stats += error.stats,
+            Err(_) => {}
+        }
+        if samples.was_cancelled {
+            return Err(CalibrationError::Cancelled);
+        }
+        is_whole &= samples.compared.stop.is_none() && samples.compared.is_complete();
+        all = samples.values;
+        match ran {
+            Ok(report) => total += report.stats,
+            Err(FmiError::Simulation(e)) if matches!(e.kind, ErrorKind::TooMuchWork(_)) => {
+                return Ok((RaceOutcome::GivenUp, None));
+            }
+            Err(error) => {
+                return match NoCost::from(error) {
+                    NoCost::Failed { reason, .. } => Ok((RaceOutcome::Failed(reason), None)),
+                    NoCost::Over(error) => Err(CalibrationError::Model(*error)),
+                    NoCost::Above | NoCost::Cancelled => Err(CalibrationError::Cancelled),
+                };
+            }
+        }
+    }
+    let is_evaluation = is_whole && task.relative_tolerance == relative;
+    let at_start = is_evaluation.then(|| (residuals, total.seconds.get()));
+    Ok((RaceOutcome::Finished { samples: all, stats: total }, at_start))
 }

@@ -8,6 +8,8 @@ use crate::description::{
 use crate::error::FmiError;
 use crate::open_options::{LogOptions, OpenOptions};
 use crate::sys::{InterfaceKind, Library, LoadFrom, LoaderOptions};
+#[cfg(unix)]
+use crate::worker::{WorkerLimits, Workers};
 use crate::{platform, source};
 use serde::{Deserialize, Serialize};
 use std::any::Any;
@@ -39,6 +41,8 @@ struct Inner {
     quirks_seen: Mutex<Vec<Quirk>>,
     /// What simulations were told once.
     said: Mutex<Vec<&'static str>>,
+    #[cfg(unix)]
+    workers: Mutex<std::sync::Weak<Workers>>,
     description: ModelDescription,
     options: OpenOptions,
     archive: Arc<Archive>,
@@ -111,6 +115,8 @@ impl Fmu {
             real_references: OnceLock::new(),
             quirks_seen: Mutex::default(),
             said: Mutex::default(),
+            #[cfg(unix)]
+            workers: Mutex::default(),
             description,
             options: OpenOptions { cancel: Cancel::default(), ..options.clone() },
             archive: Arc::new(archive),
@@ -245,6 +251,29 @@ impl Fmu {
     /// As [`Archive::content_hash`].
     pub fn content_hash(&self) -> Result<&str, FmiError> {
         self.inner.archive.content_hash()
+    }
+
+    /// Worker processes with these limits: those that others have of this FMU where there are any, so that its processes are shared.
+    /// They end when the last of their users drops them. `None`: this program cannot start any (see [`Launcher`](crate::worker::Launcher)).
+    #[cfg(unix)]
+    pub fn workers(&self, limits: WorkerLimits) -> Option<Arc<Workers>> {
+        let mut known = self.inner.workers.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(workers) = known.upgrade().filter(|workers| *workers.limits() == limits) {
+            return Some(workers);
+        }
+        let workers = Workers::new(limits)?;
+        *known = Arc::downgrade(&workers);
+        Some(workers)
+    }
+
+    /// Lists departures from the standard that have shown in another process.
+    pub fn add_quirks(&self, quirks: Vec<Quirk>) {
+        let mut seen = self.inner.quirks_seen.lock().unwrap_or_else(PoisonError::into_inner);
+        for quirk in quirks {
+            if !seen.contains(&quirk) {
+                seen.push(quirk);
+            }
+        }
     }
 
     /// What is done with the log.

@@ -39,6 +39,7 @@ mod source;
 mod start_values;
 mod sys;
 mod value;
+pub mod worker;
 
 pub use self::log::LogFilter;
 pub use archive::{Archive, ArchiveLimits};

@@ -1,12 +1,13 @@
 //! How a run ends: normally ([`Termination`]) or with a [`SimulationError`].
 
+use serde::{Deserialize, Serialize};
 use crate::number::Number;
 use crate::stats::Stats;
 use std::fmt;
 use std::time::Duration;
 
 /// A normal end of a run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Termination {
     /// The final time was reached.
     Finished,

@@ -1,11 +1,12 @@
 //! What the driver tells the outside while it runs: samples and events. The outside may say "stop".
 
+use serde::{Deserialize, Serialize};
 use crate::system::EventCause;
 use std::fmt;
 use std::ops::ControlFlow;
 
 /// On which side of an instant a sample was taken.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Side {
     /// The limit from the left: before the events of that instant.
     Left,
@@ -29,7 +30,7 @@ pub struct Sample<'a> {
 }
 
 /// An event that happened.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct EventRecord {
     /// Time of the event.
     pub time: f64,

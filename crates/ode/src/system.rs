@@ -1,5 +1,6 @@
 //! What the stepper needs to know of a model: a hybrid ODE as a trait.
 
+use serde::{Deserialize, Serialize};
 use crate::sparsity::JacobianPattern;
 
 /// Why a call into the model did not deliver.
@@ -40,7 +41,7 @@ pub enum Direction {
 }
 
 /// What made an event; several causes at one instant are one visit.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct EventCause {
     /// An event indicator changed its domain.
     pub state: bool,

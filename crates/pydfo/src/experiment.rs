@@ -195,6 +195,9 @@ pub(crate) struct SettingsFields {
     input_derivatives: bool,
     chattering: String,
     sharing: String,
+    isolation: String,
+    memory_limit: Option<u64>,
+    sandbox: bool,
 }
 
 impl SettingsFields {
@@ -209,6 +212,9 @@ impl SettingsFields {
             timeout: time_limit("timeout", self.timeout)?,
             chattering: self.chattering.parse().map_err(|e| fmu_error::raise(py, &FmiError::Options(e)))?,
             sharing: self.sharing.parse().map_err(|e| fmu_error::raise(py, &e))?,
+            isolation: self.isolation.parse().map_err(|e| fmu_error::raise(py, &e))?,
+            memory_limit: self.memory_limit,
+            sandbox: self.sandbox,
         })
     }
 }

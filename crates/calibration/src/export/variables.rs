@@ -2,6 +2,7 @@
 
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
+use crate::remote::Job;
 use fmi::Trajectory;
 use ode::Termination;
 use std::ops::ControlFlow;
@@ -45,6 +46,11 @@ impl Calibration {
     ) -> Result<Trajectory, CalibrationError> {
         self.check_length(x)?;
         let method = self.solver_until(cancelled)?.method;
+        if let Ok(remote) = &self.evaluator().remote {
+            let (times, variables) = (times.map(<[f64]>::to_vec), variables.to_vec());
+            let job = Job::Variables { experiment, x: x.to_vec(), method, times, variables };
+            return remote.trajectory(&job, cancelled);
+        }
         let mut options = self.evaluator().simulations[experiment].recording((x, method), times, variables);
         let values = self.values_in(experiment, x);
         options.start_values.extend(values.into_iter().map(|(name, value)| (name, value.into())));

@@ -6,6 +6,7 @@ use super::names::NameIndex;
 use super::unit::Unit;
 use super::variable::{TypeDefinition, Variable};
 use super::version::FmiVersion;
+use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::fmt;
 
@@ -261,7 +262,7 @@ pub enum DependencyKind {
 }
 
 /// A departure from the standard that was tolerated.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Quirk {
     /// Its class.
     pub kind: QuirkKind,
@@ -272,7 +273,7 @@ pub struct Quirk {
 }
 
 /// Classes of departures from the standard.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum QuirkKind {
     /// The text is not in the encoding it declares.

@@ -2,6 +2,7 @@
 
 use super::entry_problem::EntryProblem;
 use super::failure::CallFailure;
+use super::worker_failure::{Told, ToldKind, WorkerEnd};
 use crate::value::{Value, VariableKind};
 use ode::Number;
 use std::io;
@@ -21,6 +22,18 @@ pub enum FmiError {
         what: String,
         /// How much it would take.
         bytes: u64,
+    },
+    /// An error in a worker process.
+    #[error("{}", .0.message)]
+    Told(Box<Told>),
+    /// A worker process ended in the middle of what it was asked for.
+    #[error("{0}")]
+    WorkerEnded(Box<WorkerEnd>),
+    /// No worker process can be started.
+    #[error("no process can be started for the FMU ({reason}); isolation = \"none\" runs it in this one")]
+    NoWorker {
+        /// Why.
+        reason: String,
     },
     /// The operating system refused something.
     #[error("cannot {action} {}: {source}{}", path.display(), limit_of_files(source.raw_os_error()))]
@@ -397,6 +410,36 @@ fn bits((least, most): (i128, i128)) -> u32 {
 }
 
 impl FmiError {
+    /// What a worker process tells of this error.
+    pub fn told(&self) -> Told {
+        let (kind, time) = match self {
+            FmiError::Told(told) => return (**told).clone(),
+            FmiError::Memory { .. } => (ToldKind::Memory, None),
+            FmiError::Cancelled => (ToldKind::Cancelled, None),
+            FmiError::UnknownVariable { .. } | FmiError::NotInResult { .. } => (ToldKind::UnknownVariable, None),
+            FmiError::WrongType { .. } => (ToldKind::WrongType, None),
+            FmiError::NotSettable { .. }
+            | FmiError::OutOfRange { .. }
+            | FmiError::NotFinite { .. }
+            | FmiError::NotAnOutput { .. }
+            | FmiError::BadInput { .. }
+            | FmiError::BadSetting { .. }
+            | FmiError::Options(_) => (ToldKind::Setting, None),
+            FmiError::Call(failure) => (ToldKind::Simulation, failure.time),
+            FmiError::EventIteration { time, .. } => (ToldKind::Simulation, Some(*time)),
+            FmiError::Simulation(error) => (ToldKind::Simulation, Some(error.time)),
+            _ => (ToldKind::Model, None),
+        };
+        let failure = self.call_failure();
+        Told {
+            message: self.to_string(),
+            kind,
+            time,
+            status: failure.map(|failure| failure.status.to_string()),
+            log: failure.map(|f| f.log.iter().map(ToString::to_string).collect()).unwrap_or_default(),
+        }
+    }
+
     /// The failed call at the bottom of this error, if there is one.
     pub fn call_failure(&self) -> Option<&CallFailure> {
         match self {

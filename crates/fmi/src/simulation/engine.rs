@@ -7,7 +7,7 @@ use crate::simulation::model_exchange::System;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::Running;
 use crate::simulation::variable_elements::RunInput;
-use crate::sys::{InterfaceKind, RawInstance};
+use crate::sys::{InterfaceKind, RawInstance, note_run};
 use ode::{Driver, ErrorKind, Observer, Report};
 use std::sync::Arc;
 
@@ -39,6 +39,7 @@ impl Engine {
 
     /// Brings a fresh instance to the start, with the start values of the plan or others for the same variables.
     pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<(), FmiError> {
+        note_run();
         match self {
             Engine::Integrated { system, .. } => system.initialize(raw, input),
             Engine::Stepping(stepping) => stepping.initialize(raw, input),

@@ -1,5 +1,6 @@
 //! A recorded simulation: columns of numbers and of other values, events, what it cost.
 
+use serde::{Deserialize, Serialize};
 use crate::description::Value;
 use crate::error::FmiError;
 use crate::platform::memory;
@@ -10,7 +11,7 @@ use ode::{EventRecord, Observer, Report, Sample, Side, Stats, Termination};
 use std::ops::ControlFlow;
 
 /// A recorded simulation. All columns have as many rows as `time`.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Trajectory {
     /// Times of the rows.
@@ -38,7 +39,7 @@ pub struct Trajectory {
 }
 
 /// A column of values that are not all numbers.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct ValueColumn {
     /// Name of the variable or of the element of an array.

@@ -76,6 +76,27 @@ fn end_with(_: u32) -> io::Result<()> {
     Ok(())
 }
 
+/// Closes all descriptors of this process but the three standard ones.
+#[cfg(any(target_os = "linux", target_os = "android"))]
+pub(crate) fn close_inherited() -> io::Result<()> {
+    // SAFETY: the caller is a program that has just been started and has opened nothing yet, so no owner of a descriptor loses it; the
+    // first argument is below the second, the flags are none.
+    match unsafe { libc::syscall(libc::SYS_close_range, 3, libc::c_uint::MAX, 0) } {
+        0 => Ok(()),
+        _ => match io::Error::last_os_error() {
+            // A kernel before 5.9: what was inherited stays open.
+            error if error.raw_os_error() == Some(libc::ENOSYS) => Ok(()),
+            error => Err(error),
+        },
+    }
+}
+
+/// What was inherited stays open where there is no such call.
+#[cfg(all(unix, not(any(target_os = "linux", target_os = "android"))))]
+pub(crate) fn close_inherited() -> io::Result<()> {
+    Ok(())
+}
+
 #[cfg(test)]
 #[cfg(target_os = "linux")]
 mod tests {

@@ -1,5 +1,6 @@
 //! A function of a library, and what a call of it answers.
 
+use super::last_call;
 use super::types::{Component, status};
 use crate::error::Status;
 use std::ffi::c_int;
@@ -10,6 +11,8 @@ pub(super) struct Function<F> {
     /// The standard's.
     pub(super) name: &'static str,
     pub(super) pointer: Option<F>,
+    /// By which its calls are told, see [`last_call`].
+    pub(super) number: u32,
 }
 
 /// What a call answered.
@@ -27,7 +30,14 @@ impl<F> Function<F> {
 
     /// The component that an instantiating function makes, NULL without the function; and its name.
     pub(super) fn make(&self, call: impl FnOnce(&F) -> Component) -> (Component, &'static str) {
+        self.note_call();
         (self.pointer.as_ref().map_or(Component::NULL, call), self.name)
+    }
+
+    /// Tells that it is called now.
+    #[inline]
+    pub(super) fn note_call(&self) {
+        last_call::note_call(self.number);
     }
 
     /// Without a function: missing, unless the version does not ask for the call.
@@ -48,8 +58,11 @@ macro_rules! call {
     ($function:expr, $($argument:expr),* $(,)?) => {{
         let function = $function;
         match function.pointer {
-            // SAFETY: the caller's promises are those of `Version`.
-            Some(pointer) => function.answer(unsafe { pointer($($argument),*) }),
+            Some(pointer) => {
+                function.note_call();
+                // SAFETY: the caller's promises are those of `Version`.
+                function.answer(unsafe { pointer($($argument),*) })
+            }
             None => function.answer_without(),
         }
     }};

@@ -43,6 +43,7 @@ mod fmi2;
 mod fmi3;
 mod function;
 mod functions;
+mod last_call;
 mod library;
 mod packed;
 mod platform;
@@ -51,8 +52,13 @@ mod symbols;
 mod types;
 mod version;
 
+#[cfg(unix)]
+pub(crate) use child_limits::close_inherited;
 pub(crate) use child_limits::limit as limit_child;
 pub(crate) use environment::{CallEnvironment, look_now_and_then};
+pub(crate) use last_call::note_run;
+#[cfg(unix)]
+pub(crate) use last_call::{Page, tell_calls};
 pub(crate) use library::{Library, LoadFrom};
 pub use platform::LoaderOptions;
 pub(crate) use raw_instance::{Fault, RawInstance, SavedSlot, Sizes};

@@ -1,6 +1,7 @@
 //! Symbols of a library, looked up while its tables are being made; how a table is written.
 
 use super::function::Function;
+use super::last_call;
 use super::platform::Handle;
 use crate::error::FmiError;
 use std::path::Path;
@@ -66,7 +67,8 @@ impl Symbols<'_> {
         let find_prefixed = || find(&format!("{}_{name}", self.prefix?));
         let is_wanted = !self.is_unused && is_symbol(name);
         let pointer = if is_wanted { find_prefixed().or_else(|| find(name)) } else { None };
-        Ok(Function { name, pointer })
+        let number = if pointer.is_some() { last_call::number_of(name) } else { 0 };
+        Ok(Function { name, pointer, number })
     }
 }
 

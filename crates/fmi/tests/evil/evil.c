@@ -43,6 +43,9 @@ typedef struct {
 } Model;
 
 #include "process.h"
+#if defined(FAULT) || defined(LEAKS)
+#include "faults.h"
+#endif
 #include "state.h"
 
 #ifdef ODD_RUN
@@ -207,6 +210,9 @@ EXPORT fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
 
 EXPORT fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     (void)c;
+#ifdef LEAKS
+    leak();
+#endif
     upset(INITIALIZE);
 #ifdef OVERRIDES_K
     K((Model *)c) = 1.5;
@@ -481,6 +487,9 @@ EXPORT fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real *x, size_t n
 EXPORT fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real *dx, size_t n) {
     Model *m = c;
     if (n != 1) return fmi2Error;
+#ifdef FAULT
+    if (K(m) > FAULT_ABOVE && m->time > 0.2) FAULT;
+#endif
     enter();
     REMEMBER(m);
     dx[0] = -K(m) * m->x + REMEMBERED(m);

@@ -4,6 +4,7 @@
 //! other event of that instant. Ticks of periodic clocks are `start + shift + k * interval`, never sums; fractions are
 //! multiplied out before they are divided. The rules are those of FMI 3.0.x, sections 2.2.8.3 and 2.3.5.
 
+use serde::{Deserialize, Serialize};
 use super::plan::ClockPlan;
 use super::schedule::Schedule;
 use crate::description::{ClockKind, Interval, VariableKind};
@@ -15,7 +16,7 @@ use ode::EventOutcome;
 use std::sync::Arc;
 
 /// A tick of a clock.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Tick {
     /// When: exactly by the interval of the clock, where other events within rounding are handled with it.

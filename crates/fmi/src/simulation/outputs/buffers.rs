@@ -1,5 +1,6 @@
 //! What a simulation records: outputs sorted into one call per type, and the buffers they are read into.
 
+use serde::{Deserialize, Serialize};
 use super::texts::{self, ValueTable};
 use crate::description::{Causality, ModelDescription, Structure, Variability, Variable, VariableKind};
 use crate::instance::integer_codec;
@@ -29,7 +30,7 @@ pub(crate) enum OutputSource {
 
 /// A variable that a simulation records, and where it stands in the result. An array has a column for each element, the
 /// last index varying fastest.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Recorded {
     /// Name under which it was asked for.

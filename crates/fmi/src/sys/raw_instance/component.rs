@@ -9,6 +9,7 @@ use crate::sys::callbacks::Callbacks;
 use crate::sys::environment::{CallEnvironment, OneCall, restore_default};
 use crate::sys::function::{Answer, Function, call};
 use crate::sys::functions::{CommonFunctions, Functions, GetVector, Plain, PointFunctions, derivative};
+use crate::sys::last_call;
 use crate::sys::library::Library;
 use crate::sys::types::{Component, Direction, ElementDependency, EventInfo, Experiment, Request, StepInfo};
 use std::ffi::{CString, c_int};
@@ -154,6 +155,13 @@ impl RawInstance {
         self.time
     }
 
+    /// Notes the time of the calls that follow.
+    #[inline]
+    pub(super) fn set_time_told(&mut self, time: f64) {
+        self.time = Some(time);
+        last_call::note_time(time);
+    }
+
     /// The last lines the FMU logged, and how many earlier ones were dropped.
     pub(crate) fn log(&self) -> (Vec<LogLine>, u64) {
         self.callbacks.log().last(usize::MAX)
@@ -237,7 +245,7 @@ impl RawInstance {
     /// Where a version has a call for it before the initialization.
     pub(crate) fn setup_experiment(&mut self, experiment: &Experiment) -> Outcome {
         let Experiment { tolerance, start, stop } = *experiment;
-        self.time = Some(start);
+        self.set_time_told(start);
         self.memory.experiment = *experiment;
         run!(self, |library, c| {
             let function = &library.functions.common.setup_experiment;
@@ -379,7 +387,7 @@ impl RawInstance {
 
     pub(crate) fn set_time(&mut self, time: f64) -> Outcome {
         self.callbacks.log().go_on();
-        self.time = Some(time);
+        self.set_time_told(time);
         run!(self, |library, c| call!(library.functions.point.set_time, c, time))
     }
 
@@ -420,6 +428,7 @@ impl RawInstance {
         self.check_usable()?;
         self.callbacks.log().go_on();
         self.time = Some(time);
+        last_call::note_time(time);
         let one = OneCall::enter();
         let _current = self.callbacks.enter();
         let c = self.component;
@@ -476,6 +485,7 @@ impl Drop for RawInstance {
         // SAFETY: the component is alive and made these states.
         unsafe { self.saved.free(&functions.free_state, self.component) };
         if let Some(free) = functions.free.pointer {
+            functions.free.note_call();
             // SAFETY: the component is alive, ours alone, and gone after this.
             unsafe { free(self.component) };
         }

@@ -1,0 +1,143 @@
+//! The worker process of a calibration: it holds the model, and simulates what it is asked for.
+
+use crate::calibration::Calibration;
+use crate::error::CalibrationError;
+use crate::no_cost::ToldNoCost;
+use crate::race::RaceOutcome;
+use crate::remote::{Evaluated, Job, Loaded, Raced, RacedOutcome, put_trajectory};
+use crate::residual::CostRule;
+use crate::solver::{Solver, simulate_race};
+use fmi::description::Quirk;
+use fmi::worker::{Frame, Service};
+use fmi::{FmiError, Fmu, Reuse};
+use log::LevelFilter;
+use ode::{Method, Stats};
+use std::io;
+
+/// Serves as a worker process, if this process was started as one: then it ends here when nobody needs it any more. Otherwise returns at
+/// once, and from then on this program starts itself for the processes in which FMUs run.
+///
+/// Belongs at the begin of `main`, before any other thread is started. A program that does not call it, and does not name another one that
+/// does (see [`Launcher`](fmi::worker::Launcher)), runs FMUs in its own process.
+pub fn serve_if_asked() {
+    fmi::worker::serve_if_asked(|| Box::new(Server::default()));
+}
+
+#[derive(Default)]
+struct Server {
+    calibration: Option<Calibration>,
+    n_quirks: usize,
+}
+
+impl Service for Server {
+    fn answer(&mut self, asked: &Frame, cancelled: &dyn Fn() -> bool, answer: &mut Frame) -> Result<(), FmiError> {
+        let unsaid = |error: io::Error| FmiError::BadSetting { problem: error.to_string() };
+        let loaded = match asked.head::<Job>().map_err(unsaid)? {
+            Job::Load(loaded) => loaded,
+            job => {
+                let calibration = self.calibration.as_ref().ok_or_else(|| FmiError::BadSetting {
+                    problem: "a worker process was asked before it had loaded anything".to_owned(),
+                })?;
+                done(calibration, job, cancelled, answer)?.map_err(unsaid)?;
+                answer.is_last = calibration.fmu().reuse_of(calibration.interface()) == Some(Reuse::Reload);
+                return Ok(());
+            }
+        };
+        let Loaded { problem, options } = *loaded;
+        let known = self.calibration.take();
+        // What is in doubt about the problem was said where it was made.
+        let level = log::max_level();
+        log::set_max_level(LevelFilter::Off);
+        let calibration = match known {
+            Some(known) if known.problem().model == problem.model && *known.fmu().options() == options => {
+                Calibration::from_problem(known.fmu().clone(), problem)
+            }
+            known => {
+                drop(known);
+                self.n_quirks = 0;
+                Fmu::open_with(&problem.model.path, &options)
+                    .map_err(CalibrationError::from)
+                    .and_then(|fmu| Calibration::from_problem(fmu, problem))
+            }
+        };
+        log::set_max_level(level);
+        self.calibration = Some(calibration.map_err(model_error)?);
+        Ok(())
+    }
+
+    fn new_quirks(&mut self) -> Vec<Quirk> {
+        let Some(calibration) = &self.calibration else { return Vec::new() };
+        let mut seen = calibration.fmu().quirks_seen();
+        let new = seen.split_off(self.n_quirks.min(seen.len()));
+        self.n_quirks += new.len();
+        new
+    }
+}
+
+/// What a job gives.
+fn done(
+    calibration: &Calibration,
+    job: Job,
+    cancelled: &dyn Fn() -> bool,
+    answer: &mut Frame,
+) -> Result<io::Result<()>, FmiError> {
+    let use_method = |method: Method| {
+        let solver = Solver { method, race: None };
+        calibration.set_solver(solver).map_err(model_error)
+    };
+    Ok(match job {
+        Job::Load(_) => Ok(()),
+        Job::Evaluate { x, method, loss, cutoff, is_accurate } => {
+            use_method(method)?;
+            calibration.check_length(&x).map_err(model_error)?;
+            let (rule, mut stats) = (CostRule { loss, cutoff, cancelled }, Stats::default());
+            answer.numbers.resize(calibration.n_residuals(), 0.0);
+            let cost = match is_accurate {
+                true => calibration.evaluate_accurately(&x, rule, &mut answer.numbers, &mut stats),
+                false => calibration.evaluate_into(&x, rule, &mut answer.numbers, &mut stats),
+            };
+            if cost.is_err() {
+                answer.numbers.clear();
+            }
+            answer.set_head(&Evaluated { cost: cost.map_err(ToldNoCost::from), stats })
+        }
+        Job::Race(task) => {
+            let mut stats = Stats::default();
+            let (outcome, at_start) = simulate_race(calibration.evaluator(), &task, cancelled, &mut stats).map_err(model_error)?;
+            let outcome = match outcome {
+                RaceOutcome::Finished { mut samples, stats } => {
+                    answer.numbers.append(&mut samples);
+                    RacedOutcome::Finished(stats)
+                }
+                RaceOutcome::GivenUp => RacedOutcome::GivenUp,
+                RaceOutcome::Failed(reason) => RacedOutcome::Failed(reason),
+            };
+            let at_start = at_start.map(|(mut residuals, seconds)| {
+                let n = residuals.len();
+                answer.numbers.append(&mut residuals);
+                (n, seconds)
+            });
+            answer.set_head(&Raced { outcome, stats, at_start })
+        }
+        Job::Experiment { experiment, x, method, times } => {
+            use_method(method)?;
+            let trajectory = calibration.simulate_experiment_until(experiment, &x, times.as_deref(), cancelled);
+            put_trajectory(trajectory.map_err(model_error)?, answer)
+        }
+        Job::Variables { experiment, x, method, times, variables } => {
+            use_method(method)?;
+            let trajectory =
+                calibration.simulate_variables_until(experiment, &x, times.as_deref(), &variables, cancelled);
+            put_trajectory(trajectory.map_err(model_error)?, answer)
+        }
+    })
+}
+
+/// As it is told to who has asked.
+fn model_error(error: CalibrationError) -> FmiError {
+    match error {
+        CalibrationError::Model(error) => error,
+        CalibrationError::Cancelled => FmiError::Cancelled,
+        other => FmiError::BadSetting { problem: other.to_string() },
+    }
+}

@@ -1,0 +1,92 @@
+//! What went wrong in a worker process: an error that it has told, or its end.
+
+use ode::Number;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// What sort of error a worker has told.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub enum ToldKind {
+    /// A setting or a value that cannot be used.
+    Setting,
+    /// A name that the model does not have.
+    UnknownVariable,
+    /// A value of another type than the variable's.
+    WrongType,
+    /// The simulation failed.
+    Simulation,
+    /// There was not enough memory.
+    Memory,
+    /// The FMU cannot be opened, loaded or instantiated.
+    Model,
+    /// It was cancelled.
+    Cancelled,
+}
+
+/// An error that a worker process has told.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Told {
+    /// Its text.
+    pub message: String,
+    /// Its sort.
+    pub kind: ToldKind,
+    /// Simulated time at which a simulation failed.
+    pub time: Option<f64>,
+    /// What the failed call returned.
+    pub status: Option<String>,
+    /// The last lines that the instance logged, oldest first.
+    pub log: Vec<String>,
+}
+
+/// How a worker process came to its end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum EndKind {
+    /// It ended by itself: a signal, `exit`, `abort`.
+    Died,
+    /// It did not come back from the FMU in time, and was ended.
+    Hung,
+    /// What it sent was no answer; it was ended.
+    Garbage,
+}
+
+/// The end of a worker process, in the middle of an evaluation.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct WorkerEnd {
+    /// How it ended.
+    pub kind: EndKind,
+    /// The same in words: "segmentation fault".
+    pub what: String,
+    /// The last call into the FMU, by the standard's name.
+    pub function: Option<String>,
+    /// The simulated time of that call.
+    pub time: Option<f64>,
+    /// The last lines that the process has printed.
+    pub output: String,
+}
+
+impl WorkerEnd {
+    /// What happened and where, the same for all ends of that sort: "segmentation fault in fmi2DoStep".
+    pub fn reason(&self) -> String {
+        match &self.function {
+            Some(function) => format!("{} in {function}", self.what),
+            None => self.what.clone(),
+        }
+    }
+}
+
+impl fmt::Display for WorkerEnd {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.reason())?;
+        if let Some(time) = self.time {
+            write!(f, " at t = {}", Number(time))?;
+        }
+        if !self.output.is_empty() {
+            write!(f, "; it had printed: {}", self.output)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,127 @@
+//! The worker process itself: it takes its socket, limits itself, and answers until the other end is closed.
+
+use super::frame::Frame;
+use super::notes::{Notes, keep_lines, take_lines};
+use super::{ASKED, FOLDER, LEVEL, WorkerLimits};
+use crate::description::Quirk;
+use crate::error::{FmiError, Told, ToldKind};
+use crate::sys::{Page, close_inherited, tell_calls};
+use rustix::event::{PollFd, PollFlags, poll};
+use rustix::fs::{Mode, OFlags};
+use rustix::process::{Resource, Rlimit, setrlimit};
+use std::fs::File;
+use std::io;
+use std::os::fd::OwnedFd;
+use std::os::unix::net::UnixStream;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::PathBuf;
+
+/// The stack of the thread that runs the FMU: compiled models put large arrays there.
+const STACK_SIZE: usize = 64 << 20;
+
+/// What a worker does for who has started it.
+pub trait Service {
+    /// Answers a message. `cancelled`: the answer is not wanted any more.
+    ///
+    /// # Errors
+    /// Told to the other side.
+    fn answer(&mut self, asked: &Frame, cancelled: &dyn Fn() -> bool, answer: &mut Frame) -> Result<(), FmiError>;
+
+    /// Departures from the standard that have shown in runs since the last call.
+    fn new_quirks(&mut self) -> Vec<Quirk>;
+}
+
+/// Serves until the other end is closed, if this process was started as a worker; then the process ends, and this does not return. Belongs at
+/// the begin of `main`, before any other thread is started.
+pub fn serve_if_asked(service: impl FnOnce() -> Box<dyn Service> + Send) {
+    super::launcher::know_this_program();
+    let Some(limits) = std::env::var(ASKED).ok() else { return };
+    let service = std::thread::scope(|scope| {
+        let serve = || serve(&limits, service());
+        let thread = std::thread::Builder::new().stack_size(STACK_SIZE).spawn_scoped(scope, serve);
+        thread.map(|thread| thread.join())
+    });
+    std::process::exit(i32::from(!matches!(service, Ok(Ok(Ok(()))))));
+}
+
+fn serve(limits: &str, mut service: Box<dyn Service>) -> io::Result<()> {
+    let limits = WorkerLimits::from_text(limits)
+        .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "limits that this version does not know"))?;
+    let folder = std::env::var_os(FOLDER).map(PathBuf::from);
+    // 0: the socket; 1: the page; 2: a pipe for what is printed.
+    close_inherited()?;
+    let socket = UnixStream::from(rustix::io::fcntl_dupfd_cloexec(rustix::stdio::stdin(), 3)?);
+    let page = File::from(rustix::io::fcntl_dupfd_cloexec(rustix::stdio::stdout(), 3)?);
+    let nothing: OwnedFd = rustix::fs::open("/dev/null", OFlags::RDONLY | OFlags::CLOEXEC, Mode::empty())?;
+    rustix::stdio::dup2_stdin(&nothing)?;
+    rustix::stdio::dup2_stdout(rustix::stdio::stderr())?;
+    let page = tell_calls(Page::of(&page)?).map_err(io::Error::other)?;
+    let watched = socket.try_clone()?;
+    std::thread::Builder::new().spawn(move || end_with(&watched, folder.as_deref()))?;
+    keep_lines(std::env::var(LEVEL).ok().and_then(|level| level.parse().ok()).unwrap_or(log::LevelFilter::Warn));
+    limit_self(&limits)?;
+
+    let (mut asked, mut answer, mut buffer) = (Frame::default(), Frame::default(), Vec::new());
+    answer.set_head(&super::VERSION)?;
+    let mut socket = &socket;
+    answer.write(&mut socket, &mut buffer)?;
+    loop {
+        match asked.read(&mut socket, &mut buffer, &mut || Ok(())) {
+            Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(()),
+            outcome => outcome?,
+        }
+        answer.clear();
+        let served = catch_unwind(AssertUnwindSafe(|| {
+            service.answer(&asked, &|| page.is_cancelled(), &mut answer)
+        }));
+        let told = match served {
+            Ok(Ok(())) => None,
+            Ok(Err(error)) => Some(error.told()),
+            Err(panic) => {
+                let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
+                let text = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
+                let message = format!("panic in the worker process: {text}");
+                Some(Told { message, kind: ToldKind::Model, time: None, status: None, log: Vec::new() })
+            }
+        };
+        if let Some(told) = told {
+            answer.numbers.clear();
+            answer.set_head(&told)?;
+            answer.is_error = true;
+        }
+        let notes = Notes { lines: take_lines(), quirks: service.new_quirks() };
+        if !notes.is_empty() {
+            ciborium::into_writer(&notes, &mut answer.notes).map_err(io::Error::other)?;
+        }
+        answer.write(&mut socket, &mut buffer)?;
+    }
+}
+
+/// Ends the process when the other end is closed, whatever the FMU does at that moment, and removes its folder.
+fn end_with(socket: &UnixStream, folder: Option<&std::path::Path>) {
+    loop {
+        let mut ends = [PollFd::new(socket, PollFlags::empty())];
+        match poll(&mut ends, None) {
+            Err(rustix::io::Errno::INTR) => {}
+            Ok(_) if ends[0].revents().is_empty() => {}
+            _ => break,
+        }
+    }
+    if let Some(folder) = folder {
+        let _ = std::fs::remove_dir_all(folder);
+    }
+    std::process::abort();
+}
+
+fn limit_self(limits: &WorkerLimits) -> io::Result<()> {
+    let lower = |resource: Resource, most: u64| {
+        let maximum = rustix::process::getrlimit(resource).maximum;
+        let most = Some(maximum.map_or(most, |maximum| maximum.min(most)));
+        setrlimit(resource, Rlimit { current: most, maximum: most })
+    };
+    lower(Resource::Core, 0)?;
+    if let Some(memory) = limits.memory {
+        lower(Resource::Data, memory)?;
+    }
+    Ok(())
+}

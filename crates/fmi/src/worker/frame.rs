@@ -1,0 +1,203 @@
+//! What goes from one process to the other: frames of a head, notes and numbers, in one direction after the other.
+//!
+//! A frame is a magic number and its flags (4 bytes each), the lengths of its three parts (8 bytes each, of numbers their count), and
+//! the parts; all numbers little-endian, heads and notes in CBOR (RFC 8949), so that every number keeps its bits.
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::io::{self, ErrorKind, Read, Write};
+
+/// Of this version of what is said.
+const MAGIC: u32 = 0x464d_5501;
+
+const HEADER: usize = 32;
+
+/// No part is longer, in bytes: what claims to be is garbage.
+const LONGEST: u64 = 1 << 36;
+
+/// A message. Its buffers are kept from one to the next.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Frame {
+    /// The sender could not do what it was asked for; the head says why.
+    pub(crate) is_error: bool,
+    /// The worker is not to be used again.
+    pub is_last: bool,
+    head: Vec<u8>,
+    pub(crate) notes: Vec<u8>,
+    /// Numbers in bulk, with all their bits.
+    pub numbers: Vec<f64>,
+}
+
+impl Frame {
+    /// A frame with this head.
+    ///
+    /// # Errors
+    /// It cannot be encoded.
+    pub fn of(head: &impl Serialize) -> io::Result<Self> {
+        let mut frame = Self::default();
+        frame.set_head(head)?;
+        Ok(frame)
+    }
+
+    /// Empties it.
+    pub fn clear(&mut self) {
+        (self.is_error, self.is_last) = (false, false);
+        self.head.clear();
+        self.notes.clear();
+        self.numbers.clear();
+    }
+
+    /// Sets what it says.
+    ///
+    /// # Errors
+    /// It cannot be encoded.
+    pub fn set_head(&mut self, head: &impl Serialize) -> io::Result<()> {
+        self.head.clear();
+        ciborium::into_writer(head, &mut self.head).map_err(|e| bad(format!("a message cannot be encoded: {e}")))
+    }
+
+    /// What it says.
+    ///
+    /// # Errors
+    /// It says something else.
+    pub fn head<T: DeserializeOwned>(&self) -> io::Result<T> {
+        decode(&self.head)
+    }
+
+    /// Writes it, through a buffer.
+    pub(crate) fn write(&self, to: &mut impl Write, buffer: &mut Vec<u8>) -> io::Result<()> {
+        buffer.clear();
+        let flags = u32::from(self.is_error) | u32::from(self.is_last) << 1;
+        buffer.extend(MAGIC.to_le_bytes().into_iter().chain(flags.to_le_bytes()));
+        for length in [self.head.len(), self.notes.len(), self.numbers.len()] {
+            buffer.extend((length as u64).to_le_bytes());
+        }
+        buffer.extend_from_slice(&self.head);
+        buffer.extend_from_slice(&self.notes);
+        buffer.reserve(8 * self.numbers.len());
+        self.numbers.iter().for_each(|number| buffer.extend_from_slice(&number.to_le_bytes()));
+        to.write_all(buffer)
+    }
+
+    /// Reads the next one, through a buffer. The reader may give up for a while: `wait` is asked then.
+    ///
+    /// # Errors
+    /// Those of the reader; `InvalidData` for what is no frame.
+    pub(crate) fn read(
+        &mut self,
+        from: &mut impl Read,
+        buffer: &mut Vec<u8>,
+        wait: &mut dyn FnMut() -> io::Result<()>,
+    ) -> io::Result<()> {
+        let mut header = [0; HEADER];
+        fill(from, &mut header, wait)?;
+        let word = |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
+        if word(0) != MAGIC || word(4) > 3 {
+            return Err(bad("no message of a worker of this version".to_owned()));
+        }
+        let (is_error, is_last) = (word(4) & 1 != 0, word(4) & 2 != 0);
+        let length = |part: usize| u64::from(word(8 + 8 * part)) | u64::from(word(12 + 8 * part)) << 32;
+        let lengths = [length(0), length(1), length(2).saturating_mul(8)];
+        if let Some(length) = lengths.iter().find(|length| **length > LONGEST) {
+            return Err(bad(format!("a message of {length} bytes")));
+        }
+        (self.is_error, self.is_last) = (is_error, is_last);
+        read_part(from, &mut self.head, lengths[0], wait)?;
+        read_part(from, &mut self.notes, lengths[1], wait)?;
+        read_part(from, buffer, lengths[2], wait)?;
+        self.numbers.clear();
+        let words = buffer.as_chunks::<8>().0;
+        self.numbers.extend(words.iter().map(|word| f64::from_le_bytes(*word)));
+        Ok(())
+    }
+}
+
+/// Decodes what a head or notes say.
+pub(crate) fn decode<T: DeserializeOwned>(bytes: &[u8]) -> io::Result<T> {
+    ciborium::from_reader(bytes).map_err(|e| bad(format!("a message cannot be understood: {e}")))
+}
+
+fn bad(message: String) -> io::Error {
+    io::Error::new(ErrorKind::InvalidData, message)
+}
+
+/// Memory is taken as the bytes arrive: a false length takes none.
+const PIECE: usize = 1 << 20;
+
+fn read_part(
+    from: &mut impl Read,
+    part: &mut Vec<u8>,
+    length: u64,
+    wait: &mut dyn FnMut() -> io::Result<()>,
+) -> io::Result<()> {
+    part.clear();
+    let mut left = usize::try_from(length).map_err(|_| bad(format!("a message of {length} bytes")))?;
+    while left > 0 {
+        let (begin, piece) = (part.len(), left.min(PIECE));
+        part.resize(begin + piece, 0);
+        fill(from, &mut part[begin..], wait)?;
+        left -= piece;
+    }
+    Ok(())
+}
+
+fn fill(from: &mut impl Read, mut to: &mut [u8], wait: &mut dyn FnMut() -> io::Result<()>) -> io::Result<()> {
+    while !to.is_empty() {
+        match from.read(to) {
+            Ok(0) => return Err(ErrorKind::UnexpectedEof.into()),
+            Ok(n) => to = &mut to[n..],
+            Err(e) if e.kind() == ErrorKind::Interrupted => {}
+            Err(e) if matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => wait()?,
+            Err(e) => return Err(e),
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn read(bytes: &[u8]) -> io::Result<Frame> {
+        let mut frame = Frame::default();
+        frame.read(&mut &bytes[..], &mut Vec::new(), &mut || Err(ErrorKind::TimedOut.into()))?;
+        Ok(frame)
+    }
+
+    fn written(frame: &Frame) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        frame.write(&mut bytes, &mut Vec::new()).unwrap();
+        bytes
+    }
+
+    proptest! {
+        #[test]
+        fn frames_arrive_as_they_were_sent(text: String, bits: Vec<u64>, is_error: bool, is_last: bool) {
+            let mut frame = Frame::of(&text).unwrap();
+            (frame.is_error, frame.is_last) = (is_error, is_last);
+            frame.numbers = bits.iter().map(|bits| f64::from_bits(*bits)).collect();
+            let found = read(&written(&frame)).unwrap();
+            prop_assert_eq!(found.head::<String>().unwrap(), text);
+            let bits_found: Vec<u64> = found.numbers.iter().map(|x| x.to_bits()).collect();
+            prop_assert_eq!(bits_found, bits);
+            prop_assert_eq!((found.is_error, found.is_last), (is_error, is_last));
+        }
+
+        #[test]
+        fn garbage_is_an_error(mut bytes: Vec<u8>, cut in 0usize..100, flip in 0usize..100, bit in 0u8..8) {
+            prop_assert!(read(&bytes).is_err());
+            let mut frame = Frame::of(&bytes).unwrap();
+            frame.numbers = vec![1.0; 3];
+            bytes = written(&frame);
+            let cut = cut % bytes.len();
+            prop_assert!(read(&bytes[..cut]).is_err());
+            let flip = flip % bytes.len();
+            bytes[flip] ^= 1 << bit;
+            // No panic, no memory for what is not there; what is read is a frame.
+            if let Ok(frame) = read(&bytes) {
+                prop_assert!(frame.numbers.len() <= 3);
+            }
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! What a worker process may take, and whether there is one.
+
+use serde::{Deserialize, Serialize};
+use std::str::FromStr;
+
+/// Where an FMU runs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Isolation {
+    /// In processes of its own, one per thread that evaluates: this process outlives whatever the FMU does.
+    #[default]
+    Process,
+    /// In this process, one simulation at a time.
+    None,
+}
+
+impl Isolation {
+    /// All of them, by their names.
+    pub const NAMES: [(&'static str, Self); 2] = [("process", Self::Process), ("none", Self::None)];
+
+    /// The name by which it is asked for.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Process => "process",
+            Self::None => "none",
+        }
+    }
+}
+
+impl FromStr for Isolation {
+    type Err = crate::error::FmiError;
+
+    fn from_str(name: &str) -> Result<Self, Self::Err> {
+        let found = Self::NAMES.iter().find(|(known, _)| *known == name);
+        found.map(|(_, isolation)| *isolation).ok_or_else(|| crate::error::FmiError::BadSetting {
+            problem: format!("isolation = \"{name}\"; there are: \"process\", \"none\""),
+        })
+    }
+}
+
+/// Memory that a worker may gain before it is replaced, in bytes.
+const GROWTH: u64 = 512 << 20;
+
+/// Limits of a worker process.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct WorkerLimits {
+    /// Bytes of memory that it may have (on Linux of what it can write); what goes beyond fails in the FMU. Default: the memory of the machine.
+    pub memory: Option<u64>,
+    /// Bytes of memory that it may gain after its first answer, before it is replaced. Default: 512 MiB.
+    pub growth: u64,
+    /// Answers after which it is replaced; default: no limit.
+    pub calls: Option<u64>,
+    /// It may write into its own folder only, and open no connections (Linux, where the kernel can refuse that).
+    pub sandbox: bool,
+}
+
+impl Default for WorkerLimits {
+    fn default() -> Self {
+        Self { memory: memory_of_machine(), growth: GROWTH, calls: None, sandbox: false }
+    }
+}
+
+/// Bytes of memory that this machine has, where the system tells.
+fn memory_of_machine() -> Option<u64> {
+    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
+    let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kilobytes << 10)
+}
+
+impl WorkerLimits {
+    /// As it is handed to a worker.
+    pub(super) fn as_text(&self) -> String {
+        let number = |limit: Option<u64>| limit.map_or_else(|| "-".to_owned(), |limit| limit.to_string());
+        format!("{} {} {} {}", number(self.memory), self.growth, number(self.calls), self.sandbox)
+    }
+
+    pub(super) fn from_text(text: &str) -> Option<Self> {
+        let [memory, growth, calls, sandbox] = text.split(' ').collect::<Vec<_>>().try_into().ok()?;
+        let number = |text: &str| if text == "-" { Some(None) } else { text.parse().ok().map(Some) };
+        Some(Self {
+            memory: number(memory)?,
+            growth: growth.parse().ok()?,
+            calls: number(calls)?,
+            sandbox: sandbox.parse().ok()?,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_arrive_as_they_were_sent() {
+        let limits = WorkerLimits { memory: None, growth: 7, calls: Some(3), sandbox: true };
+        for limits in [limits, WorkerLimits { memory: Some(1 << 40), calls: None, ..limits }] {
+            assert_eq!(WorkerLimits::from_text(&limits.as_text()), Some(limits));
+        }
+        assert_eq!(WorkerLimits::from_text("1"), None);
+    }
+}

@@ -1,0 +1,76 @@
+//! What a worker has to say beside its answers: lines for the program's logger, and departures from the standard that showed in runs.
+
+use crate::description::Quirk;
+use log::{Level, Log, Metadata, Record};
+use serde::{Deserialize, Serialize};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// More lines than this between two answers are not kept.
+const MOST_LINES: usize = 1000;
+
+/// A line for the program's logger.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct Line {
+    level: Level,
+    target: String,
+    text: String,
+}
+
+/// What came up since the last answer.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub(crate) struct Notes {
+    pub(crate) lines: Vec<Line>,
+    pub(crate) quirks: Vec<Quirk>,
+}
+
+impl Notes {
+    pub(crate) fn is_empty(&self) -> bool {
+        self.lines.is_empty() && self.quirks.is_empty()
+    }
+
+    /// Hands the lines to the logger of this program.
+    pub(crate) fn pass_on(&self) {
+        for Line { level, target, text } in &self.lines {
+            log::log!(target: target, *level, "{text}");
+        }
+    }
+}
+
+/// The logger of a worker.
+struct Keeper {
+    lines: Mutex<Vec<Line>>,
+}
+
+static KEEPER: Keeper = Keeper { lines: Mutex::new(Vec::new()) };
+
+fn lines() -> MutexGuard<'static, Vec<Line>> {
+    KEEPER.lines.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Log for Keeper {
+    fn enabled(&self, _: &Metadata<'_>) -> bool {
+        true
+    }
+
+    fn log(&self, record: &Record<'_>) {
+        let (level, target) = (record.level(), record.target().to_owned());
+        let mut lines = lines();
+        if lines.len() < MOST_LINES {
+            lines.push(Line { level, target, text: record.args().to_string() });
+        }
+    }
+
+    fn flush(&self) {}
+}
+
+/// Keeps what is logged up to this level, unless the program has a logger already.
+pub(crate) fn keep_lines(level: log::LevelFilter) {
+    if log::set_logger(&KEEPER).is_ok() {
+        log::set_max_level(level);
+    }
+}
+
+/// The lines since the last call.
+pub(crate) fn take_lines() -> Vec<Line> {
+    std::mem::take(&mut *lines())
+}

@@ -1,0 +1,332 @@
+//! One worker process, as the process sees it that has started it.
+
+use super::frame::{Frame, decode};
+use super::notes::Notes;
+use super::{FOLDER, LEVEL, Launcher, WorkerLimits};
+use crate::error::{EndKind, FmiError, WorkerEnd};
+use crate::sys::Page;
+use std::collections::VecDeque;
+use std::io::{self, ErrorKind, Read};
+use std::os::fd::OwnedFd;
+use std::os::unix::net::UnixStream;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+/// How often somebody who waits for an answer looks at the rest of the world.
+const LOOK: Duration = Duration::from_millis(10);
+
+/// A worker that was asked to end what it does, or whose simulation has reached its time limit, has so long to answer.
+const GRACE: Duration = Duration::from_millis(250);
+
+/// A worker is there after this time.
+const START: Duration = Duration::from_secs(60);
+
+/// Bytes that are kept of what it prints.
+const PRINTED: usize = 16 << 10;
+
+/// Of these, characters that an error carries.
+const PRINTED_IN_ERRORS: usize = 400;
+
+/// Why there is no answer.
+#[derive(Debug)]
+pub(super) enum NoAnswer {
+    /// It was cancelled; the process has ended, if it did not answer in time.
+    Cancelled,
+    /// The process has ended.
+    Ended(WorkerEnd),
+}
+
+/// A worker process. It ends when this is dropped.
+#[derive(Debug)]
+pub(super) struct Process {
+    child: Child,
+    socket: UnixStream,
+    page: Page,
+    printed: Arc<Mutex<VecDeque<u8>>>,
+    buffer: Vec<u8>,
+    /// The process that has started it: a child that was forked meanwhile has no workers.
+    owner: u32,
+    has_ended: bool,
+    /// The problem that it has loaded.
+    pub(super) loaded: Option<u64>,
+    pub(super) n_calls: u64,
+    /// Bytes in memory after the first call.
+    pub(super) first_size: Option<u64>,
+    folder: Option<TempDir>,
+}
+
+impl Process {
+    /// Starts one, and waits until it is there.
+    pub(super) fn start(
+        launcher: &Launcher,
+        limits: &WorkerLimits,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Self, FmiError> {
+        let no_worker = |error: io::Error| FmiError::NoWorker { reason: error.to_string() };
+        let folder = TempDir::with_prefix("fmufit-worker-").map_err(no_worker)?;
+        let (socket, theirs) = UnixStream::pair().map_err(no_worker)?;
+        socket.set_read_timeout(Some(LOOK)).map_err(no_worker)?;
+        let (page, file) = Page::new().map_err(no_worker)?;
+        let mut command = Command::new(&launcher.program);
+        command
+            .args(&launcher.arguments)
+            .env(super::ASKED, limits.as_text())
+            .env(FOLDER, folder.path())
+            .env(LEVEL, log::max_level().as_str())
+            .env("TMPDIR", folder.path())
+            .current_dir(folder.path())
+            .stdin(OwnedFd::from(theirs))
+            .stdout(file)
+            .stderr(Stdio::piped())
+            // Ctrl-C in a terminal goes to all processes of a group.
+            .process_group(0);
+        let mut child = command.spawn().map_err(|error| FmiError::NoWorker {
+            reason: format!("{}: {error}", launcher.program.display()),
+        })?;
+        // It holds the other end of the socket.
+        drop(command);
+        let printed = Arc::<Mutex<VecDeque<u8>>>::default();
+        if let Some(output) = child.stderr.take() {
+            let printed = Arc::clone(&printed);
+            // Without it the process waits when the pipe is full.
+            let reader = std::thread::Builder::new().name("fmufit-worker-output".to_owned());
+            reader.spawn(move || keep_printed(output, &printed)).map_err(no_worker)?;
+        }
+        let mut process = Self {
+            child,
+            socket,
+            page,
+            printed,
+            buffer: Vec::new(),
+            owner: std::process::id(),
+            has_ended: false,
+            loaded: None,
+            n_calls: 0,
+            first_size: None,
+            folder: Some(folder),
+        };
+        let mut hello = Frame::default();
+        let (began, mut none) = (Instant::now(), None);
+        let answered = process.receive(&mut hello, cancelled, &mut none, Some(began + START));
+        match answered {
+            Ok(()) if hello.head::<String>().is_ok_and(|version| version == super::VERSION) => Ok(process),
+            Ok(()) => {
+                let version = hello.head::<String>().unwrap_or_default();
+                let reason = format!("the program to be started serves version {version:?}, not {}", super::VERSION);
+                Err(FmiError::NoWorker { reason })
+            }
+            Err(NoAnswer::Cancelled) => Err(FmiError::Cancelled),
+            Err(NoAnswer::Ended(end)) => Err(FmiError::NoWorker { reason: end.to_string() }),
+        }
+    }
+
+    /// Asks for something and waits for the answer. `run_limit`: the wall-clock time of a single simulation.
+    pub(super) fn call(
+        &mut self,
+        asked: &Frame,
+        answer: &mut Frame,
+        cancelled: &dyn Fn() -> bool,
+        run_limit: Option<Duration>,
+    ) -> Result<Notes, NoAnswer> {
+        self.page.set_cancelled(false);
+        self.n_calls += 1;
+        let mut buffer = std::mem::take(&mut self.buffer);
+        let sent = asked.write(&mut self.socket, &mut buffer);
+        self.buffer = buffer;
+        // What cannot be sent shows in the answer.
+        let mut limit = run_limit.map(|limit| RunLimit { limit, runs: self.page.runs(), since: Instant::now() });
+        if let Err(error) = sent
+            && error.kind() != ErrorKind::BrokenPipe
+        {
+            return Err(NoAnswer::Ended(self.ended(EndKind::Garbage, &error.to_string())));
+        }
+        self.receive(answer, cancelled, &mut limit, None)?;
+        if answer.notes.is_empty() {
+            return Ok(Notes::default());
+        }
+        decode(&answer.notes).map_err(|error| NoAnswer::Ended(self.ended(EndKind::Garbage, &error.to_string())))
+    }
+
+    fn receive(
+        &mut self,
+        answer: &mut Frame,
+        cancelled: &dyn Fn() -> bool,
+        limit: &mut Option<RunLimit>,
+        end: Option<Instant>,
+    ) -> Result<(), NoAnswer> {
+        let (page, mut asked_to_end, mut why) = (&self.page, None::<Instant>, None);
+        let mut wait = || {
+            let now = Instant::now();
+            if asked_to_end.is_none() && cancelled() {
+                page.set_cancelled(true);
+                asked_to_end = Some(now);
+            }
+            let is_out_of_grace = asked_to_end.is_some_and(|since| now > since + GRACE);
+            let is_hung = limit.as_mut().is_some_and(|limit| limit.is_over(page.runs(), now));
+            if is_out_of_grace {
+                why = Some(Stop::Cancelled);
+            } else if is_hung || end.is_some_and(|end| now > end) {
+                why = Some(Stop::Hung);
+            }
+            if why.is_some() { Err(ErrorKind::TimedOut.into()) } else { Ok(()) }
+        };
+        let received = answer.read(&mut &self.socket, &mut self.buffer, &mut wait);
+        let Err(error) = received else { return Ok(()) };
+        Err(match (why, error.kind()) {
+            (Some(Stop::Cancelled), _) => {
+                self.kill();
+                NoAnswer::Cancelled
+            }
+            (Some(Stop::Hung), _) => NoAnswer::Ended(self.ended(EndKind::Hung, "")),
+            (None, ErrorKind::InvalidData) => {
+                NoAnswer::Ended(self.ended(EndKind::Garbage, &error.to_string()))
+            }
+            (None, _) => NoAnswer::Ended(self.ended(EndKind::Died, "")),
+        })
+    }
+
+    /// Why the process is gone, after it was ended if it is not.
+    #[cold]
+    fn ended(&mut self, kind: EndKind, detail: &str) -> WorkerEnd {
+        let last = self.page.last_call();
+        let status = match kind {
+            // A process that has closed its socket is about to end.
+            EndKind::Died => self.wait_for_end(Duration::from_secs(2)),
+            EndKind::Hung | EndKind::Garbage => None,
+        };
+        self.kill();
+        let what = match (kind, status) {
+            (EndKind::Hung, _) => "no answer within the time limit".to_owned(),
+            (EndKind::Garbage, _) => format!("garbage instead of an answer ({detail})"),
+            (EndKind::Died, None) => "no connection any more".to_owned(),
+            (EndKind::Died, Some(status)) => in_words(status),
+        };
+        // What was printed last arrives after the end.
+        std::thread::sleep(Duration::from_millis(1));
+        let (function, time) = last.map_or((None, None), |last| (Some(last.function), last.time));
+        WorkerEnd { kind, what, function, time, output: self.output() }
+    }
+
+    fn wait_for_end(&mut self, longest: Duration) -> Option<ExitStatus> {
+        let began = Instant::now();
+        loop {
+            match self.child.try_wait() {
+                Ok(Some(status)) => return Some(status),
+                Ok(None) if began.elapsed() < longest => std::thread::sleep(Duration::from_millis(1)),
+                _ => return None,
+            }
+        }
+    }
+
+    /// The last that it has printed.
+    fn output(&self) -> String {
+        let printed = self.printed.lock().unwrap_or_else(PoisonError::into_inner);
+        let bytes: Vec<u8> = printed.iter().copied().collect();
+        let text = String::from_utf8_lossy(&bytes);
+        let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+        let text = lines.join(" | ");
+        let n = text.chars().count();
+        let cut: String = text.chars().skip(n.saturating_sub(PRINTED_IN_ERRORS)).collect();
+        if n > PRINTED_IN_ERRORS { format!("... {cut}") } else { cut }
+    }
+
+    /// Whether it was ended, or its answer was none.
+    pub(super) fn has_ended(&self) -> bool {
+        self.has_ended
+    }
+
+    /// Bytes that it has in memory, where the system tells.
+    pub(super) fn size(&self) -> Option<u64> {
+        let text = std::fs::read_to_string(format!("/proc/{}/statm", self.child.id())).ok()?;
+        let pages: u64 = text.split(' ').nth(1)?.parse().ok()?;
+        Some(pages * rustix::param::page_size() as u64)
+    }
+
+    /// Ends it, and all processes that it has started.
+    fn kill(&mut self) {
+        if self.owner != std::process::id() {
+            return;
+        }
+        self.has_ended = true;
+        if let Ok(None) = self.child.try_wait() {
+            let group = i32::try_from(self.child.id()).ok().and_then(rustix::process::Pid::from_raw);
+            if let Some(group) = group {
+                let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
+            }
+            let _ = self.child.kill();
+        }
+        let _ = self.child.wait();
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        if self.owner == std::process::id() {
+            self.kill();
+        } else if let Some(folder) = self.folder.take() {
+            // It belongs to the process that has started it.
+            let _ = folder.keep();
+        }
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Stop {
+    Cancelled,
+    Hung,
+}
+
+/// The wall-clock limit of the simulations of an evaluation.
+struct RunLimit {
+    limit: Duration,
+    /// Simulations begun when it was looked at last.
+    runs: u32,
+    since: Instant,
+}
+
+impl RunLimit {
+    fn is_over(&mut self, runs: u32, now: Instant) -> bool {
+        if runs != self.runs {
+            (self.runs, self.since) = (runs, now);
+        }
+        // The worker looks at the limit itself, between two calls of the FMU.
+        now > self.since + self.limit + GRACE
+    }
+}
+
+fn in_words(status: ExitStatus) -> String {
+    let signal = status.signal();
+    match (signal, status.code()) {
+        (Some(libc::SIGSEGV), _) => "segmentation fault".to_owned(),
+        (Some(libc::SIGABRT), _) => "abort".to_owned(),
+        (Some(libc::SIGBUS), _) => "bus error".to_owned(),
+        (Some(libc::SIGFPE), _) => "arithmetic exception".to_owned(),
+        (Some(libc::SIGILL), _) => "illegal instruction".to_owned(),
+        (Some(libc::SIGKILL), _) => "killed from outside, or for want of memory".to_owned(),
+        (Some(libc::SIGXCPU | libc::SIGXFSZ), _) => "a limit of resources was reached".to_owned(),
+        (Some(signal), _) => format!("signal {signal}"),
+        (None, Some(code)) => format!("the process was ended with exit({code})"),
+        (None, None) => "the process ended".to_owned(),
+    }
+}
+
+/// Keeps the last of what a process prints.
+fn keep_printed(mut from: impl Read, to: &Mutex<VecDeque<u8>>) {
+    let mut buffer = [0; 4096];
+    loop {
+        match from.read(&mut buffer) {
+            Ok(0) => break,
+            Ok(n) => {
+                let mut kept = to.lock().unwrap_or_else(PoisonError::into_inner);
+                kept.extend(&buffer[..n]);
+                let surplus = kept.len().saturating_sub(PRINTED);
+                kept.drain(..surplus);
+            }
+            Err(error) if error.kind() == ErrorKind::Interrupted => {}
+            Err(_) => break,
+        }
+    }
+}

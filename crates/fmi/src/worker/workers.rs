@@ -1,0 +1,231 @@
+//! Worker processes for as many threads as ask for something: started when they are needed, replaced when they end or grow.
+
+use super::frame::Frame;
+use super::process::{NoAnswer, Process};
+use super::{Launcher, WorkerLimits};
+use crate::description::Quirk;
+use crate::error::{EndKind, FmiError, Told, ToldKind, WorkerEnd};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+/// A worker that nobody has asked for anything for so long is ended.
+const IDLE: Duration = Duration::from_secs(5);
+
+/// The memory of a worker is looked at after each so many calls, and after every one that took so long.
+const LOOK_EVERY: u64 = 32;
+const LONG_CALL: Duration = Duration::from_millis(20);
+
+/// What a worker has to know before it can be asked.
+#[derive(Debug)]
+pub struct Load {
+    id: u64,
+    frame: Frame,
+}
+
+/// Numbers of the [`Load`]s of this process.
+static NEXT_ID: AtomicU64 = AtomicU64::new(1);
+
+impl Load {
+    /// What a worker is to load before it is asked.
+    pub fn new(frame: Frame) -> Self {
+        Self { id: NEXT_ID.fetch_add(1, Ordering::Relaxed), frame }
+    }
+}
+
+/// A set of worker processes of one program, with limits. Each serves one thread at a time.
+#[derive(Debug)]
+pub struct Workers {
+    launcher: Launcher,
+    limits: WorkerLimits,
+    idle: Mutex<Idle>,
+    n_started: AtomicU64,
+}
+
+#[derive(Debug, Default)]
+struct Idle {
+    /// With the time since when they are; those that were asked last at the end.
+    processes: Vec<(Process, Instant)>,
+    /// Somebody looks after those that are idle for long.
+    is_watched: bool,
+    /// Whose they are: a child that was forked meanwhile has none.
+    owner: u32,
+}
+
+impl Workers {
+    /// Nothing is started yet. `None`: this program does not know how to start a worker (see [`Launcher`]).
+    pub fn new(limits: WorkerLimits) -> Option<Arc<Self>> {
+        let launcher = Launcher::known()?;
+        Some(Arc::new(Self { launcher, limits, idle: Mutex::default(), n_started: AtomicU64::new(0) }))
+    }
+
+    /// The limits.
+    pub fn limits(&self) -> &WorkerLimits {
+        &self.limits
+    }
+
+    /// Processes started so far.
+    pub fn n_started(&self) -> u64 {
+        self.n_started.load(Ordering::Relaxed)
+    }
+
+    /// Asks a worker that has loaded `load`, and returns the quirks of the model that it has found. `cancelled` is asked every 10 ms, and the worker has 0.25 s to answer
+    /// after that; a single simulation that takes longer than `run_limit` and 0.25 s ends the worker. Where a worker dies, the same is asked once more in a fresh one.
+    ///
+    /// # Errors
+    /// [`FmiError::Told`]: what the worker says; [`FmiError::WorkerEnded`]: it ended twice, or once by the time limit; [`FmiError::NoWorker`]; [`FmiError::Cancelled`].
+    pub fn call(
+        self: &Arc<Self>,
+        load: &Load,
+        asked: &Frame,
+        answer: &mut Frame,
+        cancelled: &dyn Fn() -> bool,
+        run_limit: Option<Duration>,
+    ) -> Result<Vec<Quirk>, FmiError> {
+        let process = self.idle_process(load.id);
+        match self.call_in(process, load, asked, answer, cancelled, run_limit) {
+            Err(FmiError::WorkerEnded(end)) if end.kind == EndKind::Died => {
+                log::info!("a worker process has ended ({end}); the same is tried once more in a fresh one");
+                self.call_in(None, load, asked, answer, cancelled, run_limit)
+            }
+            outcome => outcome,
+        }
+    }
+
+    /// As [`call`](Self::call), in a process that was never asked before, and only once.
+    ///
+    /// # Errors
+    /// As [`call`](Self::call).
+    pub fn call_fresh(
+        self: &Arc<Self>,
+        load: &Load,
+        asked: &Frame,
+        answer: &mut Frame,
+        cancelled: &dyn Fn() -> bool,
+        run_limit: Option<Duration>,
+    ) -> Result<Vec<Quirk>, FmiError> {
+        self.call_in(None, load, asked, answer, cancelled, run_limit)
+    }
+
+    fn call_in(
+        self: &Arc<Self>,
+        process: Option<Process>,
+        load: &Load,
+        asked: &Frame,
+        answer: &mut Frame,
+        cancelled: &dyn Fn() -> bool,
+        run_limit: Option<Duration>,
+    ) -> Result<Vec<Quirk>, FmiError> {
+        let mut process = match process {
+            Some(process) => process,
+            None => {
+                self.n_started.fetch_add(1, Ordering::Relaxed);
+                Process::start(&self.launcher, &self.limits, cancelled)?
+            }
+        };
+        let mut quirks = Vec::new();
+        let mut ask = |process: &mut Process, asked: &Frame, answer: &mut Frame, limit| -> Result<(), FmiError> {
+            let notes = process.call(asked, answer, cancelled, limit).map_err(|no_answer| match no_answer {
+                NoAnswer::Cancelled => FmiError::Cancelled,
+                NoAnswer::Ended(end) => FmiError::WorkerEnded(Box::new(end)),
+            })?;
+            notes.pass_on();
+            quirks.extend(notes.quirks);
+            match answer.is_error {
+                true => Err(match answer.head::<Told>().map_err(garbage)? {
+                    told if told.kind == ToldKind::Cancelled => FmiError::Cancelled,
+                    told => FmiError::Told(Box::new(told)),
+                }),
+                false => Ok(()),
+            }
+        };
+        if process.loaded != Some(load.id) {
+            process.loaded = None;
+            // A model that cannot be loaded leaves a worker that nobody has a use for.
+            ask(&mut process, &load.frame, answer, None)?;
+            process.loaded = Some(load.id);
+        }
+        let began = Instant::now();
+        let told = ask(&mut process, asked, answer, run_limit);
+        // One that has ended is given up by dropping it.
+        if !process.has_ended() && !answer.is_last && !self.is_worn(&mut process, began.elapsed()) {
+            self.give_back(process);
+        }
+        told.map(|()| quirks)
+    }
+
+    /// Whether a worker has served long enough, or has grown too much.
+    fn is_worn(&self, process: &mut Process, took: Duration) -> bool {
+        if self.limits.calls.is_some_and(|most| process.n_calls >= most) {
+            return true;
+        }
+        if process.first_size.is_some() && took < LONG_CALL && !process.n_calls.is_multiple_of(LOOK_EVERY) {
+            return false;
+        }
+        let Some(size) = process.size() else { return false };
+        let first = *process.first_size.get_or_insert(size);
+        size > first.saturating_add(self.limits.growth)
+    }
+
+    fn idle(&self) -> MutexGuard<'_, Idle> {
+        let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
+        let this = std::process::id();
+        if idle.owner != this {
+            idle.processes.clear();
+            (idle.owner, idle.is_watched) = (this, false);
+        }
+        idle
+    }
+
+    /// One that has loaded this if there is any, else the one that was asked last.
+    fn idle_process(&self, load: u64) -> Option<Process> {
+        let mut idle = self.idle();
+        let n = idle.processes.len();
+        let place = idle.processes.iter().rposition(|(process, _)| process.loaded == Some(load));
+        let place = place.or(n.checked_sub(1))?;
+        Some(idle.processes.remove(place).0)
+    }
+
+    fn give_back(self: &Arc<Self>, process: Process) {
+        let mut idle = self.idle();
+        idle.processes.push((process, Instant::now()));
+        if idle.is_watched {
+            return;
+        }
+        let workers = Arc::downgrade(self);
+        let watch = move || {
+            loop {
+                std::thread::sleep(IDLE / 4);
+                let Some(workers) = workers.upgrade() else { break };
+                let mut idle = workers.idle();
+                let old = idle.processes.extract_if(.., |(_, since)| since.elapsed() > IDLE).collect::<Vec<_>>();
+                let is_over = idle.processes.is_empty();
+                idle.is_watched = !is_over;
+                drop(idle);
+                drop(old);
+                if is_over {
+                    break;
+                }
+            }
+        };
+        let thread = std::thread::Builder::new().name("fmufit-idle-workers".to_owned()).spawn(watch);
+        idle.is_watched = thread.is_ok();
+    }
+
+    /// Ends those that nobody uses at the moment.
+    pub fn end_idle(&self) {
+        let idle = std::mem::take(&mut self.idle().processes);
+        drop(idle);
+    }
+}
+
+/// An answer that cannot be understood.
+pub(super) fn garbage(error: std::io::Error) -> FmiError {
+    FmiError::WorkerEnded(Box::new(WorkerEnd {
+        kind: EndKind::Garbage,
+        what: error.to_string(),
+        function: None,
+        time: None,
+        output: String::new(),
+    }))
+}
