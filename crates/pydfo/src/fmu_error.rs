@@ -2,6 +2,7 @@
 
 use calibration::visible;
 use fmi::FmiError;
+use fmi::error::ToldKind;
 use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::{PyFileNotFoundError, PyKeyboardInterrupt, PyMemoryError, PyOSError};
 use pyo3::prelude::*;
@@ -33,6 +34,15 @@ pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
         | FmiError::BadInput { .. }
         | FmiError::BadSetting { .. }
         | FmiError::Options(_) => BadModelValueError::new_err(message),
+        FmiError::Told(told) => match told.kind {
+            ToldKind::Setting => BadModelValueError::new_err(message),
+            ToldKind::UnknownVariable => UnknownVariableError::new_err(message),
+            ToldKind::WrongType => ModelTypeError::new_err(message),
+            ToldKind::Memory => PyMemoryError::new_err(message),
+            ToldKind::Simulation => simulation(py, error, message, told.time),
+            _ => FmuError::new_err(message),
+        },
+        FmiError::WorkerEnded(end) => simulation(py, error, message, end.time),
         FmiError::Call(failure) => simulation(py, error, message, failure.time),
         FmiError::EventIteration { time, .. } => simulation(py, error, message, Some(*time)),
         FmiError::Simulation(inner) if matches!(inner.kind, ode::ErrorKind::TooLargeForDense { .. }) => {
@@ -73,12 +83,10 @@ fn simulation(py: Python<'_>, error: &FmiError, message: String, time: Option<f6
     let exception = SimulationError::new_err(message);
     let attach = || -> PyResult<()> {
         let value = exception.value(py);
-        let failure = error.call_failure();
-        value.setattr("status", failure.map(|f| f.status.to_string()))?;
+        let told = error.told();
+        value.setattr("status", told.status)?;
         value.setattr("time", time)?;
-        let log: Vec<String> =
-            failure.map(|f| f.log.iter().map(ToString::to_string).collect()).unwrap_or_default();
-        value.setattr("log", log)
+        value.setattr("log", told.log)
     };
     attach().err().unwrap_or(exception)
 }

@@ -36,6 +36,7 @@ mod trajectory;
 mod validation;
 mod values;
 mod words;
+mod worker;
 mod worth;
 
 use pyo3::prelude::*;
@@ -87,6 +88,8 @@ mod core_module {
     use super::validation::{cross_validate, prediction_bands, validate};
     #[pymodule_export]
     use super::values::dtypes;
+    #[pymodule_export]
+    use super::worker::{serve_worker, set_launcher};
     #[pymodule_export]
     use super::worth::{PyWorth, preflight_at, preflight_of_fit, worth_at, worth_of_fit};
 

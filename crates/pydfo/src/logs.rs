@@ -39,6 +39,10 @@ impl Log for Keeper {
 
 /// Starts to listen to the libraries.
 pub(crate) fn install() {
+    if fmi::worker::is_asked() {
+        // A worker process has a logger of its own.
+        return;
+    }
     // Fails if a logger is set already, which in this extension module can only be this one.
     if log::set_logger(&KEEPER).is_ok() {
         log::set_max_level(LevelFilter::Info);

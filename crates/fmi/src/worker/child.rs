@@ -10,7 +10,7 @@ use rustix::event::{PollFd, PollFlags, poll};
 use rustix::fs::{Mode, OFlags};
 use rustix::process::{Resource, Rlimit, setrlimit};
 use std::fs::File;
-use std::io;
+use std::io::{self, Write};
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -41,7 +41,15 @@ pub fn serve_if_asked(service: impl FnOnce() -> Box<dyn Service> + Send) {
         let thread = std::thread::Builder::new().stack_size(STACK_SIZE).spawn_scoped(scope, serve);
         thread.map(|thread| thread.join())
     });
-    std::process::exit(i32::from(!matches!(service, Ok(Ok(Ok(()))))));
+    match service {
+        Ok(Ok(Ok(()))) => std::process::exit(0),
+        Ok(Ok(Err(error))) => {
+            // Who has started it reads that.
+            let _ = writeln!(io::stderr(), "{error}");
+        }
+        _ => {}
+    }
+    std::process::exit(1);
 }
 
 fn serve(limits: &str, mut service: Box<dyn Service>) -> io::Result<()> {
@@ -56,10 +64,13 @@ fn serve(limits: &str, mut service: Box<dyn Service>) -> io::Result<()> {
     rustix::stdio::dup2_stdin(&nothing)?;
     rustix::stdio::dup2_stdout(rustix::stdio::stderr())?;
     let page = tell_calls(Page::of(&page)?).map_err(io::Error::other)?;
-    let watched = socket.try_clone()?;
-    std::thread::Builder::new().spawn(move || end_with(&watched, folder.as_deref()))?;
+    let (watched, folder_to_remove) = (socket.try_clone()?, folder.clone());
+    std::thread::Builder::new().spawn(move || end_with(&watched, folder_to_remove.as_deref()))?;
     keep_lines(std::env::var(LEVEL).ok().and_then(|level| level.parse().ok()).unwrap_or(log::LevelFilter::Warn));
     limit_self(&limits)?;
+    if limits.sandbox {
+        confine(folder.as_deref())?;
+    }
 
     let (mut asked, mut answer, mut buffer) = (Frame::default(), Frame::default(), Vec::new());
     answer.set_head(&super::VERSION)?;
@@ -124,4 +135,33 @@ fn limit_self(limits: &WorkerLimits) -> io::Result<()> {
         lower(Resource::Data, memory)?;
     }
     Ok(())
+}
+
+/// Lets this thread, and all that it starts, write below this folder only, and make no TCP connections (from Linux 6.7 on).
+#[cfg(target_os = "linux")]
+fn confine(folder: Option<&std::path::Path>) -> io::Result<()> {
+    use landlock::{
+        ABI, Access, AccessFs, AccessNet, CompatLevel, Compatible, PathBeneath, PathFd, Ruleset, RulesetAttr, RulesetCreatedAttr,
+    };
+    let write = AccessFs::from_write(ABI::V1);
+    let confined = || -> Result<(), Box<dyn std::error::Error>> {
+        let folder = folder.ok_or("the worker has no folder")?;
+        Ruleset::default()
+            .set_compatibility(CompatLevel::HardRequirement)
+            .handle_access(write)?
+            .set_compatibility(CompatLevel::BestEffort)
+            .handle_access(AccessFs::from_write(ABI::V3))?
+            .handle_access(AccessNet::from_all(ABI::V4))?
+            .create()?
+            .add_rule(PathBeneath::new(PathFd::new(folder)?, AccessFs::from_all(ABI::V3)))?
+            .add_rule(PathBeneath::new(PathFd::new("/dev/null")?, AccessFs::from_file(ABI::V3)))?
+            .restrict_self()?;
+        Ok(())
+    };
+    confined().map_err(|error| io::Error::other(format!("a sandbox needs Landlock (Linux 5.13 or newer): {error}")))
+}
+
+#[cfg(not(target_os = "linux"))]
+fn confine(_: Option<&std::path::Path>) -> io::Result<()> {
+    Err(io::Error::new(io::ErrorKind::Unsupported, "there is a sandbox on Linux only"))
 }

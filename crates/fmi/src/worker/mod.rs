@@ -35,3 +35,8 @@ const FOLDER: &str = "FMUFIT_WORKER_FOLDER";
 
 /// Environment variable with the level up to which it is to log.
 const LEVEL: &str = "FMUFIT_WORKER_LOG";
+
+/// Whether this process was started as a worker.
+pub fn is_asked() -> bool {
+    std::env::var_os(ASKED).is_some()
+}

@@ -1,6 +1,10 @@
 /* What ends or stops the process of a model: FAULT, where k is above FAULT_ABOVE and the time above 0.2. */
 #include <signal.h>
 #include <unistd.h>
+#include <errno.h>
+#include <arpa/inet.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
 #ifdef LEAKS
 static void leak(void) {
     char *lost = malloc(LEAKS);
@@ -19,8 +23,7 @@ static void hang(void) {
 }
 static void close_all(void) {
     int i;
-    for (i = 3; i < 256; i++) close(i);
-    for (;;) pause();
+    for (i = 0; i < 256; i++) close(i);
 }
 static void fill_memory(void) {
     size_t size = (size_t)1 << 30;
@@ -29,6 +32,18 @@ static void fill_memory(void) {
 static void print_for_ever(void) {
     for (;;) puts("what a model has to say, over and over again");
 }
+/* Ends the process with 7 if a file can be written there or a connection can be tried; with 0 as address family nothing listens. */
+static void escape(const char *path) {
+    struct sockaddr_in address = {0};
+    FILE *file = fopen(path, "w");
+    int connection = socket(AF_INET, SOCK_STREAM, 0), refused;
+    address.sin_family = AF_INET;
+    address.sin_port = htons(9);
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    refused = connect(connection, (struct sockaddr *)&address, sizeof address) != 0 && errno == EACCES;
+    close(connection);
+    if (file != NULL || !refused) exit(7);
+}
 typedef void (*Fault)(void);
-const Fault all_faults[] = {(Fault)overflow, hang, close_all, fill_memory, print_for_ever};
+const Fault all_faults[] = {(Fault)overflow, (Fault)escape, hang, close_all, fill_memory, print_for_ever};
 #endif

@@ -47,7 +47,10 @@ from ._share import load_fit
 from ._stages import Stage
 from ._trajectory import SimulationResult
 from ._validation import CrossValidation, Fold, PredictionBand, ValidatedOutput, Validation
+from ._worker import know_interpreter as _know_interpreter
 from ._worth import ParameterCheck, Preflight, ResidualCheck, Worth
+
+_know_interpreter()
 
 __all__ = [
     "Above",

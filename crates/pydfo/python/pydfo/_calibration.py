@@ -127,6 +127,16 @@ class Calibration:
         loaded, simulations run one at a time, and the log says why. "serial": one loaded library, one simulation at a
         time. "together": one loaded library, in which all workers run at the same time. You say that the FMU is
         thread-safe then; where it is not, results are wrong or the process ends.
+    isolation : {"process", "none"}
+        Where the FMU runs; no cost depends on it. "process": in processes of its own, one per worker, started when they are needed
+        and ended with the calibration, at the latest with this process. Whatever happens there (a crash, a hang beyond
+        `timeout`, `exit`, more memory than `memory_limit`) is an evaluation that failed, with its reason. "none": in this
+        process, one simulation at a time. Inputs that are functions are called here, so their FMU runs here, too.
+    memory_limit : float, optional
+        Bytes of memory that a process of the FMU may have; default: the memory of the machine.
+    sandbox : bool
+        Processes of the FMU can write into a folder of their own only, which is removed with them, and open no TCP connections
+        (Linux with Landlock, TCP from 6.7 on; an error elsewhere).
     time : str, optional
         Name of the column of times, where it is not ``time``; its unit may be left out.
     mask : array of bool or str, optional
@@ -179,6 +189,9 @@ class Calibration:
         sharing: Literal["copies", "serial", "together"] = "copies",
         time: str | None = None,
         *,
+        isolation: Literal["process", "none"] = "process",
+        memory_limit: SupportsFloat | None = None,
+        sandbox: bool = False,
         initial_states: Mapping[str, SupportsFloat | str | Parameter] | None = None,
         windows: Sequence[tuple[float, float]] | None = None,
         warm_up: SupportsFloat | None = None,
@@ -218,6 +231,9 @@ class Calibration:
             chattering=_options.choice("chattering", chattering),
             input_derivatives=_options.flag("input_derivatives", input_derivatives),
             sharing=_options.choice("sharing", sharing),
+            isolation=_options.choice("isolation", isolation),
+            memory_limit=_options.limit("memory_limit", memory_limit, 1),
+            sandbox=_options.flag("sandbox", sandbox),
         )
         self._model = path_of(model)
         self._opened: OpenOptions | None = getattr(model, "_opened", None)

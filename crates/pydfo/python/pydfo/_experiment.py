@@ -199,6 +199,9 @@ class Settings:
     input_derivatives: bool
     chattering: str
     sharing: str
+    isolation: str
+    memory_limit: int | None
+    sandbox: bool
 
 
 def collected(data: Any, outputs: Any, parameters: Any, inputs: Any, **own: Any) -> tuple[list[Experiment], Any]:

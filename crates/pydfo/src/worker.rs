@@ -1,0 +1,18 @@
+//! Worker processes: how they are started, and what they do.
+
+use fmi::worker::Launcher;
+use pyo3::prelude::*;
+use std::ffi::OsString;
+use std::path::PathBuf;
+
+/// Says how worker processes are started: a program with arguments that ends up in `serve_worker`.
+#[pyfunction]
+pub(crate) fn set_launcher(program: PathBuf, arguments: Vec<OsString>) {
+    Launcher { program, arguments }.set();
+}
+
+/// Serves as a worker process until nobody needs it any more.
+#[pyfunction]
+pub(crate) fn serve_worker(py: Python<'_>) {
+    py.detach(calibration::serve_if_asked);
+}
