@@ -53,8 +53,12 @@ impl Averaging {
     }
 
     pub(super) fn is_sound(&self, n: usize) -> bool {
-        self.centre.len() == n && self.radius > 0.0
+        self.centre.len() == n && self.centre.iter().all(|z| z.is_finite()) && is_length(self.radius)
     }
+}
+
+fn is_length(length: f64) -> bool {
+    length > 0.0 && length.is_finite()
 }
 
 /// Why a point is asked for.
@@ -189,9 +193,14 @@ impl LeastSquaresState {
     pub(super) fn is_sound(&self, setup: &Setup) -> bool {
         let (n, n_user, len) = (setup.space.n_free(), setup.space.n(), self.points.len());
         let m = self.points.first().map_or(0, |point| point.residuals.len());
+        let is_place = |z: &[f64], x: &[f64]| {
+            z.len() == n
+                && z.iter().all(|z| z.is_finite())
+                && x.len() == n_user
+                && setup.space.bounds().contains(x)
+        };
         let is_candidate = |c: &Candidate| {
-            c.z.len() == n
-                && c.x.len() == n_user
+            is_place(&c.z, &c.x)
                 && !matches!(c.known, Known::Point(k) if k >= len)
                 && match c.role {
                     Role::Start(coordinate) => coordinate.is_none_or(|k| k < n),
@@ -199,9 +208,16 @@ impl LeastSquaresState {
                     Role::Trial { .. } | Role::Near | Role::Probe { .. } => true,
                 }
         };
-        let is_point = |p: &Evaluated| p.z.len() == n && p.x.len() == n_user && p.residuals.len() == m;
+        let is_point = |p: &Evaluated| is_place(&p.z, &p.x) && p.cost.is_finite() && p.residuals.len() == m;
         setup.space.is_same_space(&self.setup.space)
+            && self.setup.tolerances.check().is_ok()
+            && self.options.check().is_ok()
             && self.origin.len() == n
+            && self.origin.iter().all(|u| u.is_finite())
+            && is_length(self.rho)
+            && is_length(self.delta)
+            && !self.f_0.is_nan()
+            && self.best_seen.is_sound(n_user)
             && self.points.iter().all(is_point)
             && self.round.iter().all(is_candidate)
             && self.set.iter().all(|k| *k < len)

@@ -145,6 +145,7 @@ impl MultistartState {
                 && core.used.len() == core.sample.len()
                 && core.rounds.is_sound(space.n())
                 && core.best.is_sound(space.n())
+                && core.best.get().is_none_or(|(x, _)| space.bounds().contains(x))
                 && core.minima.iter().all(|m| m.x.len() == space.n())
                 && core
                     .queue
