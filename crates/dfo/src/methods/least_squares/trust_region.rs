@@ -9,6 +9,9 @@ use crate::termination::Termination;
 
 /// A radius below this cannot be resolved.
 const SMALLEST: f64 = 1e-15;
+/// A sum of squares below this share of the first one is zero (the default `model.rel_tol` of DFO-LS: Cartis, Fiala, Marteau and
+/// Roberts 2019, section 4).
+const ZERO: f64 = 1e-20;
 /// Turns without a point to ask for: the resolution has come to its end long before.
 const MOST_TURNS: usize = 200;
 /// How often a direction that the set lacks is asked for around one point.
@@ -116,13 +119,19 @@ impl LeastSquaresState {
             // would be followed for ever.
             let rounding = 4.0 * self.points[base].residuals.len() as f64 * f64::EPSILON * f;
             let nothing = rounding.max(1e-7 * tests.f_limit);
-            if tests.passed || f == 0.0 {
+            if tests.passed || f <= ZERO * self.f_0 {
                 self.phase = Phase::Ended(Termination::Converged);
             } else if self.n_failed > 0 && self.delta < STUCK {
                 self.begin_simplex();
             } else if self.rho < SMALLEST {
                 self.phase = Phase::Ended(Termination::Collapsed);
             } else if length < 0.5 * self.rho || predicted <= nothing {
+                let (x_size, gain) = self.uncertainty(base, &model.linear, length, predicted);
+                let may_pass = self.setup.tolerances.x_tol > 0.0 && !tests.x_passed;
+                if !may_pass && (gain <= rounding || self.is_flat(&model.linear, rounding, (&lower, &upper))) {
+                    self.phase = Phase::Ended(Termination::Collapsed);
+                    return;
+                }
                 self.n_geometry += 1;
                 // Nothing to gain at this resolution, if the model is right.
                 self.delta = self.rho.max(0.1 * self.delta);
@@ -134,7 +143,7 @@ impl LeastSquaresState {
                 if distance > (2.0 * self.delta).max(10.0 * self.rho) && may_improve {
                     self.improve(base, &model, point, distance);
                 } else if self.delta <= self.rho {
-                    self.refine();
+                    self.refine(x_size);
                 }
             } else {
                 self.ask_for(sum(&z, &step), Role::Trial { predicted, radius: self.delta });
@@ -214,11 +223,17 @@ impl LeastSquaresState {
         self.completed = (base, tries + 1);
     }
 
-    /// A smaller resolution.
-    fn refine(&mut self) {
+    /// Whether the cost differs by no more than its rounding over all the resolution, and the model promises no more farther away.
+    fn is_flat(&self, linear: &Linear, rounding: f64, (lower, upper): (&[f64], &[f64])) -> bool {
+        linear.factor.norm_squared() * self.rho * self.rho <= rounding
+            && best_step(linear, self.options.radius.max(self.delta), (lower, upper)).1 <= rounding
+    }
+
+    /// A smaller resolution: a tenth, or the distance at which the minimum may lie where that is less.
+    fn refine(&mut self, x_size: f64) {
         self.n_geometry = 0;
         self.delta = 0.5 * self.rho;
-        self.rho *= 0.1;
+        self.rho = (0.1 * self.rho).min(x_size).max(0.1 * SMALLEST);
         self.delta = self.delta.max(self.rho);
     }
 
@@ -301,10 +316,10 @@ impl LeastSquaresState {
         if let Some(((k, ..), model)) = best.zip(model) {
             let lagrange = model.lagrange(&difference(&self.points[k].z, &z));
             let misfit = self.misfit(base, k, &lagrange);
-            if ratio >= 0.3 {
-                self.curvature = Some(misfit / (length * length));
-            }
             let size = length.max(self.farthest(base).1);
+            if ratio >= 0.3 {
+                self.curvature = Some(misfit / (length * size));
+            }
             match self.failure {
                 _ if ratio >= 0.7 => (self.failure, self.n_noisy) = (None, 0),
                 Some((of, at)) if size <= NEARER * at => {
@@ -339,7 +354,7 @@ impl LeastSquaresState {
                 // The model has got a new point; where that helps nothing for long, the resolution is the cause.
                 self.n_geometry += 1;
                 if (length <= self.rho && ratio < 1e-3) || self.n_geometry > 2 * (self.n() + 1) {
-                    self.refine();
+                    self.refine(self.rho);
                 }
             }
         }
