@@ -132,6 +132,11 @@ impl LeastSquaresState {
                     self.phase = Phase::Ended(Termination::Collapsed);
                     return;
                 }
+                if x_size < 0.1 * self.rho {
+                    // The model is nearer to the residuals than this resolution asks for.
+                    self.refine(x_size);
+                    continue;
+                }
                 self.n_geometry += 1;
                 // Nothing to gain at this resolution, if the model is right.
                 self.delta = self.rho.max(0.1 * self.delta);
