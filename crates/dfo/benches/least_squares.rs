@@ -77,11 +77,7 @@ fn sets(seed: usize) -> Vec<(&'static str, Vec<Problem>)> {
     ];
     if seed > 0 {
         for (s, problem) in all.iter_mut().flat_map(|(_, problems)| problems).enumerate() {
-            problem
-                .start
-                .iter_mut()
-                .enumerate()
-                .for_each(|(i, x)| *x *= 1.0 + 0.25 * noise(&[seed, s, i]));
+            problem.start.iter_mut().enumerate().for_each(|(i, x)| *x *= 1.0 + 0.25 * noise(&[seed, s, i]));
         }
     }
     all

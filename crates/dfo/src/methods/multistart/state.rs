@@ -315,7 +315,8 @@ impl MultistartState {
             let status = search.method.status();
             if let Some((x, cost)) = search.method.best().filter(|_| status != Status::Running) {
                 if core.minima.first().is_none_or(|best| cost < best.cost) {
-                    (core.tests, core.model) = (search.method.details().tests, search.method.linear_model());
+                    (core.tests, core.model) =
+                        (search.method.details().tests, search.method.linear_model(&mut || false));
                 }
                 let found = Optimum { x: x.to_vec(), cost, n_starts: 1 };
                 clusters::enter(&core.setup.space, &mut core.minima, found);
@@ -442,7 +443,7 @@ impl Method for MultistartState {
         self.core.best.get()
     }
 
-    fn linear_model(&self) -> Option<LinearModel> {
+    fn linear_model(&self, _: &mut dyn FnMut() -> bool) -> Option<LinearModel> {
         let is_best = self.core.minima.first().map(|m| m.cost) == self.core.best.cost();
         self.core.model.clone().filter(|_| is_best)
     }
