@@ -67,8 +67,11 @@ impl LinearModel {
             if svd.singular_values.min() <= RANK_TOLERANCE * svd.singular_values.max() {
                 break;
             }
-            let (mut transposed, mut misfit) = (DMatrix::zeros(n, m), 0.0);
             let at_once = (AT_ONCE / others.len()).max(1);
+            if m > at_once && cancelled() {
+                return None;
+            }
+            let (mut transposed, mut misfit) = (DMatrix::zeros(n, m), 0.0);
             for from in (0..m).step_by(at_once) {
                 if from > 0 && cancelled() {
                     return None;

@@ -47,6 +47,9 @@ struct Core {
     n_planned: usize,
     n_explored: usize,
     n_starts: usize,
+    /// Points of all but the first local search.
+    #[serde(default)]
+    n_elsewhere: usize,
     minima: Vec<Optimum>,
     best: Best,
     /// The tests and the derivatives of the search that ended at the best minimum.
@@ -109,6 +112,7 @@ impl MultistartState {
             n_planned: if explores { planned } else { 0 },
             n_explored: 0,
             n_starts: 0,
+            n_elsewhere: 0,
             minima: Vec::new(),
             best: Best::default(),
             tests: None,
@@ -302,7 +306,9 @@ impl MultistartState {
                 self.told.push(answers.outcomes()[k].clone(), answers.residuals(k).unwrap_or_default());
             }
             first += len;
-            search.method.tell(&self.told)?;
+            if len > 0 {
+                search.method.tell(&self.told)?;
+            }
         }
         self.core.operation = Some(Operation::LocalSearches);
         self.retire()
@@ -326,6 +332,19 @@ impl MultistartState {
         if self.searches.len() < before { self.next() } else { Ok(()) }
     }
 
+    /// Until the first local search has ended, all else has at most half of the budget: where the points of the other searches would be
+    /// more, these wait.
+    fn leave_half_to_the_first(&mut self) {
+        let Core { n_starts, n_elsewhere, setup, .. } = &self.core;
+        let Some(budget) = setup.max_evaluations.filter(|_| *n_starts == self.searches.len()) else { return };
+        let wanted: usize = self.searches.iter().skip(1).map(|search| search.asked.len()).sum();
+        if n_elsewhere + wanted > budget / 2 {
+            for search in self.searches.iter_mut().skip(1) {
+                search.asked = Batch::new();
+            }
+        }
+    }
+
     /// Asks the searches; a method may find out that it has ended when it is asked.
     fn ask_searches(&mut self) {
         loop {
@@ -333,6 +352,7 @@ impl MultistartState {
                 search.method.ask(&mut search.asked);
             }
             if self.searches.iter().all(|search| search.method.status() == Status::Running) {
+                self.leave_half_to_the_first();
                 return;
             }
             if self.retire().is_err() {
@@ -403,12 +423,19 @@ impl Method for MultistartState {
         core.n_iterations += usize::from(core.operation.is_some());
         match core.phase {
             Phase::Sampling => {
+                core.n_elsewhere += asked.len();
                 if core.rounds.tell(answers, &mut core.sample)? {
                     self.sampled()?;
                 }
             }
-            Phase::Exploring => self.explored(answers)?,
-            Phase::Searching => self.searched(answers)?,
+            Phase::Exploring => {
+                core.n_elsewhere += asked.len();
+                self.explored(answers)?;
+            }
+            Phase::Searching => {
+                core.n_elsewhere += asked.len() - self.searches.first().map_or(0, |first| first.asked.len());
+                self.searched(answers)?;
+            }
             Phase::NoStart | Phase::Ended(_) => {}
         }
         Ok(())
