@@ -369,6 +369,13 @@ pub trait Method {
     /// without telling gives the same batch.
     fn ask(&mut self, batch: &mut Batch);
 
+    /// The same for methods whose own computations may take long: where `cancelled` says so, the batch is left empty although the method
+    /// has not ended, and it can be asked again.
+    fn ask_unless(&mut self, cancelled: &mut dyn FnMut() -> bool, batch: &mut Batch) {
+        let _ = cancelled;
+        self.ask(batch);
+    }
+
     /// Adds up to `wanted` points that the path may need after those just asked for, the most probable first, with cutoffs
     /// that are at least those of the path. `known` says which points need no evaluation any more. What becomes of them is
     /// not told: it is at hand when the path asks for them. Must not change what the method does.
@@ -394,8 +401,9 @@ pub trait Method {
     fn details(&self) -> Details<'_>;
 
     /// The derivatives of the residuals at the best point, for methods that have them (see [`Space`] for its scales). Called
-    /// once, at the end of a run.
-    fn linear_model(&self) -> Option<LinearModel> {
+    /// once, at the end of a run. `None` where it would take long and is `cancelled`.
+    fn linear_model(&self, cancelled: &mut dyn FnMut() -> bool) -> Option<LinearModel> {
+        let _ = cancelled;
         None
     }
 

@@ -506,6 +506,9 @@ impl Method for BoxedMethod {
     fn ask(&mut self, batch: &mut Batch) {
         self.0.ask(batch);
     }
+    fn ask_unless(&mut self, cancelled: &mut dyn FnMut() -> bool, batch: &mut Batch) {
+        self.0.ask_unless(cancelled, batch);
+    }
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
         self.0.tell(answers)
     }
@@ -521,8 +524,8 @@ impl Method for BoxedMethod {
     fn best(&self) -> Option<(&[f64], f64)> {
         self.0.best()
     }
-    fn linear_model(&self) -> Option<LinearModel> {
-        self.0.linear_model()
+    fn linear_model(&self, cancelled: &mut dyn FnMut() -> bool) -> Option<LinearModel> {
+        self.0.linear_model(cancelled)
     }
     fn save(&self) -> Option<Vec<u8>> {
         self.0.save()
