@@ -414,6 +414,30 @@ pub trait Method {
     }
 }
 
+/// How a model shows that the cost is not smooth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Roughness {
+    /// The curvature of the model grows as its region shrinks.
+    Curvature,
+    /// Steps fail at one resolution after the other.
+    RefusedSteps,
+}
+
+impl fmt::Display for Roughness {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Curvature => {
+                "the cost has kinks or noise (the curvature of the model grows as its region shrinks)"
+            }
+            Self::RefusedSteps => {
+                "the cost has kinks or noise (steps that the model takes for good do not lower it)"
+            }
+        })
+    }
+}
+
 /// Where a method stands, besides its status and its best point. A method gives what it has; all else has a default.
 #[derive(Debug, Clone, Default)]
 pub struct Details<'a> {
@@ -431,6 +455,10 @@ pub struct Details<'a> {
     pub lookahead: Lookahead,
     /// The seed in use, for methods that draw random numbers.
     pub seed: Option<u64>,
+    /// How the model of the cost shows noise or kinks, for methods that have one.
+    pub roughness: Option<Roughness>,
+    /// The number of points after which another method took over because of that.
+    pub handed_over: Option<u64>,
     /// Parameters that started at zero, and whose size no step could tell because none has changed the cost, by index.
     pub without_effect: Vec<usize>,
     /// The simplex, for methods that have one.

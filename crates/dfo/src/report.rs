@@ -323,6 +323,13 @@ fn message<M: Method + ?Sized>(
             with_tests(format!("ended, and its last state could not be saved: {reason}"))
         }
     };
+    let message = match (details.roughness, details.handed_over) {
+        (Some(roughness), Some(points)) => {
+            format!("{message}; nelder-mead took over after {points} evaluations: {roughness}")
+        }
+        (Some(roughness), None) if !termination.is_success() => format!("{message}; {roughness}"),
+        _ => message,
+    };
     if let Some(cost) = ledger.trace.constant() {
         format!("{message}; the cost was {cost:e} at all {} points", ledger.n_evaluations)
     } else if details.without_effect.is_empty() {

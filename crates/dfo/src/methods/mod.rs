@@ -366,10 +366,10 @@ impl AnyMethod {
     /// The method for a problem of this class:
     ///
     /// - with residuals [`LeastSquares`], which needs a tenth of the evaluations of methods that see the cost alone;
-    /// - with costs [`NelderMead`], which kinks and noise disturb least: of the 53 problems of Moré and Wild with smooth costs / noise of
-    ///   1e-3 / absolute residuals it solves 83, 64 and 98 %, [`QuadraticModel`] 92, 56 and 38 %, with half the evaluations where
-    ///   both do; at every n from 2 to 12 it solves more of the three together (`benches/dfo`);
-    /// - [`Multistart`] with either of them where the best minimum of a box is asked for;
+    /// - with costs [`QuadraticModel`], which hands over to [`NelderMead`] where its model shows noise or kinks
+    ///   ([`QuadraticModel::hand_over`](field@QuadraticModel::hand_over)): with smooth costs it takes half of the evaluations of Nelder-Mead or
+    ///   less, with others as many (`benches/choice.rs`); from the start Nelder-Mead where nothing tells the size of a parameter;
+    /// - [`Multistart`] where the best minimum of a box is asked for;
     /// - [`DifferentialEvolution`] with integer parameters, [`Genetic`] with categorical ones.
     ///
     /// # Errors
@@ -401,8 +401,8 @@ impl AnyMethod {
                 chosen(LeastSquares::default().into(), "the objective gives residuals")
             }
             (Search::Local, _, false) => chosen(
-                NelderMead::default().into(),
-                "the objective gives a cost and no residuals: noise and kinks disturb Nelder-Mead least (for smooth costs quadratic-model takes fewer evaluations)",
+                QuadraticModel::default().hand_over(true).into(),
+                "the objective gives a cost and no residuals: a quadratic model as long as the cost is smooth, Nelder-Mead where noise or kinks show",
             ),
         }
     }
