@@ -288,9 +288,9 @@ impl Best {
         self.0.as_ref().map(|(_, f)| *f)
     }
 
-    /// Whether the point has this length: what comes from a file may not.
+    /// Whether the point has this length and a cost: what comes from a file may not.
     pub(crate) fn is_sound(&self, n: usize) -> bool {
-        self.0.as_ref().is_none_or(|(x, _)| x.len() == n)
+        self.0.as_ref().is_none_or(|(x, cost)| x.len() == n && cost.is_finite())
     }
 }
 

@@ -2,9 +2,9 @@
 
 use crate::checkpoint::Writer;
 use crate::error::Error;
-use crate::gateway::Gateway;
 use crate::gateway::batch_ledger::{BatchLedger, Replay};
 use crate::gateway::ledger::Ledger;
+use crate::gateway::{Gateway, StopCause};
 use crate::method::{Batch, Details, Method, Status};
 use crate::observe::Progress;
 use crate::report::{self, Report};
@@ -34,7 +34,10 @@ impl<M: Method> Drive<'_, M> {
         let termination = self.until_over(observer)?;
         let seconds = self.gateway.elapsed();
         let Self { method, gateway, limits, workers, .. } = &mut self;
-        report::conclude(method, &mut gateway.batch_ledger.ledger, limits, *workers, termination, seconds)
+        let Gateway { batch_ledger, control, .. } = gateway;
+        let mut interrupted = || control.check() == Some(StopCause::Interrupted);
+        let ledger = &mut batch_ledger.ledger;
+        report::conclude(method, ledger, limits, *workers, termination, seconds, &mut interrupted)
     }
 
     /// `None`: the method had nothing to start from.
@@ -47,7 +50,24 @@ impl<M: Method> Drive<'_, M> {
             return Ok(Some(termination));
         }
         loop {
-            self.method.ask(&mut batch);
+            let mut cause = None;
+            let control = &mut self.gateway.control;
+            let mut cancelled = || {
+                cause = cause.or_else(|| control.check());
+                cause.is_some()
+            };
+            self.method.ask_unless(&mut cancelled, &mut batch);
+            if let Some(cause) = cause.filter(|_| batch.is_empty() && self.method.status() == Status::Running)
+            {
+                self.save(&[]);
+                let termination = match cause {
+                    StopCause::Interrupted => Termination::Interrupted,
+                    StopCause::OutOfTime => {
+                        limited(&self.method, &self.gateway.batch_ledger, Termination::MaxTime)
+                    }
+                };
+                return Ok(Some(self.unless_unsaved(termination)));
+            }
             // What needs no evaluation needs no budget.
             if let Some(termination) = self.gateway.exhausted().filter(|_| !batch.is_empty()) {
                 self.save(&[]);

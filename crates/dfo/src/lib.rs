@@ -79,8 +79,8 @@ pub use evaluator::{BatchView, WorkerPool};
 pub use linear_model::{Covariance, LinearModel};
 pub use loss::{Loss, RobustLoss};
 pub use method::{
-    BarrierStage, Batch, Details, Lookahead, Method, MethodOptions, Operation, Optimum, ProblemClass, Setup,
-    Simplex, SimplexView, Status,
+    BarrierStage, Batch, Details, Lookahead, Method, MethodOptions, Operation, Optimum, ProblemClass,
+    Roughness, Setup, Simplex, SimplexView, Status,
 };
 pub use methods::{
     Adaptive, AnyMethod, Auto, Barrier, BarrierState, BatchPlan, BoxedMethod, CmaBounds, CmaEs, CmaEsState,

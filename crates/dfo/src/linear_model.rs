@@ -26,17 +26,22 @@ pub struct LinearModel {
 /// Noise of residuals relative to their change over the size of a parameter: the least of these that agrees with the points.
 const NOISE: [f64; 4] = [1e-8, 1e-6, 1e-4, 1e-2];
 
+/// Differences of residuals that are looked at together.
+const AT_ONCE: usize = 1 << 18;
+
 /// Curvature over the size of a parameter relative to the derivatives, up to which a misfit is no noise.
 const BENT: f64 = 10.0;
 
 impl LinearModel {
     /// By regression on points of a search: their places in units of the sizes of the working coordinates and their residuals.
     /// `best`: the point itself, its place and its residuals. A point at the distance d from it is wrong by d^2 for curvature,
-    /// and by the noise; its weight is the inverse of their sum. `None` where the points span no more than a plane.
+    /// and by the noise; its weight is the inverse of their sum. `None` where the points span no more than a plane, or where there are
+    /// many residuals and it is `cancelled`.
     pub(crate) fn regression<'a>(
         space: &Space,
         (x, z, residuals): (&[f64], &[f64], &[f64]),
         points: impl Iterator<Item = (&'a [f64], &'a [f64])> + Clone,
+        cancelled: &mut dyn FnMut() -> bool,
     ) -> Option<Self> {
         let (n, m) = (z.len(), residuals.len());
         let moved = |place: &[f64]| place.iter().zip(z).map(|(a, b)| a - b).collect::<Vec<f64>>();
@@ -54,7 +59,6 @@ impl LinearModel {
         if others.len() < n {
             return None;
         }
-        let differences = DMatrix::from_fn(others.len(), m, |k, i| others[k].2[i] - residuals[i]);
         let mut found = None;
         for noise in NOISE {
             let weights: Vec<f64> = others.iter().map(|(_, d, _)| 1.0 / (d * d + noise)).collect();
@@ -63,10 +67,23 @@ impl LinearModel {
             if svd.singular_values.min() <= RANK_TOLERANCE * svd.singular_values.max() {
                 break;
             }
-            let mut weighted = differences.clone();
-            weighted.row_iter_mut().zip(&weights).for_each(|(mut row, weight)| row *= *weight);
-            let transposed = svd.solve(&weighted, 0.0).ok()?;
-            let misfit = (steps * &transposed - weighted).norm_squared();
+            let at_once = (AT_ONCE / others.len()).max(1);
+            if m > at_once && cancelled() {
+                return None;
+            }
+            let (mut transposed, mut misfit) = (DMatrix::zeros(n, m), 0.0);
+            for from in (0..m).step_by(at_once) {
+                if from > 0 && cancelled() {
+                    return None;
+                }
+                let len = at_once.min(m - from);
+                let weighted = DMatrix::from_fn(others.len(), len, |k, i| {
+                    weights[k] * (others[k].2[from + i] - residuals[from + i])
+                });
+                let solved = svd.solve(&weighted, 0.0).ok()?;
+                misfit += (&steps * &solved - weighted).norm_squared();
+                transposed.columns_mut(from, len).copy_from(&solved);
+            }
             let freedom = (others.len() - n).max(1) as f64;
             let agrees = misfit <= BENT * BENT * freedom * transposed.norm_squared();
             found = Some(transposed);
@@ -287,7 +304,7 @@ mod tests {
             let at_best: Vec<f64> = r(&best, noise);
             let points = places.iter().map(Vec::as_slice).zip(values.iter().map(Vec::as_slice));
             let best_point = (&[1.0, 10.0][..], &best[..], &at_best[..]);
-            let model = LinearModel::regression(&space, best_point, points).unwrap();
+            let model = LinearModel::regression(&space, best_point, points, &mut || false).unwrap();
             let e = 1f64.exp();
             let expected = [2.0, 0.2, 1.0, -0.2, e, 0.1 * e];
             for (k, (j, expected)) in model.jacobian.iter().zip(expected).enumerate() {
@@ -297,7 +314,8 @@ mod tests {
         }
         let line = [([1.5, 1.0], [0.0]), ([2.0, 1.0], [1.0])];
         let points = line.iter().map(|(z, r)| (&z[..], &r[..]));
-        assert_eq!(LinearModel::regression(&space, (&[1.0, 10.0], &[1.0, 1.0], &[1.0]), points), None);
+        let best = (&[1.0, 10.0][..], &[1.0, 1.0][..], &[1.0][..]);
+        assert_eq!(LinearModel::regression(&space, best, points, &mut || false), None);
     }
 
     #[test]

@@ -369,6 +369,13 @@ pub trait Method {
     /// without telling gives the same batch.
     fn ask(&mut self, batch: &mut Batch);
 
+    /// The same for methods whose own computations may take long: where `cancelled` says so, the batch is left empty although the method
+    /// has not ended, and it can be asked again.
+    fn ask_unless(&mut self, cancelled: &mut dyn FnMut() -> bool, batch: &mut Batch) {
+        let _ = cancelled;
+        self.ask(batch);
+    }
+
     /// Adds up to `wanted` points that the path may need after those just asked for, the most probable first, with cutoffs
     /// that are at least those of the path. `known` says which points need no evaluation any more. What becomes of them is
     /// not told: it is at hand when the path asks for them. Must not change what the method does.
@@ -394,8 +401,9 @@ pub trait Method {
     fn details(&self) -> Details<'_>;
 
     /// The derivatives of the residuals at the best point, for methods that have them (see [`Space`] for its scales). Called
-    /// once, at the end of a run.
-    fn linear_model(&self) -> Option<LinearModel> {
+    /// once, at the end of a run. `None` where it would take long and is `cancelled`.
+    fn linear_model(&self, cancelled: &mut dyn FnMut() -> bool) -> Option<LinearModel> {
+        let _ = cancelled;
         None
     }
 
@@ -403,6 +411,30 @@ pub trait Method {
     /// at any time; a state saved between ask and tell asks for the same batch again.
     fn save(&self) -> Option<Vec<u8>> {
         None
+    }
+}
+
+/// How a model shows that the cost is not smooth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Roughness {
+    /// The curvature of the model grows as its region shrinks.
+    Curvature,
+    /// Steps fail at one resolution after the other.
+    RefusedSteps,
+}
+
+impl fmt::Display for Roughness {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Curvature => {
+                "the cost has kinks or noise (the curvature of the model grows as its region shrinks)"
+            }
+            Self::RefusedSteps => {
+                "the cost has kinks or noise (steps that the model takes for good do not lower it)"
+            }
+        })
     }
 }
 
@@ -423,6 +455,10 @@ pub struct Details<'a> {
     pub lookahead: Lookahead,
     /// The seed in use, for methods that draw random numbers.
     pub seed: Option<u64>,
+    /// How the model of the cost shows noise or kinks, for methods that have one.
+    pub roughness: Option<Roughness>,
+    /// The number of points after which another method took over because of that.
+    pub handed_over: Option<u64>,
     /// Parameters that started at zero, and whose size no step could tell because none has changed the cost, by index.
     pub without_effect: Vec<usize>,
     /// The simplex, for methods that have one.

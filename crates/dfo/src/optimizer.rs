@@ -317,8 +317,15 @@ impl Optimizer {
         let termination = self.ended.clone().unwrap_or(Some(Termination::Interrupted));
         let mut ledger = self.batch_ledger.ledger.clone();
         let (workers, seconds) = (self.workers, self.elapsed());
-        let report =
-            report::conclude(&self.method, &mut ledger, &self.limits, workers, termination, seconds)?;
+        let report = report::conclude(
+            &self.method,
+            &mut ledger,
+            &self.limits,
+            workers,
+            termination,
+            seconds,
+            &mut || false,
+        )?;
         let (method_reason, resumed) = (self.method_reason.clone(), self.resumed.clone());
         Ok(Report { method_reason, resumed, ..report })
     }

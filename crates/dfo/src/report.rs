@@ -216,6 +216,7 @@ pub(crate) fn conclude<M: Method + ?Sized>(
     workers: usize,
     termination: Option<Termination>,
     seconds: f64,
+    interrupted: &mut dyn FnMut() -> bool,
 ) -> Result<Report, Error> {
     ledger.finish();
     let Some(termination) = termination else {
@@ -229,7 +230,8 @@ pub(crate) fn conclude<M: Method + ?Sized>(
         Some(std::mem::take(&mut ledger.best_residuals)).filter(|residuals| !residuals.is_empty());
     let fits =
         |model: &LinearModel| residuals.as_ref().is_some_and(|r| model.jacobian.len() == r.len() * x.len());
-    let model = method.linear_model().filter(fits);
+    let mut cancelled = || termination == Termination::Interrupted || interrupted();
+    let model = method.linear_model(&mut cancelled).filter(fits);
     let (jacobian, active) = model.map_or((None, Vec::new()), |model| (Some(model.jacobian), model.active));
     Ok(Report {
         message: message(method, ledger, limits, &termination, fun, seconds),
@@ -320,6 +322,13 @@ fn message<M: Method + ?Sized>(
         Termination::NotSaved(reason) => {
             with_tests(format!("ended, and its last state could not be saved: {reason}"))
         }
+    };
+    let message = match (details.roughness, details.handed_over) {
+        (Some(roughness), Some(points)) => {
+            format!("{message}; nelder-mead took over after {points} evaluations: {roughness}")
+        }
+        (Some(roughness), None) if !termination.is_success() => format!("{message}; {roughness}"),
+        _ => message,
     };
     if let Some(cost) = ledger.trace.constant() {
         format!("{message}; the cost was {cost:e} at all {} points", ledger.n_evaluations)

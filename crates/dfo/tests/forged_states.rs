@@ -1,4 +1,5 @@
-//! Saved states in which one field was changed: they are refused, or the search goes on and nothing panics or hangs.
+//! Saved states in which one field was changed: they are refused, or the search goes on inside of its bounds and nothing panics or
+//! hangs.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use ciborium::Value;
@@ -13,33 +14,55 @@ const HANGS: Duration = Duration::from_secs(120);
 /// So many rounds are made from a forged state.
 const ROUNDS: usize = 30;
 
-fn cost(x: &[f64]) -> f64 {
-    (x[0] - 0.3).powi(2) + (x[1] + 0.2).powi(4)
+/// Residuals of a point; `None` where it fails.
+type Residuals = fn(&[f64]) -> Option<[f64; 3]>;
+
+fn smooth(x: &[f64]) -> Option<[f64; 3]> {
+    Some([x[0] - 0.3, (x[1] + 0.2).powi(2), 0.0])
+}
+
+fn noisy(x: &[f64]) -> Option<[f64; 3]> {
+    let shake = |frequency: f64| 0.02 * (frequency * (x[0] + 0.7 * x[1])).sin();
+    Some([x[0] - 0.3 + shake(1e6), x[1] + 0.2 + shake(3e6), 0.1 + shake(7e6)])
+}
+
+fn failing(x: &[f64]) -> Option<[f64; 3]> {
+    (x[0] > 0.5).then_some([x[0] - 0.3, x[1] + 0.2, 0.1])
 }
 
 fn setup() -> Setup {
-    let bounds = Bounds::new(&[-1.0, -2.0], &[2.0, 2.0]).unwrap();
-    let mut setup = Setup::new(Space::new(&[1.0, 1.0], bounds, &[], &[]).unwrap());
+    let bounds = Bounds::new(&[0.05, -2.0], &[2.0, -0.05]).unwrap();
+    let mut setup = Setup::new(Space::new(&[1.0, -1.0], bounds, &[], &[]).unwrap());
     setup.seed = Some(3);
     setup.max_evaluations = Some(400);
     setup
 }
 
-fn go_on(method: &mut impl Method, rounds: usize) {
-    let mut batch = Batch::new();
+fn go_on(method: &mut impl Method, residuals: Residuals, rounds: usize) {
+    let (mut batch, mut answers) = (Batch::new(), Answers::default());
     for _ in 0..rounds {
         method.ask(&mut batch);
         if batch.is_empty() {
             break;
         }
-        let outcomes: Vec<_> = batch.points().map(|x| Outcome::Value(cost(x))).collect();
-        if method.tell(&Answers::from(&outcomes[..])).is_err() {
+        assert!(batch.points().all(|x| setup().space.bounds().contains(x)), "{:?}", batch.as_flat());
+        answers.clear();
+        for residuals in batch.points().map(residuals) {
+            match residuals {
+                Some(residuals) => {
+                    answers.push(Outcome::Value(residuals.iter().map(|r| r * r).sum()), &residuals)
+                }
+                None => answers.push(Outcome::failed("no"), &[]),
+            }
+        }
+        if method.tell(&answers).is_err() {
             break;
         }
         method.details();
         method.status();
         method.best();
     }
+    method.linear_model(&mut || false);
 }
 
 /// The numbers and lists of a state, each as the way that leads to it.
@@ -100,9 +123,9 @@ fn others(value: &Value) -> Vec<Value> {
 }
 
 /// All forged states of a method after some rounds, with what was changed.
-fn forged(options: &AnyMethod, rounds: usize) -> Vec<(String, Vec<u8>)> {
+fn forged(options: &AnyMethod, residuals: Residuals, rounds: usize) -> Vec<(String, Vec<u8>)> {
     let mut method = options.begin(&setup()).unwrap();
-    go_on(&mut method, rounds);
+    go_on(&mut method, residuals, rounds);
     options.restore(&setup(), &method.save().unwrap()).expect("a state as it was saved");
     let state: Value = ciborium::from_reader(&method.save().unwrap()[..]).unwrap();
     let mut found = Vec::new();
@@ -124,12 +147,12 @@ fn forged(options: &AnyMethod, rounds: usize) -> Vec<(String, Vec<u8>)> {
     all
 }
 
-fn check(name: &str) {
+fn check(name: &str, residuals: Residuals) {
     let options: AnyMethod = name.parse().unwrap();
     let mut failures = Vec::new();
     let mut n = 0;
     for rounds in [0, 3, 12, 40] {
-        let all = forged(&options, rounds);
+        let all = forged(&options, residuals, rounds);
         n += all.len();
         let (tell, told) = channel();
         let (options, states) = (options.clone(), all.clone());
@@ -137,7 +160,7 @@ fn check(name: &str) {
             for (_, state) in states {
                 let end = catch_unwind(AssertUnwindSafe(|| {
                     if let Ok(mut method) = options.restore(&setup(), &state) {
-                        go_on(&mut method, ROUNDS);
+                        go_on(&mut method, residuals, ROUNDS);
                     }
                 }));
                 if tell.send(end.is_ok()).is_err() {
@@ -162,22 +185,25 @@ fn check(name: &str) {
 }
 
 macro_rules! methods {
-    ($($function:ident: $name:literal),* $(,)?) => {
+    ($($function:ident: $name:literal, $residuals:ident);* $(;)?) => {
         $(#[test]
         fn $function() {
-            check($name);
+            check($name, $residuals);
         })*
     };
 }
 
 methods!(
-    barrier: "barrier",
-    cma_es: "cma-es",
-    differential_evolution: "de",
-    classic_differential_evolution: "de-classic",
-    genetic: "ga",
-    multistart: "multistart",
-    nelder_mead: "nelder-mead",
-    pattern_search: "pattern-search",
-    quadratic_model: "quadratic-model",
+    barrier: "barrier", smooth;
+    cma_es: "cma-es", smooth;
+    differential_evolution: "de", smooth;
+    classic_differential_evolution: "de-classic", smooth;
+    genetic: "ga", smooth;
+    least_squares: "least-squares", smooth;
+    least_squares_in_noise: "least-squares", noisy;
+    least_squares_where_points_fail: "least-squares", failing;
+    multistart: "multistart", smooth;
+    nelder_mead: "nelder-mead", smooth;
+    pattern_search: "pattern-search", smooth;
+    quadratic_model: "quadratic-model", smooth;
 );

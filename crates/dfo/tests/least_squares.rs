@@ -6,11 +6,13 @@ mod problems;
 
 use common::{probe_fails, rosenbrock, timeless};
 use dfo::{
-    Checkpoint, Error, LeastSquares, Minimize, Objective, Outcome, Report, Termination, by_hand, minimize,
-    residuals,
+    Answers, Batch, Bounds, Checkpoint, Error, LeastSquares, Method, MethodOptions, Minimize, Objective,
+    Outcome, Report, Setup, Space, Termination, by_hand, minimize, residuals,
 };
 use problems::{instances, residuals as more_wild};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 
 /// Rosenbrock's function as residuals, with the failing regions.
@@ -250,4 +252,75 @@ fn a_parameter_without_effect_costs_little() {
     let report =
         minimize(residuals(model)).start(&[1.0, 1.0, 5.0]).method(LeastSquares::default()).run().unwrap();
     assert!(report.is_success() && report.n_evaluations < 80, "{report}");
+}
+
+/// Many residuals of few parameters.
+fn large(x: &[f64], out: &mut Vec<f64>) {
+    out.extend((0..300_000).map(|i| {
+        let t = f64::from(i) / 300_000.0;
+        x[0] * (-x[1] * t).exp() + x[2] * (9.0 * t).sin() - 2.0 * (-0.7 * t).exp() - 0.1 * (40.0 * t).cos()
+    }));
+}
+
+/// What the method computes itself can be interrupted, and goes on as if it had not been.
+#[test]
+fn own_computations_can_be_interrupted() {
+    let bounds = Bounds::unbounded(3);
+    let setup = Setup::new(Space::new(&[1.0, 1.0, 1.0], bounds, &[], &[]).unwrap());
+    let [mut plain, mut interrupted] = [0, 1].map(|_| LeastSquares::default().begin(&setup).unwrap());
+    let (mut batch, mut other, mut answers) = (Batch::new(), Batch::new(), Answers::default());
+    let (mut n_interrupted, mut n_looks) = (0, 0);
+    for _ in 0..12 {
+        plain.ask(&mut batch);
+        for most in 0.. {
+            let mut looks = 0;
+            let mut cancelled = || {
+                looks += 1;
+                looks > most
+            };
+            interrupted.ask_unless(&mut cancelled, &mut other);
+            if !other.is_empty() {
+                break;
+            }
+            n_interrupted += 1;
+        }
+        assert_eq!(batch, other);
+        answers.clear();
+        for x in batch.points() {
+            let mut residuals = Vec::new();
+            large(x, &mut residuals);
+            answers.push(Outcome::Value(residuals.iter().map(|r| r * r).sum()), &residuals);
+        }
+        plain.tell(&answers).unwrap();
+        interrupted.tell(&answers).unwrap();
+    }
+    assert!(n_interrupted >= 8, "{n_interrupted}");
+    let mut count = || {
+        n_looks += 1;
+        false
+    };
+    assert!(plain.linear_model(&mut count).is_some() && n_looks >= 4, "{n_looks}");
+    assert!(plain.linear_model(&mut || true).is_none());
+}
+
+/// A run that is interrupted while its method computes ends at once, and goes on from there.
+#[test]
+fn an_interrupt_between_rounds_ends_the_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |name: &str| {
+        let at = Checkpoint::new(folder.path().join(name)).interval(Duration::ZERO);
+        let run = minimize(residuals(large)).start(&[1.0; 3]).method(LeastSquares::default());
+        run.max_evaluations(12).checkpoint(at)
+    };
+    let whole = run("whole").run().unwrap();
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&stop);
+    let stopped = run("stopped").cancel(Arc::clone(&stop)).observer(move |progress| {
+        flag.store(progress.n_evaluations >= 7, Ordering::Relaxed);
+        ControlFlow::Continue(())
+    });
+    let stopped = stopped.run().unwrap();
+    assert_eq!((&stopped.termination, stopped.n_evaluations), (&Termination::Interrupted, 7));
+    assert!(stopped.jacobian.is_none());
+    assert_eq!(told(&run("stopped").run().unwrap()), told(&whole));
 }

@@ -162,3 +162,27 @@ fn bad_options_are_refused() {
     let without = costs.method(default().polish(Polish::LeastSquares)).run();
     assert!(matches!(without, Err(Error::NeedsResiduals { .. })));
 }
+
+/// Until the first search has ended, all other points are at most half of the budget.
+#[test]
+fn the_first_search_has_half_of_the_budget() {
+    let start = [-1.2, 1.0, -1.2, 1.0];
+    let chain = |x: &[f64]| -> f64 {
+        x.windows(2).map(|w| 100.0 * (w[1] - w[0] * w[0]).powi(2) + (1.0 - w[0]).powi(2)).sum()
+    };
+    let run = |method: Multistart, budget: usize| {
+        let run = minimize(chain).start(&start).bounds(&[-5.0; 4], &[5.0; 4]).unwrap();
+        run.method(method.polish(Polish::NelderMead).exploration(0.0))
+            .seed(1)
+            .max_evaluations(budget)
+            .run()
+            .unwrap()
+    };
+    let alone = run(Multistart::default().max_starts(1), 10_000);
+    let sample = 40;
+    let first = alone.n_evaluations - sample;
+    // As many points for the first search as it needs, and no fewer for the rest.
+    let report = run(Multistart::default(), 2 * first + 2);
+    assert_eq!(report.optima.iter().map(|optimum| optimum.n_starts).sum::<usize>(), 1, "{report}");
+    assert!(report.fun <= alone.fun, "{report}");
+}

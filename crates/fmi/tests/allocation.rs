@@ -9,7 +9,7 @@ use fmi::ode::{Ignore, Observer, Sample};
 use fmi::{Fmu, Inputs, Kind, SimulateOptions, SimulationPlan, Simulator, Value};
 use std::ops::ControlFlow;
 use std::sync::Arc;
-use support::{arrays, fixture, model, model_as};
+use support::{arrays, fixture, fixture_with, model, model_as};
 
 struct Sum(f64);
 
@@ -104,6 +104,26 @@ fn clocks_of_all_kinds() {
             .inputs(inputs.clone())
             .outputs(["x", "u", "sample", "alarm", "n_button"]);
         allocates_nothing_per_step(&fmu, &options, [2.0, 20.0]);
+    }
+}
+
+#[test]
+fn a_long_text_is_kept_once_in_however_many_rows_it_stands() {
+    const SIZE: usize = 1 << 20;
+    let folder = fixture_with("arrays", &[&format!("LONG_TEXT={SIZE}")], |xml| xml);
+    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+        let options = SimulateOptions::new().kind(kind).final_time(1.0).ncp(200).outputs(["label"]);
+        let plan = SimulationPlan::new(&folder.open(), &options).unwrap();
+        let mut simulator = Simulator::new(Arc::new(plan)).unwrap();
+        simulator.trajectory(&[]).unwrap();
+        let mut result = None;
+        let counted = allocation_counter::measure(|| result = Some(simulator.trajectory(&[]).unwrap()));
+        let result = result.unwrap();
+        let column = result.values_of("label").unwrap();
+        let text = |letter: &str| Value::String(letter.repeat(SIZE));
+        assert_eq!((column.len(), column.distinct().len()), (201, 2), "{kind:?}");
+        assert!(column[0] == text("e") && column[200] == text("l"), "{kind:?}");
+        assert!(counted.bytes_max < 3 * SIZE as u64, "{kind:?}: {counted:?}");
     }
 }
 

@@ -192,7 +192,7 @@ fn outputs_of_every_type_are_sampled_at_the_same_rows() {
         let value_names: Vec<&str> = result.values.iter().map(|column| column.name.as_str()).collect();
         assert_eq!(value_names, ["label", "count", "text[1]", "text[2]", "blob", "u64", "text[2]"]);
         for column in &result.values {
-            assert_eq!(column.values.len(), 11, "{}", column.name);
+            assert_eq!(column.len(), 11, "{}", column.name);
         }
 
         let bytes = [0u8, 1, 255];
@@ -217,8 +217,8 @@ fn outputs_of_every_type_are_sampled_at_the_same_rows() {
         session.set("text", vec!["", "\u{1f600}"]).unwrap();
         let again = session.simulate(&options.clone().outputs(["text"])).unwrap();
         assert!(again.names.is_empty());
-        assert_eq!(again.values_of("text[1]").unwrap(), vec![Value::from(""); 11]);
-        assert_eq!(again.values_of("text[2]").unwrap(), vec![Value::from("\u{1f600}"); 11]);
+        assert_eq!(*again.values_of("text[1]").unwrap(), [""; 11].map(Value::from)[..]);
+        assert_eq!(*again.values_of("text[2]").unwrap(), ["\u{1f600}"; 11].map(Value::from)[..]);
 
         let plan = |outputs: &[&str]| {
             SimulationPlan::new(&fmu, &options.clone().outputs(outputs.iter().copied())).unwrap()
@@ -423,11 +423,11 @@ fn texts_and_bytes_are_inputs() {
         let late = kind == Kind::CoSimulation;
         let words = if late { [1, 1, 2, 1, 1] } else { [1, 2, 1, 1, 1] };
         let words = words.map(|word| Value::String(["none", "first", "second"][word].into()));
-        assert_eq!(found.values_of("word").unwrap(), words);
+        assert_eq!(*found.values_of("word").unwrap(), words[..]);
         let packet = vec![0, 255];
         let third = if late { vec![] } else { packet.clone() };
         let packets = [vec![], vec![], third, packet.clone(), packet].map(Value::Binary);
-        assert_eq!(found.values_of("packet").unwrap(), packets);
+        assert_eq!(*found.values_of("packet").unwrap(), packets[..]);
         let plain = fmu.simulate(&options).unwrap();
         assert!(plain.values_of("word").unwrap().iter().all(|word| *word == Value::String("none".into())));
     }
@@ -472,12 +472,16 @@ fn integers_of_64_bits_are_inputs_without_loss() {
         let options = SimulateOptions::new().kind(kind).inputs(inputs).outputs(["i64", "u64", "i16"]);
         let result = fmu.simulate(&options.times([0.0, 0.3, 0.6, 0.9])).unwrap();
         assert_eq!(
-            result.values_of("i64").unwrap(),
-            [big, -big, i64::MAX, i64::MAX].map(Value::from),
+            *result.values_of("i64").unwrap(),
+            [big, -big, i64::MAX, i64::MAX].map(Value::from)[..],
             "{kind:?}"
         );
         let (most, less) = (Value::Integer(u64::MAX.into()), Value::Integer(u64::MAX as i128 - 1));
-        assert_eq!(result.values_of("u64").unwrap(), [most.clone(), most, less.clone(), less], "{kind:?}");
+        assert_eq!(
+            *result.values_of("u64").unwrap(),
+            [most.clone(), most, less.clone(), less][..],
+            "{kind:?}"
+        );
         assert_eq!(result.get("i16").unwrap(), [-300.0, -300.0, 300.0, 300.0]);
         // Changes of held values are events; a row that changes nothing is none.
         assert_eq!(result.stats.input_events, if kind == Kind::ModelExchange { 2 } else { 0 });

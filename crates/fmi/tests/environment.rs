@@ -215,12 +215,34 @@ fn messages_of_a_thread_that_outlives_its_instance_go_nowhere_bad() {
 
 #[test]
 fn a_binary_value_larger_than_memory_is_an_error() {
-    let folder = support::fixture_with("arrays", &["HUGE_BINARY"], |xml| xml);
-    let instance = folder.open().instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
-    let mut instance = instance.exit_initialization().unwrap();
-    let error = instance.get("bytes").unwrap_err().to_string();
-    assert_eq!(
-        error,
-        "fmi3GetBinary: the FMU has a value of 9223372036854775808 bytes, more than its maxSize or than memory can hold"
-    );
+    let limited =
+        |xml: String| xml.replacen("valueReference=\"23\"", "valueReference=\"23\" maxSize=\"1000\"", 1);
+    // Of the last one the model has less than it says; its variable may not have as much.
+    for (power, is_limited) in [(63, false), (40, false), (40, true), (10, true)] {
+        let defines = [format!("HUGE_BINARY={power}")];
+        let folder =
+            support::fixture_with(
+                "arrays",
+                &defines.each_ref().map(String::as_str),
+                |xml| match is_limited {
+                    true => limited(xml),
+                    false => xml,
+                },
+            );
+        let fmu = folder.open();
+        let instance = fmu.instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
+        let mut instance = instance.exit_initialization().unwrap();
+        let message = format!(
+            "fmi3GetBinary: the FMU has a value of {} bytes, more than its maxSize or than memory can hold",
+            1u64 << power
+        );
+        assert_eq!(instance.get("bytes").unwrap_err().to_string(), message);
+        drop(instance);
+        // In a simulation as well.
+        for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+            let options = SimulateOptions::new().kind(kind).final_time(1.0).outputs(["bytes"]);
+            let error = fmu.simulate(&options).unwrap_err().to_string();
+            assert!(error.contains(&message), "{kind:?}: {error}");
+        }
+    }
 }

@@ -88,7 +88,8 @@ pub trait Observer {
         let _ = event;
     }
 
-    /// Asked before every trial step; `Break` ends the run as for a sample. For limits that do not wait for one.
+    /// Asked before every trial step and every sample inside of a step; `Break` ends the run as for a sample. For limits that do
+    /// not wait for one.
     fn poll(&mut self) -> ControlFlow<()> {
         ControlFlow::Continue(())
     }

@@ -192,7 +192,7 @@ pub struct Options {
     pub limits: Limits,
     /// Answer to chattering, and to events that accumulate; default an error.
     pub chattering: ChatteringPolicy,
-    /// Set from outside to end the run at its next step or evaluation with [`ErrorKind::Cancelled`](crate::ErrorKind).
+    /// Set from outside to end the run at its next step, evaluation or sample with [`ErrorKind::Cancelled`](crate::ErrorKind).
     pub cancel: Option<Arc<AtomicBool>>,
 }
 

@@ -1,8 +1,10 @@
 //! Plain crossings are events and nothing else, whatever the shape of the event function at zero.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::panic)]
 
 use ode::*;
+
+const ADAPTIVE: [Method; 5] = [Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf];
 
 /// `y = cos t`, and an event function with the sign of `v = y - 0.3`; events change nothing, or a third state.
 struct Shaped {
@@ -106,7 +108,7 @@ impl HybridSystem for Step {
 
 #[test]
 fn steps_after_an_event_that_are_shorter_than_its_location_show_nothing_of_a_return() {
-    for method in [Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf] {
+    for method in ADAPTIVE {
         for (start, length) in [(0.0, 1.0), (-7.3, 0.01), (100.0, 0.01), (1e4, 0.01), (1e4, 1.0), (1e6, 1.0)]
         {
             for k in 1..12 {
@@ -121,14 +123,13 @@ fn steps_after_an_event_that_are_shorter_than_its_location_show_nothing_of_a_ret
     }
 }
 
-/// A harmonic oscillator whose steps know nothing of an event function of time: `sin(w t) + offset`.
-struct Dips {
-    w: f64,
-    offset: f64,
+/// `x'' = -x`, `x = cos t`, with an event function of the time and of `x`.
+struct Oscillator<F> {
+    z: F,
     times: Vec<f64>,
 }
 
-impl HybridSystem for Dips {
+impl<F: Fn(f64, f64) -> f64> HybridSystem for Oscillator<F> {
     fn n_states(&self) -> usize {
         2
     }
@@ -143,8 +144,8 @@ impl HybridSystem for Dips {
         dx.copy_from_slice(&[x[1], -x[0]]);
         Ok(())
     }
-    fn event_indicators(&mut self, t: f64, _: &[f64], z: &mut [f64]) -> CallResult<()> {
-        z[0] = (self.w * t).sin() + self.offset;
+    fn event_indicators(&mut self, t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
+        z[0] = (self.z)(t, x[0]);
         Ok(())
     }
     fn handle_event(&mut self, visit: &EventVisit<'_>, _: &mut [f64]) -> CallResult<EventOutcome> {
@@ -153,25 +154,70 @@ impl HybridSystem for Dips {
     }
 }
 
+/// Times of the events between 0 and 40 of the event function `sin(w t) + offset`, of which the steps know nothing, or why there
+/// are none.
+fn dips(method: Method, relative_tolerance: f64, (w, offset): (f64, f64)) -> Result<Vec<f64>, String> {
+    let mut system = Oscillator { z: |t: f64, _| (w * t).sin() + offset, times: Vec::new() };
+    let options = Options { method, relative_tolerance, ..Options::default() };
+    let run = Driver::new(options).unwrap().run(&mut system, 0.0, 40.0, &[], &mut Ignore);
+    run.map(|_| system.times).map_err(|error| error.to_string())
+}
+
+/// Times at which that event function crosses zero: it is below it around three quarters of each period.
+fn crossings((w, offset): (f64, f64)) -> impl Iterator<Item = f64> {
+    use std::f64::consts::PI;
+    let from = f64::asin(offset) + PI;
+    let turns = (0..).map(|k| 2.0 * PI * f64::from(k));
+    turns.flat_map(move |turn| [turn + from, turn + 3.0 * PI - from].map(|phase| phase / w))
+}
+
 /// Every crossing and its return in short dips below zero, which lie between long steps.
 #[test]
 fn short_dips_between_long_steps_are_found() {
-    use std::f64::consts::PI;
-    for method in [Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf] {
-        for (w, offset) in [(7.0, 0.99), (7.0, 0.9), (5.0, 0.99), (3.3, 0.95)] {
-            let mut system = Dips { w, offset, times: Vec::new() };
-            let options = Options { method, ..Options::default() };
-            Driver::new(options).unwrap().run(&mut system, 0.0, 40.0, &[], &mut Ignore).unwrap();
-            let from = f64::asin(offset) + PI;
-            let dips = (0..)
-                .map(|k| 2.0 * PI * f64::from(k))
-                .flat_map(|turn| [turn + from, turn + 3.0 * PI - from].map(|phase| phase / w));
-            let expected: Vec<f64> = dips.take_while(|t| *t < 40.0).collect();
-            let what = format!("{method:?}, sin({w} t) + {offset}");
-            assert_eq!(system.times.len(), expected.len(), "{what}");
-            for (found, expected) in system.times.iter().zip(expected) {
-                assert!((found - expected).abs() < 1e-9, "{what}: {found} and {expected}");
+    for method in ADAPTIVE {
+        for shape in [(7.0, 0.99), (7.0, 0.9), (5.0, 0.99), (3.3, 0.95)] {
+            let found = dips(method, Options::default().relative_tolerance, shape).unwrap();
+            let expected: Vec<f64> = crossings(shape).take_while(|t| *t < 40.0).collect();
+            assert_eq!(found.len(), expected.len(), "{method:?}, {shape:?}");
+            for (found, expected) in found.iter().zip(expected) {
+                assert!((found - expected).abs() < 1e-9, "{method:?}, {shape:?}: {found} and {expected}");
             }
+        }
+    }
+}
+
+/// Steps that begin at a dip and end in another one, periods later, may miss those between, but they show no return that is none.
+#[test]
+fn steps_longer_than_a_period_of_an_event_function_find_crossings_and_nothing_else() {
+    for method in ADAPTIVE {
+        for rtol in [1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8] {
+            for w in [3.3, 7.0, 9.1, 13.0, 20.0, 61.0] {
+                for offset in [0.999, 0.99, 0.9, 0.5] {
+                    let what = format!("{method:?} {rtol:e}, sin({w} t) + {offset}");
+                    let found =
+                        dips(method, rtol, (w, offset)).unwrap_or_else(|error| panic!("{what}: {error}"));
+                    let known: Vec<f64> = crossings((w, offset)).take_while(|t| *t < 41.0).collect();
+                    for t in found {
+                        let nearest =
+                            known.iter().map(|known| (known - t).abs()).fold(f64::INFINITY, f64::min);
+                        assert!(nearest < 1e-3 * rtol + 1e-9, "{what}: {t}");
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// An event function that is below zero for 0.12 of each period.
+#[test]
+fn a_crossing_and_its_return_do_not_hide_in_a_step_that_shows_them() {
+    for method in [Method::Dop853, Method::Radau5, Method::Bdf] {
+        for relative_tolerance in [1e-5, 1e-6, 1e-7, 1e-8, 1e-9] {
+            let mut system = Oscillator { z: |_, x| x + 0.99833, times: Vec::new() };
+            let mut driver =
+                Driver::new(Options { method, relative_tolerance, ..Options::default() }).unwrap();
+            let stats = driver.run(&mut system, 0.0, 25.0, &[], &mut Ignore).unwrap().stats;
+            assert_eq!(stats.state_events, 8, "{} at {relative_tolerance:e}", method.name());
         }
     }
 }

@@ -136,39 +136,3 @@ fn a_force_between_two_events_is_never_lost() {
     }
     assert!(wrong.is_empty(), "{} wrong:\n{}", wrong.len(), wrong[..wrong.len().min(20)].join("\n"));
 }
-
-/// `x'' = -x`; the indicator `x + 0.99833` is below zero for 0.12 of each period.
-struct Grazing;
-
-impl HybridSystem for Grazing {
-    fn n_states(&self) -> usize {
-        2
-    }
-    fn n_event_indicators(&self) -> usize {
-        1
-    }
-    fn start(&mut self, _: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
-        x.copy_from_slice(&[1.0, 0.0]);
-        Ok(EventOutcome::default())
-    }
-    fn derivatives(&mut self, _: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
-        dx.copy_from_slice(&[x[1], -x[0]]);
-        Ok(())
-    }
-    fn event_indicators(&mut self, _: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
-        z[0] = x[0] + 0.99833;
-        Ok(())
-    }
-}
-
-#[test]
-fn a_crossing_and_its_return_do_not_hide_in_a_step_that_shows_them() {
-    for method in [Method::Dop853, Method::Radau5, Method::Bdf] {
-        for relative_tolerance in [1e-5, 1e-6, 1e-7, 1e-8, 1e-9] {
-            let mut driver =
-                Driver::new(Options { method, relative_tolerance, ..Options::default() }).unwrap();
-            let stats = driver.run(&mut Grazing, 0.0, 25.0, &[], &mut Ignore).unwrap().stats;
-            assert_eq!(stats.state_events, 8, "{} at {relative_tolerance:e}", method.name());
-        }
-    }
-}

@@ -117,3 +117,43 @@ fn work_is_limited_and_no_step_begins_above_the_limit() {
         assert_eq!(error.stats.linear_algebra > 0, matches!(method, Method::Radau5 | Method::Bdf));
     }
 }
+
+/// Ends a run at the sample of this number, by the flag or by its next poll.
+struct Rows {
+    flag: Option<Arc<AtomicBool>>,
+    samples: usize,
+}
+
+impl Observer for Rows {
+    fn sample(&mut self, _: &Sample<'_>) -> std::ops::ControlFlow<()> {
+        self.samples += 1;
+        if let Some(flag) = self.flag.as_ref().filter(|_| self.samples == 10) {
+            flag.store(true, Ordering::Relaxed);
+        }
+        std::ops::ControlFlow::Continue(())
+    }
+    fn poll(&mut self) -> std::ops::ControlFlow<()> {
+        if self.flag.is_none() && self.samples == 10 {
+            std::ops::ControlFlow::Break(())
+        } else {
+            std::ops::ControlFlow::Continue(())
+        }
+    }
+}
+
+#[test]
+fn rows_inside_of_a_step_end_with_the_run() {
+    let times: Vec<f64> = (0..1000).map(|k| 1e-3 * f64::from(k)).collect();
+    for flag in [None, Some(Arc::<AtomicBool>::default())] {
+        let options =
+            Options { method: Method::Rk4, step_size: Some(0.5), cancel: flag.clone(), ..Options::default() };
+        let mut rows = Rows { flag: flag.clone(), samples: 0 };
+        let mut chain = Chain { calls: 0, at: u64::MAX, after: 0, then: || {} };
+        let ended = Driver::new(options).unwrap().run(&mut chain, 0.0, 1.0, &times, &mut rows);
+        match flag {
+            None => assert_eq!(ended.unwrap().termination, Termination::StoppedByObserver),
+            Some(_) => assert!(matches!(ended.unwrap_err().kind, ErrorKind::Cancelled)),
+        }
+        assert_eq!(rows.samples, 10);
+    }
+}

@@ -49,7 +49,24 @@ pub(crate) fn method_of_number(number: usize) -> PyResult<&'static str> {
 }
 
 /// A method's name, options that are not its defaults, and why it was chosen.
-type AutoMethod = (&'static str, Vec<(String, String)>, String);
+type AutoMethod = (&'static str, Vec<(String, OptionValue)>, String);
+
+/// The value of an option that a choice sets.
+#[derive(IntoPyObject)]
+pub(crate) enum OptionValue {
+    Flag(bool),
+    Word(String),
+}
+
+impl From<String> for OptionValue {
+    fn from(text: String) -> Self {
+        match text.as_str() {
+            "yes" => Self::Flag(true),
+            "no" => Self::Flag(false),
+            _ => Self::Word(text),
+        }
+    }
+}
 
 /// The method for those who choose none. `given`: the names of the options that were given, which must be its own; those of
 /// Nelder-Mead choose Nelder-Mead.
@@ -83,7 +100,8 @@ pub(crate) fn auto_method(
     }
     let plain = default(method.name())?.0.describe();
     let differs = |(name, value): &(String, String)| !plain.iter().any(|(n, v)| (n, v) == (name, value));
-    Ok((method.name(), method.describe().into_iter().filter(differs).collect(), reason.to_owned()))
+    let chosen = method.describe().into_iter().filter(differs).map(|(name, value)| (name, value.into()));
+    Ok((method.name(), chosen.collect(), reason.to_owned()))
 }
 
 /// The names of the options that there are, of any method.

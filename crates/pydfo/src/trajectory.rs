@@ -4,11 +4,13 @@ use crate::dict::dict;
 use crate::values;
 use fmi::description::VariableKind;
 use fmi::ode::{EventCause, Side, Stats, Termination};
-use fmi::{ModelDescription, Trajectory, Value};
+use fmi::{ModelDescription, Trajectory, Value, ValueColumn};
 use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::borrow::Cow;
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 
 /// Counts of a simulation, or of several.
 pub(crate) struct Counts(Stats);
@@ -53,8 +55,8 @@ pub(crate) fn record<'py>(
                 .map(|column| PyArray1::from_vec(py, std::mem::take(column)).into_any())
                 .collect(),
             false => trajectory.values[variable.values.clone()]
-                .iter_mut()
-                .map(|column| exactly(py, variable.kind, std::mem::take(&mut column.values)))
+                .iter()
+                .map(|column| exactly(py, variable.kind, column))
                 .collect::<PyResult<_>>()?,
         });
     }
@@ -86,8 +88,8 @@ pub(crate) fn record<'py>(
     ))
 }
 
-/// A column of 64-bit integers as an array of them, one of texts or bytes as an array of objects.
-fn exactly<'py>(py: Python<'py>, kind: VariableKind, column: Vec<Value>) -> PyResult<Bound<'py, PyAny>> {
+/// A column of 64-bit integers as an array of them, one of texts or bytes as an array of objects, of which each value has one.
+fn exactly<'py>(py: Python<'py>, kind: VariableKind, column: &ValueColumn) -> PyResult<Bound<'py, PyAny>> {
     let integer = |value: &Value| if let Value::Integer(i) = value { *i } else { 0 };
     Ok(match kind {
         VariableKind::Int64 => {
@@ -97,9 +99,18 @@ fn exactly<'py>(py: Python<'py>, kind: VariableKind, column: Vec<Value>) -> PyRe
             PyArray1::from_iter(py, column.iter().map(|value| integer(value) as u64)).into_any()
         }
         _ => {
-            let objects =
-                column.into_iter().map(|value| values::to_python(py, value, kind, &[]).map(Bound::unbind));
-            PyArray1::from_vec(py, objects.collect::<PyResult<Vec<Py<PyAny>>>>()?).into_any()
+            let mut made: HashMap<usize, Py<PyAny>> = HashMap::new();
+            let object = |place: &usize| -> PyResult<Py<PyAny>> {
+                Ok(match made.entry(*place) {
+                    Entry::Occupied(known) => known.get().clone_ref(py),
+                    Entry::Vacant(new) => {
+                        let value = column.distinct()[*place].clone();
+                        new.insert(values::to_python(py, value, kind, &[])?.unbind()).clone_ref(py)
+                    }
+                })
+            };
+            let objects = column.places().iter().map(object).collect::<PyResult<Vec<Py<PyAny>>>>()?;
+            PyArray1::from_vec(py, objects).into_any()
         }
     })
 }

@@ -61,7 +61,7 @@ impl<'a> Executor<'a> {
 }
 
 /// What the outside may want while a batch is computed.
-struct RunControl<'a> {
+pub(crate) struct RunControl<'a> {
     signals: CancelSignals<'a>,
     poll: Option<&'a mut dyn FnMut() -> bool>,
     last_poll: Option<Instant>,
@@ -69,14 +69,14 @@ struct RunControl<'a> {
 
 /// Why no more evaluations may start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum StopCause {
+pub(crate) enum StopCause {
     Interrupted,
     OutOfTime,
 }
 
 impl<'a> RunControl<'a> {
     /// Whether to go on; asks the user's poll function unless it was asked a moment ago.
-    fn check(&mut self) -> Option<StopCause> {
+    pub(crate) fn check(&mut self) -> Option<StopCause> {
         if self.signals.is_cancelled() {
             return Some(StopCause::Interrupted);
         }
@@ -140,7 +140,7 @@ fn gather(
 
 pub(crate) struct Gateway<'a> {
     executor: Executor<'a>,
-    control: RunControl<'a>,
+    pub(crate) control: RunControl<'a>,
     limits: Limits,
     width_control: WidthControl,
     start: Instant,

@@ -366,10 +366,10 @@ impl AnyMethod {
     /// The method for a problem of this class:
     ///
     /// - with residuals [`LeastSquares`], which needs a tenth of the evaluations of methods that see the cost alone;
-    /// - with costs [`NelderMead`], which kinks and noise disturb least: of the 53 problems of Moré and Wild with smooth costs / noise of
-    ///   1e-3 / absolute residuals it solves 83, 64 and 98 %, [`QuadraticModel`] 92, 56 and 38 %, with half the evaluations where
-    ///   both do; at every n from 2 to 12 it solves more of the three together (`benches/dfo`);
-    /// - [`Multistart`] with either of them where the best minimum of a box is asked for;
+    /// - with costs [`QuadraticModel`], which hands over to [`NelderMead`] where its model shows noise or kinks
+    ///   ([`QuadraticModel::hand_over`](field@QuadraticModel::hand_over)): with smooth costs it takes half of the evaluations of Nelder-Mead or
+    ///   less, with others as many (`benches/choice.rs`); from the start Nelder-Mead where nothing tells the size of a parameter;
+    /// - [`Multistart`] where the best minimum of a box is asked for;
     /// - [`DifferentialEvolution`] with integer parameters, [`Genetic`] with categorical ones.
     ///
     /// # Errors
@@ -401,8 +401,8 @@ impl AnyMethod {
                 chosen(LeastSquares::default().into(), "the objective gives residuals")
             }
             (Search::Local, _, false) => chosen(
-                NelderMead::default().into(),
-                "the objective gives a cost and no residuals: noise and kinks disturb Nelder-Mead least (for smooth costs quadratic-model takes fewer evaluations)",
+                QuadraticModel::default().hand_over(true).into(),
+                "the objective gives a cost and no residuals: a quadratic model as long as the cost is smooth, Nelder-Mead where noise or kinks show",
             ),
         }
     }
@@ -506,6 +506,9 @@ impl Method for BoxedMethod {
     fn ask(&mut self, batch: &mut Batch) {
         self.0.ask(batch);
     }
+    fn ask_unless(&mut self, cancelled: &mut dyn FnMut() -> bool, batch: &mut Batch) {
+        self.0.ask_unless(cancelled, batch);
+    }
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
         self.0.tell(answers)
     }
@@ -521,8 +524,8 @@ impl Method for BoxedMethod {
     fn best(&self) -> Option<(&[f64], f64)> {
         self.0.best()
     }
-    fn linear_model(&self) -> Option<LinearModel> {
-        self.0.linear_model()
+    fn linear_model(&self, cancelled: &mut dyn FnMut() -> bool) -> Option<LinearModel> {
+        self.0.linear_model(cancelled)
     }
     fn save(&self) -> Option<Vec<u8>> {
         self.0.save()

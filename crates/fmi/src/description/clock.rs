@@ -1,5 +1,7 @@
 //! When clocks tick, as far as the description says it (FMI 3.0.x, section 2.2.8.3).
 
+use serde::{Deserialize, Serialize};
+
 /// What a description says about a clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
@@ -49,7 +51,7 @@ impl ClockKind {
 }
 
 /// A span of time: a number, or a fraction that no number may be able to hold.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum Interval {
     /// In units of time.
     Decimal(f64),

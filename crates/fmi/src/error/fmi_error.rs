@@ -15,6 +15,9 @@ pub enum FmiError {
     /// Opening, unpacking or compiling was ended from outside.
     #[error("cancelled")]
     Cancelled,
+    /// The initial events, without a simulation, were ended from outside.
+    #[error(transparent)]
+    Stopped(#[from] ode::Stopped),
     /// There is not enough memory for something large; nothing was taken.
     #[error("{what} would take {} MB of memory, more than is available", bytes / 1_000_000)]
     Memory {

@@ -5,7 +5,7 @@ use super::model_exchange::MAX_EVENT_ITERATIONS;
 use super::phases::{CoSimulation, Initialization, Instance, StepMode, Terminated};
 use crate::error::FmiError;
 use crate::sys::{RawInstance, StepInfo};
-use ode::EventOutcome;
+use ode::{EventOutcome, Stopped};
 use std::thread;
 use std::time::Duration;
 
@@ -33,26 +33,26 @@ pub struct StepOutcome {
 const POLL: Duration = Duration::from_micros(100);
 
 impl Core {
-    /// One communication step: time and length. A step that goes on in the background is waited for as long as `keep_waiting` says so,
-    /// and then cancelled (`None`).
+    /// One communication step: time and length. A step that goes on in the background is waited for until `keep_waiting` gives an
+    /// error, and then cancelled.
     pub(crate) fn do_step(
         &mut self,
         span: (f64, f64),
-        keep_waiting: &mut dyn FnMut() -> bool,
-    ) -> Result<Option<StepOutcome>, FmiError> {
+        keep_waiting: &dyn Fn() -> Result<(), Stopped>,
+    ) -> Result<StepOutcome, FmiError> {
         let mut info = StepInfo::default();
         let mut complete = self.call(|raw| raw.do_step(span, &mut info))?;
         while info.pending {
-            if !keep_waiting() {
+            if let Err(stopped) = keep_waiting() {
                 self.raw.abandon_step();
-                return Ok(None);
+                return Err(stopped.into());
             }
             thread::sleep(POLL);
             info = StepInfo::default();
             complete = self.call(|raw| raw.step_status(&mut info))?;
         }
         let StepInfo { reached, early, terminate, event, may_have_ended, .. } = info;
-        Ok(Some(StepOutcome { complete, reached, early, terminate, event, may_have_ended }))
+        Ok(StepOutcome { complete, reached, early, terminate, event, may_have_ended })
     }
 }
 
@@ -74,7 +74,7 @@ impl Core {
 
 /// The events that the model makes by itself.
 fn just_events(core: &mut Core, time: f64) -> Result<EventOutcome, FmiError> {
-    core.iterate_events(time, 0.0, MAX_EVENT_ITERATIONS)
+    core.iterate_events(time, 0.0, MAX_EVENT_ITERATIONS, &mut |_| Ok(()))
 }
 
 impl Instance<Initialization, CoSimulation> {
@@ -83,24 +83,18 @@ impl Instance<Initialization, CoSimulation> {
     /// # Errors
     /// The FMU refuses.
     pub fn exit_initialization(self) -> Result<Instance<StepMode, CoSimulation>, FmiError> {
-        self.begin_steps(just_events).map(|(instance, _)| instance)
-    }
-
-    /// The same with events made by `events`, and what they told.
-    pub(crate) fn begin_steps(
-        self,
-        events: impl FnOnce(&mut Core, f64) -> Result<EventOutcome, FmiError>,
-    ) -> Result<(Instance<StepMode, CoSimulation>, EventOutcome), FmiError> {
-        let mut instance: Instance<StepMode, CoSimulation> =
-            self.step_to(RawInstance::exit_initialization)?;
+        let mut instance = self.leave_initialization()?;
         let core = instance.core();
         let time = core.raw.time().unwrap_or(0.0);
-        let outcome = if core.raw.has_event_mode() {
-            core.run_event_mode(time, events)?
-        } else {
-            EventOutcome::default()
-        };
-        Ok((instance, outcome))
+        if core.raw.has_event_mode() {
+            core.run_event_mode(time, just_events)?;
+        }
+        Ok(instance)
+    }
+
+    /// Ends the initialization; where there is an event mode the instance is in it, and its initial events are to come.
+    pub(crate) fn leave_initialization(self) -> Result<Instance<StepMode, CoSimulation>, FmiError> {
+        self.step_to(RawInstance::exit_initialization)
     }
 }
 
@@ -110,7 +104,7 @@ impl Instance<StepMode, CoSimulation> {
     /// # Errors
     /// The FMU refuses. A step that it computes in part or not at all is no error: see [`StepOutcome`].
     pub fn do_step(&mut self, time: f64, step: f64) -> Result<StepOutcome, FmiError> {
-        Ok(self.core().do_step((time, step), &mut || true)?.unwrap_or_default())
+        self.core().do_step((time, step), &|| Ok(()))
     }
 
     /// Lets the model's events at `time`, where it stands, happen; after a step whose outcome asks for it.

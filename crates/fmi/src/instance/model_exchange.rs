@@ -12,27 +12,17 @@ pub const MAX_EVENT_ITERATIONS: u32 = 100;
 impl Core {
     /// Updates the discrete states until they settle. What the model says in any of the rounds counts: flags of
     /// early rounds are not lost. A next event time that is `time` itself is one more round; one that lies before
-    /// `time` by more than `tolerance` is passed on.
+    /// `time` by more than `tolerance` is passed on. `before_round` looks at the model, and may end the iteration.
     pub(crate) fn iterate_events(
         &mut self,
         time: f64,
         tolerance: f64,
         limit: u32,
-    ) -> Result<EventOutcome, FmiError> {
-        self.iterate_events_watched(time, tolerance, limit, &mut |_| Ok(()))
-    }
-
-    /// The same; `watch` looks at the model before each round.
-    pub(crate) fn iterate_events_watched(
-        &mut self,
-        time: f64,
-        tolerance: f64,
-        limit: u32,
-        watch: &mut dyn FnMut(&mut Core) -> Result<(), FmiError>,
+        before_round: &mut dyn FnMut(&mut Core) -> Result<(), FmiError>,
     ) -> Result<EventOutcome, FmiError> {
         let mut outcome = EventOutcome::default();
         for _ in 0..limit {
-            watch(self)?;
+            before_round(self)?;
             let mut info = EventInfo::default();
             self.call(|raw| raw.new_discrete_states(&mut info))?;
             outcome.states_changed |= info.values_changed;
@@ -102,7 +92,7 @@ impl Instance<EventMode> {
     /// [`FmiError::EventIteration`] when they do not settle; the FMU refuses.
     pub fn update_discrete_states(&mut self, limit: u32) -> Result<EventOutcome, FmiError> {
         let time = self.core().raw.time().unwrap_or(0.0);
-        self.core().iterate_events(time, 0.0, limit)
+        self.core().iterate_events(time, 0.0, limit, &mut |_| Ok(()))
     }
 
     /// Reads the nominal values of the states as the FMU gives them.

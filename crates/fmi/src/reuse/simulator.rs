@@ -125,7 +125,8 @@ impl Simulator {
         };
         let running = runner.engine.running();
         let ticks = running.take_ticks();
-        Ok(recorder.finish(&plan, &running.buffers.table, ticks, report))
+        let table = std::mem::take(&mut running.buffers.table);
+        Ok(recorder.finish(&plan, table, ticks, report))
     }
 
     /// Value of a variable, or of an element of an array (`name[2,1]`), where the last run ended (after a step inside of which it was stopped: at the end of the

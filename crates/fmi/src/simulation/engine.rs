@@ -3,12 +3,13 @@
 use crate::description::{Value, Variable};
 use crate::error::FmiError;
 use crate::simulation::co_simulation::Stepping;
-use crate::simulation::model_exchange::System;
+use crate::simulation::model_exchange::{Integration, System};
+use crate::simulation::outside::Outside;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::Running;
 use crate::simulation::variable_elements::RunInput;
 use crate::sys::{InterfaceKind, RawInstance, note_run};
-use ode::{Driver, ErrorKind, Observer, Report};
+use ode::{Driver, ErrorKind, Ignore, Observer, Report};
 use std::sync::Arc;
 
 /// A way of running a model, with its instance.
@@ -46,11 +47,14 @@ impl Engine {
         }
     }
 
-    /// Lets the initial events happen, where they are not part of the initialization.
+    /// Lets the initial events happen, for those who only want initial values.
     pub(crate) fn run_initial_events(&mut self) -> Result<(), FmiError> {
+        let plan = Arc::clone(&self.running().plan);
+        let mut nobody = Ignore;
+        let outside = Outside::new(&plan.options, &mut nobody);
         match self {
-            Engine::Integrated { system, .. } => system.run_initial_events(),
-            Engine::Stepping(_) => Ok(()),
+            Engine::Integrated { system, .. } => Integration { system, outside: &outside }.initial_events(),
+            Engine::Stepping(stepping) => stepping.run_initial_events(&outside).map(drop),
         }
     }
 
@@ -69,19 +73,22 @@ impl Engine {
         steps: Option<u64>,
         observer: &mut dyn Observer,
     ) -> Result<Report, FmiError> {
-        let limited = |limits: ode::Limits| ode::Limits { max_steps: steps.or(limits.max_steps), ..limits };
+        let max_steps = steps.or(plan.options.limits.max_steps);
+        let outside = Outside::new(&plan.options, observer);
         match self {
             Engine::Integrated { driver, system } => {
                 let mut probe;
                 let driver = if steps.is_none() {
                     driver
                 } else {
-                    let options =
-                        ode::Options { limits: limited(plan.options.limits), ..plan.options.clone() };
+                    let limits = ode::Limits { max_steps, ..plan.options.limits };
+                    let options = ode::Options { limits, ..plan.options.clone() };
                     probe = Driver::new(options)?;
                     &mut probe
                 };
-                driver.run(&mut **system, plan.start, plan.end, &plan.times, observer).map_err(|mut error| {
+                let mut integration = Integration { system, outside: &outside };
+                let ended = driver.run(&mut integration, plan.start, plan.end, &plan.times, &mut &outside);
+                ended.map_err(|mut error| {
                     if let Some(value) = &mut error.not_finite {
                         value.name = plan.name_of(value);
                     } else if matches!(
@@ -93,7 +100,7 @@ impl Engine {
                     FmiError::Simulation(error)
                 })
             }
-            Engine::Stepping(stepping) => stepping.run(&limited(plan.options.limits), observer),
+            Engine::Stepping(stepping) => stepping.run(max_steps, &outside),
         }
     }
 }

@@ -12,6 +12,7 @@ mod model_exchange;
 mod no_effect;
 mod options;
 mod outputs;
+mod outside;
 pub(crate) mod plan;
 pub(crate) mod running;
 mod sharing;

@@ -4,13 +4,16 @@ use crate::description::Variable;
 use crate::error::FmiError;
 use crate::instance::{Core, Initialization, Instance};
 use crate::simulation::inputs::{InputPlan, InputState};
+use crate::simulation::outside::Outside;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::{Phase, Running};
 use crate::simulation::variable_elements::RunInput;
 use crate::sys::{Direction, Fault, RawInstance, look_now_and_then};
 use ode::{
     CallError, CallResult, EventOutcome, EventVisit, HybridSystem, InputStop, JacobianPattern, StepAction,
+    Stopped,
 };
+use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 
 /// One worker's system: the instance and everything that is written during a run.
@@ -97,17 +100,6 @@ impl System {
         self.floor = f64::NEG_INFINITY;
         self.last_time = start;
         Ok(())
-    }
-
-    /// Lets the initial events happen, for those who only want initial values.
-    pub(crate) fn run_initial_events(&mut self) -> Result<(), FmiError> {
-        let mut states = vec![0.0; self.running.plan.n_states];
-        let start = self.running.plan.start;
-        match self.start(start, &mut states) {
-            // States that are not finite can be looked at all the same.
-            Ok(_) | Err(CallError::Discard) => Ok(()),
-            Err(CallError::Failed(error)) => Err(unbox(error)),
-        }
     }
 
     /// Value of a variable at the point last committed.
@@ -271,12 +263,12 @@ impl System {
         set.map_err(|error| current.fail(error))
     }
 
-    fn iterate_events(&mut self, t: f64) -> CallResult<EventOutcome> {
+    fn iterate_events(&mut self, t: f64, outside: &Outside<'_>) -> CallResult<EventOutcome> {
         let Running { plan, current, clocks, buffers, .. } = &mut self.running;
         let recorded = &plan.outputs().clocks;
         let settled = current
             .in_event_mode()
-            .and_then(|core| clocks.iterate_events(&plan.clocks, core, t, (recorded, buffers)));
+            .and_then(|core| clocks.iterate_events(&plan.clocks, core, t, (recorded, buffers), outside));
         match settled {
             Ok((outcome, announced)) => {
                 self.announced = announced;
@@ -318,13 +310,47 @@ fn all_finite(values: &[f64]) -> CallResult<()> {
 
 /// The FMU's error inside what the driver passes on.
 pub(crate) fn unbox(error: Box<dyn std::error::Error + Send + Sync>) -> FmiError {
-    match error.downcast::<FmiError>() {
+    match error.downcast::<FmiError>().map_err(|error| error.downcast::<Stopped>()) {
         Ok(error) => *error,
-        Err(other) => FmiError::BadSetting { problem: other.to_string() },
+        Err(Ok(stopped)) => FmiError::Stopped(*stopped),
+        Err(Err(other)) => FmiError::BadSetting { problem: other.to_string() },
     }
 }
 
-impl HybridSystem for System {
+/// The system in a run that may be ended from outside.
+pub(crate) struct Integration<'a> {
+    pub(crate) system: &'a mut System,
+    pub(crate) outside: &'a Outside<'a>,
+}
+
+impl Deref for Integration<'_> {
+    type Target = System;
+
+    fn deref(&self) -> &System {
+        self.system
+    }
+}
+
+impl DerefMut for Integration<'_> {
+    fn deref_mut(&mut self) -> &mut System {
+        self.system
+    }
+}
+
+impl Integration<'_> {
+    /// Lets the initial events happen, for those who only want initial values.
+    pub(crate) fn initial_events(&mut self) -> Result<(), FmiError> {
+        let mut states = vec![0.0; self.running.plan.n_states];
+        let start = self.running.plan.start;
+        match self.start(start, &mut states) {
+            // States that are not finite can be looked at all the same.
+            Ok(_) | Err(CallError::Discard) => Ok(()),
+            Err(CallError::Failed(error)) => Err(unbox(error)),
+        }
+    }
+}
+
+impl HybridSystem for Integration<'_> {
     fn n_states(&self) -> usize {
         self.running.plan.n_states
     }
@@ -355,7 +381,7 @@ impl HybridSystem for System {
     }
 
     fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
-        let outcome = self.iterate_events(t0)?;
+        let outcome = self.system.iterate_events(t0, self.outside)?;
         self.read_states(x)?;
         self.leave_event_mode(&outcome)?;
         self.running.note(x);
@@ -474,7 +500,7 @@ impl HybridSystem for System {
         if visit.cause.input {
             self.jump(t)?;
         }
-        let outcome = self.iterate_events(seen)?;
+        let outcome = self.system.iterate_events(seen, self.outside)?;
         if outcome.states_changed {
             self.read_states(x)?;
         }

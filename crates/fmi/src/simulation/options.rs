@@ -48,7 +48,7 @@ macro_rules! setters {
 /// use fmi::SimulateOptions;
 /// let options = SimulateOptions::default().final_time(40.0).start_value("armFriction", 0.01).outputs(["armJoint.phi"]);
 /// ```
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct SimulateOptions {
     /// Start time; default: that of the default experiment, else 0.
     pub start_time: Option<f64>,
@@ -104,6 +104,7 @@ pub struct SimulateOptions {
     /// Add rows for both sides of every event.
     pub record_events: bool,
     /// Set from outside to end the run.
+    #[serde(skip)]
     pub cancel: Option<Arc<AtomicBool>>,
     /// How simulations that run in parallel share the library of the FMU.
     pub sharing: Sharing,

@@ -113,10 +113,13 @@ impl Current {
         self.core().ok().map(|core| core.error(Fault::Discard(call)).to_string())
     }
 
-    /// Notes that the instance is not to be used again.
+    /// Notes that the instance is not to be used again: a call failed, or an event iteration was ended from outside.
     pub(crate) fn fail(&mut self, error: FmiError) -> CallError {
         self.broken = true;
-        CallError::failed(error)
+        match error {
+            FmiError::Stopped(stopped) => CallError::failed(stopped),
+            error => CallError::failed(error),
+        }
     }
 }
 

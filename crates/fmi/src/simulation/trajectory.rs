@@ -1,14 +1,15 @@
 //! A recorded simulation: columns of numbers and of other values, events, what it cost.
 
-use serde::{Deserialize, Serialize};
-use crate::description::Value;
+use crate::description::{Value, VariableKind};
 use crate::error::FmiError;
 use crate::platform::memory;
 use crate::simulation::clocks::Tick;
-use crate::simulation::outputs::{Recorded, ValueTable, width};
+use crate::simulation::outputs::{Recorded, ValueTable, integers, places, width};
 use crate::simulation::plan::SimulationPlan;
 use ode::{EventRecord, Observer, Report, Sample, Side, Stats, Termination};
-use std::ops::ControlFlow;
+use serde::{Deserialize, Serialize};
+use std::ops::{ControlFlow, Index};
+use std::sync::Arc;
 
 /// A recorded simulation. All columns have as many rows as `time`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -38,14 +39,73 @@ pub struct Trajectory {
     pub end_time: f64,
 }
 
-/// A column of values that are not all numbers.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// A column of values that are not all numbers: one for each row, all of one type. A text or a binary value is kept once, in
+/// however many rows it stands.
+#[derive(Debug, Clone, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct ValueColumn {
     /// Name of the variable or of the element of an array.
     pub name: String,
-    /// One value for each row, all of one type.
-    pub values: Vec<Value>,
+    values: Arc<[Value]>,
+    places: Vec<usize>,
+}
+
+impl ValueColumn {
+    /// The column of numbers that are places in a table of values, or of the halves of integers.
+    fn new(name: &str, kind: VariableKind, columns: &[Vec<f64>], table: &Arc<[Value]>) -> Self {
+        let (values, places) = match columns {
+            [high, low] => (integers(kind, high, low), (0..high.len()).collect()),
+            numbers => {
+                (Arc::clone(table), numbers.first().map(|numbers| places(numbers)).unwrap_or_default())
+            }
+        };
+        Self { name: name.to_owned(), values, places }
+    }
+
+    /// Of each row the place of its value in [`distinct`](Self::distinct).
+    pub fn places(&self) -> &[usize] {
+        &self.places
+    }
+
+    /// What the [`places`](Self::places) stand for: of texts and binary values those of all columns of the simulation, each once.
+    pub fn distinct(&self) -> &[Value] {
+        &self.values
+    }
+
+    /// Number of rows.
+    pub fn len(&self) -> usize {
+        self.places.len()
+    }
+
+    /// Whether there are no rows.
+    pub fn is_empty(&self) -> bool {
+        self.places.is_empty()
+    }
+
+    /// The values, row by row.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = &Value> {
+        self.places.iter().map(|place| &self.values[*place])
+    }
+}
+
+impl Index<usize> for ValueColumn {
+    type Output = Value;
+
+    fn index(&self, row: usize) -> &Value {
+        &self.values[self.places[row]]
+    }
+}
+
+impl PartialEq<[Value]> for ValueColumn {
+    fn eq(&self, values: &[Value]) -> bool {
+        self.iter().eq(values)
+    }
+}
+
+impl PartialEq for ValueColumn {
+    fn eq(&self, other: &Self) -> bool {
+        self.name == other.name && self.iter().eq(other.iter())
+    }
 }
 
 impl Trajectory {
@@ -67,9 +127,9 @@ impl Trajectory {
     ///
     /// # Errors
     /// [`FmiError::NotInResult`] lists the names there are.
-    pub fn values_of(&self, name: &str) -> Result<&[Value], FmiError> {
+    pub fn values_of(&self, name: &str) -> Result<&ValueColumn, FmiError> {
         match self.values.iter().find(|column| column.name == name) {
-            Some(column) => Ok(&column.values),
+            Some(column) => Ok(column),
             None => Err(not_in_result(name, self.values.iter().map(|column| column.name.as_str()))),
         }
     }
@@ -97,7 +157,7 @@ pub(crate) struct Recorder<'a> {
     columns: Vec<Vec<f64>>,
     sides: Vec<Side>,
     events: Vec<EventRecord>,
-    /// Asked before every step.
+    /// Asked before every step, every round of an event iteration and every row inside of a step.
     poll: &'a mut dyn FnMut() -> ControlFlow<()>,
 }
 
@@ -124,16 +184,17 @@ impl<'a> Recorder<'a> {
     pub(crate) fn finish(
         mut self,
         plan: &SimulationPlan,
-        table: &ValueTable,
+        table: ValueTable,
         ticks: Vec<Tick>,
         report: Report,
     ) -> Trajectory {
         let unnamed = self.columns.split_off(plan.output_names().len());
         let mut rest = &unnamed[..];
+        let table = table.into_values();
         let mut values = Vec::with_capacity(plan.outputs().values.len());
         for (name, kind) in &plan.outputs().values {
             let (columns, others) = rest.split_at(width(*kind));
-            values.push(ValueColumn { name: name.clone(), values: table.decode(*kind, columns) });
+            values.push(ValueColumn::new(name, *kind, columns, &table));
             rest = others;
         }
         Trajectory {

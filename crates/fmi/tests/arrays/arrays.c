@@ -181,7 +181,13 @@ FMI3_EXPORT fmi3Status fmi3GetString(fmi3Instance i, const fmi3ValueReference r[
         if (r[j] == 22 && at + 2 <= nv) {
             v[at++] = m->text[0]; v[at++] = m->text[1];
         } else if (r[j] == 24 && at < nv) {
+#ifdef LONG_TEXT
+            static char text[LONG_TEXT + 1];
+            memset(text, m->time < 0.45 ? 'e' : 'l', LONG_TEXT);
+            v[at++] = text;
+#else
             v[at++] = m->time < 0.45 ? "early" : "late";
+#endif
         } else if (r[j] == 27 && at < nv) {
             v[at++] = m->word;
         } else {
@@ -208,7 +214,7 @@ FMI3_EXPORT fmi3Status fmi3GetBinary(fmi3Instance i, const fmi3ValueReference r[
         if (r[j] == 23) {
             s[j] = m->n_bytes; v[j] = m->bytes;
 #ifdef HUGE_BINARY
-            s[j] = (size_t)1 << (8 * sizeof(size_t) - 1);
+            s[j] = (size_t)1 << HUGE_BINARY;
 #endif
         } else if (r[j] == 28) {
             s[j] = m->n_packet; v[j] = m->packet;

@@ -242,6 +242,9 @@ FMI3_EXPORT fmi3Status fmi3UpdateDiscreteStates(fmi3Instance i, bool *a, bool *t
         m->told_tunable = 0;
     }
     memset(m->active, 0, sizeof m->active);
+#ifdef ENDLESS
+    *a = m->time >= ENDLESS;
+#endif
     return fmi3OK;
 }
 FMI3_EXPORT fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance i) { ((Model *)i)->phase = CONTINUOUS; return fmi3OK; }

@@ -34,6 +34,7 @@ enum {
     ENDS_ITSELF,
     FAILING_EVENT,
     STEP_EVENTS,
+    ENDLESS_LATE,
     LEAKS = 90,
     PRINTS,
     SEGFAULTS,
@@ -143,6 +144,11 @@ static ModelStatus update(void *instance, double time, ModelEvents *events, Mode
         events->next_event = 1;
         events->next_event_time = 0.25;
         events->terminate = time >= 0.25;
+        break;
+    case ENDLESS_LATE:
+        events->next_event = time < 0.25;
+        events->next_event_time = 0.25;
+        events->again = time >= 0.25;
         break;
     case FAILING_EVENT:
         events->next_event = 1;

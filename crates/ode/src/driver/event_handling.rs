@@ -2,7 +2,6 @@
 
 use super::run::{Run, Space, Step, finish, no_retreat, read_indicators};
 use super::sliding::ChatteringGuard;
-use super::watched::kind_of;
 use crate::control::{initial_step, probe_step};
 use crate::error::{ErrorKind, Termination};
 use crate::observer::{EventRecord, Observer};
@@ -299,7 +298,7 @@ where
                 h
             }
             Err(CallError::Discard) => 0.01 * probe,
-            Err(CallError::Failed(e)) => return Err(kind_of(e).into()),
+            Err(CallError::Failed(error)) => return Err(error.into()),
         };
         if !self.h.is_finite() || self.h <= 0.0 {
             self.h = 0.01 * probe;

@@ -2,7 +2,6 @@
 
 use super::run::{Run, Space, Step, U, no_retreat, read_indicators};
 use super::trial::{Found, Inside, Return, Shrink, Tried};
-use super::watched::kind_of;
 use crate::observer::Observer;
 use crate::stepper::{StepWithEvent, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
@@ -125,7 +124,7 @@ where
     fn cannot_stand(&mut self, h: f64, error: CallError) -> Step<Inside> {
         match error {
             CallError::Discard => Ok(Inside::Again { h: self.stepper.refused(h), why: Shrink::Refused }),
-            CallError::Failed(e) => Err(kind_of(e).into()),
+            CallError::Failed(error) => Err(error.into()),
         }
     }
 

@@ -26,7 +26,8 @@ mod watched;
 use backward::{Backward, BackwardObserver, turned, turned_end};
 use run::{Exit, Run, Space, Step, finish, no_retreat};
 use trial::{Found, Inside, Shrink, Tried};
-use watched::{CallWatch, Watch, Watched};
+use watched::{CallWatch, Watched};
+pub use watched::{Stopped, Watch};
 
 /// An indicator is next to zero where its value says no more of the time of its event than this, in units of times that
 /// are one.
@@ -322,13 +323,18 @@ where
         }
     }
 
-    fn check_limits(&mut self) -> Step<()> {
+    /// Ends the run where the observer, the flag or the time says so.
+    fn check_stop(&mut self) -> Step<()> {
         if self.observer.poll().is_break() {
-            return finish(Termination::StoppedByObserver);
+            return Err(Stopped::ByObserver.into());
         }
+        Ok(self.watch.check()?)
+    }
+
+    fn check_limits(&mut self) -> Step<()> {
+        self.check_stop()?;
         let limits = &self.options.limits;
         let over = |limit: Option<u64>, count: u64| limit.filter(|l| count >= *l);
-        self.watch.check().map_err(ErrorKind::from)?;
         if let Some(n) = over(limits.max_steps, self.stats.accepted_steps + self.stats.rejected_steps) {
             return Err(ErrorKind::TooManySteps(n).into());
         }

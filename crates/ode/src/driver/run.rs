@@ -1,9 +1,9 @@
 //! A run: everything that changes between its start and its end, and how it is left.
 
 use super::sliding::Sliding;
-use super::watched::{Watch, kind_of};
+use super::watched::{Stopped, Watch};
 use crate::control::Weights;
-use crate::error::{ErrorKind, NotFinite, Termination, Undetermined};
+use crate::error::{ErrorKind, NotFinite, Termination, TooLargeForDense, Undetermined};
 use crate::event::Domains;
 use crate::options::Options;
 use crate::sampling::Sampler;
@@ -36,6 +36,28 @@ pub(super) enum Exit {
 impl From<ErrorKind> for Exit {
     fn from(kind: ErrorKind) -> Self {
         Self::Error(kind)
+    }
+}
+
+impl From<Stopped> for Exit {
+    fn from(stopped: Stopped) -> Self {
+        match stopped {
+            Stopped::Cancelled => Self::Error(ErrorKind::Cancelled),
+            Stopped::TimedOut(limit) => Self::Error(ErrorKind::TimedOut(limit)),
+            Stopped::ByObserver => Self::Normal(Termination::StoppedByObserver),
+        }
+    }
+}
+
+/// Of a call that failed.
+impl From<Box<dyn std::error::Error + Send + Sync>> for Exit {
+    fn from(error: Box<dyn std::error::Error + Send + Sync>) -> Self {
+        match error.downcast::<Stopped>().map_err(|error| error.downcast::<TooLargeForDense>()) {
+            Ok(stopped) => (*stopped).into(),
+            // A matrix for which there is no room.
+            Err(Ok(large)) => ErrorKind::from(*large).into(),
+            Err(Err(error)) => ErrorKind::Model(error).into(),
+        }
     }
 }
 
@@ -136,6 +158,6 @@ pub(super) fn read_indicators<S: HybridSystem + ?Sized>(
 pub(super) fn no_retreat(error: CallError) -> Exit {
     match error {
         CallError::Discard => ErrorKind::DiscardedAtRestart.into(),
-        CallError::Failed(e) => kind_of(e).into(),
+        CallError::Failed(error) => error.into(),
     }
 }

@@ -18,6 +18,7 @@ where
     /// nothing is committed, so a smaller step can follow.
     pub(super) fn sample_before(&mut self, at: f64, end: f64, h: f64) -> Step<bool> {
         while let Some(t) = self.space.sampler.due_before(self.times, at - self.time_tolerance) {
+            self.check_stop()?;
             let Space { x, x_mid, sampler, .. } = &mut *self.space;
             let theta = ((t - self.t) / h).clamp(0.0, 1.0);
             self.stepper.interpolate(Trial { t: self.t, end, h, x }, theta, x_mid);

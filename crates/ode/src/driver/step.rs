@@ -2,7 +2,6 @@
 
 use super::run::{Run, Space, Step, U, read_indicators};
 use super::trial::{Shrink, Tried};
-use super::watched::kind_of;
 use crate::error::ErrorKind;
 use crate::observer::Observer;
 use crate::stepper::{Attempt, Equations, Stepper, Trial};
@@ -89,7 +88,7 @@ where
     pub(super) fn refused(&mut self, h: f64, error: CallError) -> Step<Tried> {
         match error {
             CallError::Discard => Ok(Tried::Again { h: self.stepper.refused(h), why: Shrink::Refused }),
-            CallError::Failed(e) => Err(kind_of(e).into()),
+            CallError::Failed(error) => Err(error.into()),
         }
     }
 

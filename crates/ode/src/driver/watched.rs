@@ -1,7 +1,6 @@
 //! A system that answers no more once the run was cancelled or its time is up, so that a long step ends as well, and whose
 //! calls are timed.
 
-use crate::error::{ErrorKind, TooLargeForDense};
 use crate::options::Options;
 use crate::sparsity::JacobianPattern;
 use crate::stats::{Seconds, Stats};
@@ -13,42 +12,41 @@ use crate::system::{
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Why a [`Watched`] system does not answer.
+/// Why a run was ended from outside of it. A system whose call takes long may look at a [`Watch`] meanwhile, and at whatever else, and
+/// end the run: `Err(CallError::failed(stopped))`.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub(crate) enum Stopped {
+pub enum Stopped {
+    /// The flag of [`Options::cancel`] was set: the run ends with [`ErrorKind::Cancelled`](crate::ErrorKind).
     #[error("cancelled")]
     Cancelled,
-    #[error("the time limit was reached")]
+    /// This limit of wall-clock time was reached: [`ErrorKind::TimedOut`](crate::ErrorKind).
+    #[error("the time limit of {} s was reached", .0.as_secs_f64())]
     TimedOut(Duration),
+    /// The observer wishes it: a normal end, [`Termination::StoppedByObserver`](crate::Termination).
+    #[error("stopped by the observer")]
+    ByObserver,
 }
 
-impl From<Stopped> for ErrorKind {
-    fn from(stopped: Stopped) -> Self {
-        match stopped {
-            Stopped::Cancelled => Self::Cancelled,
-            Stopped::TimedOut(limit) => Self::TimedOut(limit),
-        }
-    }
-}
-
-/// What ends a run from outside of it.
+/// Limit of wall-clock time and flag that end a run from outside of it.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Watch<'a> {
+pub struct Watch<'a> {
     cancel: Option<&'a AtomicBool>,
     /// The limit, and when the run began.
     timeout: Option<(Duration, Instant)>,
 }
 
 impl<'a> Watch<'a> {
-    /// For a run that begins now.
-    pub(crate) fn new(options: &'a Options) -> Self {
+    /// For a run with these options that begins now.
+    pub fn new(options: &'a Options) -> Self {
         Self {
             cancel: options.cancel.as_deref(),
             timeout: options.limits.timeout.map(|limit| (limit, Instant::now())),
         }
     }
 
-    pub(crate) fn check(&self) -> Result<(), Stopped> {
+    /// # Errors
+    /// The run is to end, and why.
+    pub fn check(&self) -> Result<(), Stopped> {
         if self.cancel.is_some_and(|cancel| cancel.load(Ordering::Relaxed)) {
             return Err(Stopped::Cancelled);
         }
@@ -134,15 +132,4 @@ macro_rules! watched {
 
 impl<S: HybridSystem + ?Sized> HybridSystem for Watched<'_, S> {
     hand_on!(self, self.system, watched);
-}
-
-/// The error behind a call that failed.
-pub(crate) fn kind_of(error: Box<dyn std::error::Error + Send + Sync>) -> ErrorKind {
-    match error.downcast::<Stopped>() {
-        Ok(stopped) => (*stopped).into(),
-        // A matrix for which there is no room.
-        Err(error) => {
-            error.downcast::<TooLargeForDense>().map_or_else(ErrorKind::Model, |large| (*large).into())
-        }
-    }
 }

@@ -7,6 +7,10 @@ use crate::system::Direction;
 /// The slopes of indicators are differences over this share of a step.
 pub(crate) const SLOPE_STEP: f64 = 1.0 / 256.0;
 
+/// Where they are not straight over that, so many times shorter ones are tried, each an eighth of the one before: an indicator may turn many
+/// times in a step.
+const SHORTER: i32 = 4;
+
 /// Indicators below this share of their largest values so far are small: that events turn them back to zero again and again
 /// may be what their bounces have come to.
 pub(super) const SMALL: f64 = 0.1;
@@ -81,8 +85,9 @@ impl Domains {
         (step, reach): (f64, f64),
         evaluate: &mut impl FnMut(f64, &mut [f64]) -> CallResult<()>,
     ) -> CallResult<f64> {
-        let mut s = step;
-        while 4.0 * s <= reach {
+        let shorter = (0..=SHORTER).map(|k| step * 8f64.powi(-k));
+        let longer = (1..).map(|k| step * 8f64.powi(k)).take_while(|s| 4.0 * s <= reach);
+        for s in shorter.filter(|s| 4.0 * s <= reach).chain(longer) {
             let mut change = |s: f64| {
                 evaluate(s, &mut self.mid)?;
                 Ok(self.mid[i] - z0)
@@ -93,7 +98,6 @@ impl Domains {
             if is_twice(d2, d1) && is_twice(change(4.0 * s)?, d2) {
                 return Ok((4.0 * d1 - d2) / (2.0 * s));
             }
-            s *= 8.0;
         }
         Ok(0.0)
     }

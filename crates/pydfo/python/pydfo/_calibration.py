@@ -534,7 +534,7 @@ class Calibration:
             experiments: dicts of such by their names), that returns a cost or a vector of residuals, whose sum of squares is minimised.
             It is called with the interpreter lock, by one thread at a time, and once before the fit; what it raises ends the fit. It is
             no part of the calibration, which can be pickled in any case. Only the sum of squares has standard errors and robust losses;
-            where there are no residuals, method "auto" is "nelder-mead".
+            where there are no residuals, method "auto" is "quadratic-model", which hands over to Nelder-Mead where noise or kinks show.
         covariance : {"sandwich", "pooled"} or None
             How the standard errors of the fit are estimated, see `worth`. Found out after the run, with simulations that do not
             count in ``nfev``: at least two for each parameter and an accurate one, in parallel. None: not at all.

@@ -65,10 +65,11 @@ def minimize(
         "nelder-mead"; "barrier" (Nelder-Mead with a sequential barrier: needs at least one finite bound, starts strictly inside);
         "de" or "differential-evolution" (L-SHADE) and "de-classic" (rand/1/bin); "ga" or "genetic" (genetic algorithm on bit
         strings); names in any case, with "-", "_" or a space between words; "quadratic-model" (trust
-        region on quadratic interpolation models, for smooth costs, with options `radius`, `points`, `restarts`); "cma-es" (covariance matrix
+        region on quadratic interpolation models, for smooth costs, with options `radius`, `points`, `restarts`, `hand_over`); "cma-es" (covariance matrix
         adaptation); "pattern-search" (mesh adaptive direct search, for kinks and steps, not for smooth costs); "multistart" (differential
         evolution, then local searches from several starts in a box; the minima they end at are the result's ``optima``).
-        "auto" is Nelder-Mead, "multistart" where ``search="global"``, with integer parameters "de", with categorical ones "ga";
+        "auto" is "quadratic-model" that hands over to Nelder-Mead where noise or kinks of the cost show (``hand_over``: from its best
+        point; the message says so) or nothing tells the size of a parameter, "multistart" where ``search="global"``, with integer parameters "de", with categorical ones "ga";
         the result has the reason (``method_reason``).
     args : tuple
         Further arguments of `fun`.

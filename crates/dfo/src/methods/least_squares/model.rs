@@ -1,7 +1,7 @@
 //! Models of the residuals: linear interpolation on n + 1 points, linear regression on more.
 
 use super::points::norm;
-use super::subproblem::{Linear, Subproblem};
+use super::subproblem::{Cancelled, Linear, Subproblem};
 use nalgebra::linalg::LU;
 use nalgebra::{DMatrix, DVector, Dyn, SVD};
 
@@ -19,29 +19,30 @@ pub(super) struct Interpolation {
 
 impl Interpolation {
     /// Interpolates; `None` where the points lie in a plane up to rounding. `others`: displacements from the base point, and
-    /// residuals, of the n other points.
-    pub(super) fn new(base: &[f64], others: &[(Vec<f64>, &[f64])]) -> Option<Self> {
+    /// residuals, of the n other points. `cancelled` is asked now and then where there are many residuals.
+    pub(super) fn new(
+        base: &[f64],
+        others: &[(Vec<f64>, &[f64])],
+        cancelled: &mut dyn FnMut() -> bool,
+    ) -> Result<Option<Self>, Cancelled> {
         let n = others.len();
         let lengths: Vec<f64> = others.iter().map(|(w, _)| norm(w)).collect();
         if lengths.iter().any(|length| !(*length > 0.0 && length.is_finite())) {
-            return None;
+            return Ok(None);
         }
         let distances = DMatrix::from_fn(n, n, |k, j| others[k].0[j] / lengths[k]).lu();
         let u = distances.u();
         if (0..n).any(|k| u[(k, k)].abs() < 1e-12) {
-            return None;
+            return Ok(None);
         }
         // J W' = D: the differences D are turned first, so that only n of their rows are left to solve for.
-        let mut differences = DMatrix::zeros(base.len(), n);
-        for (k, (_, residuals)) in others.iter().enumerate() {
-            for (d, (r, r_0)) in differences.column_mut(k).iter_mut().zip(residuals.iter().zip(base)) {
-                *d = (r - r_0) / lengths[k];
-            }
-        }
-        let Linear { factor, reached } = Linear::new(&DVector::from_column_slice(base), differences);
-        let factor = distances.solve(&factor.transpose())?.transpose();
+        let difference = |i: usize, k: usize| (others[k].1[i] - base[i]) / lengths[k];
+        let Linear { factor, reached } = Linear::new((base.len(), n), |i| base[i], difference, cancelled)?;
+        let Some(factor) = distances.solve(&factor.transpose()).map(|factor| factor.transpose()) else {
+            return Ok(None);
+        };
         let finite = factor.iter().chain(reached.iter()).all(|v| v.is_finite());
-        finite.then_some(Self { linear: Linear { factor, reached }, distances, lengths })
+        Ok(finite.then_some(Self { linear: Linear { factor, reached }, distances, lengths }))
     }
 
     /// The values of the Lagrange polynomials of the other points at a displacement from the base point.
@@ -157,7 +158,7 @@ impl Regression {
             add(i, column, w[j] / self.length);
             add(j, column, w[i] / self.length);
         }
-        Linear::new(&self.residuals(w), jacobian / self.length)
+        Linear::turned(self.residuals(w), jacobian / self.length)
     }
 
     /// How far the minimum of the cost may lie from that of the model, which is at this displacement: where noise hides the rise of
@@ -221,7 +222,7 @@ mod tests {
         let base = residuals(&[0.0, 0.0]);
         let others: Vec<(Vec<f64>, &[f64])> =
             points.iter().cloned().zip(values.iter().map(Vec::as_slice)).take(2).collect();
-        let model = Interpolation::new(&base, &others).unwrap();
+        let model = Interpolation::new(&base, &others, &mut || false).unwrap().unwrap();
         let all: Vec<(Vec<f64>, f64, &[f64])> =
             points.iter().zip(&values).map(|(z, v)| (z.clone(), 0.7, v.as_slice())).collect();
         let regression = Regression::new(&all).unwrap();

@@ -53,8 +53,12 @@ impl Averaging {
     }
 
     pub(super) fn is_sound(&self, n: usize) -> bool {
-        self.centre.len() == n && self.radius > 0.0
+        self.centre.len() == n && self.centre.iter().all(|z| z.is_finite()) && is_length(self.radius)
     }
+}
+
+fn is_length(length: f64) -> bool {
+    length > 0.0 && length.is_finite()
 }
 
 /// Why a point is asked for.
@@ -135,6 +139,8 @@ pub struct LeastSquaresState {
     pub(super) n_noisy: usize,
     /// How far the last step that succeeded was from its model: the change of the Jacobian per length.
     pub(super) curvature: Option<f64>,
+    /// A point of the set that is to be replaced by one that tells more.
+    pub(super) improving: Option<usize>,
     /// The point around which directions that the model lacks were asked for last, and how often.
     pub(super) completed: (usize, u32),
 }
@@ -172,6 +178,7 @@ impl LeastSquaresState {
             n_geometry: 0,
             n_noisy: 0,
             curvature: None,
+            improving: None,
             completed: (0, 0),
         };
         for coordinate in std::iter::once(None).chain((0..n).map(Some)) {
@@ -189,9 +196,14 @@ impl LeastSquaresState {
     pub(super) fn is_sound(&self, setup: &Setup) -> bool {
         let (n, n_user, len) = (setup.space.n_free(), setup.space.n(), self.points.len());
         let m = self.points.first().map_or(0, |point| point.residuals.len());
+        let is_place = |z: &[f64], x: &[f64]| {
+            z.len() == n
+                && z.iter().all(|z| z.is_finite())
+                && x.len() == n_user
+                && setup.space.bounds().contains(x)
+        };
         let is_candidate = |c: &Candidate| {
-            c.z.len() == n
-                && c.x.len() == n_user
+            is_place(&c.z, &c.x)
                 && !matches!(c.known, Known::Point(k) if k >= len)
                 && match c.role {
                     Role::Start(coordinate) => coordinate.is_none_or(|k| k < n),
@@ -199,12 +211,19 @@ impl LeastSquaresState {
                     Role::Trial { .. } | Role::Near | Role::Probe { .. } => true,
                 }
         };
-        let is_point = |p: &Evaluated| p.z.len() == n && p.x.len() == n_user && p.residuals.len() == m;
+        let is_point = |p: &Evaluated| is_place(&p.z, &p.x) && p.cost.is_finite() && p.residuals.len() == m;
         setup.space.is_same_space(&self.setup.space)
+            && self.setup.tolerances.check().is_ok()
+            && self.options.check().is_ok()
             && self.origin.len() == n
+            && self.origin.iter().all(|u| u.is_finite())
+            && is_length(self.rho)
+            && is_length(self.delta)
+            && !self.f_0.is_nan()
+            && self.best_seen.is_sound(n_user)
             && self.points.iter().all(is_point)
             && self.round.iter().all(is_candidate)
-            && self.set.iter().all(|k| *k < len)
+            && self.set.iter().chain(&self.improving).all(|k| *k < len)
             && self.set.len() <= n + 1
             && self.asked.iter().all(|k| *k < self.round.len())
             && (self.set.is_empty() == matches!(self.phase, Phase::Starting | Phase::NoStart))
@@ -372,7 +391,11 @@ impl LeastSquaresState {
     /// Forgets the points that lie farthest, where there are too many.
     pub(super) fn forget(&mut self) {
         let most = MOST_KEPT * (self.n() + 1);
-        if self.points.len() <= most || self.set.is_empty() || !self.round.is_empty() {
+        if self.points.len() <= most
+            || self.set.is_empty()
+            || !self.round.is_empty()
+            || self.improving.is_some()
+        {
             return;
         }
         let centre = self.points[self.base()].z.clone();
@@ -396,12 +419,21 @@ impl Method for LeastSquaresState {
     }
 
     fn ask(&mut self, batch: &mut Batch) {
+        self.ask_unless(&mut || false, batch);
+    }
+
+    fn ask_unless(&mut self, cancelled: &mut dyn FnMut() -> bool, batch: &mut Batch) {
         batch.start(self.setup.space.n(), self.n_batches, self.n_points);
         batch.set_want(Want::Residuals);
         self.asked.clear();
         if self.round.is_empty() {
             match &self.phase {
-                Phase::Descending => self.descend(),
+                Phase::Descending => {
+                    if self.descend(cancelled).is_err() {
+                        self.waiting = false;
+                        return;
+                    }
+                }
                 Phase::Averaging(_) => self.average(),
                 Phase::Starting | Phase::Simplex(_) | Phase::NoStart | Phase::Ended(_) => {}
             }
@@ -479,10 +511,10 @@ impl Method for LeastSquaresState {
         self.best_seen.get()
     }
 
-    fn linear_model(&self) -> Option<LinearModel> {
+    fn linear_model(&self, cancelled: &mut dyn FnMut() -> bool) -> Option<LinearModel> {
         let best = self.points.iter().min_by(|a, b| a.cost.total_cmp(&b.cost))?;
         let points = self.points.iter().map(|p| (&p.z[..], &p.residuals[..]));
-        LinearModel::regression(&self.setup.space, (&best.x, &best.z, &best.residuals), points)
+        LinearModel::regression(&self.setup.space, (&best.x, &best.z, &best.residuals), points, cancelled)
     }
 
     fn save(&self) -> Option<Vec<u8>> {

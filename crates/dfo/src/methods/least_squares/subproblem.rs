@@ -8,6 +8,12 @@ const MOST_STEPS: usize = 60;
 const RANK: f64 = 1e-13;
 /// Sweeps for singular values: a few for each are enough.
 const MOST_SWEEPS: usize = 1000;
+/// Numbers of a Jacobian that are turned at once: they fit into a cache.
+const AT_ONCE: usize = 1 << 18;
+
+/// The run was interrupted.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Cancelled;
 
 /// Residuals as a linear function of the displacement `s` from a base point, turned so that only n numbers are left of them:
 /// `|r + J s|^2 = |c + F s|^2 + constant`, with `F` and `c` from the QR factorisation of `J`.
@@ -18,16 +24,47 @@ pub(super) struct Linear {
 }
 
 impl Linear {
-    /// Turns residuals and their Jacobian.
-    pub(super) fn new(residuals: &DVector<f64>, jacobian: DMatrix<f64>) -> Self {
+    /// Turns residuals and their Jacobian, m x n, block of rows by block of rows: each with the triangle that those before it have left
+    /// (Demmel, Grigori, Hoemmen and Langou, SIAM J. Sci. Comput. 34, 2012, A206). `cancelled` is asked before each block but the first.
+    pub(super) fn new(
+        (m, n): (usize, usize),
+        residual: impl Fn(usize) -> f64,
+        jacobian: impl Fn(usize, usize) -> f64,
+        cancelled: &mut dyn FnMut() -> bool,
+    ) -> Result<Self, Cancelled> {
+        let rows = (AT_ONCE / n.max(1)).max(4 * n);
+        let (mut factor, mut reached) = (DMatrix::zeros(0, n), DVector::zeros(0));
+        let mut from = 0;
+        while from < m {
+            if from > 0 && cancelled() {
+                return Err(Cancelled);
+            }
+            let to = if m - from < 2 * rows { m } else { from + rows };
+            let above = factor.nrows();
+            let row = |i: usize| i - above + from;
+            let stacked = DMatrix::from_fn(above + to - from, n, |i, j| {
+                if i < above { factor[(i, j)] } else { jacobian(row(i), j) }
+            });
+            let turned =
+                DVector::from_fn(
+                    stacked.nrows(),
+                    |i, _| if i < above { reached[i] } else { residual(row(i)) },
+                );
+            Self { factor, reached } = Self::turned(turned, stacked);
+            from = to;
+        }
+        Ok(Self { factor, reached })
+    }
+
+    /// Turns residuals and a Jacobian that are at hand.
+    pub(super) fn turned(mut residuals: DVector<f64>, jacobian: DMatrix<f64>) -> Self {
         let (m, n) = jacobian.shape();
         if m <= n {
-            return Self { factor: jacobian, reached: residuals.clone() };
+            return Self { factor: jacobian, reached: residuals };
         }
         let qr = jacobian.qr();
-        let mut reached = residuals.clone();
-        qr.q_tr_mul(&mut reached);
-        Self { factor: qr.r(), reached: reached.rows(0, n).into_owned() }
+        qr.q_tr_mul(&mut residuals);
+        Self { factor: qr.r(), reached: residuals.rows(0, n).into_owned() }
     }
 }
 

@@ -3,12 +3,15 @@
 use super::model::Interpolation;
 use super::points::{Selection, difference, distance, norm, sum};
 use super::state::{Candidate, Known, LeastSquaresState, Phase, Role};
-use super::subproblem::{Linear, Subproblem, longest};
+use super::subproblem::{Cancelled, Linear, Subproblem, longest};
 use crate::method::Operation;
 use crate::termination::Termination;
 
 /// A radius below this cannot be resolved.
 const SMALLEST: f64 = 1e-15;
+/// A sum of squares below this share of the first one is zero (the default `model.rel_tol` of DFO-LS: Cartis, Fiala, Marteau and
+/// Roberts 2019, section 4).
+const ZERO: f64 = 1e-20;
 /// Turns without a point to ask for: the resolution has come to its end long before.
 const MOST_TURNS: usize = 200;
 /// How often a direction that the set lacks is asked for around one point.
@@ -30,7 +33,11 @@ const NEIGHBOUR: f64 = 0.1;
 
 impl LeastSquaresState {
     /// The model around a point of the set. Along directions that no point tells of it is constant.
-    fn interpolation(&self, base: usize) -> Option<Interpolation> {
+    fn interpolation(
+        &self,
+        base: usize,
+        cancelled: &mut dyn FnMut() -> bool,
+    ) -> Result<Option<Interpolation>, Cancelled> {
         let (z, residuals) = (&self.points[base].z, &self.points[base].residuals[..]);
         let others = self.set.iter().filter(|k| **k != base).map(|k| &self.points[*k]);
         let mut others: Vec<(Vec<f64>, &[f64])> =
@@ -40,7 +47,7 @@ impl LeastSquaresState {
             others
                 .extend(missing.into_iter().map(|v| (v.iter().map(|v| v * self.delta).collect(), residuals)));
         }
-        Interpolation::new(residuals, &others)
+        Interpolation::new(residuals, &others, cancelled)
     }
 
     /// Makes the set from a point and those nearest to it.
@@ -69,33 +76,45 @@ impl LeastSquaresState {
             .fold((base, 0.0), |far, other| if other.1 > far.1 { other } else { far })
     }
 
-    /// Fills the round, or ends.
-    pub(super) fn descend(&mut self) {
+    /// Fills the round, or ends; where it is cancelled, it has done neither and can be called again.
+    pub(super) fn descend(&mut self, cancelled: &mut dyn FnMut() -> bool) -> Result<(), Cancelled> {
+        // Of the same points there is one model.
+        let mut known: Option<(Vec<usize>, Interpolation)> = None;
         // Each turn without a point shrinks the resolution, or takes a point out of the set.
         for turn in 0.. {
             if !self.round.is_empty() || !matches!(self.phase, Phase::Descending) {
-                return;
+                break;
             }
             if turn >= MOST_TURNS {
                 self.phase = Phase::Ended(Termination::Collapsed);
-                return;
+                break;
             }
             let base = self.base();
             if self.set.len() <= self.n() && (self.completed.0 != base || self.completed.1 < MOST_TRIES) {
                 self.complete(base);
                 continue;
             }
-            let Some(model) = self.interpolation(base) else {
+            let model = match known.take().filter(|(set, _)| *set == self.set && set.len() == self.n() + 1) {
+                Some((_, model)) => Some(model),
+                None => self.interpolation(base, cancelled)?,
+            };
+            let improving = self.improving.take();
+            let Some(model) = model else {
                 // In a plane up to rounding: a direction is made anew.
                 let (farthest, _) = self.farthest(base);
                 if farthest == base || self.delta < SMALLEST {
                     self.phase = Phase::Ended(Termination::Collapsed);
-                    return;
+                    break;
                 }
                 self.set.retain(|k| *k == base || *k != farthest);
                 self.completed.1 = 0;
                 continue;
             };
+            if let Some(point) = improving {
+                let distance = distance(&self.points[point].z, &self.points[base].z);
+                self.improve(base, &model, point, distance);
+                continue;
+            }
             let z = self.points[base].z.clone();
             let (lower, upper) = self.space_around(&z);
             let (step, predicted) = best_step(&model.linear, self.delta, (&lower, &upper));
@@ -116,13 +135,26 @@ impl LeastSquaresState {
             // would be followed for ever.
             let rounding = 4.0 * self.points[base].residuals.len() as f64 * f64::EPSILON * f;
             let nothing = rounding.max(1e-7 * tests.f_limit);
-            if tests.passed || f == 0.0 {
+            if tests.passed || f <= ZERO * self.f_0 {
                 self.phase = Phase::Ended(Termination::Converged);
             } else if self.n_failed > 0 && self.delta < STUCK {
                 self.begin_simplex();
             } else if self.rho < SMALLEST {
                 self.phase = Phase::Ended(Termination::Collapsed);
             } else if length < 0.5 * self.rho || predicted <= nothing {
+                let (x_size, gain) = self.uncertainty(base, &model.linear, length, predicted);
+                let may_pass = self.setup.tolerances.x_tol > 0.0 && !tests.x_passed;
+                if !may_pass && (gain <= rounding || self.is_flat(&model.linear, rounding, (&lower, &upper)))
+                {
+                    self.phase = Phase::Ended(Termination::Collapsed);
+                    continue;
+                }
+                if x_size < 0.1 * self.rho {
+                    // The model is nearer to the residuals than this resolution asks for.
+                    self.refine(x_size);
+                    known = Some((self.set.clone(), model));
+                    continue;
+                }
                 self.n_geometry += 1;
                 // Nothing to gain at this resolution, if the model is right.
                 self.delta = self.rho.max(0.1 * self.delta);
@@ -134,8 +166,9 @@ impl LeastSquaresState {
                 if distance > (2.0 * self.delta).max(10.0 * self.rho) && may_improve {
                     self.improve(base, &model, point, distance);
                 } else if self.delta <= self.rho {
-                    self.refine();
+                    self.refine(x_size);
                 }
+                known = Some((self.set.clone(), model));
             } else {
                 self.ask_for(sum(&z, &step), Role::Trial { predicted, radius: self.delta });
                 if let Some(more) =
@@ -146,6 +179,7 @@ impl LeastSquaresState {
                 self.model = Some(model);
             }
         }
+        Ok(())
     }
 
     /// How far the minimum may lie from the base, and what may be gained there.
@@ -214,11 +248,17 @@ impl LeastSquaresState {
         self.completed = (base, tries + 1);
     }
 
-    /// A smaller resolution.
-    fn refine(&mut self) {
+    /// Whether the cost differs by no more than its rounding over all the resolution, and the model promises no more farther away.
+    fn is_flat(&self, linear: &Linear, rounding: f64, (lower, upper): (&[f64], &[f64])) -> bool {
+        linear.factor.norm_squared() * self.rho * self.rho <= rounding
+            && best_step(linear, self.options.radius.max(self.delta), (lower, upper)).1 <= rounding
+    }
+
+    /// A smaller resolution: a tenth, or the distance at which the minimum may lie where that is less.
+    fn refine(&mut self, x_size: f64) {
         self.n_geometry = 0;
         self.delta = 0.5 * self.rho;
-        self.rho *= 0.1;
+        self.rho = (0.1 * self.rho).min(x_size).max(0.1 * SMALLEST);
         self.delta = self.delta.max(self.rho);
     }
 
@@ -297,14 +337,14 @@ impl LeastSquaresState {
         if ratio > 0.0 {
             (self.n_failed, self.n_geometry) = (0, 0);
         }
-        let model = self.model.take().or_else(|| self.interpolation(base));
+        let model = self.model.take().or_else(|| self.interpolation(base, &mut || false).ok().flatten());
         if let Some(((k, ..), model)) = best.zip(model) {
             let lagrange = model.lagrange(&difference(&self.points[k].z, &z));
             let misfit = self.misfit(base, k, &lagrange);
-            if ratio >= 0.3 {
-                self.curvature = Some(misfit / (length * length));
-            }
             let size = length.max(self.farthest(base).1);
+            if ratio >= 0.3 {
+                self.curvature = Some(misfit / (length * size));
+            }
             match self.failure {
                 _ if ratio >= 0.7 => (self.failure, self.n_noisy) = (None, 0),
                 Some((of, at)) if size <= NEARER * at => {
@@ -332,14 +372,12 @@ impl LeastSquaresState {
                 self.delta = 0.5 * length;
                 self.rho = self.rho.min(self.delta);
             } else if is_far && self.set.len() == self.n() + 1 {
-                if let Some(model) = self.interpolation(base) {
-                    self.improve(base, &model, point, distance);
-                }
+                self.improving = Some(point);
             } else if self.delta <= self.rho {
                 // The model has got a new point; where that helps nothing for long, the resolution is the cause.
                 self.n_geometry += 1;
                 if (length <= self.rho && ratio < 1e-3) || self.n_geometry > 2 * (self.n() + 1) {
-                    self.refine();
+                    self.refine(self.rho);
                 }
             }
         }

@@ -13,6 +13,9 @@
 //!
 //! For costs without residuals, part of the budget goes to differential evolution before (`exploration`): what it finds is the first
 //! start, and its first population is the first sample.
+//!
+//! Where the evaluations are limited, sample and searches side by side take at most half of them before the first local search has
+//! ended; the others wait from then on. So a problem with one minimum is solved where its local search needs less than the other half.
 
 mod clusters;
 mod options;
@@ -65,7 +68,8 @@ impl MethodOptions for Multistart {
     }
 
     fn plans_with_budget(&self) -> bool {
-        self.exploration.map_or(self.polish != Polish::LeastSquares, |share| share > 0.0)
+        let explores = self.exploration.map_or(self.polish != Polish::LeastSquares, |share| share > 0.0);
+        explores || self.side_by_side != Some(1)
     }
 
     fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {

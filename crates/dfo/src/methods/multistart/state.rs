@@ -47,6 +47,9 @@ struct Core {
     n_planned: usize,
     n_explored: usize,
     n_starts: usize,
+    /// Points of all but the first local search.
+    #[serde(default)]
+    n_elsewhere: usize,
     minima: Vec<Optimum>,
     best: Best,
     /// The tests and the derivatives of the search that ended at the best minimum.
@@ -109,6 +112,7 @@ impl MultistartState {
             n_planned: if explores { planned } else { 0 },
             n_explored: 0,
             n_starts: 0,
+            n_elsewhere: 0,
             minima: Vec::new(),
             best: Best::default(),
             tests: None,
@@ -145,6 +149,7 @@ impl MultistartState {
                 && core.used.len() == core.sample.len()
                 && core.rounds.is_sound(space.n())
                 && core.best.is_sound(space.n())
+                && core.best.get().is_none_or(|(x, _)| space.bounds().contains(x))
                 && core.minima.iter().all(|m| m.x.len() == space.n())
                 && core
                     .queue
@@ -301,7 +306,9 @@ impl MultistartState {
                 self.told.push(answers.outcomes()[k].clone(), answers.residuals(k).unwrap_or_default());
             }
             first += len;
-            search.method.tell(&self.told)?;
+            if len > 0 {
+                search.method.tell(&self.told)?;
+            }
         }
         self.core.operation = Some(Operation::LocalSearches);
         self.retire()
@@ -314,7 +321,8 @@ impl MultistartState {
             let status = search.method.status();
             if let Some((x, cost)) = search.method.best().filter(|_| status != Status::Running) {
                 if core.minima.first().is_none_or(|best| cost < best.cost) {
-                    (core.tests, core.model) = (search.method.details().tests, search.method.linear_model());
+                    (core.tests, core.model) =
+                        (search.method.details().tests, search.method.linear_model(&mut || false));
                 }
                 let found = Optimum { x: x.to_vec(), cost, n_starts: 1 };
                 clusters::enter(&core.setup.space, &mut core.minima, found);
@@ -324,6 +332,19 @@ impl MultistartState {
         if self.searches.len() < before { self.next() } else { Ok(()) }
     }
 
+    /// Until the first local search has ended, all else has at most half of the budget: where the points of the other searches would be
+    /// more, these wait.
+    fn leave_half_to_the_first(&mut self) {
+        let Core { n_starts, n_elsewhere, setup, .. } = &self.core;
+        let Some(budget) = setup.max_evaluations.filter(|_| *n_starts == self.searches.len()) else { return };
+        let wanted: usize = self.searches.iter().skip(1).map(|search| search.asked.len()).sum();
+        if n_elsewhere + wanted > budget / 2 {
+            for search in self.searches.iter_mut().skip(1) {
+                search.asked = Batch::new();
+            }
+        }
+    }
+
     /// Asks the searches; a method may find out that it has ended when it is asked.
     fn ask_searches(&mut self) {
         loop {
@@ -331,6 +352,7 @@ impl MultistartState {
                 search.method.ask(&mut search.asked);
             }
             if self.searches.iter().all(|search| search.method.status() == Status::Running) {
+                self.leave_half_to_the_first();
                 return;
             }
             if self.retire().is_err() {
@@ -401,12 +423,19 @@ impl Method for MultistartState {
         core.n_iterations += usize::from(core.operation.is_some());
         match core.phase {
             Phase::Sampling => {
+                core.n_elsewhere += asked.len();
                 if core.rounds.tell(answers, &mut core.sample)? {
                     self.sampled()?;
                 }
             }
-            Phase::Exploring => self.explored(answers)?,
-            Phase::Searching => self.searched(answers)?,
+            Phase::Exploring => {
+                core.n_elsewhere += asked.len();
+                self.explored(answers)?;
+            }
+            Phase::Searching => {
+                core.n_elsewhere += asked.len() - self.searches.first().map_or(0, |first| first.asked.len());
+                self.searched(answers)?;
+            }
             Phase::NoStart | Phase::Ended(_) => {}
         }
         Ok(())
@@ -441,7 +470,7 @@ impl Method for MultistartState {
         self.core.best.get()
     }
 
-    fn linear_model(&self) -> Option<LinearModel> {
+    fn linear_model(&self, _: &mut dyn FnMut() -> bool) -> Option<LinearModel> {
         let is_best = self.core.minima.first().map(|m| m.cost) == self.core.best.cost();
         self.core.model.clone().filter(|_| is_best)
     }

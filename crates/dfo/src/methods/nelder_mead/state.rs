@@ -151,6 +151,11 @@ impl NelderMeadState {
         self.n_points
     }
 
+    /// Takes the cost of the start point, which need not be evaluated then.
+    pub(crate) fn set_start_cost(&mut self, cost: f64) {
+        self.simplex.set_cost(0, Cost::Value(cost));
+    }
+
     /// Whether this state fits to a problem and to itself.
     pub(crate) fn is_sound(&self, setup: &Setup) -> bool {
         let space = &setup.space;

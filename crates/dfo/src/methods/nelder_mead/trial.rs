@@ -59,7 +59,7 @@ impl TrialPoint {
     }
 
     pub(super) fn is_sound(&self, space: &Space) -> bool {
-        (self.u.len(), self.x.len()) == (space.n_free(), space.n())
+        (self.u.len(), self.x.len()) == (space.n_free(), space.n()) && self.u.iter().all(|u| u.is_finite())
     }
 }
 

@@ -108,8 +108,16 @@ impl PatternSearchState {
     pub(super) fn is_sound(&self, setup: &Setup) -> bool {
         let n = setup.space.n_free();
         // The frame is a length, at most the first one or the largest that it grows to.
+        let space = &setup.space;
+        let is_inside = |u: &[f64]| {
+            u.len() == n
+                && u.iter().enumerate().all(|(k, u)| {
+                    let (lower, upper) = space.working_bounds(k);
+                    lower <= *u && *u <= upper && u.is_finite()
+                })
+        };
         let is_length = |length: f64| length > 0.0 && length <= self.first.max(2.0 * LARGEST);
-        self.setup.space == setup.space
+        self.setup.space == *space
             && self.setup.tolerances.check().is_ok()
             && self.first > 0.0
             && self.first.is_finite()
@@ -117,8 +125,9 @@ impl PatternSearchState {
             && self.scale > 0.0
             && self.scale.is_finite()
             && self.best.len() == 1
-            && self.best.is_sound(&setup.space)
-            && (self.trial.0.len(), self.trial.1.len()) == (n, setup.space.n())
+            && self.best.is_sound(space)
+            && is_inside(&self.trial.0)
+            && space.bounds().contains(&self.trial.1)
             && self.poll.is_sound(n)
             && (self.place < self.poll.len() || self.phase != Phase::Polling)
             && (self.reference.len(), self.step.len()) == (n, n)

@@ -5,14 +5,13 @@ use super::model::{Interpolation, Quadratic};
 use super::state::{Phase, QuadraticModelState};
 use super::subproblem::{Region, minimize};
 use crate::choices::Measure;
+use crate::method::Roughness;
 use crate::termination::Termination;
 use crate::tolerances::{Extent, Tests};
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 /// A resolution below this cannot be seen.
 const SMALLEST: f64 = 1e-14;
-/// Resolutions in a row at which steps failed: then there is noise.
-const MOST_REFUSED: usize = 4;
 /// What the resolution is multiplied with when it is exhausted. Like the following constants chosen with the even halves of the fits,
 /// boxes and smooth instances of `benches/quadratic.rs`, which judges with the odd halves.
 const REDUCTION: f64 = 0.2;
@@ -387,12 +386,17 @@ impl QuadraticModelState {
 
     /// The resolution is exhausted: the end, a smaller one, or another start.
     fn refine(&mut self) {
-        if self.tests.is_some_and(|tests| tests.passed) {
+        self.n_refused += usize::from(self.is_refused);
+        self.look_for_roughness();
+        if self.hand_over && self.roughness.is_some() && self.hand_over() {
+            return;
+        }
+        let passed = self.tests.is_some_and(|tests| tests.passed);
+        if passed && self.roughness.is_none() {
             self.phase = Phase::Ended(Termination::Converged);
             return;
         }
-        self.n_refused += usize::from(self.is_refused);
-        if self.n_refused >= MOST_REFUSED || self.rho <= SMALLEST {
+        if passed || self.roughness == Some(Roughness::RefusedSteps) || self.rho <= SMALLEST {
             self.restart();
             return;
         }
@@ -422,6 +426,7 @@ impl QuadraticModelState {
             return;
         }
         self.f_restart = f;
+        self.curvatures.clear();
         self.n_refused = 0;
         self.is_refused = false;
         (self.delta, self.rho) = (self.radius, self.radius);

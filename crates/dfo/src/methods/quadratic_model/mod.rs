@@ -15,6 +15,10 @@
 //! **Restarts.** Where steps fail at several resolutions although the model promises a decrease, there is noise or a kink: new points are
 //! placed around the best one, as far away as the first (restarts: Cartis, Fiala, Marteau and Roberts, ACM TOMS 45, 2019).
 //!
+//! **Noise and kinks.** Where the cost is smooth the curvature of the model settles as the resolution shrinks; where it grows all the
+//! same there is a kink or noise, and passed tests mean nothing: the search starts anew, too, or hands over to a simplex search
+//! (`hand_over.rs`), which goes on from the best point as Nelder-Mead does from a start.
+//!
 //! **Failures.** A failed point enters no model. The step is shortened, and later steps keep to the side of a plane between
 //! failed points and those of the model (`failures.rs`). Of the first points a failed one is tried nearer to the start and on its other side.
 //!
@@ -22,6 +26,7 @@
 //! parameters, 0.2 ms for 10, 0.6 ms for 20, 4 ms for 50 (`benches/overhead.rs`).
 
 mod failures;
+mod hand_over;
 mod initial;
 mod iteration;
 mod model;
@@ -53,7 +58,9 @@ impl MethodOptions for QuadraticModel {
         let (n, n_user) = (setup.space.n_free(), setup.space.n());
         let points = self.resolve(n)?;
         memory::check("a quadratic model of so many parameters", &[points, 4 * points + 2 * n_user])?;
-        Ok(QuadraticModelState::new(Self::prepared(setup), self, points))
+        let mut state = QuadraticModelState::new(Self::prepared(setup), self, points);
+        state.begin_with_simplex()?;
+        Ok(state)
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<QuadraticModelState, Error> {
@@ -62,6 +69,8 @@ impl MethodOptions for QuadraticModel {
     }
 
     fn describe(&self) -> Vec<(String, String)> {
-        option_texts::fields(self)
+        // Runs of before this option are continued without it.
+        let named = |(name, _): &(String, String)| self.hand_over || name != "hand_over";
+        option_texts::fields(self).into_iter().filter(named).collect()
     }
 }

@@ -28,11 +28,17 @@ pub struct QuadraticModel {
     /// takes for good do not lower the cost (noise, kinks), before it gives up; a start that finds a lower cost begins the count anew.
     /// Default 3.
     pub restarts: usize,
+    /// Whether the search goes on as [`NelderMead`](crate::NelderMead), from its best point, where the model shows noise or kinks: its
+    /// curvature grows as its region shrinks, or its steps fail at several resolutions. Then the message of the result says so, and its
+    /// tests are those of the simplex. Where nothing tells the size of a parameter, Nelder-Mead searches from the start. Default false;
+    /// [`Auto`](crate::Auto) sets it.
+    #[serde(default)]
+    pub hand_over: bool,
 }
 
 impl Default for QuadraticModel {
     fn default() -> Self {
-        Self { radius: None, points: None, restarts: 3 }
+        Self { radius: None, points: None, restarts: 3, hand_over: false }
     }
 }
 
@@ -55,6 +61,13 @@ impl QuadraticModel {
     #[must_use]
     pub fn restarts(mut self, restarts: usize) -> Self {
         self.restarts = restarts;
+        self
+    }
+
+    /// Sets whether Nelder-Mead takes over where noise or kinks show, see [`QuadraticModel::hand_over`](field@Self::hand_over).
+    #[must_use]
+    pub fn hand_over(mut self, hand_over: bool) -> Self {
+        self.hand_over = hand_over;
         self
     }
 

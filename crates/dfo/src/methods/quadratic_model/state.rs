@@ -1,11 +1,12 @@
 //! The state machine: which points are asked for, and what follows from their costs.
 
+use super::hand_over::Simplex;
 use super::initial;
 use super::model::{Interpolation, Quadratic};
 use super::options::QuadraticModel;
 use crate::answer::Answers;
 use crate::error::Error;
-use crate::method::{Batch, Details, Method, Operation, Setup, Status, saved};
+use crate::method::{Batch, Details, Method, Operation, Roughness, Setup, Status, saved};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::methods::shared::rounds::Rounds;
@@ -31,6 +32,8 @@ pub(super) enum Phase {
     },
     /// A point that makes the model better.
     Geometry,
+    /// The simplex search goes on.
+    HandedOver,
     NoStart,
     Ended(Termination),
 }
@@ -70,6 +73,17 @@ pub struct QuadraticModelState {
     pub(super) operation: Option<Operation>,
     pub(super) tests: Option<Tests>,
     pub(super) f_0: f64,
+    /// Whether a simplex search may take over, and the one that has.
+    #[serde(default)]
+    pub(super) hand_over: bool,
+    #[serde(default)]
+    pub(super) simplex: Option<Simplex>,
+    /// The resolutions since the last start, and the size of the curvature of the model when they were exhausted.
+    #[serde(default)]
+    pub(super) curvatures: Vec<(f64, f64)>,
+    /// How noise or kinks showed when the last resolution was exhausted.
+    #[serde(default)]
+    pub(super) roughness: Option<Roughness>,
 }
 
 impl QuadraticModelState {
@@ -99,6 +113,10 @@ impl QuadraticModelState {
             tests: None,
             f_0: 0.0,
             restarts: options.restarts,
+            hand_over: options.hand_over,
+            simplex: None,
+            curvatures: Vec::new(),
+            roughness: None,
             most_points,
             setup,
         };
@@ -134,6 +152,8 @@ impl QuadraticModelState {
             && !self.retries.is_empty()
             && self.points.len() > 0
             && (self.phase != Phase::Starting || self.points.len() == self.retries.len())
+            && (self.phase == Phase::HandedOver) == self.simplex.is_some()
+            && self.simplex.as_ref().is_none_or(|simplex| simplex.is_sound(&self.setup))
     }
 
     /// Places all points but the first around it.
@@ -210,17 +230,25 @@ impl Method for QuadraticModelState {
             self.complete();
             self.choose();
         }
+        if let Some(simplex) = &mut self.simplex {
+            return simplex.ask(batch);
+        }
         let n = self.setup.space.n();
         match self.phase {
             Phase::Starting => self.rounds.ask(batch, n, &self.points, |_| f64::INFINITY),
             Phase::Trial { .. } | Phase::Geometry => {
                 self.rounds.ask(batch, n, &self.trial, |_| f64::INFINITY);
             }
-            Phase::Choosing | Phase::NoStart | Phase::Ended(_) => self.rounds.ask_nothing(batch, n),
+            Phase::Choosing | Phase::HandedOver | Phase::NoStart | Phase::Ended(_) => {
+                self.rounds.ask_nothing(batch, n);
+            }
         }
     }
 
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
+        if let Some(simplex) = &mut self.simplex {
+            return simplex.state.tell(answers);
+        }
         if self.phase == Phase::Starting {
             if self.rounds.tell(answers, &mut self.points)? {
                 self.start_known();
@@ -238,7 +266,16 @@ impl Method for QuadraticModelState {
         Ok(())
     }
 
+    fn speculate(&mut self, wanted: usize, known: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
+        if let Some(simplex) = &mut self.simplex {
+            simplex.state.speculate(wanted, known, batch);
+        }
+    }
+
     fn status(&self) -> Status {
+        if let Some(simplex) = &self.simplex {
+            return simplex.state.status();
+        }
         match &self.phase {
             Phase::NoStart => Status::NoStart,
             Phase::Ended(termination) => Status::Ended(termination.clone()),
@@ -247,18 +284,27 @@ impl Method for QuadraticModelState {
     }
 
     fn details(&self) -> Details<'_> {
-        Details {
+        let details = Details {
             n_iterations: self.n_iterations,
             operation: self.operation,
             tests: self.tests,
             plan: "serial",
-            population: Some(self.points.view()),
+            roughness: self.roughness,
             ..Details::default()
+        };
+        match &self.simplex {
+            Some(simplex) => simplex.details(details),
+            None => Details { population: Some(self.points.view()), ..details },
         }
     }
 
     fn best(&self) -> Option<(&[f64], f64)> {
-        self.rounds.best()
+        let own = self.rounds.best();
+        let found = self.simplex.as_ref().and_then(|simplex| simplex.state.best());
+        match (own, found) {
+            (Some((_, f)), Some((_, g))) if g >= f => own,
+            (own, found) => found.or(own),
+        }
     }
 
     fn save(&self) -> Option<Vec<u8>> {

@@ -21,14 +21,14 @@ pub(crate) struct RankedPoints {
 }
 
 impl RankedPoints {
-    /// So many points, none of them placed.
+    /// So many points, none of them placed: all stand at the start.
     pub(crate) fn new(space: &Space, len: usize) -> Self {
         let (n, n_user) = (space.n_free(), space.n());
         Self {
             n,
             n_user,
             u: vec![0.0; len * n],
-            x: vec![0.0; len * n_user],
+            x: space.x0().repeat(len),
             costs: vec![Cost::Pending; len],
             values: vec![None; len],
             order: (0..len).collect(),
@@ -125,7 +125,7 @@ impl RankedPoints {
         SimplexView { n: self.n_user, x: &self.x, costs: &self.values, order: &self.order }
     }
 
-    /// Whether all lists have the lengths that belong together: what comes from a file may not.
+    /// Whether all lists have the lengths that belong together, and all points lie in the box: what comes from a file may not.
     pub(crate) fn is_sound(&self, space: &Space) -> bool {
         let len = self.costs.len();
         let mut slots = self.order.clone();
@@ -133,6 +133,8 @@ impl RankedPoints {
         (self.n, self.n_user) == (space.n_free(), space.n())
             && self.u.len() == len * self.n
             && self.x.len() == len * self.n_user
+            && self.u.iter().chain(&self.x).all(|v| v.is_finite())
+            && (0..len).all(|slot| space.bounds().contains(self.x(slot)))
             && self.values.iter().copied().eq(self.costs.iter().map(|cost| cost.value()))
             && self.values.iter().flatten().all(|value| value.is_finite())
             && slots.into_iter().eq(0..len)

@@ -70,6 +70,11 @@ impl Rounds {
         Ok(!candidates.is_pending())
     }
 
+    /// Batches and points told so far.
+    pub(crate) fn counts(&self) -> (u64, u64) {
+        (self.n_batches, self.n_points)
+    }
+
     pub(crate) fn best(&self) -> Option<(&[f64], f64)> {
         self.best.get()
     }

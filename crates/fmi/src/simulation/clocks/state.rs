@@ -11,6 +11,7 @@ use crate::description::{ClockKind, Interval, VariableKind};
 use crate::error::FmiError;
 use crate::instance::{Core, MAX_EVENT_ITERATIONS};
 use crate::simulation::outputs::OutputBuffers;
+use crate::simulation::outside::Outside;
 use crate::sys::Qualifier;
 use ode::EventOutcome;
 use std::sync::Arc;
@@ -113,27 +114,26 @@ impl ClockState {
 
     /// The events of an instant, in event mode: activates the clocks that are due, updates the discrete states until they
     /// settle, and notes what ticks follow. `next_time` of the outcome is the next event that the model announced or the
-    /// next tick; that of the model alone comes second.
+    /// next tick; that of the model alone comes second. Each round may be ended from `outside`.
     pub(crate) fn iterate_events(
         &mut self,
         plan: &ClockPlan,
         core: &mut Core,
         t: f64,
         outputs: (&[u32], &mut OutputBuffers),
+        outside: &Outside<'_>,
     ) -> Result<(EventOutcome, Option<f64>), FmiError> {
-        if plan.is_empty() {
-            let outcome = core.iterate_events(t, plan.time_tolerance, MAX_EVENT_ITERATIONS)?;
-            return Ok((outcome, outcome.next_time));
-        }
         let first = self.ticks.len();
         let mut total = EventOutcome::default();
         for _ in 0..MAX_EVENT_ITERATIONS {
             self.take_due(plan, t);
             self.activate(plan, core, t)?;
+            let mut before_round = |core: &mut Core| {
+                outside.check()?;
+                self.watch(plan, core, t)
+            };
             let outcome =
-                core.iterate_events_watched(t, plan.time_tolerance, MAX_EVENT_ITERATIONS, &mut |core| {
-                    self.watch(plan, core, t)
-                })?;
+                core.iterate_events(t, plan.time_tolerance, MAX_EVENT_ITERATIONS, &mut before_round)?;
             total.states_changed |= outcome.states_changed;
             total.nominals_changed |= outcome.nominals_changed;
             total.terminate |= outcome.terminate;

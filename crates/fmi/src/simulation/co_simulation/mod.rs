@@ -13,8 +13,9 @@ mod stepping;
 pub(crate) use stepping::Stepping;
 
 use crate::error::FmiError;
+use crate::simulation::outside::Outside;
 use crate::simulation::running::no_instance;
-use ode::{ErrorKind, Limits, Observer, Report, Seconds, SimulationError, Stats};
+use ode::{ErrorKind, Report, Seconds, SimulationError, Stats};
 use run::{Exit, Run};
 use std::sync::Arc;
 use std::time::Instant;
@@ -24,7 +25,8 @@ impl Stepping {
     ///
     /// # Errors
     /// [`FmiError::Simulation`] says why, where and with which numbers; samples delivered before it stay valid.
-    pub(crate) fn run(&mut self, limits: &Limits, observer: &mut dyn Observer) -> Result<Report, FmiError> {
+    pub(crate) fn run(&mut self, max_steps: Option<u64>, outside: &Outside<'_>) -> Result<Report, FmiError> {
+        let began = Instant::now();
         let plan = Arc::clone(&self.running.plan);
         let Some(communication) = &plan.communication else { return Err(no_instance()) };
         self.stopwatch.reset();
@@ -32,8 +34,8 @@ impl Stepping {
             stepping: self,
             plan: &plan,
             communication,
-            limits,
-            observer,
+            max_steps,
+            outside,
             t: plan.start,
             origin: plan.start,
             passed: 0,
@@ -46,7 +48,6 @@ impl Stepping {
             is_elsewhere: false,
             tried: 0.0,
             stats: Stats::default(),
-            began: Instant::now(),
         };
         let exit = match run.start() {
             Ok(()) => loop {
@@ -56,7 +57,7 @@ impl Stepping {
             },
             Err(exit) => exit,
         };
-        let seconds = run.began.elapsed().as_secs_f64();
+        let seconds = began.elapsed().as_secs_f64();
         run.stats.seconds = Seconds::new(seconds);
         run.stats.seconds_in_model = Seconds::new(run.stepping.stopwatch.seconds().min(seconds));
         let (time, step, stats) = (run.t.min(plan.end), run.tried, run.stats);

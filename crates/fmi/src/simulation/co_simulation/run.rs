@@ -4,12 +4,11 @@ use super::stepping::{Call, Stepping};
 use crate::description::QuirkKind;
 use crate::error::FmiError;
 use crate::instance::StepOutcome;
+use crate::simulation::outside::Outside;
 use crate::simulation::plan::{Communication, SimulationPlan};
 use crate::simulation::running::Running;
 use crate::sys::{Fault, RawInstance, look_now_and_then};
-use ode::{ErrorKind, EventCause, EventOutcome, EventRecord, Limits, Number, Observer, Stats, Termination};
-use std::sync::atomic::Ordering;
-use std::time::Instant;
+use ode::{ErrorKind, EventCause, EventOutcome, EventRecord, Number, Observer, Stats, Stopped, Termination};
 
 /// Steps of which nothing was computed, in a row, before a run gives up.
 const MAX_DISCARDS: u32 = 12;
@@ -31,19 +30,32 @@ pub(super) enum Exit {
 
 impl From<FmiError> for Exit {
     fn from(error: FmiError) -> Self {
-        Exit::Error(ErrorKind::Model(Box::new(error)))
+        match error {
+            FmiError::Stopped(stopped) => stopped.into(),
+            error => Exit::Error(ErrorKind::Model(Box::new(error))),
+        }
+    }
+}
+
+impl From<Stopped> for Exit {
+    fn from(stopped: Stopped) -> Self {
+        match stopped {
+            Stopped::Cancelled => Exit::Error(ErrorKind::Cancelled),
+            Stopped::TimedOut(limit) => Exit::Error(ErrorKind::TimedOut(limit)),
+            Stopped::ByObserver => Exit::Normal(Termination::StoppedByObserver),
+        }
     }
 }
 
 pub(super) type Step<T> = Result<T, Exit>;
 
 /// One run: everything that changes between the start and the end.
-pub(super) struct Run<'a> {
+pub(super) struct Run<'a, 'o> {
     pub(super) stepping: &'a mut Stepping,
     pub(super) plan: &'a SimulationPlan,
     pub(super) communication: &'a Communication,
-    pub(super) limits: &'a Limits,
-    pub(super) observer: &'a mut dyn Observer,
+    pub(super) max_steps: Option<u64>,
+    pub(super) outside: &'a Outside<'o>,
     pub(super) t: f64,
     /// Where the regular points count from: the start, or where a model that takes steps of one length only returned early.
     pub(super) origin: f64,
@@ -62,7 +74,6 @@ pub(super) struct Run<'a> {
     pub(super) is_elsewhere: bool,
     pub(super) tried: f64,
     pub(super) stats: Stats,
-    pub(super) began: Instant,
 }
 
 /// On which side of a step.
@@ -81,7 +92,7 @@ struct Target {
     regular: bool,
 }
 
-impl Run<'_> {
+impl Run<'_, '_> {
     /// Makes a call into the model, and times it.
     pub(super) fn timed<T>(&mut self, call: Call, make: impl FnOnce(&mut Self) -> T) -> T {
         let timing = match call {
@@ -94,7 +105,7 @@ impl Run<'_> {
     }
 
     pub(super) fn start(&mut self) -> Step<()> {
-        let initial = self.stepping.initial;
+        let initial = self.timed(Call::Events, |run| run.stepping.run_initial_events(run.outside))?;
         self.next_event = initial.next_time;
         self.sample_here()?;
         if initial.terminate {
@@ -118,19 +129,12 @@ impl Run<'_> {
         if !self.plan.inputs.driven.is_empty() {
             self.timed(Call::Inputs, |run| run.set_inputs(&target))?;
         }
-        let (limits, began, cancel) = (*self.limits, self.began, &self.plan.options.cancel);
-        let goes_on = || {
-            limits.timeout.is_none_or(|limit| began.elapsed() < limit)
-                && !cancel.as_ref().is_some_and(|cancel| cancel.load(Ordering::Relaxed))
-        };
-        let step = self.timed(Call::Step, |run| {
-            run.stepping.running.current.core()?.do_step((run.t, target.step), &mut { goes_on })
-        });
-        let Some(outcome) = step? else {
-            self.stepping.running.current.broken = true;
-            self.check_limits()?;
-            return Err(Exit::Error(ErrorKind::Cancelled));
-        };
+        let outcome = self.timed(Call::Step, |run| {
+            let Running { current, .. } = &mut run.stepping.running;
+            let outcome = current.core()?.do_step((run.t, target.step), &|| run.outside.check());
+            current.broken |= outcome.is_err();
+            outcome
+        })?;
         if outcome.complete {
             self.discards = 0;
             self.longest = f64::INFINITY;
@@ -254,19 +258,11 @@ impl Run<'_> {
 
     /// As the driver of integrations does before each step.
     fn check_limits(&mut self) -> Step<()> {
-        if self.observer.poll().is_break() {
-            return Err(Exit::Normal(Termination::StoppedByObserver));
-        }
-        if self.plan.options.cancel.as_ref().is_some_and(|cancel| cancel.load(Ordering::Relaxed)) {
-            return Err(Exit::Error(ErrorKind::Cancelled));
-        }
-        if let Some(most) = self.limits.max_steps
+        self.outside.check()?;
+        if let Some(most) = self.max_steps
             && self.stats.accepted_steps + self.stats.rejected_steps >= most
         {
             return Err(Exit::Error(ErrorKind::TooManySteps(most)));
-        }
-        if let Some(limit) = self.limits.timeout.filter(|limit| self.began.elapsed() >= *limit) {
-            return Err(Exit::Error(ErrorKind::TimedOut(limit)));
         }
         Ok(())
     }
@@ -387,23 +383,19 @@ impl Run<'_> {
         self.stats.input_events += u64::from(cause.input);
         self.stats.step_events += u64::from(cause.step);
         self.stats.time_events += u64::from(cause.time);
-        self.observer.event(&EventRecord { time: self.t, cause });
+        let mut observer = self.outside;
+        observer.event(&EventRecord { time: self.t, cause });
         Ok(outcome.terminate)
     }
 
     fn visit_event_mode(&mut self) -> Step<EventOutcome> {
         self.compute_continuous()?;
-        let Running { inputs, current, clocks, buffers, .. } = &mut self.stepping.running;
+        let Running { inputs, current, .. } = &mut self.stepping.running;
         let core = current.core()?;
         core.call(RawInstance::enter_event_mode)?;
         inputs.set_held(core, &self.plan.inputs)?;
         self.plan.inputs.continuous.set(core, &inputs.continuous)?;
-        Ok(core.run_event_mode(self.t, |core, time| {
-            let recorded = &self.plan.outputs().clocks;
-            clocks
-                .iterate_events(&self.plan.clocks, core, time, (recorded, buffers))
-                .map(|(outcome, _)| outcome)
-        })?)
+        Ok(self.stepping.run_event_mode(self.t, self.outside)?)
     }
 
     /// The inputs of the next step, and their derivatives: where there is an event mode only the continuous ones, for the

@@ -4,10 +4,10 @@ use super::run::{Exit, Run, Step, StepSide};
 use super::stepping::{Call, Stepping};
 use crate::simulation::running::Running;
 use crate::sys::Fault;
-use ode::{Sample, Side, Termination};
+use ode::{Observer, Sample, Side, Termination};
 use std::ops::ControlFlow;
 
-impl Run<'_> {
+impl Run<'_, '_> {
     /// Reads the outputs where the model stands.
     pub(super) fn read(&mut self, place: StepSide) -> Step<()> {
         self.timed(Call::Outputs, |run| run.read_into(place))
@@ -62,6 +62,7 @@ impl Run<'_> {
     /// the end is known the parabola that has it (that at the start may be another one, if the inputs jump there).
     pub(super) fn sample_inside(&mut self, end: f64) -> Step<()> {
         while let Some(time) = self.row_before(end) {
+            self.outside.check()?;
             let theta = (time - self.t) / (end - self.t);
             let Stepping { before, after, between, .. } = &mut *self.stepping;
             for (i, value) in between.iter_mut().enumerate() {
@@ -126,7 +127,8 @@ impl Run<'_> {
         self.stats.samples += 1;
         self.stepping.running.note(outputs);
         let sample = Sample { time: self.plan.times[index], index: Some(index), side, states: &[], outputs };
-        match self.observer.sample(&sample) {
+        let mut observer = self.outside;
+        match observer.sample(&sample) {
             ControlFlow::Continue(()) => Ok(()),
             ControlFlow::Break(()) => Err(Exit::Normal(Termination::StoppedByObserver)),
         }

@@ -2,6 +2,8 @@
 
 use crate::description::Variable;
 use crate::error::FmiError;
+use crate::instance::Core;
+use crate::simulation::outside::Outside;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::{Phase, Running};
 use crate::simulation::variable_elements::RunInput;
@@ -20,8 +22,6 @@ pub(crate) struct Stepping {
     pub(super) slopes: Vec<f64>,
     /// Derivatives of outputs at the end of a step, where there are some.
     pub(super) ends: Vec<f64>,
-    /// What the initial events told.
-    pub(super) initial: EventOutcome,
     pub(super) stopwatch: Stopwatch<{ Call::KINDS }>,
 }
 
@@ -34,26 +34,43 @@ impl Stepping {
             between: row(),
             slopes: vec![0.0; plan.inputs.continuous.start().len()],
             ends: Vec::with_capacity(plan.outputs().smooth.0.len()),
-            initial: EventOutcome::default(),
             stopwatch: Stopwatch::new(),
             running: Running::new(plan),
         }
     }
 
-    /// Brings a fresh instance to its first communication point: values, inputs, initialization.
+    /// Brings a fresh instance to the start time: values, inputs, initialization.
     pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<(), FmiError> {
         let plan = &self.running.plan;
         let ends_exactly = plan.communication.as_ref().is_some_and(|c| c.ends_exactly);
         let stop = ends_exactly.then_some(plan.end);
-        let instance = self.running.begin(raw, input, stop)?;
-        let Running { plan, current, clocks, buffers, .. } = &mut self.running;
-        let (instance, outcome) = instance.begin_steps(|core, time| {
-            let recorded = &plan.outputs().clocks;
-            clocks.iterate_events(&plan.clocks, core, time, (recorded, buffers)).map(|(outcome, _)| outcome)
-        })?;
-        self.initial = outcome;
-        current.phase = Phase::Stepping(instance);
+        let instance = self.running.begin(raw, input, stop)?.leave_initialization()?;
+        self.running.current.phase = Phase::Stepping(instance);
         Ok(())
+    }
+
+    /// Lets the initial events happen, where there is an event mode.
+    pub(crate) fn run_initial_events(&mut self, outside: &Outside<'_>) -> Result<EventOutcome, FmiError> {
+        let start = self.running.plan.start;
+        let has_event_mode = self.running.current.core()?.raw.has_event_mode();
+        if has_event_mode { self.run_event_mode(start, outside) } else { Ok(EventOutcome::default()) }
+    }
+
+    /// The events of an instant, in event mode, and back to step mode.
+    pub(super) fn run_event_mode(
+        &mut self,
+        time: f64,
+        outside: &Outside<'_>,
+    ) -> Result<EventOutcome, FmiError> {
+        let Running { plan, current, clocks, buffers, .. } = &mut self.running;
+        let events = |core: &mut Core, time| {
+            let recorded = (&*plan.outputs().clocks, buffers);
+            clocks.iterate_events(&plan.clocks, core, time, recorded, outside).map(|(outcome, _)| outcome)
+        };
+        let outcome = current.core()?.run_event_mode(time, events);
+        // Between two rounds, or after an error, the model is nowhere.
+        current.broken |= outcome.is_err();
+        outcome
     }
 
     /// Value of a variable at the last communication point.

@@ -9,6 +9,7 @@ use crate::simulation::clocks::{ClockInputs, Clocked};
 use crate::simulation::column::{Column, HeldColumn};
 use crate::simulation::variable_elements::{FloatSlots, Slots, Starts, VariableElement};
 use ode::InputStop;
+use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::sync::Arc;
 
@@ -27,21 +28,23 @@ pub type InputFunction = Arc<dyn Fn(f64) -> f64 + Send + Sync>;
 ///     .table(vec![0.0, 1.0, 1.0, 5.0], [("u", vec![0.0, 0.0, 1.0, 1.0]), ("mode", vec![1.0, 1.0, 2.0, 2.0])])
 ///     .function("v", |t| (2.0 * t).sin());
 /// ```
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Inputs {
     sources: Vec<Source>,
 }
 
 /// A variable, and what drives it.
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 struct Source {
     name: String,
     values: SourceValues,
 }
 
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 enum SourceValues {
     Numbers(Arc<[f64]>, Arc<[f64]>),
+    /// Stays in this process.
+    #[serde(skip)]
     Function(InputFunction),
     Any(Arc<[f64]>, Arc<[Value]>),
 }
@@ -70,6 +73,12 @@ impl fmt::Debug for Source {
 }
 
 impl Inputs {
+    /// An input that a function drives, which cannot be sent to another process.
+    pub fn driven_by_function(&self) -> Option<&str> {
+        let is_function = |source: &&Source| matches!(source.values, SourceValues::Function(_));
+        self.sources.iter().find(is_function).map(|source| source.name.as_str())
+    }
+
     /// No inputs.
     pub fn new() -> Self {
         Self::default()

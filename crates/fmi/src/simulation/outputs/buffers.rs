@@ -329,7 +329,7 @@ impl OutputBuffers {
             let mut places = self.texts.iter_mut();
             let table = &mut self.table;
             raw.get_string(&plan.texts.0, places.len(), |text| {
-                places.next().into_iter().for_each(|place| *place = table.text(text));
+                places.next().into_iter().for_each(|place| *place = table.text(text, *place));
             })?;
         }
         if !self.binaries.is_empty() {
@@ -337,7 +337,7 @@ impl OutputBuffers {
             let table = &mut self.table;
             let most = |k: usize| plan.most_bytes[k];
             raw.get_binary(&plan.binaries.0, places.len(), most, |bytes| {
-                places.next().into_iter().for_each(|place| *place = table.bytes(bytes));
+                places.next().into_iter().for_each(|place| *place = table.bytes(bytes, *place));
             })?;
         }
         Ok(())

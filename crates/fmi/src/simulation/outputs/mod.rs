@@ -7,4 +7,4 @@ mod texts;
 pub use buffers::Recorded;
 pub(crate) use buffers::{OutputBuffers, OutputContext, OutputPlan, element_of};
 pub(crate) use selection::{Selection, states};
-pub(crate) use texts::{ValueTable, width};
+pub(crate) use texts::{ValueTable, integers, places, width};

@@ -7,62 +7,72 @@
 use crate::description::{Value, VariableKind};
 use crate::instance::integer_codec;
 use std::collections::HashMap;
+use std::hash::{BuildHasher, Hash};
+use std::sync::Arc;
 
 /// All texts and binary values of a run, each once.
 #[derive(Debug, Default)]
 pub(crate) struct ValueTable {
-    texts: HashMap<String, usize>,
-    binaries: HashMap<Vec<u8>, usize>,
+    /// Places of the values by their hashes.
+    places: HashMap<u64, Vec<usize>>,
     values: Vec<Value>,
 }
 
 impl ValueTable {
     /// Forgets everything.
     pub(crate) fn clear(&mut self) {
-        self.texts.clear();
-        self.binaries.clear();
+        self.places.clear();
         self.values.clear();
     }
 
-    /// The number that stands for a text; nothing is allocated for one that was there before.
-    pub(crate) fn text(&mut self, text: &str) -> f64 {
-        // Fewer values than 2^53 fit into any memory.
-        if let Some(place) = self.texts.get(text) {
-            return *place as f64;
-        }
-        let place = self.values.len();
-        self.values.push(Value::String(text.to_owned()));
-        self.texts.insert(text.to_owned(), place);
-        place as f64
+    /// The number that stands for a text, which most often is that of the row before, `last`; nothing is allocated for one that was
+    /// there before.
+    pub(crate) fn text(&mut self, text: &str, last: f64) -> f64 {
+        let is = |value: &Value| matches!(value, Value::String(known) if known == text);
+        self.place(text, last, is, || Value::String(text.to_owned()))
     }
 
     /// The number that stands for bytes; as for texts.
-    pub(crate) fn bytes(&mut self, bytes: &[u8]) -> f64 {
-        if let Some(place) = self.binaries.get(bytes) {
-            return *place as f64;
+    pub(crate) fn bytes(&mut self, bytes: &[u8], last: f64) -> f64 {
+        let is = |value: &Value| matches!(value, Value::Binary(known) if known == bytes);
+        self.place(bytes, last, is, || Value::Binary(bytes.to_vec()))
+    }
+
+    fn place(
+        &mut self,
+        hashed: impl Hash,
+        last: f64,
+        is: impl Fn(&Value) -> bool,
+        make: impl FnOnce() -> Value,
+    ) -> f64 {
+        let Self { places, values } = self;
+        if values.get(last as usize).is_some_and(&is) {
+            return last;
         }
-        let place = self.values.len();
-        self.values.push(Value::Binary(bytes.to_vec()));
-        self.binaries.insert(bytes.to_vec(), place);
+        let alike = places.entry(places.hasher().hash_one(hashed)).or_default();
+        let place = alike.iter().copied().find(|place| is(&values[*place])).unwrap_or_else(|| {
+            alike.push(values.len());
+            values.push(make());
+            values.len() - 1
+        });
+        // Fewer values than 2^53 fit into any memory.
         place as f64
     }
 
-    /// The value that a number stands for; empty text if it stands for none.
-    fn value(&self, number: f64) -> Value {
-        self.values.get(number as usize).cloned().unwrap_or_else(|| Value::String(String::new()))
+    /// The values, for [`places`].
+    pub(crate) fn into_values(self) -> Arc<[Value]> {
+        self.values.into()
     }
+}
 
-    /// The values behind the numbers of the columns (one or two) that [`width`] says.
-    pub(crate) fn decode(&self, kind: VariableKind, columns: &[Vec<f64>]) -> Vec<Value> {
-        match columns {
-            [places] => places.iter().map(|number| self.value(*number)).collect(),
-            [high, low] => {
-                let words = high.iter().zip(low).map(|(high, low)| join(*high, *low));
-                words.map(|word| integer_codec::value(kind, word)).collect()
-            }
-            _ => Vec::new(),
-        }
-    }
+/// The places in the table that the numbers of a column stand for.
+pub(crate) fn places(numbers: &[f64]) -> Vec<usize> {
+    numbers.iter().map(|number| *number as usize).collect()
+}
+
+/// The 64-bit integers of this kind whose halves stand in two columns.
+pub(crate) fn integers(kind: VariableKind, high: &[f64], low: &[f64]) -> Arc<[Value]> {
+    high.iter().zip(low).map(|(high, low)| integer_codec::value(kind, join(*high, *low))).collect()
 }
 
 /// Numbers that a value of this kind takes in a row beside (or in place of) the one with a name.
@@ -98,11 +108,20 @@ mod tests {
     #[test]
     fn a_value_has_one_place() {
         let mut table = ValueTable::default();
-        let numbers = [table.text("a"), table.bytes(b"a"), table.text(""), table.text("a")];
-        assert_eq!(numbers, [0.0, 1.0, 2.0, 0.0]);
-        let values = table.decode(VariableKind::String, &[numbers.to_vec()]);
-        assert_eq!(values, ["a".into(), Value::Binary(b"a".to_vec()), "".into(), "a".into()]);
-        table.clear();
-        assert_eq!(table.text("b"), 0.0);
+        let mut last = 0.0;
+        let mut text = |table: &mut ValueTable, text| {
+            last = table.text(text, last);
+            last
+        };
+        let numbers = [
+            text(&mut table, "a"),
+            table.bytes(b"a", 0.0),
+            text(&mut table, ""),
+            text(&mut table, ""),
+            text(&mut table, "a"),
+        ];
+        assert_eq!(numbers, [0.0, 1.0, 2.0, 2.0, 0.0]);
+        let values = table.into_values();
+        assert_eq!(*values, ["a".into(), Value::Binary(b"a".to_vec()), "".into()]);
     }
 }

@@ -11,8 +11,6 @@ pub(super) struct ValueBuffers {
     pub(super) texts: Vec<*const c_char>,
     pub(super) sizes: Vec<usize>,
     pub(super) binaries: Vec<*const u8>,
-    /// A copy of one binary value.
-    pub(super) bytes: Vec<u8>,
 }
 
 impl ValueBuffers {

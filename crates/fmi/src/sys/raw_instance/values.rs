@@ -3,6 +3,7 @@
 use super::component::RawInstance;
 use super::fault::{Fault, Outcome};
 use crate::description::VariableKind;
+use crate::platform::memory;
 use std::ffi::{CStr, CString};
 
 impl RawInstance {
@@ -87,8 +88,8 @@ impl RawInstance {
         outcome
     }
 
-    /// Reads binary values and shows a copy of each, `count` in all, to `take` in turn. `most` says how many bytes each may have; more, or
-    /// more than there is memory for, are an error before any is read.
+    /// Reads binary values and hands each, `count` in all, to `take` in turn, which may copy it. `most` says how many bytes each may
+    /// have; more, or more than there is memory for, are an error before any is read.
     pub(crate) fn get_binary(
         &mut self,
         references: &[u32],
@@ -103,31 +104,24 @@ impl RawInstance {
         let read =
             run!(self, |library, c| library.values.get_binary(c, references, &mut sizes, &mut pointers));
         let is_too_large = |(k, size): (usize, &usize)| {
-            isize::try_from(*size).is_err() || most(k).is_some_and(|most| *size > most)
+            let is_there = || memory::check(String::new, *size as u64).is_ok();
+            isize::try_from(*size).is_err() || most(k).is_some_and(|most| *size > most) || !is_there()
         };
-        let too_large = |size| Fault::TooLarge { call: "fmi3GetBinary", size };
-        let mut outcome = match sizes.iter().enumerate().position(|(k, size)| is_too_large((k, size))) {
-            Some(k) if read.is_ok() => Err(too_large(sizes[k])),
-            _ => read,
-        };
-        let mut bytes = std::mem::take(&mut self.buffers.bytes);
-        for (pointer, size) in pointers.iter().zip(&sizes) {
-            if outcome.is_err() {
-                break;
+        let outcome = read.and_then(|()| {
+            match sizes.iter().enumerate().position(|(k, size)| is_too_large((k, size))) {
+                Some(k) => Err(Fault::TooLarge { call: "fmi3GetBinary", size: sizes[k] }),
+                None => Ok(()),
             }
-            bytes.clear();
-            if bytes.try_reserve(*size).is_err() {
-                outcome = Err(too_large(*size));
-            } else if !pointer.is_null() && *size > 0 {
-                // SAFETY: the FMU says how many bytes there are, no more than a slice may have; they stay valid until the
-                // next call on it (FMI 3.0, section 2.2.6.2), and there is none while this instance is borrowed.
-                bytes.extend_from_slice(unsafe { std::slice::from_raw_parts(*pointer, *size) });
+        });
+        for (pointer, size) in pointers.iter().zip(&sizes).filter(|_| outcome.is_ok()) {
+            if pointer.is_null() || *size == 0 {
+                take(&[]);
+                continue;
             }
-            if outcome.is_ok() {
-                take(&bytes);
-            }
+            // SAFETY: the FMU says how many bytes there are, no more than a slice may have; they stay valid until the next call
+            // on it (FMI 3.0, section 2.2.6.2), and there is none while this instance is borrowed.
+            take(unsafe { std::slice::from_raw_parts(*pointer, *size) });
         }
-        self.buffers.bytes = bytes;
         (self.buffers.sizes, self.buffers.binaries) = (sizes, pointers);
         outcome
     }
