@@ -15,7 +15,7 @@ use crate::solver::{AtStart, Choice, Solver};
 use crate::warning::{SETUP_LOG_TARGET, SetupWarning};
 use dfo::{Answer, Checkpoint, Failure, Objective, Outcome, Query, RobustLoss, Want};
 use fmi::worker::Isolation;
-use fmi::{FmiError, Fmu, InterfaceKind, Pool, Trajectory};
+use fmi::{FmiError, Fmu, Pool, Trajectory};
 use log::Level;
 use ode::{Method, Number, Stats, Termination};
 use std::ops::ControlFlow;
@@ -130,6 +130,11 @@ impl Calibration {
         let derived = Self { evaluator, choice: Choice::default(), identity };
         self.known_solver().map_or(Ok(()), |solver| derived.set_solver(solver.clone()))?;
         Ok(derived)
+    }
+
+    /// Takes over what is in doubt about another one that it was derived from.
+    pub(crate) fn keep_warnings(&mut self, from: &Self) {
+        self.evaluator.warnings.clone_from(&from.evaluator.warnings);
     }
 
     /// The same with other windows in all experiments. Simulations start as they do in this one, at the same time in the same
@@ -491,7 +496,7 @@ impl Calibration {
     ) -> Result<f64, NoCost> {
         if let Ok(remote) = &self.evaluator.remote {
             let method = self.method_until(rule.cancelled)?;
-            return remote.evaluate((x, method), rule, (false, false), out, stats);
+            return remote.evaluate((x, method), rule, (None, false), out, stats);
         }
         loop {
             let cost = self.evaluator.evaluate(x, rule, out, stats, |k, run| {
@@ -519,11 +524,6 @@ impl Calibration {
             Ok(_) => (Isolation::Process, None),
             Err(reason) => (Isolation::None, reason.as_deref()),
         }
-    }
-
-    /// How the model is run.
-    pub(crate) fn interface(&self) -> InterfaceKind {
-        self.evaluator.simulations[0].pool.plan().kind()
     }
 
     /// What identifies a fit with this solver.

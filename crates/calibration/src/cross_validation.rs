@@ -199,9 +199,9 @@ impl Calibration {
         let mut fit_rms = fit.rms;
         if !options.loss.is_linear() {
             let plain = (&options.objective, RobustLoss::default());
-            let found = fitted.cost_and_rms(&fit.x, plain, cancelled, &mut validation.stats);
+            let found = fitted.cost_and_residuals(&fit.x, plain, cancelled, &mut validation.stats);
             validation.n_simulations += 1;
-            fit_rms = found.map_or(f64::NAN, |(_, rms)| rms);
+            fit_rms = found.map_or(f64::NAN, |(_, r)| fitted.rms_of(&r, fitted.residual_layout()));
         }
         Ok(Fold { held_out: names, fit, fit_rms, validation })
     }

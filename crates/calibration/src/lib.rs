@@ -72,7 +72,9 @@ pub use error::CalibrationError;
 pub use experiment::{Experiment, InitialState, OutputScale, SimulationSettings, Weight};
 pub use export::{FmuExport, SavedFit, Table};
 pub use finding::{Finding, Severity};
-pub use fit::{Fit, FitObserver, FitOptions};
+pub use fit::{
+    ChosenTolerance, EstimatedNoise, Fit, FitNoise, FitObserver, FitOptions, NoiseRule, OutputNoise,
+};
 pub use fmi;
 pub use layout::{OutputResiduals, PriorResidual, ResidualLayout};
 pub use objective::{Compared, CostKind, CustomCost, CustomFailure, NamedCost};
@@ -85,6 +87,7 @@ pub use prior::Prior;
 pub use problem::{ModelFile, Problem};
 pub use profile::{ParameterProfile, Profile, ProfileEnd, ProfileOptions, ProfilePoint};
 pub use race::{Entry, Race, RaceOutcome, RaceTask, Verdict, race};
+pub use remote::ModelProcess;
 pub use report::{ExperimentCurves, OutputCurves, Signal};
 pub use residual::quad_err;
 pub use solver::Solver;

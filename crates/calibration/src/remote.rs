@@ -7,8 +7,8 @@ use crate::problem::{ModelFile, Problem};
 use crate::race::{RaceOutcome, RaceTask};
 use crate::residual::CostRule;
 use dfo::RobustLoss;
-use fmi::worker::{Frame, Isolation, Load, Workers};
-use fmi::{FmiError, Fmu, OpenOptions, Trajectory};
+use fmi::worker::{Frame, Isolation, Load, WorkerLimits, Workers};
+use fmi::{FmiError, Fmu, OpenOptions, SimulateOptions, Trajectory};
 use ode::{Method, Stats};
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -27,14 +27,18 @@ pub(crate) struct Loaded {
 pub(crate) enum Job {
     /// To load a problem and its model, which the other jobs are of.
     Load(Box<Loaded>),
+    /// To open a model, of which [`Simulate`](Self::Simulate) is.
+    Open(ModelFile, Box<OpenOptions>),
+    /// A simulation of the model.
+    Simulate(Box<SimulateOptions>),
     /// The cost and the residuals at a point.
     Evaluate {
         x: Vec<f64>,
         method: Method,
         loss: RobustLoss,
         cutoff: f64,
-        /// With a hundredth of the relative tolerance.
-        is_accurate: bool,
+        /// The relative tolerance, where it is not that of the problem.
+        tolerance: Option<f64>,
     },
     /// A simulation of a race between methods.
     Race(RaceTask),
@@ -94,7 +98,7 @@ impl Remote {
             return Err(Some(format!("the input {input} is a function of this program")));
         }
         let Some(workers) = fmu.workers(settings.worker_limits()) else {
-            return Err(Some("this program cannot start processes for it (worker::serve_if_asked)".to_owned()));
+            return Err(Some(NO_LAUNCHER.to_owned()));
         };
         // Where it is now, in this process no further process is started.
         let model = ModelFile::of(fmu).map_err(|error| Some(error.to_string()))?;
@@ -131,7 +135,6 @@ impl Remote {
         cancelled: &dyn Fn() -> bool,
         use_answer: impl FnOnce(&mut Frame) -> std::io::Result<T>,
     ) -> Result<T, FmiError> {
-        let unsaid = |error: std::io::Error| FmiError::BadSetting { problem: error.to_string() };
         let frames = || self.frames.lock().unwrap_or_else(PoisonError::into_inner);
         let (mut asked, mut answer) = frames().pop().unwrap_or_default();
         asked.set_head(job).map_err(unsaid)?;
@@ -148,12 +151,12 @@ impl Remote {
         &self,
         (x, method): (&[f64], Method),
         rule: CostRule<'_>,
-        (is_accurate, is_fresh): (bool, bool),
+        (tolerance, is_fresh): (Option<f64>, bool),
         out: &mut [f64],
         stats: &mut Stats,
     ) -> Result<f64, NoCost> {
         let CostRule { loss, cutoff, cancelled } = rule;
-        let job = Job::Evaluate { x: x.to_vec(), method, loss, cutoff, is_accurate };
+        let job = Job::Evaluate { x: x.to_vec(), method, loss, cutoff, tolerance };
         let is_fresh = is_fresh || self.is_always_fresh();
         let evaluated = self.ask(&job, is_fresh, cancelled, |answer| {
             let Evaluated { cost, stats } = answer.head()?;
@@ -210,6 +213,53 @@ impl Remote {
             error => error.into(),
         })
     }
+}
+
+/// A model that is simulated in processes of its own.
+#[derive(Debug)]
+pub struct ModelProcess {
+    fmu: Fmu,
+    workers: Arc<Workers>,
+    load: Load,
+}
+
+impl ModelProcess {
+    /// Nothing is started yet.
+    ///
+    /// # Errors
+    /// The file of the model cannot be read any more; [`FmiError::NoWorker`]: this program cannot start processes for it.
+    pub fn new(fmu: &Fmu, limits: WorkerLimits) -> Result<Self, FmiError> {
+        let workers = fmu.workers(limits).ok_or_else(|| FmiError::NoWorker { reason: NO_LAUNCHER.to_owned() })?;
+        let open = Job::Open(ModelFile::of(fmu)?, Box::new(fmu.options().clone()));
+        let load = Load::new(Frame::of(&open).map_err(unsaid)?);
+        Ok(Self { fmu: fmu.clone(), workers, load })
+    }
+
+    /// As [`Fmu::simulate_with`], with the same bits. `cancelled` ends it.
+    ///
+    /// # Errors
+    /// As [`Fmu::simulate`]; [`FmiError::WorkerEnded`]; [`FmiError::Cancelled`]; inputs that are functions.
+    pub fn simulate(
+        &self,
+        options: &SimulateOptions,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Trajectory, FmiError> {
+        if let Some(input) = options.inputs.as_ref().and_then(|inputs| inputs.driven_by_function()) {
+            let problem = format!("the input {input} is a function of this program, which no other process can call");
+            return Err(FmiError::BadSetting { problem });
+        }
+        let (mut asked, mut answer) = (Frame::default(), Frame::default());
+        asked.set_head(&Job::Simulate(Box::new(options.clone()))).map_err(unsaid)?;
+        let quirks = self.workers.call(&self.load, &asked, &mut answer, cancelled, options.timeout)?;
+        self.fmu.add_quirks(quirks);
+        trajectory_of(&mut answer).map_err(unsaid)
+    }
+}
+
+const NO_LAUNCHER: &str = "this program cannot start processes for it (worker::serve_if_asked)";
+
+fn unsaid(error: std::io::Error) -> FmiError {
+    FmiError::BadSetting { problem: error.to_string() }
 }
 
 /// Puts a trajectory into a frame: its rows are the numbers.

@@ -3,16 +3,18 @@
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::no_cost::ToldNoCost;
+use crate::problem::ModelFile;
 use crate::race::RaceOutcome;
 use crate::remote::{Evaluated, Job, Loaded, Raced, RacedOutcome, put_trajectory};
 use crate::residual::CostRule;
 use crate::solver::{Solver, simulate_race};
 use fmi::description::Quirk;
 use fmi::worker::{Frame, Service};
-use fmi::{FmiError, Fmu, Reuse};
+use fmi::{FmiError, Fmu, OpenOptions, Reuse};
 use log::LevelFilter;
 use ode::{Method, Stats};
 use std::io;
+use std::ops::ControlFlow;
 
 /// Serves as a worker process, if this process was started as one: then it ends here when nobody needs it any more. Otherwise returns at
 /// once, and from then on this program starts itself for the processes in which FMUs run.
@@ -25,53 +27,80 @@ pub fn serve_if_asked() {
 
 #[derive(Default)]
 struct Server {
+    /// The model that was opened last.
+    model: Option<(ModelFile, Fmu)>,
     calibration: Option<Calibration>,
     n_quirks: usize,
 }
 
-impl Service for Server {
-    fn answer(&mut self, asked: &Frame, cancelled: &dyn Fn() -> bool, answer: &mut Frame) -> Result<(), FmiError> {
-        let unsaid = |error: io::Error| FmiError::BadSetting { problem: error.to_string() };
-        let loaded = match asked.head::<Job>().map_err(unsaid)? {
-            Job::Load(loaded) => loaded,
-            job => {
-                let calibration = self.calibration.as_ref().ok_or_else(|| FmiError::BadSetting {
-                    problem: "a worker process was asked before it had loaded anything".to_owned(),
-                })?;
-                done(calibration, job, cancelled, answer)?.map_err(unsaid)?;
-                answer.is_last = calibration.fmu().reuse_of(calibration.interface()) == Some(Reuse::Reload);
-                return Ok(());
-            }
-        };
-        let Loaded { problem, options } = *loaded;
-        let known = self.calibration.take();
+impl Server {
+    /// The model of a file, with the content that it had.
+    fn open(&mut self, model: ModelFile, options: &OpenOptions) -> Result<Fmu, CalibrationError> {
+        if let Some((known, fmu)) = &self.model
+            && *known == model
+            && fmu.options() == options
+        {
+            return Ok(fmu.clone());
+        }
+        (self.model, self.n_quirks) = (None, 0);
+        let fmu = Fmu::open_with(&model.path, options)?;
+        model.check(&fmu)?;
+        self.model = Some((model, fmu.clone()));
+        Ok(fmu)
+    }
+
+    fn load(&mut self, Loaded { problem, options }: Loaded) -> Result<(), CalibrationError> {
+        self.calibration = None;
+        let fmu = self.open(problem.model.clone(), &options)?;
         // What is in doubt about the problem was said where it was made.
         let level = log::max_level();
         log::set_max_level(LevelFilter::Off);
-        let calibration = match known {
-            Some(known) if known.problem().model == problem.model && *known.fmu().options() == options => {
-                Calibration::from_problem(known.fmu().clone(), problem)
-            }
-            known => {
-                drop(known);
-                self.n_quirks = 0;
-                Fmu::open_with(&problem.model.path, &options)
-                    .map_err(CalibrationError::from)
-                    .and_then(|fmu| Calibration::from_problem(fmu, problem))
-            }
-        };
+        let calibration = Calibration::from_problem(fmu, problem);
         log::set_max_level(level);
-        self.calibration = Some(calibration.map_err(model_error)?);
+        self.calibration = Some(calibration?);
+        Ok(())
+    }
+}
+
+impl Service for Server {
+    fn answer(
+        &mut self,
+        asked: &Frame,
+        cancelled: &dyn Fn() -> bool,
+        answer: &mut Frame,
+    ) -> Result<(), FmiError> {
+        let unsaid = |error: io::Error| FmiError::BadSetting { problem: error.to_string() };
+        match asked.head::<Job>().map_err(unsaid)? {
+            Job::Load(loaded) => self.load(*loaded).map_err(model_error)?,
+            Job::Open(model, options) => drop(self.open(model, &options).map_err(model_error)?),
+            Job::Simulate(options) => {
+                let (_, fmu) = self.model.as_ref().ok_or_else(not_loaded)?;
+                let mut poll = || if cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+                let trajectory = fmu.simulate_with(&options, &mut poll)?;
+                put_trajectory(trajectory, answer).map_err(unsaid)?;
+            }
+            job => {
+                let calibration = self.calibration.as_ref().ok_or_else(not_loaded)?;
+                done(calibration, job, cancelled, answer)?.map_err(unsaid)?;
+            }
+        }
+        let is_last = |(_, fmu): &(ModelFile, Fmu)| fmu.reuse() == Some(Reuse::Reload);
+        answer.is_last = self.model.as_ref().is_some_and(is_last);
         Ok(())
     }
 
     fn new_quirks(&mut self) -> Vec<Quirk> {
-        let Some(calibration) = &self.calibration else { return Vec::new() };
-        let mut seen = calibration.fmu().quirks_seen();
+        let Some((_, fmu)) = &self.model else { return Vec::new() };
+        let mut seen = fmu.quirks_seen();
         let new = seen.split_off(self.n_quirks.min(seen.len()));
         self.n_quirks += new.len();
         new
     }
+}
+
+fn not_loaded() -> FmiError {
+    let problem = "a worker process was asked before it had loaded anything".to_owned();
+    FmiError::BadSetting { problem }
 }
 
 /// What a job gives.
@@ -86,15 +115,16 @@ fn done(
         calibration.set_solver(solver).map_err(model_error)
     };
     Ok(match job {
-        Job::Load(_) => Ok(()),
-        Job::Evaluate { x, method, loss, cutoff, is_accurate } => {
+        Job::Load(_) | Job::Open(..) | Job::Simulate(_) => Ok(()),
+        Job::Evaluate { x, method, loss, cutoff, tolerance } => {
             use_method(method)?;
             calibration.check_length(&x).map_err(model_error)?;
             let (rule, mut stats) = (CostRule { loss, cutoff, cancelled }, Stats::default());
             answer.numbers.resize(calibration.n_residuals(), 0.0);
-            let cost = match is_accurate {
-                true => calibration.evaluate_accurately(&x, rule, &mut answer.numbers, &mut stats),
-                false => calibration.evaluate_into(&x, rule, &mut answer.numbers, &mut stats),
+            let (out, stats_of_it) = (&mut answer.numbers, &mut stats);
+            let cost = match tolerance {
+                Some(tolerance) => calibration.evaluate_with(tolerance, &x, rule, out, stats_of_it),
+                None => calibration.evaluate_into(&x, rule, out, stats_of_it),
             };
             if cost.is_err() {
                 answer.numbers.clear();
