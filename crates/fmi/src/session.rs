@@ -265,7 +265,8 @@ impl Session {
         (options, Some(values))
     }
 
-    fn with_values(&self, options: &SimulateOptions) -> SimulateOptions {
+    /// The options of a simulation with all values set.
+    pub fn with_values(&self, options: &SimulateOptions) -> SimulateOptions {
         let mut options = options.clone();
         if options.kind == Kind::Auto {
             options.kind = self.kind;

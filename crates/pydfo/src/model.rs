@@ -9,13 +9,15 @@ use crate::trajectory;
 use crate::words::word;
 use crate::{error, fmu_error, logs, values};
 use fmi::description::Interval;
-use fmi::{InterfaceKind, Session, SimulateOptions};
+use calibration::ModelProcess;
+use fmi::worker::{Isolation, WorkerLimits};
+use fmi::{FmiError, InterfaceKind, Session, SimulateOptions, Trajectory};
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::ops::ControlFlow;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
 pyo3::import_exception!(pydfo._errors, Interrupted);
@@ -29,6 +31,8 @@ pub(crate) struct Model {
     slot: Arc<Mutex<Slot>>,
     /// Ends a simulation on the calling thread; the same for all of them, so that the next one has the same options.
     flag: Arc<AtomicBool>,
+    /// Processes of their own, started when the first simulation asks for one.
+    apart: Arc<Mutex<Option<ModelProcess>>>,
 }
 
 /// The session, taken out during a simulation, so that no call waits for a lock that a simulation holds.
@@ -114,6 +118,8 @@ pub(crate) struct Request<'py> {
     chattering: String,
     #[pyo3(item(18))]
     between_steps: String,
+    #[pyo3(item(19))]
+    isolation: String,
 }
 
 #[pymethods]
@@ -125,7 +131,7 @@ impl Model {
         let session = Box::new(Session::of_kind(fmu.clone(), kind));
         let kind = fmu.choose(kind).map_err(|e| fmu_error::raise(py, &e))?;
         let slot = Arc::new(Mutex::new(Slot::Here(session)));
-        Ok(Self { fmu, kind, slot, flag: Arc::default() })
+        Ok(Self { fmu, kind, slot, flag: Arc::default(), apart: Arc::default() })
     }
 
     /// Values of variables.
@@ -167,6 +173,7 @@ impl Model {
         py.detach(|| {
             let left = std::mem::replace(&mut *lock(&self.slot), Slot::Closed);
             drop(left);
+            lock(&self.apart).take();
         });
     }
 
@@ -182,7 +189,9 @@ impl Model {
 
     /// On the calling thread if the last simulation of this FMU was short.
     fn simulate<'py>(&self, py: Python<'py>, request: Request<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let is_here = fits_here(self.fmu.last_run(self.kind));
+        let isolation: Isolation = request.isolation.parse().map_err(|e| fmu_error::raise(py, &e))?;
+        let is_apart = isolation == Isolation::Process;
+        let is_here = !is_apart && fits_here(self.fmu.last_run(self.kind));
         let mut loan = self.lend()?;
         // An input function is Python code: what a Ctrl-C does to it is up to our handler.
         let watch = match is_here && request.functions.is_empty() {
@@ -204,9 +213,12 @@ impl Model {
             drop(loan);
             outcome
         } else {
-            let releasing = callbacks.clone();
+            let (releasing, apart) = (callbacks.clone(), Arc::clone(&self.apart));
             let run = move |_: &CallingThread| {
-                let outcome = loan.session.as_mut().map(|session| session.simulate(&options));
+                let outcome = loan.session.as_mut().map(|session| match is_apart {
+                    true => simulate_apart(session, &mut lock(&apart), &options),
+                    false => session.simulate(&options),
+                });
                 releasing.release();
                 drop(loan);
                 outcome
@@ -227,6 +239,21 @@ impl Model {
             _ => Err(interrupted(None)),
         }
     }
+}
+
+/// Simulates in a process of its own. The session does not hear of it.
+fn simulate_apart(
+    session: &Session,
+    apart: &mut Option<ModelProcess>,
+    options: &SimulateOptions,
+) -> Result<Trajectory, FmiError> {
+    let process = match apart {
+        Some(process) => process,
+        None => apart.insert(ModelProcess::new(session.fmu(), WorkerLimits::default())?),
+    };
+    let flag = options.cancel.clone();
+    let cancelled = || flag.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed));
+    process.simulate(&session.with_values(options), &cancelled)
 }
 
 impl Model {

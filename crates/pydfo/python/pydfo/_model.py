@@ -50,6 +50,7 @@ class Request(NamedTuple):
     input_derivatives: bool
     chattering: str
     between_steps: str
+    isolation: str
 
 
 LOG_LEVELS = ("nothing", "fatal", "error", "warning", "info", "verbose", "debug", "all")
@@ -311,6 +312,7 @@ class FMUModel:
         chattering: Literal["error", "warn", "slide"] = "error",
         input_derivatives: bool = True,
         between_steps: Literal["interpolate", "error"] = "interpolate",
+        isolation: Literal["none", "process"] = "none",
     ) -> SimulationResult:
         """Simulates from a freshly reset model with all values that were `set`.
 
@@ -395,6 +397,10 @@ class FMUModel:
             next (``fixedInternalStepSize``, FMI 3.0): they are interpolated linearly between the steps on both sides (what is
             not continuous has the value of the step before), which the log says once, or they are an error. Fits
             interpolate.
+        isolation : {"none", "process"}
+            Where the FMU runs: in this process, or in one of its own, with the same bits. What happens to that (a crash, `exit`, a
+            call that never returns with a limit `max_time`) is a SimulationError then, and `get` does not know of the simulation. Inputs
+            that are functions cannot be called from there.
 
         Returns
         -------
@@ -444,6 +450,7 @@ class FMUModel:
             input_derivatives=_options.flag("input_derivatives", input_derivatives),
             chattering=_options.choice("chattering", chattering),
             between_steps=_options.choice("between_steps", between_steps),
+            isolation=_options.choice("isolation", isolation),
         )
         result = SimulationResult(**self._model.simulate(request))
         if len(result.time) and (said := _inputs.held_beyond(tables, float(result.time[0]), float(result.time[-1]))):
