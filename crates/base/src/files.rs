@@ -1,7 +1,7 @@
 //! Files of the user: read only where they are regular ones, written whole or not at all.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Read, Seek, SeekFrom};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tempfile::{NamedTempFile, TempPath};
@@ -105,6 +105,83 @@ pub fn folder_of(path: &Path) -> &Path {
         Some(folder) if folder != Path::new("") => folder,
         _ => Path::new("."),
     }
+}
+
+/// A claim on a file that one process at a time writes again and again: a locked file beside it, which is removed with the claim. The lock
+/// goes with its process, however that ends.
+#[derive(Debug)]
+pub struct Claim {
+    /// `None`: this process has a claim on it already, or it is no file that is replaced.
+    locked: Option<File>,
+    path: PathBuf,
+}
+
+impl Claim {
+    /// Claims the file at this place, which need not be there.
+    ///
+    /// # Errors
+    /// [`io::ErrorKind::ResourceBusy`] with the number of the process that has a claim on it; those of the system.
+    pub fn new(path: &Path) -> io::Result<Self> {
+        let target = followed(path);
+        if fs::metadata(&target).is_ok_and(|there| !there.is_file()) {
+            return Ok(Self { locked: None, path: target });
+        }
+        let mut name = target.file_name().unwrap_or_default().to_owned();
+        name.push(".lock");
+        let place = target.with_file_name(name);
+        loop {
+            let mut options = OpenOptions::new();
+            options.read(true).write(true).create(true).truncate(false);
+            #[cfg(unix)]
+            let file = without_waiting(&mut options, libc::O_NOFOLLOW).open(&place)?;
+            #[cfg(not(unix))]
+            let file = options.open(&place)?;
+            let mut file = require_regular(file)?;
+            match file.try_lock() {
+                Ok(()) if !is_at(&file, &place)? => {}
+                Ok(()) => {
+                    file.set_len(0)?;
+                    file.write_all(std::process::id().to_string().as_bytes())?;
+                    return Ok(Self { locked: Some(file), path: place });
+                }
+                Err(fs::TryLockError::WouldBlock) => {
+                    let mut owner = String::new();
+                    let _ = file.read_to_string(&mut owner);
+                    if owner == std::process::id().to_string() {
+                        return Ok(Self { locked: None, path: place });
+                    }
+                    let message = format!("process {owner} is writing to it");
+                    return Err(io::Error::new(io::ErrorKind::ResourceBusy, message));
+                }
+                // Some file systems have no locks.
+                Err(fs::TryLockError::Error(_)) => return Ok(Self { locked: None, path: place }),
+            }
+        }
+    }
+}
+
+impl Drop for Claim {
+    fn drop(&mut self) {
+        if self.locked.is_some() {
+            let _ = fs::remove_file(&self.path);
+        }
+    }
+}
+
+/// Whether an open file is still the one at a place: its owner may have removed it meanwhile.
+fn is_at(file: &File, place: &Path) -> io::Result<bool> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        let same = |there: fs::Metadata, open: fs::Metadata| (there.dev(), there.ino()) == (open.dev(), open.ino());
+        match fs::symlink_metadata(place) {
+            Ok(there) => Ok(same(there, file.metadata()?)),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
+            Err(error) => Err(error),
+        }
+    }
+    #[cfg(not(unix))]
+    Ok(file.metadata().is_ok() && place.exists())
 }
 
 /// A file in the making. It takes the place of another when it is whole; until then, and where it never is, the other one stays as it is.
@@ -249,6 +326,28 @@ mod tests {
             fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
         names.sort();
         names
+    }
+
+    #[test]
+    fn a_file_is_claimed_by_one_process_at_a_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run");
+        let claim = Claim::new(&path).unwrap();
+        // This process may go on with it.
+        drop(Claim::new(&path).unwrap());
+        assert_eq!(names(folder.path()), ["run.lock"]);
+        drop(claim);
+        assert_eq!(names(folder.path()), Vec::<String>::new());
+        // What another process has left behind is no claim; what it holds is one.
+        let lock = folder.path().join("run.lock");
+        fs::write(&lock, "4711").unwrap();
+        drop(Claim::new(&path).unwrap());
+        fs::write(&lock, "4711").unwrap();
+        let held = File::open(&lock).unwrap();
+        held.lock().unwrap();
+        let error = Claim::new(&path).unwrap_err();
+        assert_eq!((error.kind(), error.to_string().contains("4711")), (io::ErrorKind::ResourceBusy, true));
+        Claim::new(Path::new("/dev/null")).unwrap();
     }
 
     #[test]

@@ -15,7 +15,7 @@ use crate::gateway::cache::Cache;
 use crate::gateway::ledger::Ledger;
 use crate::method::{Method, Setup};
 use crate::option_texts;
-use base::files::Unfinished;
+use base::files::{Claim, Unfinished};
 use serde::{Deserialize, Serialize};
 use std::io::{ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
@@ -322,6 +322,8 @@ pub(crate) struct Writer {
     options: Checkpoint,
     fingerprint: Vec<(String, String)>,
     next: Instant,
+    /// No other process writes to the file.
+    _claim: Claim,
 }
 
 impl Writer {
@@ -330,7 +332,11 @@ impl Writer {
         let path = &options.path;
         base::files::remove_unfinished(path);
         Unfinished::new(path).map_err(|e| file_failed(path, &e))?;
-        Ok(Self { next: Instant::now() + options.interval, options, fingerprint })
+        let claim = Claim::new(path).map_err(|e| match e.kind() {
+            ErrorKind::ResourceBusy => failed(path, format!("{e}: wait for its end, or give another path")),
+            _ => file_failed(path, &e),
+        })?;
+        Ok(Self { next: Instant::now() + options.interval, options, fingerprint, _claim: claim })
     }
 
     /// Whether it is time for another.
