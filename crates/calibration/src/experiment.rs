@@ -429,8 +429,6 @@ pub struct SimulationSettings {
     pub chattering: ode::ChatteringPolicy,
     /// Wall-clock limit of one simulation; one that reaches it counts as failed.
     pub timeout: Option<Duration>,
-    /// How simulations that run in parallel share the library of the FMU. The costs do not depend on it.
-    pub sharing: fmi::Sharing,
 }
 
 /// The largest relative tolerance that simulations of a fit have where none is asked for. With it a cost of residuals of usual noise is

@@ -14,7 +14,6 @@ pub(crate) fn identity(problem: &Problem, parameters: &[Parameter]) -> Vec<(Stri
         ("model".to_owned(), problem.model.content_hash.clone()),
         ("parameter names".to_owned(), names.join(", ")),
     ];
-    // Costs do not depend on how simulations share the library.
     let crate::experiment::SimulationSettings {
         kind,
         method,
@@ -24,7 +23,6 @@ pub(crate) fn identity(problem: &Problem, parameters: &[Parameter]) -> Vec<(Stri
         input_derivatives,
         chattering,
         timeout,
-        sharing: _,
     } = &problem.settings;
     let held = if *input_derivatives == Some(false) { "not told" } else { "told" };
     let number = |value: Option<f64>| value.map_or_else(|| "by default".to_owned(), |v| format!("{v:?}"));

@@ -32,18 +32,13 @@ impl NoCost {
         }
         self
     }
-
-    /// Whether an evaluation has failed because of earlier ones, and is to be made again.
-    pub(crate) fn is_by_history(&self) -> bool {
-        matches!(self, Self::Failed { source: Some(error), .. } if matches!(**error, FmiError::FailedByHistory { .. }))
-    }
 }
 
 /// Sorts a failed simulation: its kind, and a reason that is the same for all failures of that sort.
 impl From<FmiError> for NoCost {
     fn from(error: FmiError) -> Self {
         match error {
-            FmiError::NoCopy { .. } | FmiError::Absent { .. } => return NoCost::Over(Box::new(error)),
+            FmiError::LoadFailed { .. } | FmiError::Absent { .. } => return NoCost::Over(Box::new(error)),
             FmiError::Cancelled => return NoCost::Cancelled,
             _ => {}
         }

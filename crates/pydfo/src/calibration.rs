@@ -132,7 +132,6 @@ impl PyCalibration {
         result.setattr("stages", stages.collect::<PyResult<Vec<_>>>()?)?;
         result.setattr("_rms", (fit.rms, fit.start_rms))?;
         result.setattr("n_checks", fit.n_checks)?;
-        result.setattr("n_beginnings", fit.n_beginnings)?;
         result.setattr("_native", PyFit { inner: Arc::new(fit), calibration: Arc::clone(&self.inner) })?;
         Ok(result)
     }

@@ -194,7 +194,6 @@ pub(crate) struct SettingsFields {
     max_step: Option<f64>,
     input_derivatives: bool,
     chattering: String,
-    sharing: String,
 }
 
 impl SettingsFields {
@@ -208,7 +207,6 @@ impl SettingsFields {
             input_derivatives: Some(self.input_derivatives),
             timeout: time_limit("timeout", self.timeout)?,
             chattering: self.chattering.parse().map_err(|e| fmu_error::raise(py, &FmiError::Options(e)))?,
-            sharing: self.sharing.parse().map_err(|e| fmu_error::raise(py, &e))?,
         })
     }
 }

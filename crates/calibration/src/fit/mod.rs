@@ -20,7 +20,7 @@ use crate::simulations::Simulations;
 use crate::worth::{KnownPoint, Worth, WorthOptions};
 use dfo::{Measure, Report, RobustLoss, Tolerances, typical_size};
 use ode::Stats;
-use search::{HISTORY, Job, Searched};
+use search::{Job, Searched};
 
 impl Calibration {
     /// Fits the parameters.
@@ -43,18 +43,13 @@ impl Calibration {
         let job = Job::new(self, options)?;
         let mut stats = Stats::default();
         let searched = self.search(&job, &mut stats);
-        let Searched { report, found, residuals, preflight, solver, tolerances, raised, n_beginnings } =
-            match searched {
-                Err(error) if !job.is_asked() => self.start_alone(&job, error)?,
-                searched => searched?,
-            };
+        let Searched { report, found, residuals, preflight, solver, tolerances, raised } = match searched {
+            Err(error) if !job.is_asked() => self.start_alone(&job, error)?,
+            searched => searched?,
+        };
         let Job { start, held, objective, loss, deadline, phase, worth, .. } = &job;
         let cancelled = || job.is_cancelled();
         let mut remarks = raised;
-        if n_beginnings > 1 {
-            let sentence = format!("begun {n_beginnings} times: {HISTORY}");
-            remarks.push(Finding::new(Severity::Note, "fit", sentence, ""));
-        }
         phase.set(FitPhase::Checks);
         let is_whole = worth.is_some() && held.is_empty();
         let (at_start, at_end) =
@@ -124,7 +119,6 @@ impl Calibration {
             at_bound: found.at_bound,
             without_effect: found.without_effect,
             n_checks: found.n_checks,
-            n_beginnings,
             stats,
             solver,
             report,

@@ -8,7 +8,7 @@ use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::Running;
 use crate::simulation::variable_elements::RunInput;
 use crate::sys::{InterfaceKind, RawInstance};
-use ode::{Driver, ErrorKind, Observer, Report};
+use ode::{Driver, ErrorKind, Limits, Observer, Report};
 use std::sync::Arc;
 
 /// A way of running a model, with its instance.
@@ -61,24 +61,21 @@ impl Engine {
         }
     }
 
-    /// The run itself; `steps`: at most so many.
+    /// The run itself, with the limits of the plan or others.
     pub(crate) fn run(
         &mut self,
         plan: &SimulationPlan,
-        steps: Option<u64>,
+        limits: Option<Limits>,
         observer: &mut dyn Observer,
     ) -> Result<Report, FmiError> {
-        let limited = |limits: ode::Limits| ode::Limits { max_steps: steps.or(limits.max_steps), ..limits };
         match self {
             Engine::Integrated { driver, system } => {
-                let mut probe;
-                let driver = if steps.is_none() {
-                    driver
+                let mut other;
+                let driver = if let Some(limits) = limits {
+                    other = Driver::new(ode::Options { limits, ..plan.options.clone() })?;
+                    &mut other
                 } else {
-                    let options =
-                        ode::Options { limits: limited(plan.options.limits), ..plan.options.clone() };
-                    probe = Driver::new(options)?;
-                    &mut probe
+                    driver
                 };
                 driver.run(&mut **system, plan.start, plan.end, &plan.times, observer).map_err(|mut error| {
                     if let Some(value) = &mut error.not_finite {
@@ -92,7 +89,7 @@ impl Engine {
                     FmiError::Simulation(error)
                 })
             }
-            Engine::Stepping(stepping) => stepping.run(&limited(plan.options.limits), observer),
+            Engine::Stepping(stepping) => stepping.run(&limits.unwrap_or(plan.options.limits), observer),
         }
     }
 }

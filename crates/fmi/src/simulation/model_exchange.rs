@@ -7,7 +7,7 @@ use crate::simulation::inputs::{InputPlan, InputState};
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::{Phase, Running};
 use crate::simulation::variable_elements::RunInput;
-use crate::sys::{Direction, Fault, RawInstance, look_now_and_then};
+use crate::sys::{Direction, Fault, RawInstance};
 use ode::{
     CallError, CallResult, EventOutcome, EventVisit, HybridSystem, InputStop, JacobianPattern, StepAction,
 };
@@ -448,7 +448,6 @@ impl HybridSystem for System {
     }
 
     fn step_completed(&mut self, t: f64, x: &[f64]) -> CallResult<StepAction> {
-        look_now_and_then();
         self.commit(t, x);
         self.running.note(x);
         if self.running.plan.completed_step_not_needed {

@@ -198,7 +198,6 @@ class Settings:
     max_step: float | None
     input_derivatives: bool
     chattering: str
-    sharing: str
 
 
 def collected(data: Any, outputs: Any, parameters: Any, inputs: Any, **own: Any) -> tuple[list[Experiment], Any]:

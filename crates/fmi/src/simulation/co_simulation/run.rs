@@ -6,7 +6,7 @@ use crate::error::FmiError;
 use crate::instance::StepOutcome;
 use crate::simulation::plan::{Communication, SimulationPlan};
 use crate::simulation::running::Running;
-use crate::sys::{Fault, RawInstance, look_now_and_then};
+use crate::sys::{Fault, RawInstance};
 use ode::{ErrorKind, EventCause, EventOutcome, EventRecord, Limits, Number, Observer, Stats, Termination};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
@@ -106,7 +106,6 @@ impl Run<'_> {
     /// One communication step with everything that belongs to it.
     pub(super) fn advance(&mut self) -> Step<()> {
         self.check_limits()?;
-        look_now_and_then();
         let target = self.target();
         self.tried = target.step;
         self.check_ticks(&target)?;
