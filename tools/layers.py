@@ -30,7 +30,7 @@ LAYERS = {
         evaluate
         solver
         calibration
-        check effect simulations spot_checks output_fit
+        check effect simulations output_fit
         worth
         preflight
         fit
@@ -59,16 +59,16 @@ LAYERS = {
     "fmi": """
         value
         error
-        cancel log platform
+        cancel gate log platform
         archive
         description
         sys
         source worker
-        open_options
+        libraries open_options
         fmu
         fmu_cache instance
         simulation
-        reuse start_values
+        simulators start_values
         session
     """,
     "ode": """

@@ -15,7 +15,7 @@ use crate::solver::{AtStart, Choice, Solver};
 use crate::warning::{SETUP_LOG_TARGET, SetupWarning};
 use dfo::{Answer, Checkpoint, Failure, Objective, Outcome, Query, RobustLoss, Want};
 use fmi::worker::Isolation;
-use fmi::{FmiError, Fmu, Pool, Trajectory};
+use fmi::{Cancel, FmiError, Fmu, Pool, Trajectory};
 use log::Level;
 use ode::{Method, Number, Stats, Termination};
 use std::ops::ControlFlow;
@@ -390,38 +390,12 @@ impl Calibration {
         }
     }
 
-    /// Has the model tested before its first use (once per process): how instances are reused, and whether several can be
-    /// used at once.
-    pub(crate) fn prepare(&self, cancelled: &dyn Fn() -> bool) -> Result<(), CalibrationError> {
+    /// Has the model compiled and loaded before its first use, where it runs in this process.
+    pub(crate) fn prepare(&self) -> Result<(), CalibrationError> {
         if self.evaluator.remote.is_ok() {
-            // Each process tests it for itself.
             return Ok(());
         }
-        for k in 0..self.problem().experiments.len() {
-            if let Ok(pool) = self.pool(k, cancelled) {
-                pool.prepare(cancelled).map_err(|error| match error {
-                    FmiError::Cancelled => CalibrationError::Cancelled,
-                    error => error.into(),
-                })?;
-            }
-        }
-        Ok(())
-    }
-
-    /// How often simulations of the model were found to depend on earlier ones.
-    pub(crate) fn n_history_findings(&self) -> u64 {
-        self.evaluator.n_history_findings()
-    }
-
-    /// Whether the simulations at `x` are found to depend on earlier ones: each is made in all copies of the library that a fit has
-    /// used, and in new ones.
-    pub(crate) fn depends_on_history(&self, x: &[f64], cancelled: &dyn Fn() -> bool) -> bool {
-        let found = |k: usize| {
-            self.pool(k, cancelled)
-                .map(|pool| pool.depends_on_history(&self.evaluator.simulations[k].values(x), cancelled))
-        };
-        // A run that fails here, after it has not before, depends on something else than its parameters.
-        (0..self.problem().experiments.len()).any(|k| matches!(found(k), Ok(Ok(true))))
+        Ok(self.fmu().prepare(self.problem().settings.kind, &Cancel::default())?)
     }
 
     pub(crate) fn check_length(&self, x: &[f64]) -> Result<(), CalibrationError> {
@@ -498,15 +472,9 @@ impl Calibration {
             let method = self.method_until(rule.cancelled)?;
             return remote.evaluate((x, method), rule, (None, false), out, stats);
         }
-        loop {
-            let cost = self.evaluator.evaluate(x, rule, out, stats, |k, run| {
-                let pool = self.pool(k, rule.cancelled)?;
-                Ok(pool.lend_until(rule.cancelled).and_then(|mut simulator| run(&mut simulator)))
-            });
-            if !cost.as_ref().is_err_and(NoCost::is_by_history) {
-                return cost;
-            }
-        }
+        self.evaluator.evaluate(x, rule, out, stats, |k, run| {
+            Ok(self.pool(k, rule.cancelled)?.with_simulator(rule.cancelled, run))
+        })
     }
 
     /// The method in use, for an evaluation.

@@ -107,7 +107,7 @@ impl Calibration {
             return setup(format!("{k} folds of {n} recordings: there must be from 2 to {n}"));
         }
         self.solver_until(cancelled)?;
-        self.prepare(cancelled)?;
+        self.prepare()?;
         let workers = options.run.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
         let late = options.run.limits.max_time.and_then(|limit| Instant::now().checked_add(limit));
         let task = |fold: usize, cancelled: &dyn Fn() -> bool| {

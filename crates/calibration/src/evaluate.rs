@@ -71,11 +71,6 @@ impl Evaluator {
         self.parameters.iter().map(Parameter::start).collect()
     }
 
-    /// How often simulations of the model were found to depend on earlier ones.
-    pub(crate) fn n_history_findings(&self) -> u64 {
-        self.fmu.n_history_findings(self.simulations[0].pool.plan().kind())
-    }
-
     /// The cost at `x`: the sum of the squares of the residuals, which go to `out`, from its first to its last. What the
     /// simulations take is added to `stats` (of those that could not be started nothing). `lend` hands a simulator of an
     /// experiment to what runs it. Ends where the cost is above the cutoff, and when it is cancelled.

@@ -448,8 +448,6 @@ pub struct SimulationSettings {
     pub chattering: ode::ChatteringPolicy,
     /// Wall-clock limit of one simulation; one that reaches it counts as failed.
     pub timeout: Option<Duration>,
-    /// How simulations that run in parallel share the library of the FMU. The costs do not depend on it.
-    pub sharing: fmi::Sharing,
     /// Where the FMU runs. The costs do not depend on it.
     #[serde(default)]
     pub isolation: Isolation,

@@ -14,7 +14,6 @@ pub(crate) fn identity(problem: &Problem, parameters: &[Parameter]) -> Vec<(Stri
         ("model".to_owned(), problem.model.content_hash.clone()),
         ("parameter names".to_owned(), names.join(", ")),
     ];
-    // Costs do not depend on how simulations share the library.
     let crate::experiment::SimulationSettings {
         kind,
         method,
@@ -24,7 +23,6 @@ pub(crate) fn identity(problem: &Problem, parameters: &[Parameter]) -> Vec<(Stri
         input_derivatives,
         chattering,
         timeout,
-        sharing: _,
         isolation: _,
         memory_limit: _,
         sandbox: _,

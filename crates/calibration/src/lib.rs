@@ -8,7 +8,7 @@
 //! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `column_units` (recordings in the units of the model);
 //! `measurements` (which of them count), `residual` (measured against simulated), `assignment` (what an entry of `x` sets),
 //! `simulation` (of an experiment), `evaluate` (residuals and cost at a point), `objective` (other costs); `race` and `solver` (which method integrates);
-//! `calibration`; `check` (what does not fit, before a fit); `effect` and `spot_checks` (checks after a fit), `fit`, `stages`,
+//! `calibration`; `check` (what does not fit, before a fit); `effect` (checks after a fit), `fit`, `stages`,
 //! `prediction`, `profile` (how the cost rises beside the optimum), `validation`, `cross_validation`; `report` (what it found, for people);
 //! `export` (files, tables, other programs).
 #![forbid(unsafe_code)]
@@ -49,7 +49,6 @@ mod residual;
 mod simulation;
 mod simulations;
 mod solver;
-mod spot_checks;
 mod stages;
 mod validation;
 mod visible;

@@ -42,11 +42,6 @@ impl NoCost {
             error => Self::Over(Box::new(error)),
         }
     }
-
-    /// Whether an evaluation has failed because of earlier ones, and is to be made again.
-    pub(crate) fn is_by_history(&self) -> bool {
-        matches!(self, Self::Failed { source: Some(error), .. } if matches!(**error, FmiError::FailedByHistory { .. }))
-    }
 }
 
 /// A [`NoCost`] on its way from a worker process.
@@ -89,7 +84,7 @@ impl From<ToldNoCost> for NoCost {
 impl From<FmiError> for NoCost {
     fn from(error: FmiError) -> Self {
         match error {
-            FmiError::NoCopy { .. } | FmiError::Absent { .. } => return NoCost::Over(Box::new(error)),
+            FmiError::LoadFailed { .. } | FmiError::Absent { .. } => return NoCost::Over(Box::new(error)),
             FmiError::Cancelled => return NoCost::Cancelled,
             _ => {}
         }

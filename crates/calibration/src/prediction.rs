@@ -128,7 +128,7 @@ impl Calibration {
             return setup(format!("there is no output '{name}'; there are: {}", known.join(", ")));
         }
         self.solver_until(cancelled)?;
-        self.prepare(cancelled)?;
+        self.prepare()?;
         // Short simulations may end before anybody asks again.
         if cancelled() {
             return Err(CalibrationError::Cancelled);

@@ -83,7 +83,6 @@ impl Simulation {
             timeout: settings.timeout,
             chattering: settings.chattering,
             input_derivatives: settings.input_derivatives,
-            sharing: settings.sharing,
             ..SimulateOptions::default()
         };
         let schedule = comparison.schedule(|output| assigned.outputs[output].0.in_model(&start), start_time);
@@ -108,7 +107,7 @@ impl Simulation {
             || assigned.inputs.iter().any(|(delay, offset)| !delay.is_constant() || !offset.is_constant());
         let simulation = Self {
             name,
-            pool: Pool::with_reference(Arc::new(plan), &values(&assigned, &start))?,
+            pool: Pool::new(Arc::new(plan)),
             options,
             comparison,
             schedule,

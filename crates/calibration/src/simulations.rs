@@ -56,7 +56,7 @@ impl<'a> Simulations<'a> {
         cancelled: &'a dyn Fn() -> bool,
     ) -> Result<Self, CalibrationError> {
         calibration.solver_until(cancelled)?;
-        calibration.prepare(cancelled)?;
+        calibration.prepare()?;
         Ok(Self { calibration, loss, workers, cancelled, n: 0, stats: Stats::default() })
     }
 

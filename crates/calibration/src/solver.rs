@@ -115,13 +115,7 @@ impl Choice {
         let method = problem.problem.settings.method;
         let integrates = problem.simulations[0].pool.plan().kind() == InterfaceKind::ModelExchange;
         let (solver, at_start) = if method == Method::Auto && integrates {
-            let (race, at_start) = loop {
-                let before = problem.n_history_findings();
-                let raced = run_race(problem, cancelled, stats)?;
-                if problem.n_history_findings() == before {
-                    break raced;
-                }
-            };
+            let (race, at_start) = run_race(problem, cancelled, stats)?;
             (Solver { method: race.method, race: Some(race) }, at_start)
         } else {
             (Solver { method, race: None }, None)
@@ -136,7 +130,7 @@ impl Choice {
             for simulation in &problem.simulations {
                 let options = SimulateOptions { method: solver.method, ..simulation.options_at_start() };
                 let plan = Arc::new(SimulationPlan::new(&problem.fmu, &options)?);
-                pools.push(Pool::with_reference(plan, &simulation.values(&problem.start()))?);
+                pools.push(Pool::new(plan));
             }
         }
         Ok(self.made.get_or_init(|| Chosen { solver, pools }))

@@ -363,7 +363,6 @@ impl Calibration {
                 format!("stage {} of {}: {}; {}", k + 1, stages.len(), before.message, report.message);
             all.stats += earlier.stats;
             all.n_checks += earlier.n_checks;
-            all.n_beginnings = all.n_beginnings.max(earlier.n_beginnings);
         }
         let last_windows = &stages[fits.len() - 1].windows;
         let noise = &fits[fits.len() - 1].noise;

@@ -84,7 +84,7 @@ impl Service for Server {
                 done(calibration, job, cancelled, answer)?.map_err(unsaid)?;
             }
         }
-        let is_last = |(_, fmu): &(ModelFile, Fmu)| fmu.reuse() == Some(Reuse::Reload);
+        let is_last = |(_, fmu): &(ModelFile, Fmu)| fmu.reuse() == Some(Reuse::NewProcess);
         answer.is_last = self.model.as_ref().is_some_and(is_last);
         Ok(())
     }

@@ -12,16 +12,15 @@ use support::{calibration, costs, faulty, fit};
 
 #[test]
 fn fatal_costs_no_more_than_an_error() {
-    use fmi::Sharing::{Copies, Serial};
     let (error, fatal) = (faulty(&["ERROR_ABOVE=2.2"]), faulty(&["FATAL_ABOVE=2.2", "SHARED_GLOBALS"]));
-    let expected = fit(&calibration(Fmu::open(error.path()).unwrap(), Copies), 1, 200);
+    let expected = fit(&calibration(Fmu::open(error.path()).unwrap()), 1, 200);
     assert!((expected.x[0] - 1.7).abs() < 1e-2, "{:?}", expected.x);
     assert!(expected.report.n_failed > 20, "{}", expected.report.n_failed);
-    for (workers, sharing) in [(1, Copies), (3, Copies), (3, Serial)] {
+    for workers in [1, 3] {
         // Each time by another who opens it.
-        let calibration = calibration(Fmu::open(fatal.path()).unwrap(), sharing);
+        let calibration = calibration(Fmu::open(fatal.path()).unwrap());
         let found = fit(&calibration, workers, 200);
-        assert_eq!(costs(&found), costs(&expected), "{workers} {sharing}");
+        assert_eq!(costs(&found), costs(&expected), "{workers}");
         assert_eq!(found.x, expected.x);
         assert_eq!(found.report.n_failed, expected.report.n_failed);
         assert!(calibration.cost(&[1.7]).unwrap() < 1e-8);
@@ -33,7 +32,7 @@ fn fatal_costs_no_more_than_an_error() {
 #[test]
 fn a_fit_that_has_no_copy_left_ends_with_its_best_point() {
     let folder = faulty(&["FATAL_ABOVE=2.2", "LARGE_TLS=400"]);
-    let calibration = calibration(Fmu::open(folder.path()).unwrap(), fmi::Sharing::Copies);
+    let calibration = calibration(Fmu::open(folder.path()).unwrap());
     let fit = fit(&calibration, 2, 200);
     let Termination::Aborted(reason) = &fit.report.termination else {
         unreachable!("{}", fit.report.termination);
@@ -48,12 +47,23 @@ fn a_fit_that_has_no_copy_left_ends_with_its_best_point() {
 
 /// The library ends the process when two threads are in it at once, and keeps its parameter in a static variable.
 #[test]
-fn workers_have_copies_of_their_own() {
+fn workers_go_one_at_a_time() {
     let folder = faulty(&["DIES_WITH_TWO", "SHARED_GLOBALS"]);
-    let alone = fit(&calibration(Fmu::open(folder.path()).unwrap(), fmi::Sharing::Copies), 1, 100);
-    for sharing in [fmi::Sharing::Copies, fmi::Sharing::Serial] {
-        let together = fit(&calibration(Fmu::open(folder.path()).unwrap(), sharing), 4, 100);
-        assert_eq!(costs(&together), costs(&alone), "{sharing}");
+    let alone = fit(&calibration(Fmu::open(folder.path()).unwrap()), 1, 100);
+    let together = fit(&calibration(Fmu::open(folder.path()).unwrap()), 4, 100);
+    assert_eq!(costs(&together), costs(&alone));
+}
+
+/// An instance that cannot be ended costs its loaded library, and no evaluation.
+#[test]
+fn fatal_at_the_end_of_a_run_changes_no_cost() {
+    let honest = faulty(&[]);
+    let expected = fit(&calibration(Fmu::open(honest.path()).unwrap()), 1, 60);
+    for (status, workers) in [("fmi2Fatal", 1), ("fmi2Fatal", 3), ("fmi2Error", 2)] {
+        let folder = faulty(&[&format!("TERMINATE={status}"), "SHARED_GLOBALS"]);
+        let found = fit(&calibration(Fmu::open(folder.path()).unwrap()), workers, 60);
+        assert_eq!(costs(&found), costs(&expected), "{status} {workers}");
+        assert_eq!(found.report.n_failed, 0);
     }
 }
 
@@ -69,7 +79,7 @@ fn a_model_that_was_simulated_can_be_calibrated() {
     let mut session = fmi::Session::new(fmu.clone());
     let options = fmi::SimulateOptions::new();
     let first = session.simulate(&options).unwrap();
-    let calibration = calibration(fmu.clone(), fmi::Sharing::Copies);
+    let calibration = calibration(fmu.clone());
     let cost = calibration.cost(&[3.0]).unwrap();
     fit(&calibration, 2, 50);
     assert_eq!(calibration.cost(&[3.0]).unwrap(), cost);

@@ -6,15 +6,18 @@ use crate::description::{
     Interface, ModelDescription, Quirk, QuirkKind, TERMINALS, Terminal, Variable, VariableKind, terminals,
 };
 use crate::error::FmiError;
+use crate::gate::Gate;
+use crate::libraries::{Libraries, LoadedLibrary, Maker, Reuse, Setting, Verdict, Wanted};
 use crate::open_options::{LogOptions, OpenOptions};
-use crate::sys::{InterfaceKind, Library, LoadFrom, LoaderOptions};
+use crate::sys::{InterfaceKind, Library, LoadFrom};
 #[cfg(unix)]
 use crate::worker::{WorkerLimits, Workers};
 use crate::{platform, source};
 use serde::{Deserialize, Serialize};
-use std::any::Any;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::Duration;
 
 const STALE_OUTPUTS: &str = "variables read at a new point are those of an earlier one until the derivatives are computed: they are \
                              computed before every reading";
@@ -30,11 +33,14 @@ pub struct Fmu {
     path: Arc<Path>,
 }
 
-/// What is attached, idle instances among it, is dropped before the folder.
+/// The libraries are dropped before the folder.
 #[derive(Debug)]
 struct Inner {
-    /// What higher layers keep with the FMU while it is open.
-    attached: OnceLock<Box<dyn Any + Send + Sync>>,
+    libraries: Libraries,
+    /// Of each way of running the model: how long the last simulation of a session took, in ns; 0: there was none.
+    last_runs: [AtomicU64; 2],
+    /// Who makes one of the simulations that take turns has one.
+    turns: Arc<Gate>,
     /// Value references of the variables of type Real and their positions, sorted; made when first needed.
     real_references: OnceLock<Vec<(u32, usize)>>,
     /// Departures from the standard that showed in runs.
@@ -111,7 +117,9 @@ impl Fmu {
             description.quirks.insert(0, Quirk { kind: QuirkKind::Duplicate, message, line: 0 });
         }
         let inner = Inner {
-            attached: OnceLock::new(),
+            libraries: Libraries::default(),
+            last_runs: Default::default(),
+            turns: Arc::default(),
             real_references: OnceLock::new(),
             quirks_seen: Mutex::default(),
             said: Mutex::default(),
@@ -157,14 +165,6 @@ impl Fmu {
     /// The same FMU, opened by another path.
     pub(crate) fn at(&self, path: &Path) -> Fmu {
         Fmu { inner: Arc::clone(&self.inner), path: path.into() }
-    }
-
-    /// What a higher layer keeps with the FMU while it is open; all clones share it. There is one such layer: one type.
-    pub(crate) fn attached<T: Any + Send + Sync + Default>(&self) -> &T {
-        match self.inner.attached.get_or_init(|| Box::new(T::default())).downcast_ref() {
-            Some(attached) => attached,
-            None => unreachable!("only one type is ever attached"),
-        }
     }
 
     pub(crate) fn archive(&self) -> &Arc<Archive> {
@@ -297,10 +297,10 @@ impl Fmu {
     }
 
     /// Hands a message about its simulations to the program's logger, the first time that there is one on this subject.
-    pub(crate) fn say_once(&self, subject: &'static str, message: &str) {
+    pub(crate) fn say_once(&self, level: log::Level, subject: &'static str, message: &str) {
         let mut said = self.inner.said.lock().unwrap_or_else(PoisonError::into_inner);
         if !said.contains(&subject) {
-            log::warn!("{}: {message}", self.description().model_name);
+            log::log!(level, "{}: {message}", self.description().model_name);
             said.push(subject);
         }
     }
@@ -310,9 +310,95 @@ impl Fmu {
         self.note_quirk(QuirkKind::Promise, STALE_OUTPUTS);
     }
 
-    /// The departures from the standard that were noted.
-    pub(crate) fn noted_quirks(&self) -> Vec<Quirk> {
+    /// Departures from the standard that showed when the FMU was run; those of its description are in
+    /// [`ModelDescription::quirks`](crate::ModelDescription::quirks).
+    pub fn quirks_seen(&self) -> Vec<Quirk> {
         self.inner.quirks_seen.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// How long the last simulation of a [`Session`](crate::Session) of this FMU took, by any of its clones; loading the
+    /// library does not count. `None`: there was none.
+    pub fn last_run(&self, kind: InterfaceKind) -> Option<Duration> {
+        let nanoseconds = self.inner.last_runs[kind as usize].load(Ordering::Relaxed);
+        (nanoseconds > 0).then(|| Duration::from_nanos(nanoseconds))
+    }
+
+    pub(crate) fn note_run(&self, kind: InterfaceKind, took: Duration) {
+        let nanoseconds = u64::try_from(took.as_nanos()).unwrap_or(u64::MAX);
+        self.inner.last_runs[kind as usize].store(nanoseconds.max(1), Ordering::Relaxed);
+    }
+
+    /// How instances are reset, for the interface that is used where nothing else is asked for; `None` before it was tried.
+    pub fn reuse(&self) -> Option<Reuse> {
+        self.choose(Kind::Auto).ok().and_then(|kind| self.reuse_of(kind))
+    }
+
+    /// How instances are reset; `None` before it was tried.
+    pub fn reuse_of(&self, kind: InterfaceKind) -> Option<Reuse> {
+        self.verdict(kind).reuse
+    }
+
+    /// What is known about bringing back one kind of instances.
+    pub(crate) fn verdict(&self, kind: InterfaceKind) -> MutexGuard<'_, Verdict> {
+        self.inner.libraries.verdict(kind)
+    }
+
+    /// The simulations that take turns.
+    pub(crate) fn turns(&self) -> &Arc<Gate> {
+        &self.inner.turns
+    }
+
+    /// Unpacks, compiles and loads what the first simulation needs, so that it is not kept waiting; ends early when
+    /// `cancel` asks for it. **This loads the library and runs its code.**
+    ///
+    /// # Errors
+    /// The FMU cannot be run here (see [`FmiError`]); [`FmiError::Cancelled`].
+    pub fn prepare(&self, kind: Kind, cancel: &Cancel) -> Result<(), FmiError> {
+        self.library(self.choose(kind)?, Some(&[]), cancel, &mut || !cancel.is_asked()).map(|_| ())
+    }
+
+    /// The loaded library for this platform, for an instance in which this is going to be set (sorted; `None`: anything, by hand). It is
+    /// compiled before that if the FMU brings sources only; ends early when `cancel` asks for it. Where another thread is making it, waits as long as `wait` (asked every 20 ms) says so.
+    ///
+    /// # Errors
+    /// The FMU cannot be run here (see [`FmiError`]); [`FmiError::Cancelled`].
+    pub(crate) fn library(
+        &self,
+        kind: InterfaceKind,
+        settings: Option<&[Setting]>,
+        cancel: &Cancel,
+        wait: &mut dyn FnMut() -> bool,
+    ) -> Result<Arc<LoadedLibrary>, FmiError> {
+        let interface = self.check_interface(kind)?;
+        let find = || {
+            let library = self.binary(interface, cancel)?;
+            let archive = self.archive();
+            if let Some(file) = archive.changed_library() {
+                let path = self.path().to_owned();
+                let name = file.strip_prefix(archive.unpack()?).unwrap_or(file).display();
+                let reason = format!(
+                    "{name} was written over or removed after the folder had been opened; open it again"
+                );
+                return Err(FmiError::BadArchive { path, reason });
+            }
+            Ok((library, archive.unpack_part(Part::Running, cancel)?))
+        };
+        let only_one = interface.capabilities.can_be_instantiated_only_once_per_process;
+        let maker = Maker {
+            archive: self.archive(),
+            loader: self.inner.options.loader,
+            find: &find,
+            open: &|from| self.load(from, kind),
+        };
+        let library = self.inner.libraries.get(Wanted { kind, settings, only_one }, &maker, wait)?;
+        // Somebody may have removed what was unpacked.
+        self.running_root()?;
+        Ok(library)
+    }
+
+    /// Uses a loaded library no more; the next one that is asked for is another.
+    pub(crate) fn give_up_library(&self, library: &Arc<LoadedLibrary>) {
+        self.inner.libraries.give_up(library);
     }
 
     /// Whether the FMU can be simulated, one way or the other; the interface that would be used.
@@ -437,13 +523,8 @@ impl Fmu {
         }
     }
 
-    /// How the library is loaded.
-    pub(crate) fn loader(&self) -> LoaderOptions {
-        self.inner.options.loader
-    }
-
     /// Loads the library. **This runs its constructors.**
-    pub(crate) fn load(&self, from: LoadFrom<'_>, kind: InterfaceKind) -> Result<Library, FmiError> {
+    fn load(&self, from: LoadFrom<'_>, kind: InterfaceKind) -> Result<Library, FmiError> {
         let interface = self.check_interface(kind)?;
         let version = &self.description().fmi_version;
         let library =

@@ -6,15 +6,17 @@
 //!
 //! - `session`: one model as scripts use it: set, simulate, get
 //! - `start_values`: a copy of an FMU with other start values
-//! - `reuse/`: loaded copies of a library and who has them, instances brought back to their start, simulators, pools
+//! - `simulators/`: a plan that is run many times: its instance, brought back to its start, and the check of that
 //! - `simulation/`: options, the plan that resolves them, the start of an instance, the run, what is recorded
 //! - `instance/`: the phases of an instance as types, its values
 //! - `fmu`, `fmu_cache`, `open_options`: an opened FMU: its file, its description, its library
+//! - `libraries/`: the loaded copy of a library that an opened FMU has for itself
 //! - `source/`: source-code FMUs: build, compiler, cache, pack
 //! - `sys/`: what touches foreign code and raw pointers; versions of FMI stop here
 //! - `description/`: what `modelDescription.xml` says, whatever the version
 //! - `archive/`: the files of an FMU
-//! - `platform/`, `log`, `cancel`, `error/`, `value`: operating systems and files, the log of an instance, ending early, errors, types of variables
+//! - `platform/`, `gate`, `log`, `cancel`, `error/`, `value`: operating systems and files, who may be inside of a library, the log of an
+//!   instance, ending early, errors, types of variables
 //!
 //! A right-hand side passes four functions on its way from the stepper to the FMU: `derivatives` of the system
 //! (`simulation/model_exchange.rs`), `Current::call` (`simulation/running.rs`: what a refused call means for the run),
@@ -28,13 +30,15 @@ pub mod description;
 pub mod error;
 mod fmu;
 mod fmu_cache;
+mod gate;
 mod instance;
+mod libraries;
 mod log;
 mod open_options;
 pub mod platform;
-mod reuse;
 mod session;
 mod simulation;
+mod simulators;
 mod source;
 mod start_values;
 mod sys;
@@ -52,14 +56,15 @@ pub use instance::{
     CoSimulation, ContinuousTime, EventMode, Initialization, Instance, Instantiated, MAX_EVENT_ITERATIONS,
     ModelExchange, Phase, Readable, Reconfiguration, Running, SavedState, StepMode, StepOutcome, Terminated,
 };
+pub use libraries::Reuse;
 pub use ode;
 pub use open_options::{LogOptions, OpenOptions};
-pub use reuse::{InstanceOptions, Lease, Pool, Reuse, Simulator};
 pub use session::Session;
 pub use simulation::{
-    BetweenSteps, DEFAULT_INTERVALS, DEFAULT_TOLERANCE, InputFunction, Inputs, Recorded, Sharing,
-    SimulateOptions, SimulationPlan, Tick, Trajectory, ValueColumn,
+    BetweenSteps, DEFAULT_INTERVALS, DEFAULT_TOLERANCE, InputFunction, Inputs, Recorded, SimulateOptions,
+    SimulationPlan, Tick, Trajectory, ValueColumn,
 };
+pub use simulators::{InstanceOptions, Pool, Simulator};
 pub use source::{build_library, clear_caches, pack, pack_texts, pack_unless};
 pub use sys::{ElementDependency, InterfaceKind, LoaderOptions};
 pub use value::Value;

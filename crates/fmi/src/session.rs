@@ -4,11 +4,11 @@ use crate::description::{Causality, Structure, Value, VariableKind};
 use crate::error::FmiError;
 use crate::fmu::{Fmu, Kind};
 use crate::instance::assignments::{check_settable_at_start, convert};
-use crate::reuse::Simulator;
 use crate::simulation::SimulateOptions;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::trajectory::Trajectory;
 use crate::simulation::variable_elements::{Starts, VariableElement, element_value};
+use crate::simulators::Simulator;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::Instant;
@@ -16,7 +16,7 @@ use std::time::Instant;
 /// A model with the values set since it was loaded or reset. Every simulation starts from a freshly reset model with all
 /// these values, so that a second one gives the same bits.
 ///
-/// Sessions of one [`Fmu`] hand their instances on to each other; making a session costs next to nothing.
+/// Sessions of one [`Fmu`] have instances of their own in one loaded library; making a session costs next to nothing.
 #[derive(Debug)]
 pub struct Session {
     fmu: Fmu,
@@ -213,7 +213,7 @@ impl Session {
         let mut simulator = match self.last.take() {
             Some(last) if last.asked.is_same(&asked) => last.simulator,
             last => {
-                // Its instance goes back to the FMU and is used again right away.
+                // Its instance is freed before another one is made.
                 drop(last);
                 Simulator::new(Arc::new(SimulationPlan::new(&self.fmu, &asked)?))?
             }

@@ -9,7 +9,7 @@ use fmi::ode::{Ignore, Observer, Sample};
 use fmi::{Fmu, Inputs, Kind, SimulateOptions, SimulationPlan, Simulator, Value};
 use std::ops::ControlFlow;
 use std::sync::Arc;
-use support::{arrays, fixture, fixture_with, model, model_as};
+use support::{arrays, fixture, fixture_with, model, model_as, settle};
 
 struct Sum(f64);
 
@@ -24,8 +24,9 @@ impl Observer for Sum {
 fn count(fmu: &Fmu, options: &SimulateOptions, end: f64, parameters: &[f64]) -> (u64, u64) {
     let plan = SimulationPlan::new(fmu, &options.clone().final_time(end)).unwrap();
     let mut simulator = Simulator::new(Arc::new(plan)).unwrap();
-    // In one copy of the library run 2, 3, 5, 9 are made again in a new copy, which is left at the run after.
-    for _ in 0..6 {
+    // Instances are brought back then.
+    settle(&mut simulator, parameters);
+    for _ in 0..3 {
         simulator.run(parameters, &mut Ignore).unwrap();
     }
     let mut sum = Sum(0.0);

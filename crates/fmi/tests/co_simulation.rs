@@ -12,7 +12,7 @@ use fmi::{
 };
 use std::sync::Arc;
 use std::time::Duration;
-use support::{Folder, MODELS, evil_with, model_as};
+use support::{Folder, MODELS, evil_with, model_as, settle};
 
 /// FMI 2.0 co-simulation, steps of any length.
 fn slave(name: &str) -> Fmu {
@@ -210,16 +210,16 @@ fn a_second_run_has_the_same_bits_on_every_worker() {
         .parameters(["armFriction", "pendulumFriction"])
         .outputs(["armJoint.phi", "pendulumJoint.phi"]);
     let pool = Pool::new(Arc::new(SimulationPlan::new(&fmu, &options).unwrap()));
-    let truth = bits(&pool.lend().unwrap().trajectory(&[0.011, 0.0015]).unwrap());
-    assert_eq!((pool.reuse().unwrap(), pool.is_concurrent().unwrap()), (Reuse::Reset, true));
-    assert_eq!(fmu.reuse_of(InterfaceKind::CoSimulation), Some(Reuse::Reset));
+    let run = |values: [f64; 2]| pool.with_simulator(&|| false, |simulator| simulator.trajectory(&values));
+    let truth = bits(&run([0.011, 0.0015]).unwrap());
+    let settled = pool.with_simulator(&|| false, |simulator| Ok(settle(simulator, &[0.011, 0.0015])));
+    assert_eq!(settled.unwrap(), Reuse::Reset);
     std::thread::scope(|scope| {
         for _ in 0..2 {
             scope.spawn(|| {
                 for other in [0.012, 0.013] {
-                    let mut lease = pool.lend().unwrap();
-                    lease.run(&[other, 0.002], &mut Ignore).unwrap();
-                    assert_eq!(bits(&lease.trajectory(&[0.011, 0.0015]).unwrap()), truth);
+                    run([other, 0.002]).unwrap();
+                    assert_eq!(bits(&run([0.011, 0.0015]).unwrap()), truth);
                 }
             });
         }

@@ -1,13 +1,11 @@
-//! What FMUs do to their thread and process is undone: floating-point mode, signals, locale, late messages.
+//! What FMUs do to their thread is undone, and late messages do no harm.
 
 #![cfg(all(target_os = "linux", target_arch = "x86_64"))]
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 mod support;
 
-use fmi::ode::{Observer, Sample};
 use fmi::{Kind, SimulateOptions, SimulationPlan, Simulator, Trajectory};
-use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::Duration;
 use support::{Folder, evil, evil_with};
@@ -25,14 +23,6 @@ fn both_kinds(faults: &[&str]) -> Folder {
 fn bits(t: &Trajectory) -> Vec<u64> {
     t.columns.iter().flatten().chain(&t.time).map(|v| v.to_bits()).collect()
 }
-
-/// The places where the model does it (`upset` in evil.c).
-const INSTANTIATE: u32 = 1;
-const DERIVATIVES: u32 = 3;
-const STEP: u32 = 4;
-const FREE: u32 = 5;
-const INITIALIZE: u32 = 6;
-const END: u32 = 7;
 
 #[test]
 fn the_floating_point_mode_of_a_model_acts_in_its_own_calls_only() {
@@ -73,124 +63,6 @@ fn calls_by_hand_are_guarded_too() {
         assert_eq!(std::hint::black_box(1.0) / std::hint::black_box(3.0f64), 1.0 / 3.0);
         instance.right_hand_side(0.5, &[0.1], &mut dx).unwrap();
         assert_eq!(std::hint::black_box(dx[0]) * 0.1, -0.1 * 0.1);
-    }
-}
-
-/// Signals that this process ignores, as bits.
-fn ignored() -> u64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap();
-    let line = status.lines().find_map(|line| line.strip_prefix("SigIgn:")).unwrap();
-    u64::from_str_radix(line.trim(), 16).unwrap()
-}
-
-/// Signals that this thread blocks, as bits.
-fn blocked() -> u64 {
-    let status = std::fs::read_to_string("/proc/thread-self/status").unwrap();
-    let line = status.lines().find_map(|line| line.strip_prefix("SigBlk:")).unwrap();
-    u64::from_str_radix(line.trim(), 16).unwrap()
-}
-
-/// How long signals were ignored during a run, at most.
-#[derive(Default)]
-struct Watch {
-    since: Option<std::time::Instant>,
-    longest: Duration,
-    seen: bool,
-    baseline: u64,
-}
-
-impl Observer for Watch {
-    fn sample(&mut self, _: &Sample<'_>) -> ControlFlow<()> {
-        self.poll()
-    }
-
-    fn poll(&mut self) -> ControlFlow<()> {
-        if ignored() == self.baseline {
-            self.since = None;
-        } else {
-            self.seen = true;
-            self.longest = self.longest.max(self.since.get_or_insert_with(std::time::Instant::now).elapsed());
-        }
-        ControlFlow::Continue(())
-    }
-}
-
-#[test]
-fn signals_are_handled_as_before() {
-    let before = ignored();
-    let options = SimulateOptions::new().ncp(10);
-    for place in [INSTANTIATE, DERIVATIVES, STEP, FREE, END] {
-        let kind = if place == STEP { Kind::CoSimulation } else { Kind::ModelExchange };
-        let folder = both_kinds(&[&format!("SIGNALS_IN={place}")]);
-        let fmu = folder.open();
-        // The second run ends the instance of the first, which is used again.
-        for _ in 0..2 {
-            fmu.simulate(&options.clone().kind(kind)).unwrap();
-            assert_eq!(ignored(), before, "{place}");
-        }
-        drop(fmu);
-        assert_eq!(ignored(), before, "{place}");
-    }
-    // A long run does not wait for its end; nor does one that does it again and again, until it stops.
-    let folder = evil(&["SIGNALS_IN=3", "SLOW=300"]);
-    let options = SimulateOptions::new().method(fmi::ode::Method::Rk4).step_size(1e-3).ncp(10);
-    let plan = Arc::new(SimulationPlan::new(&folder.open(), &options).unwrap());
-    let mut watch = Watch { baseline: before, ..Watch::default() };
-    let report = Simulator::new(plan).unwrap().run(&[], &mut watch).unwrap();
-    assert!(report.stats.seconds.get() > 0.5, "{:?}", report.stats);
-    assert!(watch.seen);
-    assert!(watch.longest < Duration::from_millis(500), "{:?}", watch.longest);
-    assert_eq!(ignored(), before);
-}
-
-#[test]
-fn signals_are_blocked_as_before() {
-    let before = blocked();
-    for place in [INSTANTIATE, DERIVATIVES, STEP, FREE, INITIALIZE, END] {
-        let kind = if place == STEP { Kind::CoSimulation } else { Kind::ModelExchange };
-        let folder = both_kinds(&[&format!("BLOCKS_IN={place}")]);
-        let fmu = folder.open();
-        for _ in 0..2 {
-            fmu.simulate(&SimulateOptions::new().ncp(10).kind(kind)).unwrap();
-            assert_eq!(blocked(), before, "{place}");
-        }
-        drop(fmu);
-        assert_eq!(blocked(), before, "{place}");
-    }
-    let folder = both_kinds(&["BLOCKS_IN=1"]);
-    let instance = folder.open().instantiate().unwrap();
-    assert_eq!(blocked(), before);
-    drop(instance);
-    // Within a long run, too.
-    struct Seen(u64, u32);
-    impl Observer for Seen {
-        fn sample(&mut self, _: &Sample<'_>) -> ControlFlow<()> {
-            ControlFlow::Continue(())
-        }
-        fn poll(&mut self) -> ControlFlow<()> {
-            self.1 += u32::from(blocked() == self.0);
-            ControlFlow::Continue(())
-        }
-    }
-    let folder = evil(&["BLOCKS_IN=1", "SLOW=300"]);
-    let options = SimulateOptions::new().method(fmi::ode::Method::Rk4).step_size(1e-3).ncp(10);
-    let plan = Arc::new(SimulationPlan::new(&folder.open(), &options).unwrap());
-    let mut seen = Seen(before, 0);
-    Simulator::new(plan).unwrap().run(&[], &mut seen).unwrap();
-    assert!(seen.1 > 500, "{}", seen.1);
-}
-
-#[test]
-fn the_working_directory_is_put_back() {
-    let before = std::env::current_dir().unwrap();
-    for place in [INSTANTIATE, DERIVATIVES, FREE, END] {
-        let folder = both_kinds(&[&format!("DIRECTORY_IN={place}")]);
-        let fmu = folder.open();
-        for _ in 0..2 {
-            fmu.simulate(&SimulateOptions::new().ncp(10).kind(Kind::ModelExchange)).unwrap();
-        }
-        drop(fmu);
-        assert_eq!(std::env::current_dir().unwrap(), before, "{place}");
     }
 }
 

@@ -6,11 +6,11 @@ mod support;
 
 use fmi::ode::{ErrorKind, Ignore, Termination};
 use fmi::{
-    FmiError, Fmu, Inputs, InstanceOptions, Kind, LogFilter, LogOptions, OpenOptions, Pool, Reuse, Sharing,
-    SimulateOptions, SimulationPlan, Simulator, Status, Value,
+    FmiError, Fmu, Inputs, InstanceOptions, Kind, LogFilter, LogOptions, OpenOptions, Reuse, SimulateOptions,
+    SimulationPlan, Simulator, Status, Value,
 };
 use std::sync::Arc;
-use support::{Folder, evil, evil_with, evil_with_sibling};
+use support::{Folder, evil, evil_with, settle};
 
 fn plan(folder: &Folder) -> Arc<SimulationPlan> {
     Arc::new(SimulationPlan::new(&folder.open(), &SimulateOptions::new().parameters(["k"])).unwrap())
@@ -206,67 +206,17 @@ fn a_reset_that_lies_is_found_out() {
     let mut simulator = Simulator::new(Arc::new(SimulationPlan::new(&fmu, &options).unwrap())).unwrap();
     let first = simulator.trajectory(&[]).unwrap();
     assert_eq!(simulator.trajectory(&[]).unwrap(), first);
+    assert_eq!(settle(&mut simulator, &[]), Reuse::Reinstantiate);
     assert_eq!(simulator.trajectory(&[]).unwrap(), first);
-    assert_eq!(fmu.reuse(), Some(Reuse::Reinstantiate));
-
-    let fmu = folder.open();
-    let pool = Pool::new(Arc::new(SimulationPlan::new(&fmu, &options).unwrap()));
-    assert_eq!(pool.reuse().unwrap(), Reuse::Reinstantiate);
-    assert!(pool.is_concurrent().unwrap());
-    assert_eq!(pool.lend().unwrap().trajectory(&[]).unwrap(), first);
-    assert_eq!(pool.lend().unwrap().trajectory(&[]).unwrap(), first);
 }
 
 #[test]
 fn a_reset_that_fails_is_replaced() {
     let folder = evil(&["FAILING_RESET"]);
-    let pool = Pool::new(plan(&folder));
-    let first = pool.lend().unwrap().trajectory(&[1.0]).unwrap();
-    assert_eq!(pool.lend().unwrap().trajectory(&[1.0]).unwrap(), first);
-    assert_eq!(pool.reuse().unwrap(), Reuse::Reinstantiate);
-}
-
-#[test]
-fn instances_that_share_their_memory_run_in_copies_or_one_at_a_time() {
-    for (folder, sharing) in
-        [(evil(&["SHARED_GLOBALS"]), Sharing::Copies), (evil_with_sibling(&[], "sibling"), Sharing::Serial)]
-    {
-        three_workers(&folder, sharing);
-    }
-}
-
-fn three_workers(folder: &Folder, sharing: Sharing) {
-    let pool = Pool::new(plan(folder));
-    assert_eq!(pool.sharing().unwrap(), sharing);
-    let truth = pool.lend().unwrap().trajectory(&[1.0]).unwrap();
-    std::thread::scope(|scope| {
-        for _ in 0..3 {
-            scope.spawn(|| {
-                for _ in 0..5 {
-                    assert_eq!(pool.lend().unwrap().trajectory(&[1.0]).unwrap(), truth);
-                }
-            });
-        }
-    });
-}
-
-#[test]
-fn one_instance_in_each_copy_where_only_one_is_allowed() {
-    let folder = evil_with(&[], |xml| {
-        xml.replace(
-            "modelIdentifier=\"evil\"",
-            "modelIdentifier=\"evil\" canBeInstantiatedOnlyOncePerProcess=\"true\"",
-        )
-    });
-    let fmu = folder.open();
-    let first = fmu.instantiate().unwrap();
-    fmu.instantiate().unwrap();
-    drop(first);
-    let pool = Pool::new(Arc::new(SimulationPlan::new(&fmu, &SimulateOptions::new()).unwrap()));
-    // Copies are other libraries, each with one instance.
-    assert_eq!(pool.sharing().unwrap(), Sharing::Copies);
-    let first = pool.lend().unwrap().trajectory(&[]).unwrap();
-    assert_eq!(pool.lend().unwrap().trajectory(&[]).unwrap(), first);
+    let mut simulator = Simulator::new(plan(&folder)).unwrap();
+    let first = simulator.trajectory(&[1.0]).unwrap();
+    assert_eq!(settle(&mut simulator, &[1.0]), Reuse::Reinstantiate);
+    assert_eq!(simulator.trajectory(&[1.0]).unwrap(), first);
 }
 
 #[test]
@@ -317,11 +267,15 @@ fn inputs_that_do_not_vary_are_set_in_initialization_mode() {
     assert!((result.get("y").unwrap()[1] - 2.0).abs() < 1e-12);
     let plan = SimulationPlan::new(&fmu, &options.parameters(["x", "u"])).unwrap();
     let mut simulator = Simulator::new(Arc::new(plan)).unwrap();
-    for (x, u) in [(0.0, 3.0), (1.0, -2.0), (0.5, 0.0)] {
-        let result = simulator.trajectory(&[x, u]).unwrap();
-        assert!((result.get("y").unwrap()[1] - (x + u)).abs() < 1e-12, "{x} and {u}");
-    }
-    assert_eq!(fmu.reuse(), Some(Reuse::Reset));
+    let run = |simulator: &mut Simulator| {
+        for (x, u) in [(0.0, 3.0), (1.0, -2.0), (0.5, 0.0)] {
+            let result = simulator.trajectory(&[x, u]).unwrap();
+            assert!((result.get("y").unwrap()[1] - (x + u)).abs() < 1e-12, "{x} and {u}");
+        }
+    };
+    run(&mut simulator);
+    assert_eq!(settle(&mut simulator, &[1.0, 1.0]), Reuse::Reset);
+    run(&mut simulator);
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Models that keep a state which no variable shows: what ran before must not matter.
+//! What ran before must not matter; where it does on new instances too, the model is found out.
 
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used, clippy::panic)]
@@ -6,9 +6,9 @@
 mod support;
 
 use fmi::ode::Ignore;
-use fmi::{FmiError, Fmu, InterfaceKind, Pool, Reuse, Session, SimulateOptions, SimulationPlan, Simulator};
+use fmi::{Fmu, InterfaceKind, Reuse, Session, SimulateOptions, SimulationPlan, Simulator};
 use std::sync::Arc;
-use support::{Folder, evil, evil_with};
+use support::{evil, settle};
 
 const ME: InterfaceKind = InterfaceKind::ModelExchange;
 
@@ -20,71 +20,32 @@ fn simulator(fmu: &Fmu) -> Simulator {
     Simulator::new(Arc::new(SimulationPlan::new(fmu, &options().parameters(["k"])).unwrap())).unwrap()
 }
 
-fn saves_states(faults: &[&str]) -> Folder {
-    evil_with(&[faults, &["STATES"]].concat(), |xml| {
-        xml.replace("\"evil\"/>", "\"evil\" canGetAndSetFMUstate=\"true\"/>")
-    })
-}
-
-/// The state appears at the fifth run; the next one that is made again in a new copy is the ninth.
+/// The state appears with k above the limit, which the other values of the check are.
 #[test]
-fn a_hidden_state_is_found_and_what_follows_is_right() {
-    for (folder, wanted) in [
-        (evil(&["REMEMBERS=1.5"]), Reuse::Reload),
-        (saves_states(&["REMEMBERS=1.5"]), Reuse::Reload),
-        (evil(&["REMEMBERS_IN_INSTANCE=1.5"]), Reuse::Reinstantiate),
-        (saves_states(&["REMEMBERS_IN_INSTANCE=1.5"]), Reuse::Reinstantiate),
-    ] {
-        let truth = simulator(&folder.open()).trajectory(&[1.0]).unwrap().columns;
-        let other = Fmu::open(folder.path()).unwrap();
-        let fmu = folder.open();
-        let mut simulator = simulator(&fmu);
-        for run in 1..=40 {
-            let k = if run == 5 { 2.0 } else { 1.0 };
-            let found = simulator.trajectory(&[k]).unwrap().columns;
-            assert!(k > 1.0 || !(1..6).contains(&run) || found == truth, "{wanted:?}: run {run}");
-            assert!(k > 1.0 || run < 9 || found == truth, "{wanted:?}: run {run}");
-        }
-        assert_eq!(fmu.reuse_of(ME), Some(wanted));
-        assert_eq!(fmu.n_history_findings(ME), 1);
-        let quirks = fmu.quirks_seen();
-        assert!(quirks.iter().any(|quirk| quirk.message.contains("no variable shows")), "{quirks:?}");
-        // Nor for others who have it open.
-        let mut session = Session::new(other);
-        for k in [2.0, 1.0, 2.0, 1.0] {
-            session.set("k", k).unwrap();
-            let found = session.simulate(&options()).unwrap().columns;
-            assert!(k > 1.0 || found.iter().zip(&truth).all(|(a, b)| a == b), "{wanted:?}");
-        }
-    }
-}
-
-#[test]
-fn a_change_of_the_plan_is_looked_at() {
-    let folder = evil(&["REMEMBERS=1.5"]);
+fn a_state_outside_of_the_instances_wants_a_process_for_every_run() {
+    let folder = evil(&["REMEMBERS=1.01"]);
     let fmu = folder.open();
-    let truth = fmu.simulate(&options()).unwrap();
-    // Runs 4 and 6 are none of those that are made again for their number.
-    for _ in 0..2 {
-        assert_eq!(fmu.simulate(&options()).unwrap().columns, truth.columns);
-    }
-    fmu.simulate(&options().final_time(0.5).start_value("k", 2.0)).unwrap();
-    assert_eq!(fmu.simulate(&options()).unwrap().columns, truth.columns);
+    let mut simulator = simulator(&fmu);
+    assert_eq!(settle(&mut simulator, &[1.0]), Reuse::NewProcess);
+    let quirks = fmu.quirks_seen();
+    assert_eq!(quirks.len(), 1, "{quirks:?}");
+    assert!(quirks[0].message.contains("isolation = \"process\""), "{quirks:?}");
+    // Runs go on, and nothing is checked any more.
+    assert_eq!(simulator.run(&[1.0], &mut Ignore).unwrap().stats.checks.runs, 0);
+    assert_eq!(fmu.reuse_of(ME), Some(Reuse::NewProcess));
 }
 
-/// The fourth run is none of those that are made again.
+/// Neither reset nor a saved state renews it, a new instance does.
 #[test]
-fn all_copies_of_a_pool_can_be_looked_at() {
-    let plan = |fmu: &Fmu| Arc::new(SimulationPlan::new(fmu, &options().parameters(["k"])).unwrap());
-    for (fault, expected) in [("REMEMBERS=1.5", true), ("REMEMBERS_IN_INSTANCE=1.5", true), ("NONE", false)] {
-        let folder = evil(&[fault]);
-        let pool = Pool::new(plan(&folder.open()));
-        for k in [1.0, 1.0, 1.0, 2.0] {
-            pool.lend().unwrap().run(&[k], &mut Ignore).unwrap();
-        }
-        assert!(!pool.depends_on_history(&[1.0], &|| true).unwrap());
-        assert_eq!(pool.depends_on_history(&[1.0], &|| false).unwrap(), expected, "{fault}");
-        assert!(!pool.depends_on_history(&[1.0], &|| false).unwrap());
+fn a_state_of_an_instance_wants_new_instances() {
+    let folder = evil(&["REMEMBERS_IN_INSTANCE=1.01"]);
+    let truth = simulator(&folder.open()).trajectory(&[1.0]).unwrap().columns;
+    let fmu = folder.open();
+    let mut simulator = simulator(&fmu);
+    assert_eq!(settle(&mut simulator, &[1.0]), Reuse::Reinstantiate);
+    for k in [2.0, 1.0, 3.0, 1.0] {
+        let found = simulator.trajectory(&[k]).unwrap().columns;
+        assert!(k > 1.0 || found == truth);
     }
 }
 
@@ -93,11 +54,42 @@ fn an_honest_model_is_left_alone() {
     let folder = evil(&[]);
     let fmu = folder.open();
     let mut simulator = simulator(&fmu);
-    for run in 0..40 {
-        simulator.run(&[1.0 + f64::from(run % 7)], &mut Ignore).unwrap();
+    assert_eq!(settle(&mut simulator, &[1.0]), Reuse::Reset);
+    let truths: Vec<_> = (0..7)
+        .map(|i| {
+            let k = 1.0 + f64::from(i);
+            (k, self::simulator(&folder.open()).trajectory(&[k]).unwrap())
+        })
+        .collect();
+    for (k, truth) in truths.iter().chain(&truths) {
+        assert_eq!(simulator.trajectory(&[*k]).unwrap(), *truth);
     }
-    assert_eq!((fmu.reuse_of(ME), fmu.n_history_findings(ME)), (Some(Reuse::Reset), 0));
     assert!(fmu.quirks_seen().is_empty());
+}
+
+/// The check is counted, and takes no more than a tenth of the runs before it.
+#[test]
+fn a_check_is_a_part_of_the_runs_before_it_and_is_counted() {
+    let folder = evil(&[]);
+    let plan = SimulationPlan::new(&folder.open(), &options().max_step(1e-4).parameters(["k"])).unwrap();
+    let mut simulator = Simulator::new(Arc::new(plan)).unwrap();
+    let first = simulator.run(&[1.0], &mut Ignore).unwrap().stats;
+    let n_steps = first.accepted_steps + first.rejected_steps;
+    assert_eq!(first.checks.runs, 0);
+    let mut runs = 1;
+    let checks = loop {
+        let stats = simulator.run(&[1.0], &mut Ignore).unwrap().stats;
+        assert_eq!(stats, first);
+        if stats.checks.runs > 0 {
+            assert!(stats.seconds.get() > stats.checks.seconds.get());
+            break stats.checks;
+        }
+        runs += 1;
+        assert!(runs < 1000);
+    };
+    assert_eq!(checks.runs, 4);
+    assert!(checks.steps > 0 && checks.steps * 10 <= n_steps, "{checks:?} of {n_steps}");
+    assert_eq!(simulator.run(&[1.0], &mut Ignore).unwrap().stats.checks.runs, 0);
 }
 
 /// Ending or resetting the instance of a run that is over changes nothing of that run, nor of the next.
@@ -105,75 +97,16 @@ fn an_honest_model_is_left_alone() {
 fn instances_that_cannot_be_ended_or_reset_cost_nothing() {
     for status in ["fmi2Error", "fmi2Discard", "fmi2Fatal"] {
         for call in ["TERMINATE", "RESET"] {
-            let folder = evil(&[&format!("{call}={status}"), "SHARED_GLOBALS"]);
+            let folder = evil(&[&format!("{call}={status}")]);
             let fmu = folder.open();
-            let pool = Pool::new(Arc::new(SimulationPlan::new(&fmu, &options().parameters(["k"])).unwrap()));
             let honest = evil(&[]);
-            let mut truth = simulator(&honest.open());
-            for round in 0..6 {
+            let (mut found, mut truth) = (simulator(&fmu), simulator(&honest.open()));
+            for round in 0..60 {
                 let k = 1.0 + f64::from(round % 3);
-                let found = pool.lend().unwrap().trajectory(&[k]).unwrap();
-                assert_eq!(found.columns, truth.trajectory(&[k]).unwrap().columns, "{call} {status}");
-                let mut alone = simulator(&fmu);
-                alone.run(&[2.0], &mut Ignore).unwrap();
-                assert_eq!(alone.trajectory(&[k]).unwrap().columns, found.columns, "{call} {status}");
+                let columns = found.trajectory(&[k]).unwrap().columns;
+                assert_eq!(columns, truth.trajectory(&[k]).unwrap().columns, "{call} {status}");
             }
         }
-    }
-}
-
-#[test]
-fn a_copy_that_can_be_instantiated_so_often_is_followed_by_another() {
-    let folder = evil(&["INSTANCES=5", "FAILING_RESET"]);
-    let fmu = folder.open();
-    let mut simulator = simulator(&fmu);
-    let truth = simulator.trajectory(&[1.0]).unwrap();
-    for _ in 0..30 {
-        assert_eq!(simulator.trajectory(&[1.0]).unwrap().columns, truth.columns);
-    }
-    let messages: Vec<String> = fmu.quirks_seen().into_iter().map(|quirk| quirk.message).collect();
-    assert!(messages.iter().any(|message| message.contains("only so often")), "{messages:?}");
-    assert!(messages.iter().any(|message| message.contains("reset function")), "{messages:?}");
-}
-
-/// The runs from the seventh on fail in every loaded copy, which none of the runs that are made again for their number shows before
-/// the ninth.
-#[test]
-fn a_failure_that_depends_on_earlier_runs_is_none() {
-    for fault in ["FAILING_START", "FAILING_LATE"] {
-        for status in ["fmi2Error", "fmi2Fatal", "fmi2Discard"] {
-            let folder = evil(&[&format!("{fault}={status}"), "ODD_RUN=runs>=9"]);
-            let fmu = folder.open();
-            let mut simulator = simulator(&fmu);
-            let truth = simulator.trajectory(&[1.0]).unwrap().columns;
-            for run in 1..20 {
-                let found = simulator.trajectory(&[1.0]).unwrap().columns;
-                assert_eq!(found, truth, "{fault} {status}: run {run}");
-            }
-            assert_eq!((fmu.reuse_of(ME), fmu.n_history_findings(ME)), (Some(Reuse::Reload), 1));
-        }
-    }
-}
-
-/// Whoever watches a run that fails so is told to make it again.
-#[test]
-fn an_observer_sees_no_run_twice() {
-    let folder = evil(&["FAILING_LATE=fmi2Error", "ODD_RUN=runs>=9"]);
-    let mut simulator = simulator(&folder.open());
-    let mut failures =
-        (1..20).filter_map(|run| simulator.run(&[1.0], &mut Ignore).err().map(|error| (run, error)));
-    let (run, error) = failures.next().unwrap();
-    assert!(matches!(error, FmiError::FailedByHistory { .. }) && run <= 7, "{run}: {error}");
-    assert!(failures.next().is_none());
-}
-
-/// Initial values, which are no run.
-#[test]
-fn initial_values_do_not_fail_because_of_earlier_runs() {
-    let folder = evil(&["FAILING_START=fmi2Error", "ODD_RUN=runs>=4"]);
-    let fmu = folder.open();
-    for _ in 0..6 {
-        assert_eq!(Session::new(fmu.clone()).get("twice_k").unwrap().as_number(), Some(2.0));
     }
 }
 
@@ -183,7 +116,7 @@ fn honest_failures_are_left_alone() {
         let folder = evil(&[fault]);
         let fmu = folder.open();
         let mut simulator = simulator(&fmu);
-        for run in 0..40 {
+        for run in 0..60 {
             let k = if run % 3 == 0 { 1.0 } else { 2.0 };
             assert_eq!(
                 simulator.run(&[k], &mut Ignore).is_ok(),
@@ -191,14 +124,13 @@ fn honest_failures_are_left_alone() {
                 "{fault}: run {run}"
             );
         }
-        assert_eq!(fmu.n_history_findings(ME), 0, "{fault}");
         assert!(fmu.quirks_seen().is_empty(), "{fault}: {:?}", fmu.quirks_seen());
     }
 }
 
 /// An input function that is not finite says nothing about the model, whichever run it is.
 #[test]
-fn runs_that_an_input_function_ends_are_not_compared() {
+fn runs_that_an_input_function_ends_say_nothing() {
     use example_models::ExampleKind;
     use fmi::{Inputs, Kind};
     for (kind, example) in [
@@ -206,7 +138,7 @@ fn runs_that_an_input_function_ends_are_not_compared() {
         (Kind::ModelExchange, ExampleKind::Fmi2ModelExchange),
     ] {
         let fmu = Fmu::open(example_models::example_fmu_as("quad_tank", example).unwrap()).unwrap();
-        for before in 0..6 {
+        for before in 0..4 {
             let mut session = Session::of_kind(fmu.clone(), kind);
             let options = |ends: bool| {
                 let is_over = std::sync::atomic::AtomicBool::new(false);
@@ -222,8 +154,7 @@ fn runs_that_an_input_function_ends_are_not_compared() {
             session.simulate(&options(true)).unwrap_err();
             assert_eq!(session.simulate(&options(false)).unwrap().columns, truth.columns);
         }
-        let kind = fmu.choose(kind).unwrap();
-        assert_eq!((fmu.n_history_findings(kind), fmu.quirks_seen()), (0, vec![]), "{kind}");
+        assert_eq!(fmu.quirks_seen(), vec![], "{kind:?}");
     }
 }
 
@@ -234,18 +165,33 @@ fn a_run_that_fails_does_not_accuse_the_reset_function() {
         let folder = evil(&[fault, "ODD_RUN=K(m)>1.5"]);
         let fmu = folder.open();
         let mut simulator = simulator(&fmu);
-        simulator.run(&[1.0], &mut Ignore).unwrap();
         simulator.run(&[2.0], &mut Ignore).unwrap_err();
-        for _ in 0..3 {
-            simulator.run(&[1.0], &mut Ignore).unwrap();
+        for _ in 0..50 {
+            simulator.run(&[2.0], &mut Ignore).unwrap_err();
         }
-        assert_eq!((fmu.reuse_of(ME), fmu.quirks_seen()), (Some(Reuse::Reset), vec![]), "{fault}");
-        // And that of a pool, whose reference fails.
-        let fmu = evil(&[fault, "ODD_RUN=K(m)>1.5"]);
-        let options = options().parameters(["k"]).start_value("k", 2.0);
-        let plan = Arc::new(SimulationPlan::new(&fmu.open(), &options).unwrap());
-        let pool = Pool::new(Arc::clone(&plan));
-        drop(pool.lend().unwrap());
-        assert_eq!(plan.fmu().quirks_seen(), vec![], "{fault}");
+        assert_eq!(fmu.quirks_seen(), vec![], "{fault}");
+        assert_eq!(settle(&mut self::simulator(&folder.open()), &[1.0]), Reuse::Reset, "{fault}");
     }
+}
+
+/// As Simulink exports it: a parameter is in a static variable, which is changed by nothing but being set.
+#[test]
+fn what_others_have_set_is_not_there() {
+    let folder = evil(&["STATIC_PARAMETERS"]);
+    let fmu = folder.open();
+    let truth = fmu.simulate(&options()).unwrap();
+    for k in [3.0, 2.0] {
+        let set = fmu.simulate(&options().start_value("k", k)).unwrap();
+        assert!((set.final_value("y").unwrap().unwrap() - (-k).exp()).abs() < 1e-5);
+        assert_eq!(fmu.simulate(&options()).unwrap().columns, truth.columns);
+        let mut instance = fmu.instantiate().unwrap();
+        instance.set("k", k).unwrap();
+        drop(instance.enter_initialization(0.0, None, None).unwrap());
+        assert_eq!(fmu.simulate(&options()).unwrap().columns, truth.columns);
+    }
+    // Also while others have theirs.
+    let mut setting = simulator(&fmu);
+    setting.run(&[4.0], &mut Ignore).unwrap();
+    assert_eq!(fmu.simulate(&options()).unwrap().columns, truth.columns);
+    assert_eq!(setting.get("twice_k").unwrap(), 8.0);
 }

@@ -9,7 +9,7 @@ use example_models::ExampleKind::{Fmi1ModelExchange, Fmi2CoSimulation, Fmi2Model
 use fmi::ode::Ignore;
 use fmi::{
     ArchiveLimits, ContinuousTime, EventMode, FmiError, Fmu, FmuCache, Inputs, Instance, InstanceOptions,
-    Kind, Pool, SavedState, Session, SimulateOptions, SimulationPlan, Simulator, StepMode, Value,
+    Kind, SavedState, Session, SimulateOptions, SimulationPlan, Simulator, StepMode, Value,
 };
 use std::sync::Arc;
 use support::{arrays, model, model_as};
@@ -191,26 +191,18 @@ fn parameters_of_a_run_are_as_many_as_in_its_plan_and_finite() {
     let folder = model("furuta");
     let options = SimulateOptions::new().final_time(0.1).parameters(["armFriction", "pendulumFriction"]);
     let plan = Arc::new(SimulationPlan::new(&folder.open(), &options).unwrap());
-    let mut simulator = Simulator::new(Arc::clone(&plan)).unwrap();
-    let pool = Pool::new(Arc::clone(&plan));
-    let mut lease = pool.lend().unwrap();
+    let mut simulator = Simulator::new(plan).unwrap();
     for length in wrong(2) {
         let values = vec![0.001; length];
         is_length("run", 2, length, simulator.run(&values, &mut Ignore).map(|_| ()));
         is_length("trajectory", 2, length, simulator.trajectory(&values).map(|_| ()));
-        is_length("lease", 2, length, lease.run(&values, &mut Ignore).map(|_| ()));
-        is_length("reference", 2, length, Pool::with_reference(Arc::clone(&plan), &values).map(|_| ()));
     }
     for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-        for outcome in [
-            simulator.run(&[0.001, bad], &mut Ignore).map(|_| ()),
-            Pool::with_reference(Arc::clone(&plan), &[0.001, bad]).map(|_| ()),
-        ] {
-            assert!(
-                matches!(&outcome, Err(FmiError::NotFinite { name, .. }) if name == "pendulumFriction"),
-                "{outcome:?}"
-            );
-        }
+        let outcome = simulator.run(&[0.001, bad], &mut Ignore).map(|_| ());
+        assert!(
+            matches!(&outcome, Err(FmiError::NotFinite { name, .. }) if name == "pendulumFriction"),
+            "{outcome:?}"
+        );
     }
     simulator.run(&[0.001, 0.001], &mut Ignore).unwrap();
 }

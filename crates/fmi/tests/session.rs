@@ -113,8 +113,8 @@ fn a_flag_that_was_raised_cancels_the_next_simulation_only() {
     assert_eq!(bits(&session.simulate(&options).unwrap()), bits(&first));
 }
 
-/// Also after runs that were made again in another copy of the library, where nothing was ever set. The model keeps its parameter in a
-/// static variable, and its reset function brings back what that was when the instance was made (as Simulink's do).
+/// The model keeps its parameter in a static variable, and its reset function brings back what that was when the instance was made (as
+/// Simulink's do).
 #[test]
 fn what_was_set_before_is_set_back_in_every_run() {
     let folder = evil(&["STATIC_PARAMETERS", "RESET_AS_MADE"]);

@@ -40,7 +40,7 @@ pub use observer::{EventRecord, Ignore, Observer, Sample, Side, StepView};
 pub use options::{AbsoluteTolerance, ChatteringPolicy, Limits, Method, Options, OptionsError};
 pub use solve::{DenseOutput, Event, Solution, Solve, SolveError, solve, solve_dae, solve_second_order};
 pub use sparsity::JacobianPattern;
-pub use stats::{Seconds, Stats};
+pub use stats::{Checks, Seconds, Stats};
 pub use stopwatch::{Stopwatch, Timing};
 pub use system::{
     Argument, CallError, CallResult, Direction, EventCause, EventOutcome, EventVisit, HybridSystem,

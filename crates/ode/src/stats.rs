@@ -51,6 +51,34 @@ impl fmt::Debug for Seconds {
     }
 }
 
+/// Short runs that were made besides those asked for, to find out how a model can be brought back to its start. All are equal: when they
+/// are made depends on the clock, and no result depends on it.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+pub struct Checks {
+    /// Runs.
+    pub runs: u64,
+    /// Steps in them.
+    pub steps: u64,
+    /// Wall-clock time, with that of making their instances.
+    pub seconds: Seconds,
+}
+
+impl PartialEq for Checks {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl Eq for Checks {}
+
+impl AddAssign for Checks {
+    fn add_assign(&mut self, other: Self) {
+        self.runs += other.runs;
+        self.steps += other.steps;
+        self.seconds += other.seconds;
+    }
+}
+
 /// Counts of one run, and how long it took. They add up over runs. Runs are compared by the counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Stats {
@@ -89,6 +117,9 @@ pub struct Stats {
     /// How often state events were found to follow each other while time hardly advanced, where the
     /// [policy](crate::ChatteringPolicy) is to go on.
     pub chattering: u64,
+    /// Runs made besides, which no other count has; their time is in `seconds`.
+    #[serde(default)]
+    pub checks: Checks,
     /// Wall-clock time of the run.
     pub seconds: Seconds,
     /// The part of it that was spent inside of the model: in the calls of the [`HybridSystem`](crate::HybridSystem). An
@@ -125,6 +156,7 @@ impl AddAssign for Stats {
         self.events += other.events;
         self.restarts += other.restarts;
         self.chattering += other.chattering;
+        self.checks += other.checks;
         self.seconds += other.seconds;
         self.seconds_in_model += other.seconds_in_model;
     }

@@ -137,7 +137,6 @@ impl PyCalibration {
         let tolerance = fit.tolerance.map(|t| (t.used, t.stated, t.noise, t.n_simulations));
         result.setattr("_tolerance", tolerance)?;
         result.setattr("n_checks", fit.n_checks)?;
-        result.setattr("n_beginnings", fit.n_beginnings)?;
         result.setattr("_native", PyFit { inner: Arc::new(fit), calibration: Arc::clone(&self.inner) })?;
         Ok(result)
     }

@@ -126,14 +126,9 @@ impl Fmu {
             Reuse::Restore => "restore",
             Reuse::Reset => "reset",
             Reuse::Reinstantiate => "reinstantiate",
-            Reuse::Reload => "reload",
+            Reuse::NewProcess => "process",
             _ => "other",
         })
-    }
-
-    /// How simulations that run in parallel share the process; None before the library was first needed.
-    fn sharing(&self, kind: &str) -> Option<&'static str> {
-        self.fmu.sharing_of(interface(kind)).map(fmi::Sharing::name)
     }
 
     /// Raises what keeps the FMU from being simulated in this way, as far as its description tells; else "ME" or "CS".

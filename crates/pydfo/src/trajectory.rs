@@ -32,6 +32,8 @@ impl<'py> IntoPyObject<'py> for Counts {
             accepted_steps, rejected_steps, right_hand_sides, jacobians, directional_derivatives, decompositions,
             newton_iterations, event_indicators, samples, events, state_events, time_events, step_events, input_events,
             restarts, chattering;
+            "check_runs": stats.checks.runs,
+            "check_steps": stats.checks.steps,
             "seconds": stats.seconds.get(),
             "seconds_in_model": stats.seconds_in_model.get(),
         ))

@@ -1,20 +1,17 @@
-"""What FMUs do to their process is undone, and what the process does does not reach them."""
+"""What the process does does not reach FMUs."""
 
 from __future__ import annotations
 
 import ctypes
 import locale
 import math
-import os
 import shutil
-import signal
 import subprocess
 
 import fmus
 import pytest
 from fmus import same_bits
 
-import pydfo
 from pydfo import FMUModel
 
 
@@ -46,45 +43,3 @@ def test_a_decimal_comma_does_not_reach_the_model(tmp_path, comma):
     assert strtod(b"1,5", None) == 1.5
     assert same_bits(FMUModel(path).simulate(ncp=10), truth)
     assert (strtod(b"1,5", None), locale.setlocale(locale.LC_ALL)) == (1.5, comma)
-
-
-@pytest.mark.parametrize("place", [1, 3, 5])
-def test_a_model_that_sets_the_locale_leaves_no_trace(tmp_path, comma, monkeypatch, place):
-    monkeypatch.setenv("EVIL_LOCALE", comma)
-    path = fmus.evil(tmp_path / "m.fmu", f"LOCALE_IN={place}", "USES_STRTOD")
-    before = locale.setlocale(locale.LC_ALL)
-    model = FMUModel(path)
-    results = [model.simulate(ncp=10), model.simulate(ncp=10)]
-    model.close()
-    assert locale.setlocale(locale.LC_ALL) == before
-    assert results[0].final("y") == pytest.approx(math.exp(-1.5), abs=1e-5)
-    assert same_bits(*results)
-
-
-@pytest.mark.parametrize("place", [1, 3, 4, 5, 6])
-def test_ctrl_c_is_handled_as_before(tmp_path, place):
-    path = fmus.evil(tmp_path / "m.fmu", f"SIGNALS_IN={place}")
-    model = FMUModel(path, kind="CS" if place == 4 else "ME")
-    for _ in range(2):
-        model.simulate(ncp=10)
-        with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
-            for _ in range(1000):
-                pass
-    model.close()
-    with pytest.raises(KeyboardInterrupt):
-        os.kill(os.getpid(), signal.SIGINT)
-        for _ in range(1000):
-            pass
-
-
-def test_ctrl_c_during_a_fit_of_a_model_that_ignores_it(tmp_path):
-    # It does so at the start of each run, which takes some 8 s.
-    path = fmus.evil(tmp_path / "m.fmu", "SIGNALS_IN=6", "SLOW=2000")
-    data = {"time": [0.0, 0.5, 1.0], "y": [1.0, 0.6, 0.37]}
-    calibration = pydfo.Calibration(path, data, ["y"], pydfo.Parameter("k", 1.3, 0.1, 5.0), solver="rk4", step_size=1e-3)
-    # Within the first trial run: it is ended after 2 s, and for some 20 ms at the start of the next the model ignores the signal.
-    with subprocess.Popen(["sh", "-c", f"sleep 1; kill -INT {os.getpid()}"]) as killer:
-        with pytest.raises(pydfo.Interrupted):
-            calibration.fit(workers=1)
-        killer.wait()

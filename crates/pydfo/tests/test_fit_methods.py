@@ -189,7 +189,7 @@ def test_a_fit_with_a_loss_forgives_outliers(dahlquist, method, loss, tmp_path):
         return 1e-4 * np.sum(rho[loss])
 
     assert fit.cost == pytest.approx(counted(fit.x[0]), rel=1e-10) and fit.start_cost == pytest.approx(counted(1.0), rel=1e-10)
-    assert all(fit.cost <= counted(fit.x[0] + step) for step in (-0.01, 0.01)) and fit.n_beginnings == 1
+    assert all(fit.cost <= counted(fit.x[0] + step) for step in (-0.01, 0.01))
     again = calibration.fit(**{**run, "workers": 3})
     assert timeless(again) == timeless(fit)
     with pytest.raises(pydfo.CheckpointError, match="loss"):

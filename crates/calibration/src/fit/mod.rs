@@ -1,5 +1,6 @@
 //! The fit: what is asked for, the search, and what its result is worth; parameters with names come out.
 
+mod fresh;
 mod noise;
 mod options;
 mod result;
@@ -28,7 +29,7 @@ use crate::worth::{KnownPoint, Worth, WorthOptions};
 use dfo::{Measure, Report, RobustLoss, Tolerances, typical_size};
 use ode::Stats;
 use rounds::Made;
-use search::{HISTORY, Job, Searched};
+use search::{Job, Searched};
 
 impl Calibration {
     /// Fits the parameters.
@@ -59,16 +60,12 @@ impl Calibration {
         };
         // With the weights and the tolerance of the fit.
         let own = own.as_ref().unwrap_or(self);
-        let Searched { report, found, residuals, preflight, solver, tolerances, raised, n_beginnings } =
+        let Searched { report, found, residuals, preflight, solver, tolerances, raised } =
             searched;
         let Job { start, held, objective, loss, deadline, phase, worth, .. } = &job;
         let cancelled = || job.is_cancelled();
         let mut remarks = raised;
         remarks.extend(self.unstated_noise(&job, noise.as_ref()));
-        if n_beginnings > 1 {
-            let sentence = format!("begun {n_beginnings} times: {HISTORY}");
-            remarks.push(Finding::new(Severity::Note, "fit", sentence, ""));
-        }
         phase.set(FitPhase::Checks);
         let is_whole = worth.is_some() && held.is_empty();
         let (at_start, at_end) =
@@ -147,7 +144,6 @@ impl Calibration {
             at_bound: found.at_bound,
             without_effect: found.without_effect,
             n_checks: found.n_checks,
-            n_beginnings,
             stats,
             solver,
             report,

@@ -68,9 +68,6 @@ pub struct Fit {
     /// show it, because they differ in one parameter alone). They are none of the run's evaluations, which its budget
     /// counts, are not made after an interrupt or when the time is up, and are part of `stats`.
     pub n_checks: usize,
-    /// How often the fit was begun: more than once where a simulation was found to depend on earlier ones
-    /// ([`Fmu::n_history_findings`](fmi::Fmu::n_history_findings)). Its budget of evaluations counts from the last beginning.
-    pub n_beginnings: usize,
     /// How well each output is reproduced, in the order of the residual vector; empty where the run was ended from outside.
     pub outputs: Vec<OutputFit>,
     /// What was found before the fit, where it was asked for.

@@ -194,7 +194,6 @@ impl Calibration {
                     let mut searched = searched;
                     if let Some((_, before)) = &before {
                         add_earlier(&mut searched.report, &before.report);
-                        searched.n_beginnings = searched.n_beginnings.max(before.n_beginnings);
                         searched.found.n_checks += before.found.n_checks;
                         searched.preflight = before.preflight.clone();
                     }

@@ -1,6 +1,7 @@
 //! The search for the best point, with what comes before it: the objective meets an optimiser.
 
 use super::noise::NoiseRule;
+use super::fresh::Fresh;
 use super::options::{FitObserver, FitOptions};
 use super::tolerance::AtStart;
 use crate::calibration::Calibration;
@@ -12,23 +13,22 @@ use crate::output_fit::KeptResiduals;
 use crate::parameter::{Parameter, Scale};
 use crate::phase::{CurrentPhase, Deadline, FitPhase};
 use crate::preflight::{Preflight, PreflightOptions};
-use crate::residual::{CostRule, sum_of_squares};
+use crate::residual::sum_of_squares;
 use crate::solver::Solver;
-use crate::spot_checks::SpotChecks;
 use crate::worth::{WorthOptions, digits};
 use dfo::{
-    Answer, AnyMethod, ByRef, Kind, Measure, NothingFound, Objective, Outcome, Query, Report, Resume,
-    RobustLoss, RunOptions, Termination, Tolerances, Trace, Want,
+    Answer, AnyMethod, ByRef, Kind, Measure, NothingFound, Objective, Outcome, Query, Report, Resume, RobustLoss,
+    RunOptions, Termination, Tolerances, Trace, Want,
 };
 use ode::{Number, Stats};
 use std::cell::RefCell;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::available_parallelism;
-use std::time::Instant;
 
 /// Why a fit is begun again.
-pub(super) const HISTORY: &str = "the fit's simulations were found to depend on earlier ones (a state that the model keeps and no variable shows)";
+const HIDDEN_STATE: &str = "a cost depends on what ran before it in the same process (a state that the model keeps and no variable shows): each \
+                            evaluation has a process of its own";
 
 /// The objective of one fit, which adds up what its simulations take.
 struct Counted<'a> {
@@ -39,9 +39,7 @@ struct Counted<'a> {
     start: &'a [f64],
     /// The residuals there, as they count, where they are known already.
     at_start: Option<Vec<f64>>,
-    stats: Mutex<(Stats, SpotChecks, KeptResiduals)>,
-    /// Findings before the run.
-    n_findings: u64,
+    stats: Mutex<(Stats, KeptResiduals)>,
 }
 
 impl Objective for Counted<'_> {
@@ -62,9 +60,8 @@ impl Objective for Counted<'_> {
         // A poisoned lock is no reason to fail: the counts are whole at every instant.
         let mut known = self.stats.lock().unwrap_or_else(|e| e.into_inner());
         known.0 += stats;
-        let sum = answer.outcome.value();
-        known.1.note(x, sum);
         drop(known);
+        let sum = answer.outcome.value();
         let mut own = Vec::new();
         if let Some(sum) = sum {
             // A function of the user's may take its time.
@@ -72,7 +69,7 @@ impl Objective for Counted<'_> {
             answer.outcome = self.kind.outcome(layout, (sum, &answer.residuals), &mut own);
             if let Some(cost) = answer.outcome.value() {
                 let mut known = self.stats.lock().unwrap_or_else(|e| e.into_inner());
-                known.2.note((x, self.start), cost, &answer.residuals);
+                known.1.note((x, self.start), cost, &answer.residuals);
             }
             if !self.kind.is_sum_of_squares() {
                 answer.residuals = own;
@@ -80,9 +77,6 @@ impl Objective for Counted<'_> {
         }
         if wanted == Want::Cost {
             answer.residuals.clear();
-        }
-        if self.calibration.n_history_findings() > self.n_findings {
-            answer.outcome = Outcome::Abort(HISTORY.to_owned());
         }
     }
 
@@ -205,7 +199,6 @@ pub(super) struct Searched {
     pub(super) tolerances: Tolerances,
     /// What is to be said of them.
     pub(super) raised: Vec<Finding>,
-    pub(super) n_beginnings: usize,
 }
 
 impl Calibration {
@@ -233,7 +226,7 @@ impl Calibration {
         let cancelled = || job.is_cancelled();
         let solver = self.solver_until(&cancelled)?;
         job.phase.set(FitPhase::ModelTest);
-        self.prepare(&cancelled)?;
+        self.prepare()?;
         let problem = self.problem_hash(solver);
         let problem = if loss.is_linear() { problem } else { format!("{problem}, loss {loss}") };
         let is_usual = objective.is_sum_of_squares();
@@ -259,10 +252,9 @@ impl Calibration {
         let tolerances = described.tolerances;
         job.phase.set(FitPhase::Search);
         let mut observer = job.observer.borrow_mut();
-        let mut n_beginnings = 0;
+        let (mut n_beginnings, mut remark) = (0, None);
         let (report, found, residuals) = loop {
             n_beginnings += 1;
-            let n_findings = self.n_history_findings();
             let known = at_start.take().map(|(residuals, _)| residuals);
             job.at_start.borrow_mut().clone_from(&known);
             let counted = Counted {
@@ -272,8 +264,7 @@ impl Calibration {
                 loss,
                 start,
                 at_start: known.clone(),
-                stats: Mutex::new((Stats::default(), SpotChecks::default(), KeptResiduals::of_start(known))),
-                n_findings,
+                stats: Mutex::new((Stats::default(), KeptResiduals::of_start(known))),
             };
             let limits = job.run.limits;
             described.limits.max_evaluations =
@@ -304,7 +295,6 @@ impl Calibration {
             if let Some(flag) = &job.cancel {
                 run = run.cancel(Arc::clone(flag));
             }
-            let began = Instant::now();
             let outcome = run.run().map_err(|error| match error {
                 dfo::Error::NeedsResiduals { method } => CalibrationError::Setup(format!(
                     "{method} minimises sums of squares, and the objective '{}' is none: leave the method to the fit \
@@ -313,40 +303,34 @@ impl Calibration {
                 )),
                 error => self.name_parameter(error),
             });
-            let took = began.elapsed();
             job.phase.set(FitPhase::Checks);
-            let (taken, checks, residuals) = counted.stats.into_inner().unwrap_or_else(|e| e.into_inner());
+            let (taken, residuals) = counted.stats.into_inner().unwrap_or_else(|e| e.into_inner());
             *stats += taken;
-            let is_sound = || self.n_history_findings() == n_findings;
-            if is_sound() || cancelled() {
-                let report = outcome?;
-                let differs = || self.depends_on_history(&report.x, &cancelled);
-                if cancelled()
-                    || !(differs()
-                        || self.costs_depend_on_history(&checks, took, CostRule::whole(loss, &cancelled)))
-                {
-                    let of_run = (start.as_slice(), held.as_slice(), &report, objective);
-                    let found = self.findings(of_run, &tolerances, &cancelled, stats);
-                    if is_sound() || cancelled() {
-                        break (report, found, residuals);
-                    }
+            let report = outcome?;
+            let of_run = (start.as_slice(), held.as_slice(), &report, objective);
+            let best = residuals.at((&report.x, start)).map(|known| (report.x.as_slice(), known));
+            let best = best.filter(|_| job.worth.is_some());
+            let (found, again) = self.beside_fresh_process((best, loss), &cancelled, || {
+                self.findings(of_run, &tolerances, &cancelled, stats)
+            });
+            match again {
+                Fresh::Same => break (report, found, residuals),
+                Fresh::Random => {
+                    remark = Some("two evaluations of the best point in fresh processes differ: no cost can be reproduced");
+                    break (report, found, residuals);
+                }
+                Fresh::Other if n_beginnings > 1 => break (report, found, residuals),
+                Fresh::Other => {
+                    log::warn!("{}: {HIDDEN_STATE}: the fit begins anew", self.fmu().description().model_name);
+                    remark = Some(HIDDEN_STATE);
                 }
             }
-            log::warn!("{}: {HISTORY}: it begins anew", self.fmu().description().model_name);
             // What was stored, here or by an earlier fit, may depend on what ran before.
             described.checkpoint = described.checkpoint.map(|checkpoint| checkpoint.resume(Resume::Never));
             described.known.iter_mut().for_each(|known| known.problem = None);
         };
-        Ok(Searched {
-            report,
-            found,
-            residuals,
-            preflight,
-            solver: solver.clone(),
-            tolerances,
-            raised,
-            n_beginnings,
-        })
+        raised.extend(remark.map(|sentence| Finding::new(Severity::Warning, "FMU", sentence, "")));
+        Ok(Searched { report, found, residuals, preflight, solver: solver.clone(), tolerances, raised })
     }
 
     /// The start as the result of a search that had no time for a single evaluation.
@@ -396,7 +380,6 @@ impl Calibration {
             solver: self.known_solver().cloned().unwrap_or(named),
             tolerances: job.run.tolerances,
             raised: Vec::new(),
-            n_beginnings: 1,
         })
     }
 

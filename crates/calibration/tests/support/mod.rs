@@ -1,7 +1,7 @@
 //! Calibrations of a small model with one fault each.
 #![allow(dead_code, clippy::unwrap_used)]
 
-use calibration::{Calibration, Data, Experiment, Fit, FitOptions, Parameter, SimulationSettings};
+use calibration::{Calibration, Data, Experiment, Fit, FitOptions, Parameter};
 use dfo::{DifferentialEvolution, Limits, RunOptions};
 use fmi::Fmu;
 use std::path::Path;
@@ -30,13 +30,12 @@ pub(crate) fn faulty(defines: &[&str]) -> tempfile::TempDir {
     folder
 }
 
-pub(crate) fn calibration(fmu: Fmu, sharing: fmi::Sharing) -> Calibration {
+pub(crate) fn calibration(fmu: Fmu) -> Calibration {
     let t = vec![0.0, 0.25, 0.5, 1.0];
     let y = t.iter().map(|t: &f64| (-1.7 * t).exp()).collect();
     Calibration::builder(fmu)
         .experiment(Experiment::new(Data::from_columns(t, [("y".to_owned(), y)]).unwrap()).output("y", "y"))
         .parameter(Parameter::new("k", 1.0).bounds(0.1, 5.0))
-        .settings(SimulationSettings { sharing, ..SimulationSettings::default() })
         .build()
         .unwrap()
 }

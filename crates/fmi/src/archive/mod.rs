@@ -9,7 +9,6 @@ mod names;
 mod packed;
 mod positioned;
 mod private;
-mod snapshot;
 mod unpack;
 
 pub(crate) use hash::{files_below, of_texts as hash_of_texts};
@@ -17,7 +16,6 @@ pub use limits::ArchiveLimits;
 pub(crate) use limits::MODEL_DESCRIPTION;
 pub(crate) use packed::Part;
 pub(crate) use private::PrivateFolder;
-pub(crate) use snapshot::Snapshot;
 
 use crate::cancel::Cancel;
 use crate::error::{EntryProblem, FmiError};
@@ -145,18 +143,6 @@ impl Archive {
             }
             Content::Absent(absent) => Err(self.missing(absent)),
         }
-    }
-
-    /// Unpacks the resources anew, where they were unpacked from an archive.
-    pub(crate) fn renew_resources(&self) -> Result<(), FmiError> {
-        if let Content::Packed(packed) = &self.content {
-            let resources = packed.unpack(Part::Running, &Cancel::default())?.join("resources");
-            if resources.is_dir() {
-                std::fs::remove_dir_all(&resources).map_err(FmiError::io("remove", &resources))?;
-            }
-            packed.unpack(Part::Running, &Cancel::default())?;
-        }
-        Ok(())
     }
 
     /// The bytes of `modelDescription.xml`.

@@ -202,36 +202,9 @@ pub enum FmiError {
         /// The function.
         function: &'static str,
     },
-    /// There is no loaded copy of the library that can be used: all are in use, and no further one can be loaded.
-    #[error("no copy of {} can be used: {reason}", library.display())]
-    NoCopy {
-        /// The library.
-        library: PathBuf,
-        /// Why no further copy can be loaded (with the loader's message), who uses those that there are, what to close.
-        reason: String,
-    },
-    /// A call of the instance's copy of the library returned `Fatal`: the standard lets nothing of it be called after that.
-    #[error("{} is unusable since one of its calls returned fatal; new instances and simulations have another copy of it", library.display())]
+    /// A call of the instance's loaded library returned `Fatal`: the standard lets nothing of it be called after that.
+    #[error("{} is unusable since one of its calls returned fatal; new instances and simulations have a newly loaded copy", library.display())]
     LibraryUnusable {
-        /// The library.
-        library: PathBuf,
-    },
-    /// The final values of a simulation are gone: its copy of the library was needed for another one.
-    #[error(
-        "the values are gone: another simulation has used {} since, of which no further copy can be loaded; \
-         simulate again, or read values before others simulate", library.display()
-    )]
-    Disturbed {
-        /// The library.
-        library: PathBuf,
-    },
-    /// A simulation failed after others in one loaded copy of the library, and not in a new copy. What is made from now on does not
-    /// depend on earlier simulations: simulate again.
-    #[error(
-        "the simulation has failed because of earlier ones, whose traces the model keeps: in a newly loaded copy of {} it does \
-         not fail; simulate again", library.display()
-    )]
-    FailedByHistory {
         /// The library.
         library: PathBuf,
     },

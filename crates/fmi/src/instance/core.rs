@@ -5,22 +5,17 @@ use super::integer_codec;
 use crate::description::{ModelDescription, Structure, Value, Variable, VariableKind};
 use crate::error::{CallFailure, FmiError, Status};
 use crate::fmu::Fmu;
+use crate::libraries::LoadedLibrary;
 use crate::sys::{Fault, RawInstance, Sizes};
 use std::ffi::CString;
-use std::fmt::Debug;
+use std::sync::Arc;
 
-/// A copy of the library in use, which keeps a record of the variables that were ever set in it.
-pub(crate) trait SetRecord: Debug + Send {
-    /// Notes that a variable is about to be set.
-    fn note_set(&self, variable: &Variable);
-}
-
-/// An instance in any phase. The component is dropped before its copy of the library and the FMU.
+/// An instance in any phase. The component is dropped before the FMU, with which its library goes.
 #[derive(Debug)]
 pub(crate) struct Core {
     pub(crate) raw: RawInstance,
-    /// Of an instance made by hand: its copy of the library.
-    pub(super) library: Option<Box<dyn SetRecord>>,
+    /// Of an instance made by hand, whose library is in use by it.
+    pub(super) _library: Option<Arc<LoadedLibrary>>,
     pub(super) fmu: Fmu,
     pub(super) structure: Structure,
     /// Values set by hand before the experiment is set up.
@@ -32,7 +27,7 @@ impl Core {
     pub(crate) fn new(raw: RawInstance, fmu: Fmu) -> Self {
         Self {
             raw,
-            library: None,
+            _library: None,
             fmu,
             structure: Structure::default(),
             set_before_setup: Assignments::default(),
@@ -41,13 +36,6 @@ impl Core {
 
     pub(crate) fn fmu(&self) -> &Fmu {
         &self.fmu
-    }
-
-    /// Notes in the record of its copy of the library that a variable is set by hand.
-    pub(super) fn note_set(&self, variable: &Variable) {
-        if let Some(library) = &self.library {
-            library.note_set(variable);
-        }
     }
 
     /// The error behind a fault.

@@ -11,7 +11,7 @@ mod reconfiguration;
 
 pub(crate) use clocks::check_interval;
 pub use co_simulation::StepOutcome;
-pub(crate) use core::{Core, SetRecord};
+pub(crate) use core::Core;
 pub use model_exchange::MAX_EVENT_ITERATIONS;
 pub use phases::{
     CoSimulation, ContinuousTime, EventMode, Initialization, Instance, Instantiated, ModelExchange, Phase,

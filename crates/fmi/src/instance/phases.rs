@@ -1,12 +1,14 @@
 //! The phases of the life of an instance, as types, and what can be done in each of them.
 
 use super::assignments::{self, Assignments};
-use super::core::{Core, SetRecord, expand_references};
+use super::core::{Core, expand_references};
 use crate::description::{Causality, Structure, Value, Variable, VariableKind};
 use crate::error::{FmiError, LogLine};
 use crate::fmu::Fmu;
+use crate::libraries::LoadedLibrary;
 use crate::sys::{Direction, ElementDependency, Experiment, Fault, RawInstance, SavedSlot};
 use std::marker::PhantomData;
+use std::sync::Arc;
 
 /// A live instance of an FMU in the phase `P`, for model exchange or co-simulation.
 ///
@@ -238,7 +240,7 @@ impl<P, K> Instance<P, K> {
     }
 
     /// Brings the instance back to its beginning. Whether the FMU really does so is another matter: see
-    /// [`Pool`](crate::Pool), which checks it.
+    /// [`Simulator`](crate::Simulator), which checks it.
     ///
     /// # Errors
     /// The FMU cannot, or refuses; the instance is freed then.
@@ -332,7 +334,6 @@ impl<P: Phase, K> Instance<P, K> {
         let index = assignments::resolve(fmu.description(), name)?;
         let variable = &fmu.description().variables[index];
         P::check_settable(variable)?;
-        self.core.note_set(variable);
         let mut values = Assignments::default();
         let elements = self.core.elements(variable);
         let value = assignments::convert(variable, &value.into(), elements)?;
@@ -377,9 +378,9 @@ impl<K> Instance<Instantiated, K> {
         Self { core: Box::new(Core::new(raw, fmu)), _phase: PhantomData }
     }
 
-    /// An instance made by hand, which keeps its copy of the library.
-    pub(crate) fn by_hand(core: Core, library: Box<dyn SetRecord>) -> Self {
-        let mut core = Core { library: Some(library), ..core };
+    /// An instance made by hand.
+    pub(crate) fn by_hand(core: Core, library: Arc<LoadedLibrary>) -> Self {
+        let mut core = Core { _library: Some(library), ..core };
         core.raw.set_by_hand();
         Self { core: Box::new(core), _phase: PhantomData }
     }

@@ -3,14 +3,14 @@
 
 mod binary;
 mod find_binary;
-mod loaded_file;
 pub(crate) mod memory;
 mod system;
+mod unloading;
 mod whole_file;
 
 pub(crate) use binary::check_length;
 pub use binary::{BinaryFormat, BinaryHeader, Machine};
 pub use find_binary::{FoundBinary, find_binary};
-pub(crate) use loaded_file::Shared;
 pub use system::*;
+pub(crate) use unloading::may_be_unloaded;
 pub use whole_file::write_whole;

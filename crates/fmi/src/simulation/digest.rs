@@ -1,14 +1,14 @@
 //! A digest of numbers by their bits: tells whether two runs of a model gave the same answers.
 
-/// Numbers of which a digest keeps its values on the way.
-const KEPT: usize = 1 << 20;
+/// Notes after which a digest keeps its value.
+const KEPT: usize = 1 << 12;
 
 /// Running digest.
 #[derive(Debug)]
 pub(crate) struct Digest {
     value: u64,
-    /// Its value after each note, up to a number of them; only where a run may have to be compared with a shorter one.
-    way: Option<Vec<u64>>,
+    /// Its value after each of the first notes.
+    way: Vec<u64>,
 }
 
 /// 2^64 divided by the golden ratio, odd: multiplying with it spreads the bits (Knuth, TAOCP volume 3, 6.4).
@@ -16,7 +16,7 @@ const SPREAD: u64 = 0x9e37_79b9_7f4a_7c15;
 
 impl Default for Digest {
     fn default() -> Self {
-        Self { value: SPREAD, way: None }
+        Self { value: SPREAD, way: Vec::new() }
     }
 }
 
@@ -26,24 +26,14 @@ impl Digest {
         for value in values {
             self.value = (self.value ^ value.to_bits()).wrapping_mul(SPREAD).rotate_left(29);
         }
-        if let Some(way) = self.way.as_mut().filter(|way| way.len() < KEPT) {
-            way.push(self.value);
+        if self.way.len() < KEPT {
+            self.way.push(self.value);
         }
     }
 
-    /// A digest that keeps its values on the way.
-    pub(crate) fn with_way() -> Self {
-        Self { way: Some(Vec::new()), ..Self::default() }
-    }
-
-    /// Whether both took in the same numbers, as far as is kept; of each, whether its run was stopped and need not have come as
-    /// far as the other.
-    pub(crate) fn agrees(&self, other: &Digest, stopped: (bool, bool)) -> bool {
-        let (Some(way), Some(others)) = (&self.way, &other.way) else { return self.value == other.value };
-        let common = way.len().min(others.len());
-        (stopped.0 || common == others.len())
-            && (stopped.1 || common == way.len())
-            && way[..common] == others[..common]
+    /// Whether both took in the same numbers, up to the last note of the one with fewer of those that are kept.
+    pub(crate) fn begins_as(&self, other: &Digest) -> bool {
+        self.way.iter().zip(&other.way).all(|(one, other)| one == other)
     }
 
     /// The digest so far.
@@ -65,15 +55,13 @@ mod tests {
     #[test]
     fn a_shorter_run_is_compared_up_to_its_end() {
         let along = |values: &[f64]| {
-            let mut digest = Digest::with_way();
+            let mut digest = Digest::default();
             values.iter().for_each(|value| digest.note(&[*value]));
             digest
         };
-        let whole = along(&[1.0, 2.0, 3.0]);
-        let (shorter, other) = (along(&[1.0, 2.0]), along(&[1.0, 3.0]));
-        assert!(whole.agrees(&shorter, (false, true)) && whole.agrees(&along(&[]), (false, true)));
-        assert!(!whole.agrees(&other, (true, true)) && !whole.agrees(&shorter, (true, false)));
-        assert!(shorter.agrees(&whole, (true, false)) && !shorter.agrees(&whole, (false, true)));
+        let (whole, shorter) = (along(&[1.0, 2.0, 3.0]), along(&[1.0, 2.0]));
+        assert!(whole.begins_as(&shorter) && shorter.begins_as(&whole) && whole.begins_as(&along(&[])));
+        assert!(!whole.begins_as(&along(&[1.0, 3.0])));
     }
 
     #[test]

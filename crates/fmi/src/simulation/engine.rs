@@ -9,7 +9,7 @@ use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::Running;
 use crate::simulation::variable_elements::RunInput;
 use crate::sys::{InterfaceKind, RawInstance, note_run};
-use ode::{Driver, ErrorKind, Ignore, Observer, Report};
+use ode::{Driver, ErrorKind, Ignore, Limits, Observer, Report};
 use std::sync::Arc;
 
 /// A way of running a model, with its instance.
@@ -66,25 +66,23 @@ impl Engine {
         }
     }
 
-    /// The run itself; `steps`: at most so many.
+    /// The run itself, with the limits of the plan or others.
     pub(crate) fn run(
         &mut self,
         plan: &SimulationPlan,
-        steps: Option<u64>,
+        limits: Option<Limits>,
         observer: &mut dyn Observer,
     ) -> Result<Report, FmiError> {
-        let max_steps = steps.or(plan.options.limits.max_steps);
+        let limits_of_run = limits.unwrap_or(plan.options.limits);
         let outside = Outside::new(&plan.options, observer);
         match self {
             Engine::Integrated { driver, system } => {
-                let mut probe;
-                let driver = if steps.is_none() {
-                    driver
+                let mut other;
+                let driver = if let Some(limits) = limits {
+                    other = Driver::new(ode::Options { limits, ..plan.options.clone() })?;
+                    &mut other
                 } else {
-                    let limits = ode::Limits { max_steps, ..plan.options.limits };
-                    let options = ode::Options { limits, ..plan.options.clone() };
-                    probe = Driver::new(options)?;
-                    &mut probe
+                    driver
                 };
                 let mut integration = Integration { system, outside: &outside };
                 let ended = driver.run(&mut integration, plan.start, plan.end, &plan.times, &mut &outside);
@@ -100,7 +98,7 @@ impl Engine {
                     FmiError::Simulation(error)
                 })
             }
-            Engine::Stepping(stepping) => stepping.run(max_steps, &outside),
+            Engine::Stepping(stepping) => stepping.run(limits_of_run.max_steps, &outside),
         }
     }
 }

@@ -8,7 +8,7 @@ use crate::simulation::outside::Outside;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::{Phase, Running};
 use crate::simulation::variable_elements::RunInput;
-use crate::sys::{Direction, Fault, RawInstance, look_now_and_then};
+use crate::sys::{Direction, Fault, RawInstance};
 use ode::{
     CallError, CallResult, EventOutcome, EventVisit, HybridSystem, InputStop, JacobianPattern, StepAction,
     Stopped,
@@ -474,7 +474,6 @@ impl HybridSystem for Integration<'_> {
     }
 
     fn step_completed(&mut self, t: f64, x: &[f64]) -> CallResult<StepAction> {
-        look_now_and_then();
         self.commit(t, x);
         self.running.note(x);
         if self.running.plan.completed_step_not_needed {

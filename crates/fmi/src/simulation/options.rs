@@ -3,7 +3,6 @@
 use crate::description::{DefaultExperiment, Interval, Value};
 use crate::fmu::Kind;
 use crate::simulation::inputs::Inputs;
-use crate::simulation::sharing::Sharing;
 use ode::{ChatteringPolicy, Method};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -106,8 +105,6 @@ pub struct SimulateOptions {
     /// Set from outside to end the run.
     #[serde(skip)]
     pub cancel: Option<Arc<AtomicBool>>,
-    /// How simulations that run in parallel share the library of the FMU.
-    pub sharing: Sharing,
 }
 
 impl SimulateOptions {
@@ -135,7 +132,6 @@ impl SimulateOptions {
         chattering(ChatteringPolicy) = |policy| policy;
         record_events(bool) = |on| on;
         cancel(Arc<AtomicBool>) = |flag| Some(flag);
-        sharing(Sharing) = |sharing| sharing;
     }
 
     /// Adds to [`clock_intervals`](Self::clock_intervals).
@@ -182,7 +178,7 @@ impl SimulateOptions {
         }
         same!(but inputs, cancel; start_time, final_time, times, output_interval, ncp, start_values, clock_intervals,
             parameters, outputs, input_derivatives, relative_tolerance, kind, method, step_size, between_steps, max_step, timeout,
-            max_work, chattering, record_events, sharing)
+            max_work, chattering, record_events)
     }
 
     /// The tolerance that was asked for, else that of the default experiment.

@@ -8,7 +8,6 @@ use crate::simulation::digest::Digest;
 use crate::simulation::inputs::InputState;
 use crate::simulation::outputs::OutputBuffers;
 use crate::simulation::plan::SimulationPlan;
-use crate::simulation::variable_elements::Unset;
 use crate::sys::{Fault, RawInstance};
 use ode::{CallError, CallResult};
 use std::sync::Arc;
@@ -19,8 +18,6 @@ pub(crate) enum Phase {
     /// Nothing: none was made yet, or it broke.
     #[default]
     Gone,
-    /// An instance with a past, to be reset before its next use.
-    Spare(RawInstance),
     /// Model exchange: initialized, or ended by the model.
     Event(Instance<EventMode>),
     /// Model exchange, between two events.
@@ -50,7 +47,7 @@ impl Current {
             Phase::Event(instance) => Ok(instance.core()),
             Phase::Continuous(instance) => Ok(instance.core()),
             Phase::Stepping(instance) => Ok(instance.core()),
-            Phase::Gone | Phase::Spare(_) => Err(no_instance()),
+            Phase::Gone => Err(no_instance()),
         }
     }
 
@@ -113,6 +110,19 @@ impl Current {
         self.core().ok().map(|core| core.error(Fault::Discard(call)).to_string())
     }
 
+    /// Ends the run of the instance, if there is one that can be used for another run.
+    pub(crate) fn retire(self) -> Option<RawInstance> {
+        let raw = match self.phase {
+            Phase::Gone => return None,
+            _ if self.broken => return None,
+            // Some FMUs free what a run has allocated only when they are told that it is over.
+            Phase::Event(instance) => instance.terminate().map(Instance::into_raw),
+            Phase::Continuous(instance) => instance.terminate().map(Instance::into_raw),
+            Phase::Stepping(instance) => instance.terminate().map(Instance::into_raw),
+        };
+        raw.ok().map(|(raw, _)| raw)
+    }
+
     /// Notes that the instance is not to be used again: a call failed, or an event iteration was ended from outside.
     pub(crate) fn fail(&mut self, error: FmiError) -> CallError {
         self.broken = true;
@@ -134,8 +144,6 @@ pub(crate) struct Running {
     pub(crate) clocks: ClockState,
     /// Running digest of everything that the FMU answered; only while reset is checked.
     pub(crate) digest: Option<Digest>,
-    /// What is set besides the settings of the plan.
-    pub(crate) unset: Unset,
     /// Values of parameters on their way.
     pub(super) signed: Vec<f64>,
 }
@@ -148,7 +156,6 @@ impl Running {
             buffers: OutputBuffers::new(plan.outputs()),
             clocks: ClockState::default(),
             digest: None,
-            unset: Unset::default(),
             signed: Vec::new(),
             plan,
         }
@@ -160,23 +167,9 @@ impl Running {
         self.plan = plan;
     }
 
-    /// Takes an instance that will have to be reset.
-    pub(crate) fn adopt(&mut self, raw: RawInstance) {
-        self.current = Current { phase: Phase::Spare(raw), ..Current::default() };
-    }
-
     /// Ends the run of the instance, if there is one that can be used for another run, and gives it up.
     pub(crate) fn retire(&mut self) -> Option<RawInstance> {
-        let raw = match std::mem::replace(&mut self.current.phase, Phase::Gone) {
-            Phase::Gone => return None,
-            Phase::Spare(raw) => return Some(raw),
-            _ if self.current.broken => return None,
-            // Some FMUs free what a run has allocated only when they are told that it is over.
-            Phase::Event(instance) => instance.terminate().map(Instance::into_raw),
-            Phase::Continuous(instance) => instance.terminate().map(Instance::into_raw),
-            Phase::Stepping(instance) => instance.terminate().map(Instance::into_raw),
-        };
-        raw.ok().map(|(raw, _)| raw)
+        std::mem::take(&mut self.current).retire()
     }
 
     /// Reads the outputs where the model stands.
@@ -191,7 +184,7 @@ impl Running {
             Phase::Event(instance) => instance.pass_log_on(),
             Phase::Continuous(instance) => instance.pass_log_on(),
             Phase::Stepping(instance) => instance.pass_log_on(),
-            Phase::Gone | Phase::Spare(_) => {}
+            Phase::Gone => {}
         }
     }
 

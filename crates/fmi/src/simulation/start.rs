@@ -21,18 +21,17 @@ impl Running {
     ) -> Result<Instance<Initialization, K>, FmiError> {
         self.current = Current::default();
         self.buffers.begin();
-        let Self { plan, inputs, clocks, unset, signed, .. } = self;
+        let Self { plan, inputs, clocks, signed, .. } = self;
         let mut instance: Instance<Instantiated, K> = Instance::from_raw(raw, plan.fmu().clone());
         // First, because some models make their data in this call.
         instance.set_up_experiment(plan.start, stop, plan.tolerance)?;
-        plan.values.set_up(instance.core(), unset, input, signed)?;
+        plan.values.set_up(instance.core(), input, signed)?;
         inputs.begin(&plan.inputs, plan.start);
         if !inputs.continuous_at(&plan.inputs, plan.start) {
             return Err(inputs.bad_function_value(plan.start));
         }
         let mut is_refused = false;
         let set_inputs = |core: &mut Core, signed: &mut Vec<f64>| {
-            core.apply(&unset.inputs)?;
             plan.values.set_up_inputs(core, input, signed)?;
             inputs.set_held(core, &plan.inputs)?;
             plan.inputs.continuous.set(core, &inputs.continuous)
@@ -45,7 +44,7 @@ impl Running {
         if is_refused && instance.core().call(RawInstance::reset).is_ok() {
             // Models that take values of inputs in initialization mode only, as FMI 2.0 has it for those without `initial`.
             instance.set_up_experiment(plan.start, stop, plan.tolerance)?;
-            plan.values.set_up(instance.core(), unset, input, signed)?;
+            plan.values.set_up(instance.core(), input, signed)?;
         }
         let mut instance = instance.enter_initialization_mode()?;
         set_inputs(instance.core(), signed)?;

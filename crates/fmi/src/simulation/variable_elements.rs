@@ -244,13 +244,3 @@ pub(crate) struct RunInput<'a> {
     pub(crate) start: &'a StartValues,
     pub(crate) parameters: &'a [f64],
 }
-
-/// What a run sets besides the settings of its plan: variables that were set in the copy by earlier runs with other plans.
-#[derive(Debug, Default)]
-pub(crate) struct Unset {
-    pub(crate) structural: Assignments,
-    /// Set before the initialization.
-    pub(crate) early: Assignments,
-    /// Of inputs.
-    pub(crate) inputs: Assignments,
-}

@@ -1,7 +1,7 @@
-//! A loaded shared library of an FMU with its function table; what all users of the file share is in `platform/loaded_file.rs`.
+//! A loaded shared library of an FMU with its function table.
 
 use super::callbacks::Callbacks;
-use super::environment::CallEnvironment;
+use super::environment::Inside;
 use super::fmi1_fmi2_values::ScalarValues;
 use super::function::Function;
 use super::functions::{CommonFunctions, Functions, PointFunctions, StepFunctions, Text};
@@ -12,11 +12,13 @@ use super::version::{Values, Version};
 use super::{fmi1, fmi2, fmi3};
 use crate::description::FmiVersion;
 use crate::error::FmiError;
+use crate::gate::Gate;
 use crate::log::LogFilter;
-use crate::platform::{Shared, check_length};
+use crate::platform::check_length;
 use std::ffi::CStr;
 use std::fmt;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// An open library and the functions found in it.
@@ -25,11 +27,11 @@ pub(crate) struct Library {
     pub(super) functions: Functions,
     pub(super) values: Box<dyn Values>,
     pub(super) version: Box<dyn Version>,
-    shared: Arc<Shared>,
     path: PathBuf,
     /// Messages go to the instance that is called on their thread (FMI 1.0).
     logs_by_thread: bool,
-    /// Callbacks of instances that are gone, which a thread of the FMU may still use.
+    /// Callbacks of instances that are gone, for the next ones: never freed, for the FMU may still use them, at last in its
+    /// destructors.
     retired: Mutex<Vec<Callbacks>>,
     /// Last: closed, if at all, when the tables are gone (invariant 1).
     handle: Arc<Handle>,
@@ -38,8 +40,8 @@ pub(crate) struct Library {
 /// Where the functions of a library are found.
 #[derive(Clone, Copy)]
 pub(crate) enum LoadFrom<'a> {
-    /// In a file, which is loaded.
-    File(&'a Path),
+    /// In a file, which is loaded; who is inside of it has a turn of this gate.
+    File(&'a Path, &'a Arc<Gate>),
     /// In a library that is loaded already, whose file may have gone since.
     Loaded(&'a Library),
 }
@@ -63,15 +65,12 @@ impl Library {
         model_identifier: &str,
         options: &LoaderOptions,
     ) -> Result<Self, FmiError> {
-        let (shared, handle, path) = match from {
-            LoadFrom::Loaded(library) => {
-                (Arc::clone(&library.shared), Arc::clone(&library.handle), &*library.path)
-            }
-            LoadFrom::File(path) => {
-                let (shared, handle) = Self::load(path, options)?;
-                (shared, handle, path)
-            }
+        let (handle, path) = match from {
+            LoadFrom::Loaded(library) => (Arc::clone(&library.handle), &*library.path),
+            LoadFrom::File(path, gate) => (Self::load(path, gate, options)?, path),
         };
+        // It is asked for its types.
+        let _inside = Inside::enter(&handle.gate);
         let dialect = match (version.major, kind) {
             (1, InterfaceKind::ModelExchange) => Dialect::Fmi1,
             (1, InterfaceKind::CoSimulation) => Dialect::Fmi1Slave,
@@ -103,28 +102,20 @@ impl Library {
             check_types(&functions.common, path)?;
             let (path, retired) = (path.to_owned(), Mutex::default());
             let logs_by_thread = prefix.is_some();
-            Ok(Self { functions, values, version, shared, path, logs_by_thread, retired, handle })
+            Ok(Self { functions, values, version, path, logs_by_thread, retired, handle })
         }
     }
 
-    fn load(path: &Path, options: &LoaderOptions) -> Result<(Arc<Shared>, Arc<Handle>), FmiError> {
+    fn load(path: &Path, gate: &Arc<Gate>, options: &LoaderOptions) -> Result<Arc<Handle>, FmiError> {
         platform::check(options).map_err(|option| FmiError::BadSetting {
             problem: format!("the loader of this system has no option {option}"),
         })?;
         check_length(path)?;
-        let _environment = CallEnvironment::enter();
-        let (shared, path_to_open) = Shared::of(path)?;
-        if shared.is_fatal() {
-            shared.closed();
-            return Err(FmiError::LibraryUnusable { library: path.to_owned() });
-        }
+        let _inside = Inside::enter(gate);
         // SAFETY: the user asked to run this FMU, and running its constructors is part of that.
-        let opened = unsafe { platform::open(Path::new(&path_to_open), options) }.map_err(|error| {
-            shared.closed();
-            FmiError::LoadFailed { library: path.to_owned(), message: message(&error) }
-        })?;
-        let handle = Arc::new(Handle::new(opened, Arc::clone(&shared)));
-        Ok((shared, handle))
+        let opened = unsafe { platform::open(path, options) }
+            .map_err(|error| FmiError::LoadFailed { library: path.to_owned(), message: message(&error) })?;
+        Ok(Arc::new(Handle::new(opened, Arc::clone(gate))))
     }
 
     /// The version of FMI that it says it follows, where it has the function for that.
@@ -132,9 +123,29 @@ impl Library {
         text_of(&self.functions.common.get_version)
     }
 
-    /// What all users of the library share.
-    pub(crate) fn shared(&self) -> &Arc<Shared> {
-        &self.shared
+    /// Who is inside of it has a turn of this.
+    #[inline]
+    pub(crate) fn gate(&self) -> &Arc<Gate> {
+        &self.handle.gate
+    }
+
+    /// Whether a call has returned `Fatal`: then nothing of the loaded file can be trusted any more.
+    #[inline]
+    pub(crate) fn is_fatal(&self) -> bool {
+        self.handle.is_fatal.load(Ordering::Relaxed)
+    }
+
+    pub(super) fn set_fatal(&self) {
+        self.handle.is_fatal.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether a component was ever made in the loaded file: then its static variables may have a past.
+    pub(crate) fn is_used(&self) -> bool {
+        self.handle.is_used.load(Ordering::Relaxed)
+    }
+
+    pub(super) fn set_used(&self) {
+        self.handle.is_used.store(true, Ordering::Relaxed);
     }
 
     /// Callbacks for a new instance.
@@ -166,9 +177,7 @@ impl Library {
 impl Drop for Library {
     fn drop(&mut self) {
         let retired = self.retired.get_mut().unwrap_or_else(PoisonError::into_inner);
-        // Those of a library that is unloaded are dropped: none of its code is left to use them.
-        let closes = self.handle.closes() && Arc::strong_count(&self.handle) == 1;
-        retired.drain(..).filter(|_| !closes).for_each(Callbacks::abandon);
+        retired.drain(..).for_each(Callbacks::abandon);
     }
 }
 
@@ -190,7 +199,6 @@ fn check_types(functions: &CommonFunctions, path: &Path) -> Result<(), FmiError>
 
 /// What a function answers that takes nothing and gives a text; `None` without the function.
 fn text_of(function: &Function<Text>) -> Option<String> {
-    let _environment = CallEnvironment::enter();
     // SAFETY: such functions of the standard may be called at any time, and answer with a text that ends in NUL and stays.
     unsafe {
         let text = (function.pointer?)();

@@ -10,8 +10,8 @@
 //!    instance may be called from any thread, but not from two at a time (FMI 2.0.x, section 2.1.1); so it is not
 //!    `Sync`, and every method takes `&mut self`.
 //! 3. **Addresses that an FMU keeps stay put.** What it is given for calling back ([`Callbacks`](callbacks::Callbacks)) is on
-//!    the heap (in `Arc`s, whose contents do not move) and not freed while the library is loaded, for threads of an FMU may
-//!    outlive its component. It is shared with C code; all that this reaches is a mutex around the log lines, and no foreign code is ever called
+//!    the heap (in `Arc`s, whose contents do not move) and never freed, for threads of an FMU may outlive its component, and its
+//!    destructors may log. It is shared with C code; all that this reaches is a mutex around the log lines, and no foreign code is ever called
 //!    while that mutex is held.
 //! 4. **Lengths are checked in release builds.** Slices handed to an FMU together with a count have that count, and
 //!    vectors of states, derivatives, nominals and indicators have the model's sizes, fixed at instantiation.
@@ -23,8 +23,9 @@
 //! 7. **No panic crosses into C.** The sink of the logger catches unwinding; the rest of the callbacks are C.
 //! 8. **Saved states belong to their instance**: pointers stay in a table of the `RawInstance`; the outside holds
 //!    tokens that say whose they are. The table is freed with the instance.
-//! 9. **What an FMU (or the loading of it) changes in its thread or process** is undone: the floating-point mode after
-//!    every call, before any arithmetic of ours; the rest by [`CallEnvironment`].
+//! 9. **What an FMU (or the loading of it) changes in its thread** is undone: the floating-point mode after every call, before
+//!    any arithmetic of ours; the locale by [`Inside`]. One thread at a time is inside of a loaded library: for a call, or for a
+//!    whole run.
 //! 10. **Buffers of small numbers** are handed out as what an FMU takes them for (`packed.rs`): never more elements than
 //!     there are words of 64 bits, and only types of which any bits are a value.
 //!
@@ -55,7 +56,7 @@ mod version;
 #[cfg(unix)]
 pub(crate) use child_limits::close_inherited;
 pub(crate) use child_limits::limit as limit_child;
-pub(crate) use environment::{CallEnvironment, look_now_and_then};
+pub(crate) use environment::Inside;
 pub(crate) use last_call::note_run;
 #[cfg(unix)]
 pub(crate) use last_call::{Page, tell_calls};

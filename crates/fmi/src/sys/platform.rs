@@ -1,7 +1,7 @@
 //! What differs between systems in this module: how a library is opened.
 
-use super::environment::CallEnvironment;
-use crate::platform::Shared;
+use super::environment::Inside;
+use crate::gate::Gate;
 use serde::{Deserialize, Serialize};
 use std::mem::ManuallyDrop;
 use std::ops::Deref;
@@ -29,19 +29,30 @@ pub(super) type Opened = libloading::os::unix::Library;
 #[cfg(not(unix))]
 pub(super) type Opened = libloading::Library;
 
-/// An open library. Not closed unless [`close_on_drop`](Self::close_on_drop) says so: a thread that has called the FMU may hold
-/// data of its own for it (thread-specific data, `thread_local` of C++) whose destructor is code of the library and runs
-/// when the thread ends. An open library also keeps its file's place on the disk from being given to another file, for which
-/// the loader would take that one's code.
+/// An open library, which one thread at a time is inside of. Not closed unless [`close_on_drop`](Self::close_on_drop) says so: a thread that
+/// has called the FMU may hold data of its own for it (thread-specific data, `thread_local` of C++) whose destructor is code of
+/// the library and runs when the thread ends.
 pub(super) struct Handle {
     library: ManuallyDrop<Opened>,
-    shared: Arc<Shared>,
+    /// Who may be inside.
+    pub(super) gate: Arc<Gate>,
+    /// A call returned `Fatal`.
+    pub(super) is_fatal: AtomicBool,
+    /// A component was made.
+    pub(super) is_used: AtomicBool,
     closes: AtomicBool,
 }
 
 impl Handle {
-    pub(super) fn new(library: Opened, shared: Arc<Shared>) -> Self {
-        Self { library: ManuallyDrop::new(library), shared, closes: AtomicBool::new(false) }
+    pub(super) fn new(library: Opened, gate: Arc<Gate>) -> Self {
+        let library = ManuallyDrop::new(library);
+        Self {
+            library,
+            gate,
+            is_fatal: AtomicBool::new(false),
+            is_used: AtomicBool::new(false),
+            closes: AtomicBool::new(false),
+        }
     }
 
     /// Has the library closed when the handle is dropped.
@@ -50,11 +61,6 @@ impl Handle {
     /// Nothing of the library can be called after that: it starts no threads and registers no functions.
     pub(super) unsafe fn close_on_drop(&self) {
         self.closes.store(true, Ordering::Relaxed);
-    }
-
-    /// Whether the library is closed when the handle is dropped.
-    pub(super) fn closes(&self) -> bool {
-        self.closes.load(Ordering::Relaxed)
     }
 }
 
@@ -68,10 +74,9 @@ impl Deref for Handle {
 
 impl Drop for Handle {
     fn drop(&mut self) {
-        if self.closes() {
-            self.shared.closed();
+        if *self.closes.get_mut() {
             // Its destructors are code of the FMU.
-            let _environment = CallEnvironment::enter();
+            let _inside = Inside::enter(&self.gate);
             // SAFETY: dropped once, here; whoever called `close_on_drop` has promised that nobody is in it or comes back.
             unsafe { ManuallyDrop::drop(&mut self.library) };
         }

@@ -69,7 +69,7 @@ static void start_values(Model *m) {
 #endif
     m->time = 0;
     m->x = 1;
-#if !defined(STATIC_PARAMETERS) && !defined(KEPT_IN_SIBLING)
+#if !defined(STATIC_PARAMETERS)
     K(m) = 1;
 #endif
 #ifdef LARGE_TLS
@@ -99,6 +99,14 @@ static void *log_late(void *functions) {
         known->logger(known->componentEnvironment, "evil", fmi2Warning, "logAll", "late %d", i);
     }
     return NULL;
+}
+#endif
+
+#ifdef LOGS_AT_END
+static const fmi2CallbackFunctions *given;
+
+__attribute__((destructor)) static void log_at_end(void) {
+    if (given != NULL) given->logger(given->componentEnvironment, "evil", fmi2Warning, "logAll", "%s", "at the end");
 }
 #endif
 
@@ -135,18 +143,6 @@ EXPORT fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String 
     m->remembered = 0;
 #endif
     m->made_k = K(m);
-#ifdef WRITES_RESOURCES
-    {
-        char path[4096];
-        FILE *file;
-        snprintf(path, sizeof path, "%s/trace.txt", resources + strlen("file://"));
-        file = fopen(path, "a");
-        if (file != NULL) {
-            fputs("made\n", file);
-            fclose(file);
-        }
-    }
-#endif
 #ifdef LAST_ONLY
     last = m;
 #endif
@@ -157,7 +153,7 @@ EXPORT fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String 
     _mm_setcsr(_mm_getcsr() | 0x8040);
 #endif
     upset(INSTANTIATE);
-#ifdef LOGS_LATE
+#if defined(LOGS_LATE) || defined(LOGS_AT_END)
     given = functions;
 #endif
     return m;

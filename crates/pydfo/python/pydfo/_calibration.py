@@ -123,12 +123,6 @@ class Calibration:
         How the model is run, as in `FMUModel`; default: as the FMUModel that is given, else "auto".
     input_derivatives : bool
         Whether co-simulations are told the derivatives of their inputs, as in `FMUModel.simulate`.
-    sharing : {"copies", "serial", "together"}
-        How simulations that run in parallel share the FMU's library; no cost depends on it. "copies": each worker loads a
-        copy of its own, with static variables of its own; where copies would still share state or no further one can be
-        loaded, simulations run one at a time, and the log says why. "serial": one loaded library, one simulation at a
-        time. "together": one loaded library, in which all workers run at the same time. You say that the FMU is
-        thread-safe then; where it is not, results are wrong or the process ends.
     isolation : {"process", "none"}
         Where the FMU runs; no cost depends on it. "process": in processes of its own, one per worker, started when they are needed
         and ended with the calibration, at the latest with this process. Whatever happens there (a crash, a hang beyond
@@ -188,7 +182,6 @@ class Calibration:
         kind: str | None = None,
         chattering: Literal["error", "warn", "slide"] = "error",
         input_derivatives: bool = True,
-        sharing: Literal["copies", "serial", "together"] = "copies",
         time: str | None = None,
         *,
         isolation: Literal["process", "none"] = "process",
@@ -232,7 +225,6 @@ class Calibration:
             max_step=_options.optional_number("max_step", max_step),
             chattering=_options.choice("chattering", chattering),
             input_derivatives=_options.flag("input_derivatives", input_derivatives),
-            sharing=_options.choice("sharing", sharing),
             isolation=_options.choice("isolation", isolation),
             memory_limit=_options.limit("memory_limit", memory_limit, 1),
             sandbox=_options.flag("sandbox", sandbox),

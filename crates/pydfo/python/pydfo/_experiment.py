@@ -198,7 +198,6 @@ class Settings:
     max_step: float | None
     input_derivatives: bool
     chattering: str
-    sharing: str
     isolation: str
     memory_limit: int | None
     sandbox: bool

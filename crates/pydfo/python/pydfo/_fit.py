@@ -129,9 +129,6 @@ class Fit(OptimizeResult):
         `x_tol`; with the parameter moved, for each that no evaluation has shown to change the cost (those of a first simplex
         show it, because they differ in one parameter alone). They do not count in ``nfev`` nor
         in its limit, are not made after an interrupt or when the time is up, and are part of `stats`.
-    n_beginnings : int
-        How often the fit was begun: more than once where its simulations were found to depend on earlier ones, by a state that
-        the model keeps and no variable shows; ``model.description.quirks`` says so, too. ``nfev`` counts from the last beginning.
     outputs : list of OutputFit
         How well each output is reproduced: RMS at the end and at the start, fit percentage. (Empty: interrupted twice.)
     scaled_rms : float or None
@@ -174,7 +171,6 @@ class Fit(OptimizeResult):
             self.without_effect: list[str] = []
             self.n_checks = 0
             self.objective = ""
-            self.n_beginnings = 1
         self._native: _core.Fit | None = vars(self).get("_native")
         self.stages = [Fit(calibration, stage, np.array(stage._native.start), solver) for stage in vars(self).get("stages", [])]
         self._calibration = calibration

@@ -202,16 +202,10 @@ class FMUModel:
     @property
     def reuse(self) -> str | None:
         """How an instance is brought back to its beginning between two simulations: the first of "restore" (a saved state),
-        "reset" (the FMU's function), "reinstantiate" (a new instance) and "reload" (a newly loaded copy of the FMU's library)
-        that was seen to give the same bits; None before it was tried, which is when the second simulation begins."""
+        "reset" (the FMU's function), "reinstantiate" (a new instance) and "process" (a process for each simulation: in this
+        one results may depend on earlier ones) that was seen to give the same bits; None before it was tried, which is when
+        a tenth of the time of the simulations so far is enough for it."""
         return self._fmu.reuse(self._kind)
-
-    @property
-    def sharing(self) -> str | None:
-        """How simulations of the FMU that run in parallel share the process where nothing else is asked for: "copies" (each with a
-        loaded copy of its library), or "serial" (one at a time: copies would share state or cannot be loaded); None before the
-        library was first needed."""
-        return self._fmu.sharing(self._kind)
 
     @cached_property
     def description(self) -> Description:

@@ -49,8 +49,11 @@ class SimulationStats:
         Restarts of the method after events that changed something.
     chattering : int
         How often state events were found to follow each other while time hardly advanced, and the run went on.
+    check_runs, check_steps : int
+        Short simulations made besides, to check how the model can be brought back to its beginning, and their steps. They are in no
+        other count, but in `seconds`.
     seconds : float
-        Wall-clock time in s, from bringing the model to its beginning. Loading it and the trial runs before its first use
+        Wall-clock time in s, from bringing the model to its beginning. Loading it and waiting for other simulations of it
         do not count. Of a fit: the sum over all simulations, so with several workers more than the fit took.
     seconds_in_model : float
         The part of it that was spent inside of the model: in the calls of the FMU, or of the functions given to
@@ -74,6 +77,8 @@ class SimulationStats:
     input_events: int
     restarts: int
     chattering: int
+    check_runs: int = field(compare=False)
+    check_steps: int = field(compare=False)
     seconds: float = field(compare=False)
     seconds_in_model: float = field(compare=False)
 

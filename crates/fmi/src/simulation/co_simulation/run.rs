@@ -7,7 +7,7 @@ use crate::instance::StepOutcome;
 use crate::simulation::outside::Outside;
 use crate::simulation::plan::{Communication, SimulationPlan};
 use crate::simulation::running::Running;
-use crate::sys::{Fault, RawInstance, look_now_and_then};
+use crate::sys::{Fault, RawInstance};
 use ode::{ErrorKind, EventCause, EventOutcome, EventRecord, Number, Observer, Stats, Stopped, Termination};
 
 /// Steps of which nothing was computed, in a row, before a run gives up.
@@ -117,7 +117,6 @@ impl Run<'_, '_> {
     /// One communication step with everything that belongs to it.
     pub(super) fn advance(&mut self) -> Step<()> {
         self.check_limits()?;
-        look_now_and_then();
         let target = self.target();
         self.tried = target.step;
         self.check_ticks(&target)?;

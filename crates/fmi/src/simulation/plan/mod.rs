@@ -6,19 +6,18 @@ mod parameters;
 mod read_back;
 
 pub(crate) use communication::Communication;
-pub(crate) use parameters::{RunValues, Setting};
+pub(crate) use parameters::RunValues;
 pub(crate) use read_back::ReadBackBuffers;
 
 use crate::cancel::Cancel;
 use crate::description::{ModelDescription, QuirkKind, Structure};
 use crate::error::FmiError;
 use crate::fmu::Fmu;
+use crate::libraries::Setting;
 use crate::simulation::clocks::ClockPlan;
-use crate::simulation::digest::Digest;
 use crate::simulation::inputs::{InputPlan, Inputs};
 use crate::simulation::options::SimulateOptions;
 use crate::simulation::outputs::{OutputContext, OutputPlan, Recorded, Selection, states};
-use crate::simulation::sharing::Sharing;
 use crate::simulation::variable_elements::Starts;
 use crate::sys::InterfaceKind;
 use jacobian::JacobianPlan;
@@ -52,13 +51,12 @@ pub struct SimulationPlan {
     pub(crate) unbounded: Vec<bool>,
     pub(crate) completed_step_not_needed: bool,
     pub(crate) kind: InterfaceKind,
-    pub(crate) sharing: Sharing,
     /// How the Jacobian can be had; empty for co-simulation.
     pub(crate) jacobian: JacobianPlan,
     /// The steps of co-simulation.
     pub(crate) communication: Option<Communication>,
-    /// Tells plans apart whose runs differ in more than values.
-    pub(crate) signature: u64,
+    /// One for all plans that differ in rows and inputs only.
+    family: Arc<()>,
     warned_of_nominals: AtomicBool,
 }
 
@@ -91,7 +89,7 @@ impl SimulationPlan {
         if let Some(communication) = &communication
             && let Some(message) = communication.check_rows(&grid, options.between_steps)?
         {
-            fmu.say_once("rows between steps", &message);
+            fmu.say_once(log::Level::Warn, "rows between steps", &message);
         }
         let method = options.method_options(&description.default_experiment);
         method.check()?;
@@ -104,7 +102,7 @@ impl SimulationPlan {
             && let Some(message) =
                 communication.check_inputs(&grid, inputs.stops_within(grid.start, grid.end))
         {
-            fmu.say_once("rows of inputs", &message);
+            fmu.say_once(log::Level::Warn, "rows of inputs", &message);
         }
         let has_events = kind == InterfaceKind::ModelExchange || interface.capabilities.uses_event_mode();
         let clocks = if has_events {
@@ -112,10 +110,6 @@ impl SimulationPlan {
         } else {
             ClockPlan::without_event_mode(description, &inputs.clocks, &options.clock_intervals)?
         };
-        let mut signature = Digest::default();
-        let interval = grid.times.get(1).map_or(0.0, |second| second - grid.times[0]);
-        let step = options.step_size.unwrap_or(0.0);
-        signature.note(&[grid.start, grid.end, grid.times.len() as f64, interval, step]);
         let values = RunValues::new(&starts, &options.parameters, &inputs.driven)?;
         let states = states(description, &structure);
         let n_states = structure.states(description);
@@ -148,9 +142,8 @@ impl SimulationPlan {
             },
             completed_step_not_needed: interface.capabilities.completed_integrator_step_not_needed,
             kind,
-            sharing: options.sharing,
             communication,
-            signature: signature.value(),
+            family: Arc::new(()),
             warned_of_nominals: AtomicBool::new(false),
         };
         plan.take_outputs(description, options.outputs.as_deref(), &states)?;
@@ -162,7 +155,7 @@ impl SimulationPlan {
     }
 
     /// The same simulation with other rows, and inputs of the same names with others. How it is integrated stays, communication
-    /// points too, and its runs count as those of this plan where runs are compared with each other.
+    /// points too, and a simulator of this plan can go on with it.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -170,7 +163,7 @@ impl SimulationPlan {
         Ok(Self {
             options: self.options.clone(),
             communication: self.communication.clone(),
-            signature: self.signature,
+            family: Arc::clone(&self.family),
             warned_of_nominals: AtomicBool::new(self.warned_of_nominals.load(Ordering::Relaxed)),
             ..Self::new(&self.fmu, options)?
         })
@@ -178,8 +171,7 @@ impl SimulationPlan {
 
     /// Whether a simulator of another plan can go on with this one: the same variables are set, in the same way, and recorded.
     pub(crate) fn fits(&self, other: &Self) -> bool {
-        self.fmu.path() == other.fmu.path()
-            && (self.kind, self.sharing, self.signature) == (other.kind, other.sharing, other.signature)
+        Arc::ptr_eq(&self.family, &other.family)
             && self.settings == other.settings
             && self.parameter_names() == other.parameter_names()
             && self.output_names() == other.output_names()

@@ -5,16 +5,12 @@ use crate::description::{Causality, ModelDescription, Structure, Value, Variable
 use crate::error::FmiError;
 use crate::instance::Core;
 use crate::instance::assignments::{self, Assignments, check_settable_at_start};
+use crate::libraries::Setting;
 use crate::simulation::inputs::InputPlan;
-use crate::simulation::variable_elements::{
-    FloatSlots, RunInput, StartValues, Starts, Unset, VariableElement,
-};
+use crate::simulation::variable_elements::{FloatSlots, RunInput, StartValues, Starts, VariableElement};
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::sync::Arc;
-
-/// A variable that a run sets: whether before the initialization (or in it, and later), its type, its reference.
-pub(crate) type Setting = (bool, VariableKind, u32);
 
 /// A value that each run is given.
 #[derive(Debug, Clone, Copy)]
@@ -203,22 +199,16 @@ impl RunValues {
         }
     }
 
-    /// Gives a fresh instance what is set besides the settings of the plan, its structure, start values (those of the plan
-    /// or others for the same variables) and parameters; `buffer` is used on the way.
+    /// Gives a fresh instance its structure, start values (those of the plan or others for the same variables) and parameters; `buffer` is used on the way.
     pub(crate) fn set_up(
         &self,
         core: &mut Core,
-        unset: &Unset,
         input: RunInput<'_>,
         buffer: &mut Vec<f64>,
     ) -> Result<(), FmiError> {
-        if !unset.structural.is_empty() {
-            core.configure(&unset.structural, &Structure::default())?;
-        }
         if !self.structure.is_default() {
             core.configure(&self.structural, &self.structure)?;
         }
-        core.apply(&unset.early)?;
         core.apply(&input.start.early)?;
         self.set_parameters(core, &self.parameter_slots, false, input.parameters, buffer)
     }

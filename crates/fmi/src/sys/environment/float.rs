@@ -114,6 +114,8 @@ mod control {
 mod tests {
     use super::super::{CallEnvironment, OneCall, restore_default};
     use super::*;
+    use crate::gate::Gate;
+    use std::sync::Arc;
 
     fn is_same(a: FloatMode, b: FloatMode) -> bool {
         (a.0.0 & 0xffc0, a.0.1) == (b.0.0 & 0xffc0, b.0.1)
@@ -121,6 +123,7 @@ mod tests {
 
     #[test]
     fn what_was_there_comes_back_and_calls_start_in_the_default_mode() {
+        let gate = Arc::new(Gate::default());
         let before = FloatMode::present();
         // Flush to zero, denormals are zero; x87 rounds up in double precision.
         let theirs = FloatMode((0x9fc0, 0x0a7f));
@@ -133,7 +136,7 @@ mod tests {
             assert!(FloatMode::present().is_default());
             assert!(std::hint::black_box(f64::MIN_POSITIVE) / std::hint::black_box(4.0) > 0.0);
             for mode in [theirs, unmasked] {
-                let call = OneCall::enter();
+                let call = OneCall::enter(&gate);
                 mode.set();
                 drop(call);
                 assert!(FloatMode::present().is_default());
@@ -148,7 +151,7 @@ mod tests {
         assert!(is_same(FloatMode::present(), theirs));
         {
             // Without anything around it.
-            let call = OneCall::enter();
+            let call = OneCall::enter(&gate);
             assert!(FloatMode::present().is_default());
             unmasked.set();
             drop(call);

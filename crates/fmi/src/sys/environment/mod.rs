@@ -1,5 +1,5 @@
-//! What a call into an FMU finds in its thread and its process, and must not leave behind: the floating-point mode, the
-//! locale, and how the process handles some signals.
+//! What a call into an FMU finds in its thread, and must not leave behind: the floating-point mode and the locale; and that no
+//! other thread is inside of the loaded library.
 //!
 //! Every call into an FMU starts in the default floating-point mode, and the mode is looked at after it, before any
 //! arithmetic of ours: what an FMU changes acts until its function returns, in every run alike, and exceptions that it
@@ -8,40 +8,75 @@
 
 mod float;
 mod locale;
-mod process;
 
-pub(crate) use process::look_now_and_then;
-
+use crate::gate::{Gate, Turn};
 use float::FloatMode;
 use std::cell::Cell;
 use std::marker::PhantomData;
+use std::ptr;
+use std::sync::Arc;
 
 thread_local! {
-    /// A `CallEnvironment` or a `OneCall` has set the thread up.
+    /// The thread is set up for calls.
     static IS_SET_UP: Cell<bool> = const { Cell::new(false) };
+    /// The gate of the library that this thread has entered last and is inside of; it is set up for calls then.
+    static ENTERED: Cell<*const Gate> = const { Cell::new(ptr::null()) };
 }
 
-/// Keeps the thread set up for calls into FMUs (default floating-point mode, C locale) and watches over what belongs to
-/// the process; what was there before is put back on drop. May be nested.
+/// The thread is set up for calls into FMUs (default floating-point mode, C locale); what was there before is put back on drop. May be
+/// nested.
 #[derive(Debug)]
 pub(crate) struct CallEnvironment {
     _thread: Option<ThreadSetup>,
-    _process: process::Watch,
 }
 
 impl CallEnvironment {
     pub(crate) fn enter() -> Self {
-        Self { _process: process::Watch::begin(), _thread: ThreadSetup::unless_done() }
+        Self { _thread: ThreadSetup::unless_done() }
     }
 }
 
-/// The same for one call, but for what belongs to the process: next to nothing inside of a [`CallEnvironment`].
-pub(super) struct OneCall(Option<ThreadSetup>);
+/// The thread is set up for calls, and no other one is inside of a loaded library while this lives. May be nested; the last one is
+/// dropped first.
+pub(crate) struct Inside {
+    before: *const Gate,
+    // Put back before others are let in.
+    _environment: CallEnvironment,
+    _turn: Turn,
+}
+
+impl Inside {
+    /// Waits until nobody else is inside.
+    pub(crate) fn enter(gate: &Arc<Gate>) -> Self {
+        Self::with(gate.enter(), gate)
+    }
+
+    /// The same, as long as `wait` (asked every 20 ms) says so.
+    pub(crate) fn enter_while(gate: &Arc<Gate>, wait: &mut dyn FnMut() -> bool) -> Option<Self> {
+        gate.enter_while(wait).map(|turn| Self::with(turn, gate))
+    }
+
+    fn with(turn: Turn, gate: &Arc<Gate>) -> Self {
+        let _environment = CallEnvironment::enter();
+        Self { before: ENTERED.replace(Arc::as_ptr(gate)), _environment, _turn: turn }
+    }
+}
+
+impl Drop for Inside {
+    fn drop(&mut self) {
+        ENTERED.set(self.before);
+        // Also where the thread had been set up before, within calls of another library.
+        restore_default();
+    }
+}
+
+/// The same for one call: next to nothing where the thread has entered the library.
+pub(super) struct OneCall(Option<Inside>);
 
 impl OneCall {
     #[inline]
-    pub(super) fn enter() -> Self {
-        Self(ThreadSetup::unless_done())
+    pub(super) fn enter(gate: &Arc<Gate>) -> Self {
+        Self(if ptr::eq(ENTERED.get(), Arc::as_ptr(gate)) { None } else { Some(Inside::enter(gate)) })
     }
 
     /// Ends it after somebody else has looked at the mode.

@@ -6,7 +6,7 @@ use super::slots::SavedStates;
 use crate::description::DependencyKind;
 use crate::error::{FmiError, LogLine, Status};
 use crate::sys::callbacks::Callbacks;
-use crate::sys::environment::{CallEnvironment, OneCall, restore_default};
+use crate::sys::environment::{Inside, OneCall, restore_default};
 use crate::sys::function::{Answer, Function, call};
 use crate::sys::functions::{CommonFunctions, Functions, GetVector, Plain, PointFunctions, derivative};
 use crate::sys::last_call;
@@ -79,10 +79,10 @@ impl std::fmt::Debug for RawInstance {
 impl RawInstance {
     /// Makes a component.
     pub(crate) fn new(library: &Arc<Library>, request: &Request<'_>, sizes: Sizes) -> Result<Self, FmiError> {
-        if library.shared().is_fatal() {
+        let _inside = Inside::enter(library.gate());
+        if library.is_fatal() {
             return Err(FmiError::LibraryUnusable { library: library.path().to_owned() });
         }
-        let _environment = CallEnvironment::enter();
         let callbacks = library.callbacks(request.log_filter);
         // SAFETY: the callbacks are never freed: they are leaked, or go back to the library.
         let (component, function) = unsafe {
@@ -100,7 +100,7 @@ impl RawInstance {
                 dropped,
             }));
         }
-        library.shared().set_used();
+        library.set_used();
         Ok(Self {
             component,
             fatal: None,
@@ -121,7 +121,7 @@ impl RawInstance {
 
     /// Whether a call of this instance, or of another of the same loaded copy of the library, returned `Fatal`.
     pub(crate) fn is_fatal(&self) -> bool {
-        self.fatal.is_some() || self.library.shared().is_fatal()
+        self.fatal.is_some() || self.library.is_fatal()
     }
 
     /// Makes it refuse calls after an `Error`, as the standard demands. Simulations look after that themselves: what a model
@@ -196,7 +196,7 @@ impl RawInstance {
             Status::Missing => return Err(Fault::Missing(function)),
             Status::Fatal => {
                 self.fatal = Some(function);
-                self.library.shared().set_fatal();
+                self.library.set_fatal();
             }
             Status::Error | Status::Unknown(_) if self.is_by_hand => self.failed = Some(function),
             Status::Error | Status::Pending | Status::Unknown(_) => {}
@@ -294,13 +294,10 @@ impl RawInstance {
     }
 
     pub(crate) fn terminate(&mut self) -> Outcome {
-        // Most often between two runs, where nobody else looks at the process.
-        let _environment = CallEnvironment::enter();
         self.plain(|functions| &functions.common.terminate)
     }
 
     pub(crate) fn reset(&mut self) -> Outcome {
-        let _environment = CallEnvironment::enter();
         (self.time, self.memory.is_step_repeated) = (None, false);
         self.recover(|raw| raw.plain(|functions| &functions.common.reset))
     }
@@ -429,7 +426,7 @@ impl RawInstance {
         self.callbacks.log().go_on();
         self.time = Some(time);
         last_call::note_time(time);
-        let one = OneCall::enter();
+        let one = OneCall::enter(self.library.gate());
         let _current = self.callbacks.enter();
         let c = self.component;
         let (mut looks_into, mut changes) = (self.to_look_into > 0, false);
@@ -474,13 +471,26 @@ fn zeros<T: Copy + Default>(n: usize) -> Option<Vec<T>> {
     Some(vector)
 }
 
-impl Drop for RawInstance {
-    fn drop(&mut self) {
-        if self.is_fatal() {
-            // Invariant 6: no further call, and what the component may still reach is leaked: library, callbacks, log.
+/// A component to be freed, with what it may reach.
+struct Left {
+    component: Component,
+    saved: SavedStates,
+    callbacks: Callbacks,
+    library: Arc<Library>,
+}
+
+// SAFETY: as for `RawInstance`, of which these are the parts.
+unsafe impl Send for Left {}
+
+impl Left {
+    /// Frees it. The thread is inside of the library.
+    fn free(mut self) {
+        if self.library.is_fatal() {
+            // A call of another instance has returned `Fatal` meanwhile.
+            std::mem::forget(self);
             return;
         }
-        let _environment = CallEnvironment::enter();
+        let _inside = Inside::enter(self.library.gate());
         let (functions, current) = (&self.library.functions.common, self.callbacks.enter());
         // SAFETY: the component is alive and made these states.
         unsafe { self.saved.free(&functions.free_state, self.component) };
@@ -490,10 +500,23 @@ impl Drop for RawInstance {
             unsafe { free(self.component) };
         }
         drop(current);
-        // SAFETY: both are given up once; the library last.
-        unsafe {
-            self.library.retire(ManuallyDrop::take(&mut self.callbacks));
-            ManuallyDrop::drop(&mut self.library);
+        self.library.retire(self.callbacks);
+    }
+}
+
+impl Drop for RawInstance {
+    fn drop(&mut self) {
+        if self.is_fatal() {
+            // Invariant 6: no further call, and what the component may still reach is leaked: library, callbacks, log.
+            return;
         }
+        // SAFETY: both are given up once.
+        let (callbacks, library) =
+            unsafe { (ManuallyDrop::take(&mut self.callbacks), ManuallyDrop::take(&mut self.library)) };
+        let saved = std::mem::take(&mut self.saved);
+        let left = Left { component: self.component, saved, callbacks, library };
+        let gate = Arc::clone(left.library.gate());
+        // Without waiting: who drops an instance may hold locks that the one who is inside waits for.
+        gate.when_free(move || left.free());
     }
 }

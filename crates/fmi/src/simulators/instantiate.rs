@@ -1,22 +1,22 @@
-//! Instances of an FMU, made in a loaded copy of its library.
+//! Instances of an FMU, made in its loaded library.
 
-use super::copies::LoadedCopy;
-use super::copy_use::CopyRequest;
-use super::lend::CopyLease;
-use super::restored_values::set_again;
-use crate::description::Variable;
+use crate::cancel::Cancel;
+use crate::description::QuirkKind;
 use crate::error::FmiError;
 use crate::fmu::Fmu;
-use crate::instance::{CoSimulation, Core, Instance, Instantiated, SetRecord};
+use crate::instance::{CoSimulation, Core, Instance, Instantiated};
+use crate::libraries::{LoadedLibrary, Setting};
 use crate::log::LogFilter;
 use crate::open_options::LogOptions;
-use crate::simulation::running::no_instance;
 use crate::sys::{InterfaceKind, Library, RawInstance, Request, Sizes};
 use std::ffi::CString;
 use std::sync::Arc;
 
-pub(super) const NO_EVENT_MODE: &str = "the description promises an event mode in co-simulation, the model refuses to be instantiated \
-                             with it: it is run without";
+const NO_EVENT_MODE: &str = "the description promises an event mode in co-simulation, the model refuses to be instantiated with it: it \
+                             is run without";
+
+const SO_OFTEN: &str =
+    "a loaded library can be instantiated only so often: simulations go on in newly loaded copies of it";
 
 /// How an instance is made.
 #[derive(Debug, Clone, Default)]
@@ -48,8 +48,8 @@ impl Fmu {
     /// # Errors
     /// As [`instantiate`](Self::instantiate).
     pub fn instantiate_with(&self, options: &InstanceOptions) -> Result<Instance<Instantiated>, FmiError> {
-        let (core, lease) = self.instantiate_by_hand(InterfaceKind::ModelExchange, options)?;
-        Ok(Instance::by_hand(core, Box::new(lease)))
+        let (core, library) = self.instantiate_by_hand(InterfaceKind::ModelExchange, options)?;
+        Ok(Instance::by_hand(core, library))
     }
 
     /// Makes a co-simulation instance. **This loads the library and runs its code.**
@@ -60,47 +60,26 @@ impl Fmu {
         &self,
         options: &InstanceOptions,
     ) -> Result<Instance<Instantiated, CoSimulation>, FmiError> {
-        let (core, lease) = self.instantiate_by_hand(InterfaceKind::CoSimulation, options)?;
-        Ok(Instance::by_hand(core, Box::new(lease)))
+        let (core, library) = self.instantiate_by_hand(InterfaceKind::CoSimulation, options)?;
+        Ok(Instance::by_hand(core, library))
     }
 
-    /// Makes an instance of either kind in a copy of the library that nobody else uses.
+    /// Makes an instance of either kind, and says in which loaded library.
     pub(crate) fn instantiate_by_hand(
         &self,
         kind: InterfaceKind,
         options: &InstanceOptions,
-    ) -> Result<(Core, CopyLease), FmiError> {
-        let store = self.store(kind)?;
-        self.running_root()?;
-        let request = CopyRequest::for_good(self, kind);
-        let is_new = |copy: &LoadedCopy| copy.record().keys().is_empty();
-        let make = |lease: CopyLease| -> Result<_, FmiError> {
-            lease.copy().free_idle();
-            let raw = self.instantiate_in(lease.library(), kind, options)?;
-            let mut core = Core::new(raw, self.clone());
-            let is_new = set_again(&mut core, kind, &lease);
-            Ok((core, lease, is_new))
-        };
-        let lease = store.lend(&request, &mut || true)?.ok_or_else(no_instance)?;
-        let (core, lease, is_as_new) = make(lease)?;
-        if is_as_new {
-            return Ok((core, lease));
-        }
-        match store.lend_if_free(&request, is_new) {
-            Some(other) => {
-                drop(core);
-                drop(lease);
-                make(other).map(|(core, lease, _)| (core, lease))
-            }
-            None => Ok((core, lease)),
-        }
+    ) -> Result<(Core, Arc<LoadedLibrary>), FmiError> {
+        let mut library = self.library(kind, None, &Cancel::default(), &mut || true)?;
+        let raw = self.instantiate_in(&mut library, (kind, None), options)?;
+        Ok((Core::new(raw, self.clone()), library))
     }
 
-    /// Makes an instance for simulations.
+    /// Makes an instance for simulations that set these variables.
     pub(crate) fn instantiate_for_runs(
         &self,
-        library: &Arc<Library>,
-        kind: InterfaceKind,
+        library: &mut Arc<LoadedLibrary>,
+        (kind, settings): (InterfaceKind, &[Setting]),
     ) -> Result<RawInstance, FmiError> {
         let LogOptions { asked, categories, filter, .. } = self.logging();
         let options = InstanceOptions {
@@ -109,18 +88,39 @@ impl Fmu {
             log_filter: *filter,
             ..InstanceOptions::default()
         };
-        self.instantiate_in(library, kind, &options)
+        self.instantiate_in(library, (kind, Some(settings)), &options)
     }
 
-    /// Makes an instance of either kind with this library, which is that of the FMU or a copy of it.
-    pub(crate) fn instantiate_in(
+    /// Makes an instance of either kind. Some models can be instantiated only so often in one loaded library: then another is loaded.
+    fn instantiate_in(
+        &self,
+        library: &mut Arc<LoadedLibrary>,
+        (kind, settings): (InterfaceKind, Option<&[Setting]>),
+        options: &InstanceOptions,
+    ) -> Result<RawInstance, FmiError> {
+        let is_used = library.is_used();
+        let refused = match self.instantiate_once(&library.functions(kind)?, kind, options) {
+            Err(refused @ FmiError::Call(_)) if is_used && !library.is_fatal() => refused,
+            outcome => return outcome,
+        };
+        self.give_up_library(library);
+        let Ok(other) = self.library(kind, settings, &Cancel::default(), &mut || true) else {
+            return Err(refused);
+        };
+        // Where that fails, too, it is not because the library was used.
+        let made = self.instantiate_once(&other.functions(kind)?, kind, options).map_err(|_| refused)?;
+        *library = other;
+        self.note_quirk(QuirkKind::Promise, SO_OFTEN);
+        Ok(made)
+    }
+
+    fn instantiate_once(
         &self,
         library: &Arc<Library>,
         kind: InterfaceKind,
         options: &InstanceOptions,
     ) -> Result<RawInstance, FmiError> {
         let interface = self.check_interface(kind)?;
-        let store = self.store(kind)?;
         let description = self.description();
         let text = |what: &str, text: &str| {
             CString::new(text)
@@ -129,13 +129,13 @@ impl Fmu {
         let name = text("name of the instance", options.name.as_deref().unwrap_or(&description.model_name))?;
         let guid = text("guid", &description.guid)?;
         // A cleaner of the folder for temporary files may have been there since the library was loaded.
-        let resources = store.resources_of(library.path(), self.running_root()?.join("resources"));
+        let resources = self.running_root()?.join("resources");
         let mut request = Request {
             name: &name,
             guid: &guid,
             resources: &resources,
             kind,
-            event_mode: interface.capabilities.uses_event_mode() && !store.verdict(kind).no_event_mode,
+            event_mode: interface.capabilities.uses_event_mode() && !self.verdict(kind).no_event_mode,
             early_return: interface.capabilities.may_return_early(),
             visible: options.visible,
             logging: options.logging,
@@ -149,8 +149,8 @@ impl Fmu {
         // Some models promise an event mode that they do not have.
         request.event_mode = false;
         let raw = RawInstance::new(library, &request, sizes).map_err(|_| refusal)?;
-        store.verdict(kind).no_event_mode = true;
-        log::warn!("{}: {NO_EVENT_MODE}", description.model_name);
+        self.verdict(kind).no_event_mode = true;
+        self.note_quirk(QuirkKind::Promise, NO_EVENT_MODE);
         self.with_log_categories(raw, options)
     }
 
@@ -165,11 +165,5 @@ impl Fmu {
         let mut core = Core::new(raw, self.clone());
         core.set_logging(true, &options.log_categories)?;
         Ok(core.raw)
-    }
-}
-
-impl SetRecord for CopyLease {
-    fn note_set(&self, variable: &Variable) {
-        self.copy().record().note([(variable.kind, variable.value_reference)]);
     }
 }

@@ -1,21 +1,21 @@
-//! The files of a copy of a library: a file of its own, for which the loader makes static variables of its own, and around it
-//! what the library may look for from where it lies.
+//! The files of a private copy of a library: a file of its own, for which the loader makes static variables of its own, and around
+//! it what the library may look for from where it lies.
 
 use super::source::Source;
-use crate::archive::{PrivateFolder, files_below};
+use crate::archive::PrivateFolder;
 use crate::error::FmiError;
-use crate::platform::{self, BinaryHeader};
+use crate::platform::{self, BinaryHeader, check_length};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Copies the library into a folder of its own, with or without the resources; its path there, and the folder. Blocks are shared where the file system can
+/// Copies the library into a folder of its own; its path there, and the folder. Blocks are shared where the file system can
 /// ([`fs::copy`] clones).
 ///
 /// # Errors
 /// The system refuses; the library was written over since it was loaded first.
-pub(super) fn copy(source: &Source, with_resources: bool) -> Result<(PathBuf, PrivateFolder), FmiError> {
+pub(super) fn copy(source: &Source) -> Result<(PathBuf, PrivateFolder), FmiError> {
     let folder = PrivateFolder::create()?;
-    let path = fill(source, folder.path(), with_resources)?;
+    let path = fill(source, folder.path())?;
     Ok((path, folder))
 }
 
@@ -25,12 +25,12 @@ pub(super) fn copy(source: &Source, with_resources: bool) -> Result<(PathBuf, Pr
 /// As [`copy`]; something else has its place.
 pub(super) fn restore(path: &Path, source: &Source) -> Result<PrivateFolder, FmiError> {
     let folder = PrivateFolder::create_again(root_of(path, source))?;
-    fill(source, folder.path(), false)?;
+    fill(source, folder.path())?;
     Ok(folder)
 }
 
 /// The folder of the copy at `path`.
-pub(super) fn root_of<'a>(path: &'a Path, source: &Source) -> &'a Path {
+fn root_of<'a>(path: &'a Path, source: &Source) -> &'a Path {
     source.place().components().fold(path, |path, _| path.parent().unwrap_or(path))
 }
 
@@ -41,7 +41,7 @@ pub(super) fn has_company(source: &Source) -> bool {
         && (source.root.join("resources").is_dir() || beside.is_some_and(|entries| entries.count() > 1))
 }
 
-fn fill(source: &Source, root: &Path, with_resources: bool) -> Result<PathBuf, FmiError> {
+fn fill(source: &Source, root: &Path) -> Result<PathBuf, FmiError> {
     source.check_unchanged()?;
     let path = root.join(source.place());
     let target = path.parent().unwrap_or(root);
@@ -51,25 +51,10 @@ fn fill(source: &Source, root: &Path, with_resources: bool) -> Result<PathBuf, F
         place_beside(&source.library, target)?;
     }
     let (resources, place) = (source.root.join("resources"), root.join("resources"));
-    if with_resources {
-        copy_folder(&resources, &place)?;
-    } else if source.is_inside() && resources.is_dir() {
+    if source.is_inside() && resources.is_dir() {
         platform::link_folder(&resources, &place).map_err(FmiError::io("link", &place))?;
     }
     Ok(path)
-}
-
-/// Copies the files below a folder, which need not be there.
-fn copy_folder(from: &Path, to: &Path) -> Result<(), FmiError> {
-    fs::create_dir_all(to).map_err(FmiError::io("create", to))?;
-    let files = if from.is_dir() { files_below(from, u64::MAX)? } else { Vec::new() };
-    for (name, path) in files {
-        let target = to.join(name);
-        let folder = target.parent().unwrap_or(to);
-        fs::create_dir_all(folder).map_err(FmiError::io("create", folder))?;
-        fs::copy(&path, &target).map_err(FmiError::io("copy to", &target))?;
-    }
-    Ok(())
 }
 
 /// Places what lies beside the library beside its copy: libraries as copies, which the loader takes for others when they are
@@ -87,6 +72,7 @@ fn place_beside(library: &Path, target: &Path) -> Result<(), FmiError> {
         let placed = if from.is_dir() {
             platform::link_folder(&from, &to)
         } else if matches!(BinaryHeader::read(&from), Ok(Some(_))) {
+            check_length(&from)?;
             copied()
         } else {
             fs::hard_link(&from, &to).or_else(|_| copied())

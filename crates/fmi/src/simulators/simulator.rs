@@ -1,29 +1,33 @@
-//! One worker's simulator: a plan, a live instance, a driver and buffers, run as often as one likes.
+//! A plan, a live instance, a driver and buffers, run as often as one likes.
 
-use super::runner::{RunnerGuard, SharedRunner};
+use super::check::FirstRun;
 use crate::description::Value;
 use crate::error::FmiError;
-use crate::simulation::plan::SimulationPlan;
+use crate::libraries::LoadedLibrary;
+use crate::libraries::Reuse;
+use crate::simulation::engine::Engine;
+use crate::simulation::plan::{ReadBackBuffers, SimulationPlan};
 use crate::simulation::trajectory::{Recorder, Trajectory};
 use crate::simulation::variable_elements::{VariableElement, element_value};
+use crate::sys::RawInstance;
 use ode::{Observer, Report};
 use std::cell::Cell;
 use std::marker::PhantomData;
 use std::ops::ControlFlow;
 use std::sync::Arc;
+use std::time::Instant;
 
-/// Runs one plan over and over, each time from a freshly reset instance: the same parameters give the same bits, whatever
+/// Runs one plan over and over, each time from the start of the model: the same parameters give the same bits, whatever
 /// was run before. One thread at a time uses it ([`Send`], not `Sync`); when warm, a run allocates nothing.
 ///
-/// At the first run it gets a loaded copy of the FMU's library of its own (see [`Sharing`](crate::Sharing)); the copy goes on to others when the
-/// simulator is dropped. Where there can be only one, it goes to whoever runs next, and the values of this simulator's
-/// last run are gone then ([`FmiError::Disturbed`]).
+/// All simulators and instances of an [`Fmu`](crate::Fmu) and its clones are in one loaded library, which nobody else has; one thread at a
+/// time is inside of it. A run waits until others are over, and its observer is polled meanwhile.
 ///
-/// Before an instance is used again, the way of resetting it is put to the test: the first steps
-/// must have the same bits as on a new instance, also after a run with other values, or from then on the next way is taken
-/// (see [`Reuse`](crate::Reuse): a saved state, the reset function, a new instance for every run). Parameters and start values are set
-/// again for every run, and read back from an instance that was used before; so are variables that others have set in the
-/// same copy of the library before, to what they are in a new one.
+/// Runs have new instances at first. When a tenth of the time that they took is enough to put a way of bringing an instance back to the
+/// test, that is done: the first steps must have the same bits as on a new instance, also after a run with other
+/// values, or the next way is tried later (see [`Reuse`](crate::Reuse): a saved state, the reset function, a new instance for every run).
+/// What the test takes is in [`Stats::checks`](ode::Stats::checks). Parameters and start values are set
+/// again for every run, and read back from an instance that was used before.
 ///
 /// ```compile_fail
 /// fn shared_between_threads<T: Sync>() {}
@@ -31,8 +35,18 @@ use std::sync::Arc;
 /// ```
 #[derive(Debug)]
 pub struct Simulator {
-    plan: Arc<SimulationPlan>,
-    shared: Arc<SharedRunner>,
+    pub(super) plan: Arc<SimulationPlan>,
+    pub(super) engine: Engine,
+    /// A new or reset instance that has not been used yet.
+    pub(super) fresh: Option<RawInstance>,
+    pub(super) buffers: ReadBackBuffers,
+    /// When the start of the present run began.
+    pub(super) began: Instant,
+    /// In which its instances are, from the first run on.
+    pub(super) library: Option<Arc<LoadedLibrary>>,
+    /// The way of bringing its instances back that has passed the test.
+    pub(super) proven: Option<Reuse>,
+    pub(super) first: Option<Box<FirstRun>>,
     /// Calls come from one thread at a time.
     _not_sync: PhantomData<Cell<()>>,
 }
@@ -43,18 +57,17 @@ impl Simulator {
     /// # Errors
     /// Options of the method that cannot be used.
     pub fn new(plan: Arc<SimulationPlan>) -> Result<Self, FmiError> {
-        let shared = SharedRunner::new(Arc::clone(&plan))?;
-        Ok(Self { plan, shared, _not_sync: PhantomData })
-    }
-
-    /// Uses what runs the plan.
-    pub(crate) fn runner(&mut self) -> RunnerGuard<'_> {
-        self.shared.enter()
-    }
-
-    /// Keeps its copy of the library between runs, or lets others have it.
-    pub(crate) fn pin(&mut self, pinned: bool) {
-        self.shared.pin(pinned);
+        Ok(Self {
+            engine: Engine::new(&plan)?,
+            plan,
+            fresh: None,
+            buffers: ReadBackBuffers::default(),
+            began: Instant::now(),
+            library: None,
+            proven: None,
+            first: None,
+            _not_sync: PhantomData,
+        })
     }
 
     /// The plan.
@@ -69,31 +82,35 @@ impl Simulator {
     /// As [`new`](Self::new).
     pub fn set_plan(&mut self, plan: Arc<SimulationPlan>) -> Result<(), FmiError> {
         if self.plan.fits(&plan) {
-            self.runner().set_plan(&plan);
+            self.use_plan(&plan);
         } else {
-            self.shared = SharedRunner::new(Arc::clone(&plan))?;
+            *self = Self::new(plan)?;
         }
-        self.plan = plan;
         Ok(())
+    }
+
+    /// Goes on with a plan that fits.
+    pub(super) fn use_plan(&mut self, plan: &Arc<SimulationPlan>) {
+        self.plan = Arc::clone(plan);
+        self.engine.running().set_plan(Arc::clone(plan));
     }
 
     /// Simulates once, with these values for the plan's parameters, and hands the samples to `observer`.
     ///
-    /// Where all copies of the library that there can be are in simulations, waits for one of them to end; `observer` is
-    /// polled meanwhile.
+    /// Where another thread is in a simulation of the same [`Fmu`](crate::Fmu), waits for it to end; `observer` is
+    /// polled meanwhile, and no longer than the time limit of the simulation.
     ///
-    /// The seconds of the report count from resetting the model; loading, waiting and the trial runs before a
-    /// first use do not count. Those inside the model are in calls of the FMU (of calls that take less than 1 us only
+    /// The seconds of the report count from resetting the model, and those of a test of the ways of that are among them; loading and
+    /// waiting do not count. Those inside the model are in calls of the FMU (of calls that take less than 1 us only
     /// some are timed) and do not include input functions ([`Inputs::function`](crate::Inputs::function)).
     ///
     /// # Errors
-    /// A value is not finite, or there are not as many as parameters; the FMU cannot be loaded or instantiated
-    /// ([`FmiError::NoCopy`]: not any more, or not now); the FMU or the integration fails. The simulator can be used again
+    /// A value is not finite, or there are not as many as parameters; the FMU cannot be loaded or instantiated; the FMU or the
+    /// integration fails. The simulator can be used again
     /// after an error: a broken instance is replaced, after `Fatal` in a newly loaded copy of the library.
-    /// [`FmiError::FailedByHistory`]: make the run again, with a new observer.
     pub fn run(&mut self, parameters: &[f64], observer: &mut dyn Observer) -> Result<Report, FmiError> {
         self.plan.values.check_parameters(parameters)?;
-        self.runner().run(parameters, observer)
+        self.run_checked(parameters, observer)
     }
 
     /// Simulates once and records all samples.
@@ -113,17 +130,10 @@ impl Simulator {
         parameters: &[f64],
         poll: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<Trajectory, FmiError> {
-        self.plan.values.check_parameters(parameters)?;
         let plan = Arc::clone(&self.plan);
-        let mut runner = self.runner();
-        let (recorder, report) = loop {
-            let mut recorder = Recorder::new(&plan, &mut *poll)?;
-            match runner.run(parameters, &mut recorder) {
-                Err(FmiError::FailedByHistory { .. }) => {}
-                outcome => break (recorder, outcome?),
-            }
-        };
-        let running = runner.engine.running();
+        let mut recorder = Recorder::new(&plan, poll)?;
+        let report = self.run(parameters, &mut recorder)?;
+        let running = self.engine.running();
         let ticks = running.take_ticks();
         let table = std::mem::take(&mut running.buffers.table);
         Ok(recorder.finish(&plan, table, ticks, report))
@@ -133,12 +143,12 @@ impl Simulator {
     /// step before).
     ///
     /// # Errors
-    /// There is no such variable, nothing was run yet, the run failed, or the FMU refuses; [`FmiError::Disturbed`].
+    /// There is no such variable, nothing was run yet, the run failed, or the FMU refuses.
     pub fn value(&mut self, name: &str) -> Result<Value, FmiError> {
         let plan = Arc::clone(&self.plan);
         let description = plan.fmu().description();
         let place = VariableElement::of_name(description, plan.structure(), name)?;
-        let value = self.runner().value(&description.variables[place.variable])?;
+        let value = self.engine.value(&description.variables[place.variable])?;
         Ok(element_value(value, place.element))
     }
 
@@ -155,6 +165,6 @@ impl Simulator {
     /// Brings the FMU to its start without simulating: afterwards [`value`](Self::value) gives initial values.
     pub(crate) fn initialize_only(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
         self.plan.values.check_parameters(parameters)?;
-        self.runner().initialize_only(parameters)
+        self.initialize_checked(parameters)
     }
 }

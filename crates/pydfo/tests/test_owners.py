@@ -15,26 +15,10 @@ PATIENCE = 60.0
 ONCE = ('modelIdentifier="dahlquist"', 'modelIdentifier="dahlquist" canBeInstantiatedOnlyOncePerProcess="true"')
 
 
-def decay(model, **options):
+def decay(model):
     t = np.linspace(0.0, 1.5, 4)
     parameters = [pydfo.Parameter("k", 1.0, 0.1, 10.0)]
-    return pydfo.Calibration(model, {"time": t, "x": np.exp(-2 * t)}, outputs=["x"], parameters=parameters, **options)
-
-
-def test_a_wrong_way_of_sharing_is_a_value_error_that_lists_the_right_ones():
-    with pytest.raises(ValueError, match='"copies", "serial", "together"'):
-        decay(example_fmu("dahlquist"), sharing="private")
-    with pytest.raises(TypeError, match="sharing"):
-        decay(example_fmu("dahlquist"), sharing=1)
-
-
-def test_the_fit_is_the_same_however_the_library_is_shared():
-    fits = [
-        decay(example_fmu("dahlquist"), sharing=sharing).fit(workers=workers, batch="serial")
-        for sharing in ("copies", "serial", "together")
-        for workers in (1, 3)
-    ]
-    assert all(fit.x.tobytes() == fits[0].x.tobytes() and fit.nfev == fits[0].nfev for fit in fits)
+    return pydfo.Calibration(model, {"time": t, "x": np.exp(-2 * t)}, outputs=["x"], parameters=parameters)
 
 
 def test_a_model_that_was_simulated_can_be_calibrated_whatever_the_flag_says(tmp_path):
@@ -49,7 +33,6 @@ def test_a_model_that_was_simulated_can_be_calibrated_whatever_the_flag_says(tmp
     assert calibration.cost([2.5]) == cost
     assert model.get("x") == first["x"][-1]
     assert fmus.same_bits(model.simulate(final_time=1.0), first)
-    assert model.sharing == "copies"
 
 
 def test_what_one_model_sets_does_not_reach_another():

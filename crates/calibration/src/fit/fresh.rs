@@ -1,0 +1,81 @@
+//! The best point of a fit, evaluated again in a process that was never asked before: whether its cost depends on what ran before it.
+
+use crate::calibration::Calibration;
+use crate::no_cost::NoCost;
+use crate::remote::Remote;
+use crate::residual::CostRule;
+use dfo::RobustLoss;
+use ode::Stats;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+/// What a fresh process gave.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Fresh {
+    /// The same bits, or nothing that says anything.
+    Same,
+    /// Other bits, the same in two such processes.
+    Other,
+    /// Other bits in each.
+    Random,
+}
+
+impl Calibration {
+    /// Does `work` while a point is evaluated again; `best`: the point, and its residuals as they count. Where these are others, each
+    /// evaluation has a process of its own from now on.
+    pub(super) fn beside_fresh_process<T>(
+        &self,
+        (best, loss): (Option<(&[f64], &[f64])>, RobustLoss),
+        cancelled: &dyn Fn() -> bool,
+        work: impl FnOnce() -> T,
+    ) -> (T, Fresh) {
+        let remote = self.evaluator().remote.as_ref().ok().filter(|remote| !remote.is_always_fresh());
+        let (Some(remote), Some(best), false) = (remote, best, cancelled()) else { return (work(), Fresh::Same) };
+        let is_over = AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            let check = scope.spawn(|| self.again(remote, best, loss, &|| is_over.load(Ordering::Relaxed)));
+            let done = work();
+            while !check.is_finished() {
+                if cancelled() {
+                    is_over.store(true, Ordering::Relaxed);
+                }
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            (done, check.join().unwrap_or(Fresh::Same))
+        })
+    }
+
+    fn again(
+        &self,
+        remote: &Remote,
+        (x, known): (&[f64], &[f64]),
+        loss: RobustLoss,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Fresh {
+        // The bits of the residuals, none of a point that fails; `Err`: nothing was found out.
+        let residuals = || -> Result<Option<Vec<u64>>, ()> {
+            let rule = CostRule::whole(loss, cancelled);
+            let mut residuals = vec![0.0; self.n_residuals()];
+            let method = self.method_until(cancelled).map_err(drop)?;
+            let asked = (None, true);
+            match remote.evaluate((x, method), rule, asked, &mut residuals, &mut Stats::default()) {
+                Ok(_) => Ok(Some(residuals.iter().map(|residual| residual.to_bits()).collect())),
+                Err(NoCost::Failed { .. }) => Ok(None),
+                Err(_) => Err(()),
+            }
+        };
+        let known = Some(known.iter().map(|residual| residual.to_bits()).collect::<Vec<_>>());
+        let Ok(first) = residuals() else { return Fresh::Same };
+        if first == known {
+            return Fresh::Same;
+        }
+        match residuals() {
+            Ok(second) if second == first => {
+                remote.set_always_fresh();
+                Fresh::Other
+            }
+            Ok(_) => Fresh::Random,
+            Err(()) => Fresh::Same,
+        }
+    }
+}

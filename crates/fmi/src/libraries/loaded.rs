@@ -1,0 +1,162 @@
+//! A loaded copy of a library: one file with static variables of its own, for both ways of running the model.
+
+use super::files;
+use super::source::Source;
+use crate::error::FmiError;
+use crate::gate::Gate;
+use crate::sys::{InterfaceKind, Library, LoadFrom};
+use crate::value::VariableKind;
+use std::any::Any;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// What keeps the folder of a copy on the disk.
+pub(super) type FolderOwner = Arc<dyn Any + Send + Sync>;
+
+/// A variable that runs set: whether before the initialization (or in it, and later), its type, its reference.
+pub(crate) type Setting = (bool, VariableKind, u32);
+
+/// A loaded copy of a library.
+pub(crate) struct LoadedLibrary {
+    path: PathBuf,
+    /// What was ever set in it, sorted; `None`: anything, by hand.
+    set: Mutex<Option<Vec<Setting>>>,
+    gate: Arc<Gate>,
+    /// One function table for each way of running the model, over the same static variables.
+    tables: [Mutex<Option<Arc<Library>>>; 2],
+    /// After the tables: a library that is unloaded takes its folder with it.
+    folder: Mutex<Option<FolderOwner>>,
+}
+
+impl std::fmt::Debug for LoadedLibrary {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "LoadedLibrary({})", self.path.display())
+    }
+}
+
+impl LoadedLibrary {
+    /// A copy that is not loaded yet: of the file in a folder of its own, or the file itself, where nobody else has `owner`'s folder.
+    ///
+    /// # Errors
+    /// The file cannot be copied.
+    pub(super) fn of(source: &Source, owner: Option<FolderOwner>) -> Result<Self, FmiError> {
+        let (path, folder) = match owner {
+            Some(owner) => (source.library.clone(), owner),
+            None => {
+                let (path, folder) = files::copy(source)?;
+                (path, Arc::new(folder) as FolderOwner)
+            }
+        };
+        let (gate, tables) = (source.gate(), Default::default());
+        Ok(Self { path, set: Mutex::new(Some(Vec::new())), gate, tables, folder: Mutex::new(Some(folder)) })
+    }
+
+    /// How much of what a user sets was set in it before (`None`: users set anything, by hand); no answer where something else was.
+    pub(super) fn n_set_of(&self, settings: Option<&[Setting]>) -> Option<usize> {
+        match (&*self.set.lock().unwrap_or_else(PoisonError::into_inner), settings) {
+            (None, None) => Some(1),
+            (Some(set), None) => set.is_empty().then_some(0),
+            (None, Some(_)) => None,
+            (Some(set), Some(settings)) => {
+                set.iter().all(|one| settings.binary_search(one).is_ok()).then_some(set.len())
+            }
+        }
+    }
+
+    /// Notes what a user sets in it.
+    pub(super) fn note_set(&self, settings: Option<&[Setting]>) {
+        let mut set = self.set.lock().unwrap_or_else(PoisonError::into_inner);
+        *set = match (set.take(), settings) {
+            (Some(mut set), Some(settings)) => {
+                set.extend_from_slice(settings);
+                set.sort_unstable();
+                set.dedup();
+                Some(set)
+            }
+            _ => None,
+        };
+    }
+
+    /// The functions for one way of running the model, loaded by `open` if they are not yet.
+    ///
+    /// # Errors
+    /// Those of `open`.
+    pub(super) fn ensure_table(
+        &self,
+        kind: InterfaceKind,
+        open: impl FnOnce(LoadFrom<'_>) -> Result<Library, FmiError>,
+    ) -> Result<(), FmiError> {
+        if self.table(kind).is_some() {
+            return Ok(());
+        }
+        let known = [InterfaceKind::ModelExchange, InterfaceKind::CoSimulation];
+        let other = known.into_iter().find_map(|kind| self.table(kind).clone());
+        let library = match &other {
+            Some(other) => open(LoadFrom::Loaded(other))?,
+            None => open(LoadFrom::File(&self.path, &self.gate))?,
+        };
+        *self.table(kind) = Some(Arc::new(library));
+        Ok(())
+    }
+
+    fn table(&self, kind: InterfaceKind) -> MutexGuard<'_, Option<Arc<Library>>> {
+        self.tables[kind as usize].lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The functions for one way of running the model.
+    ///
+    /// # Errors
+    /// They were never loaded.
+    pub(crate) fn functions(&self, kind: InterfaceKind) -> Result<Arc<Library>, FmiError> {
+        self.table(kind).clone().ok_or_else(|| FmiError::LibraryUnusable { library: self.path.clone() })
+    }
+
+    /// Who is inside of it has a turn of this.
+    pub(crate) fn gate(&self) -> &Arc<Gate> {
+        &self.gate
+    }
+
+    fn any(&self, holds: impl Fn(&Library) -> bool) -> bool {
+        self.tables
+            .iter()
+            .any(|table| table.lock().unwrap_or_else(PoisonError::into_inner).as_deref().is_some_and(&holds))
+    }
+
+    /// Whether a call has returned `Fatal`: it is never used again.
+    pub(crate) fn is_fatal(&self) -> bool {
+        self.any(Library::is_fatal)
+    }
+
+    /// Whether an instance was ever made in it.
+    pub(crate) fn is_used(&self) -> bool {
+        self.any(Library::is_used)
+    }
+
+    /// Has it unloaded when nobody uses it any more. The caller knows that it can be.
+    pub(super) fn unload_when_unused(&self) {
+        self.any(|library| {
+            library.unload_when_unused();
+            false
+        });
+    }
+
+    /// Lets the folder go. What is loaded stays.
+    pub(super) fn release_folder(&self) {
+        let folder = self.folder.lock().unwrap_or_else(PoisonError::into_inner).take();
+        drop(folder);
+    }
+
+    /// Makes the folder again, as far as the library could miss it.
+    pub(super) fn ensure_folder(&self, source: &Source) {
+        let mut folder = self.folder.lock().unwrap_or_else(PoisonError::into_inner);
+        if folder.is_some() || !files::has_company(source) {
+            return;
+        }
+        match files::restore(&self.path, source) {
+            Ok(again) => *folder = Some(Arc::new(again)),
+            Err(error) => {
+                log::warn!("the folder of a loaded library has gone and cannot be made again: {error}")
+            }
+        }
+    }
+}

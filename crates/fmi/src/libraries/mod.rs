@@ -1,0 +1,198 @@
+//! The loaded libraries of an open FMU, which nobody else has: private copies of its files, loaded when they are first needed.
+//!
+//! Some tools keep parameters in static variables, which neither reset nor a new instance renews (Simulink): so a simulator has a copy
+//! in which nothing was set that it does not set, and instances made by hand have one of theirs.
+//!
+//! With the FMU a copy is unloaded, where its file shows that nothing of it can be called later; others are kept for as long as
+//! the process lives, and whoever opens an FMU of the same content next has them.
+
+mod files;
+mod loaded;
+mod source;
+mod verdict;
+
+pub(crate) use loaded::{LoadedLibrary, Setting};
+pub use verdict::Reuse;
+pub(crate) use verdict::Verdict;
+
+use crate::archive::Archive;
+use crate::error::FmiError;
+use crate::gate::Gate;
+use crate::sys::{InterfaceKind, Library, LoadFrom, LoaderOptions};
+use source::Source;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// The loaded libraries of an open FMU, and what is known of its instances.
+#[derive(Debug, Default)]
+pub(crate) struct Libraries {
+    /// The file for each way of running the model; found when it is first needed.
+    sources: [Mutex<Option<Arc<Source>>>; 2],
+    loaded: Mutex<Vec<Loaded>>,
+    /// Files of the FMU's own private folder that are loaded as they are.
+    originals: Mutex<Vec<PathBuf>>,
+    verdicts: [Mutex<Verdict>; 2],
+    /// Who builds, finds or loads a library has a turn.
+    making: Arc<Gate>,
+}
+
+type Loaded = (Arc<Source>, Arc<LoadedLibrary>);
+
+/// Copies that cannot be unloaded and that nobody has.
+static KEPT: Mutex<Vec<Loaded>> = Mutex::new(Vec::new());
+
+/// Copies of the libraries of one FMU.
+const MOST: usize = 16;
+
+/// A copy in which nothing was set before that is none of these settings.
+fn take_kept(source: &Source, settings: Option<&[Setting]>) -> Option<Arc<LoadedLibrary>> {
+    let mut kept = lock(&KEPT);
+    let serves = |(of, library): &Loaded| of.is_same(source) && library.n_set_of(settings).is_some();
+    let place = kept.iter().position(serves)?;
+    let (_, library) = kept.swap_remove(place);
+    drop(kept);
+    library.ensure_folder(source);
+    Some(library)
+}
+
+/// What a library is needed for.
+#[derive(Clone, Copy)]
+pub(crate) struct Wanted<'a> {
+    pub(crate) kind: InterfaceKind,
+    /// Everything that is going to be set, sorted; `None`: anything, by hand.
+    pub(crate) settings: Option<&'a [Setting]>,
+    /// One that nobody uses: there can be one instance in it only.
+    pub(crate) only_one: bool,
+}
+
+/// What makes a library that is needed.
+pub(crate) struct Maker<'a> {
+    pub(crate) archive: &'a Arc<Archive>,
+    pub(crate) loader: LoaderOptions,
+    /// Finds the file, or builds it; with the folder of the FMU.
+    pub(crate) find: &'a dyn Fn() -> Result<(PathBuf, PathBuf), FmiError>,
+    pub(crate) open: &'a dyn Fn(LoadFrom<'_>) -> Result<Library, FmiError>,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Libraries {
+    /// What is known about bringing back one kind of instances.
+    pub(crate) fn verdict(&self, kind: InterfaceKind) -> MutexGuard<'_, Verdict> {
+        lock(&self.verdicts[kind as usize])
+    }
+
+    /// A loaded copy of the library. Where another thread is making one, waits as long as `wait` (asked every 20 ms) says so. No lock is
+    /// held meanwhile.
+    ///
+    /// # Errors
+    /// Those of the maker; the file cannot be copied; [`FmiError::Cancelled`].
+    pub(crate) fn get(
+        &self,
+        wanted: Wanted<'_>,
+        maker: &Maker<'_>,
+        wait: &mut dyn FnMut() -> bool,
+    ) -> Result<Arc<LoadedLibrary>, FmiError> {
+        let Wanted { kind, settings, only_one } = wanted;
+        let _turn = self.making.enter_while(wait).ok_or(FmiError::Cancelled)?;
+        let known = lock(&self.sources[kind as usize]).clone();
+        let source = match known {
+            Some(source) => source,
+            None => {
+                let source = Arc::new(Source::new((maker.find)()?, maker.archive, maker.loader)?);
+                Arc::clone(lock(&self.sources[kind as usize]).insert(source))
+            }
+        };
+        let known = self.find(&source, settings, only_one);
+        let is_known = known.is_some();
+        let library = match known.or_else(|| take_kept(&source, settings)) {
+            Some(library) => library,
+            None => {
+                source.check_unchanged()?;
+                let owner =
+                    self.takes_original(&source, maker.archive).then(|| Arc::clone(maker.archive) as _);
+                Arc::new(LoadedLibrary::of(&source, owner)?)
+            }
+        };
+        library.ensure_table(kind, maker.open)?;
+        library.note_set(settings);
+        if !is_known {
+            lock(&self.loaded).push((source, Arc::clone(&library)));
+        }
+        Ok(library)
+    }
+
+    /// A loaded copy that serves, the one in which most of the settings were set before. One that nobody uses and that does not serve
+    /// goes, if it can be unloaded.
+    fn find(
+        &self,
+        source: &Arc<Source>,
+        settings: Option<&[Setting]>,
+        only_one: bool,
+    ) -> Option<Arc<LoadedLibrary>> {
+        let is_unused = |library: &Arc<LoadedLibrary>| Arc::strong_count(library) == 1;
+        let mut loaded = lock(&self.loaded);
+        loaded.retain(|(_, library)| !library.is_fatal());
+        let of_source =
+            loaded.iter().filter(|(of, library)| of.is_same(source) && (!only_one || is_unused(library)));
+        let rated = of_source.filter_map(|(_, library)| Some((library.n_set_of(settings)?, library)));
+        let found = rated.max_by_key(|(n, _)| *n).map(|(_, library)| Arc::clone(library));
+        if found.is_some() {
+            return found;
+        }
+        let n_loaded = loaded.len();
+        let gone: Vec<Loaded> = loaded
+            .extract_if(.., |(of, library)| of.is_same(source) && of.may_unload() && is_unused(library))
+            .collect();
+        // Beyond a number of copies models are taken at their word.
+        let first =
+            loaded.first().filter(|_| n_loaded >= MOST && !only_one).map(|(_, library)| Arc::clone(library));
+        drop(loaded);
+        gone.iter().for_each(|(_, library)| library.unload_when_unused());
+        first
+    }
+
+    /// Whether the file itself is to be loaded: it is in a folder that nobody else has, and is not loaded yet.
+    fn takes_original(&self, source: &Source, archive: &Archive) -> bool {
+        if !(archive.is_private() && source.is_inside()) {
+            return false;
+        }
+        let mut originals = lock(&self.originals);
+        let is_new = !originals.contains(&source.library);
+        originals.extend(is_new.then(|| source.library.clone()));
+        is_new
+    }
+
+    /// Uses a library no more.
+    pub(crate) fn give_up(&self, library: &Arc<LoadedLibrary>) {
+        let given_up: Vec<Loaded> =
+            lock(&self.loaded).extract_if(.., |(_, known)| Arc::ptr_eq(known, library)).collect();
+        given_up
+            .iter()
+            .filter(|(source, _)| source.may_unload())
+            .for_each(|(_, library)| library.unload_when_unused());
+    }
+}
+
+impl Drop for Libraries {
+    fn drop(&mut self) {
+        let mut has_state = |kind: usize| {
+            let verdict = self.verdicts[kind].get_mut().unwrap_or_else(PoisonError::into_inner);
+            verdict.reuse == Some(Reuse::NewProcess)
+        };
+        let is_kept = !has_state(0) && !has_state(1);
+        for (source, library) in std::mem::take(&mut *lock(&self.loaded)) {
+            if library.is_fatal() {
+                continue;
+            }
+            if source.may_unload() {
+                library.unload_when_unused();
+            } else if is_kept {
+                library.release_folder();
+                lock(&KEPT).push((source, library));
+            }
+        }
+    }
+}

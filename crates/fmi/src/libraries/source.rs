@@ -1,0 +1,104 @@
+//! Where the library of an FMU is found, and what is known about its content in this process.
+
+use crate::archive::Archive;
+use crate::error::FmiError;
+use crate::gate::Gate;
+use crate::platform::{self, FileIdentity, FilePlace};
+use crate::sys::LoaderOptions;
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+/// What tells one library from another.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+enum Key {
+    /// Of an archive: its fingerprint, and the place in it.
+    Content(String, PathBuf, LoaderOptions),
+    /// Of a folder, which may be edited: the file.
+    File(FilePlace, FileIdentity, LoaderOptions),
+}
+
+/// What all loaded copies of one library have in common, whoever has opened the FMU.
+#[derive(Debug, Default)]
+struct Content {
+    /// Copies can be unloaded, and share nothing with each other; read from the file when it is first needed.
+    may_unload: OnceLock<bool>,
+    /// The gate of all copies that may share variables with each other.
+    gate: Arc<Gate>,
+}
+
+/// The contents of this process, which loaded libraries do not leave either.
+static CONTENTS: Mutex<Option<HashMap<Key, Arc<Content>>>> = Mutex::new(None);
+
+/// The file of a library.
+#[derive(Debug)]
+pub(super) struct Source {
+    /// The original file.
+    pub(super) library: PathBuf,
+    /// The folder of the FMU.
+    pub(super) root: PathBuf,
+    /// What the file was when it was found, where it could be written over.
+    identity: Option<FileIdentity>,
+    content: Arc<Content>,
+}
+
+impl Source {
+    /// # Errors
+    /// The file cannot be looked at.
+    pub(super) fn new(
+        (library, root): (PathBuf, PathBuf),
+        archive: &Archive,
+        loader: LoaderOptions,
+    ) -> Result<Self, FmiError> {
+        let (key, identity) = match (library.strip_prefix(&root), archive.fingerprint()) {
+            (Ok(place), Some(content)) => (Key::Content(content, place.to_owned(), loader), None),
+            _ => {
+                let metadata = library.metadata().map_err(FmiError::io("open", &library))?;
+                let identity = platform::file_identity(&metadata);
+                (Key::File(identity.place(&library), identity.clone(), loader), Some(identity))
+            }
+        };
+        let mut contents = CONTENTS.lock().unwrap_or_else(PoisonError::into_inner);
+        let content = Arc::clone(contents.get_or_insert_default().entry(key).or_default());
+        Ok(Self { library, root, identity, content })
+    }
+
+    /// Whether both are of one content.
+    pub(super) fn is_same(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.content, &other.content)
+    }
+
+    /// Whether the library is one of the FMU's files, not one that was built from its sources.
+    pub(super) fn is_inside(&self) -> bool {
+        self.library.starts_with(&self.root)
+    }
+
+    /// Where the library lies in the folder of a copy.
+    pub(super) fn place(&self) -> PathBuf {
+        match self.library.strip_prefix(&self.root) {
+            Ok(place) => place.to_owned(),
+            Err(_) => Path::new("binaries").join(self.library.file_name().unwrap_or_default()),
+        }
+    }
+
+    /// # Errors
+    /// The file was written over: a copy would be another library.
+    pub(super) fn check_unchanged(&self) -> Result<(), FmiError> {
+        let Some(identity) = &self.identity else { return Ok(()) };
+        let metadata = self.library.metadata().map_err(FmiError::io("open", &self.library))?;
+        match platform::file_identity(&metadata).same_content(identity) {
+            true => Ok(()),
+            false => Err(FmiError::written_over(&self.library)),
+        }
+    }
+
+    /// Whether copies can be unloaded, and share nothing with each other.
+    pub(super) fn may_unload(&self) -> bool {
+        *self.content.may_unload.get_or_init(|| platform::may_be_unloaded(&self.library))
+    }
+
+    /// A gate for a new copy.
+    pub(super) fn gate(&self) -> Arc<Gate> {
+        if self.may_unload() { Arc::default() } else { Arc::clone(&self.content.gate) }
+    }
+}

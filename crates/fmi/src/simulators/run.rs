@@ -1,0 +1,241 @@
+//! A run of a simulator: its turn in the library, the start of its instance, the run itself.
+
+use super::check::FirstRun;
+use super::simulator::Simulator;
+use crate::cancel::Cancel;
+use crate::description::{Causality, QuirkKind};
+use crate::error::FmiError;
+use crate::libraries::Reuse;
+use crate::sys::Inside;
+use ode::{Checks, ErrorKind, Ignore, Limits, Number, Observer, Report, Seconds, SimulationError, Stats};
+use std::sync::Arc;
+use std::time::Instant;
+
+impl Simulator {
+    /// How instances are brought back, as far as it is known; `None`: a new instance is made until it was tried.
+    pub(super) fn reuse(&self) -> Option<Reuse> {
+        let verdict = *self.plan.fmu().verdict(self.plan.kind);
+        match verdict.is_final() {
+            true => verdict.reuse,
+            false => self.proven.filter(|reuse| *reuse != Reuse::Restore || !verdict.no_restore),
+        }
+    }
+
+    /// Whether a call of its library has returned `Fatal`.
+    pub(super) fn is_fatal(&self) -> bool {
+        self.library.as_ref().is_some_and(|library| library.is_fatal())
+    }
+
+    /// Gets the library, if there is none yet or it has answered `Fatal`.
+    fn ensure_library(&mut self, wait: &mut dyn FnMut() -> bool) -> Result<(), FmiError> {
+        if self.library.is_some() && !self.is_fatal() {
+            return Ok(());
+        }
+        self.fresh = None;
+        drop(self.engine.running().retire());
+        let cancel = Cancel::from(self.plan.options.cancel.clone());
+        let library = self.plan.fmu().library(self.plan.kind, Some(&self.plan.settings), &cancel, wait);
+        self.library = Some(library.map_err(|error| match error {
+            FmiError::Cancelled => self.ended(ErrorKind::Cancelled),
+            error => error,
+        })?);
+        Ok(())
+    }
+
+    /// Waits until nobody else is inside of the library; loads it, if it is not yet.
+    ///
+    /// # Errors
+    /// The library cannot be loaded; `observer`, the plan or the time limit has ended the simulation.
+    fn enter(&mut self, observer: &mut dyn Observer) -> Result<Inside, FmiError> {
+        let cancel = Cancel::from(self.plan.options.cancel.clone());
+        let mut goes_on = || !cancel.is_asked() && observer.poll().is_continue();
+        loop {
+            self.ensure_library(&mut goes_on)?;
+            let Some(library) = &self.library else { continue };
+            let (limit, began) = (self.plan.options.limits.timeout, Instant::now());
+            let mut is_late = false;
+            let mut wait = || {
+                is_late = limit.is_some_and(|limit| began.elapsed() >= limit);
+                !is_late && goes_on()
+            };
+            match (Inside::enter_while(library.gate(), &mut wait), limit) {
+                (Some(inside), _) if !library.is_fatal() => return Ok(inside),
+                (Some(_), _) => {}
+                (None, Some(limit)) if is_late => return Err(self.ended(ErrorKind::TimedOut(limit))),
+                (None, _) => return Err(self.ended(ErrorKind::Cancelled)),
+            }
+        }
+    }
+
+    /// The error of a simulation that was ended before it began.
+    pub(super) fn ended(&self, kind: ErrorKind) -> FmiError {
+        FmiError::Simulation(Box::new(SimulationError {
+            kind,
+            time: self.plan.start,
+            step: 0.0,
+            worst_state: None,
+            last_event: None,
+            not_finite: None,
+            undetermined: None,
+            refusal: None,
+            stats: Stats::default(),
+        }))
+    }
+
+    /// A run with parameters that are checked.
+    pub(super) fn run_checked(
+        &mut self,
+        parameters: &[f64],
+        observer: &mut dyn Observer,
+    ) -> Result<Report, FmiError> {
+        let mut checks = Checks::default();
+        let _inside = loop {
+            let inside = self.enter(observer)?;
+            checks += self.check_if_due(observer)?;
+            // A run of a check may have ended with `Fatal`.
+            if !self.is_fatal() {
+                break inside;
+            }
+        };
+        let mut outcome = self.run_inside(parameters, observer, &checks);
+        if let Some(stats) = stats_of(&mut outcome) {
+            stats.seconds += checks.seconds;
+            stats.checks += checks;
+        }
+        outcome
+    }
+
+    /// The run, in the library.
+    fn run_inside(
+        &mut self,
+        parameters: &[f64],
+        observer: &mut dyn Observer,
+        checks: &Checks,
+    ) -> Result<Report, FmiError> {
+        self.start(parameters)?;
+        let starting = self.began.elapsed().as_secs_f64();
+        let mut first = FirstRun::begin(self, parameters, observer.wants_steps());
+        let limits = (checks.runs > 0).then(|| self.limits_after(checks));
+        let mut outcome = self.engine.run(&self.plan, limits, observer);
+        let input_functions = self.engine.running().seconds_in_input_functions();
+        self.engine.running().pass_log_on();
+        let took = self.began.elapsed().as_secs_f64();
+        let Some(stats) = stats_of(&mut outcome) else { return outcome };
+        stats.seconds += Seconds::new(starting);
+        // All of the start is the model's doing, and all calls of the run are, but input functions of the user are not.
+        let in_calls = starting + stats.seconds_in_model.get();
+        stats.seconds_in_model = Seconds::new(in_calls.min(stats.seconds.get() - input_functions).max(0.0));
+        let n_steps = stats.accepted_steps + stats.rejected_steps;
+        match &mut self.first {
+            Some(first) => first.spent += took,
+            None => {
+                if let Some(first) = &mut first {
+                    first.end(self.engine.running(), n_steps, (starting, took));
+                }
+                self.first = first;
+            }
+        }
+        outcome
+    }
+
+    /// The limits of a run that come after these checks.
+    pub(super) fn limits_after(&self, checks: &Checks) -> Limits {
+        let limits = self.plan.options.limits;
+        let left = |limit: std::time::Duration| {
+            limit.saturating_sub(
+                std::time::Duration::try_from_secs_f64(checks.seconds.get()).unwrap_or_default(),
+            )
+        };
+        Limits { timeout: limits.timeout.map(left), ..limits }
+    }
+
+    /// Brings the FMU to its start, with parameters that are checked.
+    pub(super) fn initialize_checked(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
+        let _inside = self.enter(&mut Ignore)?;
+        self.start(parameters)?;
+        self.engine.run_initial_events()
+    }
+
+    /// Initializes a new instance, or one that was brought back and has the values it was given.
+    fn start(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
+        self.began = Instant::now();
+        let (instance, is_used) = match self.fresh_instance() {
+            // The last run's instance could not be ended or reset, which is nothing of this run's.
+            Err(_) if self.is_fatal() => {
+                self.ensure_library(&mut || true)?;
+                self.fresh_instance()?
+            }
+            outcome => outcome?,
+        };
+        self.engine.initialize(instance, self.plan.values.input(parameters))?;
+        // A model that does not answer cannot be asked.
+        if self.has_values(parameters).unwrap_or(!is_used) {
+            return Ok(());
+        }
+        if !is_used {
+            return self.check_taken(parameters);
+        }
+        let reuse = self.reuse();
+        self.start_new(parameters)?;
+        let from_new = self.has_values(parameters);
+        if from_new.is_ok_and(|agrees| agrees) {
+            let reason = "an instance that was used before does not take the values it is given";
+            self.give_up_reuse(reuse.unwrap_or(Reuse::Reset), reason);
+            return Ok(());
+        }
+        // An instance that did not answer is not to be used.
+        self.start_new(parameters)?;
+        self.check_taken(parameters)
+    }
+
+    /// Refuses a model that does not take the value of a parameter, on a new instance that does not have all values that it was given;
+    /// what another variable determines is a quirk.
+    fn check_taken(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
+        let plan = Arc::clone(&self.plan);
+        let core = self.engine.running().current.core()?;
+        let Ok(Some(lost)) = plan.values.first_lost(core, plan.fmu().description(), parameters) else {
+            plan.values.read_back.set_overridden();
+            return Ok(());
+        };
+        let (name, given, found) = (lost.variable.name.clone(), lost.given, lost.found);
+        if lost.variable.causality == Causality::Parameter {
+            return Err(FmiError::NotTaken { name, given, found });
+        }
+        let (given, found) = (Number(given), Number(found));
+        let message = format!("{name} was given the value {given}, and is {found} after the initialization");
+        plan.fmu().note_quirk(QuirkKind::Promise, message);
+        plan.values.read_back.set_overridden();
+        Ok(())
+    }
+
+    fn start_new(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
+        let raw = self.new_instance()?;
+        self.engine.initialize(raw, self.plan.values.input(parameters))
+    }
+
+    fn has_values(&mut self, parameters: &[f64]) -> Result<bool, FmiError> {
+        let core = self.engine.running().current.core()?;
+        self.plan.values.has_values(core, parameters, &mut self.buffers)
+    }
+}
+
+/// What a run took, where it had begun.
+fn stats_of(outcome: &mut Result<Report, FmiError>) -> Option<&mut Stats> {
+    match outcome {
+        Ok(report) => Some(&mut report.stats),
+        Err(FmiError::Simulation(error)) => Some(&mut error.stats),
+        Err(_) => None,
+    }
+}
+
+impl Drop for Simulator {
+    fn drop(&mut self) {
+        let Some(library) = self.library.take() else { return };
+        let (fresh, current) = (self.fresh.take(), std::mem::take(&mut self.engine.running().current));
+        // Without waiting: who drops a simulator may hold locks that the one who is inside waits for.
+        Arc::clone(library.gate()).when_free(move || {
+            drop((fresh, current.retire()));
+            drop(library);
+        });
+    }
+}
