@@ -190,8 +190,7 @@ impl Calibration {
             });
             let found = own.search(job, here, stats);
             let mut searched = match (found, last.take()) {
-                (Ok(searched), before) => {
-                    let mut searched = searched;
+                (Ok(mut searched), before) => {
                     if let Some((_, before)) = &before {
                         add_earlier(&mut searched.report, &before.report);
                         searched.found.n_checks += before.found.n_checks;
