@@ -1,89 +1,21 @@
 //! The check of the ways of bringing instances back: short runs on one instance against those on new ones, with other values in between.
 
+use super::first_run::FirstRun;
 use super::reset::reset;
 use super::simulator::Simulator;
 use crate::description::QuirkKind;
 use crate::error::FmiError;
 use crate::libraries::Reuse;
 use crate::simulation::digest::Digest;
-use crate::simulation::plan::SimulationPlan;
-use crate::simulation::running::Running;
 use crate::simulation::variable_elements::RunInput;
 use crate::sys::RawInstance;
 use log::Level;
 use ode::{Checks, ErrorKind, Limits, Observer, Report, Sample, Seconds};
-use std::ops::{ControlFlow, RangeInclusive};
+use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// What a check may take of the time of the runs before it.
-const SHARE: f64 = 0.1;
-
-/// Runs of a check, as a rule.
-const RUNS: u64 = 4;
-
-/// Steps of each: what is not brought back shows in the first right-hand sides.
-const STEPS: RangeInclusive<u64> = 3..=50;
-
 const DIFFERS: &str = "a simulation after it differs from one on a new instance";
-
-/// A run on a new instance, with which those of checks are compared.
-#[derive(Debug)]
-pub(super) struct FirstRun {
-    plan: Arc<SimulationPlan>,
-    parameters: Vec<f64>,
-    wants_steps: bool,
-    digest: Digest,
-    n_steps: u64,
-    /// Seconds of its start, and of all of it.
-    starting: f64,
-    took: f64,
-    /// Seconds of the runs that no check has followed.
-    pub(super) spent: f64,
-}
-
-impl FirstRun {
-    /// Begins to note what the coming run answers, where it is not known yet how instances are brought back.
-    pub(super) fn begin(
-        simulator: &mut Simulator,
-        parameters: &[f64],
-        wants_steps: bool,
-    ) -> Option<Box<Self>> {
-        if simulator.first.is_some() || simulator.reuse().is_some() {
-            return None;
-        }
-        simulator.engine.running().begin_digest(Digest::default());
-        Some(Box::new(Self {
-            plan: Arc::clone(&simulator.plan),
-            parameters: parameters.to_vec(),
-            wants_steps,
-            digest: Digest::default(),
-            n_steps: 0,
-            starting: 0.0,
-            took: 0.0,
-            spent: 0.0,
-        }))
-    }
-
-    /// The run is over.
-    pub(super) fn end(&mut self, running: &mut Running, n_steps: u64, (starting, took): (f64, f64)) {
-        self.digest = running.end_digest().unwrap_or_default();
-        (self.n_steps, self.starting, self.took, self.spent) = (n_steps, starting, took, took);
-    }
-
-    /// Steps of a run of a check: counted from those of this run, so that they are no more than their share.
-    fn n_check_steps(&self) -> u64 {
-        let most = (SHARE * self.n_steps as f64 / RUNS as f64) as u64;
-        most.clamp(*STEPS.start(), *STEPS.end())
-    }
-
-    /// Whether the runs so far have taken long enough for a check.
-    fn is_due(&self) -> bool {
-        let per_step = (self.took - self.starting) / self.n_steps.max(1) as f64;
-        let estimate = RUNS as f64 * (self.starting + per_step * self.n_check_steps() as f64);
-        self.n_steps > 0 && estimate <= SHARE * self.spent
-    }
-}
 
 /// What a short run showed.
 enum Probe {
@@ -123,6 +55,15 @@ enum Finding {
 }
 
 impl Simulator {
+    /// Begins to note what the coming run answers, where it is not known yet how instances are brought back.
+    pub(super) fn begin_first(&mut self, parameters: &[f64], wants_steps: bool) -> Option<Box<FirstRun>> {
+        if self.first.is_some() || self.reuse().is_some() {
+            return None;
+        }
+        self.engine.running().begin_digest(Digest::default());
+        Some(Box::new(FirstRun::new(&self.plan, parameters, wants_steps)))
+    }
+
     /// Checks a way of bringing instances back, if the runs so far allow for that.
     ///
     /// # Errors

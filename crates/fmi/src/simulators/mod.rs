@@ -1,6 +1,7 @@
 //! A plan that is run many times in this process: one thread, one instance, brought back to its start between runs.
 
 mod check;
+mod first_run;
 mod instantiate;
 mod pool;
 mod reset;

@@ -1,6 +1,5 @@
 //! A run of a simulator: its turn in the library, the start of its instance, the run itself.
 
-use super::check::FirstRun;
 use super::simulator::Simulator;
 use crate::cancel::Cancel;
 use crate::description::{Causality, QuirkKind};
@@ -114,7 +113,7 @@ impl Simulator {
     ) -> Result<Report, FmiError> {
         self.start(parameters)?;
         let starting = self.began.elapsed().as_secs_f64();
-        let mut first = FirstRun::begin(self, parameters, observer.wants_steps());
+        let mut first = self.begin_first(parameters, observer.wants_steps());
         let limits = (checks.runs > 0).then(|| self.limits_after(checks));
         let mut outcome = self.engine.run(&self.plan, limits, observer);
         let input_functions = self.engine.running().seconds_in_input_functions();

@@ -1,6 +1,6 @@
 //! A plan, a live instance, a driver and buffers, run as often as one likes.
 
-use super::check::FirstRun;
+use super::first_run::FirstRun;
 use crate::description::Value;
 use crate::error::FmiError;
 use crate::libraries::LoadedLibrary;
