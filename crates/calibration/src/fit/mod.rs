@@ -66,6 +66,10 @@ impl Calibration {
         let cancelled = || job.is_cancelled();
         let mut remarks = raised;
         remarks.extend(self.unstated_noise(&job, noise.as_ref()));
+        if let (_, Some(reason)) = self.isolation() {
+            let sentence = format!("the FMU ran in this process: {reason}");
+            remarks.push(Finding::new(Severity::Note, "isolation", sentence, ""));
+        }
         phase.set(FitPhase::Checks);
         let is_whole = worth.is_some() && held.is_empty();
         let (at_start, at_end) =
