@@ -1,14 +1,13 @@
-//! Where noise and kinks show in the model, and the simplex search that takes over there.
+//! Where noise and kinks show in the model, and what follows from them.
 
+use super::simplex::Simplex;
 use super::state::{Phase, QuadraticModelState};
 use crate::error::Error;
-use crate::method::{Batch, Details, Method, MethodOptions, Roughness, Setup};
-use crate::methods::nelder_mead::{NelderMead, NelderMeadState};
+use crate::method::Roughness;
 use crate::methods::shared::cost::Cost;
-use serde::{Deserialize, Serialize};
 
 /// Resolutions in a row at which steps failed: then there is noise, or a kink.
-const MOST_REFUSED: usize = 4;
+pub(super) const MOST_REFUSED: usize = 4;
 /// The curvature is compared with that of so many resolutions before.
 const RESOLUTIONS: usize = 2;
 /// The least power of 1/rho with which it grows at a kink (there it is 1, at noise 2, where the cost is smooth 0). Like the number of
@@ -16,55 +15,6 @@ const RESOLUTIONS: usize = 2;
 const GROWTH: f64 = 0.5;
 /// What the curvature changes in the cost within rho is seen only from so many times the rounding of the cost on.
 const VISIBLE: f64 = 1e3 * f64::EPSILON;
-
-/// The simplex search that has taken over.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub(super) struct Simplex {
-    /// Where it started from.
-    start: Vec<f64>,
-    /// Batches and points before it.
-    n_batches: u64,
-    n_points: u64,
-    pub(super) state: NelderMeadState,
-}
-
-impl Simplex {
-    fn new(setup: &Setup, start: &[f64], (n_batches, n_points): (u64, u64)) -> Result<Self, Error> {
-        let state = NelderMead::default().begin(&starting_at(setup, start))?;
-        Ok(Self { start: start.to_vec(), n_batches, n_points, state })
-    }
-
-    pub(super) fn is_sound(&self, setup: &Setup) -> bool {
-        let space = &setup.space;
-        self.start.len() == space.n()
-            && self.start.iter().all(|v| v.is_finite())
-            && space.bounds().contains(&self.start)
-            && self.state.is_sound(&NelderMead::default().prepared(&starting_at(setup, &self.start)))
-    }
-
-    pub(super) fn ask(&mut self, batch: &mut Batch) {
-        self.state.ask(batch);
-        batch.renumber(self.n_batches + batch.index(), self.n_points);
-    }
-
-    /// Where the simplex stands; what it does not know of itself yet comes from the search before.
-    pub(super) fn details(&self, before: Details<'static>) -> Details<'_> {
-        let own = self.state.details();
-        Details {
-            n_iterations: before.n_iterations + own.n_iterations,
-            operation: own.operation.or(before.operation),
-            tests: own.tests.or(before.tests),
-            roughness: before.roughness,
-            handed_over: before.roughness.map(|_| self.n_points),
-            ..own
-        }
-    }
-}
-
-/// The same problem from another start.
-fn starting_at(setup: &Setup, x: &[f64]) -> Setup {
-    Setup { space: setup.space.starting_at(x), ..setup.clone() }
-}
 
 impl QuadraticModelState {
     /// A simplex search from the start where nothing tells the size of a parameter: it looks for sizes.

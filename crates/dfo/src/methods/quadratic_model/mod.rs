@@ -17,7 +17,7 @@
 //!
 //! **Noise and kinks.** Where the cost is smooth the curvature of the model settles as the resolution shrinks; where it grows all the
 //! same there is a kink or noise, and passed tests mean nothing: the search starts anew, too, or hands over to a simplex search
-//! (`hand_over.rs`), which goes on from the best point as Nelder-Mead does from a start.
+//! (`hand_over.rs`, `simplex.rs`), which goes on from the best point as Nelder-Mead does from a start.
 //!
 //! **Failures.** A failed point enters no model. The step is shortened, and later steps keep to the side of a plane between
 //! failed points and those of the model (`failures.rs`). Of the first points a failed one is tried nearer to the start and on its other side.
@@ -31,6 +31,7 @@ mod initial;
 mod iteration;
 mod model;
 mod options;
+mod simplex;
 mod state;
 mod subproblem;
 

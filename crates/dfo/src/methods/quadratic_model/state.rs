@@ -1,9 +1,9 @@
 //! The state machine: which points are asked for, and what follows from their costs.
 
-use super::hand_over::Simplex;
 use super::initial;
 use super::model::{Interpolation, Quadratic};
 use super::options::QuadraticModel;
+use super::simplex::Simplex;
 use crate::answer::Answers;
 use crate::error::Error;
 use crate::method::{Batch, Details, Method, Operation, Roughness, Setup, Status, saved};
