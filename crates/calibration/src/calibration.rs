@@ -130,6 +130,11 @@ impl Calibration {
         Ok(derived)
     }
 
+    /// Takes over what is in doubt about another one that it was derived from.
+    pub(crate) fn keep_warnings(&mut self, from: &Self) {
+        self.evaluator.warnings.clone_from(&from.evaluator.warnings);
+    }
+
     /// The same with other windows in all experiments. Simulations start as they do in this one, at the same time in the same
     /// state, whatever that follows from.
     pub(crate) fn windowed(&self, windows: &[(f64, f64)]) -> Result<Self, CalibrationError> {

@@ -2,7 +2,7 @@
 
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
-use crate::fit::{Fit, FitOptions};
+use crate::fit::{Fit, FitOptions, NoiseRule};
 use crate::objective::CostKind;
 use crate::parallel;
 use crate::validation::{Validation, ValidationSet};
@@ -26,12 +26,14 @@ pub struct CrossValidationOptions {
     pub loss: RobustLoss,
     /// What is minimised; a cost with a name, where local parameters are fitted to recordings that are held out.
     pub objective: CostKind,
+    /// Where the noise of the measurements is taken from, see [`FitOptions::noise`]; estimated in each fold.
+    pub noise: NoiseRule,
 }
 
 impl Default for CrossValidationOptions {
     fn default() -> Self {
-        let (loss, objective) = (RobustLoss::default(), CostKind::default());
-        Self { folds: None, run: FitOptions::default_run(), loss, objective }
+        let (loss, objective, noise) = (RobustLoss::default(), CostKind::default(), NoiseRule::default());
+        Self { folds: None, run: FitOptions::default_run(), loss, objective, noise }
     }
 }
 
@@ -186,6 +188,7 @@ impl Calibration {
                 run,
                 loss: options.loss,
                 objective: options.objective.clone(),
+                noise: options.noise,
                 poll,
                 worth: None,
                 ..FitOptions::default()
@@ -199,9 +202,9 @@ impl Calibration {
         let mut fit_rms = fit.rms;
         if !options.loss.is_linear() {
             let plain = (&options.objective, RobustLoss::default());
-            let found = fitted.cost_and_rms(&fit.x, plain, cancelled, &mut validation.stats);
+            let found = fitted.cost_and_residuals(&fit.x, plain, cancelled, &mut validation.stats);
             validation.n_simulations += 1;
-            fit_rms = found.map_or(f64::NAN, |(_, rms)| rms);
+            fit_rms = found.map_or(f64::NAN, |(_, r)| fitted.rms_of(&r, fitted.residual_layout()));
         }
         Ok(Fold { held_out: names, fit, fit_rms, validation })
     }

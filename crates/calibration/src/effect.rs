@@ -194,7 +194,7 @@ impl Calibration {
 
     /// Whether two costs differ by no more than the integration leaves uncertain.
     fn is_equal_cost(&self, kind: &CostKind, a: f64, b: f64) -> bool {
-        let tolerance = self.evaluator().simulations[0].pool.plan().relative_tolerance();
+        let tolerance = self.relative_tolerance();
         (a - b).abs() <= tolerance * kind.size(a, self.n_measurements())
     }
 

@@ -72,6 +72,17 @@ pub enum Weight {
     Inverse(OutputScale),
 }
 
+impl Weight {
+    /// Whether it can be taken for 1 over the standard deviation of the noise.
+    pub(crate) fn states_noise(&self) -> bool {
+        match self {
+            Self::Constant(weight) => *weight != 1.0,
+            Self::Inverse(_) => false,
+            Self::Column(_) | Self::Rows(_) => true,
+        }
+    }
+}
+
 /// How large the measurements of an output are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]

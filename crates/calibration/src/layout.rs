@@ -56,4 +56,23 @@ impl ResidualLayout {
     pub fn n_residuals(&self) -> usize {
         self.n_measurements() + self.priors.len()
     }
+
+    /// Residuals by these weights, from those by the weights of another layout of the same measurements.
+    pub(crate) fn reweighed(&self, residuals: &[f64], from: &Self) -> Vec<f64> {
+        let mut own = residuals.to_vec();
+        self.reweigh(&mut own, from);
+        own
+    }
+
+    /// The same in place.
+    pub(crate) fn reweigh(&self, residuals: &mut [f64], from: &Self) {
+        for (from, to) in from.outputs.iter().zip(&self.outputs) {
+            let weights = from.weights.iter().zip(&to.weights);
+            for (r, (from, to)) in residuals[to.range.clone()].iter_mut().zip(weights) {
+                if from != to {
+                    *r *= to / from;
+                }
+            }
+        }
+    }
 }

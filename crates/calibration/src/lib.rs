@@ -70,7 +70,9 @@ pub use error::CalibrationError;
 pub use experiment::{Experiment, InitialState, OutputScale, SimulationSettings, Weight};
 pub use export::{FmuExport, SavedFit, Table};
 pub use finding::{Finding, Severity};
-pub use fit::{Fit, FitObserver, FitOptions};
+pub use fit::{
+    ChosenTolerance, EstimatedNoise, Fit, FitNoise, FitObserver, FitOptions, NoiseRule, OutputNoise,
+};
 pub use fmi;
 pub use layout::{OutputResiduals, PriorResidual, ResidualLayout};
 pub use objective::{Compared, CostKind, CustomCost, CustomFailure, NamedCost};

@@ -1,7 +1,7 @@
 //! How well each output is reproduced.
 
 use crate::calibration::Calibration;
-use crate::layout::OutputResiduals;
+use crate::layout::{OutputResiduals, ResidualLayout};
 use crate::residual::CostRule;
 use dfo::RobustLoss;
 use ode::Stats;
@@ -55,6 +55,15 @@ impl KeptResiduals {
         let best =
             best.map(|(x, residuals)| Kept { x: x.to_vec(), cost: f64::NAN, residuals: residuals.to_vec() });
         Self { start: start.map(<[f64]>::to_vec), best }
+    }
+
+    /// The same by the weights of another layout of the same measurements; of residuals without a loss.
+    pub(crate) fn reweighed(mut self, from: &ResidualLayout, to: &ResidualLayout) -> Self {
+        if from != to {
+            let best = self.best.as_mut().map(|kept| &mut kept.residuals);
+            best.into_iter().chain(&mut self.start).for_each(|residuals| to.reweigh(residuals, from));
+        }
+        self
     }
 
     /// Those at the start, as they counted.

@@ -3,7 +3,7 @@
 use crate::calibration::Calibration;
 use crate::effect::{inner, outer};
 use crate::error::CalibrationError;
-use crate::fit::Fit;
+use crate::fit::{Fit, FitNoise};
 use crate::parallel;
 use crate::parameter::Parameter;
 use crate::worth::{Worth, check_level};
@@ -161,8 +161,13 @@ impl Calibration {
                 "there is no prediction band: with parameters one standard error away the model ended the simulation at t = {end}"
             ));
         }
-        let noise_of = |variable: &str| {
-            let own = || fit.outputs.iter().filter(|output| output.variable == variable);
+        let estimated = fit.noise.as_ref().and_then(FitNoise::estimated);
+        let noise_of = |output: &crate::layout::OutputResiduals| {
+            let variable = &output.variable;
+            if let Some(sd) = estimated.and_then(|noise| noise.of_measurements(self.problem(), output)) {
+                return sd;
+            }
+            let own = || fit.outputs.iter().filter(|output| output.variable == *variable);
             let squares: f64 = own().map(|output| output.n as f64 * output.rms * output.rms).sum();
             let (n, dof) = (worth.residuals.len() as f64, worth.degrees_of_freedom as f64);
             (squares / own().map(|output| output.n).sum::<usize>() as f64 * n / dof).sqrt()
@@ -172,7 +177,7 @@ impl Calibration {
         let band = |output: &crate::layout::OutputResiduals| {
             let column = |i: usize| found[i * n + output.experiment].columns[output.output].as_slice();
             let values = column(0).to_vec();
-            let noise = noise_of(&output.variable);
+            let noise = noise_of(output);
             let mut variances = vec![0.0; values.len()];
             for (k, step) in steps.iter().enumerate() {
                 let (forward, backward) = (column(1 + 2 * k), column(2 + 2 * k));

@@ -197,7 +197,8 @@ impl Calibration {
         Ok(preflight)
     }
 
-    fn moved_a_little(&self, p: &Parameter, x: f64) -> f64 {
+    /// A value a hundredth of its size away.
+    pub(crate) fn moved_a_little(&self, p: &Parameter, x: f64) -> f64 {
         let (lower, upper, from) = (inner(p, p.lower()), inner(p, p.upper()), inner(p, x));
         let by = match p.value_kind() {
             Kind::Continuous => MOVE * self.size_of(p, x),

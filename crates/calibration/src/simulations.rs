@@ -102,8 +102,13 @@ impl Calibration {
     pub(crate) fn is_within_tolerance(&self, cost: f64) -> bool {
         let weighted = self.residual_layout().outputs.iter().flat_map(|o| o.measured.iter().zip(&o.weights));
         let measured: f64 = weighted.map(|(y, w)| (y * w) * (y * w)).sum();
-        let tolerance = self.evaluator().simulations[0].pool.plan().relative_tolerance();
+        let tolerance = self.relative_tolerance();
         cost <= (10.0 * tolerance).powi(2) * measured
+    }
+
+    /// The relative tolerance of its simulations.
+    pub(crate) fn relative_tolerance(&self) -> f64 {
+        self.evaluator().simulations[0].pool.plan().relative_tolerance()
     }
 
     /// As [`evaluate_into`](Self::evaluate_into), with a hundredth of the relative tolerance.
@@ -114,12 +119,25 @@ impl Calibration {
         out: &mut [f64],
         stats: &mut Stats,
     ) -> Result<f64, NoCost> {
+        let tolerance = self.relative_tolerance();
+        let accurate = (tolerance / ACCURATE).max(SMALLEST_TOLERANCE).min(tolerance);
+        self.evaluate_with(accurate, x, rule, out, stats)
+    }
+
+    /// As [`evaluate_into`](Self::evaluate_into), with this relative tolerance.
+    pub(crate) fn evaluate_with(
+        &self,
+        tolerance: f64,
+        x: &[f64],
+        rule: CostRule<'_>,
+        out: &mut [f64],
+        stats: &mut Stats,
+    ) -> Result<f64, NoCost> {
         self.evaluator().evaluate(x, rule, out, stats, |k, run| {
-            let tolerance = self.pool(k, rule.cancelled)?.plan().relative_tolerance();
             let asked = self.evaluator().simulations[k].options_at_start();
             let options = SimulateOptions {
                 method: self.known_solver().map_or(asked.method, |solver| solver.method),
-                relative_tolerance: Some((tolerance / ACCURATE).max(SMALLEST_TOLERANCE).min(tolerance)),
+                relative_tolerance: Some(tolerance),
                 ..asked
             };
             Ok(SimulationPlan::new(self.fmu(), &options)

@@ -4,11 +4,11 @@ use crate::calibration::Calibration;
 use crate::effect::{Findings, is_over};
 use crate::error::CalibrationError;
 use crate::finding::{Finding, Severity};
-use crate::fit::{Fit, FitOptions};
+use crate::fit::{Fit, FitOptions, add_earlier, checkpoint_of, ended_by};
 use crate::output_fit::KeptResiduals;
 use crate::phase::{Deadline, FitPhase};
 use crate::worth::WorthOptions;
-use dfo::{AnyMethod, Checkpoint, Limits, Progress, Report, Resume, Termination, Tolerances};
+use dfo::{AnyMethod, Limits, Progress, Report, Termination, Tolerances};
 use ode::Stats;
 use std::cell::RefCell;
 use std::sync::Arc;
@@ -82,17 +82,6 @@ fn least<T: PartialOrd>(a: Option<T>, b: Option<T>) -> Option<T> {
     }
 }
 
-/// The checkpoint of a stage: the file of the fit with `.stage1`, `.stage2` and so on appended. A file that is required is that of
-/// the first stage; the later ones may not have begun.
-fn checkpoint_of(fit: &Checkpoint, k: usize) -> Checkpoint {
-    let mut path = fit.path.clone().into_os_string();
-    path.push(format!(".stage{}", k + 1));
-    let resume = if k > 0 && fit.resume == Resume::Require { Resume::Auto } else { fit.resume };
-    let mut own = fit.clone().resume(resume);
-    own.path = path.into();
-    own
-}
-
 impl Calibration {
     /// Fits in stages. Each frees its parameters, from where the last stage left them, and holds the others; those that no stage
     /// frees stay at the start.
@@ -122,6 +111,7 @@ impl Calibration {
             cutoffs,
             objective,
             loss,
+            noise,
             preflight,
             worth,
             mut observer,
@@ -141,21 +131,26 @@ impl Calibration {
             .map(|(k, stage)| self.freed(stage, &held).map_err(in_stage(k)))
             .collect::<Result<Vec<_>, _>>()?;
         if let Some(checkpoint) = &run.checkpoint {
-            self.adopt_solver(&checkpoint_of(checkpoint, 0))?;
+            self.adopt_solver(&checkpoint_of(checkpoint, ".stage1", true))?;
         }
         let is_flagged = || cancel.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed));
         let is_asked = || is_flagged() || poll.borrow_mut().as_mut().is_some_and(|poll| poll());
         let is_late = || deadline.is_over() || is_asked();
         let mut stats = Stats::default();
-        // The stages have one solver. Where there is no time for that, the first one ends at its start.
-        match self.solver_counted(&is_late, &mut stats) {
+        // The stages have one solver and one tolerance. Where there is no time for that, the first one ends at its start.
+        let chosen = self.solver_counted(&is_late, &mut stats).and_then(|_| {
+            self.choose_tolerance((&start, None), (loss, &run.tolerances), &is_late, &mut stats)
+        });
+        let tolerance = match chosen {
             Err(error) if !deadline.is_over() || is_asked() => return Err(error),
-            _ => {}
-        }
+            chosen => chosen.ok().flatten().map(|(tolerance, _)| tolerance),
+        };
+        let tolerant = self.with_tolerance(tolerance.as_ref())?;
+        let this = tolerant.as_ref().unwrap_or(self);
         let windowed = (stages.iter().enumerate())
             .map(|(k, stage)| match stage.windows.is_empty() {
                 true => Ok(None),
-                false => self.windowed(&stage.windows).map(Some).map_err(in_stage(k)),
+                false => this.windowed(&stage.windows).map(Some).map_err(in_stage(k)),
             })
             .collect::<Result<Vec<_>, _>>()?;
         let (mut x, mut fits, mut ended) = (start.clone(), Vec::<Fit>::new(), None);
@@ -177,6 +172,8 @@ impl Calibration {
                 break;
             }
             let mut own = run.clone();
+            // The limit that ends the stage is the one that its message names.
+            let of_stage = stage.limits.max_time.filter(|limit| time.is_none_or(|time| *limit < time));
             if let Some(method) = &stage.method {
                 (own.method, own.method_reason) = (method.clone(), stage.method_reason.clone());
             }
@@ -184,19 +181,22 @@ impl Calibration {
             own.limits = Limits {
                 max_evaluations: least(stage.limits.max_evaluations, evaluations),
                 max_iterations: least(stage.limits.max_iterations, iterations),
-                max_time: least(stage.limits.max_time, time),
+                max_time: of_stage.or(run.limits.max_time),
                 // What a target says of one window says nothing of another.
                 target: stage.limits.target.or(run.limits.target.filter(|_| stage.windows.is_empty())),
             };
-            own.checkpoint = run.checkpoint.as_ref().map(|checkpoint| checkpoint_of(checkpoint, k));
+            let part = format!(".stage{}", k + 1);
+            own.checkpoint = run.checkpoint.as_ref().map(|c| checkpoint_of(c, &part, k == 0));
             let before = deadline.elapsed().as_secs_f64();
-            let fitted = windowed[k].as_ref().unwrap_or(self).fit_and_keep(FitOptions {
+            let within = if of_stage.is_some() { Deadline::new(of_stage) } else { deadline };
+            let options = FitOptions {
                 run: own,
                 start: Some(x.clone()),
                 held: (0..x.len()).filter(|i| !freed[k].contains(i)).collect(),
                 cutoffs,
                 objective: objective.clone(),
                 loss,
+                noise,
                 preflight: preflight && k == 0,
                 worth: worth.clone(),
                 observer: observer.as_mut().map(|observer| {
@@ -211,7 +211,8 @@ impl Calibration {
                 poll: poll.borrow().is_some().then(|| Box::new(&is_asked) as Box<dyn FnMut() -> bool>),
                 cancel: cancel.clone(),
                 phase: Arc::clone(&phase),
-            });
+            };
+            let fitted = windowed[k].as_ref().unwrap_or(this).fit_and_keep(options, Some(within));
             let fit = match fitted {
                 // It had no time for a single evaluation.
                 Ok((fit, _)) if k > 0 && fit.cost.is_nan() && deadline.is_over() => {
@@ -249,13 +250,19 @@ impl Calibration {
                 break;
             }
         }
+        // What all stages give has the weights of the last one.
+        let noise = fits[fits.len() - 1].noise.clone();
+        let weighed = this.with_noise(noise.as_ref())?;
+        let own = weighed.as_ref().unwrap_or(this);
         let mut n_checks = 0;
         let mut cost_at = |x: &[f64]| {
             n_checks += 1;
-            self.cost_and_rms(x, (&objective, loss), &is_late, &mut stats)
+            let found = own.cost_and_residuals(x, (&objective, loss), &is_late, &mut stats);
+            found.map(|(cost, residuals)| (cost, this.rms_of(&residuals, own.residual_layout())))
         };
-        let is_own = |k: usize| stages[k].windows.is_empty();
-        let (is_first_own, is_last_own) = (is_own(0), is_own(fits.len() - 1));
+        let is_own = |k: usize| stages[k].windows.is_empty() && fits[k].noise == noise;
+        let (n_fits, is_kept) = (fits.len(), |k: usize| stages[k].windows.is_empty());
+        let (is_first_own, is_last_own) = (is_own(0), is_own(n_fits - 1));
         let at_end = if is_last_own { None } else { Some(cost_at(&x).unwrap_or((f64::NAN, f64::NAN))) };
         let cost_at_start = match is_first_own {
             true => fits[0].start_cost.zip(fits[0].start_rms),
@@ -273,19 +280,20 @@ impl Calibration {
             true => {
                 let of_stage = &fit.stages[fit.stages.len() - 1].start;
                 let known = KeptResiduals::of_both(
-                    first_kept.at_start().filter(|_| is_first_own),
+                    first_kept.at_start().filter(|_| is_kept(0)),
                     last_kept
                         .at((&x, of_stage))
-                        .filter(|_| is_last_own)
+                        .filter(|_| is_kept(n_fits - 1))
                         .map(|residuals| (x.as_slice(), residuals)),
                 );
-                self.plain_residuals((&start, &x), (&known, loss), &is_late, &mut fit.stats)
+                let known = known.reweighed(this.residual_layout(), own.residual_layout());
+                own.plain_residuals((&start, &x), (&known, loss), &is_late, &mut fit.stats)
             }
             false => (None, None),
         };
         if let Some(at_end) = at_end.as_deref().filter(|_| is_checked) {
             let (from, to) = ((start.as_slice(), at_start.as_deref()), (x.as_slice(), at_end));
-            let mut found = self.check_after_fit(from, to, &is_late, &mut fit.stats);
+            let mut found = own.check_after_fit(from, to, &is_late, &mut fit.stats);
             found.retain(|finding| !fit.setup_findings.contains(finding));
             fit.setup_findings.extend(found);
         }
@@ -293,7 +301,7 @@ impl Calibration {
         fit.worth = worth.filter(|_| objective.has_worth()).and_then(|mut options| {
             options.workers = options.workers.or(Some(fit.report.workers));
             options.held.extend((0..x.len()).filter(|i| !freed.iter().any(|freed| freed.contains(i))));
-            if !is_own(fit.stages.len() - 1) {
+            if !is_last_own {
                 fit.report.residuals = None;
             }
             let asked = WorthOptions { loss, is_likelihood: objective.is_likelihood(), ..options };
@@ -303,21 +311,17 @@ impl Calibration {
                 n_checks: 0,
             };
             let known = fit.report.residuals.as_deref().or(at_end.as_deref());
-            self.worth_of_fit(
-                (&fit.report, &found, known),
-                &run.tolerances,
-                asked,
-                (&is_late, &mut fit.stats),
-            )
+            own.worth_of_fit((&fit.report, &found, known), &run.tolerances, asked, (&is_late, &mut fit.stats))
         });
         (fit.start_cost, fit.start_rms) = cost_at_start.unzip();
-        fit.n_measurements = self.n_measurements();
+        (fit.n_measurements, fit.tolerance) = (self.n_measurements(), tolerance);
+        fit.setup_findings.extend(tolerance.and_then(|chosen| chosen.finding()));
         if is_first_own && is_last_own {
             let at_start = fit.stages[0].outputs.iter().map(|output| output.start_rms);
             fit.outputs.iter_mut().zip(at_start).for_each(|(output, rms)| output.start_rms = rms);
         } else {
             fit.outputs =
-                at_end.map_or_else(Vec::new, |at_end| self.output_fits_of(&at_end, at_start.as_deref()));
+                at_end.map_or_else(Vec::new, |at_end| own.output_fits_of(&at_end, at_start.as_deref()));
         }
         Ok(fit)
     }
@@ -350,19 +354,7 @@ impl Calibration {
         report.message = format!("stage {} of {}: {}", fits.len(), stages.len(), report.message);
         for (k, earlier) in fits[..fits.len() - 1].iter().enumerate().rev() {
             let before = &earlier.report;
-            report.n_evaluations += before.n_evaluations;
-            report.n_iterations += before.n_iterations;
-            report.n_batches += before.n_batches;
-            report.n_failed += before.n_failed;
-            report.n_cached += before.n_cached;
-            report.n_speculative += before.n_speculative;
-            report.seconds += before.seconds;
-            for (reason, count) in &before.failures {
-                match report.failures.iter_mut().find(|(known, _)| known == reason) {
-                    Some((_, known)) => *known += count,
-                    None => report.failures.push((reason.clone(), *count)),
-                }
-            }
+            add_earlier(report, before);
             if report.is_success() {
                 report.termination.clone_from(&before.termination);
                 report.tests = before.tests;
@@ -373,9 +365,10 @@ impl Calibration {
             all.n_checks += earlier.n_checks;
             all.n_beginnings = all.n_beginnings.max(earlier.n_beginnings);
         }
-        report.failures.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
         let last_windows = &stages[fits.len() - 1].windows;
-        let same_windows = |k: &usize| stages[*k..fits.len()].iter().all(|s| s.windows == *last_windows);
+        let noise = &fits[fits.len() - 1].noise;
+        let is_same = |k: usize| stages[k].windows == *last_windows && fits[k].noise == *noise;
+        let same_windows = |k: &usize| (*k..fits.len()).all(is_same);
         let first = (0..fits.len()).find(same_windows).unwrap_or(0);
         let mut traces = fits[first..].iter().map(|fit| fit.report.trace.clone());
         if let Some(mut trace) = traces.next() {
@@ -436,16 +429,4 @@ impl Calibration {
 /// Whether this is what the name of a local parameter ends with in an experiment.
 fn is_in_experiment(rest: &str) -> bool {
     rest.starts_with('[') && rest.ends_with(']')
-}
-
-/// How a fit ends whose last stage has found nothing; `None`: it is an error.
-fn ended_by(error: &CalibrationError) -> Option<Termination> {
-    match error {
-        CalibrationError::Cancelled => Some(Termination::Interrupted),
-        CalibrationError::Optimiser(dfo::Error::EndedWithoutPoint { termination, .. }) => {
-            Some(termination.clone())
-        }
-        CalibrationError::Optimiser(dfo::Error::AllStartsFailed(_)) => Some(Termination::AllFailed),
-        _ => None,
-    }
 }

@@ -4,7 +4,7 @@ use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::experiment::Experiment;
 use crate::finding::{Finding, Severity, table};
-use crate::fit::{Fit, FitOptions};
+use crate::fit::{Fit, FitOptions, NoiseRule};
 use crate::layout::OutputResiduals;
 use crate::no_cost::NoCost;
 use crate::objective::CostKind;
@@ -177,7 +177,9 @@ impl Calibration {
                             fit.objective
                         )));
                     };
-                    let refit = other.fit(FitOptions {
+                    let own = other.of_fit(fit)?;
+                    let refit = own.as_ref().unwrap_or(&other).fit(FitOptions {
+                        noise: NoiseRule::Stated,
                         start: Some(x),
                         held,
                         poll,

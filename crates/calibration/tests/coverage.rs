@@ -95,6 +95,8 @@ struct Study {
     loss: Option<(Loss, f64)>,
     scale: Scale,
     has_prior: bool,
+    /// Beside a prior: whether the weights state the noise; else it is estimated.
+    is_stated: bool,
     is_line: bool,
     objective: Option<NamedCost>,
 }
@@ -105,6 +107,7 @@ const PLAIN: Study = Study {
     loss: None,
     scale: Scale::Linear,
     has_prior: false,
+    is_stated: true,
     is_line: false,
     objective: None,
 };
@@ -166,8 +169,8 @@ impl Study {
         }
         let x = time.iter().zip(&e).map(|(t, e)| start * (-rate * t).exp() + e).collect();
         let data = Data::from_columns(time, [("x".to_owned(), x)]).unwrap();
-        let weight =
-            if self.has_prior { Weight::Constant(1.0 / self.deviation) } else { Weight::Constant(1.0) };
+        let is_weighed = self.has_prior && self.is_stated;
+        let weight = Weight::Constant(if is_weighed { 1.0 / self.deviation } else { 1.0 });
         let mut k = Parameter::new("k", 1.2).bounds(0.1, 10.0).scale(self.scale);
         if self.has_prior {
             k = k.prior(Prior::Normal { mean: rate + 0.05 * normal(), sd: 0.05 });
@@ -227,6 +230,8 @@ fn studies() -> Vec<(&'static str, Study)> {
         ("unequal variances", Study { is_line: true, ..PLAIN }),
         ("log scale", Study { scale: Scale::Log, deviation: 0.1, ..PLAIN }),
         ("prior, stated noise", Study { has_prior: true, ..PLAIN }),
+        ("prior, estimated noise", Study { has_prior: true, is_stated: false, ..PLAIN }),
+        ("prior as good as the data", Study { has_prior: true, is_stated: false, deviation: 0.05, ..PLAIN }),
         ("likelihood", Study { is_line: true, objective: Some(NamedCost::Likelihood), ..PLAIN }),
     ];
     let losses = [

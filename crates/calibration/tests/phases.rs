@@ -3,7 +3,8 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use calibration::{
-    Calibration, CurrentPhase, Data, Experiment, FitOptions, FitPhase, Parameter, SimulationSettings, Stage,
+    Calibration, CurrentPhase, Data, Experiment, FitOptions, FitPhase, Parameter, SavedFit,
+    SimulationSettings, Stage,
 };
 use dfo::{Limits, NelderMead, RunOptions, Termination};
 use example_models::example_fmu;
@@ -107,4 +108,39 @@ fn nothing_is_simulated_when_the_time_is_up() {
     assert_eq!(fit.report.termination, Termination::MaxTime);
     assert!(fit.worth.is_none() && fit.n_checks == 0 && fit.setup_findings.is_empty());
     assert!(fit.cost.is_finite() && fit.outputs.len() == 1);
+}
+
+/// The limit of the user stands in the message, not what was left of it for the search; of a stage that of the stage.
+#[test]
+fn the_message_names_the_limit_that_was_given() {
+    let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Euler, Some(1e-4));
+    calibration.preflight(&calibration::PreflightOptions::default(), &|| false).unwrap();
+    let began = Instant::now();
+    calibration.cost(&[1.0]).unwrap();
+    let one = Duration::from_millis(1) + began.elapsed();
+    let given = |times: u32| Limits { max_time: Some(times * one), ..Limits::default() };
+    let (limits, of_stage) = (given(16), given(5));
+    let named = |limits: Limits| format!("time limit of {} s", limits.max_time.unwrap().as_secs_f64());
+    let endless = |limits| {
+        let mut run = limited(NelderMead::default(), limits);
+        (run.tolerances.x_tol, run.tolerances.f_tol) = (0.0, 0.0);
+        run
+    };
+    let fit = calibration.fit(endless(limits)).unwrap();
+    assert!(fit.report.message.contains(&named(limits)), "{}", fit.report.message);
+    let stages = [Stage::new(["k"]).limits(of_stage), Stage::new(["k"])];
+    let fit = calibration.fit_stages(&stages, endless(limits)).unwrap();
+    let [first, second] = &fit.stages[..] else { panic!("{fit}") };
+    assert!(first.report.message.contains(&named(of_stage)), "{}", first.report.message);
+    assert!(second.report.message.contains(&named(limits)), "{}", second.report.message);
+}
+
+#[test]
+fn a_fit_without_any_time_can_be_stored_and_read() {
+    let limits = Limits { max_time: Some(Duration::from_millis(100)), ..Limits::default() };
+    let calibration = endless();
+    let fit = calibration.fit(limited(NelderMead::default(), limits)).unwrap();
+    assert!(fit.report.is_sound() && fit.report.trace.n() == 1);
+    let saved = SavedFit::from_bytes(&fit.to_bytes(&calibration).unwrap(), "fit").unwrap();
+    assert!(saved.fit.cost.is_nan() && saved.fit.x == fit.x);
 }

@@ -124,11 +124,13 @@ pub struct Driven<'a> {
     observer: Option<Box<Observer<'a>>>,
     poll: Option<Box<dyn FnMut() -> bool + 'a>>,
     loss: RobustLoss,
+    spent: Duration,
 }
 
 impl<'a> Driven<'a> {
     fn new(source: Source<'a>) -> Self {
-        Self { source, pool: None, cancel: None, observer: None, poll: None, loss: RobustLoss::default() }
+        let (loss, spent) = (RobustLoss::default(), Duration::ZERO);
+        Self { source, pool: None, cancel: None, observer: None, poll: None, loss, spent }
     }
 }
 
@@ -390,6 +392,13 @@ impl<'a, M> Minimize<'a, M> {
         self
     }
 
+    /// How much of the limit of wall-clock time ([`max_time`](Self::max_time)) is over before the run begins: what was done
+    /// for it elsewhere. The message of a run that ends by time names the whole limit.
+    pub fn spent(mut self, time: Duration) -> Self {
+        self.driver.spent = time;
+        self
+    }
+
     /// A flag that interrupts the run when set: no further evaluation starts, and running ones see
     /// [`Query::cancelled`](crate::Query::cancelled). The run itself neither raises nor lowers it, so several
     /// runs can share one.
@@ -406,7 +415,7 @@ impl<M: MethodOptions> Minimize<'_, M> {
     /// Options that cannot be used; an objective that failed at every starting point; a run that was ended before any
     /// point had a finite cost. Every other end is a [`Report`].
     pub fn run(mut self) -> Result<Report, Error> {
-        let Driven { mut source, pool, cancel, observer, poll, loss } = self.driver;
+        let Driven { mut source, pool, cancel, observer, poll, loss, spent } = self.driver;
         if let Some(pool) = &pool {
             self.description.options.workers = Some(pool.workers());
         }
@@ -452,7 +461,7 @@ impl<M: MethodOptions> Minimize<'_, M> {
         };
         let (cancel, mut observer, mut poll) = (cancel.unwrap_or_default(), observer, poll);
         let poll = poll.as_mut().map(|p| p.as_mut() as &mut dyn FnMut() -> bool);
-        let gateway = Gateway::new(executor, batch_ledger, limits, before, (&cancel, poll), workers);
+        let gateway = Gateway::new(executor, batch_ledger, limits, (before, spent), (&cancel, poll), workers);
         let drive = Drive { method, gateway, limits, workers, writer, observed, first_recent, unsaved: None };
         let mut report = drive.run(observer.as_deref_mut())?;
         report.undo(loss);

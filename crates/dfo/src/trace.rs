@@ -121,7 +121,8 @@ impl Record {
 }
 
 impl Trace {
-    pub(crate) fn new(n: usize) -> Self {
+    /// That of a run of so many parameters before its first evaluation.
+    pub fn new(n: usize) -> Self {
         Self { n, ..Self::default() }
     }
 

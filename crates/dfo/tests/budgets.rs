@@ -130,6 +130,15 @@ fn time_limits_end_the_run_with_the_best_in_hand() {
         assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)));
         assert!(report.message.contains("0.1 s"), "{report}");
     }
+    // What is over before the run counts, and the message names the whole limit.
+    let hour = Duration::from_secs(3600);
+    let short = hour - Duration::from_millis(100);
+    let run = || minimize(dfo::ByRef(slow)).start(&[-1.2, 1.0]).max_time(hour);
+    let report = run().spent(short).run().unwrap();
+    assert_eq!(report.termination, Termination::MaxTime, "{report}");
+    assert!(report.message.contains("3600 s"), "{report}");
+    let nothing = run().spent(hour).run();
+    assert!(matches!(nothing, Err(Error::EndedWithoutPoint { termination: Termination::MaxTime, .. })));
     let nothing = minimize(rosenbrock).start(&[-1.2, 1.0]).max_time(Duration::ZERO).run();
     assert!(matches!(nothing, Err(Error::EndedWithoutPoint { termination: Termination::MaxTime, .. })));
 }

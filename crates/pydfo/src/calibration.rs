@@ -11,9 +11,11 @@ use crate::settings::{self, LossFields, Options, Settings};
 use crate::stages::StageFields;
 use crate::threads::lock;
 use crate::trajectory::Counts;
+use crate::words::word;
 use crate::{error, files, fmu_error, logs};
 use calibration::{
-    CalibrationError, CurrentPhase, Entry, Experiment, FitOptions, Problem, Severity, Solver, Verdict,
+    CalibrationError, CurrentPhase, Entry, Experiment, FitNoise, FitOptions, NoiseRule, Problem, Severity,
+    Solver, Verdict,
 };
 use dfo::{Progress, RobustLoss, Termination};
 use fmi::OpenOptions;
@@ -131,6 +133,9 @@ impl PyCalibration {
         let stages = fit.stages.iter().map(|stage| self.result(py, stage.clone()));
         result.setattr("stages", stages.collect::<PyResult<Vec<_>>>()?)?;
         result.setattr("_rms", (fit.rms, fit.start_rms))?;
+        result.setattr("_noise", fit.noise.as_ref().map(noise_fields))?;
+        let tolerance = fit.tolerance.map(|t| (t.used, t.stated, t.noise, t.n_simulations));
+        result.setattr("_tolerance", tolerance)?;
         result.setattr("n_checks", fit.n_checks)?;
         result.setattr("n_beginnings", fit.n_beginnings)?;
         result.setattr("_native", PyFit { inner: Arc::new(fit), calibration: Arc::clone(&self.inner) })?;
@@ -161,6 +166,7 @@ struct FitFields {
     covariance: Option<String>,
     objective: Option<CostFields>,
     preflight: bool,
+    noise: String,
 }
 
 /// The model: as it was opened, or where it is.
@@ -394,11 +400,12 @@ impl PyCalibration {
     }
 
     fn fit<'py>(&self, py: Python<'py>, options: Options, asked: FitFields) -> PyResult<Bound<'py, PyAny>> {
-        let FitFields { start, observer, loss, stages, covariance, objective, preflight } = asked;
+        let FitFields { start, observer, loss, stages, covariance, objective, preflight, noise } = asked;
         let check = |stages: Vec<StageFields>| stages.into_iter().map(|stage| stage.check(py)).collect();
         let stages: Option<Vec<calibration::Stage>> = stages.map(check).transpose()?;
         let loss = settings::loss(loss)?.unwrap_or_default();
         let worth = settings::worth(covariance.as_deref())?;
+        let noise = word::<NoiseRule>("noise", &noise)?;
         let Settings { run, .. } = options.check(py, FitOptions::default_run().tolerances)?;
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());
@@ -420,6 +427,7 @@ impl PyCalibration {
                     start,
                     objective,
                     loss,
+                    noise,
                     preflight,
                     worth,
                     phase: told,
@@ -462,6 +470,15 @@ impl PyCalibration {
         };
         error::ended(py, &stop, raised, result)
     }
+}
+
+/// Whether it was estimated; per variable its standard deviation and whether that is known from residuals; rounds; whether it settled.
+type NoiseFields = (bool, Vec<(String, f64, bool)>, usize, bool);
+
+fn noise_fields(noise: &FitNoise) -> NoiseFields {
+    let Some(estimated) = noise.estimated() else { return (false, Vec::new(), 0, true) };
+    let outputs = estimated.outputs.iter().map(|o| (o.variable.clone(), o.sd, o.is_of_residuals));
+    (true, outputs.collect(), estimated.n_rounds, estimated.is_settled)
 }
 
 /// Solver, work, deviation in tolerances, verdict.

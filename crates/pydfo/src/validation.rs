@@ -9,6 +9,7 @@ use crate::inputs::Callbacks;
 use crate::interrupt::Watch;
 use crate::settings::{self, LossFields, Options, Settings};
 use crate::trajectory::Counts;
+use crate::words::word;
 use calibration::{
     BandOptions, CalibrationError, CrossValidationOptions, Experiment, FitOptions, Fold, PredictionBand,
     ValidatedOutput, Validation, ValidationSet,
@@ -114,11 +115,12 @@ pub(crate) fn cross_validate<'py>(
     calibration: &PyCalibration,
     folds: Option<usize>,
     options: Options,
-    loss: Option<LossFields>,
+    asked: (Option<LossFields>, String),
 ) -> PyResult<Bound<'py, PyDict>> {
-    let loss = settings::loss(loss)?.unwrap_or_default();
+    let (loss, noise) = asked;
+    let (loss, noise) = (settings::loss(loss)?.unwrap_or_default(), word("noise", &noise)?);
     let Settings { run, .. } = options.check(py, FitOptions::default_run().tolerances)?;
-    let options = CrossValidationOptions { folds, run, loss, ..CrossValidationOptions::default() };
+    let options = CrossValidationOptions { folds, run, loss, noise, ..CrossValidationOptions::default() };
     let found = calibration
         .compute(py, move |calibration, cancelled| calibration.cross_validate_until(&options, cancelled))?;
     let fields = PyDict::new(py);

@@ -7,6 +7,7 @@ mod scales;
 mod simulated;
 mod subject;
 
+pub(crate) use model::unstated_noise;
 pub use result::Check;
 
 use crate::calibration::Calibration;
@@ -39,6 +40,7 @@ impl Calibration {
         let subjects = self.subjects();
         let mut findings = model::construction_warnings(self.warnings());
         findings.extend(self.findings_of_description_and_data(&subjects));
+        findings.extend(model::unstated_noise(self.problem()));
         let (mut n_evaluations, mut at_start) = (0, None);
         if simulate {
             n_evaluations += 1;
@@ -109,7 +111,6 @@ impl Calibration {
     /// What is found without a simulation.
     fn findings_of_description_and_data(&self, subjects: &[Subject<'_>]) -> Vec<Finding> {
         let mut findings = model::parameters(self.parameters(), self.fmu().description());
-        findings.extend(model::priors(self.problem()));
         for subject in subjects {
             findings.extend(model::inputs(subject));
             findings.extend(model::units(subject));

@@ -3,7 +3,7 @@
 use super::subject::Subject;
 use crate::column_units::declared;
 use crate::data::UnitConversion;
-use crate::experiment::Weight;
+use crate::experiment::InitialState;
 use crate::finding::{Finding, Severity};
 use crate::parameter::Parameter;
 use crate::problem::Problem;
@@ -18,33 +18,32 @@ pub(super) fn construction_warnings(warnings: &[SetupWarning]) -> Vec<Finding> {
     warnings.iter().map(finding).collect()
 }
 
-/// Priors beside measurements whose noise nothing states: then a weight of 1 decides how much the priors count.
-pub(super) fn priors(problem: &Problem) -> Vec<Finding> {
-    let with_prior: Vec<&str> =
-        (problem.parameters.iter()).filter(|p| p.known_prior().is_some()).map(|p| p.name()).collect();
-    let is_unstated = |weight: &Weight| match weight {
-        Weight::Constant(weight) => *weight == 1.0,
-        Weight::Inverse(_) => true,
-        Weight::Column(_) | Weight::Rows(_) => false,
-    };
+/// Priors beside measurements whose noise no weight states.
+pub(crate) fn unstated_noise(problem: &Problem) -> Option<Finding> {
+    let fitted = problem.experiments.iter().flat_map(|e| &e.initial_states).filter_map(|(state, initial)| {
+        let InitialState::Fitted(parameter) = initial else { return None };
+        parameter.known_prior().map(|_| state.as_str())
+    });
+    let named = problem.parameters.iter().filter(|p| p.known_prior().is_some()).map(|p| p.name());
+    let with_prior: Vec<&str> = named.chain(fitted).collect();
     let outputs = problem.experiments.iter().flat_map(|experiment| &experiment.outputs);
-    let mut unstated: Vec<&str> =
-        outputs.filter(|output| is_unstated(&output.weight)).map(|output| &*output.variable).collect();
+    let unstated = outputs.filter(|output| !output.weight.states_noise());
+    let mut unstated: Vec<&str> = unstated.map(|output| &*output.variable).collect();
     unstated.sort_unstable();
     unstated.dedup();
     if with_prior.is_empty() || unstated.is_empty() {
-        return Vec::new();
+        return None;
     }
     let (priors, outputs) = (with_prior.join(", "), unstated.join(", "));
-    vec![Finding::new(
-        Severity::Warning,
+    Some(Finding::new(
+        Severity::Note,
         format!("prior of {priors}"),
         format!(
             "it counts in units of its standard deviation, but nothing states the standard deviation of the noise of {outputs}, which is \
              taken for 1 over the weight: where it is smaller, the prior decides"
         ),
-        "give weights of 1/sigma, or objective 'likelihood', which estimates the noise of each output with the parameters",
-    )]
+        "a fit of the sum of squares estimates the noise with the parameters; weights of 1/sigma state it",
+    ))
 }
 
 /// Parameters whose start or bounds lie beyond the range that the model states.

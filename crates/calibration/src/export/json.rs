@@ -71,6 +71,8 @@ impl Fit {
             "start_cost": self.start_cost,
             "start_rms": self.start_rms,
             "outputs": serde_json::to_value(&self.outputs)?,
+            "noise": serde_json::to_value(&self.noise)?,
+            "tolerance": serde_json::to_value(self.tolerance)?,
             "worth": worth,
             "success": report.is_success(),
             "termination": report.termination.name(),

@@ -133,10 +133,12 @@ impl Fit {
             "residual",
         ];
         let trajectories = calibration.simulate_until(&self.x, None, cancelled)?;
+        let layout = self.residual_layout(calibration);
         let residuals = calibration.residuals_until(&self.x, cancelled)?;
+        let residuals = layout.reweighed(&residuals, calibration.residual_layout());
         let names = calibration.problem().experiment_names();
         let mut rows = vec![header.map(str::to_owned).to_vec()];
-        for output in &calibration.residual_layout().outputs {
+        for output in &layout.outputs {
             let trajectory = &trajectories[output.experiment];
             let column = trajectory.columns.get(output.output);
             let variable = calibration.fmu().description().variable(&output.variable);

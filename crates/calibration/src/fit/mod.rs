@@ -1,25 +1,33 @@
 //! The fit: what is asked for, the search, and what its result is worth; parameters with names come out.
 
+mod noise;
 mod options;
 mod result;
+mod rounds;
 mod search;
+mod tolerance;
 
+pub use noise::{EstimatedNoise, FitNoise, NoiseRule, OutputNoise};
 pub use options::{FitObserver, FitOptions};
 pub use result::Fit;
+pub(crate) use rounds::{add_earlier, checkpoint_of, ended_by};
+pub use tolerance::ChosenTolerance;
 
 use crate::calibration::Calibration;
 use crate::effect::{Findings, is_over};
 use crate::error::CalibrationError;
 use crate::finding::{Finding, Severity};
+use crate::layout::ResidualLayout;
 use crate::objective::CostKind;
 use crate::output_fit::KeptResiduals;
 use crate::parameter::{Parameter, Scale};
-use crate::phase::FitPhase;
+use crate::phase::{Deadline, FitPhase};
 use crate::residual::{CostRule, sum_of_squares};
 use crate::simulations::Simulations;
 use crate::worth::{KnownPoint, Worth, WorthOptions};
 use dfo::{Measure, Report, RobustLoss, Tolerances, typical_size};
 use ode::Stats;
+use rounds::Made;
 use search::{HISTORY, Job, Searched};
 
 impl Calibration {
@@ -32,25 +40,31 @@ impl Calibration {
     /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
     /// cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
     pub fn fit<'a>(&self, options: impl Into<FitOptions<'a>>) -> Result<Fit, CalibrationError> {
-        self.fit_and_keep(options.into()).map(|(fit, _)| fit)
+        self.fit_and_keep(options.into(), None).map(|(fit, _)| fit)
     }
 
-    /// The same, with the residuals that the run has computed.
+    /// The same, with the residuals that the run has computed, by the weights of this calibration; within a time that has begun
+    /// already, or begins now.
     pub(crate) fn fit_and_keep(
         &self,
         options: FitOptions<'_>,
+        deadline: Option<Deadline>,
     ) -> Result<(Fit, KeptResiduals), CalibrationError> {
-        let job = Job::new(self, options)?;
+        let mut job = Job::new(self, options, deadline)?;
         let mut stats = Stats::default();
-        let searched = self.search(&job, &mut stats);
+        let made = self.made(&mut job, &mut stats);
+        let Made { own, searched, noise, tolerance } = match made {
+            Err(error) if !job.is_asked() => Made::of(self.start_alone(&job, error)?),
+            made => made?,
+        };
+        // With the weights and the tolerance of the fit.
+        let own = own.as_ref().unwrap_or(self);
         let Searched { report, found, residuals, preflight, solver, tolerances, raised, n_beginnings } =
-            match searched {
-                Err(error) if !job.is_asked() => self.start_alone(&job, error)?,
-                searched => searched?,
-            };
+            searched;
         let Job { start, held, objective, loss, deadline, phase, worth, .. } = &job;
         let cancelled = || job.is_cancelled();
         let mut remarks = raised;
+        remarks.extend(self.unstated_noise(&job, noise.as_ref()));
         if n_beginnings > 1 {
             let sentence = format!("begun {n_beginnings} times: {HISTORY}");
             remarks.push(Finding::new(Severity::Note, "fit", sentence, ""));
@@ -58,14 +72,13 @@ impl Calibration {
         phase.set(FitPhase::Checks);
         let is_whole = worth.is_some() && held.is_empty();
         let (at_start, at_end) =
-            self.plain_residuals((start, &report.x), (&residuals, *loss), &cancelled, &mut stats);
+            own.plain_residuals((start, &report.x), (&residuals, *loss), &cancelled, &mut stats);
         if let Some(at_end) = at_end.as_deref().filter(|_| is_whole && is_over(&report.termination)) {
             let (from, to) = ((start.as_slice(), at_start.as_deref()), (report.x.as_slice(), at_end));
-            remarks.extend(self.check_after_fit(from, to, &cancelled, &mut stats));
+            remarks.extend(own.check_after_fit(from, to, &cancelled, &mut stats));
         }
-        let outputs = at_end
-            .as_deref()
-            .map_or_else(Vec::new, |at_end| self.output_fits_of(at_end, at_start.as_deref()));
+        let outputs =
+            at_end.as_deref().map_or_else(Vec::new, |at_end| own.output_fits_of(at_end, at_start.as_deref()));
         phase.set(FitPhase::Worth);
         let worth = worth.clone().filter(|_| objective.has_worth()).and_then(|mut options| {
             options.workers = options.workers.or(job.run.workers);
@@ -73,7 +86,7 @@ impl Calibration {
             let asked = WorthOptions { loss: *loss, is_likelihood: objective.is_likelihood(), ..options };
             let known = report.residuals.as_deref().or(at_end.as_deref());
             let worth =
-                self.worth_of_fit((&report, &found, known), &tolerances, asked, (&cancelled, &mut stats));
+                own.worth_of_fit((&report, &found, known), &tolerances, asked, (&cancelled, &mut stats));
             if worth.is_none() && is_over(&report.termination) && deadline.is_over() {
                 let sentence = "the time was up before the standard errors were known";
                 remarks.push(Finding::new(Severity::Warning, "max_time", sentence, ""));
@@ -84,15 +97,23 @@ impl Calibration {
             report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());
         let is_start = report.trace.is_empty() && report.fun.is_finite();
         let start_cost = start_cost.or(Some(report.fun).filter(|_| is_start));
-        let mut rms = |x: &[f64], cost: Option<f64>| match (objective.is_sum_of_squares(), cost) {
-            (true, cost) => cost.map(|cost| self.rms(x, cost, *loss)),
-            // Of another cost the residuals have to be known.
-            (false, None) => None,
-            (false, Some(_)) => match residuals.at((x, start)) {
-                Some(known) => Some(self.rms(x, sum_of_squares(known), *loss)),
-                None => self.cost_and_rms(x, (objective, *loss), &cancelled, &mut stats).map(|(_, rms)| rms),
-            },
-        };
+        let is_estimated = noise.as_ref().is_some_and(|noise| noise.estimated().is_some());
+        // The last of several searches began elsewhere.
+        let known_start = residuals.at_start().filter(|_| is_estimated).map(sum_of_squares);
+        let start_cost = start_cost.or(known_start);
+        let mut rms =
+            |x: &[f64], cost: Option<f64>| match (objective.is_sum_of_squares() && !is_estimated, cost) {
+                (true, cost) => cost.map(|cost| self.rms(x, cost, *loss)),
+                // Of another cost, or by other weights, the residuals have to be known.
+                (false, None) => None,
+                (false, Some(_)) => match residuals.at((x, start)) {
+                    Some(known) => Some(self.rms_of(known, own.residual_layout())),
+                    None => {
+                        let found = own.cost_and_residuals(x, (objective, *loss), &cancelled, &mut stats);
+                        found.map(|(_, residuals)| self.rms_of(&residuals, own.residual_layout()))
+                    }
+                },
+            };
         let names: Vec<String> = self.parameters().iter().map(|p| p.name().to_owned()).collect();
         let mut shown_names: Vec<String> =
             self.parameters().iter().map(|p| p.shown_name().to_owned()).collect();
@@ -106,6 +127,8 @@ impl Calibration {
             bounds: self.parameters().iter().map(|p| (p.lower(), p.upper())).collect(),
             model: description.model_name.clone(),
             n_measurements: self.n_measurements(),
+            noise,
+            tolerance,
             x: report.x.clone(),
             names,
             shown_names,
@@ -129,21 +152,30 @@ impl Calibration {
             solver,
             report,
         };
+        let residuals = residuals.reweighed(own.residual_layout(), self.residual_layout());
         Ok((fit, residuals))
     }
 
-    /// The cost at `x` and the RMS of the measurements there; `None` where the simulation fails.
-    pub(crate) fn cost_and_rms(
+    /// The root of the mean squared residual of the measurements by the weights of this calibration, as they count, from residuals by
+    /// other weights.
+    pub(crate) fn rms_of(&self, residuals: &[f64], weights: &ResidualLayout) -> f64 {
+        let own = self.residual_layout().reweighed(residuals, weights);
+        let n = self.n_measurements();
+        (sum_of_squares(&own[..n]) / n as f64).sqrt()
+    }
+
+    /// The cost at `x` and the residuals there, as they count; `None` where the simulation fails.
+    pub(crate) fn cost_and_residuals(
         &self,
         x: &[f64],
         (kind, loss): (&CostKind, RobustLoss),
         cancelled: &dyn Fn() -> bool,
         stats: &mut Stats,
-    ) -> Option<(f64, f64)> {
+    ) -> Option<(f64, Vec<f64>)> {
         let mut residuals = vec![0.0; self.n_residuals()];
         let sum = self.evaluate_into(x, CostRule::whole(loss, cancelled), &mut residuals, stats).ok()?;
         let outcome = kind.outcome(self.residual_layout(), (sum, &residuals), &mut Vec::new());
-        Some((outcome.value()?, self.rms(x, sum, loss)))
+        Some((outcome.value()?, residuals))
     }
 
     /// What the result of a run is worth, from the residuals there, without a loss, where they are known; `None` where it cannot be found

@@ -1,5 +1,6 @@
 //! What a fit is asked for.
 
+use super::noise::NoiseRule;
 use crate::objective::CostKind;
 use crate::phase::CurrentPhase;
 use crate::worth::WorthOptions;
@@ -32,6 +33,11 @@ pub struct FitOptions<'a> {
     /// What a residual counts; default: its square. With another loss [`Fit::cost`](crate::Fit::cost) is the sum of what they count, also where
     /// the method sees costs alone.
     pub loss: RobustLoss,
+    /// Where the noise of the measurements is taken from, beside which [priors](crate::Prior) count; default: it is estimated with the
+    /// parameters where there are priors and the weights do not state it. See [`EstimatedNoise`](crate::EstimatedNoise) for how: the search
+    /// is made several times, each from where the last one ended, and the limits hold for all together. A checkpoint has a file for each:
+    /// `fit.ckpt`, `fit.ckpt.round2` and so on.
+    pub noise: NoiseRule,
     /// The start is looked at first, see [`Calibration::preflight`](crate::Calibration::preflight); `f_tol` below the noise of the simulations is raised to it, with
     /// a word in the message. Default: no.
     pub preflight: bool,
@@ -68,6 +74,7 @@ impl Default for FitOptions<'_> {
             cutoffs: true,
             objective: CostKind::default(),
             loss: RobustLoss::default(),
+            noise: NoiseRule::default(),
             preflight: false,
             worth: Some(WorthOptions::default()),
             observer: None,

@@ -1,7 +1,11 @@
 //! What a fit has found.
 
+use super::noise::FitNoise;
+use super::tolerance::ChosenTolerance;
+use crate::calibration::Calibration;
 use crate::effect::BoundSide;
 use crate::finding::{Finding, Severity};
+use crate::layout::ResidualLayout;
 use crate::output_fit::OutputFit;
 use crate::preflight::Preflight;
 use crate::solver::Solver;
@@ -33,12 +37,21 @@ pub struct Fit {
     pub model: String,
     /// How many measurements count.
     pub n_measurements: usize,
-    /// Cost there: the sum of the squared weighted residuals; with a loss, of what they count.
+    /// Cost there: the sum of the squared weighted residuals, by the weights of the [noise](Self::noise) where that was estimated; with a
+    /// loss, of what they count.
     pub cost: f64,
-    /// Root of the mean squared weighted residual of the measurements there; with a loss, of what they count.
+    /// Root of the mean squared weighted residual of the measurements there, by the weights of the calibration; with a loss, of what they
+    /// count.
     pub rms: f64,
     /// Name of the cost, see [`CostKind::name`](crate::CostKind::name).
     pub objective: String,
+    /// Where the noise of the measurements was taken from, beside which priors count; `None`: nothing depended on it (no priors, or a cost
+    /// that is no sum of squares), or there was no time for a search.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub noise: Option<FitNoise>,
+    /// The relative tolerance that was chosen for the simulations; `None`: it was given, or that of the calibration.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tolerance: Option<ChosenTolerance>,
     /// Cost at the start, if the simulation did not fail there.
     pub start_cost: Option<f64>,
     /// RMS at the start, if the simulation did not fail there.
@@ -78,6 +91,16 @@ pub struct Fit {
 }
 
 impl Fit {
+    /// What each entry of the residual vector of this fit stands for, with the weights that the fit had: those of the calibration, or
+    /// those over the [noise](Fit::noise) that was estimated.
+    pub fn residual_layout(&self, calibration: &Calibration) -> ResidualLayout {
+        let mut layout = calibration.residual_layout().clone();
+        if let Some(noise) = self.noise.as_ref().and_then(FitNoise::estimated) {
+            noise.weigh_layout(calibration.problem(), &mut layout);
+        }
+        layout
+    }
+
     /// What reports and figures call the parameters.
     pub fn shown_names(&self) -> &[String] {
         if self.shown_names.is_empty() { &self.names } else { &self.shown_names }

@@ -1,6 +1,8 @@
 //! The search for the best point, with what comes before it: the objective meets an optimiser.
 
+use super::noise::NoiseRule;
 use super::options::{FitObserver, FitOptions};
+use super::tolerance::AtStart;
 use crate::calibration::Calibration;
 use crate::effect::Findings;
 use crate::error::CalibrationError;
@@ -97,6 +99,14 @@ impl Objective for Counted<'_> {
     }
 }
 
+/// What the searches before this one have spent of the limits.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Spent {
+    pub(super) n_evaluations: usize,
+    pub(super) n_iterations: usize,
+    pub(super) seconds: f64,
+}
+
 /// What a fit is asked for, checked, with its clock.
 pub(super) struct Job<'a> {
     pub(super) run: RunOptions<AnyMethod>,
@@ -105,6 +115,7 @@ pub(super) struct Job<'a> {
     pub(super) cutoffs: bool,
     pub(super) objective: CostKind,
     pub(super) loss: RobustLoss,
+    pub(super) noise: NoiseRule,
     pub(super) wants_preflight: bool,
     pub(super) worth: Option<WorthOptions>,
     pub(super) observer: RefCell<Option<Box<FitObserver<'a>>>>,
@@ -112,15 +123,32 @@ pub(super) struct Job<'a> {
     pub(super) cancel: Option<Arc<AtomicBool>>,
     pub(super) phase: Arc<CurrentPhase>,
     pub(super) deadline: Deadline,
+    /// Whether it is a part of a fit, which has chosen the tolerance.
+    pub(super) is_part: bool,
+    /// Of the limits, by searches before.
+    pub(super) spent: Spent,
     /// The residuals at the start, as they count, where they were known before the search.
     pub(super) at_start: RefCell<Option<Vec<f64>>>,
 }
 
 impl<'a> Job<'a> {
-    pub(super) fn new(calibration: &Calibration, options: FitOptions<'a>) -> Result<Self, CalibrationError> {
-        let deadline = Deadline::new(options.run.limits.max_time);
+    pub(super) fn new(
+        calibration: &Calibration,
+        options: FitOptions<'a>,
+        deadline: Option<Deadline>,
+    ) -> Result<Self, CalibrationError> {
+        let is_part = deadline.is_some();
+        let deadline = deadline.unwrap_or_else(|| Deadline::new(options.run.limits.max_time));
         let mut run = options.run;
         options.objective.check(calibration.residual_layout(), !options.loss.is_linear())?;
+        if options.noise == NoiseRule::Estimated
+            && !(options.objective.is_sum_of_squares() && options.loss.is_linear())
+        {
+            return Err(CalibrationError::Setup(
+                "noise 'estimated' belongs to the sum of squares without a robust loss; the objective 'likelihood' estimates the noise by itself"
+                    .to_owned(),
+            ));
+        }
         run.workers.get_or_insert_with(|| available_parallelism().map_or(1, usize::from));
         let start = options.start.unwrap_or_else(|| calibration.start());
         calibration.check_start(&start)?;
@@ -137,6 +165,7 @@ impl<'a> Job<'a> {
             cutoffs: options.cutoffs && options.objective.is_sum_of_squares(),
             objective: options.objective,
             loss: options.loss,
+            noise: options.noise,
             wants_preflight: options.preflight,
             worth: options.worth,
             observer: RefCell::new(options.observer),
@@ -144,6 +173,8 @@ impl<'a> Job<'a> {
             cancel: options.cancel,
             phase: options.phase,
             deadline,
+            is_part,
+            spent: Spent::default(),
             at_start: RefCell::default(),
         })
     }
@@ -178,8 +209,14 @@ pub(super) struct Searched {
 }
 
 impl Calibration {
-    /// The search for the best point, with what comes before it.
-    pub(super) fn search(&self, job: &Job<'_>, stats: &mut Stats) -> Result<Searched, CalibrationError> {
+    /// The search for the best point, with what comes before it. `at_start`: the residuals at the start, as they count, where they are
+    /// known.
+    pub(super) fn search(
+        &self,
+        job: &Job<'_>,
+        mut at_start: AtStart,
+        stats: &mut Stats,
+    ) -> Result<Searched, CalibrationError> {
         let Job { start, held, cutoffs, objective, loss, deadline, .. } = job;
         let (cutoffs, loss, deadline) = (*cutoffs, *loss, *deadline);
         let mut described = job.run.clone();
@@ -193,16 +230,8 @@ impl Calibration {
         // What is held can have any value, and does not choose the method.
         held.iter().for_each(|&i| kinds[i] = Kind::Continuous);
         let sizes: Vec<Option<f64>> = self.parameters().iter().map(|p| self.given_size(p)).collect();
-        if let Some(checkpoint) = &described.checkpoint {
-            self.adopt_solver(checkpoint)?;
-        }
         let cancelled = || job.is_cancelled();
-        job.phase.set(FitPhase::Solver);
-        let (solver, raced) = self.solver_counted(&cancelled, stats)?;
-        let raced = raced.filter(|_| *start == self.start());
-        let counted = |plain: Vec<f64>| plain.into_iter().map(|r| loss.transform(r)).collect::<Vec<f64>>();
-        let mut at_start = raced.map(|raced| (counted(raced.residuals), raced.seconds));
-        *job.at_start.borrow_mut() = at_start.as_ref().map(|(residuals, _)| residuals.clone());
+        let solver = self.solver_until(&cancelled)?;
         job.phase.set(FitPhase::ModelTest);
         self.prepare(&cancelled)?;
         let problem = self.problem_hash(solver);
@@ -217,7 +246,7 @@ impl Calibration {
             self.preflight_counted(&options, &mut at_start, &cancelled, stats)
         });
         let preflight = preflight.transpose()?;
-        let mut raised: Vec<Finding> = self.tightened().into_iter().collect();
+        let mut raised = Vec::new();
         if let Some(found) = &preflight
             && described.tolerances.measure == Measure::Relative
             && found.f_tol_above_noise(described.tolerances.f_tol) > described.tolerances.f_tol
@@ -246,7 +275,11 @@ impl Calibration {
                 stats: Mutex::new((Stats::default(), SpotChecks::default(), KeptResiduals::of_start(known))),
                 n_findings,
             };
-            described.limits.max_time = deadline.left();
+            let limits = job.run.limits;
+            described.limits.max_evaluations =
+                limits.max_evaluations.map(|n| n.saturating_sub(job.spent.n_evaluations));
+            described.limits.max_iterations =
+                limits.max_iterations.map(|n| n.saturating_sub(job.spent.n_iterations));
             let mut run = dfo::minimize(ByRef(&counted))
                 .start(start)
                 .bounds(&bound(Parameter::lower), &bound(Parameter::upper))
@@ -254,9 +287,16 @@ impl Calibration {
                 .transforms(&transforms)
                 .kinds(&kinds)
                 .known_scales(&sizes)
+                .spent(deadline.elapsed())
                 .options(described.clone());
             if let Some(observer) = &mut *observer {
-                run = run.observer(|progress| observer(progress));
+                run = run.observer(|progress| {
+                    let mut progress = *progress;
+                    progress.n_evaluations += job.spent.n_evaluations;
+                    progress.n_iterations += job.spent.n_iterations;
+                    progress.seconds += job.spent.seconds;
+                    observer(&progress)
+                });
             }
             if job.poll.borrow().is_some() {
                 run = run.poll(|| job.is_polled());
@@ -309,22 +349,6 @@ impl Calibration {
         })
     }
 
-    /// What is said where simulations have a smaller tolerance than the model states.
-    fn tightened(&self) -> Option<Finding> {
-        let (settings, description) = (&self.problem().settings, self.fmu().description());
-        let used = match settings.relative_tolerance {
-            None => settings.tolerance_of_fits(description)?,
-            Some(_) => return None,
-        };
-        let stated = description.default_experiment.tolerance.unwrap_or(f64::NAN);
-        let sentence = format!(
-            "simulations have the relative tolerance {} instead of the model's {}, which leaves the cost noisy",
-            Number(used),
-            Number(stated)
-        );
-        Some(Finding::new(Severity::Note, "relative tolerance", sentence, "relative_tolerance overrides it"))
-    }
-
     /// The start as the result of a search that had no time for a single evaluation.
     ///
     /// # Errors
@@ -336,7 +360,8 @@ impl Calibration {
     ) -> Result<Searched, CalibrationError> {
         let found = match error {
             CalibrationError::Cancelled if job.deadline.is_over() => {
-                NothingFound { n_evaluations: 0, failures: Vec::new(), x: None, trace: Trace::default() }
+                let trace = Trace::new(job.start.len());
+                NothingFound { n_evaluations: 0, failures: Vec::new(), x: None, trace }
             }
             CalibrationError::Optimiser(dfo::Error::EndedWithoutPoint {
                 termination: Termination::MaxTime,

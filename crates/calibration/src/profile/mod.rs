@@ -83,8 +83,21 @@ impl Calibration {
         options: &ProfileOptions,
         cancelled: &dyn Fn() -> bool,
     ) -> Result<Profile, CalibrationError> {
-        let setup = |message: String| Err(CalibrationError::Setup(message));
         self.check_length(&fit.x)?;
+        if self.known_solver().is_none() {
+            self.set_solver(fit.solver.clone())?;
+        }
+        self.of_fit(fit)?.as_ref().unwrap_or(self).own_profile(fit, options, cancelled)
+    }
+
+    /// The same with the weights and the tolerance of the fit.
+    fn own_profile(
+        &self,
+        fit: &Fit,
+        options: &ProfileOptions,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Profile, CalibrationError> {
+        let setup = |message: String| Err(CalibrationError::Setup(message));
         if fit.objective != CostKind::default().name() {
             let what = &fit.objective;
             return setup(format!(
@@ -114,9 +127,6 @@ impl Calibration {
         }
         if options.max_points == 0 {
             return setup("a profile needs one point or more on each side of the optimum, not 0".to_owned());
-        }
-        if self.known_solver().is_none() {
-            self.set_solver(fit.solver.clone())?;
         }
         let n_free = n - held.len();
         let degrees_of_freedom = self.n_residuals().saturating_sub(n_free);

@@ -66,10 +66,10 @@ impl Calibration {
         cancelled: &dyn Fn() -> bool,
     ) -> Result<Vec<ExperimentCurves>, CalibrationError> {
         self.check_length(&fit.x)?;
-        let layout = self.residual_layout();
+        let layout = fit.residual_layout(self);
         let residuals = match &fit.worth {
             Some(worth) if worth.residuals.len() == layout.n_residuals() => worth.residuals.clone(),
-            _ => self.residuals_until(&fit.x, cancelled)?,
+            _ => layout.reweighed(&self.residuals_until(&fit.x, cancelled)?, self.residual_layout()),
         };
         let names = self.problem().experiment_names();
         // Chosen before several threads ask for it.
@@ -146,7 +146,7 @@ impl Calibration {
     /// of the parameter's value (of one that is zero: its nominal size), so what a relative change of one makes. Per output one column
     /// per parameter. Empty where the fit has no [`Worth`](crate::Worth).
     pub fn sensitivities(&self, fit: &Fit) -> Vec<Vec<Vec<f64>>> {
-        let (layout, n) = (self.residual_layout(), fit.x.len());
+        let (layout, n) = (fit.residual_layout(self), fit.x.len());
         let jacobian = fit.worth.as_ref().map(|worth| worth.jacobian.as_slice());
         let Some(jacobian) =
             jacobian.filter(|j| n > 0 && n == self.parameters().len() && j.len() == n * layout.n_residuals())

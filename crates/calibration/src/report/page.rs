@@ -204,7 +204,9 @@ fn settings(calibration: &Calibration, fit: &Fit) -> Vec<Fact> {
     facts.push(("workers, batch plan", format!("{}, {}", report.workers, report.batch)));
     let chosen = if fit.solver.race.is_some() { " (chosen by a race)" } else { "" };
     facts.push(("solver", format!("{}{chosen}", fit.solver.method.name())));
-    let tolerance = plan.map(|plan| Number(plan.relative_tolerance()).to_string());
+    let chosen = fit.tolerance.map(|chosen| chosen.used);
+    let used = chosen.or_else(|| plan.map(|plan| plan.relative_tolerance()));
+    let tolerance = used.map(|used| Number(used).to_string());
     facts.extend(tolerance.map(|tolerance| ("relative tolerance", tolerance)));
     let steps = [("step size in s", settings.step_size), ("largest step in s", settings.max_step)];
     facts.extend(steps.into_iter().filter_map(|(name, value)| Some((name, Number(value?).to_string()))));

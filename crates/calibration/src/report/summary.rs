@@ -247,6 +247,7 @@ fn facts(fit: &Fit) -> Vec<Fact> {
     if !report.loss.is_linear() {
         facts.push(("loss", report.loss.to_string()));
     }
+    facts.extend(fit.noise.iter().map(|noise| ("noise", noise.to_string())));
     facts.push(("standard errors", errors(fit)));
     let counts = [(report.n_failed, "failed"), (report.n_speculative, "speculative")];
     let counts: String =

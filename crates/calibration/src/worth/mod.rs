@@ -23,6 +23,7 @@ use differences::{Center, Differences};
 pub(crate) use digits::digits;
 use nalgebra::DMatrix;
 pub use residual_check::ResidualCheck;
+pub(crate) use residual_check::{MEDIAN_DEVIATION, median};
 pub(crate) use result::check_level;
 use result::errors_and_correlation;
 pub use result::{Estimator, Worth, WorthOptions};

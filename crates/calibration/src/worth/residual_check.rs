@@ -12,7 +12,7 @@ const OUTLIER: f64 = 4.0;
 const MANY_OUTLIERS: f64 = 0.2;
 
 /// The median absolute deviation of normally distributed numbers is this part of their standard deviation.
-pub(super) const MEDIAN_DEVIATION: f64 = 0.674_489_750_196_081_7;
+pub(crate) const MEDIAN_DEVIATION: f64 = 0.674_489_750_196_081_7;
 
 /// Autocorrelation above this makes standard errors too small that suppose independent residuals.
 pub(crate) const CORRELATED: f64 = 0.3;
@@ -188,7 +188,7 @@ pub(crate) fn autocorrelation(r: &[f64]) -> f64 {
 }
 
 /// The values are sorted.
-pub(super) fn median(values: &mut [f64]) -> f64 {
+pub(crate) fn median(values: &mut [f64]) -> f64 {
     values.sort_by(f64::total_cmp);
     match values.len() {
         0 => f64::NAN,

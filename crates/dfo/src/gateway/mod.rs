@@ -156,14 +156,15 @@ impl<'a> Gateway<'a> {
         executor: Executor<'a>,
         mut batch_ledger: BatchLedger,
         limits: Limits,
-        before: f64,
+        (before, spent): (f64, Duration),
         control: (&'a AtomicBool, Option<&'a mut dyn FnMut() -> bool>),
         workers: usize,
     ) -> Self {
         let start = Instant::now();
         let left = limits
             .max_time
-            .map(|t| t.saturating_sub(Duration::try_from_secs_f64(before).unwrap_or(Duration::MAX)));
+            .map(|t| t.saturating_sub(Duration::try_from_secs_f64(before).unwrap_or(Duration::MAX)))
+            .map(|t| t.saturating_sub(spent));
         let deadline = left.and_then(|t| start.checked_add(t));
         batch_ledger.gives_up = match &executor {
             Executor::Serial(serial) | Executor::Pool { serial, .. } => serial.gives_up(),

@@ -32,7 +32,7 @@ from ._errors import (
 )
 from ._experiment import Experiment
 from ._files import build_fmu, clear_caches, example_fmu
-from ._fit import Fit, OutputFit
+from ._fit import ChosenTolerance, Fit, FitNoise, OutputFit
 from ._fmin import fmin
 from ._least_squares import least_squares
 from ._minimize import minimize
@@ -61,12 +61,14 @@ __all__ = [
     "CalibrationWarning",
     "Check",
     "CheckpointError",
+    "ChosenTolerance",
     "CrossValidation",
     "Description",
     "Experiment",
     "FMUModel",
     "Finding",
     "Fit",
+    "FitNoise",
     "FmuError",
     "Fold",
     "Interrupted",

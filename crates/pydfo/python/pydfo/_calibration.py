@@ -102,8 +102,10 @@ class Calibration:
     start_values : dict, optional
         Values of other parameters and start values of variables, by name; not of those that are fitted.
     relative_tolerance : float, optional
-        Of the integration; default: that of the model's default experiment, but at most 1e-6 (a larger one makes the cost noisy; the
-        message of a fit says so), else 1e-6.
+        Of the integration; default: that of the model's default experiment, but at most 1e-6 (a larger one makes the cost noisy), else
+        1e-6. A fit simulates with a smaller one where it needs it: unless its `f_tol` is 100 times the model's tolerance or more, it
+        simulates the start with a tenth, and takes so many tenths that the cost is uncertain by less than `f_tol` near the best values
+        (``fit.tolerance``, and a note among the findings).
     solver : str
         "auto", "tsit5", "dop853", "radau5", "bdf", "rk4" or "euler". With "auto" methods are compared at the first use, at
         the parameters' start values, see `solver`.
@@ -451,6 +453,7 @@ class Calibration:
         objective: str | _objective.Objective = "sum-of-squares",
         covariance: Literal["sandwich", "pooled"] | None = "sandwich",
         preflight: bool = False,
+        noise: Literal["auto", "stated", "estimated"] = "auto",
     ) -> Fit:
         """Fits the parameters, without the interpreter lock.
 
@@ -525,6 +528,15 @@ class Calibration:
         preflight : bool
             Look at the start first, see `preflight`; the fit has what was found (``fit.preflight``), and `disp` prints it. A
             relative `f_tol` below the noise of the simulations is raised to it, with a word in the message.
+        noise : {"auto", "stated", "estimated"}
+            Where the noise of the measurements is taken from, beside which priors count in units of their standard deviations. "stated":
+            weights are 1 over its standard deviation, also those of 1. "estimated": of all outputs with the parameters; weights are
+            relative. "auto": where there are priors, that of outputs whose weights state none (1, or by a scale) is estimated, for the
+            sum of squares without a robust loss. The first estimate is that of the differences between neighbouring measurements; then
+            searches take turns with estimates from their residuals, until these change by less than 1 %: mostly two or three searches,
+            each from where the last one ended. Limits and ``nfev`` are those of all together, the trace is that of the last, and a
+            checkpoint has a file for each (``fit.ckpt``, ``fit.ckpt.round2`` and so on). ``fit.noise`` has the estimates; ``fit.cost``,
+            ``fit.worth``, profiles and bands are those with weights over them, ``fit.rms`` that with the weights as given.
 
         Returns
         -------
@@ -621,6 +633,7 @@ class Calibration:
                     "objective": cost,
                     "covariance": covariance,
                     "preflight": _options.flag("preflight", preflight),
+                    "noise": _options.choice("noise", noise),
                 }
                 result = self._native.fit(built, asked)
         except BaseException as e:
@@ -762,6 +775,7 @@ class Calibration:
         f_scale: SupportsFloat = 1.0,
         rng: int | np.random.Generator | None = None,
         options: Mapping[str, Any] | None = None,
+        noise: Literal["auto", "stated", "estimated"] = "auto",
     ) -> CrossValidation:
         """Fits without some of the recordings, and validates on those that were left out.
 
@@ -773,7 +787,7 @@ class Calibration:
         folds : int, optional
             Into how many groups the recordings are divided (each k-th recording in one), of which one is held out at a time; default:
             each recording alone.
-        method, x_tol, f_tol, max_evaluations, max_iterations, loss, f_scale, rng, options : optional
+        method, x_tol, f_tol, max_evaluations, max_iterations, loss, f_scale, rng, options, noise : optional
             Of each fit, as in `fit`.
         workers : int, optional
             Simulations that may run at once; the fits run side by side. None and -1: all cores.
@@ -806,7 +820,8 @@ class Calibration:
             parameter_kinds=[p.kind for p in self._parameters if not p.fixed],
         )
         counted = (_options.choice("loss", loss), _options.number("f_scale", f_scale))
-        return CrossValidation(**_core.cross_validate(self._native, _options.limit("folds", folds, 0), built, counted))
+        asked = (counted, _options.choice("noise", noise))
+        return CrossValidation(**_core.cross_validate(self._native, _options.limit("folds", folds, 0), built, asked))
 
     def _bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds of the parameters; equal where one is fixed."""

@@ -207,7 +207,7 @@ class Fit:
     def shown_names(self) -> list[str]: ...
 
 def cross_validate(
-    calibration: Calibration, folds: int | None, options: Options, loss: tuple[str, float] | None
+    calibration: Calibration, folds: int | None, options: Options, asked: tuple[tuple[str, float] | None, str]
 ) -> dict[str, Any]: ...
 def prediction_bands(
     calibration: Calibration, fit: Fit, times: list[float] | None, extent: tuple[float, bool], outputs: list[str] | None

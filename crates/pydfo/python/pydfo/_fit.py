@@ -52,6 +52,42 @@ class OutputFit(NamedTuple):
     """Fit percentage: ``100 (1 - norm(simulated - measured) / norm(measured - mean))``; NaN where the measurements do not vary."""
 
 
+class FitNoise(NamedTuple):
+    """Where a fit has the noise of the measurements from, beside which priors count."""
+
+    source: Literal["stated", "estimated"]
+    """By the weights, which are 1 over its standard deviation, or estimated with the parameters."""
+    sd: dict[str, float]
+    """The estimated standard deviation of each variable, in its unit; where its weights state something, times the weight."""
+    of_residuals: dict[str, bool]
+    """Whether it is that of the residuals; else of the differences between neighbouring measurements: there were too few residuals, or
+    the search was ended."""
+    n_rounds: int
+    """Searches that were made."""
+    settled: bool
+    """Whether the residuals of the last one confirm the estimates to 1 %."""
+
+
+class ChosenTolerance(NamedTuple):
+    """The relative tolerance that a fit has chosen for its simulations."""
+
+    used: float
+    """That of the simulations."""
+    stated: float
+    """That of the model, or the default."""
+    noise: float | None
+    """How uncertain the cost would be near the best values, as part of it, with the tolerance of the calibration; None: it was not
+    looked at."""
+    n_simulations: int
+    """Simulations of the start that were made for it; they are part of `Fit.stats`."""
+
+
+def _noise(estimated: bool, outputs: list[tuple[str, float, bool]], n_rounds: int, settled: bool) -> FitNoise:
+    sds = {variable: sd for variable, sd, _ in outputs}
+    of_residuals = {variable: known for variable, _, known in outputs}
+    return FitNoise("estimated" if estimated else "stated", sds, of_residuals, n_rounds, settled)
+
+
 class Fit(OptimizeResult):
     """The result of a fit: all that an `OptimizeResult` has, with names and in terms of the measurements.
 
@@ -64,12 +100,17 @@ class Fit(OptimizeResult):
     parameters : dict of str to float
         The same by name.
     cost : float
-        Sum of the squared weighted residuals there (the same as ``fun``); with a loss, of what they count; with another
-        `objective`, its value.
+        Sum of the squared weighted residuals there (the same as ``fun``), by weights over the `noise` where that was estimated; with a
+        loss, of what they count; with another `objective`, its value.
     objective : str
         Name of the cost that was minimised.
     rms : float
-        Root of the mean squared weighted residual there.
+        Root of the mean squared weighted residual there, by the weights of the calibration.
+    noise : FitNoise or None
+        Where the noise of the measurements was taken from, beside which priors count: ``fit.noise.source``, ``fit.noise.sd``. None:
+        nothing depended on it (no priors, or another objective than the sum of squares).
+    tolerance : ChosenTolerance or None
+        The relative tolerance that was chosen for the simulations; None: it was given, or that of the calibration.
     start : ndarray, shape (n,)
         Where the fit started.
     solver : str or None
@@ -119,6 +160,10 @@ class Fit(OptimizeResult):
     def __init__(self, calibration: Calibration, result: OptimizeResult, start: FloatArray, solver: str | None) -> None:
         vars(self).update(vars(result))
         rms = calibration._native.rms(list(map(float, self.x)), self.fun)
+        noise = vars(self).pop("_noise", None)
+        self.noise = None if noise is None else _noise(*noise)
+        tolerance = vars(self).pop("_tolerance", None)
+        self.tolerance = None if tolerance is None else ChosenTolerance(*tolerance)
         self._rms_and_start: tuple[float, float | None] = vars(self).pop("_rms", (rms, None))
         counts = vars(self).pop("stats", None)
         self.stats = None if counts is None else SimulationStats(**counts)
@@ -342,7 +387,8 @@ class Fit(OptimizeResult):
         return _profile.of_fit(self, parameters, level, corrected, max_points, workers, checkpoint)
 
     def residuals(self) -> FloatArray:
-        """The residuals at the fitted values, simulated minus measured times weight; see `Calibration.residuals`."""
+        """The residuals at the fitted values, simulated minus measured times weight, by the weights of the calibration;
+        see `Calibration.residuals`."""
         return self._calibration.residuals(self.x)
 
     def plot(self) -> Figure:

@@ -109,7 +109,8 @@ class Parameter:
     display_name : str, optional
         What reports and figures call it.
     prior : Normal or LogNormal, optional
-        What is known of it before the fit. (Uniform: the bounds.)
+        What is known of it before the fit. (Uniform: the bounds.) The noise of the measurements that it counts beside is estimated where
+        the weights do not state it; see `noise` of `Calibration.fit`.
 
     Raises
     ------

@@ -1,0 +1,382 @@
+//! The noise that is estimated with the parameters, beside which priors count.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use calibration::{
+    BandOptions, Calibration, CalibrationBuilder, CostKind, Data, EstimatedNoise, Experiment, Fit, FitNoise,
+    FitOptions, NamedCost, NoiseRule, Parameter, Prior, ProfileOptions, SavedFit, Severity, Stage,
+    ValidationSet, Weight,
+};
+use dfo::{
+    AnyMethod, Checkpoint, LeastSquares, Limits, Loss, NelderMead, Resume, RobustLoss, RunOptions, Search,
+    Termination,
+};
+use example_models::example_fmu;
+use fmi::Fmu;
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Normally distributed numbers: uniform ones by a linear congruential generator (Knuth's MMIX), turned by Box and Muller.
+fn normal(seed: u64) -> impl FnMut() -> f64 {
+    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+    let mut uniform = move || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        ((state >> 11) as f64 + 0.5) / (1u64 << 53) as f64
+    };
+    move || (-2.0 * uniform().ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos()
+}
+
+fn open(model: &str) -> Fmu {
+    Fmu::open(example_fmu(model).unwrap()).unwrap()
+}
+
+fn times() -> Vec<f64> {
+    (0..51).map(|i| 0.1 * f64::from(i)).collect()
+}
+
+/// A decay from one with the rate 2 and this noise.
+fn decay(seed: u64, noise: f64) -> Data {
+    let mut normal = normal(seed);
+    let x = times().iter().map(|t| (-2.0 * t).exp() + noise * normal()).collect();
+    Data::from_columns(times(), [("x".to_owned(), x)]).unwrap()
+}
+
+fn rate(start: f64, mean: f64, sd: f64) -> Parameter {
+    Parameter::new("k", start).bounds(0.01, 50.0).prior(Prior::Normal { mean, sd })
+}
+
+fn dahlquist(data: Data, weight: impl Into<Weight>) -> CalibrationBuilder {
+    Calibration::builder(open("dahlquist"))
+        .experiment(Experiment::new(data).weighted_output("x", "x", weight))
+}
+
+fn run(method: impl Into<AnyMethod>) -> RunOptions<AnyMethod> {
+    RunOptions { method: method.into(), workers: Some(1), seed: Some(3), ..FitOptions::default_run() }
+}
+
+fn estimated(fit: &Fit) -> &EstimatedNoise {
+    fit.noise.as_ref().and_then(FitNoise::estimated).unwrap()
+}
+
+fn warnings(fit: &Fit) -> Vec<String> {
+    let findings = fit.findings();
+    findings.iter().filter(|f| f.severity != Severity::Note).map(ToString::to_string).collect()
+}
+
+#[test]
+fn a_prior_does_not_decide_where_the_noise_is_small() {
+    for start in [0.02, 0.3, 1.0, 2.0, 8.0, 40.0] {
+        for (seed, noise) in [(1, 1e-3), (2, 1e-3), (3, 1e-5), (4, 0.05)] {
+            for method in [AnyMethod::auto(Search::Local), NelderMead::default().into()] {
+                let calibration = dahlquist(decay(seed, noise), 1.0).parameter(rate(start, 1.0, 0.3));
+                let calibration = calibration.build().unwrap();
+                let fit = calibration.fit(run(method)).unwrap();
+                let found = estimated(&fit);
+                let worth = fit.worth.as_ref().unwrap();
+                assert!(fit.report.is_success() && found.is_settled && found.n_rounds <= 4, "{start}: {fit}");
+                // A standard deviation of 50 degrees of freedom is known to 10 %.
+                assert!((found.outputs[0].sd / noise).ln().abs() < 0.35, "{start} {noise}: {fit}");
+                let pull = if noise > 0.01 { 1.0 } else { 0.0 };
+                let off = (fit.x[0] - 2.0).abs() / worth.standard_errors[0];
+                assert!(off < 3.5 + pull, "{start} {noise}: {off} standard errors, {fit}");
+                assert!(fit.rms < fit.start_rms.unwrap() || start == 2.0, "{fit}");
+                assert!((fit.rms / noise).ln().abs() < 0.35, "{}", fit.rms);
+                assert!(warnings(&fit).iter().all(|said| !said.contains("prior")), "{:?}", warnings(&fit));
+                assert!(fit.to_string().contains("estimated with the parameters"), "{fit}");
+            }
+        }
+    }
+}
+
+/// The start of a decay is a linear parameter: for each noise the posterior mode is that of a linear regression, and the noise solves
+/// `s^2 (N - h) = r'r` with the share h that the measurements have of the parameter.
+#[test]
+fn a_linear_parameter_is_at_its_posterior_mode() {
+    let (mean, sd, k) = (1.2, 0.05, 1.0);
+    for (seed, noise, weight) in [(1, 0.1, 1.0), (2, 0.3, 1.0), (3, 0.02, 1.0), (4, 0.3, 1e-3)] {
+        let mut normal = normal(seed);
+        let basis: Vec<f64> = times().iter().map(|t| (-k * t).exp()).collect();
+        let y: Vec<f64> = basis.iter().map(|b| 1.1 * b + noise * normal()).collect();
+        let (bb, by): (f64, f64) =
+            basis.iter().zip(&y).fold((0.0, 0.0), |(bb, by), (b, y)| (bb + b * b, by + b * y));
+        let mode = |s: f64| {
+            let (data, prior) = (bb / (s * s), 1.0 / (sd * sd));
+            ((by / (s * s) + mean * prior) / (data + prior), data / (data + prior))
+        };
+        let mut s = noise;
+        for _ in 0..500 {
+            let (x, h) = mode(s);
+            let squares: f64 = basis.iter().zip(&y).map(|(b, y)| (x * b - y).powi(2)).sum();
+            s = (squares / (y.len() as f64 - h)).sqrt();
+        }
+        let rule = if weight == 1.0 { NoiseRule::Auto } else { NoiseRule::Estimated };
+        for start in [0.2, 1.1, 9.0] {
+            let data = Data::from_columns(times(), [("x".to_owned(), y.clone())]).unwrap();
+            let experiment = Experiment::new(data).weighted_output("x", "x", weight).start_value("k", k);
+            let x = Parameter::new("x", start).bounds(0.1, 10.0).prior(Prior::Normal { mean, sd });
+            let calibration =
+                Calibration::builder(open("dahlquist")).experiment(experiment).parameter(x).build().unwrap();
+            let fit =
+                calibration.fit(FitOptions { noise: rule, ..run(LeastSquares::default()).into() }).unwrap();
+            let found = &estimated(&fit).outputs[0];
+            assert!((found.sd / weight / s).ln().abs() < 0.011, "{} for {s}: {fit}", found.sd);
+            let (expected, h) = mode(found.sd / weight);
+            assert!((fit.x[0] - expected).abs() < 3e-4 * expected, "{} for {expected}", fit.x[0]);
+            // The pull is what is tested.
+            assert!((fit.x[0] - by / bb).abs() > 5.0 * (fit.x[0] - expected).abs() || noise < 0.1, "{h}");
+            let error = fit.worth.as_ref().unwrap().standard_errors[0];
+            let of_posterior = (h / bb).sqrt() * found.sd / weight;
+            assert!((error / of_posterior).ln().abs() < 0.05, "{error} for {of_posterior}");
+        }
+    }
+}
+
+/// Positions and velocities of a throw without gravity, with errors of unlike size.
+fn throw(seed: u64, weights: [Weight; 2]) -> CalibrationBuilder {
+    let mut normal = normal(seed);
+    let time: Vec<f64> = (0..80).map(|k| 0.02 * f64::from(k)).collect();
+    let h = time.iter().map(|t| 1.5 + t + 0.02 * normal()).collect();
+    let v = time.iter().map(|_| 1.0 + 0.4 * normal()).collect();
+    let data = Data::from_columns(time, [("h".to_owned(), h), ("v".to_owned(), v)]).unwrap();
+    let [of_h, of_v] = weights;
+    let experiment = Experiment::new(data).weighted_output("h", "h", of_h).weighted_output("v", "v", of_v);
+    Calibration::builder(open("bouncing_ball"))
+        .experiment(experiment.start_value("g", 0.0))
+        .parameter(Parameter::new("h", 1.2).prior(Prior::Normal { mean: 1.45, sd: 0.01 }))
+        .parameter(Parameter::new("v", 0.8))
+}
+
+#[test]
+fn each_output_has_its_own_noise_and_a_stated_one_is_kept() {
+    let one = || Weight::Constant(1.0);
+    let fit = throw(1, [one(), one()]).build().unwrap().fit(run(LeastSquares::default())).unwrap();
+    let sds: Vec<f64> = estimated(&fit).outputs.iter().map(|noise| noise.sd).collect();
+    assert!((sds[0] / 0.02).ln().abs() < 0.25 && (sds[1] / 0.4).ln().abs() < 0.25, "{sds:?}");
+    // The same by hand: with the weights of the estimates, which are taken at their word.
+    let stated = throw(1, [(1.0 / sds[0]).into(), (1.0 / sds[1]).into()]).build().unwrap();
+    let again = stated.fit(run(LeastSquares::default())).unwrap();
+    assert_eq!(again.noise, Some(FitNoise::Stated));
+    let errors = &again.worth.as_ref().unwrap().standard_errors;
+    for ((a, b), error) in fit.x.iter().zip(&again.x).zip(errors) {
+        assert!((a - b).abs() < 0.01 * error, "{a} {b} +- {error}");
+    }
+    assert!((fit.cost - stated.cost(&fit.x).unwrap()).abs() < 1e-9 * fit.cost, "{}", fit.cost);
+    // Only what is not stated is estimated; by the scale of a column nothing is stated.
+    let scaled = [Weight::Inverse(calibration::OutputScale::Sd), (1.0 / 0.4).into()];
+    let fit = throw(1, scaled).build().unwrap().fit(run(LeastSquares::default())).unwrap();
+    let found = estimated(&fit);
+    assert!(found.outputs.len() == 1 && (found.outputs[0].sd / sds[0]).ln().abs() < 0.01, "{fit}");
+    // At their word, weights of one let the prior alone decide nothing, for 0.02 is taken for 1.
+    let options = FitOptions { noise: NoiseRule::Stated, ..run(LeastSquares::default()).into() };
+    let fit = throw(1, [one(), one()]).build().unwrap().fit(options).unwrap();
+    assert!(fit.noise == Some(FitNoise::Stated) && (fit.x[0] - 1.45).abs() < 1e-3, "{fit}");
+}
+
+#[test]
+fn where_nothing_is_estimated_it_is_said() {
+    let build =
+        |weight: f64| dahlquist(decay(1, 1e-3), weight).parameter(rate(1.5, 2.0, 0.3)).build().unwrap();
+    let robust = RobustLoss::new(Loss::SoftL1, 1e-3).unwrap();
+    let with = |loss, noise, kind| FitOptions {
+        loss,
+        noise,
+        objective: kind,
+        ..run(AnyMethod::auto(Search::Local)).into()
+    };
+    let fit = build(1.0).fit(with(robust, NoiseRule::Auto, CostKind::SumOfSquares)).unwrap();
+    assert!(warnings(&fit).iter().any(|said| said.contains("prior of k")), "{:?}", warnings(&fit));
+    for (weight, loss, rule) in [
+        (1e3, RobustLoss::default(), NoiseRule::Auto),
+        (1e3, robust, NoiseRule::Auto),
+        (1.0, robust, NoiseRule::Stated),
+    ] {
+        let fit = build(weight).fit(with(loss, rule, CostKind::SumOfSquares)).unwrap();
+        assert_eq!(fit.noise, Some(FitNoise::Stated));
+        assert!(warnings(&fit).iter().all(|said| !said.contains("prior")), "{:?}", warnings(&fit));
+        assert!(fit.to_string().contains("stated by the weights"), "{fit}");
+    }
+    let likelihood = CostKind::Named(NamedCost::Likelihood);
+    let fit = build(1.0).fit(with(RobustLoss::default(), NoiseRule::Auto, likelihood)).unwrap();
+    assert!(fit.noise.is_none() && warnings(&fit).iter().all(|said| !said.contains("prior")), "{fit}");
+    let refused = build(1.0).fit(with(robust, NoiseRule::Estimated, CostKind::SumOfSquares));
+    assert!(refused.unwrap_err().to_string().contains("noise 'estimated'"));
+    let check = build(1.0).check();
+    assert!(
+        check.findings.iter().any(|f| f.subject == "prior of k" && f.severity == Severity::Note),
+        "{check}"
+    );
+    // Without priors there is nothing that it would be beside; asked for, it is estimated all the same.
+    let plain =
+        || dahlquist(decay(1, 1e-3), 1.0).parameter(Parameter::new("k", 1.0).bounds(0.01, 50.0)).build();
+    assert!(plain().unwrap().fit(run(LeastSquares::default())).unwrap().noise.is_none());
+    let asked = with(RobustLoss::default(), NoiseRule::Estimated, CostKind::SumOfSquares);
+    let fit = plain().unwrap().fit(asked).unwrap();
+    assert!((estimated(&fit).outputs[0].sd / 1e-3).ln().abs() < 0.35, "{fit}");
+}
+
+/// Two parameters that only their priors tell apart, and as many measurements as parameters.
+#[test]
+fn priors_decide_what_the_measurements_do_not() {
+    let mut normal = normal(9);
+    let y = times().iter().map(|t| 3.0 * (-2.0 * t).exp() + 0.01 * normal()).collect();
+    let data = Data::from_columns(times(), [("x".to_owned(), y)]).unwrap();
+    let prior = |mean, sd| Prior::Normal { mean, sd };
+    let calibration = dahlquist(data.clone(), 1.0)
+        .parameter(Parameter::new("x", 1.0).bounds(0.1, 10.0).prior(prior(2.5, 0.3)))
+        .parameter(Parameter::new("offset", 0.1).offset_of("x").bounds(-5.0, 5.0).prior(prior(0.0, 1.0)))
+        .parameter(rate(1.0, 2.0, 0.2));
+    let fit = calibration.build().unwrap().fit(run(LeastSquares::default())).unwrap();
+    assert!((estimated(&fit).outputs[0].sd / 0.01).ln().abs() < 0.35, "{fit}");
+    assert!((fit.x[0] - 3.0).abs() < 0.1 && fit.x[1].abs() < 0.1 && (fit.x[2] - 2.0).abs() < 0.1, "{fit}");
+    // One measurement says nothing of its noise.
+    let few = dahlquist(data, 1.0).parameter(rate(1.0, 2.0, 0.2));
+    let mut problem = few.build().unwrap().problem().clone();
+    problem.experiments[0] = problem.experiments[0].clone().window(0.0, 0.05);
+    let fit = Calibration::from_problem(open("dahlquist"), problem)
+        .unwrap()
+        .fit(run(LeastSquares::default()))
+        .unwrap();
+    assert!(fit.x[0].is_finite() && warnings(&fit).iter().any(|said| said.contains("noise of x")), "{fit}");
+}
+
+#[test]
+fn limits_hold_for_all_rounds_and_the_bits_do_not_depend_on_workers() {
+    let build = || dahlquist(decay(5, 0.05), 1.0).parameter(rate(0.5, 1.0, 0.05)).build().unwrap();
+    for method in [AnyMethod::from(LeastSquares::default()), NelderMead::default().into()] {
+        let with = |workers: usize, most: Option<usize>| {
+            let limits = Limits { max_evaluations: most, ..Limits::default() };
+            let fit =
+                build().fit(RunOptions { workers: Some(workers), limits, ..run(method.clone()) }).unwrap();
+            assert_eq!(fit.start, [0.5]);
+            fit
+        };
+        let whole = with(1, Some(1000));
+        let rounds = estimated(&whole).n_rounds;
+        assert!(rounds >= 2, "{whole}");
+        let bits = |fit: &Fit| (fit.x[0].to_bits(), fit.cost.to_bits(), fit.report.n_evaluations);
+        for workers in [2, 4] {
+            let other = with(workers, Some(1000));
+            assert_eq!((bits(&other), &other.noise), (bits(&whole), &whole.noise));
+        }
+        for most in 1..whole.report.n_evaluations {
+            let cut = with(1, Some(most));
+            assert_eq!(cut.report.n_evaluations, most);
+            assert_eq!(cut.report.termination, Termination::MaxEvaluations);
+            assert!(!cut.report.is_success() && !estimated(&cut).is_settled && cut.cost.is_finite(), "{cut}");
+        }
+        let mut counts = Vec::new();
+        let options = FitOptions {
+            observer: Some(Box::new(|progress| {
+                counts.push((progress.n_evaluations, progress.n_iterations));
+                ControlFlow::Continue(())
+            })),
+            ..run(method.clone()).into()
+        };
+        let seen = build().fit(options).unwrap();
+        assert_eq!(bits(&seen), bits(&whole));
+        assert!(counts.is_sorted() && counts.last().unwrap().0 == seen.report.n_evaluations, "{counts:?}");
+        let flag = Arc::new(AtomicBool::new(false));
+        let options = FitOptions {
+            observer: Some(Box::new(|progress| {
+                flag.store(progress.n_evaluations + 2 >= whole.report.n_evaluations, Ordering::Relaxed);
+                ControlFlow::Continue(())
+            })),
+            cancel: Some(Arc::clone(&flag)),
+            ..run(method.clone()).into()
+        };
+        let cut = build().fit(options).unwrap();
+        assert!(cut.report.termination == Termination::Interrupted && cut.cost.is_finite(), "{cut}");
+    }
+}
+
+#[test]
+fn a_checkpoint_holds_over_all_rounds() {
+    let build = || dahlquist(decay(5, 0.05), 1.0).parameter(rate(0.5, 1.0, 0.05)).build().unwrap();
+    for method in [AnyMethod::from(LeastSquares::default()), NelderMead::default().into()] {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("fit.ckpt");
+        let with = |most: Option<usize>, checkpoint: Option<Checkpoint>| {
+            let limits = Limits { max_evaluations: most, ..Limits::default() };
+            build().fit(RunOptions { limits, checkpoint, ..run(method.clone()) }).unwrap()
+        };
+        let whole = with(Some(1000), None);
+        let bits = |fit: &Fit| (fit.x[0].to_bits(), fit.cost.to_bits(), fit.report.n_evaluations);
+        for most in [1, whole.report.n_evaluations / 2, whole.report.n_evaluations - 1, 1000, 1000] {
+            let file = Checkpoint::new(&path).resume(Resume::Auto);
+            let fit = with(Some(most), Some(file));
+            assert_eq!(fit.report.n_evaluations, most.min(whole.report.n_evaluations), "{fit}");
+            if most == 1000 {
+                assert_eq!((bits(&fit), &fit.noise), (bits(&whole), &whole.noise));
+                assert!(fit.report.resumed.is_some());
+            }
+        }
+        assert!(folder.path().join("fit.ckpt.round2").is_file());
+        // What is left of another run is no obstacle.
+        std::fs::remove_file(&path).unwrap();
+        let again = with(Some(1000), Some(Checkpoint::new(&path)));
+        assert_eq!((bits(&again), again.report.resumed.is_none()), (bits(&whole), true));
+    }
+}
+
+#[test]
+fn what_is_asked_of_the_fit_afterwards_has_its_weights() {
+    let calibration = dahlquist(decay(6, 1e-3), 1.0).parameter(rate(1.0, 1.0, 0.3)).build().unwrap();
+    let fit = calibration.fit(run(LeastSquares::default())).unwrap();
+    let noise = estimated(&fit).outputs[0].sd;
+    let profile = calibration.profile(&fit, &ProfileOptions::default(), &|| false).unwrap();
+    let (low, high) = profile.parameters[0].interval();
+    let (from, to) = fit.worth.as_ref().unwrap().confidence_intervals(0.95).unwrap()[0];
+    assert!(low < fit.x[0] && fit.x[0] < high, "{low} {high} {fit}");
+    assert!(((high - low) / (to - from)).ln().abs() < 0.05, "{low} {high} for {from} {to}");
+    let bands = calibration.prediction_bands(&fit, &BandOptions::default(), &|| false).unwrap();
+    assert_eq!(bands[0].noise, noise);
+    let curves = calibration.curves(&fit, &|| false).unwrap();
+    let residuals = &curves[0].outputs[0].residuals;
+    let plain = calibration.residuals(&fit.x).unwrap();
+    assert!(residuals.iter().zip(&plain).all(|(a, b)| (a - b).abs() < 1e-12), "{residuals:?}");
+    let sensitivities = calibration.sensitivities(&fit);
+    let expected = times().iter().map(|t| -t * fit.x[0] * (-fit.x[0] * t).exp()).collect::<Vec<_>>();
+    assert!(
+        sensitivities[0][0].iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-3),
+        "{sensitivities:?}"
+    );
+    // The sum of squares by the weights of the calibration, whatever those of the fit.
+    let squares: f64 = plain[..51].iter().map(|r| r * r).sum();
+    assert!((fit.rms - (squares / 51.0).sqrt()).abs() < 1e-12, "{}", fit.rms);
+    assert!((fit.outputs[0].rms - fit.rms).abs() < 1e-12);
+    let validation = calibration.validate(&fit, &ValidationSet::Windows(vec![(0.0, 1.0)])).unwrap();
+    assert!(validation.rms < 3e-3, "{validation}");
+    let bytes = fit.to_bytes(&calibration).unwrap();
+    let saved = SavedFit::from_bytes(&bytes, "fit").unwrap();
+    assert_eq!(saved.fit, fit);
+    let again =
+        saved.calibration().unwrap().profile(&saved.fit, &ProfileOptions::default(), &|| false).unwrap();
+    assert_eq!((again.x, again.cost), (profile.x, profile.cost));
+    let json: serde_json::Value = serde_json::from_str(&fit.to_json(&calibration).unwrap()).unwrap();
+    assert_eq!(json["noise"]["estimated"]["outputs"][0]["sd"], noise);
+    let folder = tempfile::tempdir().unwrap();
+    let page = folder.path().join("fit.html");
+    calibration.report(&fit, &page).unwrap();
+    assert!(std::fs::read_to_string(page).unwrap().contains("estimated with the parameters"));
+}
+
+#[test]
+fn stages_have_one_noise_each_and_the_last_one_holds() {
+    let calibration = throw(2, [1.0.into(), 1.0.into()]).build().unwrap();
+    let stages = [Stage::new(["v"]).window(0.0, 0.8), Stage::new(["h", "v"])];
+    let fit = calibration.fit_stages(&stages, run(LeastSquares::default())).unwrap();
+    let whole = calibration.fit(run(LeastSquares::default())).unwrap();
+    let errors = &whole.worth.as_ref().unwrap().standard_errors;
+    for ((a, b), error) in fit.x.iter().zip(&whole.x).zip(errors) {
+        assert!((a - b).abs() < 0.02 * error, "{a} {b} +- {error}");
+    }
+    assert_eq!(fit.noise, fit.stages[1].noise);
+    for (one, other) in estimated(&fit).outputs.iter().zip(&estimated(&whole).outputs) {
+        assert!((one.sd / other.sd).ln().abs() < 0.011);
+    }
+    assert!((fit.rms / whole.rms - 1.0).abs() < 1e-3, "{} {}", fit.rms, whole.rms);
+    assert!((fit.start_rms.unwrap() / whole.start_rms.unwrap() - 1.0).abs() < 1e-9);
+    assert!((fit.cost / whole.cost - 1.0).abs() < 0.05 && fit.cost < fit.start_cost.unwrap());
+    let (one, other) = (fit.worth.as_ref().unwrap(), whole.worth.as_ref().unwrap());
+    assert!((one.standard_errors[0] / other.standard_errors[0]).ln().abs() < 0.02);
+}
