@@ -43,7 +43,7 @@ fn named_costs_are_minimised_by_methods_that_see_the_cost_alone() {
     assert_eq!((&*squares.report.method, squares.objective.as_str()), ("least-squares", "sum-of-squares"));
     for named in [NamedCost::Mae, NamedCost::Rmse, NamedCost::Nrmse, NamedCost::Likelihood] {
         let found = fit(CostKind::Named(named), None);
-        assert_eq!((&*found.report.method, found.objective.as_str()), ("nelder-mead", named.name()));
+        assert_eq!((&*found.report.method, found.objective.as_str()), ("quadratic-model", named.name()));
         assert!(
             found.report.is_success() && found.worth.is_some() == (named == NamedCost::Likelihood),
             "{found}"
@@ -72,7 +72,7 @@ fn functions_of_the_users_give_costs_or_residuals() {
     let named = fit(CostKind::Named(NamedCost::Mae), None);
     let custom = CustomCost::cost("mine", |compared| Ok(mean_absolute(compared)));
     let found = fit(CostKind::Custom(custom), None);
-    assert_eq!((&*found.report.method, found.objective.as_str()), ("nelder-mead", "mine"));
+    assert_eq!((&*found.report.method, found.objective.as_str()), ("quadratic-model", "mine"));
     assert!((found.x[0] - named.x[0]).abs() < 1e-4, "{found}");
     let weighted = CustomCost::residuals("weighted", |compared| {
         let pairs = compared.iter().flat_map(|c| c.simulated.iter().zip(c.measured));
