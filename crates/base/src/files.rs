@@ -173,7 +173,8 @@ fn is_at(file: &File, place: &Path) -> io::Result<bool> {
     #[cfg(unix)]
     {
         use std::os::unix::fs::MetadataExt;
-        let same = |there: fs::Metadata, open: fs::Metadata| (there.dev(), there.ino()) == (open.dev(), open.ino());
+        let same =
+            |there: fs::Metadata, open: fs::Metadata| (there.dev(), there.ino()) == (open.dev(), open.ino());
         match fs::symlink_metadata(place) {
             Ok(there) => Ok(same(there, file.metadata()?)),
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),

@@ -30,7 +30,8 @@ fn main() {
 }
 
 fn echo() {
-    let mut socket = UnixStream::from(std::os::fd::AsFd::as_fd(&std::io::stdin()).try_clone_to_owned().unwrap());
+    let mut socket =
+        UnixStream::from(std::os::fd::AsFd::as_fd(&std::io::stdin()).try_clone_to_owned().unwrap());
     let (mut asked, answer) = ([0; ASKED], vec![1; ANSWER]);
     while socket.read_exact(&mut asked).is_ok() {
         socket.write_all(&answer).unwrap();
@@ -80,7 +81,8 @@ fn overhead() {
     println!("first answer of a process: {:.1} ms", 1e3 * began.elapsed().as_secs_f64());
     let rounds: Vec<[f64; 3]> = (0..ROUNDS)
         .map(|_| {
-            let cost = |calibration: &Calibration| seconds_per_call(|| drop(calibration.residuals(&[1.2]).unwrap()));
+            let cost =
+                |calibration: &Calibration| seconds_per_call(|| drop(calibration.residuals(&[1.2]).unwrap()));
             [seconds_per_call(&mut ping), cost(&here), cost(&apart)]
         })
         .collect();

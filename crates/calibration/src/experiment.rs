@@ -205,8 +205,7 @@ impl Experiment {
 
     /// An input that a function of the user's drives.
     pub(crate) fn driven_by_function(&self) -> Option<&str> {
-        let is_function =
-            |source: &InputSource| matches!(source, InputSource::Function(signal) if signal.function.is_some());
+        let is_function = |source: &InputSource| matches!(source, InputSource::Function(signal) if signal.function.is_some());
         self.inputs.iter().find(|(_, source)| is_function(source)).map(|(input, _)| input.as_str())
     }
 

@@ -45,7 +45,13 @@ pub(crate) enum Job {
     /// The compared outputs of an experiment.
     Experiment { experiment: usize, x: Vec<f64>, method: Method, times: Option<Vec<f64>> },
     /// Variables of the model in an experiment.
-    Variables { experiment: usize, x: Vec<f64>, method: Method, times: Option<Vec<f64>>, variables: Vec<String> },
+    Variables {
+        experiment: usize,
+        x: Vec<f64>,
+        method: Method,
+        times: Option<Vec<f64>>,
+        variables: Vec<String>,
+    },
 }
 
 /// An evaluation; its residuals are the numbers of the frame.
@@ -94,7 +100,8 @@ impl Remote {
         if settings.isolation == Isolation::None {
             return Err(None);
         }
-        if let Some(input) = problem.experiments.iter().find_map(|experiment| experiment.driven_by_function()) {
+        if let Some(input) = problem.experiments.iter().find_map(|experiment| experiment.driven_by_function())
+        {
             return Err(Some(format!("the input {input} is a function of this program")));
         }
         let Some(workers) = fmu.workers(settings.worker_limits()) else {
@@ -196,7 +203,8 @@ impl Remote {
             }
         };
         *stats += taken;
-        let at_start = at_start.map(|(n, seconds)| (samples.split_off(samples.len().saturating_sub(n)), seconds));
+        let at_start =
+            at_start.map(|(n, seconds)| (samples.split_off(samples.len().saturating_sub(n)), seconds));
         let outcome = match outcome {
             RacedOutcome::Finished(stats) => RaceOutcome::Finished { samples, stats },
             RacedOutcome::GivenUp => RaceOutcome::GivenUp,
@@ -206,7 +214,11 @@ impl Remote {
     }
 
     /// A recorded simulation.
-    pub(crate) fn trajectory(&self, job: &Job, cancelled: &dyn Fn() -> bool) -> Result<Trajectory, CalibrationError> {
+    pub(crate) fn trajectory(
+        &self,
+        job: &Job,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Trajectory, CalibrationError> {
         let trajectory = self.ask(job, self.is_always_fresh(), cancelled, trajectory_of);
         trajectory.map_err(|error| match error {
             FmiError::Cancelled => CalibrationError::Cancelled,
@@ -229,7 +241,8 @@ impl ModelProcess {
     /// # Errors
     /// The file of the model cannot be read any more; [`FmiError::NoWorker`]: this program cannot start processes for it.
     pub fn new(fmu: &Fmu, limits: WorkerLimits) -> Result<Self, FmiError> {
-        let workers = fmu.workers(limits).ok_or_else(|| FmiError::NoWorker { reason: NO_LAUNCHER.to_owned() })?;
+        let workers =
+            fmu.workers(limits).ok_or_else(|| FmiError::NoWorker { reason: NO_LAUNCHER.to_owned() })?;
         let open = Job::Open(ModelFile::of(fmu)?, Box::new(fmu.options().clone()));
         let load = Load::new(Frame::of(&open).map_err(unsaid)?);
         Ok(Self { fmu: fmu.clone(), workers, load })
@@ -245,7 +258,8 @@ impl ModelProcess {
         cancelled: &dyn Fn() -> bool,
     ) -> Result<Trajectory, FmiError> {
         if let Some(input) = options.inputs.as_ref().and_then(|inputs| inputs.driven_by_function()) {
-            let problem = format!("the input {input} is a function of this program, which no other process can call");
+            let problem =
+                format!("the input {input} is a function of this program, which no other process can call");
             return Err(FmiError::BadSetting { problem });
         }
         let (mut asked, mut answer) = (Frame::default(), Frame::default());

@@ -75,7 +75,8 @@ impl Service for Server {
             Job::Open(model, options) => drop(self.open(model, &options).map_err(model_error)?),
             Job::Simulate(options) => {
                 let (_, fmu) = self.model.as_ref().ok_or_else(not_loaded)?;
-                let mut poll = || if cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+                let mut poll =
+                    || if cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
                 let trajectory = fmu.simulate_with(&options, &mut poll)?;
                 put_trajectory(trajectory, answer).map_err(unsaid)?;
             }
@@ -133,7 +134,8 @@ fn done(
         }
         Job::Race(task) => {
             let mut stats = Stats::default();
-            let (outcome, at_start) = simulate_race(calibration.evaluator(), &task, cancelled, &mut stats).map_err(model_error)?;
+            let (outcome, at_start) =
+                simulate_race(calibration.evaluator(), &task, cancelled, &mut stats).map_err(model_error)?;
             let outcome = match outcome {
                 RaceOutcome::Finished { mut samples, stats } => {
                     answer.numbers.append(&mut samples);
@@ -151,7 +153,8 @@ fn done(
         }
         Job::Experiment { experiment, x, method, times } => {
             use_method(method)?;
-            let trajectory = calibration.simulate_experiment_until(experiment, &x, times.as_deref(), cancelled);
+            let trajectory =
+                calibration.simulate_experiment_until(experiment, &x, times.as_deref(), cancelled);
             put_trajectory(trajectory.map_err(model_error)?, answer)
         }
         Job::Variables { experiment, x, method, times, variables } => {

@@ -81,7 +81,10 @@ fn a_death_costs_one_evaluation() {
         let found = fit(&calibration, 2, 60);
         assert!((found.x[0] - 1.7).abs() < 0.1, "{fault}: {:?}", found.x);
         let failed: Vec<_> = found.report.failures.iter().map(|(message, _)| message.as_str()).collect();
-        assert!(failed.iter().all(|message| message.contains(said)) && !failed.is_empty(), "{fault}: {failed:?}");
+        assert!(
+            failed.iter().all(|message| message.contains(said)) && !failed.is_empty(),
+            "{fault}: {failed:?}"
+        );
         let error = calibration.cost(&[3.0]).unwrap_err().to_string();
         assert!(error.contains(said) && error.contains("k = 3"), "{error}");
     }
@@ -91,8 +94,7 @@ fn a_death_costs_one_evaluation() {
 fn a_hang_is_ended_soon_after_its_limit() {
     let folder = faulty(&["FAULT_ABOVE=2.2", "FAULT=hang()"]);
     let timeout = Some(Duration::from_millis(300));
-    let calibration =
-        decay(open(&folder), SimulationSettings { timeout, ..settings(Isolation::Process) });
+    let calibration = decay(open(&folder), SimulationSettings { timeout, ..settings(Isolation::Process) });
     assert!(calibration.cost(&[1.0]).is_ok());
     let error = calibration.cost(&[3.0]).unwrap_err().to_string();
     assert!(error.contains("no answer within the time limit in fmi2GetDerivatives"), "{error}");
@@ -180,7 +182,12 @@ fn killed_and_resumed(moments: u64) {
         child.kill().unwrap();
         child.wait().unwrap();
         is_gone_soon(temporary.path());
-        assert!(another_program("a_fit_with_a_checkpoint", temporary.path(), work.path()).status().unwrap().success());
+        assert!(
+            another_program("a_fit_with_a_checkpoint", temporary.path(), work.path())
+                .status()
+                .unwrap()
+                .success()
+        );
         assert_eq!(std::fs::read_to_string(work.path().join("result")).unwrap(), expected, "{moment}");
         is_gone_soon(temporary.path());
     }

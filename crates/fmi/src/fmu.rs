@@ -10,7 +10,6 @@ use crate::gate::Gate;
 use crate::libraries::{Libraries, LoadedLibrary, Maker, Reuse, Setting, Verdict, Wanted};
 use crate::open_options::{LogOptions, OpenOptions};
 use crate::sys::{InterfaceKind, Library, LoadFrom};
-#[cfg(unix)]
 use crate::worker::{WorkerLimits, Workers};
 use crate::{platform, source};
 use serde::{Deserialize, Serialize};
@@ -47,7 +46,6 @@ struct Inner {
     quirks_seen: Mutex<Vec<Quirk>>,
     /// What simulations were told once.
     said: Mutex<Vec<&'static str>>,
-    #[cfg(unix)]
     workers: Mutex<std::sync::Weak<Workers>>,
     description: ModelDescription,
     options: OpenOptions,
@@ -123,7 +121,6 @@ impl Fmu {
             real_references: OnceLock::new(),
             quirks_seen: Mutex::default(),
             said: Mutex::default(),
-            #[cfg(unix)]
             workers: Mutex::default(),
             description,
             options: OpenOptions { cancel: Cancel::default(), ..options.clone() },
@@ -255,7 +252,6 @@ impl Fmu {
 
     /// Worker processes with these limits: those that others have of this FMU where there are any, so that its processes are shared.
     /// They end when the last of their users drops them. `None`: this program cannot start any (see [`Launcher`](crate::worker::Launcher)).
-    #[cfg(unix)]
     pub fn workers(&self, limits: WorkerLimits) -> Option<Arc<Workers>> {
         let mut known = self.inner.workers.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(workers) = known.upgrade().filter(|workers| *workers.limits() == limits) {

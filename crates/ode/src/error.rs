@@ -1,8 +1,8 @@
 //! How a run ends: normally ([`Termination`]) or with a [`SimulationError`].
 
-use serde::{Deserialize, Serialize};
 use crate::number::Number;
 use crate::stats::Stats;
+use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::time::Duration;
 

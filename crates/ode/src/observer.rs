@@ -1,7 +1,7 @@
 //! What the driver tells the outside while it runs: samples and events. The outside may say "stop".
 
-use serde::{Deserialize, Serialize};
 use crate::system::EventCause;
+use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::ops::ControlFlow;
 

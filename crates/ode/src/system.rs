@@ -1,7 +1,7 @@
 //! What the stepper needs to know of a model: a hybrid ODE as a trait.
 
-use serde::{Deserialize, Serialize};
 use crate::sparsity::JacobianPattern;
+use serde::{Deserialize, Serialize};
 
 /// Why a call into the model did not deliver.
 #[derive(Debug, thiserror::Error)]

@@ -30,7 +30,9 @@ impl Calibration {
         work: impl FnOnce() -> T,
     ) -> (T, Fresh) {
         let remote = self.evaluator().remote.as_ref().ok().filter(|remote| !remote.is_always_fresh());
-        let (Some(remote), Some(best), false) = (remote, best, cancelled()) else { return (work(), Fresh::Same) };
+        let (Some(remote), Some(best), false) = (remote, best, cancelled()) else {
+            return (work(), Fresh::Same);
+        };
         let is_over = AtomicBool::new(false);
         std::thread::scope(|scope| {
             let check = scope.spawn(|| self.again(remote, best, loss, &|| is_over.load(Ordering::Relaxed)));

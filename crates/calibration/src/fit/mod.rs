@@ -60,13 +60,12 @@ impl Calibration {
         };
         // With the weights and the tolerance of the fit.
         let own = own.as_ref().unwrap_or(self);
-        let Searched { report, found, residuals, preflight, solver, tolerances, raised } =
-            searched;
+        let Searched { report, found, residuals, preflight, solver, tolerances, raised } = searched;
         let Job { start, held, objective, loss, deadline, phase, worth, .. } = &job;
         let cancelled = || job.is_cancelled();
         let mut remarks = raised;
         remarks.extend(self.unstated_noise(&job, noise.as_ref()));
-        if let (_, Some(reason)) = self.isolation() {
+        if let Some(reason) = self.runs_here_by_its_inputs() {
             let sentence = format!("the FMU ran in this process: {reason}");
             remarks.push(Finding::new(Severity::Note, "isolation", sentence, ""));
         }
@@ -128,6 +127,7 @@ impl Calibration {
             bounds: self.parameters().iter().map(|p| (p.lower(), p.upper())).collect(),
             model: description.model_name.clone(),
             n_measurements: self.n_measurements(),
+            in_this_process: self.isolation().1.map(str::to_owned),
             noise,
             tolerance,
             x: report.x.clone(),

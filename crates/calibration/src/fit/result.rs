@@ -35,6 +35,9 @@ pub struct Fit {
     pub bounds: Vec<(f64, f64)>,
     /// Name of the model.
     pub model: String,
+    /// Why the FMU ran in this process, where one of its own was asked for (see [`Calibration::isolation`](crate::Calibration::isolation)).
+    #[serde(default)]
+    pub in_this_process: Option<String>,
     /// How many measurements count.
     pub n_measurements: usize,
     /// Cost there: the sum of the squared weighted residuals, by the weights of the [noise](Self::noise) where that was estimated; with a

@@ -1,7 +1,7 @@
 //! The search for the best point, with what comes before it: the objective meets an optimiser.
 
-use super::noise::NoiseRule;
 use super::fresh::Fresh;
+use super::noise::NoiseRule;
 use super::options::{FitObserver, FitOptions};
 use super::tolerance::AtStart;
 use crate::calibration::Calibration;
@@ -17,8 +17,8 @@ use crate::residual::sum_of_squares;
 use crate::solver::Solver;
 use crate::worth::{WorthOptions, digits};
 use dfo::{
-    Answer, AnyMethod, ByRef, Kind, Measure, NothingFound, Objective, Outcome, Query, Report, Resume, RobustLoss,
-    RunOptions, Termination, Tolerances, Trace, Want,
+    Answer, AnyMethod, ByRef, Kind, Measure, NothingFound, Objective, Outcome, Query, Report, Resume,
+    RobustLoss, RunOptions, Termination, Tolerances, Trace, Want,
 };
 use ode::{Number, Stats};
 use std::cell::RefCell;
@@ -316,12 +316,17 @@ impl Calibration {
             match again {
                 Fresh::Same => break (report, found, residuals),
                 Fresh::Random => {
-                    remark = Some("two evaluations of the best point in fresh processes differ: no cost can be reproduced");
+                    remark = Some(
+                        "two evaluations of the best point in fresh processes differ: no cost can be reproduced",
+                    );
                     break (report, found, residuals);
                 }
                 Fresh::Other if n_beginnings > 1 => break (report, found, residuals),
                 Fresh::Other => {
-                    log::warn!("{}: {HIDDEN_STATE}: the fit begins anew", self.fmu().description().model_name);
+                    log::warn!(
+                        "{}: {HIDDEN_STATE}: the fit begins anew",
+                        self.fmu().description().model_name
+                    );
                     remark = Some(HIDDEN_STATE);
                 }
             }

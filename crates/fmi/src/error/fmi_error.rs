@@ -392,7 +392,9 @@ impl FmiError {
             FmiError::Told(told) => return (**told).clone(),
             FmiError::Memory { .. } => (ToldKind::Memory, None),
             FmiError::Cancelled => (ToldKind::Cancelled, None),
-            FmiError::UnknownVariable { .. } | FmiError::NotInResult { .. } => (ToldKind::UnknownVariable, None),
+            FmiError::UnknownVariable { .. } | FmiError::NotInResult { .. } => {
+                (ToldKind::UnknownVariable, None)
+            }
             FmiError::WrongType { .. } => (ToldKind::WrongType, None),
             FmiError::NotSettable { .. }
             | FmiError::OutOfRange { .. }

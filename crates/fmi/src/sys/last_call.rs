@@ -71,7 +71,9 @@ impl Page {
         let protection = ProtFlags::READ | ProtFlags::WRITE;
         // SAFETY: a new mapping at an address that the system chooses, of a file that has this length.
         let address = unsafe { mmap(std::ptr::null_mut(), LENGTH, protection, MapFlags::SHARED, file, 0) }?;
-        std::ptr::NonNull::new(address.cast()).map(|shared| Self { shared }).ok_or_else(|| io::ErrorKind::Other.into())
+        std::ptr::NonNull::new(address.cast())
+            .map(|shared| Self { shared })
+            .ok_or_else(|| io::ErrorKind::Other.into())
     }
 
     fn shared(&self) -> &Shared {

@@ -2,9 +2,8 @@
 
 use super::frame::Frame;
 use super::notes::{Notes, keep_lines, take_lines};
-use super::{ASKED, FOLDER, LEVEL, WorkerLimits};
-use crate::description::Quirk;
-use crate::error::{FmiError, Told, ToldKind};
+use super::{ASKED, FOLDER, LEVEL, Service, WorkerLimits};
+use crate::error::{Told, ToldKind};
 use crate::sys::{Page, close_inherited, tell_calls};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::fs::{Mode, OFlags};
@@ -18,18 +17,6 @@ use std::path::PathBuf;
 
 /// The stack of the thread that runs the FMU: compiled models put large arrays there.
 const STACK_SIZE: usize = 64 << 20;
-
-/// What a worker does for who has started it.
-pub trait Service {
-    /// Answers a message. `cancelled`: the answer is not wanted any more.
-    ///
-    /// # Errors
-    /// Told to the other side.
-    fn answer(&mut self, asked: &Frame, cancelled: &dyn Fn() -> bool, answer: &mut Frame) -> Result<(), FmiError>;
-
-    /// Departures from the standard that have shown in runs since the last call.
-    fn new_quirks(&mut self) -> Vec<Quirk>;
-}
 
 /// Serves until the other end is closed, if this process was started as a worker; then the process ends, and this does not return. Belongs at
 /// the begin of `main`, before any other thread is started.
@@ -53,8 +40,9 @@ pub fn serve_if_asked(service: impl FnOnce() -> Box<dyn Service> + Send) {
 }
 
 fn serve(limits: &str, mut service: Box<dyn Service>) -> io::Result<()> {
-    let limits = WorkerLimits::from_text(limits)
-        .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "limits that this version does not know"))?;
+    let limits = WorkerLimits::from_text(limits).ok_or_else(|| {
+        io::Error::new(io::ErrorKind::InvalidInput, "limits that this version does not know")
+    })?;
     let folder = std::env::var_os(FOLDER).map(PathBuf::from);
     // 0: the socket; 1: the page; 2: a pipe for what is printed.
     close_inherited()?;
@@ -66,7 +54,9 @@ fn serve(limits: &str, mut service: Box<dyn Service>) -> io::Result<()> {
     let page = tell_calls(Page::of(&page)?).map_err(io::Error::other)?;
     let (watched, folder_to_remove) = (socket.try_clone()?, folder.clone());
     std::thread::Builder::new().spawn(move || end_with(&watched, folder_to_remove.as_deref()))?;
-    keep_lines(std::env::var(LEVEL).ok().and_then(|level| level.parse().ok()).unwrap_or(log::LevelFilter::Warn));
+    keep_lines(
+        std::env::var(LEVEL).ok().and_then(|level| level.parse().ok()).unwrap_or(log::LevelFilter::Warn),
+    );
     limit_self(&limits)?;
     if limits.sandbox {
         confine(folder.as_deref())?;
@@ -82,9 +72,8 @@ fn serve(limits: &str, mut service: Box<dyn Service>) -> io::Result<()> {
             outcome => outcome?,
         }
         answer.clear();
-        let served = catch_unwind(AssertUnwindSafe(|| {
-            service.answer(&asked, &|| page.is_cancelled(), &mut answer)
-        }));
+        let served =
+            catch_unwind(AssertUnwindSafe(|| service.answer(&asked, &|| page.is_cancelled(), &mut answer)));
         let told = match served {
             Ok(Ok(())) => None,
             Ok(Err(error)) => Some(error.told()),
@@ -141,7 +130,8 @@ fn limit_self(limits: &WorkerLimits) -> io::Result<()> {
 #[cfg(target_os = "linux")]
 fn confine(folder: Option<&std::path::Path>) -> io::Result<()> {
     use landlock::{
-        ABI, Access, AccessFs, AccessNet, CompatLevel, Compatible, PathBeneath, PathFd, Ruleset, RulesetAttr, RulesetCreatedAttr,
+        ABI, Access, AccessFs, AccessNet, CompatLevel, Compatible, PathBeneath, PathFd, Ruleset, RulesetAttr,
+        RulesetCreatedAttr,
     };
     let write = AccessFs::from_write(ABI::V1);
     let confined = || -> Result<(), Box<dyn std::error::Error>> {
@@ -158,7 +148,8 @@ fn confine(folder: Option<&std::path::Path>) -> io::Result<()> {
             .restrict_self()?;
         Ok(())
     };
-    confined().map_err(|error| io::Error::other(format!("a sandbox needs Landlock (Linux 5.13 or newer): {error}")))
+    confined()
+        .map_err(|error| io::Error::other(format!("a sandbox needs Landlock (Linux 5.13 or newer): {error}")))
 }
 
 #[cfg(not(target_os = "linux"))]

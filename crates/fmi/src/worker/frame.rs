@@ -53,7 +53,8 @@ impl Frame {
     /// It cannot be encoded.
     pub fn set_head(&mut self, head: &impl Serialize) -> io::Result<()> {
         self.head.clear();
-        ciborium::into_writer(head, &mut self.head).map_err(|e| bad(format!("a message cannot be encoded: {e}")))
+        ciborium::into_writer(head, &mut self.head)
+            .map_err(|e| bad(format!("a message cannot be encoded: {e}")))
     }
 
     /// What it says.
@@ -91,7 +92,8 @@ impl Frame {
     ) -> io::Result<()> {
         let mut header = [0; HEADER];
         fill(from, &mut header, wait)?;
-        let word = |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
+        let word =
+            |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
         if word(0) != MAGIC || word(4) > 3 {
             return Err(bad("no message of a worker of this version".to_owned()));
         }

@@ -5,24 +5,51 @@
 //! socket pair as its standard input (see [`frame`] for what is said), a folder of its own as working folder and for temporary files, and
 //! limits that it sets on itself. It runs one FMU in one thread. It ends when the socket is closed, at the latest with the process that has started it.
 
+#[cfg(not(unix))]
+mod absent;
+#[cfg(unix)]
+mod child;
 mod frame;
 mod launcher;
 mod limits;
-mod notes;
+mod load;
 #[cfg(unix)]
-mod child;
+mod notes;
 #[cfg(unix)]
 mod process;
 #[cfg(unix)]
 mod workers;
 
+#[cfg(not(unix))]
+pub use absent::{Workers, serve_if_asked};
 #[cfg(unix)]
-pub use child::{Service, serve_if_asked};
+pub use child::serve_if_asked;
 pub use frame::Frame;
 pub use launcher::Launcher;
 pub use limits::{Isolation, WorkerLimits};
+pub use load::Load;
 #[cfg(unix)]
-pub use workers::{Load, Workers};
+pub use workers::Workers;
+
+use crate::description::Quirk;
+use crate::error::FmiError;
+
+/// What a worker does for who has started it.
+pub trait Service {
+    /// Answers a message. `cancelled`: the answer is not wanted any more.
+    ///
+    /// # Errors
+    /// Told to the other side.
+    fn answer(
+        &mut self,
+        asked: &Frame,
+        cancelled: &dyn Fn() -> bool,
+        answer: &mut Frame,
+    ) -> Result<(), FmiError>;
+
+    /// Departures from the standard that have shown in runs since the last call.
+    fn new_quirks(&mut self) -> Vec<Quirk>;
+}
 
 /// What both sides have to be of.
 const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "/1");

@@ -115,7 +115,8 @@ impl Process {
             Ok(()) if hello.head::<String>().is_ok_and(|version| version == super::VERSION) => Ok(process),
             Ok(()) => {
                 let version = hello.head::<String>().unwrap_or_default();
-                let reason = format!("the program to be started serves version {version:?}, not {}", super::VERSION);
+                let reason =
+                    format!("the program to be started serves version {version:?}, not {}", super::VERSION);
                 Err(FmiError::NoWorker { reason })
             }
             Err(NoAnswer::Cancelled) => Err(FmiError::Cancelled),
@@ -137,7 +138,8 @@ impl Process {
         let sent = asked.write(&mut self.socket, &mut buffer);
         self.buffer = buffer;
         // What cannot be sent shows in the answer.
-        let mut limit = run_limit.map(|limit| RunLimit { limit, runs: self.page.runs(), since: Instant::now() });
+        let mut limit =
+            run_limit.map(|limit| RunLimit { limit, runs: self.page.runs(), since: Instant::now() });
         if let Err(error) = sent
             && error.kind() != ErrorKind::BrokenPipe
         {
@@ -147,7 +149,8 @@ impl Process {
         if answer.notes.is_empty() {
             return Ok(Notes::default());
         }
-        decode(&answer.notes).map_err(|error| NoAnswer::Ended(self.ended(EndKind::Garbage, &error.to_string())))
+        decode(&answer.notes)
+            .map_err(|error| NoAnswer::Ended(self.ended(EndKind::Garbage, &error.to_string())))
     }
 
     fn receive(

@@ -1,6 +1,7 @@
 //! Worker processes for as many threads as ask for something: started when they are needed, replaced when they end or grow.
 
 use super::frame::Frame;
+use super::load::Load;
 use super::process::{NoAnswer, Process};
 use super::{Launcher, WorkerLimits};
 use crate::description::Quirk;
@@ -15,23 +16,6 @@ const IDLE: Duration = Duration::from_secs(5);
 /// The memory of a worker is looked at after each so many calls, and after every one that took so long.
 const LOOK_EVERY: u64 = 32;
 const LONG_CALL: Duration = Duration::from_millis(20);
-
-/// What a worker has to know before it can be asked.
-#[derive(Debug)]
-pub struct Load {
-    id: u64,
-    frame: Frame,
-}
-
-/// Numbers of the [`Load`]s of this process.
-static NEXT_ID: AtomicU64 = AtomicU64::new(1);
-
-impl Load {
-    /// What a worker is to load before it is asked.
-    pub fn new(frame: Frame) -> Self {
-        Self { id: NEXT_ID.fetch_add(1, Ordering::Relaxed), frame }
-    }
-}
 
 /// A set of worker processes of one program, with limits. Each serves one thread at a time.
 #[derive(Debug)]
@@ -124,21 +108,23 @@ impl Workers {
             }
         };
         let mut quirks = Vec::new();
-        let mut ask = |process: &mut Process, asked: &Frame, answer: &mut Frame, limit| -> Result<(), FmiError> {
-            let notes = process.call(asked, answer, cancelled, limit).map_err(|no_answer| match no_answer {
-                NoAnswer::Cancelled => FmiError::Cancelled,
-                NoAnswer::Ended(end) => FmiError::WorkerEnded(Box::new(end)),
-            })?;
-            notes.pass_on();
-            quirks.extend(notes.quirks);
-            match answer.is_error {
-                true => Err(match answer.head::<Told>().map_err(garbage)? {
-                    told if told.kind == ToldKind::Cancelled => FmiError::Cancelled,
-                    told => FmiError::Told(Box::new(told)),
-                }),
-                false => Ok(()),
-            }
-        };
+        let mut ask =
+            |process: &mut Process, asked: &Frame, answer: &mut Frame, limit| -> Result<(), FmiError> {
+                let notes =
+                    process.call(asked, answer, cancelled, limit).map_err(|no_answer| match no_answer {
+                        NoAnswer::Cancelled => FmiError::Cancelled,
+                        NoAnswer::Ended(end) => FmiError::WorkerEnded(Box::new(end)),
+                    })?;
+                notes.pass_on();
+                quirks.extend(notes.quirks);
+                match answer.is_error {
+                    true => Err(match answer.head::<Told>().map_err(garbage)? {
+                        told if told.kind == ToldKind::Cancelled => FmiError::Cancelled,
+                        told => FmiError::Told(Box::new(told)),
+                    }),
+                    false => Ok(()),
+                }
+            };
         if process.loaded != Some(load.id) {
             process.loaded = None;
             // A model that cannot be loaded leaves a worker that nobody has a use for.
@@ -198,7 +184,8 @@ impl Workers {
                 std::thread::sleep(IDLE / 4);
                 let Some(workers) = workers.upgrade() else { break };
                 let mut idle = workers.idle();
-                let old = idle.processes.extract_if(.., |(_, since)| since.elapsed() > IDLE).collect::<Vec<_>>();
+                let old =
+                    idle.processes.extract_if(.., |(_, since)| since.elapsed() > IDLE).collect::<Vec<_>>();
                 let is_over = idle.processes.is_empty();
                 idle.is_watched = !is_over;
                 drop(idle);

@@ -4,7 +4,6 @@
 //! other event of that instant. Ticks of periodic clocks are `start + shift + k * interval`, never sums; fractions are
 //! multiplied out before they are divided. The rules are those of FMI 3.0.x, sections 2.2.8.3 and 2.3.5.
 
-use serde::{Deserialize, Serialize};
 use super::plan::ClockPlan;
 use super::schedule::Schedule;
 use crate::description::{ClockKind, Interval, VariableKind};
@@ -14,6 +13,7 @@ use crate::simulation::outputs::OutputBuffers;
 use crate::simulation::outside::Outside;
 use crate::sys::Qualifier;
 use ode::EventOutcome;
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// A tick of a clock.

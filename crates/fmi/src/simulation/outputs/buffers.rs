@@ -1,10 +1,10 @@
 //! What a simulation records: outputs sorted into one call per type, and the buffers they are read into.
 
-use serde::{Deserialize, Serialize};
 use super::texts::{self, ValueTable};
 use crate::description::{Causality, ModelDescription, Structure, Variability, Variable, VariableKind};
 use crate::instance::integer_codec;
 use crate::sys::{Fault, RawInstance};
+use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::ops::Range;
 

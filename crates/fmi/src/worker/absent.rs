@@ -1,0 +1,56 @@
+//! Where processes cannot be started as workers: there are none.
+
+use super::{Frame, Load, Service, WorkerLimits};
+use crate::description::Quirk;
+use crate::error::FmiError;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// No worker processes.
+#[derive(Debug)]
+pub enum Workers {}
+
+impl Workers {
+    /// `None`.
+    pub fn new(_: WorkerLimits) -> Option<Arc<Self>> {
+        None
+    }
+
+    /// The limits.
+    pub fn limits(&self) -> &WorkerLimits {
+        match *self {}
+    }
+
+    /// Not reached.
+    ///
+    /// # Errors
+    /// None.
+    pub fn call(
+        self: &Arc<Self>,
+        _: &Load,
+        _: &Frame,
+        _: &mut Frame,
+        _: &dyn Fn() -> bool,
+        _: Option<Duration>,
+    ) -> Result<Vec<Quirk>, FmiError> {
+        match **self {}
+    }
+
+    /// Not reached.
+    ///
+    /// # Errors
+    /// None.
+    pub fn call_fresh(
+        self: &Arc<Self>,
+        _: &Load,
+        _: &Frame,
+        _: &mut Frame,
+        _: &dyn Fn() -> bool,
+        _: Option<Duration>,
+    ) -> Result<Vec<Quirk>, FmiError> {
+        match **self {}
+    }
+}
+
+/// Returns at once.
+pub fn serve_if_asked(_: impl FnOnce() -> Box<dyn Service> + Send) {}
