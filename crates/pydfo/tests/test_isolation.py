@@ -1,0 +1,158 @@
+"""FMUs in processes of their own: the same bits, deaths that are outcomes, and nothing left behind."""
+
+import os
+import sys
+import threading
+import time
+
+import numpy as np
+import pydfo
+import pytest
+from fmus import evil, same_bits
+from pydfo import Calibration, FMUModel, Parameter
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="faults of an FMU are made for Linux")
+
+TIMES = np.linspace(0, 1, 21)
+
+
+def decay(fmu, **more):
+    """y = exp(-1.7 t), which x' = -k x follows at k = 1.7."""
+    data = {"time": TIMES, "y": np.exp(-1.7 * TIMES)}
+    return Calibration(fmu, data, {"y": "y"}, [Parameter("k", 1, 0.1, 5)], **more)
+
+
+def bits(fit):
+    return fit.x.tobytes(), fit.cost, fit.stderr.tobytes(), fit.nfev
+
+
+def test_where_an_fmu_runs_changes_no_bit(tmp_path):
+    fmu = evil(tmp_path / "sound.fmu")
+    here = decay(fmu, isolation="none")
+    for workers in (1, 2, 7):
+        assert bits(decay(fmu).fit(workers=workers)) == bits(here.fit(workers=1)), workers
+    apart = decay(fmu)
+    assert apart.residuals([2.0]).tobytes() == here.residuals([2.0]).tobytes()
+    assert same_bits(apart.simulate([2.0]), here.simulate([2.0]))
+    one, other = FMUModel(fmu), FMUModel(fmu)
+    for model in (one, other):
+        model.set("k", 0.5)
+    asked = {"final_time": 2, "start_values": {"x": 3.0}, "outputs": ["x", "y"], "record_events": True}
+    assert same_bits(one.simulate(**asked), other.simulate(isolation="process", **asked))
+
+
+#: What happens where k is above 2.2, and what is said of it.
+DEATHS = {
+    "raise(SIGSEGV)": "segmentation fault in fmi2GetDerivatives",
+    "abort()": "abort in fmi2GetDerivatives",
+    "exit(3)": r"exit\(3\) in fmi2GetDerivatives",
+    "overflow(m->time)": "in fmi2GetDerivatives",
+    "close_all()": " in fmi2",
+}
+
+
+@pytest.mark.parametrize("fault", DEATHS)
+def test_a_death_is_a_failed_evaluation(tmp_path, fault):
+    calibration = decay(evil(tmp_path / "deadly.fmu", "FAULT_ABOVE=2.2", f"FAULT={fault}"))
+    with pytest.raises(pydfo.SimulationError, match=DEATHS[fault]) as raised:
+        calibration.cost([3.0])
+    assert "k = 3" in str(raised.value)
+    fit = calibration.fit(method="de", max_evaluations=80, rng=1, workers=2)
+    assert abs(fit.x[0] - 1.7) < 0.05
+    assert fit.nfail > 5
+    fit = calibration.fit()
+    assert abs(fit.x[0] - 1.7) < 1e-4
+    fit.profile()
+    fit.validate(windows=[(0.0, 0.5)])
+    fit.report(tmp_path / "report.html")
+    with pytest.raises(pydfo.SimulationError, match=DEATHS[fault]):
+        FMUModel(evil(tmp_path / "again.fmu", "FAULT_ABOVE=2.2", f"FAULT={fault}")).simulate(
+            final_time=1, start_values={"k": 3.0}, isolation="process"
+        )
+
+
+def test_a_hang_ends_soon_after_its_limit(tmp_path):
+    fmu = evil(tmp_path / "hangs.fmu", "FAULT_ABOVE=2.2", "FAULT=hang()")
+    calibration = decay(fmu, timeout=0.2)
+    with pytest.raises(pydfo.SimulationError, match="no answer within the time limit in fmi2GetDerivatives"):
+        calibration.cost([3.0])
+    fit = calibration.fit(method="de", max_evaluations=30, rng=1, workers=2)
+    assert fit.nfail > 0 and abs(fit.x[0] - 1.7) < 0.3
+    # Without a limit of its own it ends with the fit's.
+    fit = decay(fmu).fit(method="de", max_time=2.0, rng=1, workers=2)
+    assert "time" in fit.message and np.isfinite(fit.cost)
+
+
+def test_ctrl_c_ends_what_never_returns(tmp_path):
+    calibration = decay(evil(tmp_path / "hangs.fmu", "FAULT_ABOVE=0", "FAULT=hang()"))
+    threading.Timer(0.5, os.kill, (os.getpid(), 2)).start()
+    with pytest.raises(KeyboardInterrupt):
+        calibration.cost([1.0])
+
+
+def children():
+    """Numbers of the processes that this one has started and that are alive."""
+    found = []
+    for name in filter(str.isdigit, os.listdir("/proc")):
+        try:
+            with open(f"/proc/{name}/stat") as file:
+                fields = file.read().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[1]) == os.getpid() and fields[0] != "Z":
+            found.append(int(name))
+    return found
+
+
+def test_nothing_is_left_of_a_calibration(tmp_path, monkeypatch):
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    fmu = evil(tmp_path / "sound.fmu")
+    before = set(children())
+    monkeypatch.setenv("TMPDIR", str(folder))
+    calibration = decay(fmu)
+    calibration.fit(workers=2)
+    del calibration
+    end = time.monotonic() + 5
+    while set(children()) - before and time.monotonic() < end:
+        time.sleep(0.02)
+    assert not set(children()) - before
+    assert not [name for name in os.listdir(folder) if name.startswith("fmufit-worker")]
+
+
+def test_a_state_that_only_a_new_process_renews_is_found(tmp_path):
+    # The value of k at the first run of a process stays.
+    fmu = evil(tmp_path / "remembers.fmu", "SHARED_GLOBALS", "REMEMBERS=1.2")
+    calibration = decay(fmu)
+    fit = calibration.fit(workers=1)
+    again = decay(fmu).cost(fit.x)
+    assert again == fit.cost
+
+
+def test_limits_are_looked_at(tmp_path):
+    fmu = evil(tmp_path / "sound.fmu")
+    for wrong in ({"isolation": "thread"}, {"memory_limit": 0}):
+        with pytest.raises(ValueError, match=next(iter(wrong))):
+            decay(fmu, **wrong)
+    with pytest.raises(ValueError, match="isolation"):
+        FMUModel(fmu).simulate(final_time=1, isolation="thread")
+
+
+def test_functions_as_inputs_stay_in_this_process(tmp_path):
+    fmu = pydfo.example_fmu("switched_input")
+    model = FMUModel(fmu)
+    name = next(name for name, variable in model.description.variables.items() if variable.causality == "input")
+    with pytest.raises(ValueError, match="function of this program"):
+        model.simulate(final_time=1, inputs={name: lambda t: t}, isolation="process")
+
+
+def test_a_checkpoint_belongs_to_one_process_at_a_time(tmp_path):
+    place = tmp_path / "run.checkpoint"
+    (tmp_path / "run.checkpoint.lock").write_text("4711")
+    import fcntl
+
+    with open(tmp_path / "run.checkpoint.lock") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        with pytest.raises(pydfo.CheckpointError, match="process 4711 is writing to it"):
+            pydfo.minimize(lambda x: x[0] ** 2, [1.0], checkpoint=place, resume="never")
+    pydfo.minimize(lambda x: x[0] ** 2, [1.0], checkpoint=place, resume="never")
