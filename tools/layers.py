@@ -87,7 +87,7 @@ LAYERS = {
         interrupt logs methods
         fmu_error objective report
         error files values
-        data findings
+        data findings worker
         description inputs trajectory
         settings
         cost experiment fit minimize model py_system stages
@@ -132,6 +132,9 @@ class Crate:
         self.files: dict[Module, Path] = {}
         for path in source.rglob("*.rs"):
             parts = path.relative_to(source).with_suffix("").parts
+            if parts[0] == "bin":
+                # A crate of its own.
+                continue
             self.files[parts[:-1] if parts[-1] in ("mod", "lib") else parts] = path
         self.code = {module: code(path) for module, path in self.files.items()}
         self.names = {module: dict(self.reexports(module)) for module in self.files}

@@ -1,6 +1,9 @@
 //! Where processes cannot be started as workers: there are none.
 
-use super::{Frame, Load, Service, WorkerLimits};
+use super::frame::Frame;
+use super::limits::WorkerLimits;
+use super::load::Load;
+use super::service::Service;
 use crate::description::Quirk;
 use crate::error::FmiError;
 use std::sync::Arc;

@@ -1,8 +1,10 @@
 //! The worker process itself: it takes its socket, limits itself, and answers until the other end is closed.
 
 use super::frame::Frame;
+use super::limits::WorkerLimits;
 use super::notes::{Notes, keep_lines, take_lines};
-use super::{ASKED, FOLDER, LEVEL, Service, WorkerLimits};
+use super::service::Service;
+use super::settings::{ASKED, FOLDER, LEVEL, VERSION};
 use crate::error::{Told, ToldKind};
 use crate::sys::{Page, close_inherited, tell_calls};
 use rustix::event::{PollFd, PollFlags, poll};
@@ -63,7 +65,7 @@ fn serve(limits: &str, mut service: Box<dyn Service>) -> io::Result<()> {
     }
 
     let (mut asked, mut answer, mut buffer) = (Frame::default(), Frame::default(), Vec::new());
-    answer.set_head(&super::VERSION)?;
+    answer.set_head(&VERSION)?;
     let mut socket = &socket;
     answer.write(&mut socket, &mut buffer)?;
     loop {

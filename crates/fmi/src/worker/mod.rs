@@ -17,6 +17,8 @@ mod load;
 mod notes;
 #[cfg(unix)]
 mod process;
+mod service;
+mod settings;
 #[cfg(unix)]
 mod workers;
 
@@ -28,42 +30,7 @@ pub use frame::Frame;
 pub use launcher::Launcher;
 pub use limits::{Isolation, WorkerLimits};
 pub use load::Load;
+pub use service::Service;
+pub use settings::is_asked;
 #[cfg(unix)]
 pub use workers::Workers;
-
-use crate::description::Quirk;
-use crate::error::FmiError;
-
-/// What a worker does for who has started it.
-pub trait Service {
-    /// Answers a message. `cancelled`: the answer is not wanted any more.
-    ///
-    /// # Errors
-    /// Told to the other side.
-    fn answer(
-        &mut self,
-        asked: &Frame,
-        cancelled: &dyn Fn() -> bool,
-        answer: &mut Frame,
-    ) -> Result<(), FmiError>;
-
-    /// Departures from the standard that have shown in runs since the last call.
-    fn new_quirks(&mut self) -> Vec<Quirk>;
-}
-
-/// What both sides have to be of.
-const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "/1");
-
-/// Environment variable by which a process is asked to serve; its value are the limits.
-const ASKED: &str = "FMUFIT_WORKER";
-
-/// Environment variable with the worker's folder.
-const FOLDER: &str = "FMUFIT_WORKER_FOLDER";
-
-/// Environment variable with the level up to which it is to log.
-const LEVEL: &str = "FMUFIT_WORKER_LOG";
-
-/// Whether this process was started as a worker.
-pub fn is_asked() -> bool {
-    std::env::var_os(ASKED).is_some()
-}

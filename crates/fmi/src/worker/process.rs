@@ -1,8 +1,10 @@
 //! One worker process, as the process sees it that has started it.
 
 use super::frame::{Frame, decode};
+use super::launcher::Launcher;
+use super::limits::WorkerLimits;
 use super::notes::Notes;
-use super::{FOLDER, LEVEL, Launcher, WorkerLimits};
+use super::settings::{ASKED, FOLDER, LEVEL, VERSION};
 use crate::error::{EndKind, FmiError, WorkerEnd};
 use crate::sys::Page;
 use std::collections::VecDeque;
@@ -73,7 +75,7 @@ impl Process {
         let mut command = Command::new(&launcher.program);
         command
             .args(&launcher.arguments)
-            .env(super::ASKED, limits.as_text())
+            .env(ASKED, limits.as_text())
             .env(FOLDER, folder.path())
             .env(LEVEL, log::max_level().as_str())
             .env("TMPDIR", folder.path())
@@ -112,11 +114,10 @@ impl Process {
         let (began, mut none) = (Instant::now(), None);
         let answered = process.receive(&mut hello, cancelled, &mut none, Some(began + START));
         match answered {
-            Ok(()) if hello.head::<String>().is_ok_and(|version| version == super::VERSION) => Ok(process),
+            Ok(()) if hello.head::<String>().is_ok_and(|version| version == VERSION) => Ok(process),
             Ok(()) => {
                 let version = hello.head::<String>().unwrap_or_default();
-                let reason =
-                    format!("the program to be started serves version {version:?}, not {}", super::VERSION);
+                let reason = format!("the program to be started serves version {version:?}, not {}", VERSION);
                 Err(FmiError::NoWorker { reason })
             }
             Err(NoAnswer::Cancelled) => Err(FmiError::Cancelled),

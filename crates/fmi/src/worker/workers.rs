@@ -1,9 +1,10 @@
 //! Worker processes for as many threads as ask for something: started when they are needed, replaced when they end or grow.
 
 use super::frame::Frame;
+use super::launcher::Launcher;
+use super::limits::WorkerLimits;
 use super::load::Load;
 use super::process::{NoAnswer, Process};
-use super::{Launcher, WorkerLimits};
 use crate::description::Quirk;
 use crate::error::{EndKind, FmiError, Told, ToldKind, WorkerEnd};
 use std::sync::atomic::{AtomicU64, Ordering};
