@@ -97,7 +97,7 @@ impl Remote {
     /// The processes for a problem, or why its model runs in this one; `None`: that was asked for.
     pub(crate) fn of(fmu: &Fmu, problem: &Problem) -> Result<Self, Option<String>> {
         let settings = &problem.settings;
-        if settings.isolation == Isolation::None {
+        if settings.isolation == Isolation::None || fmu.is_absent() {
             return Err(None);
         }
         if let Some(input) = problem.experiments.iter().find_map(|experiment| experiment.driven_by_function())

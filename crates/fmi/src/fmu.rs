@@ -146,6 +146,11 @@ impl Fmu {
         Self::describe(Archive::absent(path, description, content_hash, reason), path, options)
     }
 
+    /// Whether only its description is at hand, see [`absent`](Self::absent).
+    pub fn is_absent(&self) -> bool {
+        self.inner.archive.is_absent()
+    }
+
     /// The bytes of its `modelDescription.xml`, as it is at present.
     ///
     /// # Errors

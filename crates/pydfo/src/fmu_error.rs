@@ -38,6 +38,7 @@ pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
             ToldKind::Setting => BadModelValueError::new_err(message),
             ToldKind::UnknownVariable => UnknownVariableError::new_err(message),
             ToldKind::WrongType => ModelTypeError::new_err(message),
+            ToldKind::NoFile => PyFileNotFoundError::new_err(message),
             ToldKind::Memory => PyMemoryError::new_err(message),
             ToldKind::Simulation => simulation(py, error, message, told.time),
             _ => FmuError::new_err(message),

@@ -192,7 +192,7 @@ def test_an_executor_has_as_many_points_as_it_has_workers():
             return super().submit(*args, **kwargs)
 
     with Counting(5) as executor:
-        res = minimize(rosenbrock, [-1.2, 1.0], workers=executor, max_iterations=30)
+        res = minimize(rosenbrock, [-1.2, 1.0], workers=executor, max_iterations=30, method="nelder-mead")
     assert res.batch == "auto" and res.workers == 5
     assert set(widths) == {threading.get_ident()} and len(widths) == res.nfev + res.n_speculative
     assert minimize(rosenbrock, [-1.2, 1.0], workers=map, max_iterations=3, options={"batch": "serial"}).batch == "serial"
@@ -323,7 +323,7 @@ def test_every_option_of_every_method_reaches_it(method, options):
         ({"method": "nelder_meat"}, ValueError, "did you mean 'nelder-mead'"),
         ({"method": "least-squares"}, ValueError, "needs the vector of residuals: use pydfo.least_squares"),
         ({"method": 1}, TypeError, "method must be a string"),
-        ({"options": {"restart": 3}}, ValueError, "no option 'restart'; did you mean 'restarts'. it has batch, bounds_handling, .*every"),
+        ({"options": {"restart": 3}}, ValueError, "no option 'restart'; did you mean 'restarts'. it has hand_over, points, .*every"),
         ({"options": {"popsize": 3}}, ValueError, "no option 'popsize'; here it is the option population"),
         ({"options": {"maxiter": 3}}, ValueError, "is the argument max_iterations"),
         ({"options": {"maxfev": 3}}, ValueError, "is the argument max_evaluations"),
@@ -337,9 +337,9 @@ def test_every_option_of_every_method_reaches_it(method, options):
         ({"method": "cma-es", "options": {"sigma": 0}}, ValueError, "sigma = 0 must be positive and finite"),
         ({"method": "cmaess"}, ValueError, "did you mean 'cma-es'"),
         ({"method": "pattern-search", "options": {"frame": "wide"}}, TypeError, "option 'frame' of pattern-search must be a number"),
-        ({"options": {"restarts": 1.5}}, TypeError, "option 'restarts' of nelder-mead must be a whole number"),
-        ({"options": {"restarts": True}}, TypeError, "option 'restarts' of nelder-mead must be a whole number"),
-        ({"options": {"restarts": -1}}, ValueError, "option 'restarts' of nelder-mead must be a whole number, at least 0.* not -1"),
+        ({"options": {"restarts": 1.5}}, TypeError, "option 'restarts' of quadratic-model must be a whole number"),
+        ({"options": {"restarts": True}}, TypeError, "option 'restarts' of quadratic-model must be a whole number"),
+        ({"options": {"restarts": -1}}, ValueError, "option 'restarts' of quadratic-model must be a whole number, at least 0.* not -1"),
         ({"method": "de", "options": {"population": -1.0}}, ValueError, "'population' of de must be a whole number.* not -1.0"),
         ({"method": "de", "options": {"memory": 1e30}}, ValueError, r"'memory' of de must be a whole number.* not 1e\+30"),
         ({"method": "ga", "options": {"selection": -3}}, ValueError, "'selection' of ga must be 'fitness', or a number"),

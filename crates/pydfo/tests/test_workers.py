@@ -53,7 +53,7 @@ def test_processes_change_nothing():
 @pytest.mark.parametrize("plan", ["auto", "serial", "two", "four", "two-ahead", "ahead"])
 @pytest.mark.parametrize("vectorized", [False, True])
 def test_an_exception_counts_when_the_path_comes_to_it(plan, vectorized):
-    path = pydfo.minimize(rosenbrock, [-1.2, 1.0], max_evaluations=60)
+    path = pydfo.minimize(rosenbrock, [-1.2, 1.0], max_evaluations=60, method="nelder-mead")
     known = {x.tobytes() for x in path.trace.x}
 
     def trap(x):
@@ -66,12 +66,13 @@ def test_an_exception_counts_when_the_path_comes_to_it(plan, vectorized):
 
     result = pydfo.minimize(
         columns if vectorized else trap, [-1.2, 1.0], workers=4, max_evaluations=60, options={"batch": plan},
-        vectorized=vectorized,
+        vectorized=vectorized, method="nelder-mead",
     )  # fmt: skip
     assert told(result) == told(path)
     with pytest.raises(Trap) as raised:
         pydfo.minimize(
-            columns if vectorized else trap, [-1.2, 1.0], workers=4, options={"batch": plan}, vectorized=vectorized
+            columns if vectorized else trap, [-1.2, 1.0], workers=4, options={"batch": plan}, vectorized=vectorized,
+            method="nelder-mead",
         )
     assert raised.value.partial_result.x.tobytes() is not None
 
@@ -84,7 +85,7 @@ def test_a_masked_cost_is_none(cost):
     def fun(x):
         return cost if x[0] > 0 else float(x[0] ** 2)
 
-    result = pydfo.minimize(fun, [-1.0], max_evaluations=60)
+    result = pydfo.minimize(fun, [-1.0], max_evaluations=60, method="nelder-mead")
     assert result.x[0] <= 0 and result.nfail > 0
     optimizer = pydfo.Optimizer("nelder-mead", [-1.0])
     ids, _, _ = optimizer.ask()
@@ -96,7 +97,7 @@ def test_masked_costs_of_a_vectorized_function_are_none():
     def columns(x):
         return np.ma.masked_where(x[0] > 0, x[0] ** 2)
 
-    result = pydfo.minimize(columns, [-1.0], vectorized=True, max_evaluations=60)
+    result = pydfo.minimize(columns, [-1.0], vectorized=True, max_evaluations=60, method="nelder-mead")
     assert result.x[0] <= 0 and result.nfail > 0
 
 

@@ -193,6 +193,9 @@ const LIST: [Listed; 10] = [
     },
 ];
 
+/// The algebra of a quadratic model takes some 20 ms per evaluation with so many parameters, and grows with more than their square.
+const MOST_FOR_MODELS: usize = 60;
+
 impl AnyMethod {
     /// All names.
     pub const NAMES: [&'static str; LIST.len()] = {
@@ -366,7 +369,7 @@ impl AnyMethod {
     /// The method for a problem of this class:
     ///
     /// - with residuals [`LeastSquares`], which needs a tenth of the evaluations of methods that see the cost alone;
-    /// - with costs [`QuadraticModel`], which hands over to [`NelderMead`] where its model shows noise or kinks
+    /// - with costs of at most 60 parameters [`QuadraticModel`], which hands over to [`NelderMead`] where its model shows noise or kinks
     ///   ([`QuadraticModel::hand_over`](field@QuadraticModel::hand_over)): with smooth costs it takes half of the evaluations of Nelder-Mead or
     ///   less, with others as many (`benches/choice.rs`); from the start Nelder-Mead where nothing tells the size of a parameter;
     /// - [`Multistart`] where the best minimum of a box is asked for;
@@ -400,6 +403,10 @@ impl AnyMethod {
             (Search::Local, _, true) => {
                 chosen(LeastSquares::default().into(), "the objective gives residuals")
             }
+            (Search::Local, _, false) if class.lower.len() > MOST_FOR_MODELS => chosen(
+                NelderMead::default().into(),
+                "the objective gives a cost and no residuals, of more parameters than a quadratic model is fast for",
+            ),
             (Search::Local, _, false) => chosen(
                 QuadraticModel::default().hand_over(true).into(),
                 "the objective gives a cost and no residuals: a quadratic model as long as the cost is smooth, Nelder-Mead where noise or kinks show",

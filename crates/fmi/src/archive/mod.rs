@@ -117,6 +117,10 @@ impl Archive {
     }
 
     /// Why there is nothing but the description.
+    pub(crate) fn is_absent(&self) -> bool {
+        matches!(self.content, Content::Absent(_))
+    }
+
     fn missing(&self, absent: &Absent) -> FmiError {
         let Absent { path, reason, .. } = absent;
         let content_hash = self.content_hash.get().cloned().unwrap_or_default();

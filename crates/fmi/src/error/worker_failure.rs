@@ -20,6 +20,8 @@ pub enum ToldKind {
     Memory,
     /// The FMU cannot be opened, loaded or instantiated.
     Model,
+    /// A file is not there.
+    NoFile,
     /// It was cancelled.
     Cancelled,
 }

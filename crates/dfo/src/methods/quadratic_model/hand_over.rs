@@ -33,6 +33,10 @@ impl QuadraticModelState {
         let curvature = self.model.hessian.iter().map(|h| h * h).sum::<f64>().sqrt();
         self.curvatures.push((self.rho, curvature));
         self.roughness = (self.n_refused >= MOST_REFUSED).then_some(Roughness::RefusedSteps);
+        if self.hand_over && self.curvatures.len() == 1 && self.is_flat() {
+            // Nothing is seen within the first radius: a simplex also looks farther.
+            self.roughness = Some(Roughness::RefusedSteps);
+        }
         let Some(before) = self.curvatures.len().checked_sub(RESOLUTIONS + 1) else { return };
         let (rho, least) = self.curvatures[before];
         let f = self.points.cost(self.points.best()).value().map_or(0.0, f64::abs);
@@ -40,6 +44,12 @@ impl QuadraticModelState {
         if grown && least > 0.0 && curvature * self.rho * self.rho > VISIBLE * f {
             self.roughness = Some(Roughness::Curvature);
         }
+    }
+
+    /// All points have one cost.
+    fn is_flat(&self) -> bool {
+        let f = self.points.cost(self.points.best()).value();
+        (0..self.points.len()).all(|slot| self.points.cost(slot).value() == f)
     }
 
     /// A simplex search takes over from the best point; false where none can.
