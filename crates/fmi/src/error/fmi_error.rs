@@ -391,7 +391,9 @@ impl FmiError {
         let (kind, time) = match self {
             FmiError::Told(told) => return (**told).clone(),
             FmiError::Memory { .. } => (ToldKind::Memory, None),
-            FmiError::Io { source, .. } if source.kind() == io::ErrorKind::NotFound => (ToldKind::NoFile, None),
+            FmiError::Io { source, .. } if source.kind() == io::ErrorKind::NotFound => {
+                (ToldKind::NoFile, None)
+            }
             FmiError::Cancelled => (ToldKind::Cancelled, None),
             FmiError::UnknownVariable { .. } | FmiError::NotInResult { .. } => {
                 (ToldKind::UnknownVariable, None)
