@@ -52,6 +52,9 @@ pub enum RaceOutcome {
     Failed(String),
 }
 
+/// A simulation of a race, with its residuals and the seconds that they took where it is an evaluation as well.
+pub(crate) type RaceRun = (RaceOutcome, Option<(Vec<f64>, f64)>);
+
 /// What became of a method in a race.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]

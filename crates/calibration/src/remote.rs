@@ -4,7 +4,7 @@ use crate::error::CalibrationError;
 use crate::experiment::SimulationSettings;
 use crate::no_cost::{NoCost, ToldNoCost};
 use crate::problem::{ModelFile, Problem};
-use crate::race::{RaceOutcome, RaceTask};
+use crate::race::{RaceOutcome, RaceRun, RaceTask};
 use crate::residual::CostRule;
 use dfo::RobustLoss;
 use fmi::worker::{Frame, Isolation, Load, WorkerLimits, Workers};
@@ -187,7 +187,7 @@ impl Remote {
         task: RaceTask,
         cancelled: &dyn Fn() -> bool,
         stats: &mut Stats,
-    ) -> Result<(RaceOutcome, Option<(Vec<f64>, f64)>), CalibrationError> {
+    ) -> Result<RaceRun, CalibrationError> {
         let raced = self.ask(&Job::Race(task), self.is_always_fresh(), cancelled, |answer| {
             let raced: Raced = answer.head()?;
             Ok((raced, std::mem::take(&mut answer.numbers)))

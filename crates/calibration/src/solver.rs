@@ -3,7 +3,7 @@
 use crate::error::CalibrationError;
 use crate::evaluate::Evaluator;
 use crate::no_cost::NoCost;
-use crate::race::{Race, RaceOutcome, RaceTask, race};
+use crate::race::{Race, RaceOutcome, RaceRun, RaceTask, race};
 use crate::residual::{Accumulator, CostRule};
 use dfo::RobustLoss;
 use fmi::{FmiError, InterfaceKind, Pool, SimulateOptions, SimulationPlan, Simulator};
@@ -176,7 +176,7 @@ pub(crate) fn simulate_race(
     task: &RaceTask,
     cancelled: &dyn Fn() -> bool,
     stats: &mut Stats,
-) -> Result<(RaceOutcome, Option<(Vec<f64>, f64)>), CalibrationError> {
+) -> Result<RaceRun, CalibrationError> {
     let plan = problem.simulations[0].pool.plan();
     let (relative, n) = (plan.relative_tolerance(), plan.n_states());
     let start = problem.start();

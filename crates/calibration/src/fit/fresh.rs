@@ -20,12 +20,16 @@ pub(super) enum Fresh {
     Random,
 }
 
+/// A point, and its residuals as they count.
+type Known<'a> = (&'a [f64], &'a [f64]);
+
 impl Calibration {
     /// Does `work` while a point is evaluated again; `best`: the point, and its residuals as they count. Where these are others, each
     /// evaluation has a process of its own from now on.
     pub(super) fn beside_fresh_process<T>(
         &self,
-        (best, loss): (Option<(&[f64], &[f64])>, RobustLoss),
+        best: Option<Known<'_>>,
+        loss: RobustLoss,
         cancelled: &dyn Fn() -> bool,
         work: impl FnOnce() -> T,
     ) -> (T, Fresh) {
@@ -50,7 +54,7 @@ impl Calibration {
     fn again(
         &self,
         remote: &Remote,
-        (x, known): (&[f64], &[f64]),
+        (x, known): Known<'_>,
         loss: RobustLoss,
         cancelled: &dyn Fn() -> bool,
     ) -> Fresh {

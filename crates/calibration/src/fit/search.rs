@@ -310,7 +310,7 @@ impl Calibration {
             let of_run = (start.as_slice(), held.as_slice(), &report, objective);
             let best = residuals.at((&report.x, start)).map(|known| (report.x.as_slice(), known));
             let best = best.filter(|_| job.worth.is_some());
-            let (found, again) = self.beside_fresh_process((best, loss), &cancelled, || {
+            let (found, again) = self.beside_fresh_process(best, loss, &cancelled, || {
                 self.findings(of_run, &tolerances, &cancelled, stats)
             });
             match again {
