@@ -93,7 +93,7 @@ def test_what_does_not_fit_is_refused_and_left_as_it_is(tmp_path):
         ({"x0": [-1.0, 1.0]}, "start: .* in the file, .* here"),
         ({"bounds": [(-3, 2), (-2, 2)]}, r"lower bounds: \[-2.0, -2.0\] in the file, \[-3.0, -2.0\] here"),
         ({"method": "barrier"}, "method: quadratic-model in the file, barrier here"),
-        ({"options": {"restarts": 0}}, "option restarts: 2 in the file, 0 here"),
+        ({"options": {"restarts": 0}}, "option restarts: 3 in the file, 0 here"),
         ({"options": {"x_tol": 1e-3}}, "x_tol: .* in the file, 0.001 here"),
     ]:
         arguments = {"x0": [-1.2, 1.0], "bounds": [(-2, 2)] * 2, **changes}

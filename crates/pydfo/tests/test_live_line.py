@@ -82,7 +82,7 @@ def test_the_line_ends_with_an_exception(terminal):
 def test_the_line_moves_between_iterations(terminal):
     # Simulations of a million steps: before the first iteration there is time for more than one tick.
     data = {"time": TIME, "x": np.exp(-2.0 * TIME)}
-    calibration = Calibration(example_fmu("dahlquist"), data, ["x"], Parameter("k", 1.0, 0.1, 10.0), solver="euler", step_size=3e-6)
+    calibration = Calibration(example_fmu("dahlquist"), data, ["x"], Parameter("k", 1.0, 0.1, 10.0), solver="euler", step_size=1e-6)
     with redirect_stderr(terminal):
         calibration.fit("nelder-mead", disp=True, max_evaluations=3, covariance=None)
     assert "\rfit: first simulations" in terminal.getvalue()
@@ -105,7 +105,7 @@ def test_a_real_terminal_is_left_clean_by_an_interrupt(tmp_path):
         _live._display = _live._Plain
         t = np.linspace(0.0, 3.0, 31)
         calibration = pydfo.Calibration(pydfo.example_fmu("dahlquist"), {"time": t, "x": np.exp(-2.0 * t)}, ["x"],
-                                        pydfo.Parameter("k", 1.0, 0.1, 10.0), solver="euler", step_size=3e-6)
+                                        pydfo.Parameter("k", 1.0, 0.1, 10.0), solver="euler", step_size=1e-6)
         threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT)).start()
         try:
             calibration.fit("nelder-mead", disp=True, x_tol=1e-12, f_tol=1e-14)

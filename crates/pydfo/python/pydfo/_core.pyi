@@ -52,6 +52,8 @@ __all__ = [
     "fit_to_bytes",
     "fit_to_csv",
     "fit_to_json",
+    "serve_worker",
+    "set_launcher",
     "simulate_variables",
     "variable_values",
     "functions_of_fit",
