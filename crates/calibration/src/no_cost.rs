@@ -53,6 +53,17 @@ pub(crate) enum ToldNoCost {
     Failed { kind: FailureKind, reason: String, message: String, source: Option<Told> },
 }
 
+impl ToldNoCost {
+    /// Whether it tells of the process or its files rather than of the point.
+    pub(crate) fn is_of_process(&self) -> bool {
+        match self {
+            Self::Over(told) => told.is_of_process(),
+            Self::Failed { source, .. } => source.as_ref().is_some_and(Told::is_of_process),
+            Self::Above | Self::Cancelled => false,
+        }
+    }
+}
+
 impl From<NoCost> for ToldNoCost {
     fn from(no_cost: NoCost) -> Self {
         match no_cost {

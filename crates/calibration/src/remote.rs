@@ -165,7 +165,7 @@ impl Remote {
         let CostRule { loss, cutoff, cancelled } = rule;
         let job = Job::Evaluate { x: x.to_vec(), method, loss, cutoff, tolerance };
         let is_fresh = is_fresh || self.is_always_fresh();
-        let evaluated = self.ask(&job, is_fresh, cancelled, |answer| {
+        let mut use_answer = |answer: &mut Frame| {
             let Evaluated { cost, stats } = answer.head()?;
             if cost.is_ok() {
                 if answer.numbers.len() != out.len() {
@@ -175,7 +175,12 @@ impl Remote {
                 out.copy_from_slice(&answer.numbers);
             }
             Ok((cost, stats))
-        });
+        };
+        let mut evaluated = self.ask(&job, is_fresh, cancelled, &mut use_answer);
+        if !is_fresh && matches!(&evaluated, Ok((Err(told), _)) if told.is_of_process()) {
+            // A process that was used before may have lost what it needs.
+            evaluated = self.ask(&job, true, cancelled, &mut use_answer);
+        }
         let (cost, taken) = evaluated.map_err(NoCost::of_worker)?;
         *stats += taken;
         cost.map_err(NoCost::from)

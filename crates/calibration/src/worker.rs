@@ -86,7 +86,7 @@ impl Service for Server {
             }
         }
         let is_last = |(_, fmu): &(ModelFile, Fmu)| fmu.reuse() == Some(Reuse::NewProcess);
-        answer.is_last = self.model.as_ref().is_some_and(is_last);
+        answer.is_last |= self.model.as_ref().is_some_and(is_last);
         Ok(())
     }
 
@@ -130,7 +130,9 @@ fn done(
             if cost.is_err() {
                 answer.numbers.clear();
             }
-            answer.set_head(&Evaluated { cost: cost.map_err(ToldNoCost::from), stats })
+            let cost = cost.map_err(ToldNoCost::from);
+            answer.is_last |= cost.as_ref().is_err_and(ToldNoCost::is_of_process);
+            answer.set_head(&Evaluated { cost, stats })
         }
         Job::Race(task) => {
             let mut stats = Stats::default();

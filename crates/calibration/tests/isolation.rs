@@ -152,11 +152,14 @@ fn a_fit_with_a_checkpoint() {
 fn is_gone_soon(folder: &Path) {
     let began = Instant::now();
     loop {
-        let (processes, files) = (processes_of(folder), std::fs::read_dir(folder).unwrap().count());
-        if processes.is_empty() && files == 0 {
+        let files = std::fs::read_dir(folder).unwrap().flatten();
+        let files: Vec<_> =
+            files.map(|file| (file.path(), std::fs::read_dir(file.path()).map(Iterator::count))).collect();
+        let processes = processes_of(folder);
+        if processes.is_empty() && files.is_empty() {
             return;
         }
-        assert!(began.elapsed() < Duration::from_secs(1), "{processes:?}, {files} files");
+        assert!(began.elapsed() < Duration::from_secs(1), "{processes:?}, {files:?}");
         std::thread::sleep(Duration::from_millis(10));
     }
 }
@@ -232,6 +235,33 @@ fn limits_hold() {
         // It was refused both, and goes on.
         Ok(_) => assert!(!outside.path().join("file").exists()),
         Err(error) => assert!(error.to_string().contains("Landlock"), "{error}"),
+    }
+}
+
+/// What an FMU does to its process in one evaluation, the next ones do not meet.
+#[test]
+fn other_evaluations_are_those_of_a_sound_model() {
+    let sound = faulty(&[]);
+    let sound = decay(open(&sound), settings(Isolation::Process));
+    for fault in ["copy_itself()", "remove_folder()", "leave_orphan()"] {
+        let folder = faulty(&["FAULT_ABOVE=2.2", &format!("FAULT={fault}")]);
+        let calibration = decay(open(&folder), settings(Isolation::Process));
+        let began = Instant::now();
+        for k in [1.5, 2.25, 1.5, 2.5, 1.7] {
+            let found = calibration.residuals(&[k]);
+            if k < 2.2 {
+                assert_eq!(found.unwrap(), sound.residuals(&[k]).unwrap(), "{fault} {k}");
+            } else if fault == "leave_orphan()" {
+                let error = found.unwrap_err().to_string();
+                assert!(error.contains("exit(3) in fmi2GetDerivatives"), "{error}");
+            }
+        }
+        // Nobody waits for what the processes have left behind.
+        assert!(
+            fault != "leave_orphan()" || began.elapsed() < Duration::from_secs(4),
+            "{:?}",
+            began.elapsed()
+        );
     }
 }
 

@@ -1,6 +1,7 @@
 """FMUs in processes of their own: the same bits, deaths that are outcomes, and nothing left behind."""
 
 import os
+import subprocess
 import sys
 import threading
 import time
@@ -127,6 +128,25 @@ def test_a_state_that_only_a_new_process_renews_is_found(tmp_path):
     fit = calibration.fit(workers=1)
     again = decay(fmu).cost(fit.x)
     assert again == fit.cost
+
+
+def test_a_program_that_embeds_python_finds_an_interpreter_or_says_so(tmp_path):
+    script = tmp_path / "fit.py"
+    script.write_text(
+        "import sys, warnings\n"
+        "sys.executable = '/bin/false'\n"
+        "if sys.argv[1] == 'none':\n"
+        "    sys._base_executable = sys.exec_prefix = sys.base_exec_prefix = '/nonexistent'\n"
+        "import numpy as np, pydfo\n"
+        "t = np.linspace(0, 1, 11)\n"
+        "with warnings.catch_warnings(record=True) as said:\n"
+        "    warnings.simplefilter('always')\n"
+        "    c = pydfo.Calibration(pydfo.example_fmu('dahlquist'), {'time': t, 'x': np.exp(-t)}, ['x'], [pydfo.Parameter('k', 2, 0.1, 5)])\n"
+        "print(round(c.fit().x[0], 6), [str(w.message) for w in said])\n"
+    )
+    for case, expected in (("one", "1.0 []"), ("none", "1.0 ['the FMU runs in this process")):
+        done = subprocess.run([sys.executable, script, case], capture_output=True, text=True, check=True)
+        assert done.stdout.startswith(expected), done.stdout
 
 
 def test_limits_are_looked_at(tmp_path):

@@ -406,6 +406,7 @@ impl FmiError {
             | FmiError::BadInput { .. }
             | FmiError::BadSetting { .. }
             | FmiError::Options(_) => (ToldKind::Setting, None),
+            FmiError::Call(failure) if failure.call.contains("nstantiate") => (ToldKind::Model, None),
             FmiError::Call(failure) => (ToldKind::Simulation, failure.time),
             FmiError::EventIteration { time, .. } => (ToldKind::Simulation, Some(*time)),
             FmiError::Simulation(error) => (ToldKind::Simulation, Some(error.time)),

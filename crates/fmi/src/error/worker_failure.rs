@@ -42,6 +42,13 @@ pub struct Told {
     pub log: Vec<String>,
 }
 
+impl Told {
+    /// Whether it tells of the process or its files rather than of a simulation.
+    pub fn is_of_process(&self) -> bool {
+        matches!(self.kind, ToldKind::Model | ToldKind::NoFile | ToldKind::Memory)
+    }
+}
+
 /// How a worker process came to its end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]

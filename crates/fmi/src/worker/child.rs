@@ -15,7 +15,7 @@ use std::io::{self, Write};
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// The stack of the thread that runs the FMU: compiled models put large arrays there.
 const STACK_SIZE: usize = 64 << 20;
@@ -30,6 +30,8 @@ pub fn serve_if_asked(service: impl FnOnce() -> Box<dyn Service> + Send) {
         let thread = std::thread::Builder::new().stack_size(STACK_SIZE).spawn_scoped(scope, serve);
         thread.map(|thread| thread.join())
     });
+    // The process ends before who watches the socket may be done with that.
+    std::env::var_os(FOLDER).iter().for_each(|folder| remove(Path::new(folder)));
     match service {
         Ok(Ok(Ok(()))) => std::process::exit(0),
         Ok(Ok(Err(error))) => {
@@ -64,10 +66,11 @@ fn serve(limits: &str, mut service: Box<dyn Service>) -> io::Result<()> {
         confine(folder.as_deref())?;
     }
 
+    let own = std::process::id();
     let (mut asked, mut answer, mut buffer) = (Frame::default(), Frame::default(), Vec::new());
     answer.set_head(&VERSION)?;
     let mut socket = &socket;
-    answer.write(&mut socket, &mut buffer)?;
+    answer.write(0, &mut socket, &mut buffer)?;
     loop {
         match asked.read(&mut socket, &mut buffer, &mut || Ok(())) {
             Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(()),
@@ -95,12 +98,18 @@ fn serve(limits: &str, mut service: Box<dyn Service>) -> io::Result<()> {
         if !notes.is_empty() {
             ciborium::into_writer(&notes, &mut answer.notes).map_err(io::Error::other)?;
         }
-        answer.write(&mut socket, &mut buffer)?;
+        if std::process::id() != own {
+            // The FMU has forked, and this is the copy.
+            std::process::abort();
+        }
+        // What the model needs may be gone with the folder.
+        answer.is_last |= folder.as_ref().is_some_and(|folder| !folder.is_dir());
+        answer.write(asked.number, &mut socket, &mut buffer)?;
     }
 }
 
 /// Ends the process when the other end is closed, whatever the FMU does at that moment, and removes its folder.
-fn end_with(socket: &UnixStream, folder: Option<&std::path::Path>) {
+fn end_with(socket: &UnixStream, folder: Option<&Path>) {
     loop {
         let mut ends = [PollFd::new(socket, PollFlags::empty())];
         match poll(&mut ends, None) {
@@ -109,10 +118,18 @@ fn end_with(socket: &UnixStream, folder: Option<&std::path::Path>) {
             _ => break,
         }
     }
-    if let Some(folder) = folder {
-        let _ = std::fs::remove_dir_all(folder);
-    }
+    folder.iter().for_each(|folder| remove(folder));
     std::process::abort();
+}
+
+/// Removes a folder in which something may be made meanwhile.
+fn remove(folder: &Path) {
+    for _ in 0..20 {
+        if std::fs::remove_dir_all(folder).is_ok() || !folder.exists() {
+            return;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(2));
+    }
 }
 
 fn limit_self(limits: &WorkerLimits) -> io::Result<()> {
@@ -130,7 +147,7 @@ fn limit_self(limits: &WorkerLimits) -> io::Result<()> {
 
 /// Lets this thread, and all that it starts, write below this folder only, and make no TCP connections (from Linux 6.7 on).
 #[cfg(target_os = "linux")]
-fn confine(folder: Option<&std::path::Path>) -> io::Result<()> {
+fn confine(folder: Option<&Path>) -> io::Result<()> {
     use landlock::{
         ABI, Access, AccessFs, AccessNet, CompatLevel, Compatible, PathBeneath, PathFd, Ruleset, RulesetAttr,
         RulesetCreatedAttr,
@@ -155,6 +172,6 @@ fn confine(folder: Option<&std::path::Path>) -> io::Result<()> {
 }
 
 #[cfg(not(target_os = "linux"))]
-fn confine(_: Option<&std::path::Path>) -> io::Result<()> {
+fn confine(_: Option<&Path>) -> io::Result<()> {
     Err(io::Error::new(io::ErrorKind::Unsupported, "there is a sandbox on Linux only"))
 }

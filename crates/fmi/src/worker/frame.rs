@@ -1,6 +1,6 @@
 //! What goes from one process to the other: frames of a head, notes and numbers, in one direction after the other.
 //!
-//! A frame is a magic number and its flags (4 bytes each), the lengths of its three parts (8 bytes each, of numbers their count), and
+//! A frame is a magic number, its flags and its number, which an answer has of its question (4 bytes each, and 4 unused), the lengths of its three parts (8 bytes each, of numbers their count), and
 //! the parts; all numbers little-endian, heads and notes in CBOR (RFC 8949), so that every number keeps its bits.
 
 use serde::Serialize;
@@ -10,7 +10,7 @@ use std::io::{self, ErrorKind, Read, Write};
 /// Of this version of what is said.
 const MAGIC: u32 = 0x464d_5501;
 
-const HEADER: usize = 32;
+const HEADER: usize = 40;
 
 /// No part is longer, in bytes: what claims to be is garbage.
 const LONGEST: u64 = 1 << 36;
@@ -22,6 +22,8 @@ pub struct Frame {
     pub(crate) is_error: bool,
     /// The worker is not to be used again.
     pub is_last: bool,
+    /// Of one that was read: which question it is, or is answered.
+    pub(crate) number: u32,
     head: Vec<u8>,
     pub(crate) notes: Vec<u8>,
     /// Numbers in bulk, with all their bits.
@@ -65,11 +67,11 @@ impl Frame {
         decode(&self.head)
     }
 
-    /// Writes it, through a buffer.
-    pub(crate) fn write(&self, to: &mut impl Write, buffer: &mut Vec<u8>) -> io::Result<()> {
+    /// Writes it with this number, through a buffer.
+    pub(crate) fn write(&self, number: u32, to: &mut impl Write, buffer: &mut Vec<u8>) -> io::Result<()> {
         buffer.clear();
         let flags = u32::from(self.is_error) | u32::from(self.is_last) << 1;
-        buffer.extend(MAGIC.to_le_bytes().into_iter().chain(flags.to_le_bytes()));
+        [MAGIC, flags, number, 0].iter().for_each(|word| buffer.extend(word.to_le_bytes()));
         for length in [self.head.len(), self.notes.len(), self.numbers.len()] {
             buffer.extend((length as u64).to_le_bytes());
         }
@@ -98,12 +100,12 @@ impl Frame {
             return Err(bad("no message of a worker of this version".to_owned()));
         }
         let (is_error, is_last) = (word(4) & 1 != 0, word(4) & 2 != 0);
-        let length = |part: usize| u64::from(word(8 + 8 * part)) | u64::from(word(12 + 8 * part)) << 32;
+        let length = |part: usize| u64::from(word(16 + 8 * part)) | u64::from(word(20 + 8 * part)) << 32;
         let lengths = [length(0), length(1), length(2).saturating_mul(8)];
         if let Some(length) = lengths.iter().find(|length| **length > LONGEST) {
             return Err(bad(format!("a message of {length} bytes")));
         }
-        (self.is_error, self.is_last) = (is_error, is_last);
+        (self.is_error, self.is_last, self.number) = (is_error, is_last, word(8));
         read_part(from, &mut self.head, lengths[0], wait)?;
         read_part(from, &mut self.notes, lengths[1], wait)?;
         read_part(from, buffer, lengths[2], wait)?;
@@ -169,7 +171,7 @@ mod tests {
 
     fn written(frame: &Frame) -> Vec<u8> {
         let mut bytes = Vec::new();
-        frame.write(&mut bytes, &mut Vec::new()).unwrap();
+        frame.write(7, &mut bytes, &mut Vec::new()).unwrap();
         bytes
     }
 
@@ -183,7 +185,7 @@ mod tests {
             prop_assert_eq!(found.head::<String>().unwrap(), text);
             let bits_found: Vec<u64> = found.numbers.iter().map(|x| x.to_bits()).collect();
             prop_assert_eq!(bits_found, bits);
-            prop_assert_eq!((found.is_error, found.is_last), (is_error, is_last));
+            prop_assert_eq!((found.is_error, found.is_last, found.number), (is_error, is_last, 7));
         }
 
         #[test]

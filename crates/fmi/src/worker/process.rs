@@ -55,6 +55,7 @@ pub(super) struct Process {
     /// The problem that it has loaded.
     pub(super) loaded: Option<u64>,
     pub(super) n_calls: u64,
+    number: u32,
     /// Bytes in memory after the first call.
     pub(super) first_size: Option<u64>,
     folder: Option<TempDir>,
@@ -107,6 +108,7 @@ impl Process {
             has_ended: false,
             loaded: None,
             n_calls: 0,
+            number: 0,
             first_size: None,
             folder: Some(folder),
         };
@@ -135,8 +137,9 @@ impl Process {
     ) -> Result<Notes, NoAnswer> {
         self.page.set_cancelled(false);
         self.n_calls += 1;
+        self.number = self.number.wrapping_add(1);
         let mut buffer = std::mem::take(&mut self.buffer);
-        let sent = asked.write(&mut self.socket, &mut buffer);
+        let sent = asked.write(self.number, &mut self.socket, &mut buffer);
         self.buffer = buffer;
         // What cannot be sent shows in the answer.
         let mut limit =
@@ -147,6 +150,10 @@ impl Process {
             return Err(NoAnswer::Ended(self.ended(EndKind::Garbage, &error.to_string())));
         }
         self.receive(answer, cancelled, &mut limit, None)?;
+        if answer.number != self.number {
+            // Of a copy of the worker, for example, that the FMU has made.
+            return Err(NoAnswer::Ended(self.ended(EndKind::Garbage, "the answer to another question")));
+        }
         if answer.notes.is_empty() {
             return Ok(Notes::default());
         }
@@ -161,9 +168,13 @@ impl Process {
         limit: &mut Option<RunLimit>,
         end: Option<Instant>,
     ) -> Result<(), NoAnswer> {
-        let (page, mut asked_to_end, mut why) = (&self.page, None::<Instant>, None);
+        let (page, child, mut asked_to_end, mut why) = (&self.page, &mut self.child, None::<Instant>, None);
         let mut wait = || {
             let now = Instant::now();
+            // Processes that it has started may keep its end of the socket open.
+            if let Ok(Some(_)) = child.try_wait() {
+                return Err(ErrorKind::UnexpectedEof.into());
+            }
             if asked_to_end.is_none() && cancelled() {
                 page.set_cancelled(true);
                 asked_to_end = Some(now);
@@ -254,8 +265,9 @@ impl Process {
         if self.owner != std::process::id() {
             return;
         }
-        self.has_ended = true;
-        if let Ok(None) = self.child.try_wait() {
+        if !self.has_ended {
+            self.has_ended = true;
+            // It leads the group.
             let group = i32::try_from(self.child.id()).ok().and_then(rustix::process::Pid::from_raw);
             if let Some(group) = group {
                 let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);

@@ -68,13 +68,22 @@ impl Workers {
         run_limit: Option<Duration>,
     ) -> Result<Vec<Quirk>, FmiError> {
         let process = self.idle_process(load.id);
-        match self.call_in(process, load, asked, answer, cancelled, run_limit) {
-            Err(FmiError::WorkerEnded(end)) if end.kind == EndKind::Died => {
-                log::info!("a worker process has ended ({end}); the same is tried once more in a fresh one");
-                self.call_in(None, load, asked, answer, cancelled, run_limit)
-            }
-            outcome => outcome,
+        let was_used = process.is_some();
+        let error = match self.call_in(process, load, asked, answer, cancelled, run_limit) {
+            Err(error) => error,
+            outcome => return outcome,
+        };
+        let is_tried_again = match &error {
+            FmiError::WorkerEnded(end) => end.kind != EndKind::Hung,
+            // A process that was used before may have lost what it needs.
+            FmiError::Told(told) => was_used && told.is_of_process(),
+            _ => false,
+        };
+        if !is_tried_again {
+            return Err(error);
         }
+        log::info!("{error}; the same is tried once more in a fresh process");
+        self.call_in(None, load, asked, answer, cancelled, run_limit)
     }
 
     /// As [`call`](Self::call), in a process that was never asked before, and only once.
@@ -135,7 +144,12 @@ impl Workers {
         let began = Instant::now();
         let told = ask(&mut process, asked, answer, run_limit);
         // One that has ended is given up by dropping it.
-        if !process.has_ended() && !answer.is_last && !self.is_worn(&mut process, began.elapsed()) {
+        let is_of_process = matches!(&told, Err(FmiError::Told(told)) if told.is_of_process());
+        if !process.has_ended()
+            && !is_of_process
+            && !answer.is_last
+            && !self.is_worn(&mut process, began.elapsed())
+        {
             self.give_back(process);
         }
         told.map(|()| quirks)

@@ -44,6 +44,23 @@ static void escape(const char *path) {
     close(connection);
     if (file != NULL || !refused) exit(7);
 }
+/* The copy goes on as the process it is one of. */
+static void copy_itself(void) {
+    static int is_done;
+    if (!is_done++) (void)fork();
+}
+static void remove_folder(void) {
+    if (system("rm -rf \"$TMPDIR\"") != 0) exit(1);
+}
+/* Ends, and leaves a process that keeps all that was open. */
+static void leave_orphan(void) {
+    if (fork() == 0) {
+        setsid();
+        sleep(5);
+        _exit(0);
+    }
+    _exit(3);
+}
 typedef void (*Fault)(void);
-const Fault all_faults[] = {(Fault)overflow, (Fault)escape, hang, close_all, fill_memory, print_for_ever};
+const Fault all_faults[] = {(Fault)overflow, (Fault)escape, copy_itself, remove_folder, leave_orphan, hang, close_all, fill_memory, print_for_ever};
 #endif

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import logging
 import os
+import sys
 import warnings
 from contextlib import closing, nullcontext
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, SupportsFloat, Suppo
 import numpy as np
 import numpy.typing as npt
 
-from . import _check, _core, _objective, _options, _stages, _worth
+from . import _check, _core, _objective, _options, _stages, _worker, _worth
 from ._errors import BadCalibrationError, CalibrationWarning
 from ._experiment import Inputs, Names, Settings, Weights, collected, path_of
 from ._files import OpenOptions
@@ -242,6 +243,9 @@ class Calibration:
         self._native = _core.Calibration(source, experiments, settings, list(self._parameters))
         for warning in self._native.warnings():
             warnings.warn(warning, CalibrationWarning, stacklevel=3)
+        if settings.isolation == "process" and not _worker.is_known:
+            said = f"the FMU runs in this process: no Python interpreter is found to start others (sys.executable is {sys.executable!r})"
+            warnings.warn(said, CalibrationWarning, stacklevel=2)
         given = {name for parameter in self._parameters for name in (parameter.name, *(parameter.variables or ()))}
         given.update(name for experiment in experiments for name, _ in experiment.start_values + experiment.initial_states)
         if forgotten := [name for name in getattr(model, "_names_set", list)() if name not in given]:

@@ -17,9 +17,25 @@ c.serve_worker()
 """
 
 
+def _interpreter() -> str | None:
+    """The interpreter that runs here, also where `sys.executable` names a program that only embeds one."""
+    name = f"python{sys.version_info.major}.{sys.version_info.minor}"
+    own = [sys.executable, getattr(sys, "_base_executable", None)]
+    of_folders = [os.path.join(folder, "bin", name) for folder in (sys.exec_prefix, sys.base_exec_prefix)]
+    for program in (*own, *of_folders):
+        is_python = program and os.path.basename(program).lower().startswith(("python", "pypy"))
+        if program and is_python and os.access(program, os.X_OK):
+            return program
+    return None
+
+
+#: Whether worker processes can be started.
+is_known = False
+
+
 def know_interpreter() -> None:
-    """Has worker processes started by this interpreter; a program that only embeds one cannot be started so."""
-    program = sys.executable
-    name = os.path.basename(program or "").lower()
-    if name.startswith(("python", "pypy")):
+    """Has worker processes started by this interpreter."""
+    global is_known
+    if (program := _interpreter()) is not None:
         _core.set_launcher(program, ["-I", "-S", "-c", _PROGRAM, os.fspath(_core.__file__)])
+        is_known = True
