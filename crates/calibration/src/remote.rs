@@ -145,8 +145,8 @@ impl Remote {
         let frames = || self.frames.lock().unwrap_or_else(PoisonError::into_inner);
         let (mut asked, mut answer) = frames().pop().unwrap_or_default();
         asked.set_head(job).map_err(unsaid)?;
-        let call = if is_fresh { Workers::call_fresh } else { Workers::call };
-        let quirks = call(&self.workers, &self.load, &asked, &mut answer, cancelled, self.run_limit)?;
+        let (load, limit) = (&self.load, self.run_limit);
+        let quirks = self.workers.call(load, &asked, &mut answer, cancelled, limit, is_fresh)?;
         self.fmu.add_quirks(quirks);
         let used = use_answer(&mut answer).map_err(unsaid);
         frames().push((asked, answer));
@@ -269,7 +269,7 @@ impl ModelProcess {
         }
         let (mut asked, mut answer) = (Frame::default(), Frame::default());
         asked.set_head(&Job::Simulate(Box::new(options.clone()))).map_err(unsaid)?;
-        let quirks = self.workers.call(&self.load, &asked, &mut answer, cancelled, options.timeout)?;
+        let quirks = self.workers.call(&self.load, &asked, &mut answer, cancelled, options.timeout, false)?;
         self.fmu.add_quirks(quirks);
         trajectory_of(&mut answer).map_err(unsaid)
     }

@@ -252,9 +252,8 @@ impl Calibration {
         let tolerances = described.tolerances;
         job.phase.set(FitPhase::Search);
         let mut observer = job.observer.borrow_mut();
-        let (mut n_beginnings, mut remark) = (0, None);
+        let mut remark = None;
         let (report, found, residuals) = loop {
-            n_beginnings += 1;
             let known = at_start.take().map(|(residuals, _)| residuals);
             job.at_start.borrow_mut().clone_from(&known);
             let counted = Counted {
@@ -321,7 +320,6 @@ impl Calibration {
                     );
                     break (report, found, residuals);
                 }
-                Fresh::Other if n_beginnings > 1 => break (report, found, residuals),
                 Fresh::Other => {
                     log::warn!(
                         "{}: {HIDDEN_STATE}: the fit begins anew",

@@ -35,21 +35,7 @@ impl Workers {
         _: &mut Frame,
         _: &dyn Fn() -> bool,
         _: Option<Duration>,
-    ) -> Result<Vec<Quirk>, FmiError> {
-        match **self {}
-    }
-
-    /// Not reached.
-    ///
-    /// # Errors
-    /// None.
-    pub fn call_fresh(
-        self: &Arc<Self>,
-        _: &Load,
-        _: &Frame,
-        _: &mut Frame,
-        _: &dyn Fn() -> bool,
-        _: Option<Duration>,
+        _: bool,
     ) -> Result<Vec<Quirk>, FmiError> {
         match **self {}
     }

@@ -7,7 +7,6 @@ use super::load::Load;
 use super::process::{NoAnswer, Process};
 use crate::description::Quirk;
 use crate::error::{EndKind, FmiError, Told, ToldKind, WorkerEnd};
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -24,7 +23,6 @@ pub struct Workers {
     launcher: Launcher,
     limits: WorkerLimits,
     idle: Mutex<Idle>,
-    n_started: AtomicU64,
 }
 
 #[derive(Debug, Default)]
@@ -41,7 +39,7 @@ impl Workers {
     /// Nothing is started yet. `None`: this program does not know how to start a worker (see [`Launcher`]).
     pub fn new(limits: WorkerLimits) -> Option<Arc<Self>> {
         let launcher = Launcher::known()?;
-        Some(Arc::new(Self { launcher, limits, idle: Mutex::default(), n_started: AtomicU64::new(0) }))
+        Some(Arc::new(Self { launcher, limits, idle: Mutex::default() }))
     }
 
     /// The limits.
@@ -49,13 +47,9 @@ impl Workers {
         &self.limits
     }
 
-    /// Processes started so far.
-    pub fn n_started(&self) -> u64 {
-        self.n_started.load(Ordering::Relaxed)
-    }
-
     /// Asks a worker that has loaded `load`, and returns the quirks of the model that it has found. `cancelled` is asked every 10 ms, and the worker has 0.25 s to answer
-    /// after that; a single simulation that takes longer than `run_limit` and 0.25 s ends the worker. Where a worker dies, the same is asked once more in a fresh one.
+    /// after that; a single simulation that takes longer than `run_limit` and 0.25 s ends the worker. Where a worker dies, the same is asked once more in a fresh one;
+    /// with `is_fresh` the first one is new, too, and is all.
     ///
     /// # Errors
     /// [`FmiError::Told`]: what the worker says; [`FmiError::WorkerEnded`]: it ended twice, or once by the time limit; [`FmiError::NoWorker`]; [`FmiError::Cancelled`].
@@ -66,8 +60,9 @@ impl Workers {
         answer: &mut Frame,
         cancelled: &dyn Fn() -> bool,
         run_limit: Option<Duration>,
+        is_fresh: bool,
     ) -> Result<Vec<Quirk>, FmiError> {
-        let process = self.idle_process(load.id);
+        let process = if is_fresh { None } else { self.idle_process(load.id) };
         let was_used = process.is_some();
         let error = match self.call_in(process, load, asked, answer, cancelled, run_limit) {
             Err(error) => error,
@@ -79,25 +74,10 @@ impl Workers {
             FmiError::Told(told) => was_used && told.is_of_process(),
             _ => false,
         };
-        if !is_tried_again {
+        if is_fresh || !is_tried_again {
             return Err(error);
         }
         log::info!("{error}; the same is tried once more in a fresh process");
-        self.call_in(None, load, asked, answer, cancelled, run_limit)
-    }
-
-    /// As [`call`](Self::call), in a process that was never asked before, and only once.
-    ///
-    /// # Errors
-    /// As [`call`](Self::call).
-    pub fn call_fresh(
-        self: &Arc<Self>,
-        load: &Load,
-        asked: &Frame,
-        answer: &mut Frame,
-        cancelled: &dyn Fn() -> bool,
-        run_limit: Option<Duration>,
-    ) -> Result<Vec<Quirk>, FmiError> {
         self.call_in(None, load, asked, answer, cancelled, run_limit)
     }
 
@@ -112,10 +92,7 @@ impl Workers {
     ) -> Result<Vec<Quirk>, FmiError> {
         let mut process = match process {
             Some(process) => process,
-            None => {
-                self.n_started.fetch_add(1, Ordering::Relaxed);
-                Process::start(&self.launcher, &self.limits, cancelled)?
-            }
+            None => Process::start(&self.launcher, &self.limits, cancelled)?,
         };
         let mut quirks = Vec::new();
         let mut ask =
@@ -212,12 +189,6 @@ impl Workers {
         };
         let thread = std::thread::Builder::new().name("fmufit-idle-workers".to_owned()).spawn(watch);
         idle.is_watched = thread.is_ok();
-    }
-
-    /// Ends those that nobody uses at the moment.
-    pub fn end_idle(&self) {
-        let idle = std::mem::take(&mut self.idle().processes);
-        drop(idle);
     }
 }
 
