@@ -46,13 +46,14 @@ LAYERS = {
         error
         loss
         objective
-        memory evaluator tolerances space
+        memory tolerances space
         linear_model sampling
         method
-        gateway methods
+        evaluation methods
         observe report checkpoint
         run_options
-        description drive
+        description
+        drive
         optimizer
         minimize
     """,
@@ -86,7 +87,7 @@ LAYERS = {
         dict quad_err threads words
         interrupt logs methods
         fmu_error objective report
-        error files values
+        error files futures values
         data findings worker
         description inputs trajectory
         settings

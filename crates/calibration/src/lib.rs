@@ -72,7 +72,7 @@ pub use experiment::{Experiment, InitialState, OutputScale, SimulationSettings, 
 pub use export::{FmuExport, SavedFit, Table};
 pub use finding::{Finding, Severity};
 pub use fit::{
-    ChosenTolerance, EstimatedNoise, Fit, FitNoise, FitObserver, FitOptions, NoiseRule, OutputNoise,
+    ChosenTolerance, Engine, EstimatedNoise, Fit, FitNoise, FitObserver, FitOptions, NoiseRule, OutputNoise,
 };
 pub use fmi;
 pub use layout::{OutputResiduals, PriorResidual, ResidualLayout};

@@ -117,6 +117,7 @@ impl Calibration {
             mut observer,
             poll,
             cancel,
+            engine,
             phase,
         } = options.into();
         let deadline = Deadline::new(run.limits.max_time);
@@ -210,6 +211,7 @@ impl Calibration {
                 }),
                 poll: poll.borrow().is_some().then(|| Box::new(&is_asked) as Box<dyn FnMut() -> bool>),
                 cancel: cancel.clone(),
+                engine: engine.clone(),
                 phase: Arc::clone(&phase),
             };
             let fitted = windowed[k].as_ref().unwrap_or(this).fit_and_keep(options, Some(within));

@@ -10,9 +10,9 @@
 
 use crate::encoding::{decode, encode};
 use crate::error::Error;
-use crate::gateway::batch_ledger::{BatchLedger, Replay};
-use crate::gateway::cache::Cache;
-use crate::gateway::ledger::Ledger;
+use crate::evaluation::ledger::Ledger;
+use crate::evaluation::round::Round;
+use crate::evaluation::store::{Early, Store};
 use crate::method::{Method, Setup};
 use crate::option_texts;
 use base::files::{Claim, Unfinished};
@@ -25,7 +25,7 @@ use std::time::{Duration, Instant};
 const MARK: &[u8; 15] = b"dfo checkpoint\0";
 
 /// The format that this version reads and writes. It changes with everything that a file holds.
-const FORMAT: u8 = 6;
+const FORMAT: u8 = 7;
 
 /// Version of the code, which every file names.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
@@ -140,9 +140,10 @@ pub(crate) struct Snapshot {
     #[serde(with = "serde_bytes")]
     pub(crate) method: Vec<u8>,
     pub(crate) ledger: Ledger,
-    pub(crate) cache: Cache,
+    pub(crate) store: Store,
     pub(crate) stale: usize,
-    pub(crate) replay: Vec<Replay>,
+    /// What is known of the batch that the method waits for.
+    pub(crate) known: Vec<Early>,
     pub(crate) observed: Option<usize>,
     pub(crate) first_recent: usize,
     pub(crate) seconds: f64,
@@ -163,9 +164,9 @@ struct SnapshotRef<'a> {
     #[serde(with = "serde_bytes")]
     method: &'a [u8],
     ledger: &'a Ledger,
-    cache: &'a Cache,
+    store: &'a Store,
     stale: usize,
-    replay: &'a [Replay],
+    known: &'a [Early],
     observed: Option<usize>,
     first_recent: usize,
     seconds: f64,
@@ -310,7 +311,12 @@ pub(crate) fn read(
     {
         return Err(mismatch("seed", &stored.to_string(), &given.to_string()));
     }
-    if !(snapshot.ledger.is_sound(n) && snapshot.seconds >= 0.0 && snapshot.seconds.is_finite()) {
+    if !(snapshot.ledger.is_sound(n)
+        && snapshot.store.is_sound(n)
+        && snapshot.known.iter().all(|early| early.entry.x.len() == n && early.is_of_path)
+        && snapshot.seconds >= 0.0
+        && snapshot.seconds.is_finite())
+    {
         return Err(failed(path, "the parts of the file do not fit together"));
     }
     Ok(Some(snapshot))
@@ -344,13 +350,13 @@ impl Writer {
         Instant::now() >= self.next
     }
 
-    /// Writes a whole file and puts it in the place of the old one. `replay`: what is known of the batch that the
+    /// Writes a whole file and puts it in the place of the old one. `known`: what is known of the batch that the
     /// method waits for; `observed`: the iteration that the observer saw last, and where the trace stood then.
     pub(crate) fn write<M: Method + ?Sized>(
         &mut self,
         method: &M,
-        batch_ledger: &BatchLedger,
-        replay: &[Replay],
+        round: &Round,
+        known: &[Early],
         (observed, first_recent): (Option<usize>, usize),
         seconds: f64,
     ) -> Result<(), Error> {
@@ -361,10 +367,10 @@ impl Writer {
             version: VERSION,
             fingerprint: &self.fingerprint,
             method: &state,
-            ledger: &batch_ledger.ledger,
-            cache: &batch_ledger.cache,
-            stale: batch_ledger.stale,
-            replay,
+            ledger: &round.ledger,
+            store: &round.store,
+            stale: round.stale,
+            known,
             observed,
             first_recent,
             seconds,

@@ -1,12 +1,12 @@
-//! The description of a run, and how it becomes a method, a batch ledger and a checkpoint.
+//! The description of a run, and how it becomes a method, a round and a checkpoint.
 
 use crate::answer::{Answer, Outcome};
 use crate::checkpoint::{self, Writer};
 use crate::choices::{Kind, Search, Transform};
 use crate::error::Error;
-use crate::gateway::batch_ledger::BatchLedger;
-use crate::gateway::cache::Cache;
-use crate::gateway::ledger::Ledger;
+use crate::evaluation::ledger::Ledger;
+use crate::evaluation::round::Round;
+use crate::evaluation::store::Store;
 use crate::method::{Method, MethodOptions, ProblemClass, Setup};
 use crate::methods::NelderMead;
 use crate::report::Resumed;
@@ -30,7 +30,7 @@ pub(crate) struct Description<M = NelderMead> {
 #[derive(Debug)]
 pub(crate) struct StartedRun<T> {
     pub(crate) method: T,
-    pub(crate) batch_ledger: BatchLedger,
+    pub(crate) round: Round,
     pub(crate) limits: Limits,
     pub(crate) workers: usize,
     pub(crate) writer: Option<Writer>,
@@ -43,6 +43,27 @@ pub(crate) struct StartedRun<T> {
     pub(crate) method_reason: Option<String>,
     /// What it was continued from.
     pub(crate) resumed: Option<Resumed>,
+}
+
+impl<T> StartedRun<T> {
+    /// The same with the method in another form.
+    pub(crate) fn map_method<U>(self, form: impl FnOnce(T) -> U) -> StartedRun<U> {
+        let Self { method, round, limits, workers, writer, observed, first_recent, .. } = self;
+        let Self { before, needs_residuals, method_reason, resumed, .. } = self;
+        StartedRun {
+            method: form(method),
+            round,
+            limits,
+            workers,
+            writer,
+            observed,
+            first_recent,
+            before,
+            needs_residuals,
+            method_reason,
+            resumed,
+        }
+    }
 }
 
 impl<M> Description<M> {
@@ -108,18 +129,15 @@ impl<M: MethodOptions> Description<M> {
             prior: prior.iter().map(|known| known.x.clone()).collect(),
             ..Setup::new(space)
         };
-        let mut cache = Cache::new(capacity);
+        let mut store = Store::new(capacity);
         // A cost of no problem in particular is a cost of none.
         let belongs = |known: &&Known| options.problem.is_some() && known.problem == options.problem;
         for Known { x, cost, residuals, .. } in prior.iter().copied().filter(belongs) {
-            cache.pin(x, Answer { residuals: residuals.clone(), ..Outcome::Value(*cost).into() });
+            store.pin(x, Answer { residuals: residuals.clone(), ..Outcome::Value(*cost).into() });
         }
         let mut started = StartedRun {
             method: method.begin(&setup)?,
-            batch_ledger: BatchLedger::new(
-                Ledger::new(n, options.trace_limit, options.trace_residuals),
-                cache,
-            ),
+            round: Round::new(Ledger::new(n, options.trace_limit, options.trace_residuals), store),
             limits,
             workers: options.workers.unwrap_or(1),
             writer: None,
@@ -130,23 +148,26 @@ impl<M: MethodOptions> Description<M> {
             method_reason: options.method_reason,
             resumed: None,
         };
-        started.batch_ledger.ledger.trace.set_problem(options.problem.clone());
+        started.round.ledger.trace.set_problem(options.problem.clone());
         let Some(place) = options.checkpoint else { return Ok(started) };
         let words = (started.method.name(), method.describe(), method.plans_with_budget());
         let fingerprint = checkpoint::fingerprint(
             words,
             &setup,
-            (capacity, options.trace_limit, started.batch_ledger.cache.n_pinned()),
+            (capacity, options.trace_limit, started.round.store.n_pinned()),
             (options.problem.as_deref(), &place),
         );
         if let Some(stored) = checkpoint::read(&place, &fingerprint, setup.seed, n)? {
             started.method = method.restore(&setup, &stored.method)?;
-            started.batch_ledger = BatchLedger::new(stored.ledger, stored.cache);
-            started.batch_ledger.ledger.speculative.forget_aborts();
-            (started.batch_ledger.replay, started.batch_ledger.stale) = (stored.replay, stored.stale);
+            started.round = Round::new(stored.ledger, stored.store);
+            started.round.store.forget_aborts();
+            started.round.stale = stored.stale;
+            for known in stored.known {
+                started.round.store.keep(known);
+            }
             (started.observed, started.first_recent) = (stored.observed, stored.first_recent);
             started.before = stored.seconds;
-            let n_evaluations = started.batch_ledger.ledger.n_evaluations;
+            let n_evaluations = started.round.ledger.n_evaluations;
             started.resumed = Some(Resumed { path: place.path.clone(), n_evaluations });
         }
         started.writer = Some(Writer::new(place, fingerprint)?);

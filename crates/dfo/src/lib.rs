@@ -49,8 +49,7 @@ mod description;
 mod drive;
 mod encoding;
 mod error;
-mod evaluator;
-mod gateway;
+mod evaluation;
 mod linear_model;
 mod loss;
 mod memory;
@@ -75,7 +74,7 @@ pub use answer::{Answer, Answers, Failure, FailureKind, Outcome, Want};
 pub use checkpoint::{Checkpoint, Code, Resume};
 pub use choices::{BoundsHandling, Kind, Measure, Search, Stop, Transform};
 pub use error::{Error, NothingFound};
-pub use evaluator::{BatchView, WorkerPool};
+pub use evaluation::{BatchView, Evaluator, GivesUp, Polled, Wait};
 pub use linear_model::{Covariance, LinearModel};
 pub use loss::{Loss, RobustLoss};
 pub use method::{
@@ -89,7 +88,9 @@ pub use methods::{
     NelderMeadState, PatternSearch, PatternSearchState, Polish, PollPlan, QuadraticModel,
     QuadraticModelState, Repair, Restarts, Scheme, Selection, Strategy, Weight,
 };
-pub use minimize::{ByHand, Driven, Minimize, by_hand, least_squares, minimize, minimize_batches};
+pub use minimize::{
+    ByHand, Driven, Minimize, by_hand, least_squares, minimize, minimize_batches, minimize_by,
+};
 pub use objective::{
     ByRef, Fallible, Objective, Query, ResidualFunction, Residuals, WithQuery, fallible, residuals,
     with_query,

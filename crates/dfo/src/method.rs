@@ -76,13 +76,6 @@ impl Batch {
         self.ids.iter_mut().for_each(|id| *id += first_id);
     }
 
-    /// For a method that wraps another: takes the points of `other`, as they are.
-    pub(crate) fn append(&mut self, other: &Self) {
-        self.points.extend_from_slice(&other.points);
-        self.cutoffs.extend_from_slice(&other.cutoffs);
-        self.ids.extend_from_slice(&other.ids);
-    }
-
     /// Whether its lists fit together and to points of this length: what comes from a file may not.
     pub(crate) fn is_sound(&self, n: usize) -> bool {
         let len = self.cutoffs.len();

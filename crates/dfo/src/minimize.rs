@@ -3,11 +3,12 @@
 use crate::answer::Outcome;
 use crate::checkpoint::Checkpoint;
 use crate::choices::{Kind, Measure, Search, Stop, Transform};
-use crate::description::{Description, StartedRun};
-use crate::drive::{Drive, Observer};
+use crate::description::Description;
+use crate::drive::{Around, Drive, Observer};
 use crate::error::Error;
-use crate::evaluator::{BatchFunction, BatchView, WorkerPool};
-use crate::gateway::{Executor, Gateway, OnCallingThread};
+use crate::evaluation::{
+    BatchFunction, BatchView, Batches, CallingThread, Evaluator, OnCallingThread, RunControl, Shared, Threads,
+};
 use crate::loss::RobustLoss;
 use crate::method::{Method, MethodOptions};
 use crate::methods::{AnyMethod, LeastSquares, NelderMead};
@@ -24,7 +25,7 @@ use std::marker::PhantomData;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Minimises an objective: a closure `Fn(&[f64]) -> f64 + Sync`, or anything that is an [`Objective`].
 ///
@@ -88,6 +89,12 @@ pub fn minimize_batches<'a>(
     Minimize::new(Driven::new(Source::Batches(Box::new(function))))
 }
 
+/// Minimises by an [`Evaluator`] of one's own, which takes points one by one and answers in any order: an executor, a cluster, a
+/// laboratory. Points that are needed go first; where its [`width`](Evaluator::width) leaves room, others follow that may be needed.
+pub fn minimize_by<'a>(evaluator: impl Evaluator + 'a) -> Minimize<'a, NelderMead> {
+    Minimize::new(Driven::new(Source::Evaluator(Box::new(evaluator))))
+}
+
 /// A run that is driven by hand, point by point: described as [`minimize`] is, ended by
 /// [`optimizer`](Minimize::optimizer).
 ///
@@ -114,15 +121,16 @@ pub fn by_hand() -> Minimize<'static, NelderMead, ByHand> {
 enum Source<'a> {
     Objective(Box<dyn Objective + 'a>),
     Batches(Box<BatchFunction<'a>>),
+    Evaluator(Box<dyn Evaluator + 'a>),
 }
 
 /// Of a [`Minimize`]: what it minimises is evaluated by the run.
 pub struct Driven<'a> {
     source: Source<'a>,
-    pool: Option<Arc<WorkerPool>>,
     cancel: Option<Arc<AtomicBool>>,
     observer: Option<Box<Observer<'a>>>,
     poll: Option<Box<dyn FnMut() -> bool + 'a>>,
+    has_residuals: bool,
     loss: RobustLoss,
     spent: Duration,
 }
@@ -130,7 +138,7 @@ pub struct Driven<'a> {
 impl<'a> Driven<'a> {
     fn new(source: Source<'a>) -> Self {
         let (loss, spent) = (RobustLoss::default(), Duration::ZERO);
-        Self { source, pool: None, cancel: None, observer: None, poll: None, loss, spent }
+        Self { source, cancel: None, observer: None, poll: None, has_residuals: false, loss, spent }
     }
 }
 
@@ -138,7 +146,7 @@ impl<'a> Driven<'a> {
 #[derive(Debug, Clone, Copy)]
 pub struct ByHand;
 
-/// A minimisation being described; made by [`minimize`], [`minimize_batches`] or [`by_hand`], ended by
+/// A minimisation being described; made by [`minimize`], [`minimize_batches`], [`minimize_by`] or [`by_hand`], ended by
 /// [`run`](Self::run) or [`optimizer`](Self::optimizer).
 #[must_use = "nothing happens before run()"]
 pub struct Minimize<'a, M, D = Driven<'a>> {
@@ -364,13 +372,6 @@ impl<'a, M, D> Minimize<'a, M, D> {
 }
 
 impl<'a, M> Minimize<'a, M> {
-    /// Evaluates on the threads of this pool and nowhere else, even if it has only one and evaluations are short: the
-    /// calling thread stays free to poll. Replaces [`workers`](Self::workers).
-    pub fn pool(mut self, pool: Arc<WorkerPool>) -> Self {
-        self.driver.pool = Some(pool);
-        self
-    }
-
     /// Called on the calling thread after the starting points and after each iteration; `Break` ends the run.
     pub fn observer(mut self, observer: impl FnMut(&Progress<'_>) -> ControlFlow<()> + 'a) -> Self {
         self.driver.observer = Some(Box::new(observer));
@@ -382,6 +383,12 @@ impl<'a, M> Minimize<'a, M> {
     /// [`Query::cancelled`](crate::Query::cancelled).
     pub fn poll(mut self, poll: impl FnMut() -> bool + 'a) -> Self {
         self.driver.poll = Some(Box::new(poll));
+        self
+    }
+
+    /// Says whether an [`Evaluator`] of one's own gives residuals: then a method that is chosen for the problem may ask for them.
+    pub fn with_residuals(mut self, has_residuals: bool) -> Self {
+        self.driver.has_residuals = has_residuals;
         self
     }
 
@@ -415,9 +422,9 @@ impl<M: MethodOptions> Minimize<'_, M> {
     /// Options that cannot be used; an objective that failed at every starting point; a run that was ended before any
     /// point had a finite cost. Every other end is a [`Report`].
     pub fn run(mut self) -> Result<Report, Error> {
-        let Driven { mut source, pool, cancel, observer, poll, loss, spent } = self.driver;
-        if let Some(pool) = &pool {
-            self.description.options.workers = Some(pool.workers());
+        let Driven { mut source, cancel, mut observer, mut poll, has_residuals, loss, spent } = self.driver;
+        if let Source::Evaluator(evaluator) = &source {
+            self.description.options.workers = Some(evaluator.width().max(1));
         }
         if let Some(checkpoint) = self.description.options.checkpoint.as_mut().filter(|_| !loss.is_linear()) {
             checkpoint.tags.push(("loss".to_owned(), loss.to_string()));
@@ -425,47 +432,35 @@ impl<M: MethodOptions> Minimize<'_, M> {
         // A batch function shows by its first answer whether it has some.
         let (has_residuals, may_have_some) = match &source {
             Source::Objective(objective) => (objective.has_residuals(), objective.has_residuals()),
-            Source::Batches(_) => (false, true),
+            Source::Batches(_) | Source::Evaluator(_) => (has_residuals, true),
         };
-        let StartedRun {
-            method,
-            batch_ledger,
-            limits,
-            workers,
-            writer,
-            observed,
-            first_recent,
-            before,
-            needs_residuals,
-            method_reason,
-            resumed,
-            ..
-        } = self.description.begin(has_residuals)?;
-        if needs_residuals && !may_have_some {
-            return Err(Error::NeedsResiduals { method: method.name() });
+        let started = self.description.begin(has_residuals)?;
+        if started.needs_residuals && !may_have_some {
+            return Err(Error::NeedsResiduals { method: started.method.name() });
         }
-        let here = match (&pool, &poll) {
-            (Some(_), _) => OnCallingThread::Never,
-            (None, Some(_)) => OnCallingThread::WhenShort,
-            (None, None) => OnCallingThread::AtFirst,
-        };
-        let pool = match (pool, &source) {
-            (Some(pool), _) => Some(pool),
-            (None, Source::Objective(_)) if workers > 1 => Some(Arc::new(WorkerPool::new(workers)?)),
-            (None, _) => None,
-        };
-        let executor = match (&mut source, &pool) {
-            (Source::Objective(objective), Some(pool)) => Executor::pool(pool, &**objective, here),
-            (Source::Objective(objective), None) => Executor::serial(&**objective),
-            (Source::Batches(function), _) => Executor::batches(function.as_mut()),
-        };
-        let (cancel, mut observer, mut poll) = (cancel.unwrap_or_default(), observer, poll);
+        let before = Duration::try_from_secs_f64(started.before).unwrap_or(Duration::MAX);
+        let left = started.limits.max_time.map(|t| t.saturating_sub(before).saturating_sub(spent));
+        let deadline = left.and_then(|t| Instant::now().checked_add(t));
+        let here = if poll.is_some() { OnCallingThread::WhenShort } else { OnCallingThread::AtFirst };
+        let cancel = cancel.unwrap_or_default();
         let poll = poll.as_mut().map(|p| p.as_mut() as &mut dyn FnMut() -> bool);
-        let gateway = Gateway::new(executor, batch_ledger, limits, (before, spent), (&cancel, poll), workers);
-        let drive = Drive { method, gateway, limits, workers, writer, observed, first_recent, unsaved: None };
-        let mut report = drive.run(observer.as_deref_mut())?;
+        let mut control = RunControl::new(&cancel, deadline, poll);
+        let (workers, signals) = (started.workers, control.signals);
+        let drive = Drive::new(started, false);
+        let go = |evaluator: &mut dyn Evaluator| {
+            let observer = observer.as_deref_mut();
+            drive.run(Around { evaluator, control: &mut control, observer })
+        };
+        let mut report = match &mut source {
+            Source::Objective(objective) if workers == 1 => go(&mut CallingThread::new(&**objective)),
+            Source::Objective(objective) => {
+                let shared = Shared::new(&**objective, signals, workers);
+                std::thread::scope(|scope| go(&mut Threads::new(scope, &shared, here)))
+            }
+            Source::Batches(function) => go(&mut Batches::new(function.as_mut(), workers)),
+            Source::Evaluator(evaluator) => go(evaluator),
+        }?;
         report.undo(loss);
-        (report.method_reason, report.resumed) = (method_reason, resumed);
         Ok(report)
     }
 }

@@ -7,14 +7,15 @@ use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-static NEVER: AtomicBool = AtomicBool::new(false);
+/// A flag that nobody raises.
+pub(crate) static NEVER: AtomicBool = AtomicBool::new(false);
 
 /// What may end an evaluation that is under way. Each flag is raised and lowered by its owner alone.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CancelSignals<'a> {
     /// The user's.
     cancel: &'a AtomicBool,
-    /// The run's, for the evaluations of one batch.
+    /// The run's, for one evaluation.
     over: &'a AtomicBool,
     pub(crate) deadline: Option<Instant>,
 }
@@ -24,8 +25,8 @@ impl<'a> CancelSignals<'a> {
         Self { cancel, over: &NEVER, deadline }
     }
 
-    /// The same for a batch of which the run may end all evaluations by this flag.
-    pub(crate) fn with_flag_of_batch<'b>(self, over: &'b AtomicBool) -> CancelSignals<'b>
+    /// The same for an evaluation that the run may end by this flag.
+    pub(crate) fn with_own_flag<'b>(self, over: &'b AtomicBool) -> CancelSignals<'b>
     where
         'a: 'b,
     {

@@ -1,7 +1,7 @@
 //! The result of a run: the best point, what it cost, and why the run ended.
 
 use crate::error::{Error, NothingFound};
-use crate::gateway::ledger::Ledger;
+use crate::evaluation::ledger::Ledger;
 use crate::linear_model::{Covariance, LinearModel};
 use crate::loss::RobustLoss;
 use crate::method::{BarrierStage, Method, Optimum, Simplex};
@@ -218,7 +218,6 @@ pub(crate) fn conclude<M: Method + ?Sized>(
     seconds: f64,
     interrupted: &mut dyn FnMut() -> bool,
 ) -> Result<Report, Error> {
-    ledger.finish();
     let Some(termination) = termination else {
         return Err(Error::AllStartsFailed(ledger.nothing_found()));
     };
@@ -242,7 +241,7 @@ pub(crate) fn conclude<M: Method + ?Sized>(
         n_batches: ledger.n_batches,
         n_failed: ledger.n_failed,
         n_cached: ledger.n_cached,
-        n_speculative: ledger.speculative.n_speculative(),
+        n_speculative: ledger.n_speculative(),
         termination,
         tests: details.tests,
         failures: ledger.failures(),

@@ -2,6 +2,7 @@
 
 use crate::checkpoint::Checkpoint;
 use crate::error::Error;
+use crate::evaluation::MOST_WORKERS;
 use crate::methods::NelderMead;
 use crate::tolerances::{Limits, Tolerances};
 use serde::{Deserialize, Serialize};
@@ -79,7 +80,10 @@ impl<M> RunOptions<M> {
     pub(crate) fn check(&self) -> Result<(), Error> {
         self.limits.check()?;
         match self.workers {
-            Some(0) => Err(Error::Option { name: "workers", value: 0.0, range: "at least 1" }),
+            Some(workers) if !(1..=MOST_WORKERS).contains(&workers) => {
+                let range = "at least 1, and at most 32768";
+                Err(Error::Option { name: "workers", value: workers as f64, range })
+            }
             _ => Ok(()),
         }
     }

@@ -3,7 +3,7 @@
 
 use dfo::{
     Barrier, BatchView, Coefficients, DifferentialEvolution, Error, Genetic, Kind, Minimize, NelderMead,
-    Outcome, Report, Termination, Transform, WorkerPool, fallible, minimize, minimize_batches,
+    Outcome, Report, Termination, Transform, fallible, minimize, minimize_batches,
 };
 
 const INF: f64 = f64::INFINITY;
@@ -56,7 +56,7 @@ fn numbers_out_of_range() {
     }
     assert!(matches!(two().target(f64::NAN).run(), Err(Error::Option { name: "target", .. })));
     assert!(matches!(two().workers(0).run(), Err(Error::Option { name: "workers", .. })));
-    assert!(matches!(WorkerPool::new(0), Err(Error::Option { name: "workers", .. })));
+    assert!(matches!(two().workers(1 << 16).run(), Err(Error::Option { name: "workers", .. })));
     assert!(matches!(two().max_evaluations(0).run(), Err(Error::Option { name: "max_evaluations", .. })));
     for value in [0.0, -1.0, f64::NAN, INF] {
         let (e, _) = error(two().scales(&[1.0, value]).run());

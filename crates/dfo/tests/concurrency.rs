@@ -4,7 +4,7 @@
 mod common;
 
 use common::{plan, rosenbrock};
-use dfo::{BatchPlan, Error, Outcome, Query, Report, Termination, WorkerPool, minimize, with_query};
+use dfo::{BatchPlan, Error, Outcome, Query, Report, Termination, minimize, with_query};
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::channel;
@@ -30,8 +30,7 @@ fn all_starting_vertices_are_evaluated_at_once() {
                 }
                 Outcome::Value(x.iter().map(|v| v * v).sum())
             });
-            let pool = Arc::new(WorkerPool::new(n + 1).unwrap());
-            minimize(cost).start(&vec![1.0; n]).pool(pool).max_iterations(5).run().unwrap()
+            minimize(cost).start(&vec![1.0; n]).workers(n + 1).max_iterations(5).run().unwrap()
         });
         assert_eq!(report.n_iterations, 5);
     }
@@ -114,12 +113,14 @@ fn callbacks_run_on_the_calling_thread_and_poll_keeps_coming() {
     assert!(polls >= 10 && longest < Duration::from_millis(300), "{polls} polls, longest pause {longest:?}");
 }
 
-fn interrupted(pool: usize, ready_after: u64) -> (Result<Report, Error>, Duration, usize) {
+fn interrupted(workers: usize, ready_after: u64) -> (Result<Report, Error>, Duration, usize) {
     let started = AtomicUsize::new(0);
     let hanging = AtomicBool::new(false);
     let cost = with_query(|x: &[f64], e: &Query<'_>| {
         started.fetch_add(1, Ordering::Relaxed);
         if e.id < ready_after {
+            // Long enough not to stay on the calling thread.
+            thread::sleep(Duration::from_millis(25));
             return Outcome::Value(rosenbrock(x));
         }
         hanging.store(true, Ordering::Release);
@@ -129,29 +130,27 @@ fn interrupted(pool: usize, ready_after: u64) -> (Result<Report, Error>, Duratio
         Outcome::cancelled()
     });
     let begin = Instant::now();
-    let result = minimize(cost)
-        .start(&[-1.2, 1.0])
-        .pool(Arc::new(WorkerPool::new(pool).unwrap()))
-        .poll(|| hanging.load(Ordering::Acquire))
-        .run();
+    let result =
+        minimize(cost).start(&[-1.2, 1.0]).workers(workers).poll(|| hanging.load(Ordering::Acquire)).run();
     (result, begin.elapsed(), started.load(Ordering::Relaxed))
 }
 
 #[test]
 fn an_interrupt_ends_running_evaluations_and_keeps_the_best() {
-    for pool in [1, 2, 4] {
+    for workers in [2, 4] {
         for ready_after in [2, 3, 20] {
-            let (result, time, started) = interrupted(pool, ready_after);
+            let (result, time, started) = interrupted(workers, ready_after);
             let report = result.unwrap();
             assert_eq!(report.termination, Termination::Interrupted);
             assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)));
-            assert_eq!((report.n_evaluations, report.trace.len()), (started, started));
-            assert!(started <= ready_after as usize + pool && time < Duration::from_secs(5), "{time:?}");
+            assert_eq!(report.n_evaluations + report.n_speculative, started);
+            assert_eq!(report.n_evaluations, report.trace.len());
+            assert!(started <= ready_after as usize + workers && time < Duration::from_secs(5), "{time:?}");
         }
-        let (result, ..) = interrupted(pool, 0);
+        let (result, ..) = interrupted(workers, 0);
         let Err(Error::EndedWithoutPoint { termination, found }) = result else { panic!("{result:?}") };
         assert_eq!(termination, Termination::Interrupted);
-        assert!(found.trace.len() <= pool);
+        assert!(found.trace.len() <= workers);
     }
 }
 
@@ -289,21 +288,7 @@ fn workers_have_deep_stacks() {
         if level == 0 { 0.0 } else { room[7] * 0.0 + deep(level - 1) }
     }
     // 1000 levels of 8 KiB: more than the 2 MiB that threads usually get.
-    let pool = Arc::new(WorkerPool::new(2).unwrap());
-    let report = minimize(|x: &[f64]| x[0] * x[0] + deep(1000)).start(&[1.0]).pool(pool).run().unwrap();
+    let run = minimize(|x: &[f64]| x[0] * x[0] + deep(1000)).start(&[1.0]).workers(2).poll(|| false);
+    let report = run.run().unwrap();
     assert!(report.fun < 1e-8);
-}
-
-#[test]
-fn a_pool_can_be_shared_by_runs_at_once() {
-    let pool = Arc::new(WorkerPool::new(3).unwrap());
-    let alone = minimize(rosenbrock).start(&[-1.2, 1.0]).workers(3).run().unwrap();
-    thread::scope(|s| {
-        let runs: Vec<_> = (0..4)
-            .map(|_| s.spawn(|| minimize(rosenbrock).start(&[-1.2, 1.0]).pool(pool.clone()).run().unwrap()))
-            .collect();
-        for run in runs {
-            assert_eq!(common::timeless(&run.join().unwrap().trace), common::timeless(&alone.trace));
-        }
-    });
 }

@@ -3,7 +3,9 @@
 
 mod problems;
 
-use dfo::{BatchPlan, BoundsHandling, NelderMead, Termination, minimize};
+use dfo::{
+    BatchPlan, BatchView, BoundsHandling, NelderMead, Outcome, Termination, minimize, minimize_batches,
+};
 use problems::boxes::{BOUNDED, bounded_box};
 use problems::solve::least_squares;
 use problems::{instances, residuals, start};
@@ -158,7 +160,10 @@ fn moving_several_vertices_saves_rounds() {
                 .iter()
                 .map(|p| {
                     let first = p.cost(&p.start());
-                    let report = minimize(|x: &[f64]| p.cost(x))
+                    let costs = |b: &BatchView<'_>| {
+                        (0..b.len()).map(|k| Outcome::Value(p.cost(b.point(k)))).collect()
+                    };
+                    let report = minimize_batches(costs)
                         .start(&p.start())
                         .method(NelderMead::default().batch(plan))
                         .x_tol(0.0)

@@ -4,7 +4,7 @@
 mod common;
 
 use common::{PLANS, cutting, plan, problems, run_with_path, timeless};
-use dfo::{BatchPlan, Outcome, minimize, minimize_batches};
+use dfo::{BatchPlan, BatchView, Outcome, minimize, minimize_batches};
 
 #[test]
 fn all_plans_walk_the_same_simplices() {
@@ -68,7 +68,7 @@ fn any_number_of_workers_gives_the_same_trace() {
                     (&serial.x, serial.fun, &serial.final_simplex),
                     (&report.x, report.fun, &report.final_simplex)
                 );
-                assert_eq!((serial.n_speculative, &serial.message), (report.n_speculative, &report.message));
+                assert_eq!(serial.message, report.message);
             }
             let f = problem.f;
             let batches = problem
@@ -104,7 +104,10 @@ fn unused_points_are_never_best() {
         move |x: &[f64]| if at.as_deref() == Some(x) { -1e9 } else { common::rosenbrock(x) }
     };
     let run = |at| {
-        minimize(trap(at)).start(&[-1.2, 1.0]).method(plan(BatchPlan::Four)).max_iterations(30).run().unwrap()
+        let cost = trap(at);
+        let in_batches = |b: &BatchView<'_>| (0..b.len()).map(|k| Outcome::Value(cost(b.point(k)))).collect();
+        let run = minimize_batches(in_batches).start(&[-1.2, 1.0]).method(plan(BatchPlan::Four));
+        run.max_iterations(30).run().unwrap()
     };
     let plain = run(None);
     let mut tried = 0;

@@ -2,8 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use dfo::{BoundsHandling, NelderMead, Transform, WorkerPool, minimize};
-use std::sync::Arc;
+use dfo::{BoundsHandling, NelderMead, Transform, minimize};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
@@ -32,15 +31,13 @@ fn clamped_points_lie_on_the_bound_not_in_the_middle() {
 }
 
 #[test]
-fn a_minimisation_within_a_minimisation_on_the_same_pool_ends() {
-    let pool = Arc::new(WorkerPool::new(1).unwrap());
-    let inner = Arc::clone(&pool);
+fn a_minimisation_within_a_minimisation_with_workers_of_its_own_ends() {
     let outer = move |x: &[f64]| {
         let a = x[0];
-        let run = minimize(move |y: &[f64]| (y[0] - a).powi(2)).start(&[0.0]).pool(Arc::clone(&inner));
+        let run = minimize(move |y: &[f64]| (y[0] - a).powi(2)).start(&[0.0]).workers(3).poll(|| false);
         run.run().unwrap().x[0].powi(2)
     };
-    let report = minimize(outer).start(&[1.0]).pool(pool).max_evaluations(30).run().unwrap();
+    let report = minimize(outer).start(&[1.0]).workers(2).poll(|| false).max_evaluations(30).run().unwrap();
     assert!(report.fun < 1.0);
 }
 

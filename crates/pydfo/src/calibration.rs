@@ -4,6 +4,7 @@ use crate::cost::{self, CostFields};
 use crate::description::Fmu;
 use crate::experiment::{ExperimentFields, ParameterFields, SettingsFields, SignalFunctions};
 use crate::fit::PyFit;
+use crate::futures::{PyEngine, encoded, state};
 use crate::inputs::Callbacks;
 use crate::interrupt::{Watch, fits_here};
 use crate::report::{self, LastProgress, Listener, ResultKind};
@@ -14,16 +15,18 @@ use crate::trajectory::Counts;
 use crate::words::word;
 use crate::{error, files, fmu_error, logs};
 use calibration::{
-    CalibrationError, CurrentPhase, Entry, Experiment, FitNoise, FitOptions, NoiseRule, Problem, Severity,
-    Solver, Verdict,
+    Calibration, CalibrationError, CurrentPhase, Engine, Entry, Experiment, FitNoise, FitOptions, NoiseRule,
+    Problem, Severity, Solver, Verdict,
 };
-use dfo::{Progress, RobustLoss, Termination};
+use dfo::{Progress, Query, RobustLoss, Termination, Want};
 use fmi::OpenOptions;
 use numpy::PyArray1;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyBytes, PyDict};
+use std::cell::RefCell;
 use std::path::PathBuf;
+use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -166,6 +169,8 @@ struct FitFields {
     objective: Option<CostFields>,
     preflight: bool,
     noise: String,
+    /// A `_engine.Simulations`.
+    engine: Option<Py<PyAny>>,
 }
 
 /// The model: as it was opened, or where it is.
@@ -228,10 +233,31 @@ impl PyCalibration {
 
     /// The problem and the solver, if it is known: what a pickle holds.
     fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
-        let mut bytes = Vec::new();
-        let state = (self.inner.problem(), self.inner.known_solver());
-        ciborium::into_writer(&state, &mut bytes).map_err(|e| PyValueError::new_err(e.to_string()))?;
-        Ok(PyBytes::new(py, &bytes))
+        Ok(PyBytes::new(py, &state(&self.inner)?))
+    }
+
+    /// The answer of a simulation to a fit elsewhere, as bytes. `loss`: what residuals count, likewise.
+    fn answer<'py>(
+        &self,
+        py: Python<'py>,
+        x: Vec<f64>,
+        cutoff: f64,
+        loss: &[u8],
+    ) -> PyResult<Bound<'py, PyBytes>> {
+        let loss: RobustLoss =
+            ciborium::from_reader(loss).map_err(|e| PyValueError::new_err(e.to_string()))?;
+        let watch = Watch::new(py)?;
+        let stop = Arc::clone(watch.stop());
+        let inner = Arc::clone(&self.inner);
+        let asked = watch.run(move |_| {
+            let mut stats = ode::Stats::default();
+            let flag = stop.flag();
+            let query = Query::new(0, 0, cutoff).want(Want::Residuals).cancellable(&flag, None);
+            let answer = inner.answer_counted(&x, &query, loss, &mut stats);
+            (answer, stats)
+        })?;
+        let Some(answered) = asked else { return Err(error::interrupted(py, None, None)) };
+        Ok(PyBytes::new(py, &encoded(&answered)?))
     }
 
     /// The path and the content hash of the model of a state.
@@ -399,7 +425,8 @@ impl PyCalibration {
     }
 
     fn fit<'py>(&self, py: Python<'py>, options: Options, asked: FitFields) -> PyResult<Bound<'py, PyAny>> {
-        let FitFields { start, observer, loss, stages, covariance, objective, preflight, noise } = asked;
+        let FitFields { start, observer, loss, stages, covariance, objective, preflight, noise, engine } =
+            asked;
         let check = |stages: Vec<StageFields>| stages.into_iter().map(|stage| stage.check(py)).collect();
         let stages: Option<Vec<calibration::Stage>> = stages.map(check).transpose()?;
         let loss = settings::loss(loss)?.unwrap_or_default();
@@ -412,6 +439,7 @@ impl PyCalibration {
         let of_objective = cost::Raised::default();
         let kind = |given| cost::kind(given, &self.inner, (Arc::clone(&stop), Arc::clone(&of_objective)));
         let objective = objective.map(kind).transpose()?.unwrap_or_default();
+        let engine = engine.map(|engine| PyEngine::new(engine.bind(py), Arc::clone(&stop))).transpose()?;
         let listener = observer.map(|function| Arc::new(Listener::new(function, false)));
         let last_progress = Arc::new(LastProgress::default());
         let (inner, asked) = (Arc::clone(&self.inner), Arc::clone(&stop));
@@ -430,6 +458,7 @@ impl PyCalibration {
                     preflight,
                     worth,
                     phase: told,
+                    engine: engine.map(|engine| Rc::new(RefCell::new(engine)) as Rc<RefCell<dyn Engine>>),
                     observer: Some(Box::new(|progress: &Progress<'_>| {
                         seen.pass_on(progress, caller, notified.as_ref())
                     })),

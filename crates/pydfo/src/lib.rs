@@ -14,6 +14,7 @@ mod findings;
 mod fit;
 mod fit_report;
 mod fmu_error;
+mod futures;
 mod inputs;
 mod interrupt;
 mod logs;

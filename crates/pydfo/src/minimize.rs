@@ -1,6 +1,7 @@
 //! Minimising a Python function: on the calling thread, on threads of a pool, or in batches that it takes as a whole.
 
 use crate::error;
+use crate::futures::PyEvaluator;
 use crate::interrupt::{EndRequest, Watch};
 use crate::objective::PyObjective;
 use crate::report::{self, LastProgress, Listener, ResultKind, Snapshot};
@@ -53,7 +54,8 @@ impl RunSetup {
 }
 
 /// Minimises a Python function. With one worker it is called on the calling thread, with more on threads of a pool;
-/// with `batches` it takes whole batches on the calling thread, see [`PyObjective::evaluate_batch`]; with `cutoffs` it is
+/// with `batches` it takes whole batches on the calling thread, see [`PyObjective::evaluate_batch`], or points one by one, see
+/// [`PyEvaluator`]; with `cutoffs` it is
 /// told the cutoff of each point; with a `loss` and its scale it returns residuals.
 #[pyfunction]
 #[pyo3(signature = (
@@ -92,7 +94,12 @@ pub(crate) fn minimize<'py>(
             None => ControlFlow::Continue(()),
         };
         let observer = listener.is_some().then_some(&mut notify as &mut Observer<'_>);
+        let function = objective.function(py);
         let run = match batches {
+            true if function.hasattr("submit")? => {
+                let evaluator = PyEvaluator::new(&function, &objective, Arc::clone(&stop))?;
+                dfo::minimize_by(evaluator).loss(loss.unwrap_or_default())
+            }
             true => dfo::minimize_batches(|batch| objective.evaluate_batch(py, batch))
                 .loss(loss.unwrap_or_default()),
             false => dfo::minimize(ByRef(&*objective)),

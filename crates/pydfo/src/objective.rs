@@ -33,6 +33,11 @@ impl PyObjective {
         Self { function, tolerant, takes_cutoff, loss, stop, raised: Mutex::default() }
     }
 
+    /// The function, or what hands points to it.
+    pub(crate) fn function<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        self.function.bind(py).clone()
+    }
+
     /// The exception that ended the run: the one raised at the point of its path that ended it.
     pub(crate) fn take_raised(&self, run: &Result<Report, dfo::Error>) -> Option<PyErr> {
         let trace = run.as_ref().map_or_else(|e| e.trace(), |report| Some(&report.trace))?;
@@ -42,7 +47,8 @@ impl PyObjective {
         Some(raised.swap_remove(place).1)
     }
 
-    fn abort(&self, x: &[f64], exception: PyErr) -> Outcome {
+    /// The end of the run, with this exception.
+    pub(crate) fn abort(&self, x: &[f64], exception: PyErr) -> Outcome {
         let message = exception.to_string();
         lock(&self.raised).push((bits(x), exception));
         Outcome::Abort(message)
@@ -84,6 +90,19 @@ impl PyObjective {
         }
     }
 
+    /// What an answer means that came as a value: a cost, residuals, or the exception that was raised.
+    pub(crate) fn answer_from<'py>(
+        &self,
+        py: Python<'py>,
+        x: &[f64],
+        value: Bound<'py, PyAny>,
+        answer: &mut Answer,
+    ) {
+        let is_exception = value.is_instance_of::<PyBaseException>();
+        let returned = if is_exception { Err(PyErr::from_value(value)) } else { Ok(value) };
+        answer.outcome = self.outcome(py, x, returned, &mut answer.residuals);
+    }
+
     /// Outcomes of a batch from a function that takes all its points, shape (points, parameters), their cutoffs, and a
     /// function that says whether to stop; it returns for each point a cost, the exception that was raised, or Ellipsis for
     /// a point that was left out. Called on the calling thread.
@@ -112,11 +131,10 @@ impl PyObjective {
                         Ok(other) => other.into_any(),
                         Err(e) => e.into_inner(),
                     };
-                    let exception = answer.is_instance_of::<PyBaseException>();
-                    let returned = if exception { Err(PyErr::from_value(answer)) } else { Ok(answer) };
-                    let mut residuals = Vec::new();
-                    *place = self.outcome(py, batch.point(k), returned, &mut residuals);
-                    batch.set_residuals(k, &residuals);
+                    let mut found = Answer::default();
+                    self.answer_from(py, batch.point(k), answer, &mut found);
+                    batch.set_residuals(k, &found.residuals);
+                    *place = found.outcome;
                 }
             }
         }

@@ -1,5 +1,6 @@
 //! The fit: what is asked for, the search, and what its result is worth; parameters with names come out.
 
+mod engine;
 mod fresh;
 mod noise;
 mod options;
@@ -8,6 +9,7 @@ mod rounds;
 mod search;
 mod tolerance;
 
+pub use engine::Engine;
 pub use noise::{EstimatedNoise, FitNoise, NoiseRule, OutputNoise};
 pub use options::{FitObserver, FitOptions};
 pub use result::Fit;

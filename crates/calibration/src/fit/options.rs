@@ -1,12 +1,15 @@
 //! What a fit is asked for.
 
+use super::engine::Engine;
 use super::noise::NoiseRule;
 use crate::objective::CostKind;
 use crate::phase::CurrentPhase;
 use crate::worth::WorthOptions;
 use dfo::{AnyMethod, Measure, Progress, RobustLoss, RunOptions, Search, Stop, Tolerances};
+use std::cell::RefCell;
 use std::fmt;
 use std::ops::ControlFlow;
+use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -51,6 +54,9 @@ pub struct FitOptions<'a> {
     pub poll: Option<Box<dyn FnMut() -> bool + 'a>>,
     /// A flag that interrupts the fit when it is raised, within a step of the simulations that are running.
     pub cancel: Option<Arc<AtomicBool>>,
+    /// Who makes the simulations of the search; default: workers of this machine, as many as [`run`](Self::run) says. What comes before
+    /// and after the search is simulated here.
+    pub engine: Option<Rc<RefCell<dyn Engine>>>,
     /// Where the fit says what it does.
     pub phase: Arc<CurrentPhase>,
 }
@@ -80,6 +86,7 @@ impl Default for FitOptions<'_> {
             observer: None,
             poll: None,
             cancel: None,
+            engine: None,
             phase: Arc::default(),
         }
     }

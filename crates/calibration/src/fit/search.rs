@@ -1,5 +1,6 @@
 //! The search for the best point, with what comes before it: the objective meets an optimiser.
 
+use super::engine::Engine;
 use super::fresh::Fresh;
 use super::noise::NoiseRule;
 use super::options::{FitObserver, FitOptions};
@@ -17,11 +18,13 @@ use crate::residual::sum_of_squares;
 use crate::solver::Solver;
 use crate::worth::{WorthOptions, digits};
 use dfo::{
-    Answer, AnyMethod, ByRef, Kind, Measure, NothingFound, Objective, Outcome, Query, Report, Resume,
-    RobustLoss, RunOptions, Termination, Tolerances, Trace, Want,
+    Answer, AnyMethod, ByRef, Evaluator, GivesUp, Kind, Measure, NothingFound, Objective, Outcome, Polled,
+    Query, Report, Resume, RobustLoss, RunOptions, Termination, Tolerances, Trace, Wait, Want,
 };
 use ode::{Number, Stats};
 use std::cell::RefCell;
+use std::collections::{HashMap, VecDeque};
+use std::rc::Rc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::available_parallelism;
@@ -42,28 +45,34 @@ struct Counted<'a> {
     stats: Mutex<(Stats, KeptResiduals)>,
 }
 
-impl Objective for Counted<'_> {
-    fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
+impl Counted<'_> {
+    /// The query to the simulations: they always give residuals.
+    fn asked<'q>(&self, query: &Query<'q>) -> Query<'q> {
         let mut query = *query;
+        query.want = Want::Residuals;
         if !self.cutoffs {
             query.cutoff = f64::INFINITY;
         }
-        let wanted = std::mem::replace(&mut query.want, Want::Residuals);
-        let mut stats = Stats::default();
-        match &self.at_start {
-            Some(residuals) if x == self.start => {
-                answer.residuals.clone_from(residuals);
-                answer.outcome = Outcome::Value(sum_of_squares(residuals));
-            }
-            _ => self.calibration.evaluate_counted(x, (&query, self.loss), answer, &mut stats),
-        }
+        query
+    }
+
+    /// The answer at the start, where it is known; whether it is.
+    fn know(&self, x: &[f64], answer: &mut Answer) -> bool {
+        let Some(residuals) = self.at_start.as_ref().filter(|_| x == self.start) else { return false };
+        answer.residuals.clone_from(residuals);
+        answer.outcome = Outcome::Value(sum_of_squares(residuals));
+        true
+    }
+
+    fn count(&self, stats: Stats) {
         // A poisoned lock is no reason to fail: the counts are whole at every instant.
-        let mut known = self.stats.lock().unwrap_or_else(|e| e.into_inner());
-        known.0 += stats;
-        drop(known);
-        let sum = answer.outcome.value();
+        self.stats.lock().unwrap_or_else(|e| e.into_inner()).0 += stats;
+    }
+
+    /// Makes of the residuals at a point what is minimised.
+    fn finish(&self, x: &[f64], wanted: Want, answer: &mut Answer) {
         let mut own = Vec::new();
-        if let Some(sum) = sum {
+        if let Some(sum) = answer.outcome.value() {
             // A function of the user's may take its time.
             let layout = self.calibration.residual_layout();
             answer.outcome = self.kind.outcome(layout, (sum, &answer.residuals), &mut own);
@@ -79,6 +88,17 @@ impl Objective for Counted<'_> {
             answer.residuals.clear();
         }
     }
+}
+
+impl Objective for Counted<'_> {
+    fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
+        if !self.know(x, answer) {
+            let mut stats = Stats::default();
+            self.calibration.evaluate_counted(x, (&self.asked(query), self.loss), answer, &mut stats);
+            self.count(stats);
+        }
+        self.finish(x, query.want, answer);
+    }
 
     fn uses_cutoff(&self) -> bool {
         self.cutoffs
@@ -90,6 +110,59 @@ impl Objective for Counted<'_> {
 
     fn residual_loss(&self) -> RobustLoss {
         self.loss
+    }
+}
+
+/// A fit's simulations on an engine.
+struct OnEngine<'a, 'e> {
+    counted: &'a Counted<'a>,
+    engine: &'a mut (dyn Engine + 'e),
+    under_way: HashMap<u64, (Vec<f64>, Want)>,
+    /// Points whose answer is known.
+    known: VecDeque<(u64, Answer)>,
+}
+
+impl Evaluator for OnEngine<'_, '_> {
+    fn submit(&mut self, x: &[f64], query: Query<'static>) {
+        let mut answer = Answer::default();
+        if self.counted.know(x, &mut answer) {
+            self.counted.finish(x, query.want, &mut answer);
+            self.known.push_back((query.id, answer));
+            return;
+        }
+        self.under_way.insert(query.id, (x.to_vec(), query.want));
+        self.engine.submit(x, self.counted.asked(&query));
+    }
+
+    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
+        if let Some((id, known)) = self.known.pop_front() {
+            *answer = known;
+            return Polled::Answered(id);
+        }
+        let polled = self.engine.poll(wait, answer);
+        self.counted.count(self.engine.take_stats());
+        if let Polled::Answered(id) = polled
+            && let Some((x, want)) = self.under_way.remove(&id)
+        {
+            self.counted.finish(&x, want, answer);
+        }
+        polled
+    }
+
+    fn cancel(&mut self, id: u64) {
+        self.engine.cancel(id);
+    }
+
+    fn width(&self) -> usize {
+        self.engine.width()
+    }
+
+    fn gives_up(&self) -> GivesUp {
+        if self.counted.cutoffs { GivesUp::Yes } else { GivesUp::No }
+    }
+
+    fn leave(&mut self) -> bool {
+        self.engine.leave()
     }
 }
 
@@ -115,6 +188,7 @@ pub(super) struct Job<'a> {
     pub(super) observer: RefCell<Option<Box<FitObserver<'a>>>>,
     pub(super) poll: RefCell<Option<Box<dyn FnMut() -> bool + 'a>>>,
     pub(super) cancel: Option<Arc<AtomicBool>>,
+    pub(super) engine: Option<Rc<RefCell<dyn Engine>>>,
     pub(super) phase: Arc<CurrentPhase>,
     pub(super) deadline: Deadline,
     /// Whether it is a part of a fit, which has chosen the tolerance.
@@ -165,6 +239,7 @@ impl<'a> Job<'a> {
             observer: RefCell::new(options.observer),
             poll: RefCell::new(options.poll),
             cancel: options.cancel,
+            engine: options.engine,
             phase: options.phase,
             deadline,
             is_part,
@@ -270,7 +345,17 @@ impl Calibration {
                 limits.max_evaluations.map(|n| n.saturating_sub(job.spent.n_evaluations));
             described.limits.max_iterations =
                 limits.max_iterations.map(|n| n.saturating_sub(job.spent.n_iterations));
-            let mut run = dfo::minimize(ByRef(&counted))
+            let mut engine = job.engine.as_ref().map(|engine| engine.borrow_mut());
+            let run = match &mut engine {
+                Some(engine) => {
+                    engine.begin(self, loss);
+                    let (under_way, known) = (HashMap::new(), VecDeque::new());
+                    let on_engine = OnEngine { counted: &counted, engine: &mut **engine, under_way, known };
+                    dfo::minimize_by(on_engine).with_residuals(counted.has_residuals()).loss(loss)
+                }
+                None => dfo::minimize(ByRef(&counted)),
+            };
+            let mut run = run
                 .start(start)
                 .bounds(&bound(Parameter::lower), &bound(Parameter::upper))
                 .map_err(|e| self.name_parameter(e))?

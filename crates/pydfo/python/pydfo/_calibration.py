@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, SupportsFloat, Suppo
 import numpy as np
 import numpy.typing as npt
 
-from . import _check, _core, _objective, _options, _stages, _worker, _worth
+from . import _check, _core, _engine, _evaluate, _objective, _options, _stages, _worker, _worth
 from ._errors import BadCalibrationError, CalibrationWarning
 from ._experiment import Inputs, Names, Settings, Weights, collected, path_of
 from ._files import OpenOptions
@@ -31,6 +31,8 @@ from ._validation import CrossValidation
 from ._worth import Preflight, Worth
 
 if TYPE_CHECKING:
+    import concurrent.futures
+
     from matplotlib.figure import Figure
 
 FloatArray = npt.NDArray[np.float64]
@@ -440,7 +442,7 @@ class Calibration:
     def fit(
         self,
         method: str = "auto",
-        workers: SupportsIndex | None = None,
+        workers: SupportsIndex | concurrent.futures.Executor | None = None,
         x_tol: float | None = None,
         f_tol: float | None = None,
         max_evaluations: SupportsFloat | None = None,
@@ -477,8 +479,10 @@ class Calibration:
             "ga". The last four need two finite bounds for every parameter. "auto" is "least-squares", with integer parameters "de", with categorical
             ones "ga"; where an option is given that only "nelder-mead" has, it is that. The fit has the reason
             (``method_reason``).
-        workers : int, optional
-            Simulations that may run at once; None and -1: all cores. The fit is the same, bit for bit, for any number.
+        workers : int or concurrent.futures.Executor, optional
+            Simulations that may run at once; None and -1: all cores. Or an executor (of `concurrent.futures`, Dask, MPI, joblib, Ray) that
+            makes the simulations of the search point by point: problem and model travel to each of its processes once. What comes
+            before the search and after it is simulated here. The fit is the same, bit for bit, for any number and any executor.
         x_tol : float, optional
             Tolerance of the x test (default 1e-4): extent of the simplex in units of the parameters' sizes (see `Parameter`). For a log
             scale: of the logarithm.
@@ -579,7 +583,10 @@ class Calibration:
         for name in ("scale", "nominal", "kinds"):
             if name in own:
                 raise ValueError(f"options: {name} of a fit is that of its parameters")
-        count = _options.worker_count("workers", workers, None)
+        executor = _evaluate.executor_of(workers)
+        if executor is not None:
+            executor = _engine.Simulations(self, executor)
+        count = executor.width if executor else _options.worker_count("workers", workers, None)
         if own.get("batch") == "workers":
             own["batch"] = count or _options.all_cores()
         cost = _objective.built(objective, self)
@@ -646,6 +653,7 @@ class Calibration:
                     "covariance": covariance,
                     "preflight": _options.flag("preflight", preflight),
                     "noise": _options.choice("noise", noise),
+                    "engine": executor,
                 }
                 result = self._native.fit(built, asked)
         except BaseException as e:

@@ -1,8 +1,8 @@
-"""How the objective is called: by an executor or a map, or with all points at once.
+"""How the objective is called: by an executor point by point, by a map, or with all points at once.
 
-Each function here takes the points of a batch, shape (S, n), their cutoffs, shape (S,), and a function that says whether
-the run is to end; it returns for each point a cost, `Above`, the exception that was raised, or Ellipsis for a point that
-was left out; or a pair of the seconds that it took and one of these.
+The functions for a map and for all points at once take the points of a batch, shape (S, n), their cutoffs, shape (S,), and
+a function that says whether the run is to end; they return for each point a cost, `Above`, the exception that was raised,
+or Ellipsis for a point that was left out; or a pair of the seconds that it took and one of these.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import concurrent.futures
 import inspect
 import os
 import pickle
+import queue
 import time
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -22,10 +23,6 @@ from . import _options
 
 FloatArray = npt.NDArray[np.float64]
 Batches = Callable[[FloatArray, FloatArray, Callable[[], bool]], list[Any]]
-
-#: Seconds between two looks for Ctrl-C while an executor computes.
-PATIENCE = 0.02
-
 
 class WithArguments:
     """The objective with its further arguments; can be pickled if they can."""
@@ -153,39 +150,75 @@ def mapped(fun: Callable[..., Any], apply: Callable[..., Iterable[Any]], takes_c
     return evaluate
 
 
-def executed(fun: Callable[..., Any], executor: concurrent.futures.Executor, takes_cutoff: bool = False) -> Batches:
-    """An executor evaluates the points of a batch; when the run is to end, those that have not begun are left out."""
-    returning, pieces = _in_pieces(fun, takes_cutoff)
+class Futures:
+    """Hands points to an executor one by one and takes what comes back, in any order."""
 
-    def evaluate(points: FloatArray, cutoffs: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
-        futures = [executor.submit(Timed(returning), piece) for piece in pieces(points, cutoffs)]
-        waiting = set(futures)
+    def __init__(
+        self, fun: Callable[..., Any], executor: concurrent.futures.Executor, takes_cutoff: bool = False, width: int | None = None
+    ) -> None:
+        returning, self._pieces = _in_pieces(fun, takes_cutoff)
+        self._call = Timed(returning)
+        self._executor = executor
+        self._futures: dict[int, concurrent.futures.Future[Any]] = {}
+        self._ended: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self.width = width or plan_width(executor)
+
+    def submit(self, number: int, x: FloatArray, cutoff: float) -> None:
+        """Begins a point."""
+        (piece,) = self._pieces(x[np.newaxis], np.array([cutoff]))
+        self._began(number, self._executor.submit(self._call, piece))
+
+    def _began(self, number: int, future: concurrent.futures.Future[Any]) -> None:
+        self._futures[number] = future
+        future.add_done_callback(lambda _: self._ended.put(number))
+
+    def poll(self, seconds: float) -> tuple[int, float, Any, str] | None:
+        """A point that has ended: its number, the seconds that it took, what became of it (Ellipsis: it was cancelled), and
+        what is wrong with the executor: nothing, "lost" (this point), "broken". None: after so many seconds there is none."""
         try:
-            while waiting:
-                _, waiting = concurrent.futures.wait(waiting, timeout=PATIENCE)
-                if waiting and stopped():
-                    waiting = {future for future in waiting if not future.cancel()}
-        except BaseException:
-            for future in futures:
-                future.cancel()
-            raise
-        return [... if future.cancelled() else future.result() for future in futures]
+            number = self._ended.get(timeout=max(seconds, 0.0))
+        except queue.Empty:
+            return None
+        future = self._futures.pop(number)
+        try:
+            if future.cancelled():
+                return number, 0.0, ..., ""
+            ended = future.result()
+        except (concurrent.futures.BrokenExecutor, pickle.PicklingError, TypeError, AttributeError, ImportError) as e:
+            # No point would fare better.
+            return number, 0.0, e, "broken"
+        except Exception as e:
+            return number, 0.0, e, "lost"
+        if len(ended) == 2 and isinstance(ended[0], float):
+            return number, ended[0], ended[1], ""
+        return number, 0.0, ended, ""
 
-    return evaluate
+    def cancel(self, number: int) -> None:
+        """Gives up a point: one that runs goes on."""
+        future = self._futures.get(number)
+        if future is not None:
+            future.cancel()
 
 
-def foreign(fun: Callable[..., Any], workers: Any, takes_cutoff: bool = False) -> Batches | None:
-    """How `workers` evaluates a batch; None if it is a number or nothing that could.
+def executor_of(workers: Any) -> Any:
+    """`workers` if it is an executor, else None.
 
-    TypeError for objects of Dask and joblib that are no executors, with the one to pass instead."""
+    TypeError for objects of Dask and joblib that are none, with the one to pass instead."""
     if callable(getattr(workers, "get_executor", None)):
         raise TypeError("a Dask Client is no executor: give workers=client.get_executor()")
     if callable(getattr(workers, "submit", None)):
-        return executed(fun, workers, takes_cutoff)
+        return workers
     if type(workers).__module__.partition(".")[0] == "joblib":
         raise TypeError(
             f"workers cannot be a joblib {type(workers).__name__}: give an executor, workers=joblib.externals.loky.get_reusable_executor()"
         )
+    return None
+
+
+def foreign(fun: Callable[..., Any], workers: Any, takes_cutoff: bool = False) -> Batches | Futures | None:
+    """How `workers` evaluates points; None if it is a number or nothing that could."""
+    if executor_of(workers) is not None:
+        return Futures(fun, workers, takes_cutoff)
     if callable(workers):
         return mapped(fun, workers, takes_cutoff)
     if callable(getattr(workers, "map", None)):
@@ -194,17 +227,21 @@ def foreign(fun: Callable[..., Any], workers: Any, takes_cutoff: bool = False) -
 
 
 def plan_width(workers: Any) -> int:
-    """How many points a batch plan may ask for at once: the workers of an executor, else all cores."""
-    known = getattr(workers, "_max_workers", None)
+    """How many points may be under way at once: the workers of an executor, as far as it tells, else all cores."""
+    # Python's own, loky, MPI.
+    known = getattr(workers, "_max_workers", None) or getattr(workers, "num_workers", None)
+    client = getattr(workers, "_client", None)
+    if known is None and callable(getattr(client, "nthreads", None)):
+        known = sum(client.nthreads().values())
     return known if isinstance(known, int) and known > 0 else _options.all_cores()
 
 
 def shared_out(
     fun: Callable[..., Any], name: str, workers: Any, default: int | None, takes_cutoff: bool = False
-) -> tuple[Batches | None, int | None]:
+) -> tuple[Batches | Futures | None, int | None]:
     """Who evaluates batches, if not threads of our own, and for how many points at once the method may plan. `name` is that
     of the argument `workers`, `default` the number that None stands for."""
     batches = None if workers is None else foreign(fun, workers, takes_cutoff)
     if batches is not None:
-        return batches, plan_width(workers)
+        return batches, batches.width if isinstance(batches, Futures) else plan_width(workers)
     return None, _options.worker_count(name, workers, default)

@@ -1,14 +1,13 @@
 //! Sorts a batch into what must be evaluated and what is known, and puts the answers together again.
 
-use super::cache::Cache;
+use super::evaluator::GivesUp;
 use super::ledger::{Ledger, Source};
+use super::store::{Early, Store};
 use crate::answer::{Answer, Answers, Outcome, Want};
-use crate::evaluator::GivesUp;
-use crate::method::{Batch, Method};
+use crate::method::Batch;
 use crate::termination::Termination;
 use crate::tolerances::Limits;
 use crate::trace::SpeculativeEntry;
-use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::collections::hash_map::{DefaultHasher, Entry};
 use std::hash::Hasher;
@@ -16,25 +15,15 @@ use std::hash::Hasher;
 /// Batches in a row without anything new after which a run ends.
 const STALE_BATCHES: usize = 200;
 
-/// An evaluation made before a run was resumed, of a batch that had not been completed.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Replay {
-    pub(crate) id: u64,
-    pub(crate) answer: Answer,
-}
-
 /// Sorts a batch into what must be evaluated and what is known, and puts the answers together again.
-#[derive(Debug)]
-pub(crate) struct BatchLedger {
+#[derive(Debug, Clone)]
+pub(crate) struct Round {
     pub(crate) ledger: Ledger,
-    pub(crate) cache: Cache,
-    pub(crate) replay: Vec<Replay>,
+    pub(crate) store: Store,
     pub(crate) stale: usize,
-    /// What is to be evaluated: first what the path needs, then what it may need next.
+    /// What is to be evaluated for it.
     pub(crate) work: Batch,
-    n_needed: usize,
     pub(crate) gives_up: GivesUp,
-    guesses: Batch,
     sources: Vec<Source>,
     /// The answers to the points of a batch, and what of them the method is told.
     answers: Vec<Answer>,
@@ -56,17 +45,14 @@ pub(crate) enum Last<'a> {
     Target,
 }
 
-impl BatchLedger {
-    pub(crate) fn new(ledger: Ledger, cache: Cache) -> Self {
+impl Round {
+    pub(crate) fn new(ledger: Ledger, store: Store) -> Self {
         Self {
             ledger,
-            cache,
-            replay: Vec::new(),
+            store,
             stale: 0,
             work: Batch::new(),
-            n_needed: 0,
             gives_up: GivesUp::Unknown,
-            guesses: Batch::new(),
             sources: Vec::new(),
             answers: Vec::new(),
             told: Answers::default(),
@@ -91,10 +77,10 @@ impl BatchLedger {
             let (x, cutoff) = (batch.point(k), batch.cutoff(k));
             let source = if self.reached.is_some() {
                 Source::Forbidden
-            } else if let Some(known) = self.cache.get(x, batch.query(k)) {
+            } else if let Some(known) = self.store.get(x, batch.query(k)) {
                 self.answers[k].clone_from(known);
                 Source::Cached
-            } else if self.cache.is_above(x) {
+            } else if self.store.is_above(x) {
                 self.again(batch, k)
             } else if let Some(twin) = self.twin(batch, k) {
                 Source::Copy(twin)
@@ -123,7 +109,6 @@ impl BatchLedger {
                 self.reached = Some(k);
             }
         }
-        self.n_needed = self.work.len();
     }
 
     /// What becomes of a point that is known to lie above a lower cutoff. Without cutoffs it would be known altogether, so
@@ -133,7 +118,7 @@ impl BatchLedger {
             return Source::Copy(twin);
         }
         if let Some(answer) = self.evaluated_before(batch, k) {
-            self.cache.insert(batch.point(k), &answer, batch.want());
+            self.store.insert(batch.point(k), &answer, batch.want());
             self.answers[k] = answer;
             return Source::Cached;
         }
@@ -149,14 +134,13 @@ impl BatchLedger {
 
     /// The outcome of a point that was evaluated before the run was resumed, or ahead of need.
     fn evaluated_before(&mut self, batch: &Batch, k: usize) -> Option<Answer> {
-        let id = batch.id(k);
-        if let Ok(place) = self.replay.binary_search_by_key(&id, |replay| replay.id) {
-            return Some(self.replay[place].answer.clone());
-        }
-        match self.ledger.speculative.take(batch.point(k), batch.query(k), self.gives_up)? {
-            Ok(known) => Some(known),
+        match self.store.take(batch.point(k), &batch.query(k), self.gives_up)? {
+            Ok((known, is_of_path)) => {
+                self.ledger.n_reached += usize::from(!is_of_path);
+                Some(known)
+            }
             Err(useless) => {
-                self.ledger.trace.push_speculative(useless);
+                self.ledger.trace.push_speculative(useless.entry);
                 None
             }
         }
@@ -164,7 +148,7 @@ impl BatchLedger {
 
     /// An earlier place of the batch whose outcome answers for place `k` too.
     fn twin(&mut self, batch: &Batch, k: usize) -> Option<usize> {
-        if self.cache.is_off() {
+        if self.store.is_off() {
             return None;
         }
         let mut hasher = DefaultHasher::new();
@@ -178,7 +162,7 @@ impl BatchLedger {
         };
         let j = *place.get();
         let same = batch.point(j).iter().zip(batch.point(k)).all(|(a, b)| a.to_bits() == b.to_bits());
-        let answers = matches!(self.sources[j], Source::Run | Source::Again | Source::Replayed);
+        let answers = self.sources[j].is_work() || self.sources[j] == Source::Replayed;
         if same && answers && batch.cutoff(j) >= batch.cutoff(k) {
             return Some(j);
         }
@@ -187,24 +171,18 @@ impl BatchLedger {
         None
     }
 
-    /// Adds up to `wanted` points to `work` that the path may need next. No more than the budget lets it come to.
-    pub(crate) fn speculate<M: Method + ?Sized>(&mut self, method: &mut M, wanted: usize, limits: &Limits) {
-        let n_counted = self.sources.iter().filter(|source| **source == Source::Run).count();
-        let wanted = wanted.min(self.left(limits).saturating_sub(n_counted));
-        if wanted == 0 || self.n_needed == 0 {
-            return;
+    /// Place `k` of `work` is under way already.
+    pub(crate) fn begun(&mut self, k: usize) {
+        let mut work = (0..self.sources.len()).filter(|&place| self.sources[place].is_work());
+        if let Some(place) = work.nth(k).filter(|&place| self.sources[place] == Source::Run) {
+            self.sources[place] = Source::Begun;
         }
-        let Self { ledger, cache, guesses, work, .. } = self;
-        guesses.start(work.n(), work.index(), ledger.speculative.next_id());
-        guesses.set_want(work.want());
-        let known = |x: &[f64]| ledger.speculative.contains(x) || cache.contains(x);
-        method.speculate(wanted, &known, guesses);
-        work.append(guesses);
     }
 
-    /// How many points of `work` the path needs.
-    pub(crate) fn n_needed(&self) -> usize {
-        self.n_needed
+    /// Evaluations that the budget leaves after this batch.
+    pub(crate) fn left_after(&self, limits: &Limits) -> usize {
+        let counts = |source: &&Source| matches!(source, Source::Run | Source::Begun);
+        self.left(limits).saturating_sub(self.sources.iter().filter(counts).count())
     }
 
     /// Whether an answer ends the run. What lies above its cutoff might as well have been given up.
@@ -217,13 +195,12 @@ impl BatchLedger {
 
     /// Whether the answer to point `k` of `work` is one after which nothing more is of the path.
     pub(crate) fn is_last(&self, k: usize, answer: &Answer) -> bool {
-        let over = matches!(answer.outcome, Outcome::Abort(_)) || self.is_target(answer, self.work.cutoff(k));
-        k < self.n_needed && over
+        matches!(answer.outcome, Outcome::Abort(_)) || self.is_target(answer, self.work.cutoff(k))
     }
 
     /// The last place of the batch that is of the path, if not all are, and why. `answers`: to `work`.
     pub(crate) fn last<'a>(&'a self, answers: &'a [Answer]) -> Option<(usize, Last<'a>)> {
-        let mut new = answers.iter().enumerate().take(self.n_needed);
+        let mut new = answers.iter().enumerate();
         self.sources.iter().enumerate().find_map(|(k, source)| {
             let (answer, is_last) = if source.is_work() {
                 let (place, answer) = new.next()?;
@@ -254,17 +231,20 @@ impl BatchLedger {
     }
 
     /// What of this batch is known for good, should the run end here.
-    pub(crate) fn known(&self, batch: &Batch, answers: &[Answer]) -> Vec<Replay> {
+    pub(crate) fn known(&self, batch: &Batch, answers: &[Answer]) -> Vec<Early> {
         let mut known = Vec::new();
         let mut new = answers.iter();
         for (k, source) in self.sources.iter().enumerate() {
             let answer = match source {
-                Source::Run | Source::Again => new.next(),
+                Source::Run | Source::Begun | Source::Again => new.next(),
                 Source::Replayed => self.answers.get(k),
                 Source::Cached | Source::Copy(_) | Source::Forbidden => continue,
             };
             if let Some(answer) = answer.filter(|answer| answer.outcome.is_known()) {
-                known.push(Replay { id: batch.id(k), answer: answer.only(batch.want()) });
+                let (id, x) = (batch.id(k), batch.point(k).to_vec());
+                let (batch, cutoff, answer) = (batch.index(), batch.cutoff(k), answer.only(batch.want()));
+                let entry = SpeculativeEntry { id, batch, x, cutoff, answer };
+                known.push(Early { entry, is_of_path: true });
             }
         }
         known
@@ -277,11 +257,11 @@ impl BatchLedger {
         let last = self.last(answers).map_or(usize::MAX, |(k, _)| k);
         for k in 0..batch.len() {
             match self.sources[k] {
-                Source::Run | Source::Again => {
+                Source::Run | Source::Begun | Source::Again => {
                     if k <= last {
                         std::mem::swap(&mut self.answers[k], &mut answers[at]);
                     } else {
-                        self.keep_speculative(at, &answers[at]);
+                        self.keep_unneeded(at, &answers[at]);
                     }
                     at += 1;
                 }
@@ -294,21 +274,20 @@ impl BatchLedger {
                 self.answers[k].check_residuals(&mut self.ledger.n_residuals);
             }
             let remembers = match self.sources[k] {
-                Source::Run | Source::Replayed => true,
+                Source::Run | Source::Begun | Source::Replayed => true,
                 // Had it been known altogether, it would not come back once the batch has driven it out.
-                Source::Again => self.cache.contains(batch.point(k)),
+                Source::Again => self.store.remembers(batch.point(k)),
                 Source::Cached | Source::Copy(_) | Source::Forbidden => false,
             };
             if remembers {
-                self.cache.insert(batch.point(k), &self.answers[k], batch.want());
+                self.store.insert(batch.point(k), &self.answers[k], batch.want());
             }
         }
-        for (k, answer) in answers.iter().enumerate().skip(self.n_needed) {
-            self.keep_speculative(k, answer);
+        if self.store.has_replays() {
+            self.store.forget_replays();
         }
-        self.replay.clear();
-        let new =
-            self.sources.iter().any(|s| matches!(s, Source::Run | Source::Replayed | Source::Forbidden));
+        let is_new = |s: &Source| !matches!(s, Source::Again | Source::Cached | Source::Copy(_));
+        let new = self.sources.iter().any(is_new);
         self.stale = if new { 0 } else { self.stale + 1 };
         self.ledger.record(batch, &self.answers, &self.sources);
         self.told.clear();
@@ -319,18 +298,33 @@ impl BatchLedger {
         }
     }
 
-    /// Keeps the answer to point `k` of `work` for a path that may come to it.
-    fn keep_speculative(&mut self, k: usize, answer: &Answer) {
+    /// Keeps the answer to point `k` of `work` that the path did not come to after all.
+    pub(crate) fn keep_unneeded(&mut self, k: usize, answer: &Answer) {
         if answer.outcome == Outcome::Skipped {
             return;
         }
-        let mut answer = answer.only(self.work.want());
-        if self.work.want() == Want::Residuals {
-            answer.check_residuals(&mut self.ledger.n_residuals.clone());
+        let of_batch = (self.work.id(k), self.work.index());
+        let point = (self.work.point(k).to_vec(), self.work.query(k));
+        let mut m = self.ledger.n_residuals;
+        self.keep_early(SpeculativeEntry::new(of_batch, point, answer.clone(), &mut m));
+    }
+
+    /// Keeps an evaluation that was made ahead of need.
+    pub(crate) fn keep_early(&mut self, entry: SpeculativeEntry) {
+        self.ledger.count_early();
+        if let Some(useless) = self.store.keep(Early { entry, is_of_path: false }) {
+            self.ledger.trace.push_speculative(useless.entry);
         }
-        let (id, batch) = (self.work.id(k), self.work.index());
-        let (x, cutoff) = (self.work.point(k).to_vec(), self.work.cutoff(k));
-        self.ledger.keep_speculative(SpeculativeEntry { id, batch, x, cutoff, answer });
+    }
+
+    /// The run is over: nothing that was evaluated early will be needed.
+    pub(crate) fn finish(&mut self) {
+        for early in self.store.drain() {
+            if !early.is_of_path {
+                self.ledger.trace.push_speculative(early.entry);
+            }
+        }
+        self.ledger.trim(true);
     }
 
     /// Answers to the last batch; what was not evaluated is [`Outcome::Skipped`].

@@ -1,6 +1,5 @@
 //! What a run has seen: every count, the failures, the best point so far, the trace.
 
-use super::speculative::SpeculativeStore;
 use crate::answer::{Answer, Best, Failure, Outcome, Want};
 use crate::error::NothingFound;
 use crate::method::Batch;
@@ -15,6 +14,8 @@ const MAX_REASONS: usize = 50;
 pub(crate) enum Source {
     /// The objective is called for it.
     Run,
+    /// It was begun ahead of need, and is waited for.
+    Begun,
     /// The same, for a point of which only that it lies above a lower cutoff is known: it counts as known.
     Again,
     /// The objective was called for it before: ahead of need, or before the run was resumed.
@@ -28,9 +29,9 @@ pub(crate) enum Source {
 }
 
 impl Source {
-    /// Whether the point is evaluated in this batch.
+    /// Whether the point is evaluated in this batch, or was begun before it.
     pub(crate) fn is_work(self) -> bool {
-        matches!(self, Self::Run | Self::Again)
+        matches!(self, Self::Run | Self::Begun | Self::Again)
     }
 }
 
@@ -40,8 +41,10 @@ pub(crate) struct Ledger {
     trace_limit: Option<usize>,
     /// Whether the trace keeps residuals.
     keeps_residuals: bool,
-    /// What was evaluated ahead of need.
-    pub(crate) speculative: SpeculativeStore,
+    /// Evaluations begun ahead of need, those of them that ended, and those that the path came to after that.
+    pub(crate) n_guessed: u64,
+    n_early: usize,
+    pub(crate) n_reached: usize,
     pub(crate) best: Best,
     /// The residuals of the best point; empty where they are not known.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -64,7 +67,9 @@ impl Ledger {
             trace: Trace::new(n),
             trace_limit,
             keeps_residuals,
-            speculative: SpeculativeStore::default(),
+            n_guessed: 0,
+            n_early: 0,
+            n_reached: 0,
             best: Best::default(),
             best_residuals: Vec::new(),
             n_evaluations: 0,
@@ -86,7 +91,7 @@ impl Ledger {
             if matches!(outcome, Outcome::Skipped) {
                 continue;
             }
-            if matches!(sources[k], Source::Run | Source::Replayed) {
+            if matches!(sources[k], Source::Run | Source::Begun | Source::Replayed) {
                 self.enter(batch, k, answer);
             } else if outcome.is_known() {
                 self.n_cached += 1;
@@ -130,11 +135,20 @@ impl Ledger {
         self.trace.push(batch.point(k), record);
     }
 
-    /// Keeps an evaluation that was made ahead of need.
-    pub(crate) fn keep_speculative(&mut self, early: SpeculativeEntry) {
-        if let Some(useless) = self.speculative.keep(early) {
-            self.trace.push_speculative(useless);
-        }
+    /// Evaluations that the path has not come to.
+    pub(crate) fn n_speculative(&self) -> usize {
+        self.n_early.saturating_sub(self.n_reached)
+    }
+
+    /// An evaluation was made that the path has not come to.
+    pub(crate) fn count_early(&mut self) {
+        self.n_early += 1;
+    }
+
+    /// Enters an evaluation that does not answer what the path asks at its point.
+    pub(crate) fn useless(&mut self, entry: SpeculativeEntry) {
+        self.n_early += 1;
+        self.trace.push_speculative(entry);
     }
 
     /// Drops what the trace need not keep; `all`: down to the limit, else now and then.
@@ -144,14 +158,6 @@ impl Ledger {
         {
             self.trace.keep_last(limit);
         }
-    }
-
-    /// The run is over: nothing that was evaluated ahead will be needed.
-    pub(crate) fn finish(&mut self) {
-        for early in self.speculative.drain() {
-            self.trace.push_speculative(early);
-        }
-        self.trim(true);
     }
 
     /// Reasons of the failures, most frequent first.
@@ -176,6 +182,9 @@ impl Ledger {
 
     /// Whether its parts fit together: what comes from a file may not.
     pub(crate) fn is_sound(&self, n: usize) -> bool {
-        self.trace.is_sound(n) && self.speculative.is_sound(n) && self.best.is_sound(n)
+        self.trace.is_sound(n)
+            && self.best.is_sound(n)
+            && self.n_reached <= self.n_early
+            && self.n_guessed < 1 << 60
     }
 }

@@ -1,6 +1,6 @@
 //! A function of the user's that evaluates whole batches on the calling thread.
 
-use super::calls::{Evaluator, Polled, Wait, panicked};
+use super::evaluator::{Evaluator, Polled, Wait, panicked};
 use crate::answer::{Answer, Failure, Outcome};
 use crate::objective::{CancelSignals, Query};
 use std::cell::{Cell, RefCell};
@@ -78,20 +78,40 @@ impl<'a> BatchView<'a> {
 /// A function that evaluates whole batches on the calling thread: one outcome per point, in order.
 pub(crate) type BatchFunction<'a> = dyn FnMut(&BatchView<'_>) -> Vec<Outcome> + 'a;
 
+/// Points that take no less time together than one by one are not evaluated ahead of need: with so many at once they must be
+/// faster by this factor.
+const LEAST_GAIN: f64 = 1.5;
+
 pub(crate) struct Batches<'a> {
     function: &'a mut BatchFunction<'a>,
+    workers: usize,
+    /// How much faster the points of the last calls were together than one by one, as the function told.
+    gain: Option<f64>,
     points: Vec<f64>,
     queries: Vec<Query<'static>>,
     /// The answers to the points before `next` have been given.
     answers: Vec<Answer>,
     next: usize,
-    /// After a panic: the points from here on are given one by one.
-    alone: Option<usize>,
+    /// Cancelled before they were given to the function.
+    withdrawn: Vec<u64>,
+    /// After a panic: points that are given one by one.
+    alone: Range<usize>,
 }
 
 impl<'a> Batches<'a> {
-    pub(crate) fn new(function: &'a mut BatchFunction<'a>) -> Self {
-        Self { function, points: Vec::new(), queries: Vec::new(), answers: Vec::new(), next: 0, alone: None }
+    /// `workers`: how many points a batch should have where the path needs fewer.
+    pub(crate) fn new(function: &'a mut BatchFunction<'a>, workers: usize) -> Self {
+        Self {
+            function,
+            workers,
+            gain: None,
+            points: Vec::new(),
+            queries: Vec::new(),
+            answers: Vec::new(),
+            next: 0,
+            withdrawn: Vec::new(),
+            alone: 0..0,
+        }
     }
 
     /// One call. `Err`: it panicked.
@@ -104,8 +124,10 @@ impl<'a> Batches<'a> {
         let start = Instant::now();
         let outcomes = catch_unwind(AssertUnwindSafe(|| (self.function)(&view)))
             .map_err(|payload| panicked(payload.as_ref()))?;
-        let share = start.elapsed().as_secs_f64() / len as f64;
+        let in_all = start.elapsed().as_secs_f64();
+        let share = in_all / len as f64;
         let got = outcomes.len();
+        let first = places.start;
         let answers = &mut self.answers[places.clone()];
         if got != len {
             let message = format!("{got} outcomes were returned for a batch of {len} points");
@@ -122,6 +144,11 @@ impl<'a> Batches<'a> {
             answer.work = details.work.get();
             answer.residuals = details.residuals.into_inner();
         }
+        if len > 1 && in_all > 0.0 {
+            let gain =
+                self.answers[first..first + len].iter().map(|answer| answer.seconds).sum::<f64>() / in_all;
+            self.gain = Some(self.gain.map_or(gain, |before| 0.5 * (before + gain)));
+        }
         Ok(())
     }
 }
@@ -129,48 +156,71 @@ impl<'a> Batches<'a> {
 impl Evaluator for Batches<'_> {
     fn submit(&mut self, x: &[f64], query: Query<'static>) {
         if self.next == self.queries.len() {
-            self.withdraw();
+            (self.next, self.alone) = (0, 0..0);
+            self.points.clear();
+            self.queries.clear();
+            self.answers.clear();
         }
         self.points.extend_from_slice(x);
         self.queries.push(query);
     }
 
     fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
+        if let Some(id) = self.withdrawn.pop() {
+            answer.clear();
+            return Polled::Answered(id);
+        }
         let len = self.queries.len();
         if self.next == len {
             return Polled::Idle;
         }
-        if self.answers.is_empty() {
+        if self.answers.len() < len {
+            // What came while the answers to the last call were taken.
+            let new = self.answers.len()..len;
             self.answers.resize_with(len, Answer::default);
-            match self.call(0..len, wait.signals) {
+            match self.call(new.clone(), wait.signals) {
                 Ok(()) => {}
-                Err(why) if len == 1 => self.answers[0].outcome = Outcome::Failed(why),
+                Err(why) if new.len() == 1 => self.answers[new.start].outcome = Outcome::Failed(why),
                 // One point that panics is no reason for the others to fail.
-                Err(_) => self.alone = Some(0),
+                Err(_) => self.alone = new,
             }
         }
         let k = self.next;
-        if self.alone == Some(k) {
-            if let Err(why) = self.call(k..k + 1, wait.signals) {
-                self.answers[k].outcome = Outcome::Failed(why);
-            }
-            self.alone = Some(k + 1);
+        if self.alone.contains(&k)
+            && let Err(why) = self.call(k..k + 1, wait.signals)
+        {
+            self.answers[k].outcome = Outcome::Failed(why);
         }
         self.next += 1;
         std::mem::swap(answer, &mut self.answers[k]);
         Polled::Answered(self.queries[k].id)
     }
 
-    fn withdraw(&mut self) {
-        // What the function has answered already is kept.
-        let end = if self.alone.is_some() { self.next } else { self.answers.len() };
-        if self.next < end {
-            self.queries.truncate(end);
-            return;
+    fn cancel(&mut self, id: u64) {
+        let (first, n) = (self.answers.len(), self.points.len() / self.queries.len().max(1));
+        if let Some(k) = (first..self.queries.len()).find(|&k| self.queries[k].id == id) {
+            self.queries.remove(k);
+            self.points.drain(k * n..(k + 1) * n);
+            self.withdrawn.push(id);
+        } else if let Some(k) = self.alone.clone().find(|&k| k >= self.next && self.queries[k].id == id) {
+            // One by one it need not begin.
+            self.alone.end = self.alone.end.min(k);
         }
-        self.points.clear();
-        self.queries.clear();
-        self.answers.clear();
-        (self.next, self.alone) = (0, None);
+    }
+
+    fn width(&self) -> usize {
+        self.workers
+    }
+
+    fn room(&self, plan: usize) -> usize {
+        plan
+    }
+
+    fn is_ready(&self) -> bool {
+        self.next < self.answers.len()
+    }
+
+    fn pays_ahead(&self) -> bool {
+        self.workers > 1 && self.gain.is_none_or(|gain| gain > LEAST_GAIN)
     }
 }

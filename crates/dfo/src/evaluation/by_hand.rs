@@ -1,0 +1,100 @@
+//! The user evaluates: points wait until they are asked for, and are answered when the user tells them.
+
+use super::evaluator::{Evaluator, Polled, Wait};
+use crate::answer::Answer;
+use crate::objective::Query;
+use std::collections::{BTreeMap, VecDeque};
+use std::time::Instant;
+
+/// A point that waits for an answer.
+#[derive(Debug, Clone)]
+pub(crate) struct Handed {
+    pub(crate) x: Vec<f64>,
+    pub(crate) query: Query<'static>,
+    since: Instant,
+    is_cancelled: bool,
+}
+
+#[derive(Debug)]
+pub(crate) struct ByHand {
+    workers: usize,
+    /// Not handed out yet, in order.
+    due: VecDeque<Handed>,
+    /// Handed out, by number.
+    out: BTreeMap<u64, Handed>,
+    told: VecDeque<(u64, Answer)>,
+}
+
+impl ByHand {
+    pub(crate) fn new(workers: usize) -> Self {
+        Self { workers, due: VecDeque::new(), out: BTreeMap::new(), told: VecDeque::new() }
+    }
+
+    /// Hands out the next point.
+    pub(crate) fn hand_out(&mut self) -> Option<&Handed> {
+        let mut next = self.due.pop_front()?;
+        next.since = Instant::now();
+        Some(self.out.entry(next.query.id).or_insert(next))
+    }
+
+    /// Takes a point back that was handed out.
+    pub(crate) fn take_back(&mut self, id: u64) -> Option<Handed> {
+        self.out.remove(&id)
+    }
+
+    /// Takes an answer to a point that was taken back; one that says nothing gives the point back, to be handed out again.
+    pub(crate) fn answered(&mut self, handed: Handed, mut answer: Answer, is_final: bool) {
+        if !is_final && handed.is_cancelled {
+            self.told.push_back((handed.query.id, Answer::default()));
+        } else if is_final {
+            answer.seconds = handed.since.elapsed().as_secs_f64();
+            self.told.push_back((handed.query.id, answer));
+        } else {
+            self.due.push_front(handed);
+        }
+    }
+
+    /// Points handed out and not answered yet.
+    pub(crate) fn n_pending(&self) -> usize {
+        self.out.len()
+    }
+}
+
+impl Evaluator for ByHand {
+    fn submit(&mut self, x: &[f64], query: Query<'static>) {
+        self.due.push_back(Handed { x: x.to_vec(), query, since: Instant::now(), is_cancelled: false });
+    }
+
+    fn poll(&mut self, _: &Wait<'_>, answer: &mut Answer) -> Polled {
+        match self.told.pop_front() {
+            Some((id, told)) => {
+                *answer = told;
+                Polled::Answered(id)
+            }
+            None if self.due.is_empty() && self.out.is_empty() => Polled::Idle,
+            None => Polled::Waiting,
+        }
+    }
+
+    fn cancel(&mut self, id: u64) {
+        if let Some(place) = self.due.iter().position(|point| point.query.id == id) {
+            self.due.remove(place);
+            self.told.push_back((id, Answer::default()));
+        } else if let Some(handed) = self.out.get_mut(&id) {
+            handed.is_cancelled = true;
+        }
+    }
+
+    fn width(&self) -> usize {
+        self.workers
+    }
+
+    /// The user is given whole plans, whatever can run at once.
+    fn room(&self, plan: usize) -> usize {
+        plan
+    }
+
+    fn leave(&mut self) -> bool {
+        true
+    }
+}

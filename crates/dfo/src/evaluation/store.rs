@@ -1,0 +1,349 @@
+//! What is known of points, by their bits: evaluations that the run has counted (bounded, the oldest go first), and early ones,
+//! made ahead of need or before the run was resumed, which count when the path comes to them.
+
+use super::evaluator::GivesUp;
+use crate::answer::{Answer, Outcome, Want};
+use crate::objective::Query;
+use crate::trace::SpeculativeEntry;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, HashMap, VecDeque};
+
+/// First number of the points that are evaluated ahead; those of the path count from 0.
+pub(crate) const FIRST_ID: u64 = 1 << 63;
+
+/// So many early evaluations are kept, with so many residuals in all: the path comes to a point soon or never.
+const MOST_EARLY: usize = 4096;
+const MOST_EARLY_RESIDUALS: usize = 1 << 24;
+
+type Key = Box<[u64]>;
+
+/// An evaluation that the run has not counted.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Early {
+    pub(crate) entry: SpeculativeEntry,
+    /// Whether the path was there before the run was resumed.
+    pub(crate) is_of_path: bool,
+}
+
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[serde(from = "Stored", into = "Stored")]
+pub(crate) struct Store {
+    capacity: usize,
+    known: HashMap<Key, Answer>,
+    /// Keys in the order in which they came.
+    order: VecDeque<Key>,
+    /// Keys that stay.
+    pinned: Vec<Key>,
+    key: Vec<u64>,
+    /// Early evaluations in the order in which they came, and their numbers by key.
+    early: BTreeMap<u64, Early>,
+    places: HashMap<Key, VecDeque<u64>>,
+    next: u64,
+    n_residuals: usize,
+    /// Of the early evaluations, those from before the run was resumed.
+    n_replays: usize,
+}
+
+/// A store as a file holds it: in the order in which the points came.
+#[derive(Clone, Serialize, Deserialize)]
+struct Stored {
+    capacity: usize,
+    pinned: Vec<(Vec<u64>, Answer)>,
+    entries: Vec<(Vec<u64>, Answer)>,
+    early: Vec<Early>,
+}
+
+impl From<Stored> for Store {
+    fn from(stored: Stored) -> Self {
+        let mut store = Self::new(stored.capacity);
+        let point = |key: Vec<u64>| -> Vec<f64> { key.into_iter().map(f64::from_bits).collect() };
+        for (key, answer) in stored.pinned {
+            store.pin(&point(key), answer);
+        }
+        for (key, answer) in stored.entries {
+            store.insert(&point(key), &answer, Want::Residuals);
+        }
+        for early in stored.early {
+            store.keep(early);
+        }
+        store
+    }
+}
+
+impl From<Store> for Stored {
+    fn from(store: Store) -> Self {
+        let entry = |k: &[u64]| store.known.get(k).map(|o| (k.to_vec(), o.clone()));
+        Self {
+            capacity: store.capacity,
+            pinned: store.pinned.iter().filter_map(|k| entry(k)).collect(),
+            entries: store.order.iter().filter_map(|k| entry(k)).collect(),
+            early: store.early.into_values().collect(),
+        }
+    }
+}
+
+fn bits(x: &[f64]) -> Key {
+    x.iter().map(|v| v.to_bits()).collect()
+}
+
+impl Store {
+    pub(crate) fn new(capacity: usize) -> Self {
+        Self { capacity, ..Self::default() }
+    }
+
+    pub(crate) fn is_off(&self) -> bool {
+        self.capacity == 0
+    }
+
+    /// Remembers an evaluation for good, whatever the capacity.
+    pub(crate) fn pin(&mut self, x: &[f64], answer: Answer) {
+        self.key(x);
+        let key: Box<[u64]> = self.key.as_slice().into();
+        if self.known.insert(key.clone(), answer).is_none() {
+            self.pinned.push(key);
+        }
+    }
+
+    /// Evaluations that stay.
+    pub(crate) fn n_pinned(&self) -> usize {
+        self.pinned.len()
+    }
+
+    fn key(&mut self, x: &[f64]) {
+        self.key.clear();
+        self.key.extend(x.iter().map(|v| v.to_bits()));
+    }
+
+    /// Whether something is known of a point that the run has counted.
+    pub(crate) fn remembers(&self, x: &[f64]) -> bool {
+        !self.known.is_empty() && self.known.contains_key(&bits(x))
+    }
+
+    /// Whether something is known of a point.
+    pub(crate) fn contains(&self, x: &[f64]) -> bool {
+        !(self.known.is_empty() && self.places.is_empty()) && {
+            let key = bits(x);
+            self.known.contains_key(&key) || self.places.contains_key(&key)
+        }
+    }
+
+    /// What is known of a point, if that answers the question: "above c" does only up to the cutoff c, a cost only where
+    /// no residuals are wanted.
+    pub(crate) fn get(&mut self, x: &[f64], query: Query<'_>) -> Option<&Answer> {
+        if self.known.is_empty() {
+            return None;
+        }
+        self.key(x);
+        let answers = |known: &&Answer| {
+            known.answers(query.want) && !matches!(known.outcome, Outcome::Above(c) if c < query.cutoff)
+        };
+        self.known.get(&self.key[..]).filter(answers)
+    }
+
+    /// Whether no more is known of a point than that it lies above some cutoff.
+    pub(crate) fn is_above(&mut self, x: &[f64]) -> bool {
+        self.key(x);
+        matches!(self.known.get(&self.key[..]), Some(Answer { outcome: Outcome::Above(_), .. }))
+    }
+
+    /// Remembers an evaluation, unless it says nothing lasting about the point.
+    pub(crate) fn insert(&mut self, x: &[f64], answer: &Answer, want: Want) {
+        if self.capacity == 0 || !answer.outcome.is_lasting() {
+            return;
+        }
+        self.key(x);
+        if let Some(known) = self.known.get_mut(&self.key[..]) {
+            *known = answer.only(want);
+            return;
+        }
+        while self.order.len() >= self.capacity {
+            if let Some(oldest) = self.order.pop_front() {
+                self.known.remove(&oldest);
+            }
+        }
+        let key: Box<[u64]> = self.key.as_slice().into();
+        self.order.push_back(key.clone());
+        self.known.insert(key, answer.only(want));
+    }
+
+    /// Keeps an early evaluation. Returns what is of no use: the oldest where there is no room, or this one if it says nothing
+    /// lasting about its point.
+    pub(crate) fn keep(&mut self, early: Early) -> Option<Early> {
+        let outcome = &early.entry.answer.outcome;
+        if matches!(outcome, Outcome::Failed(_)) && !outcome.is_lasting() && !early.is_of_path {
+            return Some(early);
+        }
+        self.n_residuals += early.entry.answer.residuals.len();
+        self.n_replays += usize::from(early.is_of_path);
+        self.places.entry(bits(&early.entry.x)).or_default().push_back(self.next);
+        self.early.insert(self.next, early);
+        self.next += 1;
+        let is_full = self.early.len() > MOST_EARLY || self.n_residuals > MOST_EARLY_RESIDUALS;
+        let oldest = self.early.iter().find(|(_, early)| !early.is_of_path).map(|(number, _)| *number);
+        oldest.filter(|_| is_full).and_then(|number| self.remove(number))
+    }
+
+    fn remove(&mut self, number: u64) -> Option<Early> {
+        let early = self.early.remove(&number)?;
+        self.n_residuals -= early.entry.answer.residuals.len();
+        self.n_replays -= usize::from(early.is_of_path);
+        let key = bits(&early.entry.x);
+        if let Some(numbers) = self.places.get_mut(&key) {
+            numbers.retain(|n| *n != number);
+            if numbers.is_empty() {
+                self.places.remove(&key);
+            }
+        }
+        Some(early)
+    }
+
+    /// What an early evaluation says of a point that the path has come to: its answer, or one that does not answer this query.
+    pub(crate) fn take(
+        &mut self,
+        x: &[f64],
+        query: &Query<'_>,
+        gives_up: GivesUp,
+    ) -> Option<Result<(Answer, bool), Early>> {
+        if self.places.is_empty() {
+            return None;
+        }
+        self.key(x);
+        let number = *self.places.get(&self.key[..])?.front()?;
+        let early = self.remove(number)?;
+        Some(match early.entry.answer_to(query, gives_up) {
+            Some(answer) => Ok((answer, early.is_of_path)),
+            None => Err(early),
+        })
+    }
+
+    /// Takes out all that are early.
+    pub(crate) fn drain(&mut self) -> impl Iterator<Item = Early> {
+        self.places.clear();
+        (self.n_residuals, self.n_replays) = (0, 0);
+        std::mem::take(&mut self.early).into_values()
+    }
+
+    /// Whether evaluations of the path are known from before the run was resumed.
+    pub(crate) fn has_replays(&self) -> bool {
+        self.n_replays > 0
+    }
+
+    /// What was made for the batch at which a run was resumed, and was not needed for it after all.
+    pub(crate) fn forget_replays(&mut self) {
+        let replays: Vec<u64> =
+            self.early.iter().filter(|(_, early)| early.is_of_path).map(|(number, _)| *number).collect();
+        replays.into_iter().for_each(|number| drop(self.remove(number)));
+    }
+
+    /// After a run was resumed: exceptions are gone with the process that raised them.
+    pub(crate) fn forget_aborts(&mut self) {
+        let is_abort = |early: &Early| matches!(early.entry.answer.outcome, Outcome::Abort(_));
+        let aborts: Vec<u64> =
+            self.early.iter().filter(|(_, early)| is_abort(early)).map(|(number, _)| *number).collect();
+        aborts.into_iter().for_each(|number| drop(self.remove(number)));
+    }
+
+    /// Whether its points have this length: what comes from a file may not.
+    pub(crate) fn is_sound(&self, n: usize) -> bool {
+        self.early.values().all(|early| early.entry.x.len() == n)
+            && self.known.keys().all(|key| key.len() == n)
+    }
+}
+
+impl SpeculativeEntry {
+    /// What is kept of an answer that the path has not counted. `m`: the number of residuals that it must have, where that is known.
+    pub(crate) fn new(
+        (id, batch): (u64, u64),
+        (x, query): (Vec<f64>, Query<'_>),
+        answer: Answer,
+        m: &mut Option<usize>,
+    ) -> Self {
+        let mut answer = answer.only(query.want);
+        if query.want == Want::Residuals {
+            answer.check_residuals(m);
+        }
+        Self { id, batch, x, cutoff: query.cutoff, answer }
+    }
+
+    /// What the objective would have said had it been asked this, as far as that is known.
+    pub(crate) fn answer_to(&self, query: &Query<'_>, gives_up: GivesUp) -> Option<Answer> {
+        let cutoff = query.cutoff;
+        let above = || Some(Answer { outcome: Outcome::Above(cutoff), ..self.answer.only(Want::Cost) });
+        match &self.answer.outcome {
+            Outcome::Value(value) if *value > cutoff && gives_up == GivesUp::Yes => above(),
+            Outcome::Value(_) => self.answer.answers(query.want).then(|| self.answer.only(query.want)),
+            Outcome::Above(c) => {
+                if *c >= cutoff {
+                    above()
+                } else {
+                    None
+                }
+            }
+            // With a lower cutoff it might have been given up before.
+            Outcome::Failed(_) | Outcome::Abort(_) => {
+                let same = self.cutoff == cutoff || gives_up == GivesUp::No;
+                same.then(|| self.answer.clone())
+            }
+            Outcome::Skipped => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::encoding::{decode, encode};
+
+    fn get(store: &mut Store, x: f64, cutoff: f64) -> Option<Outcome> {
+        store.get(&[x], Query::new(0, 0, cutoff)).map(|known| known.outcome.clone())
+    }
+
+    fn insert(store: &mut Store, x: f64, outcome: Outcome) {
+        store.insert(&[x], &outcome.into(), Want::Cost);
+    }
+
+    #[test]
+    fn the_oldest_go_first() {
+        let mut store = Store::new(2);
+        (0..3).map(f64::from).for_each(|k| insert(&mut store, k, Outcome::Value(k)));
+        let known = |c: &mut Store, x: f64| get(c, x, f64::INFINITY);
+        assert_eq!((known(&mut store, 0.0), known(&mut store, 2.0)), (None, Some(Outcome::Value(2.0))));
+        let mut back: Store = decode(&encode(&store).unwrap()).unwrap();
+        insert(&mut back, 9.0, Outcome::Value(9.0));
+        assert_eq!((known(&mut back, 1.0), known(&mut back, 2.0)), (None, Some(Outcome::Value(2.0))));
+    }
+
+    #[test]
+    fn above_a_cutoff_answers_up_to_it() {
+        let mut store = Store::new(4);
+        insert(&mut store, 1.0, Outcome::Above(3.0));
+        assert_eq!(get(&mut store, 1.0, 2.0), Some(Outcome::Above(3.0)));
+        assert_eq!(get(&mut store, 1.0, 3.5), None);
+        insert(&mut store, 1.0, Outcome::Value(7.0));
+        assert_eq!(get(&mut store, 1.0, f64::INFINITY), Some(Outcome::Value(7.0)));
+        insert(&mut store, 2.0, Outcome::cancelled());
+        assert_eq!(get(&mut store, 2.0, 1.0), None);
+        let mut pinned = Store::new(0);
+        pinned.pin(&[5.0], Outcome::Value(1.0).into());
+        insert(&mut pinned, 6.0, Outcome::Value(2.0));
+        let mut back: Store = decode(&encode(&pinned).unwrap()).unwrap();
+        let known = (get(&mut back, 5.0, 1.0), get(&mut back, 6.0, 1.0));
+        assert!(known == (Some(Outcome::Value(1.0)), None) && back.is_off());
+        let mut off = Store::new(0);
+        insert(&mut off, 1.0, Outcome::Value(1.0));
+        assert!(off.is_off() && get(&mut off, 1.0, 1.0).is_none());
+    }
+
+    #[test]
+    fn a_cost_does_not_answer_for_residuals() {
+        let mut store = Store::new(4);
+        let query = Query::new(0, 0, f64::INFINITY).want(Want::Residuals);
+        let answer = Answer { residuals: vec![1.0], ..Outcome::Value(1.0).into() };
+        store.insert(&[1.0], &answer, Want::Cost);
+        assert_eq!(store.get(&[1.0], query), None);
+        store.insert(&[1.0], &answer, Want::Residuals);
+        assert_eq!(store.get(&[1.0], query), Some(&answer));
+        insert(&mut store, 2.0, Outcome::failed("no"));
+        assert!(store.get(&[2.0], query).is_some());
+    }
+}
