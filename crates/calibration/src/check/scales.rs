@@ -1,6 +1,6 @@
 //! Outputs that are measured on unlike scales and have the same weight: the largest decides the fit.
 
-use super::simulated::{Place, rounded};
+use super::series::{Place, rounded};
 use crate::calibration::Calibration;
 use crate::column_units::declared;
 use crate::experiment::Weight;

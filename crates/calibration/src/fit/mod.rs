@@ -27,9 +27,25 @@ use crate::residual::{CostRule, sum_of_squares};
 use crate::simulations::Simulations;
 use crate::worth::{KnownPoint, Worth, WorthOptions};
 use dfo::{Measure, Report, RobustLoss, Tolerances, typical_size};
-use ode::Stats;
+use ode::{Number, Stats};
 use rounds::Made;
 use search::{Job, Searched};
+
+/// With a relative tolerance of this size or more a search ends anywhere.
+const LOOSE: f64 = 0.1;
+
+/// Tolerances of the search that mean nothing.
+fn loose(tolerances: &Tolerances) -> Option<Finding> {
+    let Tolerances { x_tol, f_tol, measure, .. } = *tolerances;
+    let given = [("x_tol", x_tol, "of the size of each parameter"), ("f_tol", f_tol, "of the cost")];
+    let loose = given.into_iter().filter(|(_, tolerance, _)| *tolerance >= LOOSE);
+    let said: Vec<String> =
+        loose.map(|(name, tolerance, of)| format!("{name} {} is a part {of}", Number(tolerance))).collect();
+    (measure == Measure::Relative && !said.is_empty()).then(|| {
+        let sentence = format!("{}: the search may end far from the minimum", said.join(", "));
+        Finding::new(Severity::Warning, "tolerances", sentence, "leave them out, or give 1e-4")
+    })
+}
 
 impl Calibration {
     /// Fits the parameters.
@@ -69,6 +85,7 @@ impl Calibration {
             let sentence = format!("the FMU ran in this process: {reason}");
             remarks.push(Finding::new(Severity::Note, "isolation", sentence, ""));
         }
+        remarks.extend(loose(&tolerances));
         phase.set(FitPhase::Checks);
         let is_whole = worth.is_some() && held.is_empty();
         let (at_start, at_end) =
@@ -76,6 +93,9 @@ impl Calibration {
         if let Some(at_end) = at_end.as_deref().filter(|_| is_whole && is_over(&report.termination)) {
             let (from, to) = ((start.as_slice(), at_start.as_deref()), (report.x.as_slice(), at_end));
             remarks.extend(own.check_after_fit(from, to, &cancelled, &mut stats));
+        }
+        if let Some(at_end) = at_end.as_deref().filter(|_| noise == Some(FitNoise::Stated)) {
+            remarks.extend(noise::contradictions_of_stated(own, at_end));
         }
         let outputs =
             at_end.as_deref().map_or_else(Vec::new, |at_end| own.output_fits_of(at_end, at_start.as_deref()));
@@ -93,6 +113,11 @@ impl Calibration {
             }
             worth
         });
+        if let Some(at_end) =
+            at_end.as_deref().filter(|_| own.has_fixed_step() && worth.is_none() && is_whole)
+        {
+            remarks.extend(own.large_step_after_fit((&report.x, at_end), &cancelled, &mut stats));
+        }
         let start_cost =
             report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());
         let is_start = report.trace.is_empty() && report.fun.is_finite();
