@@ -1,11 +1,12 @@
 //! Checks before a fit: each parameter is moved once at the start, and the start is simulated more accurately.
 
+use crate::accuracy::Accuracy;
 use crate::calibration::Calibration;
 use crate::effect::{inner, outer};
 use crate::error::CalibrationError;
 use crate::parameter::Parameter;
 use crate::residual::sum_of_squares;
-use crate::simulations::{Accuracy, Point, Simulations};
+use crate::simulations::{Point, Simulations};
 use crate::worth::digits;
 use dfo::{Kind, RobustLoss};
 use nalgebra::DMatrix;

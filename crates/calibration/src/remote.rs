@@ -1,12 +1,12 @@
 //! Simulations in worker processes: what a worker is asked for, and its answers.
 
+use crate::accuracy::Accuracy;
 use crate::error::CalibrationError;
 use crate::experiment::SimulationSettings;
 use crate::no_cost::{NoCost, ToldNoCost};
 use crate::problem::{ModelFile, Problem};
 use crate::race::{RaceOutcome, RaceRun, RaceTask};
 use crate::residual::CostRule;
-use crate::simulations::Accuracy;
 use dfo::RobustLoss;
 use fmi::worker::{Frame, Isolation, Load, WorkerLimits, Workers};
 use fmi::{FmiError, Fmu, OpenOptions, SimulateOptions, Trajectory};

@@ -1,5 +1,6 @@
 //! Simulations around a point, in parallel: what a fit is worth is found from them, and they are counted apart from its evaluations.
 
+use crate::accuracy::Accuracy;
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::no_cost::NoCost;
@@ -8,7 +9,6 @@ use crate::residual::CostRule;
 use dfo::RobustLoss;
 use fmi::{InterfaceKind, SimulateOptions, SimulationPlan, Simulator};
 use ode::Stats;
-use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// By what the relative tolerance is divided in accurate simulations.
@@ -16,22 +16,6 @@ pub(crate) const ACCURATE: f64 = 100.0;
 
 /// Integration is not more accurate than this.
 const SMALLEST_TOLERANCE: f64 = 1e-13;
-
-/// How simulations are made that are more accurate than those of a fit.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub(crate) enum Accuracy {
-    /// With this relative tolerance.
-    Tolerance(f64),
-    /// With half the step, of fixed-step methods: a tolerance has no effect on them.
-    HalfStep,
-}
-
-impl Accuracy {
-    /// What it has instead of the simulations of a fit.
-    pub(crate) fn words(is_step_halved: bool) -> &'static str {
-        if is_step_halved { "half the step" } else { "a hundredth of the relative tolerance" }
-    }
-}
 
 /// A fixed-step method takes so many steps where none is asked for (see [`ode::Options::step_size`]).
 const DEFAULT_STEPS: f64 = 500.0;

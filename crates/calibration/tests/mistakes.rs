@@ -183,6 +183,23 @@ fn priors_that_the_data_contradict_are_named_whichever_wins() {
 }
 
 #[test]
+fn weights_of_sigma_for_one_over_sigma_are_named() {
+    let t = times(61, 0.05);
+    let slope: Vec<f64> =
+        t.iter().enumerate().map(|(k, t)| -2.0 * (-2.0 * t).exp() + 0.2 * noise(k)).collect();
+    let fit = |weights: [f64; 2]| {
+        let columns = [("x".to_owned(), decay(&t, 2.0, 1e-3)), ("slope".to_owned(), slope.clone())];
+        let data = Data::from_columns(t.clone(), columns).unwrap();
+        let experiment = Experiment::new(data).weighted_output("x", "x", weights[0]);
+        fitted(experiment.weighted_output("der(x)", "slope", weights[1]), k())
+    };
+    for (weights, is_inverse) in [([1e-3, 0.2], true), ([1e3, 5.0], false), ([100.0, 1.0], false)] {
+        let fit = fit(weights);
+        assert_eq!(warns(&fit.findings(), "are the weights sigma?"), is_inverse, "{fit}");
+    }
+}
+
+#[test]
 fn tolerances_that_mean_nothing_are_named() {
     let calibration = calibration(vec![sound(1e-3)], k(), SimulationSettings::default());
     for (x_tol, f_tol, is_loose) in [(0.5, 1e-4, true), (1e-4, 0.1, true), (1e-2, 1e-2, false)] {
@@ -404,5 +421,25 @@ fn fits_of_the_examples_are_accused_of_nothing_new() {
             .filter(|text| !known.iter().any(|k| text.contains(k)))
             .collect();
         assert!(new.is_empty(), "{name}: {new:#?}");
+    }
+}
+
+#[test]
+fn residuals_that_one_number_explains_say_which() {
+    let t = times(201, 0.02);
+    let fit = |change: &dyn Fn(usize, f64) -> f64| {
+        let x = t.iter().enumerate().map(|(i, t)| change(i, *t) + 1e-3 * noise(i)).collect();
+        fitted(recording(&t, x).start_value("x", 1.0), k())
+    };
+    for (change, said) in [
+        (
+            &(|_, t: f64| (-2.0 * t).exp() + 0.1) as &dyn Fn(usize, f64) -> f64,
+            "an offset of the measurements of 0.1",
+        ),
+        (&|_, t| 1.3 * (-2.0 * t).exp(), "measurements that are 1.28"),
+        (&|_, t| (-2.0 * t).exp() + 0.05 * (t - 2.0), "a drift of the measurements of 0.05"),
+    ] {
+        let fit = fit(change);
+        assert!(warns(&fit.findings(), said), "{said}: {fit}");
     }
 }

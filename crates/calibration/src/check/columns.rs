@@ -1,6 +1,6 @@
 //! What the values of a recording show by themselves: columns that are constant, clipped, frozen, missing, or hold placeholders.
 
-use super::series::rounded;
+use super::series::{range, rounded};
 use super::subject::Subject;
 use crate::finding::{Finding, Severity};
 use ode::Number;
@@ -17,8 +17,9 @@ const CLIPPED: (f64, usize, f64) = (0.05, 5, 0.01);
 /// A value that stays for so many rows in a noisy signal, so many times longer than any other, is that of a sensor that stood still.
 const FROZEN: (usize, usize) = (10, 4);
 
-/// In a noisy signal more than this part of the steps turn, and less than that part are none.
-const NOISY: (f64, f64) = (0.3, 0.2);
+/// In a noisy signal more than this part of the bends are followed by one to the other side, less than that part of the steps are none,
+/// and the median bend is more than this part of the range: less is the rounding of a file.
+const NOISY: (f64, f64, f64) = (0.5, 0.2, 1e-3);
 
 /// Values that loggers write where they have none.
 const PLACEHOLDERS: [f64; 12] =
@@ -158,10 +159,16 @@ fn frozen(values: &[f64]) -> Option<usize> {
     let [before, after] = [&values[..run.start], &values[run.end..]];
     let next = longest_run(before).len().max(longest_run(after).len());
     let count = |of: &dyn Fn(&[f64]) -> usize| of(before) + of(after);
-    let n_turns = count(&|v| v.windows(3).filter(|w| (w[1] - w[0]) * (w[2] - w[1]) < 0.0).count());
+    let bends = |v: &[f64]| v.windows(3).map(|w| w[1] - 0.5 * (w[0] + w[2])).collect::<Vec<f64>>();
+    let n_turns = count(&|v| bends(v).windows(2).filter(|w| w[0] * w[1] < 0.0).count());
+    let mut sizes: Vec<f64> = [before, after].into_iter().flat_map(bends).map(f64::abs).collect();
+    sizes.sort_by(f64::total_cmp);
+    let usual = sizes.get(sizes.len() / 2).copied().unwrap_or_default();
     let n_still = count(&|v| v.windows(2).filter(|w| w[0] == w[1]).count());
     let n_steps = count(&|v| v.len().saturating_sub(1)) as f64;
-    let is_noisy = n_turns as f64 > NOISY.0 * n_steps && (n_still as f64) < NOISY.1 * n_steps;
+    let is_noisy = n_turns as f64 > NOISY.0 * n_steps
+        && (n_still as f64) < NOISY.1 * n_steps
+        && usual > NOISY.2 * range(values);
     (is_noisy && run.len() >= times * next && n_steps >= least as f64).then_some(run.len())
 }
 

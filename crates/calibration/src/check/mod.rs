@@ -128,6 +128,7 @@ impl Calibration {
             }
         }
         doubts.extend(scales::finding(self, Some((at_end, Place::Fitted))));
+        doubts.extend(scales::inverse_weights(self, at_end));
         doubts.retain(|finding| finding.severity != Severity::Note);
         // Notes of the construction say how the data were read.
         doubts.extend(model::construction_warnings(self.warnings()));
@@ -171,7 +172,7 @@ impl Calibration {
         for subject in subjects {
             findings.extend(model::inputs(subject));
             findings.extend(model::units(subject));
-            findings.extend(parameters::given_values(subject));
+            findings.extend(parameters::given_values(subject, &self.problem().parameters));
             findings.extend(times::findings(subject));
             findings.extend(columns::findings(subject));
         }

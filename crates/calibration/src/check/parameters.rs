@@ -4,6 +4,7 @@ use super::series::rounded;
 use super::subject::Subject;
 use crate::column_units::declared;
 use crate::data::UnitConversion;
+use crate::experiment::Experiment;
 use crate::finding::{Finding, Severity};
 use crate::input::InputSource;
 use crate::parameter::Parameter;
@@ -81,9 +82,11 @@ pub(super) fn far_from_own_start(
 }
 
 /// Start values and constant inputs of an experiment that lie outside of the model's range, or far from its own start value.
-pub(super) fn given_values(subject: &Subject<'_>) -> Vec<Finding> {
+pub(super) fn given_values(subject: &Subject<'_>, parameters: &[Parameter]) -> Vec<Finding> {
     let Subject { prefix, experiment, description, .. } = subject;
-    let starts = experiment.start_values.iter().filter_map(|(name, value)| match value {
+    // Those of local parameters are in the unit of the parameter.
+    let is_constant = |(name, _): &&(String, Value)| !Experiment::is_start_of_local(name, parameters);
+    let starts = experiment.start_values.iter().filter(is_constant).filter_map(|(name, value)| match value {
         Value::Real(value) => Some((name, "start value", *value)),
         _ => None,
     });

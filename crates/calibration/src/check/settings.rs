@@ -1,12 +1,12 @@
 //! What the settings of the simulations leave inaccurate: a loose tolerance, a step that is too large.
 
 use super::series::{Evaluated, Evaluations, Place, all_series, rounded, size_of_difference};
+use crate::accuracy::Accuracy;
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::finding::{Finding, Severity};
 use crate::no_cost::NoCost;
 use crate::residual::CostRule;
-use crate::simulations::Accuracy;
 use dfo::RobustLoss;
 use ode::Number;
 

@@ -1,19 +1,9 @@
 //! Means over intervals in place of the rows of a recording, and what of its signals they take away.
 
-use super::table::Data;
+use super::table::{Data, Resampling};
 use crate::error::CalibrationError;
 use ode::Number;
-use serde::{Deserialize, Serialize};
 use std::ops::Range;
-
-/// What means over intervals have taken away.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Resampling {
-    /// In s.
-    pub(crate) interval: f64,
-    /// Columns, and the part of the variance of their signals that is lost: without that of the noise, which means are to take away.
-    pub(crate) lost: Vec<(String, f64)>,
-}
 
 /// Of fewer values nothing is said.
 const FEWEST: usize = 10;
@@ -138,10 +128,10 @@ mod tests {
             data.resampling().unwrap().lost.iter().map(|(_, lost)| *lost).collect()
         };
         let [wave, slow, noise] = lost(5.0)[..] else { panic!() };
-        assert!(wave > 0.99 && slow < 0.02 && noise == 0.0, "{wave} {slow} {noise}");
-        // The mean of a fifth of a period has sin(36 deg) / (36 deg) of its height.
-        let expected = 1.0 - ((std::f64::consts::PI / 5.0).sin() / (std::f64::consts::PI / 5.0)).powi(2);
-        assert!((lost(1.0)[0] - expected).abs() < 0.01, "{:?}", lost(1.0));
+        // The mean of a wave over an angle of 2 a has sin(a) / a of its height.
+        let of_wave = |a: f64| 1.0 - (a.sin() / a).powi(2);
+        assert!(wave > 0.99 && (slow - of_wave(0.25)).abs() < 0.01 && noise == 0.0, "{wave} {slow} {noise}");
+        assert!((lost(1.0)[0] - of_wave(std::f64::consts::PI / 5.0)).abs() < 0.01, "{:?}", lost(1.0));
         assert!(lost(0.5)[0] < 0.05);
     }
 

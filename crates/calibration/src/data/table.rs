@@ -1,7 +1,6 @@
 //! A table of recorded series over one column of times: irregular times, missing values.
 
 use super::clock_change::ClockChange;
-use super::resampling::Resampling;
 use super::series::{Series, sampling_interval};
 use super::time_column::{TimeColumn, find_column, parts};
 use super::units::UnitConversion;
@@ -41,6 +40,15 @@ pub(super) struct Column {
     /// The first numbers with a comma and with a point.
     pub(super) comma: Option<Cell>,
     pub(super) point: Option<Cell>,
+}
+
+/// What means over intervals have taken away.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Resampling {
+    /// In s.
+    pub(crate) interval: f64,
+    /// Columns, and the part of the variance of their signals that is lost: without that of the noise, which means are to take away.
+    pub(crate) lost: Vec<(String, f64)>,
 }
 
 /// Values so many usual distances apart are not joined by a line.

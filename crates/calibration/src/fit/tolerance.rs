@@ -1,13 +1,13 @@
 //! The relative tolerance of a fit's simulations: small enough for its `f_tol`.
 
 use super::noise::{EstimatedNoise, NoiseRule};
+use crate::accuracy::Accuracy;
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::finding::{Finding, Severity};
 use crate::layout::OutputResiduals;
 use crate::no_cost::NoCost;
 use crate::residual::{CostRule, sum_of_squares};
-use crate::simulations::Accuracy;
 use dfo::{Measure, RobustLoss, Tolerances};
 use fmi::InterfaceKind;
 use ode::{Number, Stats};

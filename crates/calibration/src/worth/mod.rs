@@ -9,6 +9,7 @@ mod prior_check;
 mod residual_check;
 mod result;
 mod scores;
+mod unmodelled;
 mod verdict;
 
 use crate::calibration::Calibration;
@@ -32,6 +33,7 @@ pub use result::{Estimator, Worth, WorthOptions};
 pub(crate) use scores::Criterion;
 use scores::Working;
 use std::thread::available_parallelism;
+pub use unmodelled::{Unmodelled, UnmodelledKind};
 
 /// What is known before it is asked what a point is worth.
 #[derive(Default)]
@@ -154,11 +156,10 @@ impl Calibration {
         let measured_cost = sum_of_squares(&residuals);
         let is_exact = self.is_within_tolerance(measured_cost);
         let left_to_gain = if is_exact { 0.0 } else { left_to_gain(&factors.base, &working.residuals) };
-        let prior_conflicts = match known.criterion {
-            Criterion::Loss(loss) if loss.is_linear() => {
-                PriorConflict::all(layout, (parameters, x), &free, (&jacobian, &residuals))
-            }
-            _ => Vec::new(),
+        let is_linear = matches!(known.criterion, Criterion::Loss(loss) if loss.is_linear());
+        let prior_conflicts = match is_linear {
+            true => PriorConflict::all(layout, (parameters, x), (&free, &per_unit), (&jacobian, &residuals)),
+            false => Vec::new(),
         };
         let dependence = (noise.degrees_of_freedom > 0)
             .then(|| Dependence::find(of_base, &noise.groups, &noise.variances))
@@ -250,6 +251,13 @@ impl Calibration {
                 (&worth.residuals, layout.n_measurements()),
                 &jacobian,
             );
+        }
+        if is_linear && !is_exact {
+            for (check, output) in worth.residual_checks.iter_mut().zip(&layout.outputs) {
+                if check.is_systematic() && !check.is_by_weights {
+                    check.unmodelled = Unmodelled::find(output, &worth.residuals, &factors.base);
+                }
+            }
         }
         worth.findings = worth.all_findings(self.problem().experiments.len() > 1, known.f_tol);
         Ok((worth, (0..n).map(|i| curvature[i * n + i]).collect()))

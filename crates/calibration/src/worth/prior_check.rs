@@ -1,7 +1,6 @@
 //! Priors that the measurements contradict.
 
 use super::digits::digits;
-use super::slope;
 use crate::effect::{inner, outer};
 use crate::finding::{Finding, Severity};
 use crate::layout::ResidualLayout;
@@ -29,11 +28,11 @@ pub struct PriorConflict {
 
 impl PriorConflict {
     /// The priors that are contradicted, by the derivatives (m x p, in the coordinates of the search) of the residuals (m), of which those
-    /// of the priors are the last.
+    /// of the priors are the last. `slopes`: of the free parameters by these coordinates.
     pub(super) fn all(
         layout: &ResidualLayout,
         (parameters, x): (&[Parameter], &[f64]),
-        free: &[usize],
+        (free, slopes): (&[usize], &[f64]),
         (jacobian, residuals): (&DMatrix<f64>, &[f64]),
     ) -> Vec<Self> {
         let (n, p) = (layout.n_measurements(), free.len());
@@ -61,7 +60,7 @@ impl PriorConflict {
             let parameter = &parameters[i];
             let (step, error) = (step(k) / length, variance(k).sqrt() / length);
             let without_prior = outer(parameter, inner(parameter, x[i]) + step);
-            let slope = prior.slope(x[i]) * slope(parameter, x[i]);
+            let slope = prior.slope(x[i]) * slopes[k];
             let from_prior = prior.residual(x[i]) + slope * step;
             let deviations = from_prior.abs() / (1.0 + (slope * error).powi(2)).sqrt();
             (deviations > CONTRADICTS).then_some(Self { parameter: i, prior, without_prior, deviations })

@@ -1,6 +1,7 @@
 //! What the residuals of each output look like: mean, autocorrelation, outliers, runs.
 
 use super::digits::digits;
+use super::unmodelled::Unmodelled;
 use crate::finding::{Finding, Severity};
 use crate::layout::{OutputResiduals, ResidualLayout};
 use serde::{Deserialize, Serialize};
@@ -53,6 +54,9 @@ pub struct ResidualCheck {
     /// would leave none of that.
     #[serde(default)]
     pub is_by_weights: bool,
+    /// One number of the measurements that would explain most of them, where they show something that lasts.
+    #[serde(default)]
+    pub unmodelled: Option<Unmodelled>,
 }
 
 impl ResidualCheck {
@@ -70,6 +74,7 @@ impl ResidualCheck {
                 runs: 0.0,
                 is_rounding: is_rounding(output, r),
                 is_by_weights: false,
+                unmodelled: None,
             }
             .with_numbers_of(r)
         };
@@ -113,6 +118,14 @@ impl ResidualCheck {
                     "",
                 );
             }
+        }
+        if let Some(unmodelled) = self.unmodelled {
+            let (what, remedy) = unmodelled.words();
+            let sentence = format!(
+                "{what} would take away {:.1} % of the squares of the {subject}",
+                100.0 * (1.0 - unmodelled.left)
+            );
+            said.push(Finding::new(Severity::Warning, subject.clone(), sentence, remedy));
         }
         let share = 100.0 * self.n_outliers as f64 / self.n as f64;
         if share > MANY_OUTLIERS {

@@ -4,8 +4,8 @@ use super::covariance::{Factors, Noise};
 use super::differences::Differences;
 use super::digits::digits;
 use super::result::{Worth, errors_and_correlation};
+use crate::accuracy::Accuracy;
 use crate::finding::{Finding, Severity};
-use crate::simulations::Accuracy;
 use nalgebra::DMatrix;
 use std::ops::Range;
 
