@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use calibration::{
-    Calibration, CurrentPhase, Data, Experiment, FitOptions, FitPhase, Parameter, SavedFit,
+    Calibration, CheckOptions, CurrentPhase, Data, Experiment, FitOptions, FitPhase, Parameter, SavedFit,
     SimulationSettings, Stage,
 };
 use dfo::{Limits, NelderMead, RunOptions, Termination};
@@ -68,6 +68,19 @@ fn the_choice_of_a_solver_counts_once() {
 /// A simulation of a million million steps.
 fn endless() -> Calibration {
     decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Euler, Some(1e-12))
+}
+
+/// Without its limit a check takes hours, too.
+#[test]
+fn a_check_ends_in_time_where_one_simulation_is_endless() {
+    let began = Instant::now();
+    let options = CheckOptions { max_time: Some(Duration::from_millis(300)), ..CheckOptions::default() };
+    let check = endless().check_with(&options, &|| false).unwrap();
+    assert!(
+        check.to_string().contains("its time limit of 0.3 s before the simulation at the start"),
+        "{check}"
+    );
+    assert!(began.elapsed() < Duration::from_secs(10), "{:?}", began.elapsed());
 }
 
 /// Without the limit this takes hours.

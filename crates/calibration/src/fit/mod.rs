@@ -25,8 +25,8 @@ use crate::parameter::{Parameter, Scale};
 use crate::phase::{Deadline, FitPhase};
 use crate::residual::{CostRule, sum_of_squares};
 use crate::simulations::Simulations;
-use crate::worth::{KnownPoint, Worth, WorthOptions};
-use dfo::{Measure, Report, RobustLoss, Tolerances, typical_size};
+use crate::worth::{KnownPoint, SEARCH, Worth, WorthOptions};
+use dfo::{Measure, Report, RobustLoss, Termination, Tolerances, typical_size};
 use ode::{Number, Stats};
 use rounds::Made;
 use search::{Job, Searched};
@@ -235,7 +235,13 @@ impl Calibration {
         let worth = self.worth_of(&report.x, options.estimator, &known, &mut simulations);
         *stats += simulations.stats;
         match worth {
-            Ok(worth) => Some(worth),
+            Ok(mut worth) => {
+                // Whoever gives a target wants no minimum.
+                if report.termination == Termination::Target {
+                    worth.findings.retain(|finding| finding.subject != SEARCH);
+                }
+                Some(worth)
+            }
             Err(error) => {
                 log::info!("what the fit is worth could not be found out: {error}");
                 None

@@ -34,6 +34,7 @@ pub(crate) use scores::Criterion;
 use scores::Working;
 use std::thread::available_parallelism;
 pub use unmodelled::{Unmodelled, UnmodelledKind};
+pub(crate) use verdict::SEARCH;
 
 /// What is known before it is asked what a point is worth.
 #[derive(Default)]

@@ -27,6 +27,9 @@ const MOVES: f64 = 1e-8;
 /// The data do not move a parameter off its prior whose derivatives are below this part of that of the prior.
 const PRIOR_ALONE: f64 = 1e-3;
 
+/// What a finding is about that says that a search ended early.
+pub(crate) const SEARCH: &str = "search";
+
 impl Worth {
     fn n(&self) -> usize {
         self.x.len()
@@ -259,7 +262,7 @@ impl Worth {
                 digits(100.0 * self.left_to_gain)
             );
             let remedy = "give smaller x_tol and f_tol, or larger limits, and start from the result";
-            Finding::new(Severity::Warning, "search", sentence, remedy)
+            Finding::new(Severity::Warning, SEARCH, sentence, remedy)
         })
     }
 
