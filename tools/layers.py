@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent
 # The modules at the top of each crate, lowest layers first; a line is one layer, and its modules import none of each other.
 LAYERS = {
     "calibration": """
-        error parallel phase prior race visible
+        accuracy error parallel phase prior race visible
         finding
         data no_cost parameter
         input layout

@@ -13,6 +13,7 @@
 //! `export` (files, tables, other programs).
 #![forbid(unsafe_code)]
 
+mod accuracy;
 mod assignment;
 mod calibration;
 mod check;
@@ -57,7 +58,7 @@ mod worker;
 mod worth;
 
 pub use calibration::{Calibration, CalibrationBuilder};
-pub use check::Check;
+pub use check::{Check, CheckOptions};
 pub use column_units::{InputColumn, recorded_inputs};
 pub use cross_validation::{CrossValidation, CrossValidationOptions, Fold};
 pub use data::{
@@ -95,4 +96,4 @@ pub use validation::{ValidatedOutput, Validation, ValidationSet};
 pub use visible::visible;
 pub use warning::{SETUP_LOG_TARGET, SetupWarning};
 pub use worker::serve_if_asked;
-pub use worth::{Estimator, ResidualCheck, Worth, WorthOptions};
+pub use worth::{Estimator, PriorConflict, ResidualCheck, Unmodelled, UnmodelledKind, Worth, WorthOptions};

@@ -1,5 +1,6 @@
-//! Checks before a fit: each parameter is moved once at the start, and the start is simulated a hundred times more accurately.
+//! Checks before a fit: each parameter is moved once at the start, and the start is simulated more accurately.
 
+use crate::accuracy::Accuracy;
 use crate::calibration::Calibration;
 use crate::effect::{inner, outer};
 use crate::error::CalibrationError;
@@ -50,10 +51,13 @@ pub struct Preflight {
     pub confounded: Vec<(usize, usize, f64)>,
     /// Cost at the start.
     pub cost: f64,
-    /// The same with a hundredth of the relative tolerance; `None` where that simulation failed.
+    /// The same with a hundredth of the relative tolerance, or with half the step; `None` where that simulation failed.
     pub accurate_cost: Option<f64>,
     /// The difference of both relative to the cost (0 where the residuals are all error of the simulations): `f_tol` below it asks for what the simulations do not tell.
     pub noise: f64,
+    /// The method has a fixed step: the accurate cost is that with half of it, and the difference is no noise.
+    #[serde(default)]
+    pub is_step_halved: bool,
     /// Wall-clock seconds of an evaluation at the start.
     pub seconds_per_evaluation: f64,
     /// Evaluations that a fit by least squares is expected to take: 12 for each free parameter and one more, a rule of thumb.
@@ -89,7 +93,7 @@ pub struct ParameterCheck {
 
 impl Calibration {
     /// Looks before a fit at what would spoil it: each parameter is moved by a hundredth of its size (one simulation each, in
-    /// parallel), and the start is simulated once more with a hundredth of the relative tolerance. `cancelled` is asked on the calling
+    /// parallel), and the start is simulated once more with a hundredth of the relative tolerance (with a fixed-step method: half the step). `cancelled` is asked on the calling
     /// thread.
     ///
     /// # Errors
@@ -142,7 +146,9 @@ impl Calibration {
         let norm = |changed: &[f64]| {
             changed.iter().zip(&residuals).map(|(c, r)| (c - r) * (c - r)).sum::<f64>().sqrt()
         };
-        let error = accurate.as_deref().map_or(0.0, norm);
+        let is_step_halved = self.has_fixed_step();
+        // That of a fixed step is the same wherever the parameters are.
+        let error = accurate.as_deref().filter(|_| !is_step_halved).map_or(0.0, norm);
         let n_root = (residuals.len() as f64).sqrt();
         let range = self.range_of_measurements();
         let mut checks: Vec<ParameterCheck> = (parameters.iter().zip(&start))
@@ -186,6 +192,7 @@ impl Calibration {
                 Some(accurate) if !self.is_within_tolerance(cost) => (accurate - cost).abs() / cost,
                 _ => 0.0,
             },
+            is_step_halved,
             seconds_per_evaluation,
             expected_evaluations,
             expected_seconds: seconds_per_evaluation * expected_evaluations as f64,
@@ -280,18 +287,22 @@ impl Preflight {
             ));
         }
         if self.noise > 1e-3 {
+            let remedy = match self.is_step_halved {
+                true => "give a smaller step_size, or a solver that chooses its steps",
+                false => "give a smaller relative_tolerance, or f_tol above that",
+            };
             said.push(format!(
-                "the cost at the start changes by {} of its value with a hundredth of the relative tolerance: give a smaller \
-                 relative_tolerance, or f_tol above that",
-                digits(self.noise)
+                "the cost at the start changes by {} of its value with {}: {remedy}",
+                digits(self.noise),
+                Accuracy::words(self.is_step_halved)
             ));
         }
         said
     }
 
-    /// A tolerance of the cost, relative to it, that the simulations can meet: this one, or their noise.
+    /// A tolerance of the cost, relative to it, that the simulations can meet: this one, or their noise. Those of a fixed step have none.
     pub fn f_tol_above_noise(&self, f_tol: f64) -> f64 {
-        f_tol.max(self.noise)
+        if self.is_step_halved { f_tol } else { f_tol.max(self.noise) }
     }
 }
 
@@ -310,7 +321,7 @@ impl fmt::Display for Preflight {
         }
         write!(f, "cost {}", digits(self.cost))?;
         if let Some(accurate) = self.accurate_cost {
-            write!(f, ", {} with a hundredth of the relative tolerance", digits(accurate))?;
+            write!(f, ", {} with {}", digits(accurate), Accuracy::words(self.is_step_halved))?;
         }
         writeln!(
             f,

@@ -1,5 +1,6 @@
 //! Simulations in worker processes: what a worker is asked for, and its answers.
 
+use crate::accuracy::Accuracy;
 use crate::error::CalibrationError;
 use crate::experiment::SimulationSettings;
 use crate::no_cost::{NoCost, ToldNoCost};
@@ -37,8 +38,8 @@ pub(crate) enum Job {
         method: Method,
         loss: RobustLoss,
         cutoff: f64,
-        /// The relative tolerance, where it is not that of the problem.
-        tolerance: Option<f64>,
+        /// Where it is not that of the problem.
+        accuracy: Option<Accuracy>,
     },
     /// A simulation of a race between methods.
     Race(RaceTask),
@@ -158,12 +159,12 @@ impl Remote {
         &self,
         (x, method): (&[f64], Method),
         rule: CostRule<'_>,
-        (tolerance, is_fresh): (Option<f64>, bool),
+        (accuracy, is_fresh): (Option<Accuracy>, bool),
         out: &mut [f64],
         stats: &mut Stats,
     ) -> Result<f64, NoCost> {
         let CostRule { loss, cutoff, cancelled } = rule;
-        let job = Job::Evaluate { x: x.to_vec(), method, loss, cutoff, tolerance };
+        let job = Job::Evaluate { x: x.to_vec(), method, loss, cutoff, accuracy };
         let is_fresh = is_fresh || self.is_always_fresh();
         let mut use_answer = |answer: &mut Frame| {
             let Evaluated { cost, stats } = answer.head()?;

@@ -1,12 +1,13 @@
 //! Simulations around a point, in parallel: what a fit is worth is found from them, and they are counted apart from its evaluations.
 
+use crate::accuracy::Accuracy;
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::no_cost::NoCost;
 use crate::parallel;
 use crate::residual::CostRule;
 use dfo::RobustLoss;
-use fmi::{SimulateOptions, SimulationPlan, Simulator};
+use fmi::{InterfaceKind, SimulateOptions, SimulationPlan, Simulator};
 use ode::Stats;
 use std::sync::Arc;
 
@@ -16,12 +17,18 @@ pub(crate) const ACCURATE: f64 = 100.0;
 /// Integration is not more accurate than this.
 const SMALLEST_TOLERANCE: f64 = 1e-13;
 
+/// A fixed-step method takes so many steps where none is asked for (see [`ode::Options::step_size`]).
+const DEFAULT_STEPS: f64 = 500.0;
+
+/// With a looser relative tolerance residuals may be noise, and their size says nothing of the error of the simulations.
+const LOOSEST_OF_EXACT: f64 = 1e-5;
+
 /// A point to be simulated.
 #[derive(Debug, Clone)]
 pub(crate) struct Point {
     /// In the user's units.
     pub(crate) x: Vec<f64>,
-    /// With a hundredth of the relative tolerance.
+    /// With a hundredth of the relative tolerance; with a fixed-step method, with half the step.
     pub(crate) is_accurate: bool,
 }
 
@@ -102,7 +109,7 @@ impl Calibration {
     pub(crate) fn is_within_tolerance(&self, cost: f64) -> bool {
         let weighted = self.residual_layout().outputs.iter().flat_map(|o| o.measured.iter().zip(&o.weights));
         let measured: f64 = weighted.map(|(y, w)| (y * w) * (y * w)).sum();
-        let tolerance = self.relative_tolerance();
+        let tolerance = self.relative_tolerance().min(LOOSEST_OF_EXACT);
         cost <= (10.0 * tolerance).powi(2) * measured
     }
 
@@ -111,7 +118,13 @@ impl Calibration {
         self.evaluator().simulations[0].pool.plan().relative_tolerance()
     }
 
-    /// As [`evaluate_into`](Self::evaluate_into), with a hundredth of the relative tolerance.
+    /// Whether its simulations have a fixed step.
+    pub(crate) fn has_fixed_step(&self) -> bool {
+        let plan = self.evaluator().simulations[0].pool.plan();
+        plan.kind() == InterfaceKind::ModelExchange && self.problem().settings.method.is_fixed_step()
+    }
+
+    /// As [`evaluate_into`](Self::evaluate_into), with a hundredth of the relative tolerance or half the step.
     fn evaluate_accurately(
         &self,
         x: &[f64],
@@ -120,14 +133,17 @@ impl Calibration {
         stats: &mut Stats,
     ) -> Result<f64, NoCost> {
         let tolerance = self.relative_tolerance();
-        let accurate = (tolerance / ACCURATE).max(SMALLEST_TOLERANCE).min(tolerance);
-        self.evaluate_with(accurate, x, rule, out, stats)
+        let accuracy = match self.has_fixed_step() {
+            true => Accuracy::HalfStep,
+            false => Accuracy::Tolerance((tolerance / ACCURATE).max(SMALLEST_TOLERANCE).min(tolerance)),
+        };
+        self.evaluate_with(accuracy, x, rule, out, stats)
     }
 
-    /// As [`evaluate_into`](Self::evaluate_into), with this relative tolerance.
+    /// As [`evaluate_into`](Self::evaluate_into), with this accuracy.
     pub(crate) fn evaluate_with(
         &self,
-        tolerance: f64,
+        accuracy: Accuracy,
         x: &[f64],
         rule: CostRule<'_>,
         out: &mut [f64],
@@ -135,15 +151,22 @@ impl Calibration {
     ) -> Result<f64, NoCost> {
         if let Ok(remote) = &self.evaluator().remote {
             let method = self.method_until(rule.cancelled)?;
-            return remote.evaluate((x, method), rule, (Some(tolerance), false), out, stats);
+            return remote.evaluate((x, method), rule, (Some(accuracy), false), out, stats);
         }
         self.evaluator().evaluate(x, rule, out, stats, |k, run| {
             let asked = self.evaluator().simulations[k].options_at_start();
-            let options = SimulateOptions {
+            let mut options = SimulateOptions {
                 method: self.known_solver().map_or(asked.method, |solver| solver.method),
-                relative_tolerance: Some(tolerance),
                 ..asked
             };
+            match accuracy {
+                Accuracy::Tolerance(tolerance) => options.relative_tolerance = Some(tolerance),
+                Accuracy::HalfStep => {
+                    let span = options.start_time.zip(options.final_time).map(|(from, to)| to - from);
+                    let step = options.step_size.or(span.map(|span| span / DEFAULT_STEPS));
+                    options.step_size = step.map(|step| 0.5 * step);
+                }
+            }
             Ok(SimulationPlan::new(self.fmu(), &options)
                 .and_then(|plan| run(&mut Simulator::new(Arc::new(plan))?)))
         })

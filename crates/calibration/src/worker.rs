@@ -117,14 +117,14 @@ fn done(
     };
     Ok(match job {
         Job::Load(_) | Job::Open(..) | Job::Simulate(_) => Ok(()),
-        Job::Evaluate { x, method, loss, cutoff, tolerance } => {
+        Job::Evaluate { x, method, loss, cutoff, accuracy } => {
             use_method(method)?;
             calibration.check_length(&x).map_err(model_error)?;
             let (rule, mut stats) = (CostRule { loss, cutoff, cancelled }, Stats::default());
             answer.numbers.resize(calibration.n_residuals(), 0.0);
             let (out, stats_of_it) = (&mut answer.numbers, &mut stats);
-            let cost = match tolerance {
-                Some(tolerance) => calibration.evaluate_with(tolerance, &x, rule, out, stats_of_it),
+            let cost = match accuracy {
+                Some(accuracy) => calibration.evaluate_with(accuracy, &x, rule, out, stats_of_it),
                 None => calibration.evaluate_into(&x, rule, out, stats_of_it),
             };
             if cost.is_err() {

@@ -4,11 +4,14 @@
 
 use calibration::dfo::{DifferentialEvolution, RunOptions};
 use calibration::{
-    Calibration, CalibrationBuilder, Check, Data, Experiment, Finding, FitOptions, Parameter, Scale, Severity,
+    Calibration, CalibrationBuilder, Check, CheckOptions, Data, Experiment, Finding, FitOptions, Parameter,
+    Scale, Severity,
 };
 use example_models::example_fmu;
 use fmi::{Fmu, SimulateOptions};
 use std::path::Path;
+
+const NO_SIMULATION: CheckOptions = CheckOptions { simulate: false, max_time: None };
 
 type Columns = Vec<(String, Vec<f64>)>;
 
@@ -239,8 +242,8 @@ fn a_simulation_that_fails_is_a_finding() {
     let check = calibration.check();
     assert_eq!(check.findings[0].severity, Severity::Error);
     assert!(check.findings[0].sentence.contains("k = -1000000"), "{check}");
-    assert!(calibration.check_until(false, &|| false).unwrap().is_ok());
-    assert!(calibration.check_until(true, &|| true).is_err());
+    assert!(calibration.check_with(&NO_SIMULATION, &|| false).unwrap().is_ok());
+    assert!(calibration.check_with(&CheckOptions::default(), &|| true).is_err());
 }
 
 /// A decay with k = 20 and x(0) = 0.9, its value and its derivative measured with these errors; k and x(0) from 15 and 0.5.
@@ -283,7 +286,7 @@ fn outputs_of_unlike_scale_are_named_before_the_fit_and_after_it_where_their_noi
             before.subject == "outputs 'x' and 'der(x)'" && before.sentence.contains("at the start values")
         );
         // Without a simulation as well.
-        let unsimulated = calibration.check_until(false, &|| false).unwrap();
+        let unsimulated = calibration.check_with(&NO_SIMULATION, &|| false).unwrap();
         assert_eq!(of_scales(&unsimulated.findings).len(), 1, "{unsimulated}");
         let fit = calibration.fit(FitOptions::default()).unwrap();
         assert_eq!(of_scales(&fit.findings()).len(), usize::from(is_unlike), "{fit}");

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use calibration::{
-    Calibration, CurrentPhase, Data, Experiment, FitOptions, FitPhase, Parameter, SavedFit,
+    Calibration, CheckOptions, CurrentPhase, Data, Experiment, FitOptions, FitPhase, Parameter, SavedFit,
     SimulationSettings, Stage,
 };
 use dfo::{Limits, NelderMead, RunOptions, Termination};
@@ -39,9 +39,9 @@ fn every_simulation_is_counted_and_none_is_made_twice() {
     let fit = calibration.fit(options).unwrap();
     let one = calibration.simulate(&[1.0], None).unwrap()[0].stats.right_hand_sides;
     let worth = fit.worth.as_ref().unwrap();
-    // The accurate simulation of a fixed step has the same length; the end and the start were among the evaluations.
+    // The end and the start were among the evaluations. The accurate simulation has twice as many steps, and one initialisation.
     let expected = evaluations + fit.report.n_speculative + fit.n_checks + worth.n_simulations;
-    assert_eq!(fit.stats.right_hand_sides, one * expected as u64, "{fit}");
+    assert_eq!(fit.stats.right_hand_sides, one * expected as u64 + (one - 1), "{fit}");
     assert!(worth.n_simulations <= 1 + 2 * 2 * 2, "{}", worth.n_simulations);
 }
 
@@ -68,6 +68,19 @@ fn the_choice_of_a_solver_counts_once() {
 /// A simulation of a million million steps.
 fn endless() -> Calibration {
     decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Euler, Some(1e-12))
+}
+
+/// Without its limit a check takes hours, too.
+#[test]
+fn a_check_ends_in_time_where_one_simulation_is_endless() {
+    let began = Instant::now();
+    let options = CheckOptions { max_time: Some(Duration::from_millis(300)), ..CheckOptions::default() };
+    let check = endless().check_with(&options, &|| false).unwrap();
+    assert!(
+        check.to_string().contains("its time limit of 0.3 s before the simulation at the start"),
+        "{check}"
+    );
+    assert!(began.elapsed() < Duration::from_secs(10), "{:?}", began.elapsed());
 }
 
 /// Without the limit this takes hours.

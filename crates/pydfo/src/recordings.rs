@@ -5,7 +5,8 @@ use crate::data::PyTable;
 use crate::description::Fmu;
 use crate::error;
 use crate::findings::{self, FindingFields};
-use calibration::{Data, Experiment};
+use crate::settings::time_limit;
+use calibration::{CheckOptions, Data, Experiment};
 use numpy::PyArray1;
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -16,8 +17,10 @@ pub(crate) fn check(
     py: Python<'_>,
     calibration: &PyCalibration,
     simulate: bool,
+    max_time: Option<f64>,
 ) -> PyResult<(Vec<FindingFields>, String, usize, bool)> {
-    let check = calibration.compute(py, move |c, cancelled| c.check_until(simulate, cancelled))?;
+    let options = CheckOptions { simulate, max_time: time_limit("max_time", max_time)? };
+    let check = calibration.compute(py, move |c, cancelled| c.check_with(&options, cancelled))?;
     let (table, is_ok) = (check.to_string(), check.is_ok());
     Ok((findings::fields(check.findings), table, check.n_evaluations, is_ok))
 }

@@ -1,69 +1,105 @@
 //! What does not fit between model, recordings and parameters, said before anything is fitted.
 
+mod columns;
 mod model;
-mod recording;
+mod options;
+mod parameters;
+mod repeated;
 mod result;
 mod scales;
+mod series;
+mod settings;
+mod signals;
 mod simulated;
 mod subject;
+mod time_unit;
+mod times;
 
 pub(crate) use model::unstated_noise;
+pub use options::CheckOptions;
 pub use result::Check;
 
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::finding::{Finding, Severity};
+use crate::phase::Deadline;
 use ode::Stats;
-use simulated::{Evaluated, Place};
+use series::{Evaluated, Evaluations, Outputs, Place};
 use subject::Subject;
 
 impl Calibration {
-    /// Looks for what does not fit, and says what to do about it: with one evaluation at the parameters' start values, and another with
-    /// times a thousandth as long where the times could be in ms.
+    /// Looks for what does not fit, and says what to do about it: with one evaluation at the parameters' start values, another with
+    /// times a thousandth as long where the times could be in ms, and another with half the step where that is fixed.
     ///
-    /// Looked at are the times (order, gaps, unit, start), the recorded values (constant, clipped, missing, units, initial values,
-    /// columns that are swapped), outputs that count unlike in the cost, inputs that nothing drives or that end early, and ranges that
-    /// the model states for its parameters. What cannot be evaluated at all is refused when the calibration is built.
+    /// Looked at are the times (order, gaps, unit, start, months taken for days), the recorded values (constant, clipped, frozen, missing,
+    /// placeholders, units, initial values, wrapped angles, columns that are swapped, recordings that are there twice), outputs that count
+    /// unlike in the cost, inputs that nothing drives or that end early, values, ranges and start values that the model states for its
+    /// parameters, and how accurate the simulations are. What cannot be evaluated at all is refused when the calibration is built.
     pub fn check(&self) -> Check {
-        self.check_until(true, &|| false).unwrap_or_default()
+        self.check_with(&CheckOptions::default(), &|| false).unwrap_or_default()
     }
 
-    /// As [`check`](Self::check); simulates only if `simulate` says so, and ends when `cancelled` does.
+    /// As [`check`](Self::check), as it is asked for; ends when `cancelled` says so.
     ///
     /// # Errors
-    /// [`CalibrationError::Cancelled`] alone: a simulation that fails is a finding.
-    pub fn check_until(
+    /// [`CalibrationError::Cancelled`] alone: a simulation that fails is a finding, and so is the end of the time.
+    pub fn check_with(
         &self,
-        simulate: bool,
+        options: &CheckOptions,
         cancelled: &dyn Fn() -> bool,
     ) -> Result<Check, CalibrationError> {
+        let deadline = Deadline::new(options.max_time);
+        let is_ended = || deadline.is_over() || cancelled();
+        let mut evaluations = Evaluations { cancelled: &is_ended, n: 0, stats: Stats::default() };
         let subjects = self.subjects();
         let mut findings = model::construction_warnings(self.warnings());
-        findings.extend(self.findings_of_description_and_data(&subjects));
+        findings.extend(self.findings_of_description_and_data(&subjects, &self.start()));
         findings.extend(model::unstated_noise(self.problem()));
-        let (mut n_evaluations, mut at_start) = (0, None);
-        if simulate {
-            n_evaluations += 1;
-            match self.residuals_until(&self.start(), cancelled) {
-                Ok(residuals) => at_start = Some(Evaluated { residuals, x: self.start() }),
-                Err(CalibrationError::Cancelled) => return Err(CalibrationError::Cancelled),
-                Err(error) => findings.push(Finding::new(
+        let mut at_start = None;
+        let simulated = match options.simulate {
+            true => self.findings_of_simulations(&subjects, &mut at_start, &mut findings, &mut evaluations),
+            false => Ok(()),
+        };
+        match simulated {
+            Err(CalibrationError::Cancelled) if !cancelled() => {
+                findings.push(options.out_of_time(at_start.is_some()))
+            }
+            other => other?,
+        }
+        let squares = at_start.as_ref().map(|at: &Evaluated| (at.residuals.as_slice(), Place::Start));
+        findings.extend(scales::finding(self, squares));
+        findings.sort_by_key(|finding| finding.severity);
+        Ok(Check { findings, n_evaluations: evaluations.n })
+    }
+
+    /// What simulations at the start values show, as far as the time goes.
+    fn findings_of_simulations(
+        &self,
+        subjects: &[Subject<'_>],
+        at_start: &mut Option<Evaluated>,
+        findings: &mut Vec<Finding>,
+        evaluations: &mut Evaluations<'_>,
+    ) -> Result<(), CalibrationError> {
+        evaluations.n += 1;
+        let start = match self.residuals_until(&self.start(), evaluations.cancelled) {
+            Ok(residuals) => at_start.insert(Evaluated { residuals, x: self.start() }),
+            Err(CalibrationError::Cancelled) => return Err(CalibrationError::Cancelled),
+            Err(error) => {
+                findings.push(Finding::new(
                     Severity::Error,
                     "start values",
                     error.to_string(),
                     "start where the model can be simulated; fits try other points, but their first steps are taken from here",
-                )),
+                ));
+                return Ok(());
             }
-        }
-        if let Some(at_start) = &at_start {
-            let mut evaluations = simulated::Evaluations { cancelled, n: 0, stats: Stats::default() };
-            findings.extend(simulated::findings(self, &subjects, (at_start, None), &mut evaluations)?);
-            n_evaluations += evaluations.n;
-        }
-        let squares = at_start.as_ref().map(|at| (at.residuals.as_slice(), Place::Start));
-        findings.extend(scales::finding(self, squares));
-        findings.sort_by_key(|finding| finding.severity);
-        Ok(Check { findings, n_evaluations })
+        };
+        let outputs = Outputs::new(self, (start, None));
+        findings.extend(simulated::findings(subjects, &outputs));
+        findings.extend(signals::findings(subjects, &outputs));
+        findings.extend(time_unit::findings(self, subjects, &outputs, evaluations)?);
+        findings.extend(settings::large_step(self, (start, Place::Start), evaluations)?);
+        Ok(())
     }
 
     /// What a check finds beyond notes, judged again at the result of a fit: a doubt that the fitted values have removed is none any
@@ -76,12 +112,15 @@ impl Calibration {
         stats: &mut Stats,
     ) -> Vec<Finding> {
         let subjects = self.subjects();
-        let mut doubts = self.findings_of_description_and_data(&subjects);
+        let mut doubts = self.findings_of_description_and_data(&subjects, x);
         if let Some(at_start) = at_start {
             let [at_start, at_end] = [(at_start, start), (at_end, x)]
                 .map(|(residuals, x)| Evaluated { residuals: residuals.to_vec(), x: x.to_vec() });
-            let mut evaluations = simulated::Evaluations { cancelled, n: 0, stats: Stats::default() };
-            let found = simulated::findings(self, &subjects, (&at_start, Some(&at_end)), &mut evaluations);
+            let outputs = Outputs::new(self, (&at_start, Some(&at_end)));
+            doubts.extend(simulated::findings(&subjects, &outputs));
+            doubts.extend(signals::findings(&subjects, &outputs));
+            let mut evaluations = Evaluations { cancelled, n: 0, stats: Stats::default() };
+            let found = time_unit::findings(self, &subjects, &outputs, &mut evaluations);
             *stats += evaluations.stats;
             match found {
                 Ok(found) => doubts.extend(found),
@@ -89,10 +128,25 @@ impl Calibration {
             }
         }
         doubts.extend(scales::finding(self, Some((at_end, Place::Fitted))));
+        doubts.extend(scales::inverse_weights(self, at_end));
         doubts.retain(|finding| finding.severity != Severity::Note);
         // Notes of the construction say how the data were read.
         doubts.extend(model::construction_warnings(self.warnings()));
         doubts
+    }
+
+    /// A fixed step that is too large at the result of a fit whose worth, which compares with half of it, is not known.
+    pub(crate) fn large_step_after_fit(
+        &self,
+        (x, residuals): (&[f64], &[f64]),
+        cancelled: &dyn Fn() -> bool,
+        stats: &mut Stats,
+    ) -> Option<Finding> {
+        let at = Evaluated { residuals: residuals.to_vec(), x: x.to_vec() };
+        let mut evaluations = Evaluations { cancelled, n: 0, stats: Stats::default() };
+        let found = settings::large_step(self, (&at, Place::Fitted), &mut evaluations);
+        *stats += evaluations.stats;
+        found.ok().flatten()
     }
 
     fn subjects(&self) -> Vec<Subject<'_>> {
@@ -109,13 +163,18 @@ impl Calibration {
     }
 
     /// What is found without a simulation.
-    fn findings_of_description_and_data(&self, subjects: &[Subject<'_>]) -> Vec<Finding> {
-        let mut findings = model::parameters(self.parameters(), self.fmu().description());
+    fn findings_of_description_and_data(&self, subjects: &[Subject<'_>], x: &[f64]) -> Vec<Finding> {
+        let (parameters, description) = (self.parameters(), self.fmu().description());
+        let mut findings = parameters::ranges(parameters, description);
+        findings.extend(parameters::far_from_own_start(parameters, x, description));
+        findings.extend(settings::loose_tolerance(self));
+        findings.extend(repeated::findings(self, subjects));
         for subject in subjects {
             findings.extend(model::inputs(subject));
             findings.extend(model::units(subject));
-            findings.extend(recording::times(subject));
-            findings.extend(recording::columns(subject));
+            findings.extend(parameters::given_values(subject, &self.problem().parameters));
+            findings.extend(times::findings(subject));
+            findings.extend(columns::findings(subject));
         }
         findings
     }

@@ -1,16 +1,12 @@
-//! What the description of the model says about parameters, inputs and units.
+//! What the description of the model says about inputs and units, and what was in doubt before.
 
 use super::subject::Subject;
 use crate::column_units::declared;
-use crate::data::UnitConversion;
 use crate::experiment::InitialState;
 use crate::finding::{Finding, Severity};
-use crate::parameter::Parameter;
 use crate::problem::Problem;
 use crate::warning::SetupWarning;
-use fmi::ModelDescription;
 use fmi::description::{Causality, Variable};
-use ode::Number;
 
 /// What was in doubt when the calibration was built.
 pub(super) fn construction_warnings(warnings: &[SetupWarning]) -> Vec<Finding> {
@@ -39,62 +35,12 @@ pub(crate) fn unstated_noise(problem: &Problem) -> Option<Finding> {
         Severity::Note,
         format!("prior of {priors}"),
         format!(
-            "it counts in units of its standard deviation, but nothing states the standard deviation of the noise of {outputs}, which is \
-             taken for 1 over the weight: where it is smaller, the prior decides"
+            "it counts in units of its standard deviation, and nothing states the standard deviation of the noise of {outputs}: a fit of \
+             the sum of squares estimates it with the parameters; a fit with a robust loss, or with noise 'stated', takes it for 1 over the \
+             weight, and the prior decides where it is smaller"
         ),
-        "a fit of the sum of squares estimates the noise with the parameters; weights of 1/sigma state it",
+        "weights of 1/sigma state it",
     ))
-}
-
-/// Parameters whose start or bounds lie beyond the range that the model states.
-pub(super) fn parameters(parameters: &[Parameter], description: &ModelDescription) -> Vec<Finding> {
-    let mut findings = Vec::new();
-    for parameter in parameters {
-        let first = parameter.variable_names().first();
-        let Some(variable) = first.and_then(|name| declared(description, name)) else { continue };
-        // The model's range in the unit of the parameter.
-        let given = parameter.given_unit().filter(|_| !parameter.is_tied());
-        let conversion = given.and_then(|unit| UnitConversion::to_variable(unit, variable, description).ok());
-        let own = |value| conversion.unwrap_or(UnitConversion::IDENTITY).invert(value);
-        let (min, max) = (variable.min.map(own), variable.max.map(own));
-        let (low, high) = (min.unwrap_or(f64::NEG_INFINITY), max.unwrap_or(f64::INFINITY));
-        let subject = format!("parameter '{}'", parameter.name());
-        let range = match (min, max) {
-            (Some(low), Some(high)) => format!("from {} to {}", Number(low), Number(high)),
-            (Some(low), None) => format!("of at least {}", Number(low)),
-            (None, Some(high)) => format!("of at most {}", Number(high)),
-            (None, None) => continue,
-        };
-        let start = parameter.start();
-        if start < low || start > high {
-            findings.push(Finding::new(
-                Severity::Warning,
-                subject,
-                format!("start {} is outside of the model's range {range}", Number(start)),
-                "start within it; is its unit that of the model?",
-            ));
-            continue;
-        }
-        let beyond = [
-            (parameter.lower() < low).then(|| ("lower", parameter.lower())),
-            (parameter.upper() > high).then(|| ("upper", parameter.upper())),
-        ];
-        for (side, bound) in beyond.into_iter().flatten() {
-            let text = if bound.is_finite() {
-                format!("{side} bound {}", Number(bound))
-            } else {
-                format!("no {side} bound")
-            };
-            let severity = if bound.is_finite() { Severity::Warning } else { Severity::Note };
-            findings.push(Finding::new(
-                severity,
-                subject.clone(),
-                format!("{text}, but the model states a range {range}"),
-                "simulations beyond it may fail or mean nothing: give bounds within it",
-            ));
-        }
-    }
-    findings
 }
 
 /// Inputs that nothing drives.

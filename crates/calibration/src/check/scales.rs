@@ -1,10 +1,11 @@
 //! Outputs that are measured on unlike scales and have the same weight: the largest decides the fit.
 
-use super::simulated::{Place, rounded};
+use super::series::{Place, rounded};
 use crate::calibration::Calibration;
 use crate::column_units::declared;
 use crate::experiment::Weight;
 use crate::finding::{Finding, Severity};
+use crate::layout::OutputResiduals;
 use ode::Number;
 
 /// Outputs that differ by this factor have 99 % and 1 % of the squares.
@@ -94,4 +95,43 @@ pub(super) fn finding(calibration: &Calibration, residuals: Option<(&[f64], Plac
             percent(relative(small), cost_with_sd),
         ),
     ))
+}
+
+/// Weights that are as unlike as the residuals, instead of as their inverses, within this factor on a logarithmic scale.
+const AS_RESIDUALS: std::ops::RangeInclusive<f64> = 0.5..=2.0;
+
+/// Outputs of unlike residuals whose weights are in proportion to these: sigma, where 1/sigma is meant.
+pub(super) fn inverse_weights(calibration: &Calibration, residuals: &[f64]) -> Option<Finding> {
+    let outputs = &calibration.residual_layout().outputs;
+    let measured = |o: &OutputResiduals| &calibration.problem().experiments[o.experiment].outputs[o.output];
+    let is_given = |o: &OutputResiduals| {
+        matches!(measured(o).weight, Weight::Constant(_) | Weight::Rows(_) | Weight::Column(_))
+    };
+    if !outputs.iter().all(is_given) {
+        return None;
+    }
+    let rms = |o: &OutputResiduals, weights: &dyn Fn(usize) -> f64| {
+        let squares = residuals[o.range.clone()].iter().enumerate().map(|(k, r)| (r / weights(k)).powi(2));
+        (squares.sum::<f64>() / o.range.len() as f64).sqrt()
+    };
+    let of = |o| (o, rms(o, &|k| o.weights[k]), rms(o, &|_| 1.0) / rms(o, &|k| o.weights[k]));
+    let by_size = |a: &(&OutputResiduals, f64, f64), b: &(&OutputResiduals, f64, f64)| a.1.total_cmp(&b.1);
+    let all = || outputs.iter().map(of).filter(|(_, rms, weight)| *rms > 0.0 && *weight > 0.0);
+    let (small, large) = (all().min_by(by_size)?, all().max_by(by_size)?);
+    let (unlike, of_weights) = (large.1 / small.1, large.2 / small.2);
+    let is_inverse = unlike >= UNLIKE && AS_RESIDUALS.contains(&(of_weights.ln() / unlike.ln()));
+    is_inverse.then(|| {
+        Finding::new(
+            Severity::Warning,
+            format!("outputs '{}' and '{}'", small.0.variable, large.0.variable),
+            format!(
+                "their residuals are {} and {} (RMS), and their weights {} and {}: the noisier one counts more",
+                Number(rounded(small.1)),
+                Number(rounded(large.1)),
+                Number(rounded(small.2)),
+                Number(rounded(large.2))
+            ),
+            "are the weights sigma? 1/sigma gives the smallest standard errors",
+        )
+    })
 }

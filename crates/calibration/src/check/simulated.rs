@@ -1,18 +1,12 @@
 //! What an evaluation at the start values shows: measurements in another unit, swapped, or far from the simulation from the start.
 
+use super::series::{Outputs, Place, Series, range, rounded, size, size_of_difference};
 use super::subject::Subject;
-use crate::calibration::Calibration;
 use crate::column_units::declared;
 use crate::data::{UnitConversion, parts, sampling_interval};
-use crate::error::CalibrationError;
 use crate::finding::{Finding, Severity};
-use crate::layout::OutputResiduals;
-use crate::no_cost::NoCost;
-use crate::residual::CostRule;
-use dfo::RobustLoss;
-use ode::{Number, Stats};
+use ode::Number;
 use std::f64::consts::PI;
-use std::fmt;
 
 /// Measured and simulated values that differ in size by less than this are left to the parameters.
 const LARGE: f64 = 30.0;
@@ -38,123 +32,25 @@ const SMALL_RATIOS: [(f64, &str); 4] = [
 ];
 const CLOSE: f64 = 0.1;
 
-/// A simulation that leaves more of the variance of the measurements than this has not followed them.
-const UNEXPLAINED: f64 = 0.5;
-
-/// A millisecond in s.
-const MILLI: f64 = 1e-3;
-
 /// 0 degC in K.
 const ZERO_CELSIUS: f64 = 273.15;
-
-/// Values of the parameters, and the residuals there.
-pub(super) struct Evaluated {
-    pub(super) x: Vec<f64>,
-    pub(super) residuals: Vec<f64>,
-}
-
-/// Evaluations that are made: how many, and what they take.
-pub(super) struct Evaluations<'a> {
-    pub(super) cancelled: &'a dyn Fn() -> bool,
-    pub(super) n: usize,
-    pub(super) stats: Stats,
-}
-
-/// Where the parameters are as they are looked at.
-#[derive(Clone, Copy, PartialEq)]
-pub(super) enum Place {
-    Start,
-    Fitted,
-}
-
-impl fmt::Display for Place {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Start => "at the start values",
-            Self::Fitted => "at the fitted values",
-        })
-    }
-}
-
-/// An output as it was measured and simulated.
-struct Series<'a> {
-    of: &'a OutputResiduals,
-    simulated: Vec<f64>,
-}
 
 /// The findings of all experiments at the start, judged again where there is a result of a fit: what holds an output or its initial
 /// value off may have been fitted. Another unit, or swapped columns, parameters make up for by values that mean nothing: such doubts
 /// stay if the parameters have moved as far as that takes, or the result has them, too.
-///
-/// # Errors
-/// [`CalibrationError::Cancelled`].
-pub(super) fn findings(
-    calibration: &Calibration,
-    subjects: &[Subject<'_>],
-    (at_start, fitted): (&Evaluated, Option<&Evaluated>),
-    evaluations: &mut Evaluations<'_>,
-) -> Result<Vec<Finding>, CalibrationError> {
-    let series = all_series(calibration, &at_start.residuals);
-    let fitted_series = fitted.map(|fitted| all_series(calibration, &fitted.residuals));
-    let place = if fitted.is_some() { Place::Fitted } else { Place::Start };
-    let may_be = |factor: f64| fitted.is_none_or(|fitted| has_moved((&at_start.x, &fitted.x), factor));
+pub(super) fn findings(subjects: &[Subject<'_>], outputs: &Outputs<'_>) -> Vec<Finding> {
     let mut findings = Vec::new();
-    for (k, one) in series.iter().enumerate() {
+    for (one, last) in outputs.at_start.iter().zip(outputs.last()) {
         let subject = &subjects[one.of.experiment];
-        let last = fitted_series.as_ref().map_or(one, |fitted| &fitted[k]);
-        let of_unit =
-            unit(one, subject).filter(|(_, factor)| may_be(*factor) || unit(last, subject).is_some());
+        let stays = |factor: f64| outputs.may_have_taken(factor) || unit(last, subject).is_some();
+        let of_unit = unit(one, subject).filter(|(_, factor)| stays(*factor));
         // In another unit everything else is off, too.
         let found = of_unit.map(|(finding, _)| finding);
-        findings.extend(found.or_else(|| held(last, subject, place)).or_else(|| initial(last, subject)));
+        let found = found.or_else(|| held(last, subject, outputs.place())).or_else(|| initial(last, subject));
+        findings.extend(found);
     }
-    findings.extend(swapped(&series, subjects));
-    if may_be(MILLI.recip())
-        || fitted_series.as_ref().is_some_and(|fitted| unexplained(fitted) >= UNEXPLAINED)
-    {
-        findings.extend(in_milliseconds(calibration, &series, subjects, evaluations)?);
-    }
-    Ok(findings)
-}
-
-/// Whether a fit has moved a parameter as far as a factor in the data or in time takes, by half of it on a logarithmic scale, or from
-/// zero or through it.
-fn has_moved((start, x): (&[f64], &[f64]), factor: f64) -> bool {
-    let has = |(from, to): (&f64, &f64)| {
-        from != to && (from * to <= 0.0 || (to / from).ln().abs() >= 0.5 * factor.ln().abs())
-    };
-    start.iter().zip(x).any(has)
-}
-
-fn all_series<'a>(calibration: &'a Calibration, residuals: &[f64]) -> Vec<Series<'a>> {
-    let simulated = |of: &OutputResiduals| {
-        let own = residuals[of.range.clone()].iter().zip(&of.weights).zip(&of.measured);
-        own.map(|((r, w), measured)| measured + r / w).collect()
-    };
-    calibration.residual_layout().outputs.iter().map(|of| Series { of, simulated: simulated(of) }).collect()
-}
-
-impl Series<'_> {
-    fn name(&self, subject: &Subject<'_>) -> String {
-        format!("{}output '{}' (column '{}')", subject.prefix, self.of.variable, self.of.column)
-    }
-}
-
-fn range(values: &[f64]) -> f64 {
-    let (low, high) =
-        values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
-    high - low
-}
-
-/// Root of the mean square.
-fn size(values: impl ExactSizeIterator<Item = f64>) -> f64 {
-    let n = values.len() as f64;
-    (values.map(|v| v * v).sum::<f64>() / n).sqrt()
-}
-
-fn size_of_difference(measured: &[f64], simulated: impl Iterator<Item = f64>) -> f64 {
-    let differences: Vec<f64> = measured.iter().zip(simulated).map(|(m, s)| m - s).collect();
-    size(differences.into_iter())
+    findings.extend(swapped(&outputs.at_start, subjects));
+    findings
 }
 
 /// Measurements whose range and size are both some other multiple of those of the simulation, with the factor; or that are 273.15
@@ -240,15 +136,6 @@ fn unit(series: &Series<'_>, subject: &Subject<'_>) -> Option<(Finding, f64)> {
     None
 }
 
-/// Three digits.
-pub(super) fn rounded(value: f64) -> f64 {
-    if value == 0.0 {
-        return value;
-    }
-    let ten = 10f64.powi(2 - value.abs().log10().floor() as i32);
-    if ten.is_finite() && ten > 0.0 { (value * ten).round() / ten } else { value }
-}
-
 /// Outputs that stay where they start in the simulation, but not in the recording.
 fn held(series: &Series<'_>, subject: &Subject<'_>, place: Place) -> Option<Finding> {
     let (measured, simulated) = (&series.of.measured, &series.simulated);
@@ -326,74 +213,4 @@ fn swapped(series: &[Series<'_>], subjects: &[Subject<'_>]) -> Vec<Finding> {
         }
     }
     findings
-}
-
-/// How much of the variance of the measurements is left, on average over the outputs.
-fn unexplained(series: &[Series<'_>]) -> f64 {
-    let of_one = |s: &Series<'_>| {
-        let n = s.of.measured.len() as f64;
-        let mean = s.of.measured.iter().sum::<f64>() / n;
-        let spread = size_of_difference(&s.of.measured, std::iter::repeat(mean)).powi(2);
-        let left = size_of_difference(&s.of.measured, s.simulated.iter().copied()).powi(2);
-        if spread > 0.0 { left / spread } else { 0.0 }
-    };
-    series.iter().map(of_one).sum::<f64>() / series.len() as f64
-}
-
-/// Recordings that the simulation answers a thousand times faster: each row at least half a unit from the next, the costs of the whole a
-/// tenth, and the measurements better explained than by their means.
-fn in_milliseconds(
-    calibration: &Calibration,
-    series: &[Series<'_>],
-    subjects: &[Subject<'_>],
-    evaluations: &mut Evaluations<'_>,
-) -> Result<Option<Finding>, CalibrationError> {
-    let is_coarse =
-        |s: &Subject<'_>| s.experiment.data.sampling_interval().is_some_and(|interval| interval >= 0.5);
-    if !subjects.iter().all(is_coarse) {
-        return Ok(None);
-    }
-    let as_given = unexplained(series);
-    if as_given < UNEXPLAINED {
-        return Ok(None);
-    }
-    let Some(fast) = a_thousandth_as_long(calibration) else { return Ok(None) };
-    evaluations.n += 1;
-    let mut residuals = vec![0.0; fast.n_residuals()];
-    let rule = CostRule::whole(RobustLoss::default(), evaluations.cancelled);
-    match fast.evaluate_into(&fast.start(), rule, &mut residuals, &mut evaluations.stats) {
-        Ok(_) => {}
-        Err(NoCost::Cancelled) => return Err(CalibrationError::Cancelled),
-        Err(_) => return Ok(None),
-    }
-    let in_ms = unexplained(&all_series(&fast, &residuals));
-    let duration = subjects[0].experiment.data.time();
-    let duration = duration[duration.len() - 1] - duration[0];
-    Ok((in_ms < 0.1 * as_given && in_ms < UNEXPLAINED).then(|| {
-        Finding::new(
-            Severity::Warning,
-            format!("{}{}", subjects[0].prefix, subjects[0].experiment.data.source()),
-            format!(
-                "it lasts {} s; with times a thousandth as long the simulation at the start values is {} times closer: the times look as if \
-                 they were in ms",
-                Number(duration),
-                Number(rounded((as_given / in_ms).sqrt()))
-            ),
-            "state the unit in the name of the column: 'time [ms]'",
-        )
-    }))
-}
-
-/// The same calibration with its times a thousandth as long.
-fn a_thousandth_as_long(calibration: &Calibration) -> Option<Calibration> {
-    let mut problem = calibration.problem().clone();
-    for experiment in &mut problem.experiments {
-        experiment.data.scale_times(MILLI);
-        let windows = experiment.windows.iter_mut();
-        windows.for_each(|(from, to)| (*from, *to) = (MILLI * *from, MILLI * *to));
-        experiment.warm_up = experiment.warm_up.map(|seconds| MILLI * seconds);
-        experiment.start_time = experiment.start_time.map(|start| MILLI * start);
-        experiment.delays.iter_mut().for_each(|(_, delay)| *delay *= MILLI);
-    }
-    calibration.derived(problem).ok()
 }

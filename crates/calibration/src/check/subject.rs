@@ -20,6 +20,14 @@ const EXAMPLES: [&str; 16] =
     ["mm", "degC", "K", "deg", "rpm", "bar", "km/h", "ms", "g", "cm2", "l", "l/min", "kg/h", "kW", "%", "Hz"];
 
 impl Subject<'_> {
+    /// How long the recording lasts, and the experiment that the model suggests; in s.
+    pub(super) fn durations(&self) -> Option<(f64, f64)> {
+        let suggested = &self.description.default_experiment;
+        let asked = suggested.stop_time? - suggested.start_time.unwrap_or(0.0);
+        let time = self.experiment.data.time();
+        (asked > 0.0).then(|| (time[time.len() - 1] - time[0], asked))
+    }
+
     /// A unit that values of a variable may be recorded in, other than its own; `None` where the model states none, or an unknown one.
     pub(super) fn example_unit(&self, variable: &str) -> Option<String> {
         let variable = declared(self.description, variable)?;

@@ -3,6 +3,7 @@
 mod clock_change;
 mod csv;
 mod dates;
+mod resampling;
 mod series;
 mod symbols;
 mod table;

@@ -15,15 +15,18 @@ use std::ops::Range;
 /// Times ascend; a time may stand twice (an input jumps there), never three times. A missing value is NaN.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Data {
-    source: String,
-    time_name: String,
-    time: Series,
-    columns: Vec<Column>,
+    pub(super) source: String,
+    pub(super) time_name: String,
+    pub(super) time: Series,
+    pub(super) columns: Vec<Column>,
     /// Names of columns that were left out.
-    left_out: Vec<String>,
+    pub(super) left_out: Vec<String>,
     /// An hour that is missing in times without a zone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     clock_change: Option<ClockChange>,
+    /// What means have taken away.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) resampling: Option<Resampling>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -37,6 +40,15 @@ pub(super) struct Column {
     /// The first numbers with a comma and with a point.
     pub(super) comma: Option<Cell>,
     pub(super) point: Option<Cell>,
+}
+
+/// What means over intervals have taken away.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Resampling {
+    /// In s.
+    pub(crate) interval: f64,
+    /// Columns, and the part of the variance of their signals that is lost: without that of the noise, which means are to take away.
+    pub(crate) lost: Vec<(String, f64)>,
 }
 
 /// Values so many usual distances apart are not joined by a line.
@@ -150,7 +162,15 @@ impl Data {
                 return bad(format!("time {} at {} stands there for the third time", Number(*t), place(i)));
             }
         }
-        Ok(Self { source, time_name, time, columns, left_out: Vec::new(), clock_change: None })
+        Ok(Self {
+            source,
+            time_name,
+            time,
+            columns,
+            left_out: Vec::new(),
+            clock_change: None,
+            resampling: None,
+        })
     }
 
     /// Where the table comes from, as errors name it.
@@ -284,74 +304,6 @@ impl Data {
     pub fn masked_by(self, columns: &[&str], by: &str) -> Result<Self, CalibrationError> {
         let keep: Vec<bool> = self.column(by)?.iter().map(|v| !v.is_nan() && *v != 0.0).collect();
         self.masked(columns, &keep)
-    }
-
-    /// A table of means over intervals of this length in s, beginning with the first time: of each column the mean of its values there, at
-    /// the mean of the times of these values. Columns with values in the same rows of an interval share a row; missing values are NaN.
-    /// Means keep a slope, and the noise falls with the root of their number; what is faster than the interval is lost.
-    ///
-    /// # Errors
-    /// The interval is not positive, or shorter than the distance of the times: nothing is made up between them.
-    pub fn resampled(mut self, interval: f64) -> Result<Self, CalibrationError> {
-        let bad = |message: String| CalibrationError::Data { source_name: self.source.clone(), message };
-        if !(interval.is_finite() && interval > 0.0) {
-            return Err(bad(format!(
-                "the interval of resampling must be positive and finite, not {}",
-                Number(interval)
-            )));
-        }
-        if let Some(own) = self.sampling_interval().filter(|own| interval < *own * (1.0 - 1e-9)) {
-            return Err(bad(format!(
-                "rows every {} s cannot be made of rows every {} s: values between them are not made up",
-                Number(interval),
-                Number(own)
-            )));
-        }
-        // Times that fall on a limit up to rounding belong to the interval that begins there.
-        let start = self.time[0];
-        let number = |time: f64| ((time - start) / interval + 1e-9).floor();
-        let rows: Vec<Range<usize>> = (self.time.chunk_by(|a, b| number(*a) == number(*b)))
-            .scan(0, |end, chunk| {
-                let begin = std::mem::replace(end, *end + chunk.len());
-                Some(begin..*end)
-            })
-            .collect();
-        let mean = |values: &[f64], known: &[usize]| {
-            known.iter().map(|row| values[*row]).sum::<f64>() / known.len() as f64
-        };
-        // Per interval the times of the means in ascending order, with the columns that have theirs then.
-        let mut time = Vec::with_capacity(rows.len());
-        let mut means: Vec<Vec<f64>> = vec![Vec::with_capacity(rows.len()); self.columns.len()];
-        let mut known = Vec::new();
-        for rows in &rows {
-            let all: Vec<usize> = rows.clone().collect();
-            let mut found: Vec<(f64, Vec<(usize, f64)>)> = Vec::new();
-            for (k, column) in self.columns.iter().enumerate() {
-                known.clear();
-                known.extend(all.iter().copied().filter(|row| !column.values[*row].is_nan()));
-                if known.is_empty() {
-                    continue;
-                }
-                let (at, value) = (mean(&self.time, &known), mean(&column.values, &known));
-                match found.iter_mut().find(|(time, _)| *time == at) {
-                    Some((_, columns)) => columns.push((k, value)),
-                    None => found.push((at, vec![(k, value)])),
-                }
-            }
-            if found.is_empty() {
-                found.push((mean(&self.time, &all), Vec::new()));
-            }
-            found.sort_by(|a, b| a.0.total_cmp(&b.0));
-            for (at, values) in found {
-                time.push(at);
-                means.iter_mut().for_each(|column| column.push(f64::NAN));
-                let last = time.len() - 1;
-                values.into_iter().for_each(|(k, value)| means[k][last] = value);
-            }
-        }
-        self.time = time.into();
-        self.columns.iter_mut().zip(means).for_each(|(column, values)| column.values = values.into());
-        Ok(self)
     }
 
     /// Multiplies the times with a positive factor.
@@ -490,43 +442,6 @@ mod tests {
             (table().masked_by(&["y"], "z"), "no column 'z'"),
         ] {
             assert!(result.unwrap_err().to_string().contains(expected), "{expected}");
-        }
-    }
-
-    #[test]
-    fn resampled_columns_keep_their_own_times() {
-        // y = 1 + 2 t, known in every third row, and z in every row.
-        let time: Vec<f64> = (0..60).map(|k| 0.1 * f64::from(k)).collect();
-        let line: Vec<f64> = time.iter().map(|t| 1.0 + 2.0 * t).collect();
-        let y = line.iter().enumerate().map(|(k, v)| if k % 3 == 2 { *v } else { f64::NAN }).collect();
-        let columns = [("y".to_owned(), y), ("z".to_owned(), line)];
-        let data = Data::from_columns(time, columns).unwrap().resampled(0.5).unwrap();
-        for name in ["y", "z"] {
-            let rows = data.time().iter().zip(data.column(name).unwrap()).filter(|(_, v)| !v.is_nan());
-            assert_eq!(rows.clone().count(), 12, "{name}");
-            for (t, v) in rows {
-                assert!((v - (1.0 + 2.0 * t)).abs() < 1e-12, "{name}: {v} at {t}");
-            }
-        }
-        assert!(data.time().windows(2).all(|pair| pair[0] < pair[1]));
-    }
-
-    #[test]
-    fn resampling_takes_means() {
-        let data = table().resampled(0.3).unwrap();
-        let near =
-            |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12) && a.len() == b.len();
-        let known = |name: &str| -> (Vec<f64>, Vec<f64>) {
-            let rows = data.time().iter().zip(data.column(name).unwrap()).filter(|(_, v)| !v.is_nan());
-            rows.unzip()
-        };
-        let (times, values) = known("y");
-        assert!(near(&times, &[0.1, 0.4, 0.6]) && near(&values, &[1.0, 4.0, 6.0]), "{times:?} {values:?}");
-        for (interval, expected) in [
-            (0.05, "rows every 0.05 s cannot be made of rows every 0.1"),
-            (f64::NAN, "positive and finite, not NaN"),
-        ] {
-            assert!(table().resampled(interval).unwrap_err().to_string().contains(expected));
         }
     }
 }

@@ -27,11 +27,27 @@ use crate::parameter::{Parameter, Scale};
 use crate::phase::{Deadline, FitPhase};
 use crate::residual::{CostRule, sum_of_squares};
 use crate::simulations::Simulations;
-use crate::worth::{KnownPoint, Worth, WorthOptions};
-use dfo::{Measure, Report, RobustLoss, Tolerances, typical_size};
-use ode::Stats;
+use crate::worth::{KnownPoint, SEARCH, Worth, WorthOptions};
+use dfo::{Measure, Report, RobustLoss, Termination, Tolerances, typical_size};
+use ode::{Number, Stats};
 use rounds::Made;
 use search::{Job, Searched};
+
+/// With a relative tolerance of this size or more a search ends anywhere.
+const LOOSE: f64 = 0.1;
+
+/// Tolerances of the search that mean nothing.
+fn loose(tolerances: &Tolerances) -> Option<Finding> {
+    let Tolerances { x_tol, f_tol, measure, .. } = *tolerances;
+    let given = [("x_tol", x_tol, "of the size of each parameter"), ("f_tol", f_tol, "of the cost")];
+    let loose = given.into_iter().filter(|(_, tolerance, _)| *tolerance >= LOOSE);
+    let said: Vec<String> =
+        loose.map(|(name, tolerance, of)| format!("{name} {} is a part {of}", Number(tolerance))).collect();
+    (measure == Measure::Relative && !said.is_empty()).then(|| {
+        let sentence = format!("{}: the search may end far from the minimum", said.join(", "));
+        Finding::new(Severity::Warning, "tolerances", sentence, "leave them out, or give 1e-4")
+    })
+}
 
 impl Calibration {
     /// Fits the parameters.
@@ -71,6 +87,7 @@ impl Calibration {
             let sentence = format!("the FMU ran in this process: {reason}");
             remarks.push(Finding::new(Severity::Note, "isolation", sentence, ""));
         }
+        remarks.extend(loose(&tolerances));
         phase.set(FitPhase::Checks);
         let is_whole = worth.is_some() && held.is_empty();
         let (at_start, at_end) =
@@ -78,6 +95,9 @@ impl Calibration {
         if let Some(at_end) = at_end.as_deref().filter(|_| is_whole && is_over(&report.termination)) {
             let (from, to) = ((start.as_slice(), at_start.as_deref()), (report.x.as_slice(), at_end));
             remarks.extend(own.check_after_fit(from, to, &cancelled, &mut stats));
+        }
+        if let Some(at_end) = at_end.as_deref().filter(|_| noise == Some(FitNoise::Stated)) {
+            remarks.extend(noise::contradictions_of_stated(own, at_end));
         }
         let outputs =
             at_end.as_deref().map_or_else(Vec::new, |at_end| own.output_fits_of(at_end, at_start.as_deref()));
@@ -95,6 +115,11 @@ impl Calibration {
             }
             worth
         });
+        if let Some(at_end) =
+            at_end.as_deref().filter(|_| own.has_fixed_step() && worth.is_none() && is_whole)
+        {
+            remarks.extend(own.large_step_after_fit((&report.x, at_end), &cancelled, &mut stats));
+        }
         let start_cost =
             report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());
         let is_start = report.trace.is_empty() && report.fun.is_finite();
@@ -212,7 +237,13 @@ impl Calibration {
         let worth = self.worth_of(&report.x, options.estimator, &known, &mut simulations);
         *stats += simulations.stats;
         match worth {
-            Ok(worth) => Some(worth),
+            Ok(mut worth) => {
+                // Whoever gives a target wants no minimum.
+                if report.termination == Termination::Target {
+                    worth.findings.retain(|finding| finding.subject != SEARCH);
+                }
+                Some(worth)
+            }
             Err(error) => {
                 log::info!("what the fit is worth could not be found out: {error}");
                 None

@@ -258,6 +258,36 @@ impl EstimatedNoise {
     }
 }
 
+/// Residuals this many times as large or as small as the stated noise contradict it, of so many or more.
+const CONTRADICTS_STATED: (f64, usize) = (2.0, 10);
+
+/// What the residuals of a fit say of the noise that its weights state, on which the weight of the priors depends.
+pub(super) fn contradictions_of_stated(calibration: &Calibration, residuals: &[f64]) -> Vec<Finding> {
+    let (problem, layout) = (calibration.problem(), calibration.residual_layout());
+    let (factor, fewest) = CONTRADICTS_STATED;
+    let of = |output: &OutputResiduals| {
+        let ratio = root_mean_square(&residuals[output.range.clone()]);
+        let is_known = weight(problem, output).states_noise() && output.measured.len() >= fewest;
+        if !is_known || (1.0 / factor..=factor).contains(&ratio) {
+            return None;
+        }
+        let (meaning, remedy) = match ratio > 1.0 {
+            true => (
+                "a prior or the model keeps it off its measurements, or the noise is larger than stated, and priors count too little",
+                "are the priors and the weights (1/sigma) right? noise 'estimated' takes the noise from the residuals",
+            ),
+            false => (
+                "the noise is smaller than stated, and priors count too much",
+                "are the weights 1/sigma, not sigma? noise 'estimated' takes the noise from the residuals",
+            ),
+        };
+        let sentence =
+            format!("its residuals are {} times the noise that its weights state: {meaning}", digits(ratio));
+        Some(Finding::new(Severity::Warning, format!("noise of {}", output.variable), sentence, remedy))
+    };
+    layout.outputs.iter().filter_map(of).collect()
+}
+
 /// How much each residual is fitted: the diagonal of the projection onto the changes that the parameters make, from the m x n Jacobian
 /// of all residuals.
 pub(super) fn leverages(jacobian: &[f64], n: usize) -> Vec<f64> {

@@ -1,6 +1,7 @@
 //! The relative tolerance of a fit's simulations: small enough for its `f_tol`.
 
 use super::noise::{EstimatedNoise, NoiseRule};
+use crate::accuracy::Accuracy;
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::finding::{Finding, Severity};
@@ -64,7 +65,7 @@ impl ChosenTolerance {
 
 impl Calibration {
     /// Chooses the tolerance of a fit from this start, with the residuals there, as they count, where they are known with the tolerance of
-    /// the calibration; hands on those that are known with the chosen one. `None`: it was given, or a co-simulation has its own, or `f_tol`
+    /// the calibration; hands on those that are known with the chosen one. `None`: it was given, a co-simulation has its own, the step is fixed, or `f_tol`
     /// is zero.
     pub(crate) fn choose_tolerance(
         &self,
@@ -77,7 +78,7 @@ impl Calibration {
         let plan = self.evaluator().simulations[0].pool.plan();
         let is_given = self.problem().settings.relative_tolerance.is_some();
         let has_own = stated.is_none() && plan.kind() != InterfaceKind::ModelExchange;
-        if is_given || has_own || tolerances.f_tol == 0.0 {
+        if is_given || has_own || self.has_fixed_step() || tolerances.f_tol == 0.0 {
             return Ok(None);
         }
         let first_used = plan.relative_tolerance();
@@ -91,8 +92,13 @@ impl Calibration {
         let mut simulated = |tolerance: f64| {
             let mut residuals = vec![0.0; self.n_residuals()];
             let before = stats.seconds.get();
-            let cost =
-                self.evaluate_with(tolerance, start, CostRule::whole(loss, cancelled), &mut residuals, stats);
+            let cost = self.evaluate_with(
+                Accuracy::Tolerance(tolerance),
+                start,
+                CostRule::whole(loss, cancelled),
+                &mut residuals,
+                stats,
+            );
             match cost {
                 Ok(_) => Ok(Some((residuals, stats.seconds.get() - before))),
                 Err(NoCost::Cancelled) => Err(CalibrationError::Cancelled),

@@ -13,7 +13,10 @@ const BY_CHANCE: f64 = 4.0;
 /// Marks the outputs with systematic residuals that one step of least squares, with the residuals of each output in units of their
 /// noise instead of the weights, brings to reproduce their measurements, while the others are reproduced as well as before. Outputs that
 /// contradict each other are none. `jacobian`: of the residuals (m) by the free parameters (p), m x p.
-pub(super) fn mark(checks: &mut [ResidualCheck], residuals: &[f64], jacobian: &DMatrix<f64>) {
+///
+/// `n`: how many of the residuals are those of measurements. An output that is as good without the priors, by the same weights, is kept
+/// away by these.
+pub(super) fn mark(checks: &mut [ResidualCheck], (residuals, n): (&[f64], usize), jacobian: &DMatrix<f64>) {
     let p = jacobian.ncols();
     let mut variables: Vec<(String, Vec<usize>)> = Vec::new();
     let mut from = 0;
@@ -29,6 +32,12 @@ pub(super) fn mark(checks: &mut [ResidualCheck], residuals: &[f64], jacobian: &D
         return;
     }
     let residuals = DVector::from_column_slice(residuals);
+    let of_measurements: Vec<usize> = (0..n).collect();
+    let without_priors = (n < residuals.len()).then(|| {
+        let step = least_squares(jacobian.select_rows(&of_measurements), &residuals.rows(0, n).into_owned())?;
+        Some(jacobian * step + &residuals)
+    });
+    let without_priors = without_priors.flatten();
     for (own, (name, rows)) in variables.iter().enumerate() {
         let is_systematic = checks.iter().any(|check| check.variable == *name && check.is_systematic());
         if !is_systematic || rows.len() < RESIDUALS_PER_PARAMETER * p {
@@ -66,8 +75,10 @@ pub(super) fn mark(checks: &mut [ResidualCheck], residuals: &[f64], jacobian: &D
             let rows = from..from + check.n;
             from = rows.end;
             if check.variable == *name && check.is_systematic() {
-                let alone = check.clone().with_numbers_of(&moved.as_slice()[rows]);
-                check.is_by_weights = !alone.is_systematic();
+                let is_removed = |r: &DVector<f64>| {
+                    !check.clone().with_numbers_of(&r.as_slice()[rows.clone()]).is_systematic()
+                };
+                check.is_by_weights = is_removed(&moved) && !without_priors.as_ref().is_some_and(is_removed);
             }
         }
     }
@@ -123,7 +134,7 @@ mod tests {
         };
         let layout = ResidualLayout { outputs: vec![output(0), output(1)], priors: Vec::new() };
         let mut checks = ResidualCheck::all(&layout, &["run1".to_owned()], r.as_slice());
-        mark(&mut checks, r.as_slice(), &j);
+        mark(&mut checks, (r.as_slice(), 2 * n), &j);
         checks
     }
 

@@ -5,9 +5,11 @@ mod by_weights;
 mod covariance;
 mod differences;
 mod digits;
+mod prior_check;
 mod residual_check;
 mod result;
 mod scores;
+mod unmodelled;
 mod verdict;
 
 use crate::calibration::Calibration;
@@ -21,7 +23,8 @@ use covariance::{Factors, Noise, groups};
 use dfo::{Kind, RobustLoss};
 use differences::{Center, Differences};
 pub(crate) use digits::digits;
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
+pub use prior_check::PriorConflict;
 pub use residual_check::ResidualCheck;
 pub(crate) use residual_check::{MEDIAN_DEVIATION, median};
 pub(crate) use result::check_level;
@@ -30,6 +33,8 @@ pub use result::{Estimator, Worth, WorthOptions};
 pub(crate) use scores::Criterion;
 use scores::Working;
 use std::thread::available_parallelism;
+pub use unmodelled::{Unmodelled, UnmodelledKind};
+pub(crate) use verdict::SEARCH;
 
 /// What is known before it is asked what a point is worth.
 #[derive(Default)]
@@ -51,7 +56,7 @@ pub(crate) struct KnownPoint<'a> {
 
 impl Calibration {
     /// How much a point is worth as the result of a fit: covariance and correlation of the parameters, what the data cannot tell, what
-    /// the residuals look like, and the cost with a hundredth of the relative tolerance. Takes one simulation for that, and two for
+    /// the residuals look like, and the cost with a hundredth of the relative tolerance (of a fixed-step method: half the step). Takes one simulation for that, and two for
     /// each parameter that is not held, at least twice (steps of about one standard error are found by a first round). Simulations run
     /// in parallel. `cancelled` is asked on the calling thread.
     ///
@@ -115,7 +120,9 @@ impl Calibration {
             (None, _) => found.swap_remove(1).map_err(|message| self.failed_at(x, message, None))?,
         };
         let accurate = found.swap_remove(0).ok();
-        let simulation_error = accurate.as_ref().map_or(0.0, |accurate| {
+        let is_step_halved = self.has_fixed_step();
+        // That of a fixed step is the same on all sides.
+        let simulation_error = accurate.as_ref().filter(|_| !is_step_halved).map_or(0.0, |accurate| {
             accurate.iter().zip(&residuals).map(|(a, r)| (a - r) * (a - r)).sum::<f64>().sqrt()
         });
         let layout = self.residual_layout();
@@ -147,6 +154,14 @@ impl Calibration {
         let noise = Noise::estimate((layout, &residuals), &working, &outputs, of_fit);
         let most = noise.degrees_of_freedom as f64;
         let of_base = (&factors.base, working.residuals.as_slice());
+        let measured_cost = sum_of_squares(&residuals);
+        let is_exact = self.is_within_tolerance(measured_cost);
+        let left_to_gain = if is_exact { 0.0 } else { left_to_gain(&factors.base, &working.residuals) };
+        let is_linear = matches!(known.criterion, Criterion::Loss(loss) if loss.is_linear());
+        let prior_conflicts = match is_linear {
+            true => PriorConflict::all(layout, (parameters, x), (&free, &per_unit), (&jacobian, &residuals)),
+            false => Vec::new(),
+        };
         let dependence = (noise.degrees_of_freedom > 0)
             .then(|| Dependence::find(of_base, &noise.groups, &noise.variances))
             .flatten();
@@ -216,8 +231,12 @@ impl Calibration {
             identifiable: Vec::new(),
             findings: Vec::new(),
             cost: cost(&residuals),
-            is_exact: self.is_within_tolerance(sum_of_squares(&residuals)),
+            is_exact,
             accurate_cost: accurate.as_deref().map(cost),
+            is_step_halved,
+            left_to_gain,
+            prior_conflicts,
+            has_loss: matches!(known.criterion, Criterion::Loss(loss) if !loss.is_linear()),
             jacobian: by_parameters,
             residuals,
             n_simulations: simulations.n - before,
@@ -226,7 +245,21 @@ impl Calibration {
         worth.find_confounded();
         worth.find_weakest(&jacobian, &free);
         worth.find_identifiable((&differences, &noise), &free, &sizes);
-        by_weights::mark(&mut worth.residual_checks, &worth.residuals, &jacobian);
+        // What is no minimum has residuals that other values of the parameters leave none of, whatever the weights.
+        if left_to_gain == 0.0 {
+            by_weights::mark(
+                &mut worth.residual_checks,
+                (&worth.residuals, layout.n_measurements()),
+                &jacobian,
+            );
+        }
+        if is_linear && !is_exact {
+            for (check, output) in worth.residual_checks.iter_mut().zip(&layout.outputs) {
+                if check.is_systematic() && !check.is_by_weights {
+                    check.unmodelled = Unmodelled::find(output, &worth.residuals, &factors.base);
+                }
+            }
+        }
         worth.findings = worth.all_findings(self.problem().experiments.len() > 1, known.f_tol);
         Ok((worth, (0..n).map(|i| curvature[i * n + i]).collect()))
     }
@@ -236,6 +269,18 @@ impl Calibration {
         let (lower, upper, at) = (inner(p, p.lower()), inner(p, p.upper()), inner(p, x));
         (at - lower).min(upper - at) <= AT * self.size_of(p, x)
     }
+}
+
+/// A step of least squares that takes away less than this part of the cost, or is shorter than a standard error, is none.
+const LEAST_GAIN: f64 = 0.01;
+
+/// The part of the squares of these residuals that lies along the changes which the parameters make, by an orthonormal base of them.
+fn left_to_gain(base: &DMatrix<f64>, residuals: &[f64]) -> f64 {
+    let all = sum_of_squares(residuals);
+    let along = (base.transpose() * DVector::from_column_slice(residuals)).norm_squared();
+    let degrees = residuals.len().saturating_sub(base.ncols()) as f64;
+    let is_step = along > LEAST_GAIN * all && along * degrees > (all - along).max(0.0);
+    if is_step { (along / all).min(1.0) } else { 0.0 }
 }
 
 /// Derivative of a parameter by its coordinate in the search.

@@ -1,12 +1,13 @@
 //! What the residuals of each output look like: mean, autocorrelation, outliers, runs.
 
 use super::digits::digits;
+use super::unmodelled::Unmodelled;
 use crate::finding::{Finding, Severity};
 use crate::layout::{OutputResiduals, ResidualLayout};
 use serde::{Deserialize, Serialize};
 
-/// Residuals farther than this many robust standard deviations from their median are outliers.
-const OUTLIER: f64 = 4.0;
+/// Residuals farther than this many robust standard deviations from their median are outliers, from so many residuals on.
+const OUTLIER: [(usize, f64); 2] = [(20, 4.0), (8, 10.0)];
 
 /// That many of them, in percent, are no chance: of normally distributed ones 0.006 % lie there.
 const MANY_OUTLIERS: f64 = 0.2;
@@ -40,7 +41,8 @@ pub struct ResidualCheck {
     pub deviation: f64,
     /// Their autocorrelation at lag one; NaN for fewer than three, and where all are the same.
     pub autocorrelation: f64,
-    /// How many lie beyond four robust standard deviations (by the median absolute deviation) from the median.
+    /// How many lie beyond four robust standard deviations (by the median absolute deviation) from the median; ten where there are
+    /// fewer than 20 residuals, none where there are fewer than 8: few of them tell their deviation badly.
     pub n_outliers: usize,
     /// How many standard deviations the number of runs of one sign is above (below: negative) that of independent residuals (Wald
     /// and Wolfowitz, Ann. Math. Statist. 11, 1940); NaN where all have one sign.
@@ -52,6 +54,9 @@ pub struct ResidualCheck {
     /// would leave none of that.
     #[serde(default)]
     pub is_by_weights: bool,
+    /// One number of the measurements that would explain most of them, where they show something that lasts.
+    #[serde(default)]
+    pub unmodelled: Option<Unmodelled>,
 }
 
 impl ResidualCheck {
@@ -69,6 +74,7 @@ impl ResidualCheck {
                 runs: 0.0,
                 is_rounding: is_rounding(output, r),
                 is_by_weights: false,
+                unmodelled: None,
             }
             .with_numbers_of(r)
         };
@@ -76,7 +82,7 @@ impl ResidualCheck {
     }
 
     /// What is to be said of them; `name`: of the output.
-    pub(crate) fn findings(&self, name: &str) -> Vec<Finding> {
+    pub(crate) fn findings(&self, name: &str, has_loss: bool) -> Vec<Finding> {
         let mut said = Vec::new();
         if self.is_rounding {
             return said;
@@ -113,14 +119,28 @@ impl ResidualCheck {
                 );
             }
         }
+        if let Some(unmodelled) = self.unmodelled {
+            let (what, remedy) = unmodelled.words();
+            let sentence = format!(
+                "{what} would take away {:.1} % of the squares of the {subject}",
+                100.0 * (1.0 - unmodelled.left)
+            );
+            said.push(Finding::new(Severity::Warning, subject.clone(), sentence, remedy));
+        }
         let share = 100.0 * self.n_outliers as f64 / self.n as f64;
         if share > MANY_OUTLIERS {
             let sentence = format!(
-                "{} of {} {subject} ({share:.1} %) lie beyond 4 robust standard deviations: outliers",
-                self.n_outliers, self.n
+                "{} of {} {subject} ({share:.1} %) lie beyond {} robust standard deviations: outliers{}",
+                self.n_outliers,
+                self.n,
+                outlier_limit(self.n).unwrap_or_default(),
+                if has_loss { ", which the robust loss counts less" } else { "" }
             );
-            let remedy = "a robust loss counts them less";
-            said.push(Finding::new(Severity::Warning, subject, sentence, remedy));
+            let (severity, remedy) = match has_loss {
+                true => (Severity::Note, ""),
+                false => (Severity::Warning, "a robust loss counts them less"),
+            };
+            said.push(Finding::new(severity, subject, sentence, remedy));
         }
         said
     }
@@ -197,10 +217,16 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
     }
 }
 
+/// Beyond how many robust standard deviations residuals are outliers, of so many.
+fn outlier_limit(n: usize) -> Option<f64> {
+    OUTLIER.into_iter().find(|(least, _)| n >= *least).map(|(_, limit)| limit)
+}
+
 fn n_outliers(r: &[f64]) -> usize {
+    let Some(limit) = outlier_limit(r.len()) else { return 0 };
     let center = median(&mut r.to_vec());
     let mut distances: Vec<f64> = r.iter().map(|r| (r - center).abs()).collect();
-    let limit = OUTLIER * median(&mut distances) / MEDIAN_DEVIATION;
+    let limit = limit * median(&mut distances) / MEDIAN_DEVIATION;
     if limit > 0.0 { distances.iter().filter(|d| **d > limit).count() } else { 0 }
 }
 

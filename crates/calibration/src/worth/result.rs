@@ -1,6 +1,7 @@
 //! The numbers of what a fit is worth, confidence intervals, and how they are printed.
 
 use super::digits::digits;
+use super::prior_check::PriorConflict;
 use super::residual_check::ResidualCheck;
 use super::scores::Criterion;
 use crate::error::CalibrationError;
@@ -122,11 +123,24 @@ pub struct Worth {
     pub findings: Vec<Finding>,
     /// The cost, as the fit has it.
     pub cost: f64,
-    /// The cost with simulations a hundred times more accurate; `None` where they failed.
+    /// The cost with a hundredth of the relative tolerance, or with half the step; `None` where that simulation failed.
     pub accurate_cost: Option<f64>,
+    /// The method has a fixed step: the accurate cost is that with half of it.
+    #[serde(default)]
+    pub is_step_halved: bool,
     /// Whether the residuals are within ten relative tolerances of the measurements: the data hold no noise, and how accurate the cost
     /// is does not matter.
     pub is_exact: bool,
+    /// The part of the cost that one more step of least squares would take away: 0 at a minimum. 0 too where that step is within the
+    /// standard errors, and where the measurements are reproduced [exactly](Self::is_exact).
+    #[serde(default)]
+    pub left_to_gain: f64,
+    /// Priors that the measurements contradict.
+    #[serde(default)]
+    pub prior_conflicts: Vec<PriorConflict>,
+    /// The cost has a robust loss.
+    #[serde(default)]
+    pub has_loss: bool,
     /// Derivatives of the residuals by the parameters, m x n, row by row, in the user's units; zero for those that are held.
     pub jacobian: Vec<f64>,
     /// The residuals, m, before a loss.

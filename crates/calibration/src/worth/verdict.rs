@@ -4,6 +4,7 @@ use super::covariance::{Factors, Noise};
 use super::differences::Differences;
 use super::digits::digits;
 use super::result::{Worth, errors_and_correlation};
+use crate::accuracy::Accuracy;
 use crate::finding::{Finding, Severity};
 use nalgebra::DMatrix;
 use std::ops::Range;
@@ -25,6 +26,9 @@ const MOVES: f64 = 1e-8;
 
 /// The data do not move a parameter off its prior whose derivatives are below this part of that of the prior.
 const PRIOR_ALONE: f64 = 1e-3;
+
+/// What a finding is about that says that a search ended early.
+pub(crate) const SEARCH: &str = "search";
 
 impl Worth {
     fn n(&self) -> usize {
@@ -234,15 +238,31 @@ impl Worth {
         let difference = (accurate - self.cost).abs();
         let size = self.cost.abs().max(accurate.abs());
         (difference > f_tol * size && !self.is_exact).then(|| {
+            let (subject, own, remedy) = match self.is_step_halved {
+                true => ("step", "the step", "give a smaller step_size, or a solver that chooses its steps"),
+                false => ("relative tolerance", "that", "give a smaller relative_tolerance"),
+            };
             let sentence = format!(
-                "the cost is {} with that of the fit, and changes by {} with a hundredth of it, relative to itself by {}: more than \
-                 f_tol, {}",
+                "the cost is {} with {own} of the fit, and changes by {} with {}, relative to itself by {}: more than f_tol, {}",
                 digits(self.cost),
                 digits(accurate - self.cost),
+                Accuracy::words(self.is_step_halved),
                 digits(difference / size),
                 digits(f_tol),
             );
-            Finding::new(Severity::Warning, "relative tolerance", sentence, "give a smaller relative_tolerance")
+            Finding::new(Severity::Warning, subject, sentence, remedy)
+        })
+    }
+
+    /// A search that ended before its minimum.
+    fn not_at_minimum(&self) -> Option<Finding> {
+        (self.left_to_gain > 0.0).then(|| {
+            let sentence = format!(
+                "one more step of least squares would take away {} % of the cost: the search ended before the minimum",
+                digits(100.0 * self.left_to_gain)
+            );
+            let remedy = "give smaller x_tol and f_tol, or larger limits, and start from the result";
+            Finding::new(Severity::Warning, SEARCH, sentence, remedy)
         })
     }
 
@@ -297,9 +317,11 @@ impl Worth {
                 true => format!("{} of {}", check.variable, check.experiment),
                 false => check.variable.clone(),
             };
-            said.extend(check.findings(&name));
+            said.extend(check.findings(&name, self.has_loss));
         }
         said.extend(self.accuracy_finding(f_tol));
+        said.extend(self.not_at_minimum());
+        said.extend(self.prior_conflicts.iter().map(|c| c.finding(&self.names[c.parameter])));
         said
     }
 }

@@ -672,18 +672,21 @@ class Calibration:
         return fit
 
     @explained
-    def check(self, simulate: bool = True) -> _check.Check:
+    def check(self, simulate: bool = True, *, max_time: SupportsFloat | None = 30.0) -> _check.Check:
         """Looks for what does not fit between model, recordings and parameters, and says what to do about it.
 
-        Looked at are the times (gaps, unit, start), the recorded values (constant, clipped, missing, in other units than the model, far
-        from the simulation at the start, columns that are swapped), inputs that nothing drives or that end early, and the ranges that the
-        model states for its parameters.
+        Looked at are the times (gaps, unit, start, months taken for days), the recorded values (constant, clipped, frozen, missing,
+        placeholders, in other units than the model, far from the simulation at the start, wrapped angles, columns that are swapped,
+        recordings that are there twice, too coarse means), inputs that nothing drives or that end early, values, ranges and start values
+        that the model states for its parameters, and how accurate the simulations are.
 
         Parameters
         ----------
         simulate : bool
             Whether to simulate all experiments once at the start values (and once with times a thousandth as long, where they could be
-            in ms).
+            in ms; and once with half the step, where that is fixed).
+        max_time : float, optional
+            Wall-clock limit of the whole check in s; None: no limit. What was found until then is the result, with a finding that says so.
 
         Returns
         -------
@@ -700,7 +703,7 @@ class Calibration:
         >>> calibration.check()[0].severity
         'warning'
         """
-        return _check.of(self._native, _options.flag("simulate", simulate))
+        return _check.of(self._native, _options.flag("simulate", simulate), _options.optional_number("max_time", max_time))
 
     def plot_data(self) -> Figure:
         """Draws the recordings before anything is simulated: measurements and inputs in the units of the model, the rows outside of the
@@ -725,7 +728,7 @@ class Calibration:
         """Looks before a fit at what would spoil it; ``print(calibration.preflight())`` shows a table.
 
         Each parameter is moved by a hundredth of its size (one simulation each, in parallel), and the start is simulated once
-        more with a hundredth of the relative tolerance.
+        more with a hundredth of the relative tolerance (with a fixed-step solver: half the step).
 
         Parameters
         ----------
@@ -754,7 +757,7 @@ class Calibration:
         """What a point is worth as the result of a fit: standard errors, correlation, what the data cannot tell.
 
         From central differences of the residuals over steps of about one standard error along the principal axes of the
-        covariance, and one simulation with a hundredth of the relative tolerance; all in parallel.
+        covariance, and one simulation with a hundredth of the relative tolerance (with a fixed-step solver: half the step); all in parallel.
 
         Parameters
         ----------

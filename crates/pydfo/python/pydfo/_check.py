@@ -61,6 +61,6 @@ class Check(Sequence[Finding]):
         getattr(printer, "text")(self._table)
 
 
-def of(calibration: _core.Calibration, simulate: bool) -> Check:
+def of(calibration: _core.Calibration, simulate: bool, max_time: float | None) -> Check:
     """The check of a calibration."""
-    return Check(*_core.check(calibration, simulate))
+    return Check(*_core.check(calibration, simulate, max_time))

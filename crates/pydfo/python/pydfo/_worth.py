@@ -30,7 +30,7 @@ class ResidualCheck(NamedTuple):
     autocorrelation: float
     """At lag one; NaN for fewer than three."""
     n_outliers: int
-    """How many lie beyond four robust standard deviations from the median."""
+    """How many lie beyond four robust standard deviations from the median (ten of fewer than 20 residuals; of fewer than 8 none do)."""
     runs: float
     """How many standard deviations the number of runs of one sign is above that of independent residuals."""
 
@@ -78,7 +78,7 @@ class Worth:
     verdict : list of str
         The same in sentences; empty if nothing is to be said.
     cost, accurate_cost : float
-        The cost, and the same with a hundredth of the relative tolerance (None: that simulation failed).
+        The cost, and the same with a hundredth of the relative tolerance, or with half the step of a fixed-step solver (None: that simulation failed).
     jacobian : ndarray, shape (m, n)
         Derivatives of the residuals by the parameters; zero for those that are held.
     n_simulations : int
@@ -171,7 +171,7 @@ class Preflight:
     confounded : list of (str, str, float)
         Pairs that move the outputs the same way at the start, with the correlation that their estimates would have.
     cost, accurate_cost : float
-        The cost at the start, and with a hundredth of the relative tolerance (None: that simulation failed).
+        The cost at the start, and with a hundredth of the relative tolerance, or with half the step of a fixed-step solver (None: that simulation failed).
     noise : float
         The difference of both relative to the cost.
     seconds_per_evaluation, expected_seconds : float

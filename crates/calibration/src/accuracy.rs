@@ -1,0 +1,19 @@
+//! How simulations are more accurate than those of a fit, to be compared with them.
+
+use serde::{Deserialize, Serialize};
+
+/// How simulations are made that are more accurate than those of a fit.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(crate) enum Accuracy {
+    /// With this relative tolerance.
+    Tolerance(f64),
+    /// With half the step, of fixed-step methods: a tolerance has no effect on them.
+    HalfStep,
+}
+
+impl Accuracy {
+    /// What it has instead of the simulations of a fit.
+    pub(crate) fn words(is_step_halved: bool) -> &'static str {
+        if is_step_halved { "half the step" } else { "a hundredth of the relative tolerance" }
+    }
+}

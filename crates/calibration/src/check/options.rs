@@ -1,0 +1,40 @@
+//! What a check is asked for.
+
+use crate::finding::{Finding, Severity};
+use ode::Number;
+use std::time::Duration;
+
+/// How a check is made.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CheckOptions {
+    /// Whether to simulate at the start values; default: yes.
+    pub simulate: bool,
+    /// Wall-clock limit of the whole check, as of a fit; what was found until then is the result, with a finding that says so. Default:
+    /// 30 s.
+    pub max_time: Option<Duration>,
+}
+
+impl Default for CheckOptions {
+    fn default() -> Self {
+        Self { simulate: true, max_time: Some(Duration::from_secs(30)) }
+    }
+}
+
+impl CheckOptions {
+    /// What is said where the time was up.
+    pub(super) fn out_of_time(&self, is_start_known: bool) -> Finding {
+        let limit = Number(self.max_time.unwrap_or_default().as_secs_f64());
+        let until = match is_start_known {
+            true => "before all simulations were made",
+            false => "before the simulation at the start values had ended",
+        };
+        Finding::new(
+            Severity::Warning,
+            "max_time",
+            format!(
+                "the check was ended by its time limit of {limit} s {until}: what they show is not known"
+            ),
+            "give a larger max_time, or simulate=False",
+        )
+    }
+}

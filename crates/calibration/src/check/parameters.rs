@@ -1,0 +1,174 @@
+//! Parameters and values that are given, beside what the model states for them: ranges and its own start values.
+
+use super::series::rounded;
+use super::subject::Subject;
+use crate::column_units::declared;
+use crate::data::UnitConversion;
+use crate::experiment::Experiment;
+use crate::finding::{Finding, Severity};
+use crate::input::InputSource;
+use crate::parameter::Parameter;
+use fmi::description::Variable;
+use fmi::{ModelDescription, Value};
+use ode::Number;
+
+/// A value this many times as large or as small as the model's own is in another unit.
+const UNLIKE: f64 = 1e3;
+
+/// Bounds that end so many times above or below the model's own start value leave it out by a mistake, not by intent.
+const BOUNDS_UNLIKE: f64 = 50.0;
+
+/// A temperature in K above the first, beside one below the second, is one beside degC.
+const KELVIN: (f64, f64) = (200.0, 150.0);
+
+/// What the model states as the start value of a variable, where it says something of its size.
+fn own_start(variable: &Variable) -> Option<f64> {
+    match variable.start {
+        Some(Value::Real(start)) if start != 0.0 && start.is_finite() => Some(start),
+        _ => None,
+    }
+}
+
+/// How many times the larger of two numbers is the smaller; infinite for numbers of unlike sign.
+fn factor(a: f64, b: f64) -> f64 {
+    if a * b > 0.0 { (a / b).abs().max((b / a).abs()) } else { f64::INFINITY }
+}
+
+/// A conversion of the values of a parameter to those of its variable.
+fn conversion(parameter: &Parameter, variable: &Variable, description: &ModelDescription) -> UnitConversion {
+    let given = parameter.given_unit().filter(|_| !parameter.is_tied());
+    let conversion = given.and_then(|unit| UnitConversion::to_variable(unit, variable, description).ok());
+    conversion.unwrap_or(UnitConversion::IDENTITY)
+}
+
+/// Parameters whose values (of the start, or of a result) or bounds are far from the model's own start values: in another unit, most
+/// likely.
+pub(super) fn far_from_own_start(
+    parameters: &[Parameter],
+    values: &[f64],
+    description: &ModelDescription,
+) -> Vec<Finding> {
+    let of = |(parameter, value): (&Parameter, &f64)| {
+        let first = parameter.variable_names().first().filter(|_| !parameter.is_tied())?;
+        let variable = declared(description, first)?;
+        let own = conversion(parameter, variable, description).invert(own_start(variable)?);
+        let subject = format!("parameter '{}'", parameter.name());
+        let shown = Number(rounded(own));
+        let remedy = "is its unit that of the model? Parameter(..., unit=...) converts it";
+        let is_far =
+            |limit: f64, value: f64| value != 0.0 && value * own > 0.0 && factor(value, own) >= limit;
+        if is_far(UNLIKE, *value) && is_far(UNLIKE, parameter.start()) {
+            let sentence = format!(
+                "start {} is {} times the model's own value {shown}",
+                Number(parameter.start()),
+                Number(rounded(parameter.start() / own))
+            );
+            return Some(Finding::new(Severity::Warning, subject, sentence, remedy));
+        }
+        let (lower, upper) = (parameter.lower(), parameter.upper());
+        if (lower..=upper).contains(&own) || lower == upper {
+            return None;
+        }
+        let nearest = if own < lower { lower } else { upper };
+        let severity = match factor(nearest, own) >= BOUNDS_UNLIKE && nearest != 0.0 {
+            true => Severity::Warning,
+            false => Severity::Note,
+        };
+        let [lower, upper] = [lower, upper].map(Number);
+        let sentence = format!("its bounds {lower} and {upper} leave out the model's own value {shown}");
+        Some(Finding::new(severity, subject, sentence, remedy))
+    };
+    parameters.iter().zip(values).filter_map(of).collect()
+}
+
+/// Start values and constant inputs of an experiment that lie outside of the model's range, or far from its own start value.
+pub(super) fn given_values(subject: &Subject<'_>, parameters: &[Parameter]) -> Vec<Finding> {
+    let Subject { prefix, experiment, description, .. } = subject;
+    // Those of local parameters are in the unit of the parameter.
+    let is_constant = |(name, _): &&(String, Value)| !Experiment::is_start_of_local(name, parameters);
+    let starts = experiment.start_values.iter().filter(is_constant).filter_map(|(name, value)| match value {
+        Value::Real(value) => Some((name, "start value", *value)),
+        _ => None,
+    });
+    let constants = experiment.inputs.iter().filter_map(|(name, source)| match source {
+        InputSource::Constant(value) => Some((name, "constant input", *value)),
+        _ => None,
+    });
+    let of = |(name, what, value): (&String, &str, f64)| {
+        let variable = declared(description, name)?;
+        let unit = variable.unit.as_deref().unwrap_or_default();
+        let is_below = variable.min.is_some_and(|min| value < min);
+        let is_above = variable.max.is_some_and(|max| value > max);
+        let own = own_start(variable);
+        let is_far = own.is_some_and(|own| value != 0.0 && value * own > 0.0 && factor(value, own) >= UNLIKE);
+        let is_celsius = unit == "K" && value < KELVIN.1 && own.is_some_and(|own| own > KELVIN.0);
+        let beside = if is_below || is_above {
+            let bounds = [("at least ", variable.min), ("at most ", variable.max)];
+            let bounds =
+                bounds.into_iter().filter_map(|(word, limit)| Some(format!("{word}{}", Number(limit?))));
+            format!("the model's range is {}", bounds.collect::<Vec<_>>().join(" and "))
+        } else if is_far || is_celsius {
+            format!("the model's own is {}", Number(own.unwrap_or_default()))
+        } else {
+            return None;
+        };
+        let in_unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
+        let hint = if is_celsius { ": degC for K?" } else { "" };
+        Some(Finding::new(
+            Severity::Warning,
+            format!("{prefix}{what} of '{name}'"),
+            format!("it is {}{in_unit}, {beside}{hint}", Number(value)),
+            "give it in the unit of the model",
+        ))
+    };
+    starts.chain(constants).filter_map(of).collect()
+}
+
+/// Parameters whose start or bounds lie beyond the range that the model states.
+pub(super) fn ranges(parameters: &[Parameter], description: &ModelDescription) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    for parameter in parameters {
+        let first = parameter.variable_names().first();
+        let Some(variable) = first.and_then(|name| declared(description, name)) else { continue };
+        // The model's range in the unit of the parameter.
+        let own = |value| conversion(parameter, variable, description).invert(value);
+        let (min, max) = (variable.min.map(own), variable.max.map(own));
+        let (low, high) = (min.unwrap_or(f64::NEG_INFINITY), max.unwrap_or(f64::INFINITY));
+        let subject = format!("parameter '{}'", parameter.name());
+        let range = match (min, max) {
+            (Some(low), Some(high)) => format!("from {} to {}", Number(low), Number(high)),
+            (Some(low), None) => format!("of at least {}", Number(low)),
+            (None, Some(high)) => format!("of at most {}", Number(high)),
+            (None, None) => continue,
+        };
+        let start = parameter.start();
+        if start < low || start > high {
+            findings.push(Finding::new(
+                Severity::Warning,
+                subject,
+                format!("start {} is outside of the model's range {range}", Number(start)),
+                "start within it; is its unit that of the model?",
+            ));
+            continue;
+        }
+        let beyond = [
+            (parameter.lower() < low).then(|| ("lower", parameter.lower())),
+            (parameter.upper() > high).then(|| ("upper", parameter.upper())),
+        ];
+        for (side, bound) in beyond.into_iter().flatten() {
+            let text = if bound.is_finite() {
+                format!("{side} bound {}", Number(bound))
+            } else {
+                format!("no {side} bound")
+            };
+            let severity = if bound.is_finite() { Severity::Warning } else { Severity::Note };
+            findings.push(Finding::new(
+                severity,
+                subject.clone(),
+                format!("{text}, but the model states a range {range}"),
+                "simulations beyond it may fail or mean nothing: give bounds within it",
+            ));
+        }
+    }
+    findings
+}

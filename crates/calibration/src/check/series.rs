@@ -1,0 +1,131 @@
+//! The outputs of a calibration as they were measured and simulated at some values of the parameters.
+
+use super::subject::Subject;
+use crate::calibration::Calibration;
+use crate::layout::OutputResiduals;
+use ode::Stats;
+use std::fmt;
+
+/// Values of the parameters, and the residuals there.
+pub(super) struct Evaluated {
+    pub(super) x: Vec<f64>,
+    pub(super) residuals: Vec<f64>,
+}
+
+/// Evaluations that are made: how many, and what they take.
+pub(super) struct Evaluations<'a> {
+    pub(super) cancelled: &'a dyn Fn() -> bool,
+    pub(super) n: usize,
+    pub(super) stats: Stats,
+}
+
+/// Where the parameters are as they are looked at.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Place {
+    Start,
+    Fitted,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Start => "at the start values",
+            Self::Fitted => "at the fitted values",
+        })
+    }
+}
+
+/// An output as it was measured and simulated.
+pub(super) struct Series<'a> {
+    pub(super) of: &'a OutputResiduals,
+    pub(super) simulated: Vec<f64>,
+}
+
+/// The outputs of all experiments at the start, and at the result of a fit where there is one.
+pub(super) struct Outputs<'a> {
+    pub(super) at_start: Vec<Series<'a>>,
+    pub(super) fitted: Option<Vec<Series<'a>>>,
+    x: (&'a [f64], Option<&'a [f64]>),
+}
+
+impl<'a> Outputs<'a> {
+    pub(super) fn new(
+        calibration: &'a Calibration,
+        (at_start, fitted): (&'a Evaluated, Option<&'a Evaluated>),
+    ) -> Self {
+        let series = |of: &Evaluated| all_series(calibration, &of.residuals);
+        let x = (at_start.x.as_slice(), fitted.map(|fitted| fitted.x.as_slice()));
+        Self { at_start: series(at_start), fitted: fitted.map(series), x }
+    }
+
+    /// At the result where there is one.
+    pub(super) fn last(&self) -> &[Series<'a>] {
+        self.fitted.as_ref().unwrap_or(&self.at_start)
+    }
+
+    pub(super) fn place(&self) -> Place {
+        if self.fitted.is_some() { Place::Fitted } else { Place::Start }
+    }
+
+    /// Whether a fit, if there is one, has moved a parameter as far as a factor in the data or in time takes, by half of it on a
+    /// logarithmic scale, or from zero or through it.
+    pub(super) fn may_have_taken(&self, factor: f64) -> bool {
+        let (start, Some(x)) = self.x else { return true };
+        let has = |(from, to): (&f64, &f64)| {
+            from != to && (from * to <= 0.0 || (to / from).ln().abs() >= 0.5 * factor.ln().abs())
+        };
+        start.iter().zip(x).any(has)
+    }
+}
+
+pub(super) fn all_series<'a>(calibration: &'a Calibration, residuals: &[f64]) -> Vec<Series<'a>> {
+    let simulated = |of: &OutputResiduals| {
+        let own = residuals[of.range.clone()].iter().zip(&of.weights).zip(&of.measured);
+        own.map(|((r, w), measured)| measured + r / w).collect()
+    };
+    calibration.residual_layout().outputs.iter().map(|of| Series { of, simulated: simulated(of) }).collect()
+}
+
+impl Series<'_> {
+    pub(super) fn name(&self, subject: &Subject<'_>) -> String {
+        format!("{}output '{}' (column '{}')", subject.prefix, self.of.variable, self.of.column)
+    }
+}
+
+pub(super) fn range(values: &[f64]) -> f64 {
+    let (low, high) =
+        values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+    high - low
+}
+
+/// Root of the mean square.
+pub(super) fn size(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let n = values.len() as f64;
+    (values.map(|v| v * v).sum::<f64>() / n).sqrt()
+}
+
+pub(super) fn size_of_difference(measured: &[f64], simulated: impl Iterator<Item = f64>) -> f64 {
+    let differences: Vec<f64> = measured.iter().zip(simulated).map(|(m, s)| m - s).collect();
+    size(differences.into_iter())
+}
+
+/// Three digits.
+pub(super) fn rounded(value: f64) -> f64 {
+    if value == 0.0 {
+        return value;
+    }
+    let ten = 10f64.powi(2 - value.abs().log10().floor() as i32);
+    if ten.is_finite() && ten > 0.0 { (value * ten).round() / ten } else { value }
+}
+
+/// How much of the variance of the measurements is left, on average over the outputs.
+pub(super) fn unexplained(series: &[Series<'_>]) -> f64 {
+    let of_one = |s: &Series<'_>| {
+        let n = s.of.measured.len() as f64;
+        let mean = s.of.measured.iter().sum::<f64>() / n;
+        let spread = size_of_difference(&s.of.measured, std::iter::repeat(mean)).powi(2);
+        let left = size_of_difference(&s.of.measured, s.simulated.iter().copied()).powi(2);
+        if spread > 0.0 { left / spread } else { 0.0 }
+    };
+    series.iter().map(of_one).sum::<f64>() / series.len() as f64
+}

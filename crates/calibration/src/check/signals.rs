@@ -1,0 +1,172 @@
+//! How the simulated course of an output differs from the measured one: wrong sign, worse than a constant, frozen, wrapped at a full turn.
+
+use super::columns::longest_run;
+use super::series::{Outputs, Place, Series, range, rounded, size_of_difference};
+use super::subject::Subject;
+use crate::column_units::declared;
+use crate::finding::{Finding, Severity};
+use ode::Number;
+use std::f64::consts::TAU;
+use std::ops::Range;
+
+/// Of fewer measurements correlations and deviations say little.
+const FEWEST: usize = 10;
+
+/// Measured and simulated values with a correlation below this go opposite ways.
+const OPPOSITE: f64 = -0.5;
+
+/// Residuals that are larger than the deviation of the measurements by this factor are no chance.
+const WORSE: f64 = 1.1;
+
+/// A measured value that stays for this part of the rows, and so many, while the simulation moves by this part of the range.
+const FROZEN: (f64, usize, f64) = (0.05, 10, 0.1);
+
+/// Values within so many turns may be wrapped; their usual step is smaller than this part of a turn.
+const WRAPPED: (f64, f64) = (1.02, 0.1);
+
+/// The findings of all outputs, at the result of a fit where there is one.
+pub(super) fn findings(subjects: &[Subject<'_>], outputs: &Outputs<'_>) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    for series in outputs.last() {
+        let subject = &subjects[series.of.experiment];
+        let mut find = |found: Option<(String, &str)>| {
+            let finding = |(sentence, remedy): (String, &str)| {
+                Finding::new(Severity::Warning, series.name(subject), sentence, remedy)
+            };
+            findings.extend(found.map(finding));
+        };
+        find(wrapped(series, subject));
+        if outputs.place() == Place::Fitted {
+            find(frozen(series));
+            find(opposite(series).or_else(|| worse_than_a_constant(series)));
+        }
+    }
+    findings
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+fn deviation(values: &[f64]) -> f64 {
+    size_of_difference(values, std::iter::repeat(mean(values)))
+}
+
+fn opposite(series: &Series<'_>) -> Option<(String, &'static str)> {
+    let (measured, simulated) = (&series.of.measured, &series.simulated);
+    let (of_measured, of_simulated) = (mean(measured), mean(simulated));
+    let products = measured.iter().zip(simulated).map(|(m, s)| (m - of_measured) * (s - of_simulated));
+    let covariance = products.sum::<f64>() / measured.len() as f64;
+    let correlation = covariance / (deviation(measured) * deviation(simulated));
+    (measured.len() >= FEWEST && correlation < OPPOSITE).then(|| {
+        let sentence = format!(
+            "measured and simulated values go opposite ways (correlation {}) at the fitted values",
+            Number(rounded(correlation))
+        );
+        (sentence, "is the sign of the column the model's? Is it the right column?")
+    })
+}
+
+fn worse_than_a_constant(series: &Series<'_>) -> Option<(String, &'static str)> {
+    let measured = &series.of.measured;
+    let (rms, sd) = (size_of_difference(measured, series.simulated.iter().copied()), deviation(measured));
+    let by_chance = 4.0 * (2.0 / measured.len() as f64).sqrt();
+    let is_worse = sd > 0.0 && rms > WORSE * sd && (rms / sd).powi(2) > 1.0 + by_chance;
+    (measured.len() >= FEWEST && is_worse).then(|| {
+        let sentence = format!(
+            "the fit is worse than a constant: its residuals have an RMS of {}, the measurements a standard deviation of {}",
+            Number(rounded(rms)),
+            Number(rounded(sd))
+        );
+        (sentence, "is it the right column, in the right unit, with the initial state of this recording?")
+    })
+}
+
+/// A measured value that stays while the simulation goes on.
+fn frozen(series: &Series<'_>) -> Option<(String, &'static str)> {
+    let (measured, simulated, times) = (&series.of.measured, &series.simulated, &series.of.times);
+    let (share, least, moves) = FROZEN;
+    let Range { start, end } = longest_run(measured);
+    let moved = range(&simulated[start..end]);
+    let is_long = end - start >= least && (end - start) as f64 >= share * measured.len() as f64;
+    (is_long && range(measured) > 0.0 && moved > moves * range(measured)).then(|| {
+        let sentence = format!(
+            "it is exactly {} from {} s to {} s, where the simulation at the fitted values moves by {}: frozen?",
+            Number(measured[start]),
+            Number(times[start]),
+            Number(times[end - 1]),
+            Number(rounded(moved))
+        );
+        (sentence, "leave the rows of a sensor that stood still empty (NaN), or mask them")
+    })
+}
+
+/// Angles of which the measured or the simulated ones, but not both, jump by a turn.
+fn wrapped(series: &Series<'_>, subject: &Subject<'_>) -> Option<(String, &'static str)> {
+    let unit = declared(subject.description, &series.of.variable).and_then(|v| v.unit.as_deref());
+    let may_be_angle = unit.is_none_or(|unit| {
+        matches!(unit, "" | "1" | "-") || matches!(unit, "rad" | "deg" | "degree" | "degrees" | "°")
+    });
+    if !may_be_angle {
+        return None;
+    }
+    let (measured, simulated) = (&series.of.measured, &series.simulated);
+    for (turn, name) in [(TAU, "2 pi"), (360.0, "360")] {
+        for (jumping, other, which) in
+            [(measured.as_ref(), &simulated[..], "measured"), (simulated, measured, "simulated")]
+        {
+            let rows = jumps(jumping, turn);
+            let alone: Vec<usize> =
+                rows.into_iter().filter(|k| (other[k + 1] - other[*k]).abs() < 0.5 * turn).collect();
+            let Some(first) = alone.first() else { continue };
+            let sentence = format!(
+                "the {which} values jump by {name} ({}, first at {} s), and the {} ones do not: angles within one turn beside angles that \
+                 go on",
+                match alone.len() {
+                    1 => "once".to_owned(),
+                    n => format!("{n} times"),
+                },
+                Number(series.of.times[first + 1]),
+                if which == "measured" { "simulated" } else { "measured" }
+            );
+            return Some((sentence, "unwrap the column (numpy.unwrap), or take another output of the model"));
+        }
+    }
+    None
+}
+
+/// Where values that lie within one turn jump by a turn, up to their step before and after.
+fn jumps(values: &[f64], turn: f64) -> Vec<usize> {
+    let (within, small) = WRAPPED;
+    let steps: Vec<f64> = values.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let mut sizes: Vec<f64> = steps.iter().map(|step| step.abs()).collect();
+    sizes.sort_by(f64::total_cmp);
+    let usual = sizes.get(sizes.len() / 2).copied().unwrap_or(f64::INFINITY);
+    if range(values) > within * turn || usual > small * turn {
+        return Vec::new();
+    }
+    let beside = |k: usize| {
+        let near = [k.checked_sub(1), Some(k + 1)].into_iter().flatten().filter_map(|k| steps.get(k));
+        near.map(|step| step.abs()).filter(|step| *step < 0.5 * turn).fold(usual, f64::max)
+    };
+    let is_jump = |k: &usize| (steps[*k].abs() - turn).abs() <= 3.0 * beside(*k) + 0.01 * turn;
+    (0..steps.len()).filter(is_jump).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_angles_within_a_turn_jump() {
+        let turning: Vec<f64> = (0..200).map(|k| 0.1 * f64::from(k)).collect();
+        let wrapped: Vec<f64> = turning.iter().map(|v| v.rem_euclid(TAU)).collect();
+        assert_eq!(jumps(&wrapped, TAU).len(), 3);
+        assert!(jumps(&turning, TAU).is_empty());
+        let degrees: Vec<f64> = wrapped.iter().map(|v| v.to_degrees()).collect();
+        assert_eq!((jumps(&degrees, 360.0).len(), jumps(&degrees, TAU).len()), (3, 0));
+        // a step of the signal, which is no turn
+        let step: Vec<f64> = (0..200).map(|k| if k < 100 { 0.0 } else { 5.0 }).collect();
+        assert!(jumps(&step, TAU).is_empty());
+    }
+}
