@@ -99,7 +99,8 @@ impl Guesses {
         asked.start(round.work.n(), round.work.index(), 0);
         asked.set_want(round.work.want());
         if wanted > 0 {
-            method.speculate(wanted, &|x: &[f64]| round.store.contains(x), asked);
+            // Farther than there is room for: what is under way already is not given up because others have come before it.
+            method.speculate(2 * wanted, &|x: &[f64]| round.store.contains(x), asked);
         }
         hashes.clear();
         hashes.extend(asked.points().map(hash));
@@ -113,7 +114,7 @@ impl Guesses {
         // A point that was given up may still be evaluated to its end.
         let under_way_in_all = open + under_way.len() - awaited;
         let most = allowed_waste(round.ledger.n_evaluations + open, evaluator.width());
-        let waste = round.ledger.n_speculative() + under_way.len() - awaited;
+        let waste = round.ledger.n_in_vain().saturating_sub(awaited);
         let allowed = most.saturating_sub(waste);
         // What is begun while the path waits for long helps most.
         let allowed = if is_late { allowed } else { allowed.div_ceil(2) };
@@ -167,7 +168,10 @@ impl Guesses {
             return Some(Reached::Kept);
         };
         Some(match entry.answer_to(&round.work.query(k), gives_up) {
-            Some(answer) => Reached::Answer(k, answer),
+            Some(answer) => {
+                round.ledger.n_adopted += 1;
+                Reached::Answer(k, answer)
+            }
             None => {
                 round.ledger.useless(entry);
                 Reached::Again(k)

@@ -41,8 +41,10 @@ pub(crate) struct Ledger {
     trace_limit: Option<usize>,
     /// Whether the trace keeps residuals.
     keeps_residuals: bool,
-    /// Evaluations begun ahead of need, those of them that ended, and those that the path came to after that.
+    /// Evaluations begun ahead of need, and those of them that the path came to while they were under way.
     pub(crate) n_guessed: u64,
+    pub(crate) n_adopted: usize,
+    /// Those that ended before, and those of them that the path came to.
     n_early: usize,
     pub(crate) n_reached: usize,
     pub(crate) best: Best,
@@ -68,6 +70,7 @@ impl Ledger {
             trace_limit,
             keeps_residuals,
             n_guessed: 0,
+            n_adopted: 0,
             n_early: 0,
             n_reached: 0,
             best: Best::default(),
@@ -138,6 +141,11 @@ impl Ledger {
     /// Evaluations that the path has not come to.
     pub(crate) fn n_speculative(&self) -> usize {
         self.n_early.saturating_sub(self.n_reached)
+    }
+
+    /// Evaluations begun ahead of need that have been of no use by now.
+    pub(crate) fn n_in_vain(&self) -> usize {
+        (self.n_guessed as usize).saturating_sub(self.n_adopted + self.n_reached)
     }
 
     /// An evaluation was made that the path has not come to.

@@ -131,9 +131,9 @@ def fmin(
     nbr_cores : int, map-like or executor, optional
         How many calls of `func` may run at once, each in a thread of its own; -1 for all cores. None stands for 1: a
         Python function is called from several threads only if you ask for it. Only what releases the interpreter lock
-        (simulations do) gains from more. Or a ``concurrent.futures`` executor, or a function like the built-in ``map``
-        (``multiprocessing.Pool().map``), which is given whole batches from the calling thread: with processes, as the tool
-        of the paper has it, `func` must be one that can be pickled. The simplices and the result are the same for any.
+        (simulations do) gains from more. Or a ``concurrent.futures`` executor, which is given points one by one, or a function
+        like the built-in ``map`` (``multiprocessing.Pool().map``), which is given whole batches, both from the calling thread:
+        with processes, as the tool of the paper has it, `func` must be one that can be pickled. The simplices and the result are the same for any.
     debug : bool
         Log every evaluation (logger "pydfo", level DEBUG).
     workers : optional

@@ -75,10 +75,11 @@ def minimize(
         Further arguments of `fun`.
     workers : int, map-like or executor
         How many calls of `fun` may run at once, each in a thread of its own; -1 for all cores. Or a
-        ``concurrent.futures`` executor, or a function like the built-in ``map`` (``multiprocessing.Pool().map``): it is
-        given whole batches from the calling thread. With processes, `fun` must be one that can be pickled. A map does not
-        say how many workers it has: Nelder-Mead then plans for all cores; pin ``options={"batch": ...}`` to be
-        independent of the machine.
+        ``concurrent.futures`` executor (also those of Dask, MPI, joblib and Ray), which is given points one by one, or a
+        function like the built-in ``map`` (``multiprocessing.Pool().map``), which is given whole batches, both from the
+        calling thread. With processes, `fun` must be one that can be pickled. A point that an executor loses (its process was
+        killed) has failed; one that is broken ends the run. A map does not say how many workers it has: Nelder-Mead then
+        plans for all cores; pin ``options={"batch": ...}`` to be independent of the machine.
     callback : callable, optional
         ``callback(intermediate_result)`` after the starting points and after each iteration, on the calling thread, with
         a `Progress`. Raising StopIteration, or returning True, ends the run with the best point so far.

@@ -1,0 +1,156 @@
+"""Fits and minimisations on executors: the result of one process, whatever happens to the others."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import os
+import signal
+import time
+
+import numpy as np
+import pydfo
+import pytest
+
+
+def slow_cost(x):
+    time.sleep(0.002)
+    return float((x[0] - 1.0) ** 2 + 10.0 * (x[1] + 0.5) ** 2 + x[0] * x[1])
+
+
+def point_that_kills(x):
+    if 0.4 < x[0] < 0.5:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return slow_cost(x)
+
+
+def same(one, other):
+    np.testing.assert_array_equal(one.x, other.x)
+    assert (one.fun, one.nfev, one.nit, one.message) == (other.fun, other.nfev, other.nit, other.message)
+
+
+@pytest.mark.parametrize("method", ["nelder-mead", "de", "cma-es", "quadratic-model", "pattern-search"])
+@pytest.mark.parametrize("pool", [concurrent.futures.ThreadPoolExecutor, concurrent.futures.ProcessPoolExecutor])
+def test_points_go_one_by_one_and_change_nothing(method, pool):
+    def run(workers):
+        return pydfo.minimize(
+            slow_cost, [0.2, 0.3], [(-2, 2)] * 2, method, workers=workers, rng=3, max_evaluations=80, options={}
+        )
+
+    alone = run(1)
+    with pool(3) as executor:
+        same(run(executor), alone)
+
+
+def test_an_executor_that_breaks_ends_the_run_with_the_best_point():
+    with concurrent.futures.ProcessPoolExecutor(2) as executor:
+        with pytest.raises(concurrent.futures.BrokenExecutor) as caught:
+            pydfo.minimize(point_that_kills, [-1.2, 1.0], [(-2, 2)] * 2, "nelder-mead", workers=executor)
+    assert caught.value.partial_result.nfev > 3
+    assert np.isfinite(caught.value.partial_result.fun)
+
+
+class Losing(concurrent.futures.ThreadPoolExecutor):
+    """Loses every seventh task, as a cluster does whose machines go."""
+
+    def __init__(self):
+        super().__init__(2)
+        self.count = 0
+
+    def submit(self, fn, /, *args, **kwargs):
+        self.count += 1
+        if self.count % 7 == 0:
+            future = concurrent.futures.Future()
+            future.set_exception(ConnectionError("the machine is gone"))
+            return future
+        return super().submit(fn, *args, **kwargs)
+
+
+def test_a_point_that_an_executor_loses_has_failed():
+    with Losing() as executor:
+        result = pydfo.minimize(slow_cost, [-1.2, 1.0], [(-2, 2)] * 2, "de", workers=executor, rng=1, max_evaluations=200)
+    assert result.n_failed == sum(count for reason, count in result.failures if "the machine is gone" in reason) > 10
+    assert result.nfev == 200
+
+
+def test_functions_that_raise_end_the_run():
+    def wrong(x):
+        raise RuntimeError("no")
+
+    with concurrent.futures.ThreadPoolExecutor(2) as executor:
+        with pytest.raises(RuntimeError, match="no"):
+            pydfo.minimize(wrong, [1.0], [(-2, 2)], "nelder-mead", workers=executor)
+        # It is the user's, and goes on.
+        assert executor.submit(lambda: 3).result() == 3
+
+
+TIMES = np.linspace(0, 1, 21)
+
+
+def decay(**more):
+    """x = exp(-1.7 t), which x' = -k x follows at k = 1.7."""
+    data = {"time": TIMES, "x": np.exp(-1.7 * TIMES)}
+    return pydfo.Calibration(pydfo.example_fmu("dahlquist"), data, ["x"], [pydfo.Parameter("k", 1, 0.1, 5)], **more)
+
+
+@pytest.mark.parametrize("method", ["least-squares", "nelder-mead", "de"])
+def test_a_fit_on_an_executor_is_that_of_one_process(method):
+    alone = decay().fit(method, workers=1, rng=1, max_evaluations=60)
+    with concurrent.futures.ProcessPoolExecutor(2) as executor:
+        fit = decay().fit(method, workers=executor, rng=1, max_evaluations=60)
+    assert fit.x.tobytes() == alone.x.tobytes() and fit.stderr.tobytes() == alone.stderr.tobytes()
+    assert (fit.cost, fit.nfev, fit.message) == (alone.cost, alone.nfev, alone.message)
+    assert fit.stats.n_simulations >= fit.nfev
+
+
+def test_robust_losses_stages_and_estimated_noise_travel_too():
+    times = np.linspace(0, 2, 30)
+    data = {"time": times, "x": np.exp(-1.7 * times) + 0.01 * np.sin(37 * times)}
+    prior = pydfo.Parameter("k", 1, 0.1, 5, prior=pydfo.Normal(1.5, 0.3))
+
+    def calibration():
+        return pydfo.Calibration(pydfo.example_fmu("dahlquist"), data, ["x"], [prior])
+
+    with concurrent.futures.ThreadPoolExecutor(2) as executor:
+        for asked in ({"noise": "estimated"}, {"loss": "huber", "f_scale": 0.01, "noise": "stated"}, {"stages": [["k"], ["k"]]}):
+            one, other = calibration().fit(workers=1, **asked), calibration().fit(workers=executor, **asked)
+            assert (one.x.tobytes(), one.cost, one.nfev) == (other.x.tobytes(), other.cost, other.nfev), asked
+
+
+def test_a_model_travels_where_it_is_not(tmp_path, monkeypatch):
+    from pydfo import _engine
+
+    calibration = decay()
+    path = tmp_path / "elsewhere.fmu"
+    path.write_bytes(open(pydfo.example_fmu("dahlquist"), "rb").read())
+    data = {"time": TIMES, "x": np.exp(-1.7 * TIMES)}
+    own = pydfo.Calibration(path, data, ["x"], [pydfo.Parameter("k", 1, 0.1, 5)])
+    state, content = own._native.state(), None
+    _, content = pydfo._core.Calibration.model_of(state)
+    model = path.read_bytes()
+    path.unlink()
+    monkeypatch.setattr(_engine.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr(_engine, "_problems", {})
+    problem = _engine.Problem(state, own._opened, own._functions)
+    point = (np.array([1.7]), np.inf)
+    loss = calibration_loss(own)
+    assert _engine.simulate("key", None, *point, loss).what == "problem"
+    assert _engine.simulate("key", problem, *point, loss).what == "model"
+    _, answer = _engine.simulate("key", problem._replace(model=model), *point, loss)
+    assert answer == _engine.simulate("key", None, *point, loss)[1]
+    (kept,) = tmp_path.glob("fmufit-models-*/*.fmu")
+    assert kept.stem == content and kept.parent.stat().st_mode & 0o777 == 0o700
+    assert calibration.cost([1.7]) < 1e-6
+
+
+def calibration_loss(calibration):
+    """The linear loss as it travels."""
+    seen = []
+
+    class Watching(concurrent.futures.ThreadPoolExecutor):
+        def submit(self, fn, /, *args, **kwargs):
+            seen.append(args[-1])
+            return super().submit(fn, *args, **kwargs)
+
+    with Watching(1) as executor:
+        decay().fit("nelder-mead", workers=executor, max_evaluations=3)
+    return seen[0]
