@@ -7,11 +7,15 @@ use super::load::Load;
 use super::process::{NoAnswer, Process};
 use crate::description::Quirk;
 use crate::error::{EndKind, FmiError, Told, ToldKind, WorkerEnd};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// A worker that nobody has asked for anything for so long is ended.
 const IDLE: Duration = Duration::from_secs(5);
+
+/// How often somebody who waits for the start of a process asks whether it is still wanted.
+const LOOK: Duration = Duration::from_millis(10);
 
 /// The memory of a worker is looked at after each so many calls, and after every one that took so long.
 const LOOK_EVERY: u64 = 32;
@@ -29,6 +33,8 @@ pub struct Workers {
 struct Idle {
     /// With the time since when they are; those that were asked last at the end.
     processes: Vec<(Process, Instant)>,
+    /// Processes that are started ahead and have loaded nothing yet, with the time when that began.
+    ahead: Vec<(Receiver<Process>, Instant)>,
     /// Somebody looks after those that are idle for long.
     is_watched: bool,
     /// Whose they are: a child that was forked meanwhile has none.
@@ -47,6 +53,28 @@ impl Workers {
         &self.limits
     }
 
+    /// Starts processes in the background until so many are there for `n` threads that will ask, and `n_fresh` new ones besides: a start
+    /// takes longer than a short evaluation.
+    pub fn start_ahead(self: &Arc<Self>, n: usize, n_fresh: usize) {
+        let mut idle = self.idle();
+        while idle.ahead.len() < n_fresh + n.saturating_sub(idle.processes.len()) {
+            let (sender, receiver) = channel();
+            let (launcher, limits) = (self.launcher.clone(), self.limits);
+            let start = move || {
+                // Who needs one meets the same error. Where nobody waits any more, it ends here.
+                if let Ok(process) = Process::start(&launcher, &limits, &|| false) {
+                    let _ = sender.send(process);
+                }
+            };
+            let thread = std::thread::Builder::new().name("fmufit-worker-start".to_owned()).spawn(start);
+            if thread.is_err() {
+                break;
+            }
+            idle.ahead.push((receiver, Instant::now()));
+        }
+        self.watch(&mut idle);
+    }
+
     /// Asks a worker that has loaded `load`, and returns the quirks of the model that it has found. `cancelled` is asked every 10 ms, and the worker has 0.25 s to answer
     /// after that; a single simulation that takes longer than `run_limit` and 0.25 s ends the worker. Where a worker dies, the same is asked once more in a fresh one;
     /// with `is_fresh` the first one is new, too, and is all.
@@ -62,9 +90,21 @@ impl Workers {
         run_limit: Option<Duration>,
         is_fresh: bool,
     ) -> Result<Vec<Quirk>, FmiError> {
+        let mut call = |process: Option<Process>| {
+            let mut process = match process {
+                Some(process) => process,
+                None => self.new_process(cancelled)?,
+            };
+            let (quirks, can_go_on) = self.call_in(&mut process, load, asked, answer, cancelled, run_limit);
+            // Otherwise it ends here.
+            if can_go_on && !is_fresh {
+                self.give_back(process);
+            }
+            quirks
+        };
         let process = if is_fresh { None } else { self.idle_process(load.id) };
         let was_used = process.is_some();
-        let error = match self.call_in(process, load, asked, answer, cancelled, run_limit) {
+        let error = match call(process) {
             Err(error) => error,
             outcome => return outcome,
         };
@@ -78,22 +118,19 @@ impl Workers {
             return Err(error);
         }
         log::info!("{error}; the same is tried once more in a fresh process");
-        self.call_in(None, load, asked, answer, cancelled, run_limit)
+        call(None)
     }
 
+    /// The quirks; and whether the process can be asked again.
     fn call_in(
-        self: &Arc<Self>,
-        process: Option<Process>,
+        &self,
+        process: &mut Process,
         load: &Load,
         asked: &Frame,
         answer: &mut Frame,
         cancelled: &dyn Fn() -> bool,
         run_limit: Option<Duration>,
-    ) -> Result<Vec<Quirk>, FmiError> {
-        let mut process = match process {
-            Some(process) => process,
-            None => Process::start(&self.launcher, &self.limits, cancelled)?,
-        };
+    ) -> (Result<Vec<Quirk>, FmiError>, bool) {
         let mut quirks = Vec::new();
         let mut ask =
             |process: &mut Process, asked: &Frame, answer: &mut Frame, limit| -> Result<(), FmiError> {
@@ -115,21 +152,19 @@ impl Workers {
         if process.loaded != Some(load.id) {
             process.loaded = None;
             // A model that cannot be loaded leaves a worker that nobody has a use for.
-            ask(&mut process, &load.frame, answer, None)?;
+            if let Err(error) = ask(process, &load.frame, answer, None) {
+                return (Err(error), false);
+            }
             process.loaded = Some(load.id);
         }
         let began = Instant::now();
-        let told = ask(&mut process, asked, answer, run_limit);
-        // One that has ended is given up by dropping it.
+        let told = ask(process, asked, answer, run_limit);
         let is_of_process = matches!(&told, Err(FmiError::Told(told)) if told.is_of_process());
-        if !process.has_ended()
+        let can_go_on = !process.has_ended()
             && !is_of_process
             && !answer.is_last
-            && !self.is_worn(&mut process, began.elapsed())
-        {
-            self.give_back(process);
-        }
-        told.map(|()| quirks)
+            && !self.is_worn(process, began.elapsed());
+        (told.map(|()| quirks), can_go_on)
     }
 
     /// Whether a worker has served long enough, or has grown too much.
@@ -150,6 +185,7 @@ impl Workers {
         let this = std::process::id();
         if idle.owner != this {
             idle.processes.clear();
+            idle.ahead.clear();
             (idle.owner, idle.is_watched) = (this, false);
         }
         idle
@@ -164,9 +200,32 @@ impl Workers {
         Some(idle.processes.remove(place).0)
     }
 
+    /// A process that was never asked for anything: one that was started ahead if there is any.
+    fn new_process(&self, cancelled: &dyn Fn() -> bool) -> Result<Process, FmiError> {
+        let ahead = self.idle().ahead.pop();
+        let Some((receiver, _)) = ahead else {
+            return Process::start(&self.launcher, &self.limits, cancelled);
+        };
+        loop {
+            match receiver.recv_timeout(LOOK) {
+                Ok(process) => return Ok(process),
+                Err(RecvTimeoutError::Timeout) if cancelled() => return Err(FmiError::Cancelled),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => {
+                    return Process::start(&self.launcher, &self.limits, cancelled);
+                }
+            }
+        }
+    }
+
     fn give_back(self: &Arc<Self>, process: Process) {
         let mut idle = self.idle();
         idle.processes.push((process, Instant::now()));
+        self.watch(&mut idle);
+    }
+
+    /// Ends what nobody has asked for anything for long.
+    fn watch(self: &Arc<Self>, idle: &mut Idle) {
         if idle.is_watched {
             return;
         }
@@ -178,10 +237,12 @@ impl Workers {
                 let mut idle = workers.idle();
                 let old =
                     idle.processes.extract_if(.., |(_, since)| since.elapsed() > IDLE).collect::<Vec<_>>();
-                let is_over = idle.processes.is_empty();
+                let too_early =
+                    idle.ahead.extract_if(.., |(_, since)| since.elapsed() > IDLE).collect::<Vec<_>>();
+                let is_over = idle.processes.is_empty() && idle.ahead.is_empty();
                 idle.is_watched = !is_over;
                 drop(idle);
-                drop(old);
+                drop((old, too_early));
                 if is_over {
                     break;
                 }
