@@ -103,7 +103,7 @@ const START: Duration = Duration::from_millis(20);
 struct Processes {
     fmu: Fmu,
     workers: Arc<Workers>,
-    load: Load,
+    load: Arc<Load>,
     /// Each question has a process of its own.
     is_always_fresh: AtomicBool,
     /// Whether answers depend on earlier questions has been looked at.
@@ -119,10 +119,12 @@ impl Processes {
     fn new(fmu: &Fmu, limits: WorkerLimits, load: &Job) -> Result<Self, FmiError> {
         let workers =
             fmu.workers(limits).ok_or_else(|| FmiError::NoWorker { reason: NO_LAUNCHER.to_owned() })?;
+        let load = Arc::new(Load::new(Frame::of(load).map_err(unsaid)?));
+        workers.start_ahead(&load, 1, 0);
         Ok(Self {
             fmu: fmu.clone(),
             workers,
-            load: Load::new(Frame::of(load).map_err(unsaid)?),
+            load,
             is_always_fresh: AtomicBool::new(false),
             is_checked: AtomicBool::new(false),
             first: Mutex::default(),
@@ -149,7 +151,7 @@ impl Processes {
             self.ask_checked(&asked, &mut answer, limit, cancelled)?;
         }
         if process == Asked::Checked && !is_checked() || self.is_always_fresh.load(Ordering::Relaxed) {
-            self.workers.start_ahead(0, 1);
+            self.workers.start_ahead(&self.load, 0, 1);
         }
         let used = use_answer(&mut answer).map_err(unsaid);
         frames().push((asked, answer));
@@ -259,7 +261,7 @@ impl Remote {
     /// Starts the processes of a fit in the background: for its threads, and the one in which its result is evaluated again.
     pub(crate) fn start_ahead(&self, n_threads: usize) {
         self.processes.is_checked.store(true, Ordering::Relaxed);
-        self.processes.workers.start_ahead(n_threads, 1);
+        self.processes.workers.start_ahead(&self.processes.load, n_threads, 1);
     }
 
     /// Evaluates each point in a process of its own from now on.

@@ -263,7 +263,6 @@ impl Fmu {
             return Some(workers);
         }
         let workers = Workers::new(limits)?;
-        workers.start_ahead(1, 0);
         *known = Arc::downgrade(&workers);
         Some(workers)
     }

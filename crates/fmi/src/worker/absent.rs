@@ -25,7 +25,7 @@ impl Workers {
     }
 
     /// Not reached.
-    pub fn start_ahead(self: &Arc<Self>, _: usize, _: usize) {
+    pub fn start_ahead(self: &Arc<Self>, _: &Arc<Load>, _: usize, _: usize) {
         match **self {}
     }
 

@@ -6,6 +6,7 @@ use super::launcher::Launcher;
 use super::limits::WorkerLimits;
 use super::notes::Notes;
 use super::settings::{ASKED, FOLDER, LEVEL, VERSION};
+use crate::description::Quirk;
 use crate::error::{EndKind, FmiError, WorkerEnd};
 use crate::sys::Page;
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
@@ -68,6 +69,8 @@ pub(super) struct Process {
     has_ended: bool,
     /// The problem that it has loaded.
     pub(super) loaded: Option<u64>,
+    /// Quirks of the model that nobody has been told of.
+    pub(super) quirks: Vec<Quirk>,
     pub(super) n_calls: u64,
     number: u32,
     /// Time that the last answer took.
@@ -118,6 +121,7 @@ impl Process {
             owner: std::process::id(),
             has_ended: false,
             loaded: None,
+            quirks: Vec::new(),
             n_calls: 0,
             number: 0,
             last_took: Duration::MAX,

@@ -33,12 +33,20 @@ pub struct Workers {
 struct Idle {
     /// With the time since when they are; those that were asked last at the end.
     processes: Vec<(Process, Instant)>,
-    /// Processes that are started ahead and have loaded nothing yet, with the time when that began.
-    ahead: Vec<(Receiver<Process>, Instant)>,
+    /// Processes that are started ahead and were asked for nothing yet.
+    ahead: Vec<Ahead>,
     /// Somebody looks after those that are idle for long.
     is_watched: bool,
     /// Whose they are: a child that was forked meanwhile has none.
     owner: u32,
+}
+
+/// A process that is started in the background, as long as this lives.
+#[derive(Debug)]
+struct Ahead {
+    process: Receiver<Process>,
+    is_wanted: Arc<()>,
+    since: Instant,
 }
 
 impl Workers {
@@ -53,16 +61,20 @@ impl Workers {
         &self.limits
     }
 
-    /// Starts processes in the background until so many are there for `n` threads that will ask, and `n_fresh` new ones besides: a start
-    /// takes longer than a short evaluation.
-    pub fn start_ahead(self: &Arc<Self>, n: usize, n_fresh: usize) {
+    /// Starts processes in the background until so many are there for `n` threads that will ask, and `n_fresh` new ones besides, and has
+    /// them load this: both take longer than a short evaluation.
+    pub fn start_ahead(self: &Arc<Self>, load: &Arc<Load>, n: usize, n_fresh: usize) {
         let mut idle = self.idle();
         while idle.ahead.len() < n_fresh + n.saturating_sub(idle.processes.len()) {
-            let (sender, receiver) = channel();
-            let (launcher, limits) = (self.launcher.clone(), self.limits);
+            let (sender, process) = channel();
+            let ahead = Ahead { process, is_wanted: Arc::default(), since: Instant::now() };
+            let is_wanted = Arc::downgrade(&ahead.is_wanted);
+            let (launcher, limits, load) = (self.launcher.clone(), self.limits, Arc::clone(load));
             let start = move || {
-                // Who needs one meets the same error. Where nobody waits any more, it ends here.
-                if let Ok(process) = Process::start(&launcher, &limits, &|| false) {
+                let cancelled = || is_wanted.strong_count() == 0;
+                // Who needs one meets the same error.
+                let Ok(mut process) = Process::start(&launcher, &limits, &cancelled) else { return };
+                if ask_to_load(&mut process, &load, &mut Frame::default(), &cancelled).is_ok() {
                     let _ = sender.send(process);
                 }
             };
@@ -70,7 +82,7 @@ impl Workers {
             if thread.is_err() {
                 break;
             }
-            idle.ahead.push((receiver, Instant::now()));
+            idle.ahead.push(ahead);
         }
         self.watch(&mut idle);
     }
@@ -131,40 +143,19 @@ impl Workers {
         cancelled: &dyn Fn() -> bool,
         run_limit: Option<Duration>,
     ) -> (Result<Vec<Quirk>, FmiError>, bool) {
-        let mut quirks = Vec::new();
-        let mut ask =
-            |process: &mut Process, asked: &Frame, answer: &mut Frame, limit| -> Result<(), FmiError> {
-                let notes =
-                    process.call(asked, answer, cancelled, limit).map_err(|no_answer| match no_answer {
-                        NoAnswer::Cancelled => FmiError::Cancelled,
-                        NoAnswer::Ended(end) => FmiError::WorkerEnded(Box::new(end)),
-                    })?;
-                notes.pass_on();
-                quirks.extend(notes.quirks);
-                match answer.is_error {
-                    true => Err(match answer.head::<Told>().map_err(garbage)? {
-                        told if told.kind == ToldKind::Cancelled => FmiError::Cancelled,
-                        told => FmiError::Told(Box::new(told)),
-                    }),
-                    false => Ok(()),
-                }
-            };
-        if process.loaded != Some(load.id) {
-            process.loaded = None;
-            // A model that cannot be loaded leaves a worker that nobody has a use for.
-            if let Err(error) = ask(process, &load.frame, answer, None) {
-                return (Err(error), false);
-            }
-            process.loaded = Some(load.id);
+        if process.loaded != Some(load.id)
+            && let Err(error) = ask_to_load(process, load, answer, cancelled)
+        {
+            return (Err(error), false);
         }
         let began = Instant::now();
-        let told = ask(process, asked, answer, run_limit);
+        let told = ask(process, asked, answer, (cancelled, run_limit));
         let is_of_process = matches!(&told, Err(FmiError::Told(told)) if told.is_of_process());
         let can_go_on = !process.has_ended()
             && !is_of_process
             && !answer.is_last
             && !self.is_worn(process, began.elapsed());
-        (told.map(|()| quirks), can_go_on)
+        (told.map(|()| std::mem::take(&mut process.quirks)), can_go_on)
     }
 
     /// Whether a worker has served long enough, or has grown too much.
@@ -203,11 +194,11 @@ impl Workers {
     /// A process that was never asked for anything: one that was started ahead if there is any.
     fn new_process(&self, cancelled: &dyn Fn() -> bool) -> Result<Process, FmiError> {
         let ahead = self.idle().ahead.pop();
-        let Some((receiver, _)) = ahead else {
+        let Some(ahead) = ahead else {
             return Process::start(&self.launcher, &self.limits, cancelled);
         };
         loop {
-            match receiver.recv_timeout(LOOK) {
+            match ahead.process.recv_timeout(LOOK) {
                 Ok(process) => return Ok(process),
                 Err(RecvTimeoutError::Timeout) if cancelled() => return Err(FmiError::Cancelled),
                 Err(RecvTimeoutError::Timeout) => {}
@@ -238,7 +229,7 @@ impl Workers {
                 let old =
                     idle.processes.extract_if(.., |(_, since)| since.elapsed() > IDLE).collect::<Vec<_>>();
                 let too_early =
-                    idle.ahead.extract_if(.., |(_, since)| since.elapsed() > IDLE).collect::<Vec<_>>();
+                    idle.ahead.extract_if(.., |ahead| ahead.since.elapsed() > IDLE).collect::<Vec<_>>();
                 let is_over = idle.processes.is_empty() && idle.ahead.is_empty();
                 idle.is_watched = !is_over;
                 drop(idle);
@@ -250,6 +241,41 @@ impl Workers {
         };
         let thread = std::thread::Builder::new().name("fmufit-idle-workers".to_owned()).spawn(watch);
         idle.is_watched = thread.is_ok();
+    }
+}
+
+/// Has a process load this. One that cannot is of no use to anybody.
+fn ask_to_load(
+    process: &mut Process,
+    load: &Load,
+    answer: &mut Frame,
+    cancelled: &dyn Fn() -> bool,
+) -> Result<(), FmiError> {
+    process.loaded = None;
+    ask(process, &load.frame, answer, (cancelled, None))?;
+    process.loaded = Some(load.id);
+    Ok(())
+}
+
+/// Asks a process, and passes on what it says beside its answer.
+fn ask(
+    process: &mut Process,
+    asked: &Frame,
+    answer: &mut Frame,
+    (cancelled, run_limit): (&dyn Fn() -> bool, Option<Duration>),
+) -> Result<(), FmiError> {
+    let notes = process.call(asked, answer, cancelled, run_limit).map_err(|no_answer| match no_answer {
+        NoAnswer::Cancelled => FmiError::Cancelled,
+        NoAnswer::Ended(end) => FmiError::WorkerEnded(Box::new(end)),
+    })?;
+    notes.pass_on();
+    process.quirks.extend(notes.quirks);
+    match answer.is_error {
+        true => Err(match answer.head::<Told>().map_err(garbage)? {
+            told if told.kind == ToldKind::Cancelled => FmiError::Cancelled,
+            told => FmiError::Told(Box::new(told)),
+        }),
+        false => Ok(()),
     }
 }
 
