@@ -8,7 +8,7 @@ mod support;
 use fmi::ode::Ignore;
 use fmi::{Fmu, InterfaceKind, Kind, Reuse, Session, SimulateOptions, SimulationPlan, Simulator};
 use std::sync::Arc;
-use support::{evil, settle};
+use support::{evil, evil_with, settle};
 
 const ME: InterfaceKind = InterfaceKind::ModelExchange;
 
@@ -96,7 +96,11 @@ fn a_check_is_a_part_of_the_runs_before_it_and_is_counted() {
 #[test]
 fn a_second_co_simulation_makes_at_most_a_tenth_more_steps() {
     let counted = tempfile::NamedTempFile::new().unwrap();
-    let folder = evil(&[&format!("STEPS_FILE=\"{}\"", counted.path().display())]);
+    let co_simulation =
+        r#"<CoSimulation modelIdentifier="evil" canHandleVariableCommunicationStepSize="true"/>"#;
+    let fault = format!("STEPS_FILE=\"{}\"", counted.path().display());
+    let folder =
+        evil_with(&[&fault], |xml| xml.replace(r#"<ModelExchange modelIdentifier="evil"/>"#, co_simulation));
     let mut session = Session::new(folder.open());
     let options = SimulateOptions::new().kind(Kind::CoSimulation).final_time(1.0).step_size(2e-3);
     let mut n_before = 0;
