@@ -9,7 +9,7 @@ use crate::layout::ResidualLayout;
 use crate::no_cost::NoCost;
 use crate::parameter::Parameter;
 use crate::problem::{ModelFile, Problem};
-use crate::remote::Job;
+use crate::remote::{Asked, Job};
 use crate::residual::CostRule;
 use crate::solver::{AtStart, Choice, Solver};
 use crate::warning::{SETUP_LOG_TARGET, SetupWarning};
@@ -415,7 +415,7 @@ impl Calibration {
         self.check_length(x)?;
         let mut residuals = vec![0.0; self.n_residuals()];
         let rule = CostRule::whole(RobustLoss::default(), cancelled);
-        let cost = self.evaluate_into(x, rule, &mut residuals, stats);
+        let cost = self.evaluate_in(Asked::Checked, x, rule, &mut residuals, stats);
         cost.map(|cost| (cost, residuals)).map_err(|no_cost| match no_cost {
             NoCost::Failed { message, source, .. } => self.failed_at(x, message, source),
             NoCost::Over(error) => CalibrationError::Model(*error),
@@ -468,9 +468,21 @@ impl Calibration {
         out: &mut [f64],
         stats: &mut Stats,
     ) -> Result<f64, NoCost> {
+        self.evaluate_in(Asked::Any, x, rule, out, stats)
+    }
+
+    /// The same, by a process of this kind, where processes are asked.
+    fn evaluate_in(
+        &self,
+        process: Asked,
+        x: &[f64],
+        rule: CostRule<'_>,
+        out: &mut [f64],
+        stats: &mut Stats,
+    ) -> Result<f64, NoCost> {
         if let Ok(remote) = &self.evaluator.remote {
             let method = self.method_until(rule.cancelled)?;
-            return remote.evaluate((x, method), rule, (None, false), out, stats);
+            return remote.evaluate((x, method), rule, (None, process), out, stats);
         }
         self.evaluator.evaluate(x, rule, out, stats, |k, run| {
             Ok(self.pool(k, rule.cancelled)?.with_simulator(rule.cancelled, run))

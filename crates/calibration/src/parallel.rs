@@ -1,4 +1,4 @@
-//! The same task for many items, on threads of its own.
+//! The same task for many items, on threads of its own; a task beside another one.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
@@ -61,6 +61,31 @@ pub(crate) fn map<T: Send>(
         *result = Some(task(item, cancelled));
     }
     results
+}
+
+/// Does `work` on the calling thread and `task` on one of its own, which is told when `cancelled` says so, or when the work has failed. `None`: it
+/// panicked.
+pub(crate) fn beside<T: Send, U, E>(
+    cancelled: &dyn Fn() -> bool,
+    task: impl FnOnce(&dyn Fn() -> bool) -> T + Send,
+    work: impl FnOnce() -> Result<U, E>,
+) -> (Result<U, E>, Option<T>) {
+    let (is_over, (sender, receiver)) = (AtomicBool::new(false), channel());
+    std::thread::scope(|scope| {
+        let is_over = &is_over;
+        scope.spawn(move || sender.send(task(&|| is_over.load(Ordering::Relaxed))));
+        let done = work();
+        loop {
+            if done.is_err() || cancelled() {
+                is_over.store(true, Ordering::Relaxed);
+            }
+            match receiver.recv_timeout(POLL) {
+                Ok(result) => return (done, Some(result)),
+                Err(RecvTimeoutError::Disconnected) => return (done, None),
+                Err(RecvTimeoutError::Timeout) => {}
+            }
+        }
+    })
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use crate::accuracy::Accuracy;
 use crate::error::CalibrationError;
 use crate::experiment::SimulationSettings;
 use crate::no_cost::{NoCost, ToldNoCost};
+use crate::parallel::beside;
 use crate::problem::{ModelFile, Problem};
 use crate::race::{RaceOutcome, RaceRun, RaceTask};
 use crate::residual::CostRule;
@@ -14,7 +15,7 @@ use ode::{Method, Stats};
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// What a worker has to know of a calibration.
 #[derive(Debug, Serialize, Deserialize)]
@@ -80,18 +81,157 @@ pub(crate) enum RacedOutcome {
     Failed(String),
 }
 
+/// Which process answers a question.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Asked {
+    /// Any that has loaded the problem.
+    Any,
+    /// The same, but the second question of this kind is asked in a new process, too, to see whether the answer is the same.
+    Checked,
+    /// A new one.
+    Fresh,
+}
+
+/// What is said where the answers depend on what a process was asked before.
+pub(crate) const HIDDEN_STATE: &str = "a cost depends on what ran before it in the same process (a state that the model keeps and no variable shows): each \
+                                       evaluation has a process of its own";
+
+/// The start of a process takes about so long.
+const START: Duration = Duration::from_millis(20);
+
+/// Worker processes that have loaded the same.
+#[derive(Debug)]
+struct Processes {
+    fmu: Fmu,
+    workers: Arc<Workers>,
+    load: Arc<Load>,
+    /// Each question has a process of its own.
+    is_always_fresh: AtomicBool,
+    /// Whether answers depend on earlier questions has been looked at.
+    is_checked: AtomicBool,
+    /// The first question that was to be checked, and the numbers of its answer.
+    first: Mutex<Option<(Frame, Vec<f64>)>>,
+    /// Frames that were used before.
+    frames: Mutex<Vec<(Frame, Frame)>>,
+}
+
+impl Processes {
+    /// Nothing is loaded yet.
+    fn new(fmu: &Fmu, limits: WorkerLimits, load: &Job) -> Result<Self, FmiError> {
+        let workers =
+            fmu.workers(limits).ok_or_else(|| FmiError::NoWorker { reason: NO_LAUNCHER.to_owned() })?;
+        let load = Arc::new(Load::new(Frame::of(load).map_err(unsaid)?));
+        workers.start_ahead(&load, 1, 0);
+        Ok(Self {
+            fmu: fmu.clone(),
+            workers,
+            load,
+            is_always_fresh: AtomicBool::new(false),
+            is_checked: AtomicBool::new(false),
+            first: Mutex::default(),
+            frames: Mutex::default(),
+        })
+    }
+
+    /// Asks a worker, and hands its answer to `use_answer`. `limit`: of a single simulation.
+    fn ask<T>(
+        &self,
+        job: &Job,
+        (process, limit): (Asked, Option<Duration>),
+        cancelled: &dyn Fn() -> bool,
+        use_answer: impl FnOnce(&mut Frame) -> std::io::Result<T>,
+    ) -> Result<T, FmiError> {
+        let frames = || self.frames.lock().unwrap_or_else(PoisonError::into_inner);
+        let (mut asked, mut answer) = frames().pop().unwrap_or_default();
+        asked.set_head(job).map_err(unsaid)?;
+        let is_fresh = process == Asked::Fresh || self.is_always_fresh.load(Ordering::Relaxed);
+        let is_checked = || self.is_checked.load(Ordering::Relaxed);
+        if process != Asked::Checked || is_fresh || is_checked() {
+            self.call(&asked, &mut answer, (is_fresh, limit), cancelled)?;
+        } else {
+            self.ask_checked(&asked, &mut answer, limit, cancelled)?;
+        }
+        if process == Asked::Checked && !is_checked() || self.is_always_fresh.load(Ordering::Relaxed) {
+            self.workers.start_ahead(&self.load, 0, 1);
+        }
+        let used = use_answer(&mut answer).map_err(unsaid);
+        frames().push((asked, answer));
+        used
+    }
+
+    fn call(
+        &self,
+        asked: &Frame,
+        answer: &mut Frame,
+        (is_fresh, limit): (bool, Option<Duration>),
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<(), FmiError> {
+        let quirks = self.workers.call(&self.load, asked, answer, cancelled, limit, is_fresh)?;
+        self.fmu.add_quirks(quirks);
+        Ok(())
+    }
+
+    /// Asks a worker; the second question also asks a fresh one, at the same time, and the first question again where that takes no
+    /// longer than the start of a process. Where numbers differ, and two fresh processes agree, each question has one of its own from now on.
+    fn ask_checked(
+        &self,
+        asked: &Frame,
+        answer: &mut Frame,
+        limit: Option<Duration>,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<(), FmiError> {
+        let known = || self.first.lock().unwrap_or_else(PoisonError::into_inner);
+        let first = known().clone();
+        let Some((first, numbers)) = first.filter(|(first, _)| first != asked) else {
+            self.call(asked, answer, (false, limit), cancelled)?;
+            known().get_or_insert_with(|| (asked.clone(), answer.numbers.clone()));
+            return Ok(());
+        };
+        if self.is_checked.swap(true, Ordering::Relaxed) {
+            return self.call(asked, answer, (false, limit), cancelled);
+        }
+        let (began, mut again) = (Instant::now(), Frame::default());
+        let in_fresh = |is_over: &dyn Fn() -> bool| {
+            let mut answer = Frame::default();
+            self.call(asked, &mut answer, (true, limit), is_over).map(|()| answer)
+        };
+        let (own, fresh) = beside(cancelled, in_fresh, || {
+            self.call(asked, answer, (false, limit), cancelled)?;
+            match began.elapsed() < START {
+                true => self.call(&first, &mut again, (false, limit), cancelled),
+                false => Ok(()),
+            }
+        });
+        own?;
+        let Some(Ok(fresh)) = fresh else { return Ok(()) };
+        let is_first_same = again == Frame::default() || has_same_bits(&again.numbers, &numbers);
+        if is_first_same && has_same_bits(&fresh.numbers, &answer.numbers) {
+            return Ok(());
+        }
+        self.call(asked, answer, (true, limit), cancelled)?;
+        let model = &self.fmu.description().model_name;
+        if has_same_bits(&fresh.numbers, &answer.numbers) {
+            log::warn!("{model}: {HIDDEN_STATE}");
+            self.is_always_fresh.store(true, Ordering::Relaxed);
+        } else {
+            log::warn!(
+                "{model}: the same simulation in two fresh processes differs: nothing can be reproduced"
+            );
+        }
+        Ok(())
+    }
+}
+
+fn has_same_bits(one: &[f64], other: &[f64]) -> bool {
+    one.iter().map(|x| x.to_bits()).eq(other.iter().map(|x| x.to_bits()))
+}
+
 /// The worker processes of a calibration.
 #[derive(Debug)]
 pub(crate) struct Remote {
-    fmu: Fmu,
-    workers: Arc<Workers>,
-    load: Load,
+    processes: Processes,
     /// The limit of a single simulation.
     run_limit: Option<Duration>,
-    /// Each point is evaluated in a process of its own.
-    is_always_fresh: AtomicBool,
-    /// Frames that were used before.
-    frames: Mutex<Vec<(Frame, Frame)>>,
 }
 
 impl Remote {
@@ -105,53 +245,44 @@ impl Remote {
         {
             return Err(Some(format!("the input {input} is a function of this program")));
         }
-        let Some(workers) = fmu.workers(settings.worker_limits()) else {
-            return Err(Some(NO_LAUNCHER.to_owned()));
-        };
+        let limits = settings.worker_limits();
         // Where it is now, in this process no further process is started.
         let model = ModelFile::of(fmu).map_err(|error| Some(error.to_string()))?;
         let settings = SimulationSettings { isolation: Isolation::None, ..settings.clone() };
         let problem = Problem { model, settings, ..problem.clone() };
         let run_limit = problem.settings.timeout;
-        let loaded = Job::Load(Box::new(Loaded { problem, options: fmu.options().clone() }));
-        let frame = Frame::of(&loaded).map_err(|error| Some(error.to_string()))?;
-        Ok(Self {
-            fmu: fmu.clone(),
-            workers,
-            load: Load::new(frame),
-            run_limit,
-            is_always_fresh: AtomicBool::new(false),
-            frames: Mutex::default(),
-        })
+        let load = Job::Load(Box::new(Loaded { problem, options: fmu.options().clone() }));
+        let processes = Processes::new(fmu, limits, &load).map_err(|error| match error {
+            FmiError::NoWorker { reason } => Some(reason),
+            error => Some(error.to_string()),
+        })?;
+        Ok(Self { processes, run_limit })
+    }
+
+    /// Starts the processes of a fit in the background: for its threads, and the one in which its result is evaluated again.
+    pub(crate) fn start_ahead(&self, n_threads: usize) {
+        self.processes.is_checked.store(true, Ordering::Relaxed);
+        self.processes.workers.start_ahead(&self.processes.load, n_threads, 1);
     }
 
     /// Evaluates each point in a process of its own from now on.
     pub(crate) fn set_always_fresh(&self) {
-        self.is_always_fresh.store(true, Ordering::Relaxed);
+        self.processes.is_always_fresh.store(true, Ordering::Relaxed);
     }
 
     /// Whether each point is evaluated in a process of its own.
     pub(crate) fn is_always_fresh(&self) -> bool {
-        self.is_always_fresh.load(Ordering::Relaxed)
+        self.processes.is_always_fresh.load(Ordering::Relaxed)
     }
 
-    /// Asks a worker, and hands its answer to `use_answer`.
     fn ask<T>(
         &self,
         job: &Job,
-        is_fresh: bool,
+        process: Asked,
         cancelled: &dyn Fn() -> bool,
         use_answer: impl FnOnce(&mut Frame) -> std::io::Result<T>,
     ) -> Result<T, FmiError> {
-        let frames = || self.frames.lock().unwrap_or_else(PoisonError::into_inner);
-        let (mut asked, mut answer) = frames().pop().unwrap_or_default();
-        asked.set_head(job).map_err(unsaid)?;
-        let (load, limit) = (&self.load, self.run_limit);
-        let quirks = self.workers.call(load, &asked, &mut answer, cancelled, limit, is_fresh)?;
-        self.fmu.add_quirks(quirks);
-        let used = use_answer(&mut answer).map_err(unsaid);
-        frames().push((asked, answer));
-        used
+        self.processes.ask(job, (process, self.run_limit), cancelled, use_answer)
     }
 
     /// The cost at a point, its residuals into `out`; see [`Evaluator::evaluate`](crate::evaluate::Evaluator::evaluate).
@@ -159,13 +290,12 @@ impl Remote {
         &self,
         (x, method): (&[f64], Method),
         rule: CostRule<'_>,
-        (accuracy, is_fresh): (Option<Accuracy>, bool),
+        (accuracy, process): (Option<Accuracy>, Asked),
         out: &mut [f64],
         stats: &mut Stats,
     ) -> Result<f64, NoCost> {
         let CostRule { loss, cutoff, cancelled } = rule;
         let job = Job::Evaluate { x: x.to_vec(), method, loss, cutoff, accuracy };
-        let is_fresh = is_fresh || self.is_always_fresh();
         let mut use_answer = |answer: &mut Frame| {
             let Evaluated { cost, stats } = answer.head()?;
             if cost.is_ok() {
@@ -177,10 +307,10 @@ impl Remote {
             }
             Ok((cost, stats))
         };
-        let mut evaluated = self.ask(&job, is_fresh, cancelled, &mut use_answer);
-        if !is_fresh && matches!(&evaluated, Ok((Err(told), _)) if told.is_of_process()) {
+        let mut evaluated = self.ask(&job, process, cancelled, &mut use_answer);
+        if process != Asked::Fresh && matches!(&evaluated, Ok((Err(told), _)) if told.is_of_process()) {
             // A process that was used before may have lost what it needs.
-            evaluated = self.ask(&job, true, cancelled, &mut use_answer);
+            evaluated = self.ask(&job, Asked::Fresh, cancelled, &mut use_answer);
         }
         let (cost, taken) = evaluated.map_err(NoCost::of_worker)?;
         *stats += taken;
@@ -194,7 +324,7 @@ impl Remote {
         cancelled: &dyn Fn() -> bool,
         stats: &mut Stats,
     ) -> Result<RaceRun, CalibrationError> {
-        let raced = self.ask(&Job::Race(task), self.is_always_fresh(), cancelled, |answer| {
+        let raced = self.ask(&Job::Race(task), Asked::Any, cancelled, |answer| {
             let raced: Raced = answer.head()?;
             Ok((raced, std::mem::take(&mut answer.numbers)))
         });
@@ -225,7 +355,7 @@ impl Remote {
         job: &Job,
         cancelled: &dyn Fn() -> bool,
     ) -> Result<Trajectory, CalibrationError> {
-        let trajectory = self.ask(job, self.is_always_fresh(), cancelled, trajectory_of);
+        let trajectory = self.ask(job, Asked::Checked, cancelled, trajectory_of);
         trajectory.map_err(|error| match error {
             FmiError::Cancelled => CalibrationError::Cancelled,
             error => error.into(),
@@ -236,25 +366,21 @@ impl Remote {
 /// A model that is simulated in processes of its own.
 #[derive(Debug)]
 pub struct ModelProcess {
-    fmu: Fmu,
-    workers: Arc<Workers>,
-    load: Load,
+    processes: Processes,
 }
 
 impl ModelProcess {
-    /// Nothing is started yet.
+    /// Nothing is loaded yet.
     ///
     /// # Errors
     /// The file of the model cannot be read any more; [`FmiError::NoWorker`]: this program cannot start processes for it.
     pub fn new(fmu: &Fmu, limits: WorkerLimits) -> Result<Self, FmiError> {
-        let workers =
-            fmu.workers(limits).ok_or_else(|| FmiError::NoWorker { reason: NO_LAUNCHER.to_owned() })?;
         let open = Job::Open(ModelFile::of(fmu)?, Box::new(fmu.options().clone()));
-        let load = Load::new(Frame::of(&open).map_err(unsaid)?);
-        Ok(Self { fmu: fmu.clone(), workers, load })
+        Ok(Self { processes: Processes::new(fmu, limits, &open)? })
     }
 
-    /// As [`Fmu::simulate_with`], with the same bits. `cancelled` ends it.
+    /// As [`Fmu::simulate_with`], with the same bits. `cancelled` ends it. The second simulation is also made in a new process, at the
+    /// same time; where that gives others, each one has a new process from then on.
     ///
     /// # Errors
     /// As [`Fmu::simulate`]; [`FmiError::WorkerEnded`]; [`FmiError::Cancelled`]; inputs that are functions.
@@ -268,11 +394,8 @@ impl ModelProcess {
                 format!("the input {input} is a function of this program, which no other process can call");
             return Err(FmiError::BadSetting { problem });
         }
-        let (mut asked, mut answer) = (Frame::default(), Frame::default());
-        asked.set_head(&Job::Simulate(Box::new(options.clone()))).map_err(unsaid)?;
-        let quirks = self.workers.call(&self.load, &asked, &mut answer, cancelled, options.timeout, false)?;
-        self.fmu.add_quirks(quirks);
-        trajectory_of(&mut answer).map_err(unsaid)
+        let job = Job::Simulate(Box::new(options.clone()));
+        self.processes.ask(&job, (Asked::Checked, options.timeout), cancelled, trajectory_of)
     }
 }
 

@@ -5,6 +5,7 @@ use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::no_cost::NoCost;
 use crate::parallel;
+use crate::remote::Asked;
 use crate::residual::CostRule;
 use dfo::RobustLoss;
 use fmi::{InterfaceKind, SimulateOptions, SimulationPlan, Simulator};
@@ -151,7 +152,7 @@ impl Calibration {
     ) -> Result<f64, NoCost> {
         if let Ok(remote) = &self.evaluator().remote {
             let method = self.method_until(rule.cancelled)?;
-            return remote.evaluate((x, method), rule, (Some(accuracy), false), out, stats);
+            return remote.evaluate((x, method), rule, (Some(accuracy), Asked::Any), out, stats);
         }
         self.evaluator().evaluate(x, rule, out, stats, |k, run| {
             let asked = self.evaluator().simulations[k].options_at_start();

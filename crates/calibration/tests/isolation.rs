@@ -5,10 +5,10 @@
 
 mod support;
 
-use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, SimulationSettings};
+use calibration::{Calibration, Data, Experiment, FitOptions, ModelProcess, Parameter, SimulationSettings};
 use dfo::{Checkpoint, DifferentialEvolution, Limits, RunOptions};
-use fmi::Fmu;
-use fmi::worker::{Isolation, Launcher};
+use fmi::worker::{Isolation, Launcher, WorkerLimits};
+use fmi::{Fmu, SimulateOptions};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -70,7 +70,7 @@ const DEATHS: [(&str, &str); 5] = [
     ("abort()", "abort in fmi2GetDerivatives"),
     ("exit(3)", "the process was ended with exit(3) in fmi2GetDerivatives"),
     ("overflow(m->time)", "in fmi2GetDerivatives"),
-    ("close_all()", " in fmi2Get"),
+    ("close_all()", " in fmi2"),
 ];
 
 #[test]
@@ -107,6 +107,23 @@ fn a_hang_is_ended_soon_after_its_limit() {
     let began = Instant::now();
     let cancelled = || began.elapsed() > Duration::from_millis(200);
     assert!(calibration.cost_until(&[3.0], &cancelled).is_err());
+}
+
+#[test]
+fn what_the_end_of_a_run_does_belongs_to_its_evaluation() {
+    let folder = faulty(&["FAULT_ABOVE=2.2", "FAULT=hang()", "FAULT_AT_END"]);
+    let timeout = Some(Duration::from_millis(300));
+    let calibration = decay(open(&folder), SimulationSettings { timeout, ..settings(Isolation::Process) });
+    for k in [1.0, 3.0, 1.5, 2.5, 2.0] {
+        match calibration.cost(&[k]) {
+            Ok(_) => assert!(k < 2.2, "{k}"),
+            Err(error) => {
+                let error = error.to_string();
+                assert!(error.contains(&format!("k = {k}")), "{error}");
+                assert!(error.contains("no answer within the time limit in fmi2Terminate"), "{error}");
+            }
+        }
+    }
 }
 
 /// The processes that were started with this folder for temporary files somewhere in their environment.
@@ -217,6 +234,11 @@ fn limits_hold() {
     let error = calibration.cost(&[3.0]).unwrap_err().to_string();
     assert!(error.contains("in fmi2GetDerivatives"), "{error}");
 
+    let folder = faulty(&["FAULT_ABOVE=2.2", "FAULT=fill_shared_memory()"]);
+    let limited = SimulationSettings { memory_limit: Some(300 << 20), ..settings(Isolation::Process) };
+    let error = decay(open(&folder), limited).cost(&[3.0]).unwrap_err().to_string();
+    assert!(error.contains("more memory than its limit of 314572800 bytes in fmi2GetDerivatives"), "{error}");
+
     let folder = faulty(&["FAULT_ABOVE=2.2", "FAULT=print_for_ever()"]);
     let timeout = Some(Duration::from_millis(300));
     let calibration = decay(open(&folder), SimulationSettings { timeout, ..settings(Isolation::Process) });
@@ -265,10 +287,106 @@ fn other_evaluations_are_those_of_a_sound_model() {
     }
 }
 
+/// Processes that the FMU has started end with the worker, also where they have left its session and the program is killed.
+#[test]
+fn daemons_end_with_their_worker() {
+    let (model, temporary) =
+        (faulty(&["FAULT_ABOVE=0", "FAULT=leave_daemon()"]), tempfile::tempdir().unwrap());
+    let run = |work: &Path| {
+        std::os::unix::fs::symlink(model.path(), work.join("model")).unwrap();
+        another_program("a_fit_with_a_checkpoint", temporary.path(), work)
+    };
+    for is_killed in [false, true] {
+        let work = tempfile::tempdir().unwrap();
+        let mut child = run(work.path()).spawn().unwrap();
+        let began = Instant::now();
+        // The program, its worker and at least one daemon.
+        while processes_of(temporary.path()).len() < 3 {
+            assert!(began.elapsed() < Duration::from_secs(20));
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        if is_killed {
+            child.kill().unwrap();
+        }
+        child.wait().unwrap();
+        is_gone_soon(temporary.path());
+    }
+}
+
+/// A cost does not depend on what was computed before, also outside of fits.
+#[test]
+fn a_state_that_no_variable_shows_is_found_outside_of_fits() {
+    // A run with k above 1.2 stays in a static variable.
+    let folder = faulty(&["SHARED_GLOBALS", "REMEMBERS=1.2"]);
+    let points = [1.0, 1.5, 2.0];
+    let alone: Vec<_> = points
+        .iter()
+        .map(|k| decay(open(&folder), settings(Isolation::Process)).residuals(&[*k]).unwrap())
+        .collect();
+    let calibration = decay(open(&folder), settings(Isolation::Process));
+    for k in [0, 1, 2, 1, 0] {
+        assert_eq!(calibration.residuals(&points[k..=k]).unwrap(), alone[k], "{k}");
+    }
+    let apart = || ModelProcess::new(&open(&folder), WorkerLimits::default()).unwrap();
+    let simulated = |process: &ModelProcess, k: f64| {
+        let options = SimulateOptions::new().final_time(1.0).start_value("k", k);
+        process.simulate(&options, &|| false).unwrap().columns
+    };
+    let alone = points.map(|k| simulated(&apart(), k));
+    let process = apart();
+    for k in [0, 1, 2, 1, 0] {
+        assert_eq!(simulated(&process, points[k]), alone[k], "{k}");
+    }
+}
+
 #[test]
 fn a_leak_does_not_grow_for_ever() {
     let folder = faulty(&["LEAKS=(64 << 20)"]);
     let calibration = decay(open(&folder), settings(Isolation::Process));
     let found = fit(&calibration, 1, 60);
     assert!((found.x[0] - 1.7).abs() < 0.1, "{:?}", found.x);
+}
+
+/// Bytes that this process has in memory.
+fn own_size() -> u64 {
+    let text = std::fs::read_to_string("/proc/self/statm").unwrap();
+    text.split(' ').nth(1).unwrap().parse::<u64>().unwrap() * 4096
+}
+
+#[test]
+#[ignore = "takes long"]
+fn twenty_thousand_runs_that_leak_a_megabyte_each() {
+    let folder = faulty(&["LEAKS=(1 << 20)"]);
+    let limited = SimulationSettings { memory_limit: Some(1 << 30), ..settings(Isolation::Process) };
+    let calibration = decay(open(&folder), limited);
+    assert!((fit(&calibration, 2, 500).x[0] - 1.7).abs() < 0.1);
+    let before = own_size();
+    for run in 0..20_000 {
+        let cost = calibration.cost(&[1.7 + 1e-6 * f64::from(run)]).unwrap();
+        assert!(cost < 0.01, "{run}: {cost}");
+    }
+    let grown = own_size().saturating_sub(before);
+    assert!(grown < 8 << 20, "{grown} bytes");
+    let found = fit(&calibration, 2, 500);
+    assert!((found.x[0] - 1.7).abs() < 0.1, "{:?}", found.x);
+}
+
+#[test]
+#[ignore = "takes long"]
+fn twenty_thousand_runs_with_a_state_that_no_variable_shows() {
+    let folder = faulty(&["SHARED_GLOBALS", "REMEMBERS=1.2"]);
+    let calibration = decay(open(&folder), settings(Isolation::Process));
+    let point = |run: u32| [1.0 + 0.25 * f64::from(run % 5)];
+    let expected: Vec<_> = (0..5)
+        .map(|run| decay(open(&folder), settings(Isolation::Process)).residuals(&point(run)).unwrap())
+        .collect();
+    for run in 0..5 {
+        calibration.cost(&point(run)).unwrap();
+    }
+    let before = own_size();
+    for run in 0..20_000 {
+        assert_eq!(calibration.residuals(&point(run)).unwrap(), expected[run as usize % 5], "{run}");
+    }
+    let grown = own_size().saturating_sub(before);
+    assert!(grown < 8 << 20, "{grown} bytes");
 }

@@ -6,9 +6,9 @@
 mod support;
 
 use fmi::ode::Ignore;
-use fmi::{Fmu, InterfaceKind, Reuse, Session, SimulateOptions, SimulationPlan, Simulator};
+use fmi::{Fmu, InterfaceKind, Kind, Reuse, Session, SimulateOptions, SimulationPlan, Simulator};
 use std::sync::Arc;
-use support::{evil, settle};
+use support::{evil, evil_with, settle};
 
 const ME: InterfaceKind = InterfaceKind::ModelExchange;
 
@@ -90,6 +90,27 @@ fn a_check_is_a_part_of_the_runs_before_it_and_is_counted() {
     assert_eq!(checks.runs, 4);
     assert!(checks.steps > 0 && checks.steps * 10 <= n_steps, "{checks:?} of {n_steps}");
     assert_eq!(simulator.run(&[1.0], &mut Ignore).unwrap().stats.checks.runs, 0);
+}
+
+/// A slow co-simulation makes hardly more steps than it is asked for, in whichever run the check is due.
+#[test]
+fn a_second_co_simulation_makes_at_most_a_tenth_more_steps() {
+    let counted = tempfile::NamedTempFile::new().unwrap();
+    let co_simulation =
+        r#"<CoSimulation modelIdentifier="evil" canHandleVariableCommunicationStepSize="true"/>"#;
+    let fault = format!("STEPS_FILE=\"{}\"", counted.path().display());
+    let folder =
+        evil_with(&[&fault], |xml| xml.replace(r#"<ModelExchange modelIdentifier="evil"/>"#, co_simulation));
+    let mut session = Session::new(folder.open());
+    let options = SimulateOptions::new().kind(Kind::CoSimulation).final_time(1.0).step_size(2e-3);
+    let mut n_before = 0;
+    let steps = [(); 4].map(|()| {
+        session.simulate(&options).unwrap();
+        let n = counted.as_file().metadata().unwrap().len();
+        n - std::mem::replace(&mut n_before, n)
+    });
+    assert_eq!(steps[0], 500);
+    assert!(steps.iter().all(|n| (500..=550).contains(n)) && steps.iter().any(|n| *n > 500), "{steps:?}");
 }
 
 /// Ending or resetting the instance of a run that is over changes nothing of that run, nor of the next.

@@ -2,7 +2,7 @@
 
 use calibration::visible;
 use fmi::FmiError;
-use fmi::error::ToldKind;
+use fmi::error::{Told, ToldKind};
 use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::{PyFileNotFoundError, PyKeyboardInterrupt, PyMemoryError, PyOSError};
 use pyo3::prelude::*;
@@ -15,41 +15,23 @@ pyo3::import_exception!(pydfo._errors, ModelTypeError);
 pyo3::import_exception!(pydfo._errors, SimulationError);
 pyo3::import_exception!(pydfo._errors, UnknownVariableError);
 
-/// The exception for an error of a model.
+/// The exception for an error of a model, the same wherever it ran.
 pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
     let message = visible(&error.to_string()).into_owned();
-    match error {
-        FmiError::Cancelled => PyKeyboardInterrupt::new_err(()),
-        FmiError::Memory { .. } => PyMemoryError::new_err(message),
-        FmiError::Io { path, source, .. } => os_error(py, path, source, message),
-        FmiError::Absent { .. } => PyFileNotFoundError::new_err(message),
-        FmiError::UnknownVariable { .. } | FmiError::NotInResult { .. } => {
-            UnknownVariableError::new_err(message)
-        }
-        FmiError::WrongType { .. } => ModelTypeError::new_err(message),
-        FmiError::NotSettable { .. }
-        | FmiError::OutOfRange { .. }
-        | FmiError::NotFinite { .. }
-        | FmiError::NotAnOutput { .. }
-        | FmiError::BadInput { .. }
-        | FmiError::BadSetting { .. }
-        | FmiError::Options(_) => BadModelValueError::new_err(message),
-        FmiError::Told(told) => match told.kind {
-            ToldKind::Setting => BadModelValueError::new_err(message),
-            ToldKind::UnknownVariable => UnknownVariableError::new_err(message),
-            ToldKind::WrongType => ModelTypeError::new_err(message),
-            ToldKind::NoFile => PyFileNotFoundError::new_err(message),
-            ToldKind::Memory => PyMemoryError::new_err(message),
-            ToldKind::Simulation => simulation(py, error, message, told.time),
-            _ => FmuError::new_err(message),
-        },
-        FmiError::WorkerEnded(end) => simulation(py, error, message, end.time),
-        FmiError::Call(failure) => simulation(py, error, message, failure.time),
-        FmiError::EventIteration { time, .. } => simulation(py, error, message, Some(*time)),
-        FmiError::Simulation(inner) if matches!(inner.kind, ode::ErrorKind::TooLargeForDense { .. }) => {
-            PyMemoryError::new_err(message)
-        }
-        FmiError::Simulation(inner) => simulation(py, error, message, Some(inner.time)),
+    if let FmiError::Io { path, source, .. } = error {
+        return os_error(py, path, source, message);
+    }
+    let told = error.told();
+    match told.kind {
+        ToldKind::Cancelled => PyKeyboardInterrupt::new_err(()),
+        ToldKind::Memory => PyMemoryError::new_err(message),
+        ToldKind::NoFile => PyFileNotFoundError::new_err(message),
+        ToldKind::UnknownVariable => UnknownVariableError::new_err(message),
+        ToldKind::WrongType => ModelTypeError::new_err(message),
+        ToldKind::Setting => BadModelValueError::new_err(message),
+        ToldKind::Simulation => simulation(py, told, message),
+        // A call that failed, without a simulation.
+        _ if told.status.is_some() => simulation(py, told, message),
         _ => FmuError::new_err(message),
     }
 }
@@ -80,13 +62,12 @@ fn os_error(py: Python<'_>, path: &Path, source: &io::Error, message: String) ->
     make().unwrap_or_else(|e| e)
 }
 
-fn simulation(py: Python<'_>, error: &FmiError, message: String, time: Option<f64>) -> PyErr {
+fn simulation(py: Python<'_>, told: Told, message: String) -> PyErr {
     let exception = SimulationError::new_err(message);
     let attach = || -> PyResult<()> {
         let value = exception.value(py);
-        let told = error.told();
         value.setattr("status", told.status)?;
-        value.setattr("time", time)?;
+        value.setattr("time", told.time)?;
         value.setattr("log", told.log)
     };
     attach().err().unwrap_or(exception)

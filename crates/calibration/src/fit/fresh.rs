@@ -2,12 +2,12 @@
 
 use crate::calibration::Calibration;
 use crate::no_cost::NoCost;
-use crate::remote::Remote;
+use crate::parallel::beside;
+use crate::remote::{Asked, Remote};
 use crate::residual::CostRule;
 use dfo::RobustLoss;
 use ode::Stats;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::convert::Infallible;
 
 /// What a fresh process gave.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,18 +37,9 @@ impl Calibration {
         let (Some(remote), Some(best), false) = (remote, best, cancelled()) else {
             return (work(), Fresh::Same);
         };
-        let is_over = AtomicBool::new(false);
-        std::thread::scope(|scope| {
-            let check = scope.spawn(|| self.again(remote, best, loss, &|| is_over.load(Ordering::Relaxed)));
-            let done = work();
-            while !check.is_finished() {
-                if cancelled() {
-                    is_over.store(true, Ordering::Relaxed);
-                }
-                std::thread::sleep(Duration::from_millis(1));
-            }
-            (done, check.join().unwrap_or(Fresh::Same))
-        })
+        let task = |is_over: &dyn Fn() -> bool| self.again(remote, best, loss, is_over);
+        let (Ok(done), found) = beside(cancelled, task, || Ok::<T, Infallible>(work()));
+        (done, found.unwrap_or(Fresh::Same))
     }
 
     fn again(
@@ -63,7 +54,7 @@ impl Calibration {
             let rule = CostRule::whole(loss, cancelled);
             let mut residuals = vec![0.0; self.n_residuals()];
             let method = self.method_until(cancelled).map_err(drop)?;
-            let asked = (None, true);
+            let asked = (None, Asked::Fresh);
             match remote.evaluate((x, method), rule, asked, &mut residuals, &mut Stats::default()) {
                 Ok(_) => Ok(Some(residuals.iter().map(|residual| residual.to_bits()).collect())),
                 Err(NoCost::Failed { .. }) => Ok(None),

@@ -14,6 +14,7 @@ use crate::output_fit::KeptResiduals;
 use crate::parameter::{Parameter, Scale};
 use crate::phase::{CurrentPhase, Deadline, FitPhase};
 use crate::preflight::{Preflight, PreflightOptions};
+use crate::remote::HIDDEN_STATE;
 use crate::residual::sum_of_squares;
 use crate::solver::Solver;
 use crate::worth::{WorthOptions, digits};
@@ -28,10 +29,6 @@ use std::rc::Rc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::available_parallelism;
-
-/// Why a fit is begun again.
-const HIDDEN_STATE: &str = "a cost depends on what ran before it in the same process (a state that the model keeps and no variable shows): each \
-                            evaluation has a process of its own";
 
 /// The objective of one fit, which adds up what its simulations take.
 struct Counted<'a> {
@@ -326,6 +323,10 @@ impl Calibration {
         }
         let tolerances = described.tolerances;
         job.phase.set(FitPhase::Search);
+        if let Ok(remote) = &self.evaluator().remote {
+            // Now that the first one has answered.
+            remote.start_ahead(job.run.workers.unwrap_or(1).min(2));
+        }
         let mut observer = job.observer.borrow_mut();
         let mut remark = None;
         let (report, found, residuals) = loop {

@@ -386,7 +386,7 @@ fn bits((least, most): (i128, i128)) -> u32 {
 }
 
 impl FmiError {
-    /// What a worker process tells of this error.
+    /// What is told of this error to those who cannot have it: its sort, and the data that they may use.
     pub fn told(&self) -> Told {
         let (kind, time) = match self {
             FmiError::Told(told) => return (**told).clone(),
@@ -394,7 +394,9 @@ impl FmiError {
             FmiError::Io { source, .. } if source.kind() == io::ErrorKind::NotFound => {
                 (ToldKind::NoFile, None)
             }
+            FmiError::Absent { .. } => (ToldKind::NoFile, None),
             FmiError::Cancelled => (ToldKind::Cancelled, None),
+            FmiError::WorkerEnded(end) => (ToldKind::Simulation, end.time),
             FmiError::UnknownVariable { .. } | FmiError::NotInResult { .. } => {
                 (ToldKind::UnknownVariable, None)
             }
@@ -406,9 +408,12 @@ impl FmiError {
             | FmiError::BadInput { .. }
             | FmiError::BadSetting { .. }
             | FmiError::Options(_) => (ToldKind::Setting, None),
-            FmiError::Call(failure) if failure.call.contains("nstantiate") => (ToldKind::Model, None),
+            FmiError::Call(failure) if failure.call.contains("nstantiate") => (ToldKind::Model, failure.time),
             FmiError::Call(failure) => (ToldKind::Simulation, failure.time),
             FmiError::EventIteration { time, .. } => (ToldKind::Simulation, Some(*time)),
+            FmiError::Simulation(error) if matches!(error.kind, ode::ErrorKind::TooLargeForDense { .. }) => {
+                (ToldKind::Memory, None)
+            }
             FmiError::Simulation(error) => (ToldKind::Simulation, Some(error.time)),
             _ => (ToldKind::Model, None),
         };

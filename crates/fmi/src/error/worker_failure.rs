@@ -57,6 +57,8 @@ pub enum EndKind {
     Died,
     /// It did not come back from the FMU in time, and was ended.
     Hung,
+    /// It had more memory than its limit, and was ended.
+    Memory,
     /// What it sent was no answer; it was ended.
     Garbage,
 }

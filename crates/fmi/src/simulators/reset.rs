@@ -12,24 +12,27 @@ use crate::sys::{InterfaceKind, RawInstance};
 impl Simulator {
     /// A new instance, or the last run's, brought back in a way that is known to be right; and whether it was used before.
     pub(super) fn fresh_instance(&mut self) -> Result<(RawInstance, bool), FmiError> {
-        if let Some(raw) = self.fresh.take() {
-            return Ok((raw, false));
+        self.bring_back();
+        match self.brought_back.take() {
+            // Another simulator may have found out that this is no way.
+            Some((raw, reuse)) if self.reuse() == Some(reuse) => Ok((raw, true)),
+            _ => Ok((self.new_instance()?, false)),
         }
-        match (self.engine.running().retire(), self.reuse()) {
-            (Some(used), Some(reuse)) if reuse < Reuse::Reinstantiate => {
-                // Made when nobody thought of bringing it back.
-                let is_left = reuse == Reuse::Restore && !used.has_origin();
-                if !is_left {
-                    match reset(used, self.plan.fmu(), reuse) {
-                        Ok(raw) => return Ok((raw, true)),
-                        Err(_) if !self.is_fatal() => self.give_up_reuse(reuse, "it fails"),
-                        Err(_) => {}
-                    }
-                }
-            }
-            (used, _) => drop(used),
+    }
+
+    /// Ends the last run's instance; keeps it, brought back to its start, where a way is known to be right.
+    pub(super) fn bring_back(&mut self) {
+        let Some(used) = self.engine.running().retire() else { return };
+        let Some(reuse) = self.reuse().filter(|reuse| *reuse < Reuse::Reinstantiate) else { return };
+        // Made when nobody thought of bringing it back.
+        if reuse == Reuse::Restore && !used.has_origin() {
+            return;
         }
-        Ok((self.new_instance()?, false))
+        match reset(used, self.plan.fmu(), reuse) {
+            Ok(raw) => self.brought_back = Some((raw, reuse)),
+            Err(_) if !self.is_fatal() => self.give_up_reuse(reuse, "it fails"),
+            Err(_) => {}
+        }
     }
 
     /// A new instance, after the last one; where saved states bring instances back, with the state to bring back.
@@ -40,7 +43,7 @@ impl Simulator {
     /// A new instance, after the last one, which can be brought back in this way.
     pub(super) fn new_instance_for(&mut self, reuse: Option<Reuse>) -> Result<RawInstance, FmiError> {
         // One at a time: the FMU may not allow two.
-        self.fresh = None;
+        self.brought_back = None;
         drop(self.engine.running().retire());
         let mut raw = self.instantiate()?;
         if reuse == Some(Reuse::Restore) && raw.save_origin().is_err() {

@@ -5,7 +5,7 @@ use crate::cancel::Cancel;
 use crate::description::{Causality, QuirkKind};
 use crate::error::FmiError;
 use crate::libraries::Reuse;
-use crate::sys::Inside;
+use crate::sys::{Inside, is_worker};
 use ode::{Checks, ErrorKind, Ignore, Limits, Number, Observer, Report, Seconds, SimulationError, Stats};
 use std::sync::Arc;
 use std::time::Instant;
@@ -30,7 +30,7 @@ impl Simulator {
         if self.library.is_some() && !self.is_fatal() {
             return Ok(());
         }
-        self.fresh = None;
+        self.brought_back = None;
         drop(self.engine.running().retire());
         let cancel = Cancel::from(self.plan.options.cancel.clone());
         let library = self.plan.fmu().library(self.plan.kind, Some(&self.plan.settings), &cancel, wait);
@@ -118,6 +118,10 @@ impl Simulator {
         let mut outcome = self.engine.run(&self.plan, limits, observer);
         let input_functions = self.engine.running().seconds_in_input_functions();
         self.engine.running().pass_log_on();
+        if is_worker() {
+            // What the end of a run does to the process is part of the answer.
+            self.bring_back();
+        }
         let took = self.began.elapsed().as_secs_f64();
         let Some(stats) = stats_of(&mut outcome) else { return outcome };
         stats.seconds += Seconds::new(starting);
@@ -230,10 +234,11 @@ fn stats_of(outcome: &mut Result<Report, FmiError>) -> Option<&mut Stats> {
 impl Drop for Simulator {
     fn drop(&mut self) {
         let Some(library) = self.library.take() else { return };
-        let (fresh, current) = (self.fresh.take(), std::mem::take(&mut self.engine.running().current));
+        let (brought_back, current) =
+            (self.brought_back.take(), std::mem::take(&mut self.engine.running().current));
         // Without waiting: who drops a simulator may hold locks that the one who is inside waits for.
         Arc::clone(library.gate()).when_free(move || {
-            drop((fresh, current.retire()));
+            drop((brought_back, current.retire()));
             drop(library);
         });
     }

@@ -37,8 +37,8 @@ use std::time::Instant;
 pub struct Simulator {
     pub(super) plan: Arc<SimulationPlan>,
     pub(super) engine: Engine,
-    /// A new or reset instance that has not been used yet.
-    pub(super) fresh: Option<RawInstance>,
+    /// The last run's instance, when it has been brought back to its start, and how.
+    pub(super) brought_back: Option<(RawInstance, Reuse)>,
     pub(super) buffers: ReadBackBuffers,
     /// When the start of the present run began.
     pub(super) began: Instant,
@@ -60,7 +60,7 @@ impl Simulator {
         Ok(Self {
             engine: Engine::new(&plan)?,
             plan,
-            fresh: None,
+            brought_back: None,
             buffers: ReadBackBuffers::default(),
             began: Instant::now(),
             library: None,

@@ -1,11 +1,12 @@
 //! A page of memory that a worker process shares with the process that has started it: the last call into the FMU, the simulated time,
-//! and the wish to end. It outlives the worker, so that its end can be explained.
+//! the wish to end, and the numbers of the last question and answer. It outlives the worker, so that its end can be explained.
 
 use crate::error::FmiError;
 use std::fs::File;
 use std::io;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
 
 /// Bytes of a function's name; longer ones are cut.
 const NAME: usize = 48;
@@ -26,6 +27,18 @@ struct Shared {
     /// The bits of the simulated time.
     time: AtomicU64,
     names: [[AtomicU8; NAME]; NAMES],
+    turns: Turns,
+}
+
+/// In cache lines of its own: who waits reads it all the time, and the rest changes with every call of the FMU.
+#[repr(C, align(128))]
+struct Turns {
+    /// Number of the last question that is on its way.
+    asked: AtomicU32,
+    /// Number of the last question whose answer is on its way.
+    answered: AtomicU32,
+    /// Not 0: the worker may keep a core busy for a moment while it waits for the next question.
+    may_spin: AtomicU32,
 }
 
 const LENGTH: usize = size_of::<Shared>();
@@ -91,6 +104,32 @@ impl Page {
         self.shared().cancel.load(Ordering::Relaxed) != 0
     }
 
+    /// Says that a question is on its way, and whether the worker may [wait](Self::wait_for_question) for the next one.
+    pub(crate) fn note_question(&self, number: u32, may_spin: bool) {
+        let turns = &self.shared().turns;
+        turns.may_spin.store(may_spin.into(), Ordering::Relaxed);
+        turns.asked.store(number, Ordering::Release);
+    }
+
+    /// Says that an answer is on its way.
+    pub(crate) fn note_answer(&self, number: u32) {
+        self.shared().turns.answered.store(number, Ordering::Release);
+    }
+
+    /// Waits without sleeping until the answer is on its way, no longer than so. A core that sleeps wakes up late.
+    pub(crate) fn wait_for_answer(&self, number: u32, longest: Duration) {
+        let answered = &self.shared().turns.answered;
+        spin_until(longest, || answered.load(Ordering::Acquire) == number);
+    }
+
+    /// Waits without sleeping until a question after this one is on its way, no longer than so, and only where that was allowed.
+    pub(crate) fn wait_for_question(&self, after: u32, longest: Duration) {
+        let turns = &self.shared().turns;
+        if turns.may_spin.load(Ordering::Relaxed) != 0 {
+            spin_until(longest, || turns.asked.load(Ordering::Acquire) != after);
+        }
+    }
+
     /// Simulations begun.
     pub(crate) fn runs(&self) -> u32 {
         self.shared().runs.load(Ordering::Relaxed)
@@ -129,6 +168,20 @@ impl Page {
     }
 }
 
+/// Looks at a condition for so long, and leaves the core to whoever else has use for it.
+fn spin_until(longest: Duration, is_met: impl Fn() -> bool) {
+    let began = Instant::now();
+    while began.elapsed() < longest {
+        for _ in 0..16 {
+            if is_met() {
+                return;
+            }
+            std::hint::spin_loop();
+        }
+        std::thread::yield_now();
+    }
+}
+
 impl Drop for Page {
     fn drop(&mut self) {
         // SAFETY: mapped by `of` with this length; references do not outlive the page.
@@ -160,6 +213,11 @@ static PAGE: OnceLock<Page> = OnceLock::new();
 pub(crate) fn tell_calls(page: Page) -> Result<&'static Page, FmiError> {
     PAGE.set(page).map_err(|_| FmiError::BadSetting { problem: "this process serves already".to_owned() })?;
     PAGE.get().ok_or(FmiError::Cancelled)
+}
+
+/// Whether this process is a worker.
+pub(crate) fn is_worker() -> bool {
+    PAGE.get().is_some()
 }
 
 /// The number by which calls of a function are told; 0: they are not.

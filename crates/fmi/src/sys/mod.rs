@@ -55,6 +55,9 @@ mod last_call {
     pub(super) fn note_call(_: u32) {}
     pub(super) fn note_time(_: f64) {}
     pub(crate) fn note_run() {}
+    pub(crate) fn is_worker() -> bool {
+        false
+    }
 }
 mod library;
 mod packed;
@@ -68,9 +71,9 @@ mod version;
 pub(crate) use child_limits::close_inherited;
 pub(crate) use child_limits::limit as limit_child;
 pub(crate) use environment::Inside;
-pub(crate) use last_call::note_run;
 #[cfg(unix)]
 pub(crate) use last_call::{Page, tell_calls};
+pub(crate) use last_call::{is_worker, note_run};
 pub(crate) use library::{Library, LoadFrom};
 pub use platform::LoaderOptions;
 pub(crate) use raw_instance::{Fault, RawInstance, SavedSlot, Sizes};

@@ -25,6 +25,11 @@ impl Workers {
     }
 
     /// Not reached.
+    pub fn start_ahead(self: &Arc<Self>, _: &Arc<Load>, _: usize, _: usize) {
+        match **self {}
+    }
+
+    /// Not reached.
     ///
     /// # Errors
     /// None.

@@ -1,5 +1,6 @@
 //! The worker process itself: it takes its socket, limits itself, and answers until the other end is closed.
 
+use super::folder::{enter, kill_processes_of, remove};
 use super::frame::Frame;
 use super::limits::WorkerLimits;
 use super::notes::{Notes, keep_lines, take_lines};
@@ -11,11 +12,18 @@ use rustix::event::{PollFd, PollFlags, poll};
 use rustix::fs::{Mode, OFlags};
 use rustix::process::{Resource, Rlimit, setrlimit};
 use std::fs::File;
-use std::io::{self, Write};
+use std::io::{self, BufReader, Write};
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// The next question is waited for without sleeping for so long, where the other side allows it.
+const SPIN: Duration = Duration::from_micros(50);
+
+/// Bytes that are read at once.
+const BUFFER: usize = 16 << 10;
 
 /// The stack of the thread that runs the FMU: compiled models put large arrays there.
 const STACK_SIZE: usize = 64 << 20;
@@ -48,6 +56,7 @@ fn serve(limits: &str, mut service: Box<dyn Service>) -> io::Result<()> {
         io::Error::new(io::ErrorKind::InvalidInput, "limits that this version does not know")
     })?;
     let folder = std::env::var_os(FOLDER).map(PathBuf::from);
+    folder.as_deref().map_or(Ok(()), enter)?;
     // 0: the socket; 1: the page; 2: a pipe for what is printed.
     close_inherited()?;
     let socket = UnixStream::from(rustix::io::fcntl_dupfd_cloexec(rustix::stdio::stdin(), 3)?);
@@ -69,10 +78,11 @@ fn serve(limits: &str, mut service: Box<dyn Service>) -> io::Result<()> {
     let own = std::process::id();
     let (mut asked, mut answer, mut buffer) = (Frame::default(), Frame::default(), Vec::new());
     answer.set_head(&VERSION)?;
-    let mut socket = &socket;
-    answer.write(0, &mut socket, &mut buffer)?;
+    let (mut questions, mut answers) = (BufReader::with_capacity(BUFFER, &socket), &socket);
+    answer.write(0, &mut answers, &mut buffer)?;
     loop {
-        match asked.read(&mut socket, &mut buffer, &mut || Ok(())) {
+        page.wait_for_question(asked.number, SPIN);
+        match asked.read(&mut questions, &mut buffer, &mut || Ok(())) {
             Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(()),
             outcome => outcome?,
         }
@@ -104,7 +114,8 @@ fn serve(limits: &str, mut service: Box<dyn Service>) -> io::Result<()> {
         }
         // What the model needs may be gone with the folder.
         answer.is_last |= folder.as_ref().is_some_and(|folder| !folder.is_dir());
-        answer.write(asked.number, &mut socket, &mut buffer)?;
+        answer.write(asked.number, &mut answers, &mut buffer)?;
+        page.note_answer(asked.number);
     }
 }
 
@@ -118,18 +129,11 @@ fn end_with(socket: &UnixStream, folder: Option<&Path>) {
             _ => break,
         }
     }
-    folder.iter().for_each(|folder| remove(folder));
-    std::process::abort();
-}
-
-/// Removes a folder in which something may be made meanwhile.
-fn remove(folder: &Path) {
-    for _ in 0..20 {
-        if std::fs::remove_dir_all(folder).is_ok() || !folder.exists() {
-            return;
-        }
-        std::thread::sleep(std::time::Duration::from_millis(2));
+    if let Some(folder) = folder {
+        kill_processes_of(std::process::id(), folder);
+        remove(folder);
     }
+    std::process::abort();
 }
 
 fn limit_self(limits: &WorkerLimits) -> io::Result<()> {

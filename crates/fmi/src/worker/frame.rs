@@ -77,8 +77,10 @@ impl Frame {
         }
         buffer.extend_from_slice(&self.head);
         buffer.extend_from_slice(&self.notes);
-        buffer.reserve(8 * self.numbers.len());
-        self.numbers.iter().for_each(|number| buffer.extend_from_slice(&number.to_le_bytes()));
+        let begin = buffer.len();
+        buffer.resize(begin + 8 * self.numbers.len(), 0);
+        let words = buffer[begin..].as_chunks_mut::<8>().0;
+        words.iter_mut().zip(&self.numbers).for_each(|(word, number)| *word = number.to_le_bytes());
         to.write_all(buffer)
     }
 

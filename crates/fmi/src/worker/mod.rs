@@ -9,6 +9,8 @@
 mod absent;
 #[cfg(unix)]
 mod child;
+#[cfg(unix)]
+mod folder;
 mod frame;
 mod launcher;
 mod limits;

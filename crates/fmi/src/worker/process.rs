@@ -1,21 +1,25 @@
 //! One worker process, as the process sees it that has started it.
 
+use super::folder::{Folder, kill_processes_of};
 use super::frame::{Frame, decode};
 use super::launcher::Launcher;
 use super::limits::WorkerLimits;
 use super::notes::Notes;
 use super::settings::{ASKED, FOLDER, LEVEL, VERSION};
+use crate::description::Quirk;
 use crate::error::{EndKind, FmiError, WorkerEnd};
 use crate::sys::Page;
+use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 use std::collections::VecDeque;
-use std::io::{self, ErrorKind, Read};
+use std::io::{self, BufReader, ErrorKind, Read};
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, LazyLock, Mutex, PoisonError};
+use std::thread::available_parallelism;
 use std::time::{Duration, Instant};
-use tempfile::TempDir;
 
 /// How often somebody who waits for an answer looks at the rest of the world.
 const LOOK: Duration = Duration::from_millis(10);
@@ -25,6 +29,17 @@ const GRACE: Duration = Duration::from_millis(250);
 
 /// A worker is there after this time.
 const START: Duration = Duration::from_secs(60);
+
+/// An answer that comes within this time is waited for without sleeping, as long as there is a core for each side: to wake up takes up to 50 us.
+const SPIN: Duration = Duration::from_micros(200);
+
+/// Calls under way in this process.
+static CALLS: AtomicUsize = AtomicUsize::new(0);
+
+static CORES: LazyLock<usize> = LazyLock::new(|| available_parallelism().map_or(1, usize::from));
+
+/// Bytes that are read at once.
+const BUFFER: usize = 64 << 10;
 
 /// Bytes that are kept of what it prints.
 const PRINTED: usize = 16 << 10;
@@ -45,7 +60,7 @@ pub(super) enum NoAnswer {
 #[derive(Debug)]
 pub(super) struct Process {
     child: Child,
-    socket: UnixStream,
+    socket: BufReader<UnixStream>,
     page: Page,
     printed: Arc<Mutex<VecDeque<u8>>>,
     buffer: Vec<u8>,
@@ -54,11 +69,18 @@ pub(super) struct Process {
     has_ended: bool,
     /// The problem that it has loaded.
     pub(super) loaded: Option<u64>,
+    /// Quirks of the model that nobody has been told of.
+    pub(super) quirks: Vec<Quirk>,
     pub(super) n_calls: u64,
     number: u32,
+    /// Time that the last answer took.
+    last_took: Duration,
     /// Bytes in memory after the first call.
     pub(super) first_size: Option<u64>,
-    folder: Option<TempDir>,
+    /// Bytes that it may have in memory.
+    most_memory: u64,
+    /// Removed last: while files are open, it may be impossible.
+    folder: Folder,
 }
 
 impl Process {
@@ -69,7 +91,7 @@ impl Process {
         cancelled: &dyn Fn() -> bool,
     ) -> Result<Self, FmiError> {
         let no_worker = |error: io::Error| FmiError::NoWorker { reason: error.to_string() };
-        let folder = TempDir::with_prefix("fmufit-worker-").map_err(no_worker)?;
+        let folder = Folder::named();
         let (socket, theirs) = UnixStream::pair().map_err(no_worker)?;
         socket.set_read_timeout(Some(LOOK)).map_err(no_worker)?;
         let (page, file) = Page::new().map_err(no_worker)?;
@@ -80,38 +102,39 @@ impl Process {
             .env(FOLDER, folder.path())
             .env(LEVEL, log::max_level().as_str())
             .env("TMPDIR", folder.path())
-            .current_dir(folder.path())
             .stdin(OwnedFd::from(theirs))
             .stdout(file)
             .stderr(Stdio::piped())
             // Ctrl-C in a terminal goes to all processes of a group.
             .process_group(0);
-        let mut child = command.spawn().map_err(|error| FmiError::NoWorker {
+        let child = command.spawn().map_err(|error| FmiError::NoWorker {
             reason: format!("{}: {error}", launcher.program.display()),
         })?;
         // It holds the other end of the socket.
         drop(command);
-        let printed = Arc::<Mutex<VecDeque<u8>>>::default();
-        if let Some(output) = child.stderr.take() {
-            let printed = Arc::clone(&printed);
-            // Without it the process waits when the pipe is full.
-            let reader = std::thread::Builder::new().name("fmufit-worker-output".to_owned());
-            reader.spawn(move || keep_printed(output, &printed)).map_err(no_worker)?;
-        }
         let mut process = Self {
             child,
-            socket,
+            socket: BufReader::with_capacity(BUFFER, socket),
             page,
-            printed,
+            printed: Arc::default(),
             buffer: Vec::new(),
             owner: std::process::id(),
             has_ended: false,
             loaded: None,
+            quirks: Vec::new(),
             n_calls: 0,
             number: 0,
+            last_took: Duration::MAX,
             first_size: None,
-            folder: Some(folder),
+            most_memory: limits.memory.unwrap_or(u64::MAX),
+            folder,
         };
+        if let Some(output) = process.child.stderr.take() {
+            let printed = Arc::clone(&process.printed);
+            // Without it the process waits when the pipe is full.
+            let reader = std::thread::Builder::new().name("fmufit-worker-output".to_owned());
+            reader.spawn(move || keep_printed(output, &printed)).map_err(no_worker)?;
+        }
         let mut hello = Frame::default();
         let (began, mut none) = (Instant::now(), None);
         let answered = process.receive(&mut hello, cancelled, &mut none, Some(began + START));
@@ -138,18 +161,23 @@ impl Process {
         self.page.set_cancelled(false);
         self.n_calls += 1;
         self.number = self.number.wrapping_add(1);
-        let mut buffer = std::mem::take(&mut self.buffer);
-        let sent = asked.write(self.number, &mut self.socket, &mut buffer);
-        self.buffer = buffer;
+        let began = Instant::now();
+        let n_calls = Counted::one(&CALLS);
+        let may_spin = self.last_took < SPIN && 2 * n_calls.n <= *CORES;
+        let sent = asked.write(self.number, &mut self.socket.get_ref(), &mut self.buffer);
+        self.page.note_question(self.number, may_spin);
         // What cannot be sent shows in the answer.
-        let mut limit =
-            run_limit.map(|limit| RunLimit { limit, runs: self.page.runs(), since: Instant::now() });
+        let mut limit = run_limit.map(|limit| RunLimit { limit, runs: self.page.runs(), since: began });
         if let Err(error) = sent
             && error.kind() != ErrorKind::BrokenPipe
         {
             return Err(NoAnswer::Ended(self.ended(EndKind::Garbage, &error.to_string())));
         }
+        if may_spin {
+            self.page.wait_for_answer(self.number, SPIN);
+        }
         self.receive(answer, cancelled, &mut limit, None)?;
+        self.last_took = began.elapsed();
         if answer.number != self.number {
             // Of a copy of the worker, for example, that the FMU has made.
             return Err(NoAnswer::Ended(self.ended(EndKind::Garbage, "the answer to another question")));
@@ -168,11 +196,12 @@ impl Process {
         limit: &mut Option<RunLimit>,
         end: Option<Instant>,
     ) -> Result<(), NoAnswer> {
-        let (page, child, mut asked_to_end, mut why) = (&self.page, &mut self.child, None::<Instant>, None);
+        let (page, child, most_memory) = (&self.page, &self.child, self.most_memory);
+        let (mut asked_to_end, mut why) = (None::<Instant>, None);
         let mut wait = || {
             let now = Instant::now();
             // Processes that it has started may keep its end of the socket open.
-            if let Ok(Some(_)) = child.try_wait() {
+            if is_over(child) {
                 return Err(ErrorKind::UnexpectedEof.into());
             }
             if asked_to_end.is_none() && cancelled() {
@@ -183,12 +212,15 @@ impl Process {
             let is_hung = limit.as_mut().is_some_and(|limit| limit.is_over(page.runs(), now));
             if is_out_of_grace {
                 why = Some(Stop::Cancelled);
+            } else if size_of(child).is_some_and(|size| size > most_memory) {
+                // What it shares with others the system's limit does not count.
+                why = Some(Stop::Memory);
             } else if is_hung || end.is_some_and(|end| now > end) {
                 why = Some(Stop::Hung);
             }
             if why.is_some() { Err(ErrorKind::TimedOut.into()) } else { Ok(()) }
         };
-        let received = answer.read(&mut &self.socket, &mut self.buffer, &mut wait);
+        let received = answer.read(&mut self.socket, &mut self.buffer, &mut wait);
         let Err(error) = received else { return Ok(()) };
         Err(match (why, error.kind()) {
             (Some(Stop::Cancelled), _) => {
@@ -196,6 +228,7 @@ impl Process {
                 NoAnswer::Cancelled
             }
             (Some(Stop::Hung), _) => NoAnswer::Ended(self.ended(EndKind::Hung, "")),
+            (Some(Stop::Memory), _) => NoAnswer::Ended(self.ended(EndKind::Memory, "")),
             (None, ErrorKind::InvalidData) => {
                 NoAnswer::Ended(self.ended(EndKind::Garbage, &error.to_string()))
             }
@@ -207,14 +240,12 @@ impl Process {
     #[cold]
     fn ended(&mut self, kind: EndKind, detail: &str) -> WorkerEnd {
         let last = self.page.last_call();
-        let status = match kind {
-            // A process that has closed its socket is about to end.
-            EndKind::Died => self.wait_for_end(Duration::from_secs(2)),
-            EndKind::Hung | EndKind::Garbage => None,
-        };
-        self.kill();
+        // A process that has closed its socket is about to end.
+        let has_died = kind == EndKind::Died && self.is_over_within(Duration::from_secs(2));
+        let status = self.kill().filter(|_| has_died);
         let what = match (kind, status) {
             (EndKind::Hung, _) => "no answer within the time limit".to_owned(),
+            (EndKind::Memory, _) => format!("more memory than its limit of {} bytes", self.most_memory),
             (EndKind::Garbage, _) => format!("garbage instead of an answer ({detail})"),
             (EndKind::Died, None) => "no connection any more".to_owned(),
             (EndKind::Died, Some(status)) => in_words(status),
@@ -225,15 +256,15 @@ impl Process {
         WorkerEnd { kind, what, function, time, output: self.output() }
     }
 
-    fn wait_for_end(&mut self, longest: Duration) -> Option<ExitStatus> {
+    fn is_over_within(&self, longest: Duration) -> bool {
         let began = Instant::now();
-        loop {
-            match self.child.try_wait() {
-                Ok(Some(status)) => return Some(status),
-                Ok(None) if began.elapsed() < longest => std::thread::sleep(Duration::from_millis(1)),
-                _ => return None,
+        while !is_over(&self.child) {
+            if began.elapsed() > longest {
+                return false;
             }
+            std::thread::sleep(Duration::from_millis(1));
         }
+        true
     }
 
     /// The last that it has printed.
@@ -255,37 +286,62 @@ impl Process {
 
     /// Bytes that it has in memory, where the system tells.
     pub(super) fn size(&self) -> Option<u64> {
-        let text = std::fs::read_to_string(format!("/proc/{}/statm", self.child.id())).ok()?;
-        let pages: u64 = text.split(' ').nth(1)?.parse().ok()?;
-        Some(pages * rustix::param::page_size() as u64)
+        size_of(&self.child)
     }
 
-    /// Ends it, and all processes that it has started.
-    fn kill(&mut self) {
+    /// Ends it, and all processes that it has started; how it has ended.
+    fn kill(&mut self) -> Option<ExitStatus> {
         if self.owner != std::process::id() {
-            return;
+            return None;
         }
-        if !self.has_ended {
-            self.has_ended = true;
-            // It leads the group.
-            let group = i32::try_from(self.child.id()).ok().and_then(rustix::process::Pid::from_raw);
-            if let Some(group) = group {
-                let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
-            }
-            let _ = self.child.kill();
+        if self.has_ended {
+            return self.child.wait().ok();
         }
-        let _ = self.child.wait();
+        self.has_ended = true;
+        // It leads the group, and has its number until it is waited for.
+        let _ = kill_process_group(Pid::from_child(&self.child), Signal::KILL);
+        let _ = self.child.kill();
+        let status = self.child.wait().ok();
+        kill_processes_of(self.child.id(), self.folder.path());
+        status
     }
 }
 
 impl Drop for Process {
     fn drop(&mut self) {
-        if self.owner == std::process::id() {
-            self.kill();
-        } else if let Some(folder) = self.folder.take() {
-            // It belongs to the process that has started it.
-            let _ = folder.keep();
-        }
+        self.kill();
+    }
+}
+
+/// Whether a process has ended. It keeps its number until it is waited for.
+fn is_over(child: &Child) -> bool {
+    let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
+    matches!(waitid(WaitId::Pid(Pid::from_child(child)), options), Ok(Some(_)))
+}
+
+/// Bytes that a process has in memory, where the system tells.
+fn size_of(child: &Child) -> Option<u64> {
+    let text = std::fs::read_to_string(format!("/proc/{}/statm", child.id())).ok()?;
+    let pages: u64 = text.split(' ').nth(1)?.parse().ok()?;
+    Some(pages * rustix::param::page_size() as u64)
+}
+
+/// One more, as long as it lives.
+struct Counted {
+    counter: &'static AtomicUsize,
+    /// How many there are with it.
+    n: usize,
+}
+
+impl Counted {
+    fn one(counter: &'static AtomicUsize) -> Self {
+        Self { counter, n: counter.fetch_add(1, Ordering::Relaxed) + 1 }
+    }
+}
+
+impl Drop for Counted {
+    fn drop(&mut self) {
+        self.counter.fetch_sub(1, Ordering::Relaxed);
     }
 }
 
@@ -293,6 +349,7 @@ impl Drop for Process {
 enum Stop {
     Cancelled,
     Hung,
+    Memory,
 }
 
 /// The wall-clock limit of the simulations of an evaluation.

@@ -7,11 +7,15 @@ use super::load::Load;
 use super::process::{NoAnswer, Process};
 use crate::description::Quirk;
 use crate::error::{EndKind, FmiError, Told, ToldKind, WorkerEnd};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// A worker that nobody has asked for anything for so long is ended.
 const IDLE: Duration = Duration::from_secs(5);
+
+/// How often somebody who waits for the start of a process asks whether it is still wanted.
+const LOOK: Duration = Duration::from_millis(10);
 
 /// The memory of a worker is looked at after each so many calls, and after every one that took so long.
 const LOOK_EVERY: u64 = 32;
@@ -29,10 +33,20 @@ pub struct Workers {
 struct Idle {
     /// With the time since when they are; those that were asked last at the end.
     processes: Vec<(Process, Instant)>,
+    /// Processes that are started ahead and were asked for nothing yet.
+    ahead: Vec<Ahead>,
     /// Somebody looks after those that are idle for long.
     is_watched: bool,
     /// Whose they are: a child that was forked meanwhile has none.
     owner: u32,
+}
+
+/// A process that is started in the background, as long as this lives.
+#[derive(Debug)]
+struct Ahead {
+    process: Receiver<Process>,
+    is_wanted: Arc<()>,
+    since: Instant,
 }
 
 impl Workers {
@@ -45,6 +59,32 @@ impl Workers {
     /// The limits.
     pub fn limits(&self) -> &WorkerLimits {
         &self.limits
+    }
+
+    /// Starts processes in the background until so many are there for `n` threads that will ask, and `n_fresh` new ones besides, and has
+    /// them load this: both take longer than a short evaluation.
+    pub fn start_ahead(self: &Arc<Self>, load: &Arc<Load>, n: usize, n_fresh: usize) {
+        let mut idle = self.idle();
+        while idle.ahead.len() < n_fresh + n.saturating_sub(idle.processes.len()) {
+            let (sender, process) = channel();
+            let ahead = Ahead { process, is_wanted: Arc::default(), since: Instant::now() };
+            let is_wanted = Arc::downgrade(&ahead.is_wanted);
+            let (launcher, limits, load) = (self.launcher.clone(), self.limits, Arc::clone(load));
+            let start = move || {
+                let cancelled = || is_wanted.strong_count() == 0;
+                // Who needs one meets the same error.
+                let Ok(mut process) = Process::start(&launcher, &limits, &cancelled) else { return };
+                if ask_to_load(&mut process, &load, &mut Frame::default(), &cancelled).is_ok() {
+                    let _ = sender.send(process);
+                }
+            };
+            let thread = std::thread::Builder::new().name("fmufit-worker-start".to_owned()).spawn(start);
+            if thread.is_err() {
+                break;
+            }
+            idle.ahead.push(ahead);
+        }
+        self.watch(&mut idle);
     }
 
     /// Asks a worker that has loaded `load`, and returns the quirks of the model that it has found. `cancelled` is asked every 10 ms, and the worker has 0.25 s to answer
@@ -62,9 +102,21 @@ impl Workers {
         run_limit: Option<Duration>,
         is_fresh: bool,
     ) -> Result<Vec<Quirk>, FmiError> {
+        let mut call = |process: Option<Process>| {
+            let mut process = match process {
+                Some(process) => process,
+                None => self.new_process(cancelled)?,
+            };
+            let (quirks, can_go_on) = self.call_in(&mut process, load, asked, answer, cancelled, run_limit);
+            // Otherwise it ends here.
+            if can_go_on && !is_fresh {
+                self.give_back(process);
+            }
+            quirks
+        };
         let process = if is_fresh { None } else { self.idle_process(load.id) };
         let was_used = process.is_some();
-        let error = match self.call_in(process, load, asked, answer, cancelled, run_limit) {
+        let error = match call(process) {
             Err(error) => error,
             outcome => return outcome,
         };
@@ -78,58 +130,32 @@ impl Workers {
             return Err(error);
         }
         log::info!("{error}; the same is tried once more in a fresh process");
-        self.call_in(None, load, asked, answer, cancelled, run_limit)
+        call(None)
     }
 
+    /// The quirks; and whether the process can be asked again.
     fn call_in(
-        self: &Arc<Self>,
-        process: Option<Process>,
+        &self,
+        process: &mut Process,
         load: &Load,
         asked: &Frame,
         answer: &mut Frame,
         cancelled: &dyn Fn() -> bool,
         run_limit: Option<Duration>,
-    ) -> Result<Vec<Quirk>, FmiError> {
-        let mut process = match process {
-            Some(process) => process,
-            None => Process::start(&self.launcher, &self.limits, cancelled)?,
-        };
-        let mut quirks = Vec::new();
-        let mut ask =
-            |process: &mut Process, asked: &Frame, answer: &mut Frame, limit| -> Result<(), FmiError> {
-                let notes =
-                    process.call(asked, answer, cancelled, limit).map_err(|no_answer| match no_answer {
-                        NoAnswer::Cancelled => FmiError::Cancelled,
-                        NoAnswer::Ended(end) => FmiError::WorkerEnded(Box::new(end)),
-                    })?;
-                notes.pass_on();
-                quirks.extend(notes.quirks);
-                match answer.is_error {
-                    true => Err(match answer.head::<Told>().map_err(garbage)? {
-                        told if told.kind == ToldKind::Cancelled => FmiError::Cancelled,
-                        told => FmiError::Told(Box::new(told)),
-                    }),
-                    false => Ok(()),
-                }
-            };
-        if process.loaded != Some(load.id) {
-            process.loaded = None;
-            // A model that cannot be loaded leaves a worker that nobody has a use for.
-            ask(&mut process, &load.frame, answer, None)?;
-            process.loaded = Some(load.id);
+    ) -> (Result<Vec<Quirk>, FmiError>, bool) {
+        if process.loaded != Some(load.id)
+            && let Err(error) = ask_to_load(process, load, answer, cancelled)
+        {
+            return (Err(error), false);
         }
         let began = Instant::now();
-        let told = ask(&mut process, asked, answer, run_limit);
-        // One that has ended is given up by dropping it.
+        let told = ask(process, asked, answer, (cancelled, run_limit));
         let is_of_process = matches!(&told, Err(FmiError::Told(told)) if told.is_of_process());
-        if !process.has_ended()
+        let can_go_on = !process.has_ended()
             && !is_of_process
             && !answer.is_last
-            && !self.is_worn(&mut process, began.elapsed())
-        {
-            self.give_back(process);
-        }
-        told.map(|()| quirks)
+            && !self.is_worn(process, began.elapsed());
+        (told.map(|()| std::mem::take(&mut process.quirks)), can_go_on)
     }
 
     /// Whether a worker has served long enough, or has grown too much.
@@ -150,6 +176,7 @@ impl Workers {
         let this = std::process::id();
         if idle.owner != this {
             idle.processes.clear();
+            idle.ahead.clear();
             (idle.owner, idle.is_watched) = (this, false);
         }
         idle
@@ -164,9 +191,32 @@ impl Workers {
         Some(idle.processes.remove(place).0)
     }
 
+    /// A process that was never asked for anything: one that was started ahead if there is any.
+    fn new_process(&self, cancelled: &dyn Fn() -> bool) -> Result<Process, FmiError> {
+        let ahead = self.idle().ahead.pop();
+        let Some(ahead) = ahead else {
+            return Process::start(&self.launcher, &self.limits, cancelled);
+        };
+        loop {
+            match ahead.process.recv_timeout(LOOK) {
+                Ok(process) => return Ok(process),
+                Err(RecvTimeoutError::Timeout) if cancelled() => return Err(FmiError::Cancelled),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => {
+                    return Process::start(&self.launcher, &self.limits, cancelled);
+                }
+            }
+        }
+    }
+
     fn give_back(self: &Arc<Self>, process: Process) {
         let mut idle = self.idle();
         idle.processes.push((process, Instant::now()));
+        self.watch(&mut idle);
+    }
+
+    /// Ends what nobody has asked for anything for long.
+    fn watch(self: &Arc<Self>, idle: &mut Idle) {
         if idle.is_watched {
             return;
         }
@@ -178,10 +228,12 @@ impl Workers {
                 let mut idle = workers.idle();
                 let old =
                     idle.processes.extract_if(.., |(_, since)| since.elapsed() > IDLE).collect::<Vec<_>>();
-                let is_over = idle.processes.is_empty();
+                let too_early =
+                    idle.ahead.extract_if(.., |ahead| ahead.since.elapsed() > IDLE).collect::<Vec<_>>();
+                let is_over = idle.processes.is_empty() && idle.ahead.is_empty();
                 idle.is_watched = !is_over;
                 drop(idle);
-                drop(old);
+                drop((old, too_early));
                 if is_over {
                     break;
                 }
@@ -189,6 +241,41 @@ impl Workers {
         };
         let thread = std::thread::Builder::new().name("fmufit-idle-workers".to_owned()).spawn(watch);
         idle.is_watched = thread.is_ok();
+    }
+}
+
+/// Has a process load this. One that cannot is of no use to anybody.
+fn ask_to_load(
+    process: &mut Process,
+    load: &Load,
+    answer: &mut Frame,
+    cancelled: &dyn Fn() -> bool,
+) -> Result<(), FmiError> {
+    process.loaded = None;
+    ask(process, &load.frame, answer, (cancelled, None))?;
+    process.loaded = Some(load.id);
+    Ok(())
+}
+
+/// Asks a process, and passes on what it says beside its answer.
+fn ask(
+    process: &mut Process,
+    asked: &Frame,
+    answer: &mut Frame,
+    (cancelled, run_limit): (&dyn Fn() -> bool, Option<Duration>),
+) -> Result<(), FmiError> {
+    let notes = process.call(asked, answer, cancelled, run_limit).map_err(|no_answer| match no_answer {
+        NoAnswer::Cancelled => FmiError::Cancelled,
+        NoAnswer::Ended(end) => FmiError::WorkerEnded(Box::new(end)),
+    })?;
+    notes.pass_on();
+    process.quirks.extend(notes.quirks);
+    match answer.is_error {
+        true => Err(match answer.head::<Told>().map_err(garbage)? {
+            told if told.kind == ToldKind::Cancelled => FmiError::Cancelled,
+            told => FmiError::Told(Box::new(told)),
+        }),
+        false => Ok(()),
     }
 }
 

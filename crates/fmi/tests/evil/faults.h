@@ -1,10 +1,12 @@
-/* What ends or stops the process of a model: FAULT, where k is above FAULT_ABOVE and the time above 0.2. */
+/* What ends or stops the process of a model: FAULT, where k is above FAULT_ABOVE and the time above 0.2; with FAULT_AT_END in fmi2Terminate. */
 #include <signal.h>
 #include <unistd.h>
 #include <errno.h>
 #include <arpa/inet.h>
 #include <netinet/in.h>
+#include <sys/mman.h>
 #include <sys/socket.h>
+#include <sys/wait.h>
 #ifdef LEAKS
 static void leak(void) {
     char *lost = malloc(LEAKS);
@@ -28,6 +30,30 @@ static void close_all(void) {
 static void fill_memory(void) {
     size_t size = (size_t)1 << 30;
     for (;;) memset(malloc(size), 1, size);
+}
+static void fill_shared_memory(void) {
+    size_t size = (size_t)1 << 26;
+    for (;;) {
+        void *shared = mmap(NULL, size, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+        if (shared == MAP_FAILED) exit(5);
+        memset(shared, 1, size);
+    }
+}
+/* One process of another session and group, whose parent has ended. */
+static void leave_daemon(void) {
+    static int is_done;
+    pid_t child;
+    if (is_done++) return;
+    child = fork();
+    if (child == 0) {
+        setsid();
+        if (fork() == 0) {
+            close_all();
+            sleep(600);
+        }
+        _exit(0);
+    }
+    (void)waitpid(child, NULL, 0);
 }
 static void print_for_ever(void) {
     for (;;) puts("what a model has to say, over and over again");
@@ -62,5 +88,5 @@ static void leave_orphan(void) {
     _exit(3);
 }
 typedef void (*Fault)(void);
-const Fault all_faults[] = {(Fault)overflow, (Fault)escape, copy_itself, remove_folder, leave_orphan, hang, close_all, fill_memory, print_for_ever};
+const Fault all_faults[] = {(Fault)overflow, (Fault)escape, copy_itself, remove_folder, leave_orphan, leave_daemon, fill_shared_memory, hang, close_all, fill_memory, print_for_ever};
 #endif

@@ -11,7 +11,7 @@ in Python.
 from __future__ import annotations
 
 from . import dfo, ode
-from ._calibration import Calibration, Raced
+from ._calibration import Calibration
 from ._check import Check, Finding
 from ._core import __version__
 from ._description import Description, Variable, read_description
@@ -39,6 +39,7 @@ from ._minimize import minimize
 from ._model import FMUModel, load_fmu
 from ._optimizer import Above, Asked, Optimizer
 from ._parameter import LogNormal, Normal, Parameter
+from ._point import Raced
 from ._profile import Profile
 from ._progress import Progress
 from ._result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace

@@ -7,13 +7,14 @@ import sys
 
 from . import _core
 
-#: Neither numpy nor anything else of the package is imported.
+#: Neither numpy nor anything else of the package is imported, and of the standard library only what Python starts with: the import of
+#: `importlib.util` alone would take half as long again.
 _PROGRAM = """
-import importlib.machinery as m, importlib.util as u, sys
-s = u.spec_from_loader("_core", m.ExtensionFileLoader("_core", sys.argv[1]))
-c = u.module_from_spec(s)
-s.loader.exec_module(c)
-c.serve_worker()
+import sys
+sys.path.insert(0, sys.argv[1])
+import _core
+del sys.path[0]
+_core.serve_worker()
 """
 
 
@@ -37,5 +38,5 @@ def know_interpreter() -> None:
     """Has worker processes started by this interpreter."""
     global is_known
     if (program := _interpreter()) is not None:
-        _core.set_launcher(program, ["-I", "-S", "-c", _PROGRAM, os.fspath(_core.__file__)])
+        _core.set_launcher(program, ["-I", "-S", "-c", _PROGRAM, os.path.dirname(os.path.abspath(_core.__file__))])
         is_known = True
