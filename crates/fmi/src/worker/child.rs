@@ -46,7 +46,9 @@ pub fn serve_if_asked(service: impl FnOnce() -> Box<dyn Service> + Send) {
             // Who has started it reads that.
             let _ = writeln!(io::stderr(), "{error}");
         }
-        _ => {}
+        Err(error) => _ = writeln!(io::stderr(), "no thread for the FMU: {error}"),
+        // A panic has said so.
+        Ok(Err(_)) => {}
     }
     std::process::exit(1);
 }

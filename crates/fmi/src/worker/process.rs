@@ -19,6 +19,7 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use std::thread::available_parallelism;
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// How often somebody who waits for an answer looks at the rest of the world.
@@ -56,6 +57,9 @@ pub(super) enum NoAnswer {
     Ended(WorkerEnd),
 }
 
+/// So long the last that a process printed is waited for after its end.
+const LAST_WORDS: Duration = Duration::from_millis(100);
+
 /// A worker process. It ends when this is dropped.
 #[derive(Debug)]
 pub(super) struct Process {
@@ -63,6 +67,8 @@ pub(super) struct Process {
     socket: BufReader<UnixStream>,
     page: Page,
     printed: Arc<Mutex<VecDeque<u8>>>,
+    /// The thread that reads it, until all who could print have ended.
+    reader: Option<JoinHandle<()>>,
     buffer: Vec<u8>,
     /// The process that has started it: a child that was forked meanwhile has no workers.
     owner: u32,
@@ -117,6 +123,7 @@ impl Process {
             socket: BufReader::with_capacity(BUFFER, socket),
             page,
             printed: Arc::default(),
+            reader: None,
             buffer: Vec::new(),
             owner: std::process::id(),
             has_ended: false,
@@ -133,7 +140,7 @@ impl Process {
             let printed = Arc::clone(&process.printed);
             // Without it the process waits when the pipe is full.
             let reader = std::thread::Builder::new().name("fmufit-worker-output".to_owned());
-            reader.spawn(move || keep_printed(output, &printed)).map_err(no_worker)?;
+            process.reader = Some(reader.spawn(move || keep_printed(output, &printed)).map_err(no_worker)?);
         }
         let mut hello = Frame::default();
         let (began, mut none) = (Instant::now(), None);
@@ -250,8 +257,11 @@ impl Process {
             (EndKind::Died, None) => "no connection any more".to_owned(),
             (EndKind::Died, Some(status)) => in_words(status),
         };
-        // What was printed last arrives after the end.
-        std::thread::sleep(Duration::from_millis(1));
+        // What was printed last arrives after the end. Who else has the pipe open may keep it so.
+        let began = Instant::now();
+        while self.reader.as_ref().is_some_and(|reader| !reader.is_finished()) && began.elapsed() < LAST_WORDS {
+            std::thread::sleep(Duration::from_millis(1));
+        }
         let (function, time) = last.map_or((None, None), |last| (Some(last.function), last.time));
         WorkerEnd { kind, what, function, time, output: self.output() }
     }
