@@ -244,3 +244,16 @@ fn many_parameters_keep_to_bounds_and_survive_failures_and_interruptions() {
         assert_eq!((run(&path, 700, fails).x, whole.n_evaluations), (whole.x, 700));
     }
 }
+
+/// Equal costs at all points are no convergence: plateaus are left, or the result says so.
+#[test]
+fn plateaus_are_no_convergence() {
+    let stairs = |x: &[f64]| (10.0 * rosenbrock(x)).floor() / 10.0;
+    for start in [[-1.2, 1.0], [-1.0, 1.0], [0.3, -0.4]] {
+        let run = |hand_over| {
+            minimize(stairs).start(&start).method(quadratic().hand_over(hand_over)).run().unwrap()
+        };
+        assert_eq!(run(false).termination, Termination::Stalled, "{start:?}");
+        assert!(run(true).message.contains("nelder-mead took over"), "{start:?}");
+    }
+}

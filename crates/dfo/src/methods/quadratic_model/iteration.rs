@@ -450,6 +450,12 @@ impl QuadraticModelState {
             self.phase = Phase::Ended(Termination::Converged);
             return;
         }
+        if self.is_flat() {
+            // More may be seen farther off.
+            self.radius *= 2.0;
+            self.restart();
+            return;
+        }
         if passed || self.n_refused >= MOST_REFUSED || self.rho <= SMALLEST {
             self.restart();
             return;
