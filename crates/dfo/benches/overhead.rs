@@ -1,6 +1,7 @@
 //! What ask and tell cost per evaluation at ten parameters, the objective left out: the bar is 5 microseconds; for least squares on
 //! m residuals 20 microseconds and 1 ns m n^2. And
-//! what two workers gain for differential evolution with an objective of 5 ms: the bar is 1.9 times.
+//! what two workers gain for differential evolution with an objective of 5 ms: the bar is 1.9 times. `-- many`: the same with many
+//! parameters; `-- solved`: what these take to their end.
 #![allow(clippy::print_stdout, clippy::unwrap_used)]
 
 use dfo::{
@@ -102,7 +103,96 @@ fn seconds(workers: usize) -> f64 {
     start.elapsed().as_secs_f64()
 }
 
+/// Milliseconds of a loop over a matrix of n by n numbers.
+fn plain_loop(n: usize) -> f64 {
+    let (matrix, x) = (vec![0.5; n * n], vec![0.25; n]);
+    let start = Instant::now();
+    for _ in 0..20 {
+        let rows = std::hint::black_box(&matrix).chunks_exact(n);
+        std::hint::black_box(
+            rows.map(|row| row.iter().zip(&x).map(|(a, b)| a * b).sum::<f64>()).sum::<f64>(),
+        );
+    }
+    start.elapsed().as_secs_f64() * 1e3 / 20.0
+}
+
+/// Many parameters: the bar is twice a loop over a matrix of their number, or of that of the interpolation conditions of a model.
+fn many_parameters() {
+    for n in [200, 500, 1000] {
+        let evaluations = if n == 1000 { 3000 } else { 6000 };
+        let spent = |ms: f64| format!("{:8.3} ms per evaluation, a loop {:8.3} ms", ms * 1e-3, plain_loop(n));
+        println!("cma-es, n = {n:4} {}", spent(overhead_of(&CmaEs::default(), evaluations, (n, 0))));
+        let shade = DifferentialEvolution::default();
+        println!("de,     n = {n:4} {}", spent(overhead_of(&shade, 20_000, (n, 0))));
+    }
+    for n in [50, 100, 200] {
+        let model = overhead_of(&QuadraticModel::default(), 7 * n, (n, 0)) * 1e-3;
+        println!(
+            "quadratic-model, n = {n:3} {model:8.3} ms per evaluation, a loop {:8.3} ms",
+            plain_loop(3 * n + 2)
+        );
+    }
+}
+
+/// What large problems take to their end: evaluations in units of n, cost, seconds.
+fn solved() {
+    let ellipsoid = |x: &[f64]| -> f64 {
+        let n = x.len() as f64;
+        x.iter().enumerate().map(|(k, x)| 1e3f64.powf(k as f64 / (n - 1.0)) * (x - 1.0).powi(2)).sum()
+    };
+    let quadratic = |x: &[f64]| -> f64 {
+        // Convex, with neighbours coupled.
+        x.iter().enumerate().map(|(k, x)| (1.0 + (k % 7) as f64) * (x - 1.0).powi(2)).sum::<f64>()
+            + x.windows(2).map(|w| (w[0] - 2.0 * w[1] + 1.0).powi(2)).sum::<f64>()
+    };
+    // Toint's, as in Powell's reports.
+    let chrosen = |x: &[f64]| -> f64 {
+        x.windows(2).map(|w| 4.0 * (w[0] - w[1] * w[1]).powi(2) + (1.0 - w[1]).powi(2)).sum()
+    };
+    let show = |what: &str, n: usize, report: &dfo::Report, start: Instant| {
+        let units = report.n_evaluations as f64 / n as f64;
+        let seconds = start.elapsed().as_secs_f64();
+        println!(
+            "{what:32} n = {n:4} {units:7.1} n evaluations, cost {:9.2e}, {seconds:6.1} s: {}",
+            report.fun, report.termination
+        );
+    };
+    for n in [50, 100, 200] {
+        for (name, f) in
+            [("quadratic", &quadratic as &(dyn Fn(&[f64]) -> f64 + Sync)), ("chained Rosenbrock", &chrosen)]
+        {
+            let start = Instant::now();
+            let report = minimize(f).start(&vec![-1.0; n]).method(QuadraticModel::default()).target(1e-8);
+            show(
+                &format!("quadratic-model, {name}"),
+                n,
+                &report.max_evaluations(200 * n).run().unwrap(),
+                start,
+            );
+        }
+    }
+    for n in [200, 1000] {
+        for (name, f) in [
+            (
+                "sphere",
+                &(|x: &[f64]| x.iter().map(|x| x * x).sum::<f64>()) as &(dyn Fn(&[f64]) -> f64 + Sync),
+            ),
+            ("ellipsoid 1e3", &ellipsoid),
+        ] {
+            let start = Instant::now();
+            let report = minimize(f).start(&vec![3.0; n]).method(CmaEs::default()).seed(1).target(1e-8);
+            show(&format!("cma-es, {name}"), n, &report.max_evaluations(400 * n).run().unwrap(), start);
+        }
+    }
+}
+
 fn main() {
+    if std::env::args().any(|word| word == "solved") {
+        return solved();
+    }
+    if std::env::args().any(|word| word == "many") {
+        return many_parameters();
+    }
     const COUNT: usize = 200_000;
     println!("microseconds per evaluation, n = {N}: ask + tell, whole driven run");
     let line = |name: &str, asked: f64, whole: f64| println!("{name:28} {asked:8.3} {whole:8.3}");

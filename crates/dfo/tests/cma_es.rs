@@ -4,7 +4,7 @@
 mod common;
 
 use common::rosenbrock;
-use dfo::{CmaBounds, CmaEs, Minimize, Report, Restarts, Termination, minimize};
+use dfo::{AnyMethod, CmaBounds, CmaEs, Minimize, PatternSearch, Report, Restarts, Termination, minimize};
 
 /// A quadratic with condition number 1e6 whose axes are those of a reflection.
 fn ellipsoid(x: &[f64]) -> f64 {
@@ -110,4 +110,18 @@ fn runs_that_learn_nothing_end() {
     let noisy = minimize(noise).start(&[1.0, 2.0, 3.0]).method(CmaEs::default()).seed(1).run().unwrap();
     assert!(noisy.termination == Termination::Stalled && noisy.n_evaluations < 4000, "{noisy}");
     assert!(noisy.fun < 2e-3, "{noisy}");
+}
+
+/// Nothing tells that the parameters are as small as 1e-7: both methods look for it before they search.
+#[test]
+fn starts_at_zero_find_the_sizes_of_parameters() {
+    for size in [1e-9, 1e-7, 1e-5, 1e-2, 1e3] {
+        let cost = move |x: &[f64]| rosenbrock(&[x[0] / size, x[1] / size]) + (x[2] - 4.0).powi(2);
+        let run =
+            |method: AnyMethod| minimize(cost).start(&[0.0, 0.0, 1.0]).method(method).seed(2).run().unwrap();
+        for (method, least) in [(CmaEs::default().into(), 1e-9), (PatternSearch::default().into(), 1e-2)] {
+            let report = run(method);
+            assert!(report.is_success() && report.fun < least, "{size:e}: {report}");
+        }
+    }
 }

@@ -6,7 +6,7 @@ mod common;
 use common::{probe, timeless};
 use dfo::{
     AnyMethod, Checkpoint, Error, Multistart, Outcome, Polish, Query, Report, Sampling, Termination,
-    Transform, fallible, minimize, residuals, with_query,
+    Transform, fallible, minimize, minimize_batches, residuals, with_query,
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
@@ -185,4 +185,33 @@ fn the_first_search_has_half_of_the_budget() {
     let report = run(Multistart::default(), 2 * first + 2);
     assert_eq!(report.optima.iter().map(|optimum| optimum.n_starts).sum::<usize>(), 1, "{report}");
     assert!(report.fun <= alone.fun, "{report}");
+}
+
+/// The batches of more than one point keep two workers busy for 93 % of the time, where all evaluations take as long. For the rest of it,
+/// and beside a search that runs alone, points are evaluated that a search may need next.
+#[test]
+fn two_workers_are_busy() {
+    for (n, f) in [(2, cost as fn(&[f64]) -> f64), (3, rastrigin), (5, rastrigin), (8, rastrigin)] {
+        let (mut rounds, mut points) = (0, 0);
+        let count = |batch: &dfo::BatchView<'_>| {
+            if batch.len() > 1 {
+                rounds += batch.len().div_ceil(2);
+                points += batch.len();
+            }
+            (0..batch.len()).map(|k| Outcome::Value(f(batch.point(k)))).collect()
+        };
+        let run = minimize_batches(count).bounds(&vec![-5.12; n], &vec![4.9; n]).unwrap();
+        run.method(Multistart::default()).seed(1).max_evaluations(1000 * (n + 1)).run().unwrap();
+        let busy = 0.5 * points as f64 / rounds as f64;
+        println!("n = {n}: {points} points together, two workers busy for {:.1} %", 100.0 * busy);
+        assert!(busy >= 0.93, "n = {n}: {busy}");
+    }
+    let run = || minimize(cost).bounds(&[-5.0; 2], &[5.0; 2]).unwrap().method(Multistart::default()).seed(1);
+    let slow = |x: &[f64]| {
+        std::thread::sleep(Duration::from_millis(1));
+        cost(x)
+    };
+    let beside = minimize(slow).bounds(&[-5.0; 2], &[5.0; 2]).unwrap().method(Multistart::default()).seed(1);
+    let (alone, beside) = (run().run().unwrap(), beside.workers(2).run().unwrap());
+    assert!(beside.n_speculative > 0 && timeless(&alone.trace) == timeless(&beside.trace), "{beside}");
 }

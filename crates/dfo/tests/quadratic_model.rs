@@ -5,7 +5,10 @@ mod common;
 mod problems;
 
 use common::{probe, rosenbrock};
-use dfo::{AnyMethod, Bounds, NelderMead, QuadraticModel, Report, Termination, Transform, minimize};
+use dfo::{
+    AnyMethod, Bounds, Checkpoint, NelderMead, QuadraticModel, Report, Termination, Transform, fallible,
+    minimize,
+};
 use problems::boxes::boxes;
 use problems::calibration::{Fit, fits};
 use problems::instances;
@@ -193,5 +196,64 @@ fn options_out_of_their_range_are_named() {
     }
     for points in [4, 5, 6] {
         assert!(run(quadratic().points(points)).unwrap().fun < 1e-9, "{points}");
+    }
+}
+
+/// Toint's chained Rosenbrock function, as in Powell's report DAMTP 2004/NA08.
+fn chained(x: &[f64]) -> f64 {
+    x.windows(2).map(|w| 4.0 * (w[0] - w[1] * w[1]).powi(2) + (1.0 - w[1]).powi(2)).sum()
+}
+
+/// About as many evaluations as NEWUOA: some 10 n for quadratics, 40 to 60 n for chained Rosenbrock functions.
+#[test]
+fn many_parameters_take_evaluations_in_proportion() {
+    let coupled = |x: &[f64]| -> f64 {
+        let alone = x.iter().enumerate().map(|(k, x)| (1.0 + (k % 7) as f64) * (x - 1.0).powi(2));
+        alone.sum::<f64>() + x.windows(2).map(|w| (w[0] - 2.0 * w[1] + 1.0).powi(2)).sum::<f64>()
+    };
+    for (n, most, f) in [(40, 15, &coupled as &(dyn Fn(&[f64]) -> f64 + Sync)), (40, 70, &chained)] {
+        let run = minimize(f).start(&vec![-1.0; n]).method(quadratic()).target(1e-8);
+        let run = run.max_evaluations(most * n).run().unwrap();
+        println!("n = {n}: {} evaluations, {:e}", run.n_evaluations, run.fun);
+        assert!(run.fun <= 1e-8, "{run}");
+    }
+}
+
+/// Bounds, failures next to the start and an interruption, with more parameters than the conditions are solved anew for.
+#[test]
+fn many_parameters_keep_to_bounds_and_survive_failures_and_interruptions() {
+    let n = 24;
+    let (lower, upper) = (vec![-2.0; n], vec![0.5; n]);
+    let folder = tempfile::tempdir().unwrap();
+    let run = |path: &std::path::Path, evaluations: usize, fails: bool| {
+        let cost = fallible(move |x: &[f64]| match fails && x[3] > -0.9 && x[4] < -1.0 {
+            true => Err("no"),
+            false => Ok(chained(x)),
+        });
+        let run = minimize(cost).start(&vec![-1.0; n]).bounds(&lower, &upper).unwrap();
+        let run = run.method(QuadraticModel::default()).x_tol(0.0).f_tol(0.0).max_evaluations(evaluations);
+        run.checkpoint(Checkpoint::new(path).interval(std::time::Duration::ZERO)).run().unwrap()
+    };
+    for fails in [false, true] {
+        let whole = run(&folder.path().join(format!("whole {fails}")), 700, fails);
+        assert!(whole.trace.iter().all(|e| e.x.iter().all(|x| (-2.0..=0.5).contains(x))));
+        assert!(fails || whole.x[1..].iter().filter(|x| **x == 0.5).count() > n / 2, "{whole}");
+        assert!(whole.fun < 0.25 * whole.trace.get(0).unwrap().outcome.value().unwrap(), "{whole}");
+        let path = folder.path().join(format!("halves {fails}"));
+        run(&path, 333, fails);
+        assert_eq!((run(&path, 700, fails).x, whole.n_evaluations), (whole.x, 700));
+    }
+}
+
+/// Equal costs at all points are no convergence: plateaus are left, or the result says so.
+#[test]
+fn plateaus_are_no_convergence() {
+    let stairs = |x: &[f64]| (10.0 * rosenbrock(x)).floor() / 10.0;
+    for start in [[-1.2, 1.0], [-1.0, 1.0], [0.3, -0.4]] {
+        let run = |hand_over| {
+            minimize(stairs).start(&start).method(quadratic().hand_over(hand_over)).run().unwrap()
+        };
+        assert_eq!(run(false).termination, Termination::Stalled, "{start:?}");
+        assert!(run(true).message.contains("nelder-mead took over"), "{start:?}");
     }
 }

@@ -193,7 +193,8 @@ const LIST: [Listed; 10] = [
     },
 ];
 
-/// The algebra of a quadratic model takes some 20 ms per evaluation with so many parameters, and grows with more than their square.
+/// Up to so many parameters `auto` takes quadratic models. With more they take about a millisecond per evaluation and solve what is smooth
+/// (`benches/overhead.rs -- solved`); beside Nelder-Mead they were not measured there.
 const MOST_FOR_MODELS: usize = 60;
 
 impl AnyMethod {

@@ -11,13 +11,16 @@ const LARGEST_CONDITION: f64 = 1e14;
 /// Beyond this and its inverse the largest variance goes over into the step size.
 const LARGEST_VARIANCE: f64 = 1e8;
 
+/// Sweeps for each eigenvalue: a few are enough.
+const MOST_SWEEPS: usize = 1000;
+
 /// Mean, step size, covariance matrix and evolution paths. Steps are in units of the sizes of the parameters.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Distribution {
     /// In working coordinates.
     pub(super) mean: Vec<f64>,
     pub(super) sigma: f64,
-    /// Row by row, as `axes`.
+    /// Row by row, as `axes`; what stands above the diagonal means nothing.
     covariance: Vec<f64>,
     /// The eigenvectors of the covariance matrix as columns, as of the last decomposition.
     axes: Vec<f64>,
@@ -28,6 +31,9 @@ pub(super) struct Distribution {
     /// The weighted mean of the better steps of a generation.
     #[serde(skip)]
     shift: Vec<f64>,
+    /// The same along the axes.
+    #[serde(skip)]
+    along: Vec<f64>,
     /// Updates since the beginning, and since the last decomposition.
     n_updates: u64,
     n_since: u64,
@@ -46,6 +52,7 @@ impl Distribution {
             path_sigma: vec![0.0; n],
             path_c: vec![0.0; n],
             shift: Vec::with_capacity(n),
+            along: Vec::with_capacity(n),
             n_updates: 0,
             n_since: 0,
         }
@@ -57,7 +64,7 @@ impl Distribution {
         let squared = normals.iter().map(|z| z * z).sum();
         normals.iter_mut().zip(&self.deviations).for_each(|(z, d)| *z *= d);
         for (y, row) in step.iter_mut().zip(self.axes.chunks_exact(self.mean.len().max(1))) {
-            *y = row.iter().zip(&*normals).map(|(b, z)| b * z).sum();
+            *y = dot(row, normals);
         }
         squared
     }
@@ -92,13 +99,18 @@ impl Distribution {
         let mu_eff = effective(positive);
         let Weights { c_sigma, d_sigma, c_c, c_1, c_mu, chi, .. } = *weights;
         let factor = (c_sigma * (2.0 - c_sigma) * mu_eff).sqrt();
-        self.path_sigma.iter_mut().for_each(|p| *p *= 1.0 - c_sigma);
-        for (j, d) in self.deviations.iter().enumerate() {
-            let along: f64 = (0..n).map(|i| self.axes[i * n + j] * shift[i]).sum();
-            for (i, p) in self.path_sigma.iter_mut().enumerate() {
-                *p += factor * self.axes[i * n + j] * along / d;
-            }
+        let mut along = std::mem::take(&mut self.along);
+        along.clear();
+        along.resize(n, 0.0);
+        let rows = self.axes.chunks_exact(n.max(1));
+        for (row, s) in rows.clone().zip(&shift) {
+            along.iter_mut().zip(row).for_each(|(a, b)| *a += b * s);
         }
+        for (p, row) in self.path_sigma.iter_mut().zip(rows) {
+            *p *= 1.0 - c_sigma;
+            row.iter().zip(&along).zip(&self.deviations).for_each(|((b, a), d)| *p += factor * b * a / d);
+        }
+        self.along = along;
         self.n_updates += 1;
         let length = self.path_sigma.iter().map(|p| p * p).sum::<f64>().sqrt();
         self.sigma *= (c_sigma / d_sigma * (length / chi - 1.0)).min(1.0).exp();
@@ -118,13 +130,18 @@ impl Distribution {
         let of_all: f64 =
             ranked.clone().zip(&weights.of_rank).enumerate().map(|(rank, (_, w))| in_use(rank, *w)).sum();
         let kept = 1.0 + missing - c_1 - c_mu * of_all;
-        self.covariance.iter_mut().for_each(|c| *c *= kept);
-        add_outer(&mut self.covariance, c_1, &self.path_c);
-        for (rank, ((y, squared), w)) in ranked.zip(&weights.of_rank).enumerate() {
+        let scaled = |(rank, ((y, squared), w)): (usize, ((&'a [f64], f64), &f64))| {
             let w = in_use(rank, *w);
             // Long bad steps must not turn the matrix indefinite.
-            let scaled = if w >= 0.0 || squared <= 0.0 { w } else { w * n as f64 / squared };
-            add_outer(&mut self.covariance, c_mu * scaled, y);
+            (y, c_mu * if w >= 0.0 || squared <= 0.0 { w } else { w * n as f64 / squared })
+        };
+        // Row by row, so that the matrix is gone through once; of a symmetric matrix the lower half is all that is read.
+        for (i, row) in self.covariance.chunks_exact_mut(n.max(1)).enumerate() {
+            let row = &mut row[..=i];
+            row.iter_mut().zip(&self.path_c).for_each(|(c, p)| *c = kept * *c + c_1 * (self.path_c[i] * p));
+            for (y, w) in ranked.clone().zip(&weights.of_rank).enumerate().map(scaled) {
+                row.iter_mut().zip(y).for_each(|(c, y_k)| *c += w * (y[i] * y_k));
+            }
         }
         self.n_since += 1;
         self.shift = shift;
@@ -161,7 +178,9 @@ impl Distribution {
             self.covariance.iter_mut().for_each(|c| *c /= widest);
         }
         let matrix = DMatrix::from_row_slice(n, n, &self.covariance);
-        let Some(eigen) = SymmetricEigen::try_new(matrix, f64::EPSILON, 1000) else { return false };
+        let Some(eigen) = SymmetricEigen::try_new(matrix, f64::EPSILON, MOST_SWEEPS * n) else {
+            return false;
+        };
         let (low, high) = (eigen.eigenvalues.min(), eigen.eigenvalues.max());
         if !(high > 0.0 && eigen.eigenvectors.iter().all(|v| v.is_finite())) {
             return false;
@@ -185,9 +204,40 @@ impl Distribution {
     }
 }
 
-/// Adds `w v v^T`.
-fn add_outer(matrix: &mut [f64], w: f64, v: &[f64]) {
-    for (row, a) in matrix.chunks_exact_mut(v.len().max(1)).zip(v) {
-        row.iter_mut().zip(v).for_each(|(c, b)| *c += w * (a * b));
+/// A sum of products in eight parts, which processors add at once.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let (eights, others) = (a.chunks_exact(8), b.chunks_exact(8));
+    let rest = eights.remainder().iter().zip(others.remainder()).map(|(a, b)| a * b).sum::<f64>();
+    let mut parts = [0.0; 8];
+    for (a, b) in eights.zip(others) {
+        parts.iter_mut().zip(a.iter().zip(b)).for_each(|(part, (a, b))| *part += a * b);
+    }
+    parts.iter().sum::<f64>() + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn many_parameters_have_axes() {
+        let n = 760;
+        let mut d = Distribution::new(vec![0.0; n], 1.0);
+        // With eigenvalues from 1 to 2, but one that is larger.
+        for (k, c) in d.covariance.iter_mut().enumerate() {
+            *c += f64::from(k / n == k % n) * (k % n) as f64 / n as f64 + 0.01;
+        }
+        assert!(d.decompose());
+        let (least, most) = d.deviations.iter().fold((2.0f64, 0.0f64), |m, d| (m.0.min(*d), m.1.max(*d)));
+        let trace: f64 = d.deviations.iter().map(|d| d * d).sum();
+        assert!((trace / (1.51 * n as f64 - 0.5) - 1.0).abs() < 1e-10, "{trace}");
+        assert!((1.0..1.01).contains(&least) && (3.0..3.1).contains(&most), "{least} {most}");
+        // The matrix is made of its axes.
+        let of = |i: usize, j: usize| -> f64 {
+            (0..n).map(|k| d.axes[i * n + k] * d.axes[j * n + k] * d.deviations[k].powi(2)).sum()
+        };
+        for (i, j) in [(0, 0), (3, 700), (759, 759), (400, 401)] {
+            assert!((of(i, j) - d.covariance[i * n + j]).abs() < 1e-10, "{i} {j}");
+        }
     }
 }

@@ -13,6 +13,8 @@
 //! included; the positive weights of those that are left sum to 1. After a generation without any cost the mean goes back to
 //! the best point of the run, with half the step size.
 //!
+//! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, is moved alone first (`shared/sizes.rs`).
+//!
 //! **Cutoffs**: none, for every rank counts.
 
 mod boundary;
@@ -23,19 +25,37 @@ mod state;
 mod weights;
 
 pub use options::{CmaBounds, CmaEs, Restarts};
-pub use state::CmaEsState;
 
 use crate::error::Error;
 use crate::memory;
 use crate::method::{MethodOptions, Setup};
 use crate::methods::shared::generations::Generations;
+use crate::methods::shared::sized::{NeedsSizes, WithSizes};
 use crate::option_texts;
 use crate::rng::draw_seed;
 use state::CmaRules;
 
+/// A running CMA-ES; made by [`CmaEs`].
+pub type CmaEsState = WithSizes<CmaEs>;
+
 /// The problem without bounds that stand for "none".
 fn prepared(setup: &Setup) -> Setup {
     Setup { space: setup.space.without_far_bounds(), ..setup.clone() }
+}
+
+impl NeedsSizes for CmaEs {
+    const NAME: &'static str = "cma-es";
+    type Search = Generations<CmaRules>;
+
+    fn search(&self, setup: Setup) -> Result<Self::Search, Error> {
+        let members = self.members(setup.space.n_free())?;
+        let seed = setup.seed.unwrap_or_else(draw_seed);
+        Ok(CmaRules::begin(self, setup, members, seed))
+    }
+
+    fn is_sound(search: &Self::Search, setup: &Setup) -> bool {
+        search.is_sound(setup)
+    }
 }
 
 impl MethodOptions for CmaEs {
@@ -49,13 +69,11 @@ impl MethodOptions for CmaEs {
         // Population, candidates and batch on two scales, the steps; the matrix, its axes, and what decomposing it needs.
         memory::check("a covariance matrix of so many parameters", &[4, n, n])?;
         memory::check("a population of so many members and parameters", &[4 * members, setup.space.n() + n])?;
-        let setup = prepared(setup);
-        let seed = setup.seed.unwrap_or_else(draw_seed);
-        Ok(CmaRules::begin(self, setup, members, seed))
+        WithSizes::begin(self, prepared(setup))
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<CmaEsState, Error> {
-        Generations::restore(&prepared(setup), state)
+        WithSizes::restore(self, prepared(setup), state)
     }
 
     fn needs_start(&self) -> bool {

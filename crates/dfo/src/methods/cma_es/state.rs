@@ -13,9 +13,6 @@ use crate::space::Space;
 use crate::termination::Termination;
 use serde::{Deserialize, Serialize};
 
-/// A running CMA-ES; made by [`CmaEs`].
-pub type CmaEsState = Generations<CmaRules>;
-
 /// So many generations in a row without any cost end a run.
 const MOST_BARREN: usize = 50;
 
@@ -50,7 +47,7 @@ fn unbend(point: &mut [f64], space: &Space, handling: CmaBounds) {
 }
 
 impl CmaRules {
-    pub(super) fn begin(options: &CmaEs, setup: Setup, members: usize, seed: u64) -> CmaEsState {
+    pub(super) fn begin(options: &CmaEs, setup: Setup, members: usize, seed: u64) -> Generations<Self> {
         let (space, n) = (&setup.space, setup.space.n_free());
         let mut best = vec![0.0; n];
         space.to_working(space.x0(), &mut best);

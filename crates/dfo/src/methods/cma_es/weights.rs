@@ -15,9 +15,13 @@ pub(super) struct Weights {
     pub(super) c_mu: f64,
     /// Expected length of a vector of `n` standard normal numbers.
     pub(super) chi: f64,
-    /// Generations after which the covariance matrix is decomposed again (section B.2).
+    /// Generations after which the covariance matrix is decomposed again.
     pub(super) interval: u64,
 }
+
+/// Changes of the covariance matrix by less than this share wait for its decomposition, for at most `n / 2` generations: so an evaluation takes
+/// O(n^2) operations.
+const UNSEEN: f64 = 0.02;
 
 /// Variance effective selection mass, equation 8.
 pub(super) fn effective(weights: &[f64]) -> f64 {
@@ -40,6 +44,9 @@ impl Weights {
         let c_c = (4.0 + mu_eff / d) / (d + 4.0 + 2.0 * mu_eff / d);
         let c_1 = 2.0 / ((d + 1.3).powi(2) + mu_eff);
         let c_mu = (2.0 * (0.25 + mu_eff + 1.0 / mu_eff - 2.0) / ((d + 2.0).powi(2) + mu_eff)).min(1.0 - c_1);
+        // Section B.2 has the first, which for many parameters is a few generations; pycma waits for five times as long.
+        let tutorial = 1.0 / (10.0 * d * (c_1 + c_mu));
+        let interval = tutorial.max((0.5 * d).min(UNSEEN / (c_1 + c_mu))).max(1.0) as u64;
         // Equations 50 to 53.
         let sum: f64 = positive.iter().sum();
         if members == 1 {
@@ -61,7 +68,7 @@ impl Weights {
             c_1,
             c_mu,
             chi: d.sqrt() * (1.0 - 1.0 / (4.0 * d) + 1.0 / (21.0 * d * d)),
-            interval: ((1.0 / (10.0 * d * (c_1 + c_mu))) as u64).max(1),
+            interval,
         }
     }
 
@@ -92,5 +99,7 @@ mod tests {
         assert!((effective(&weights.of_rank[..5]) - 3.167).abs() < 1e-3);
         assert!((weights.c_sigma - 0.2844).abs() < 1e-4 && (weights.c_1 - 0.01528).abs() < 1e-5);
         assert!((weights.chi - 3.0847).abs() < 1e-3 && weights.interval == 1);
+        let interval = |n, members| Weights::new(n, members).interval;
+        assert_eq!([interval(100, 17), interval(1000, 24), interval(40, 10_000)], [22, 500, 1]);
     }
 }

@@ -5,7 +5,8 @@
 //! first. A point starts a search unless a better one lies within the critical distance
 //! `r_k = pi^(-1/2) (Gamma(1 + n/2) sigma ln(kN) / (kN))^(1/n)`, sigma = 4, in units of the box (their equation 7): then both are
 //! taken for one cluster, and one search is enough. Start points that the user gave are always searched from, first. Several
-//! searches run side by side, and their points are one batch.
+//! searches run side by side, and their points are one batch. Once the first has ended and fewer run than may, the next sample is part of that
+//! batch where it is needed whatever these searches find.
 //!
 //! The search ends when the minima found are probably all there are: with `w` of them in `t` trials the expected number is
 //! `w (t - 1) / (t - w - 2)` (Boender and Rinnooy Kan, Math. Program. 37, 1987, 59), and less than half a minimum is missing.
@@ -67,6 +68,8 @@ impl MethodOptions for Multistart {
         option_texts::fields(self)
     }
 
+    /// The exploration is planned with the budget, and until the first search has ended the others have half of it: a run that is
+    /// continued with another limit would have taken another path.
     fn plans_with_budget(&self) -> bool {
         let explores = self.exploration.map_or(self.polish != Polish::LeastSquares, |share| share > 0.0);
         explores || self.side_by_side != Some(1)

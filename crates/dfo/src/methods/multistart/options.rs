@@ -52,8 +52,8 @@ pub struct Multistart {
     pub sampling: Option<Sampling>,
     /// The method of the local searches.
     pub polish: Polish,
-    /// Local searches that run at once, their points in one batch; default 4, after an exploration 1. Part of the path: it does not
-    /// follow the workers. Until the first of them has ended, the others have at most half of a limit of evaluations.
+    /// Local searches that run at once, their points in one batch; default 4, and 1 after an exploration until that search has ended. Part
+    /// of the path: it does not follow the workers. Until the first of them has ended, the others have at most half of a limit of evaluations.
     pub side_by_side: Option<usize>,
     /// Most local searches; default no limit but the budget.
     pub max_starts: Option<usize>,

@@ -6,7 +6,7 @@ use crate::answer::{Answers, Best, Want};
 use crate::error::Error;
 use crate::linear_model::LinearModel;
 use crate::method::{
-    Batch, Details, Method, MethodOptions, Operation, Optimum, Setup, Status, restored, saved,
+    Batch, Details, Lookahead, Method, MethodOptions, Operation, Optimum, Setup, Status, restored, saved,
 };
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::population::MAX_MEMBERS;
@@ -19,13 +19,16 @@ use crate::tolerances::Tests;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
+/// Local searches at once. With four, two workers are busy even where one search waits for the next sample.
+const SIDE_BY_SIDE: usize = 4;
+
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 enum Phase {
     /// Points of the sample are being evaluated.
     Sampling,
     /// Differential evolution is under way.
     Exploring,
-    /// Local searches are under way.
+    /// Local searches are under way, and perhaps points of the next sample.
     Searching,
     NoStart,
     Ended(Termination),
@@ -239,27 +242,44 @@ impl MultistartState {
 
     /// Starts searches, or goes on to the next sample, or ends.
     fn next(&mut self) -> Result<(), Error> {
-        let at_once = self.options.side_by_side.unwrap_or(if self.core.n_planned > 0 { 1 } else { 4 });
-        while self.searches.len() < at_once && !self.core.queue.is_empty() {
+        while self.searches.len() < self.at_once() && !self.core.queue.is_empty() {
             let start = self.core.queue.remove(0);
             self.core.n_starts += 1;
             self.add(start, None)?;
         }
-        if !self.searches.is_empty() {
-            self.core.phase = Phase::Searching;
-            return Ok(());
-        }
         let Core { sample, minima, n_starts, tests, .. } = &self.core;
-        let all = clusters::are_probably_all(minima.len(), clusters::n_looked_at(sample.len()));
-        if all || self.options.max_starts.is_some_and(|most| *n_starts >= most) || sample.len() >= MAX_MEMBERS
-        {
+        // More minima only make it less probable that these are all.
+        let is_last = clusters::are_probably_all(minima.len(), clusters::n_looked_at(sample.len()))
+            || self.options.max_starts.is_some_and(|most| *n_starts >= most)
+            || sample.len() >= MAX_MEMBERS;
+        if !self.searches.is_empty() {
+            // The next sample, so that there are as many searches again before the last of these has ended.
+            let has_room = self.first_has_ended() && self.searches.len() < self.at_once();
+            if has_room && !is_last && !sample.is_pending() {
+                self.enlarge()?;
+            }
+            self.core.phase = Phase::Searching;
+        } else if sample.is_pending() {
+            self.core.phase = Phase::Sampling;
+        } else if is_last {
             let passed = tests.is_some_and(|tests| tests.passed);
             let end = if passed { Termination::Converged } else { Termination::Stalled };
             self.core.phase = Phase::Ended(end);
-            return Ok(());
+        } else {
+            self.core.phase = Phase::Sampling;
+            self.enlarge()?;
         }
-        self.core.phase = Phase::Sampling;
-        self.enlarge()
+        Ok(())
+    }
+
+    fn first_has_ended(&self) -> bool {
+        self.core.n_starts > self.searches.len()
+    }
+
+    /// How many searches run at once: after an exploration the first runs alone, for what is left of the budget is its.
+    fn at_once(&self) -> usize {
+        let alone = self.core.n_planned > 0 && !self.first_has_ended();
+        self.options.side_by_side.unwrap_or(if alone { 1 } else { SIDE_BY_SIDE })
     }
 
     /// Takes the answers to the points of the exploration.
@@ -311,6 +331,16 @@ impl MultistartState {
             }
         }
         self.core.operation = Some(Operation::LocalSearches);
+        if self.core.sample.is_pending() {
+            // The points that follow are those of the next sample.
+            self.told.clear();
+            for k in first..answers.len() {
+                self.told.push(answers.outcomes()[k].clone(), answers.residuals(k).unwrap_or_default());
+            }
+            if self.core.rounds.tell(&self.told, &mut self.core.sample)? {
+                self.sampled()?;
+            }
+        }
         self.retire()
     }
 
@@ -335,8 +365,8 @@ impl MultistartState {
     /// Until the first local search has ended, all else has at most half of the budget: where the points of the other searches would be
     /// more, these wait.
     fn leave_half_to_the_first(&mut self) {
-        let Core { n_starts, n_elsewhere, setup, .. } = &self.core;
-        let Some(budget) = setup.max_evaluations.filter(|_| *n_starts == self.searches.len()) else { return };
+        let Core { n_elsewhere, setup, .. } = &self.core;
+        let Some(budget) = setup.max_evaluations.filter(|_| !self.first_has_ended()) else { return };
         let wanted: usize = self.searches.iter().skip(1).map(|search| search.asked.len()).sum();
         if n_elsewhere + wanted > budget / 2 {
             for search in self.searches.iter_mut().skip(1) {
@@ -394,6 +424,10 @@ impl Method for MultistartState {
             }
             Phase::Searching => {
                 searches.iter().for_each(|search| take(&search.asked));
+                if core.sample.is_pending() {
+                    core.rounds.ask(asked, n, &core.sample, |_| f64::INFINITY);
+                    take(asked);
+                }
             }
             Phase::NoStart | Phase::Ended(_) => {}
         }
@@ -441,6 +475,12 @@ impl Method for MultistartState {
         Ok(())
     }
 
+    fn speculate(&mut self, wanted: usize, known: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
+        for search in self.searches.iter_mut().filter(|search| !search.asked.is_empty()) {
+            search.method.speculate(wanted, known, batch);
+        }
+    }
+
     fn status(&self) -> Status {
         match &self.core.phase {
             Phase::NoStart => Status::NoStart,
@@ -452,6 +492,7 @@ impl Method for MultistartState {
     fn details(&self) -> Details<'_> {
         let core = &self.core;
         let exploring = self.exploration.as_ref().and_then(|method| method.details().population);
+        let first = self.searches.first();
         let is_best = |tests: &Tests| core.best.cost().is_some_and(|best| best >= tests.f_best);
         Details {
             n_iterations: core.n_iterations,
@@ -461,6 +502,7 @@ impl Method for MultistartState {
             plan: "sample, then searches side by side",
             seed: Some(core.seed),
             population: exploring.or_else(|| Some(core.sample.view())),
+            lookahead: first.map_or(Lookahead::None, |first| first.method.details().lookahead),
             optima: &core.minima,
             ..Details::default()
         }

@@ -1,11 +1,11 @@
 //! The starting simplex: never flat, never outside of the box, wherever in the box the start point lies.
 
 use super::options::InitialSimplex;
-use super::sizes::{Found, SizeSearch};
 use crate::choices::Transform;
 use crate::error::Error;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
+use crate::methods::shared::sizes::{Found, SizeSearch};
 use crate::space::Space;
 
 /// Side of the simplex as a fraction of the width of the box. With sides from 0.03 to 0.3 of it 124 to 126 of the 126 runs in

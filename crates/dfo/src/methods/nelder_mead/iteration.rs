@@ -2,11 +2,11 @@
 
 use super::initial;
 use super::restart;
-use super::sizes::SizeSearch;
 use super::state::{NelderMeadState, Phase, Role};
 use super::trial::{Frame, Seen, Trial};
 use crate::method::{Batch, Operation};
 use crate::methods::shared::cost::Cost;
+use crate::methods::shared::sizes::SizeSearch;
 use crate::termination::Termination;
 use crate::tolerances::Tests;
 

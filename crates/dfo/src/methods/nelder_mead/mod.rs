@@ -40,7 +40,6 @@ mod lee_wiswall;
 mod options;
 mod restart;
 mod simplex;
-mod sizes;
 mod speculation;
 mod state;
 mod trial;

@@ -5,7 +5,6 @@
 
 use super::lee_wiswall::{LeeWiswall, Verdict};
 use super::options::{BatchPlan, CoefficientValues};
-use super::sizes::SizeSearch;
 use super::speculation::{Problem, Speculation};
 use super::trial::{Seen, Trial, TrialPoint};
 use crate::answer::{Answers, Outcome};
@@ -14,6 +13,7 @@ use crate::error::Error;
 use crate::method::{Batch, Details, Method, Operation, Setup, Status, saved};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
+use crate::methods::shared::sizes::SizeSearch;
 use crate::termination::Termination;
 use crate::tolerances::Tests;
 use serde::{Deserialize, Serialize};

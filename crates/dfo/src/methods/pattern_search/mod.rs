@@ -24,6 +24,8 @@
 //!
 //! **Failures** are points that are no better. Where the start has failed, the first poll must find a cost.
 //!
+//! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, is moved alone first (`shared/sizes.rs`).
+//!
 //! **Plan.** The path takes one point after the other. Ahead of need, the points that follow in the poll are evaluated, then
 //! those of the next poll ([`PollPlan`]). **Cutoff**: the cost of the best point.
 //!
@@ -34,16 +36,33 @@ mod poll;
 mod state;
 
 pub use options::{PatternSearch, PollPlan};
-pub use state::PatternSearchState;
 
 use crate::error::Error;
 use crate::memory;
-use crate::method::{MethodOptions, Setup, restored};
+use crate::method::{MethodOptions, Setup};
+use crate::methods::shared::sized::{NeedsSizes, WithSizes};
 use crate::option_texts;
+use state::Polling;
+
+/// A running pattern search; made by [`PatternSearch`].
+pub type PatternSearchState = WithSizes<PatternSearch>;
 
 /// The problem without bounds that stand for "none".
 fn prepared(setup: &Setup) -> Setup {
     Setup { space: setup.space.without_far_bounds(), ..setup.clone() }
+}
+
+impl NeedsSizes for PatternSearch {
+    const NAME: &'static str = "pattern-search";
+    type Search = Polling;
+
+    fn search(&self, setup: Setup) -> Result<Polling, Error> {
+        Ok(Polling::new(self, setup))
+    }
+
+    fn is_sound(search: &Polling, setup: &Setup) -> bool {
+        search.is_sound(setup)
+    }
 }
 
 impl MethodOptions for PatternSearch {
@@ -57,12 +76,11 @@ impl MethodOptions for PatternSearch {
             "the directions of so many parameters",
             &[2, setup.space.n_free(), setup.space.n_free()],
         )?;
-        Ok(PatternSearchState::new(self, prepared(setup)))
+        WithSizes::begin(self, prepared(setup))
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<PatternSearchState, Error> {
-        let setup = prepared(setup);
-        restored(state, |s: &PatternSearchState| s.is_sound(&setup))
+        WithSizes::restore(self, prepared(setup), state)
     }
 
     fn needs_start(&self) -> bool {

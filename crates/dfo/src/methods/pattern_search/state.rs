@@ -33,9 +33,9 @@ enum Phase {
 /// The frame grows no more from here on: numbers end.
 const LARGEST: f64 = 1e100;
 
-/// A running pattern search; made by [`PatternSearch`].
+/// A pattern search where all sizes are known.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct PatternSearchState {
+pub struct Polling {
     setup: Setup,
     plan: PollPlan,
     phase: Phase,
@@ -71,7 +71,7 @@ pub struct PatternSearchState {
     f_0: f64,
 }
 
-impl PatternSearchState {
+impl Polling {
     pub(super) fn new(options: &PatternSearch, setup: Setup) -> Self {
         let (space, n) = (&setup.space, setup.space.n_free());
         let mut best = RankedPoints::new(space, 1);
@@ -296,7 +296,7 @@ impl PatternSearchState {
     }
 }
 
-impl Method for PatternSearchState {
+impl Method for Polling {
     fn name(&self) -> &'static str {
         "pattern-search"
     }

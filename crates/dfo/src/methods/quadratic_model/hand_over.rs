@@ -32,11 +32,9 @@ impl QuadraticModelState {
     pub(super) fn look_for_roughness(&mut self) {
         let curvature = self.model.hessian.iter().map(|h| h * h).sum::<f64>().sqrt();
         self.curvatures.push((self.rho, curvature));
-        self.roughness = (self.n_refused >= MOST_REFUSED).then_some(Roughness::RefusedSteps);
-        if self.hand_over && self.curvatures.len() == 1 && self.is_flat() {
-            // Nothing is seen within the first radius: a simplex also looks farther.
-            self.roughness = Some(Roughness::RefusedSteps);
-        }
+        let refused = self.n_refused >= MOST_REFUSED;
+        // Where nothing is seen within the radius the tests mean nothing.
+        self.roughness = (refused || self.is_flat()).then_some(Roughness::RefusedSteps);
         let Some(before) = self.curvatures.len().checked_sub(RESOLUTIONS + 1) else { return };
         let (rho, least) = self.curvatures[before];
         let f = self.points.cost(self.points.best()).value().map_or(0.0, f64::abs);
@@ -46,8 +44,8 @@ impl QuadraticModelState {
         }
     }
 
-    /// All points have one cost.
-    fn is_flat(&self) -> bool {
+    /// All points have one cost: of these none is better than another.
+    pub(super) fn is_flat(&self) -> bool {
         let f = self.points.cost(self.points.best()).value();
         (0..self.points.len()).all(|slot| self.points.cost(slot).value() == f)
     }

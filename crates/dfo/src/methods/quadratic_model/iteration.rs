@@ -5,6 +5,7 @@ use super::hand_over::MOST_REFUSED;
 use super::model::{Interpolation, Quadratic};
 use super::state::{Phase, QuadraticModelState};
 use super::subproblem::{Region, minimize};
+use super::truncated;
 use crate::choices::Measure;
 use crate::termination::Termination;
 use crate::tolerances::{Extent, Tests};
@@ -29,28 +30,30 @@ const NEAR: f64 = 4.0;
 /// Curvature across the plane to failed points, in units of the largest of the model.
 const AVOIDANCE: f64 = 100.0;
 
-fn norm(v: &[f64]) -> f64 {
+pub(super) fn norm(v: &[f64]) -> f64 {
     v.iter().map(|v| v * v).sum::<f64>().sqrt()
 }
 
 impl QuadraticModelState {
-    fn base(&self) -> usize {
+    pub(super) fn base(&self) -> usize {
         self.points.best()
     }
 
-    fn cost(&self, slot: usize) -> f64 {
+    pub(super) fn cost(&self, slot: usize) -> f64 {
         self.points.cost(slot).value().unwrap_or(f64::INFINITY)
     }
 
     /// Displacement between two points in units of the sizes.
-    fn displacement(&self, from: &[f64], to: &[f64]) -> Vec<f64> {
+    pub(super) fn displacement(&self, from: &[f64], to: &[f64]) -> Vec<f64> {
         let space = &self.setup.space;
         from.iter().zip(to).enumerate().map(|(k, (from, to))| (to - from) / space.size(k)).collect()
     }
 
     /// Makes the interpolation anew, which is no part of a saved state.
     pub(super) fn complete(&mut self) {
-        if self.interpolation.is_none() {
+        if self.has_many() {
+            self.complete_inverse();
+        } else if self.interpolation.is_none() {
             self.interpolation = self.interpolate();
         }
     }
@@ -74,6 +77,10 @@ impl QuadraticModelState {
     /// Ranks the points, and makes the model interpolate them; its displacements are from `from` so far.
     pub(super) fn refit(&mut self, from: &[f64]) {
         self.points.rank();
+        if self.has_many() {
+            self.rebuild(from);
+            return;
+        }
         let base = self.base();
         let moved = self.displacement(from, self.points.u(base));
         self.model.gradient = self.model.slope(&moved);
@@ -92,6 +99,10 @@ impl QuadraticModelState {
     /// Takes the model of least norm where its slope is much less than that of the updated one (Powell, NA06, section 6, waits for
     /// three times in a row).
     fn compare_with_least_norm(&mut self) {
+        if self.has_many() {
+            self.compare_inverse_with_least_norm();
+            return;
+        }
         let f = self.cost(self.base());
         let Some(points) = &self.interpolation else { return };
         let values: Vec<f64> = points.slots.iter().map(|&slot| self.cost(slot) - f).collect();
@@ -99,17 +110,22 @@ impl QuadraticModelState {
         if !points.update(&mut fresh, &values) {
             return;
         }
+        if self.is_much_steeper_than(&fresh.gradient) {
+            self.model = fresh;
+        }
+    }
+
+    /// Whether the slope of the model is much more than that of another, bounds left out.
+    pub(super) fn is_much_steeper_than(&self, other: &[f64]) -> bool {
         let (lower, upper) = self.margins();
-        let slope = |model: &Quadratic| {
+        let slope = |gradient: &[f64]| {
             let inward = |(k, g): (usize, &f64)| {
                 let blocked = (lower[k] >= 0.0 && *g > 0.0) || (upper[k] <= 0.0 && *g < 0.0);
                 if blocked { 0.0 } else { g * g }
             };
-            model.gradient.iter().enumerate().map(inward).sum::<f64>()
+            gradient.iter().enumerate().map(inward).sum::<f64>()
         };
-        if slope(&self.model) >= 10.0 * slope(&fresh) {
-            self.model = fresh;
-        }
+        slope(&self.model.gradient) >= 10.0 * slope(other)
     }
 
     fn first_points(&self) -> usize {
@@ -128,7 +144,7 @@ impl QuadraticModelState {
     }
 
     /// How far a step from the base point may go along each coordinate, in units of the sizes.
-    fn margins(&self) -> (Vec<f64>, Vec<f64>) {
+    pub(super) fn margins(&self) -> (Vec<f64>, Vec<f64>) {
         let (space, u) = (&self.setup.space, self.points.u(self.base()));
         let ends = |k: usize| {
             let (lower, upper) = space.working_bounds(k);
@@ -141,7 +157,7 @@ impl QuadraticModelState {
     fn best_step(&self) -> Vec<f64> {
         let (lower, upper) = self.margins();
         let region = Region { radius: self.delta, lower: &lower, upper: &upper };
-        let mut step = minimize(&self.model, region);
+        let mut step = self.step_within(&self.model, region);
         if self.failed.is_empty() {
             return step;
         }
@@ -170,9 +186,17 @@ impl QuadraticModelState {
                     model.hessian[a * normal.len() + b] += weight * n_a * n_b;
                 }
             }
-            step = minimize(&model, region);
+            step = self.step_within(&model, region);
         }
         step
+    }
+
+    fn step_within(&self, model: &Quadratic, region: Region<'_>) -> Vec<f64> {
+        if self.has_many() {
+            truncated::minimize(|v| self.product(&model.hessian, v), &model.gradient, region)
+        } else {
+            minimize(model, region)
+        }
     }
 
     fn judge(&self, predicted: f64) -> Tests {
@@ -200,15 +224,18 @@ impl QuadraticModelState {
 
     /// Chooses the next point. Each turn without one shrinks the trust region.
     pub(super) fn choose(&mut self) {
+        if !self.failed.is_empty() {
+            self.fold();
+        }
         while self.phase == Phase::Choosing {
-            if self.interpolation.is_none() {
+            if self.interpolation.is_none() && self.inverse.is_none() {
                 let alone = self.points.n_finite() == 1;
                 self.phase =
                     Phase::Ended(if alone { Termination::AllFailed } else { Termination::Collapsed });
                 return;
             }
             let s = self.best_step();
-            let predicted = -self.model.value(&s);
+            let predicted = -self.value(&s);
             self.tests = Some(self.judge(predicted));
             let visible = f64::EPSILON * self.cost(self.base()).abs();
             if norm(&s) >= 0.5 * self.rho && predicted > visible && self.place_trial(&s) {
@@ -227,7 +254,7 @@ impl QuadraticModelState {
     }
 
     /// Makes the end of a step the trial point; false if it is a point that is known.
-    fn place_trial(&mut self, s: &[f64]) -> bool {
+    pub(super) fn place_trial(&mut self, s: &[f64]) -> bool {
         let space = &self.setup.space;
         let mut u = self.points.u(self.base()).to_vec();
         for (k, u) in u.iter_mut().enumerate() {
@@ -245,6 +272,9 @@ impl QuadraticModelState {
     /// Removes points that lie too far off; then asks for one along the direction in which the rest determine the gradient of the model
     /// worst, if they do so badly at this radius (Conn, Scheinberg and Vicente 2009, chapter 6: the model is to be fully linear).
     fn improve_geometry(&mut self) -> bool {
+        if self.has_many() {
+            return self.replace_farthest();
+        }
         let limit = (FAR * self.delta).max(FAR_RESOLUTIONS * self.rho);
         let n = self.n();
         let (mut slot, before) = (0, self.points.len());
@@ -309,10 +339,18 @@ impl QuadraticModelState {
             self.remember_failed(self.trial.u(0).to_vec());
             return;
         };
-        if let Some(slot) = self.slot_to_replace(&s, cost < self.cost(base)) {
+        self.take_trial(&from, &s, cost < self.cost(base));
+    }
+
+    /// The trial point becomes one of the model, which is fitted anew; `s` is its displacement from the base point at `from`.
+    fn take_trial(&mut self, from: &[f64], s: &[f64], better: bool) {
+        if self.has_many() {
+            return self.exchange(s, better);
+        }
+        if let Some(slot) = self.slot_to_replace(s, better) {
             self.points.copy_from(slot, &self.trial, 0);
         }
-        self.refit(&from);
+        self.refit(from);
     }
 
     /// What follows from the cost of the model's best point.
@@ -343,11 +381,10 @@ impl QuadraticModelState {
             self.n_refused = 0;
             self.is_refused = false;
         }
-        if let Some(slot) = self.slot_to_replace(&s, decrease > 0.0) {
-            self.points.copy_from(slot, &self.trial, 0);
+        self.take_trial(&from, &s, decrease > 0.0);
+        if !self.has_many() || ratio <= 0.1 {
+            self.compare_with_least_norm();
         }
-        self.refit(&from);
-        self.compare_with_least_norm();
         if ratio <= 0.1 && !self.improve_geometry() && ratio <= 0.0 && self.delta.max(length) <= self.rho {
             self.is_refused = true;
             self.refine();
@@ -357,20 +394,36 @@ impl QuadraticModelState {
     /// The slot that the trial point takes: an empty one, else that without which the others determine a model best; far ones sooner
     /// (Powell, NA06, equation 6.1 and its weights).
     fn slot_to_replace(&mut self, s: &[f64], better: bool) -> Option<usize> {
-        let empty = (0..self.points.len()).find(|&slot| self.points.cost(slot).value().is_none());
-        if empty.is_some() {
-            return empty;
+        if let Some(slot) = self.unused_slot() {
+            return Some(slot);
         }
-        if self.points.len() < self.most_points {
+        let points = self.interpolation.as_ref()?;
+        let slots = points.slots.iter().copied().chain([self.base()]);
+        self.most_dispensable(slots.zip(points.lagrange(s).map(|(_, factor)| factor)), better)
+    }
+
+    /// A slot without a point in the model.
+    pub(super) fn unused_slot(&mut self) -> Option<usize> {
+        let empty = (0..self.points.len()).find(|&slot| self.points.cost(slot).value().is_none());
+        if empty.is_none() && self.points.len() < self.most_points {
             let end = self.points.len();
             self.points.resize(end + 1);
             self.points.rank();
             return Some(end);
         }
-        let (base, points) = (self.base(), self.interpolation.as_ref()?);
+        empty
+    }
+
+    /// Of slots with the factors by which the determinant of the conditions grows the one to be replaced by the trial point.
+    pub(super) fn most_dispensable(
+        &self,
+        factors: impl Iterator<Item = (usize, f64)>,
+        better: bool,
+    ) -> Option<usize> {
+        let base = self.base();
         let from = if better { self.trial.u(0) } else { self.points.u(base) };
         let mut chosen = (None, 0.0);
-        for (&slot, (_, factor)) in points.slots.iter().chain([&base]).zip(points.lagrange(s)) {
+        for (slot, factor) in factors {
             if slot == base && !better {
                 continue;
             }
@@ -387,6 +440,7 @@ impl QuadraticModelState {
     /// The resolution is exhausted: the end, a smaller one, or another start.
     fn refine(&mut self) {
         self.n_refused += usize::from(self.is_refused);
+        self.fold();
         self.look_for_roughness();
         if self.hand_over && self.roughness.is_some() && self.hand_over() {
             return;
@@ -394,6 +448,12 @@ impl QuadraticModelState {
         let passed = self.tests.is_some_and(|tests| tests.passed);
         if passed && self.roughness.is_none() {
             self.phase = Phase::Ended(Termination::Converged);
+            return;
+        }
+        if self.is_flat() {
+            // More may be seen farther off.
+            self.radius *= 2.0;
+            self.restart();
             return;
         }
         if passed || self.n_refused >= MOST_REFUSED || self.rho <= SMALLEST {
@@ -433,6 +493,7 @@ impl QuadraticModelState {
         self.trial.copy_from(0, &self.points, best);
         self.points.copy_from(0, &self.trial, 0);
         self.points.resize(self.first_points());
+        self.inverse = None;
         self.place_around();
         self.phase = Phase::Starting;
     }

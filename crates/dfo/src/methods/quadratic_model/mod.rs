@@ -22,18 +22,23 @@
 //! **Failures.** A failed point enters no model. The step is shortened, and later steps keep to the side of a plane between
 //! failed points and those of the model (`failures.rs`). Of the first points a failed one is tried nearer to the start and on its other side.
 //!
-//! **Cutoffs**: none, since a model needs the value of every point. **Time**: O((4n)^3) operations per point; 11 microseconds for 2
-//! parameters, 0.2 ms for 10, 0.6 ms for 20, 4 ms for 50 (`benches/overhead.rs`).
+//! **Cutoffs**: none, since a model needs the value of every point. **Time**: O((4n)^3) operations per point up to 20 parameters: 11 microseconds
+//! for 2, 0.2 ms for 10, 0.6 ms for 20. For more parameters the inverse of the interpolation conditions is updated as points are exchanged, the
+//! steps are those of truncated conjugate gradients, and the model keeps 2n + 1 points (`many.rs`, `inverse.rs`, `truncated.rs`), as in NEWUOA:
+//! O(n^2) operations per point (`benches/overhead.rs`).
 
 mod failures;
 mod hand_over;
 mod initial;
+mod inverse;
 mod iteration;
+mod many;
 mod model;
 mod options;
 mod simplex;
 mod state;
 mod subproblem;
+mod truncated;
 
 pub use options::QuadraticModel;
 pub use state::QuadraticModelState;
@@ -58,7 +63,7 @@ impl MethodOptions for QuadraticModel {
         setup.space.require_continuous("quadratic-model")?;
         let (n, n_user) = (setup.space.n_free(), setup.space.n());
         let points = self.resolve(n)?;
-        memory::check("a quadratic model of so many parameters", &[points, 4 * points + 2 * n_user])?;
+        memory::check("a quadratic model of so many parameters", &[points, 7 * points + 2 * n_user])?;
         let mut state = QuadraticModelState::new(Self::prepared(setup), self, points);
         state.begin_with_simplex()?;
         Ok(state)

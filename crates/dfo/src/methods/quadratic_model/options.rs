@@ -4,6 +4,9 @@ use crate::error::Error;
 use crate::space::Space;
 use serde::{Deserialize, Serialize};
 
+/// Up to so many parameters the interpolation conditions are solved anew at each step, which costs little, and loses no digits.
+pub(super) const MOST_FROM_SCRATCH: usize = 20;
+
 /// Options of the trust region on quadratic interpolation models, for costs that are smooth but for noise.
 ///
 /// The x test measures the smallest trust region at which the model was exhausted, the f test the decrease that it still predicts there.
@@ -22,7 +25,8 @@ pub struct QuadraticModel {
     /// The first trust region, in units of the sizes of the parameters; default 0.2 in a box, 0.1 where a parameter has no or one bound.
     pub radius: Option<f64>,
     /// The most points that the model interpolates, from n + 2 to (n + 1)(n + 2)/2 for n free parameters. The search begins with
-    /// at most 2n + 1 and keeps later ones as long as there is room. Default 4n + 1, but not more than there may be.
+    /// at most 2n + 1 and keeps later ones as long as there is room. Default 4n + 1, but not more than there may be, and 2n + 1 for more than
+    /// 20 parameters.
     pub points: Option<usize>,
     /// How often in a row the search starts anew around its best point, with the first trust region, where steps that the model
     /// takes for good do not lower the cost (noise, kinks), before it gives up; a start that finds a lower cost begins the count anew.
@@ -86,7 +90,7 @@ impl QuadraticModel {
             return Err(Error::Option { name: "radius", value, range: "above 0 and finite" });
         }
         let range = (n + 2).min(2 * n + 1)..=(n + 1).saturating_mul(n + 2) / 2;
-        let default = (4 * n + 1).min(*range.end());
+        let default = (if n > MOST_FROM_SCRATCH { 2 * n + 1 } else { 4 * n + 1 }).min(*range.end());
         match self.points {
             Some(points) if !range.contains(&points) => {
                 let range = "from n + 2 to (n + 1)(n + 2)/2, n the number of free parameters";

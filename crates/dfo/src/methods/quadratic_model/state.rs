@@ -1,6 +1,7 @@
 //! The state machine: which points are asked for, and what follows from their costs.
 
 use super::initial;
+use super::inverse::Inverse;
 use super::model::{Interpolation, Quadratic};
 use super::options::QuadraticModel;
 use super::simplex::Simplex;
@@ -54,6 +55,9 @@ pub struct QuadraticModelState {
     /// Where it interpolates; made from the points when needed.
     #[serde(skip)]
     pub(super) interpolation: Option<Interpolation>,
+    /// The same for many parameters, kept up from step to step.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) inverse: Option<Inverse>,
     /// The trust region, and the resolution that it is not smaller than: both in units of the sizes.
     pub(super) delta: f64,
     pub(super) rho: f64,
@@ -98,6 +102,7 @@ impl QuadraticModelState {
             rounds: Rounds::with_capacity(n_points),
             model: Quadratic::zero(n),
             interpolation: None,
+            inverse: None,
             delta: radius,
             rho: radius,
             phase: Phase::Starting,
@@ -148,6 +153,7 @@ impl QuadraticModelState {
             && self.trial.len() == 1
             && self.rounds.is_sound(space.n())
             && self.model.is_sound(n)
+            && self.inverse.as_ref().is_none_or(|inverse| inverse.is_sound(n, self.points.len()))
             && self.failed.iter().all(|u| u.len() == n)
             && !self.retries.is_empty()
             && self.points.len() > 0

@@ -115,14 +115,17 @@ impl<B: GenerationRules> Generations<B> {
 
     /// Continues from a state that was saved for this problem.
     pub(crate) fn restore(setup: &Setup, state: &[u8]) -> Result<Self, Error> {
-        let space = &setup.space;
-        restored(state, |s: &Self| {
-            s.pool.setup.space == *space
-                && s.pool.population.is_sound(space)
-                && s.pool.candidates.is_sound(space)
-                && s.rounds.is_sound(space.n())
-                && s.rules.is_sound(&s.pool)
-        })
+        restored(state, |s: &Self| s.is_sound(setup))
+    }
+
+    /// Whether this fits to a problem and to itself: what comes from a file may not.
+    pub(crate) fn is_sound(&self, setup: &Setup) -> bool {
+        let (Populations { setup: own, population, candidates, .. }, space) = (&self.pool, &setup.space);
+        own.space == *space
+            && population.is_sound(space)
+            && candidates.is_sound(space)
+            && self.rounds.is_sound(space.n())
+            && self.rules.is_sound(&self.pool)
     }
 
     /// What the method keeps besides its population.

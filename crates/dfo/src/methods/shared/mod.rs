@@ -5,3 +5,5 @@ pub(crate) mod generations;
 pub(crate) mod population;
 pub(crate) mod ranked_points;
 pub(crate) mod rounds;
+pub(crate) mod sized;
+pub(crate) mod sizes;

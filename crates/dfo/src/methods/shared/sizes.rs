@@ -59,7 +59,7 @@ struct Line {
 
 /// The search along all parameters of unknown size at once, each from the same point.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub(super) struct SizeSearch {
+pub(crate) struct SizeSearch {
     base: Vec<f64>,
     f_base: f64,
     /// Largest change of the cost that counts as none.
@@ -70,23 +70,23 @@ pub(super) struct SizeSearch {
 }
 
 /// What a search has found along one parameter.
-pub(super) struct Found {
-    pub(super) k: usize,
-    pub(super) size: f64,
+pub(crate) struct Found {
+    pub(crate) k: usize,
+    pub(crate) size: f64,
     /// The parameter's value there and the cost, if that step has one.
-    pub(super) vertex: Option<(f64, f64)>,
+    pub(crate) vertex: Option<(f64, f64)>,
 }
 
 impl SizeSearch {
     /// From the start point, with steps of every magnitude.
-    pub(super) fn from_start(space: &Space, x0: &[f64], f_0: f64) -> Self {
+    pub(crate) fn from_start(space: &Space, x0: &[f64], f_0: f64) -> Self {
         Self::new(space, (x0, f_0), NO_CHANGE * f_0.abs(), -LARGEST)
     }
 
     /// From the best vertex of a simplex that has become small: with steps of the sizes and smaller, and larger ones where
     /// these change nothing. `threshold` is the spread of costs at which the tests pass. A parameter that an earlier search
     /// found to matter, and that has come to a value of about its size, needs no further look.
-    pub(super) fn beside(space: &Space, best: (&[f64], f64), threshold: f64, earlier: Option<&Self>) -> Self {
+    pub(crate) fn beside(space: &Space, best: (&[f64], f64), threshold: f64, earlier: Option<&Self>) -> Self {
         let mut search = Self::new(space, best, threshold, SMALLEST_BESIDE);
         let matters = |k: usize| earlier.is_some_and(|e| e.lines.iter().all(|l| l.k != k || l.has_effect));
         search.lines.retain(|line| {
@@ -116,31 +116,31 @@ impl SizeSearch {
         search
     }
 
-    pub(super) fn base(&self) -> (&[f64], f64) {
+    pub(crate) fn base(&self) -> (&[f64], f64) {
         (&self.base, self.f_base)
     }
 
-    pub(super) fn is_over(&self) -> bool {
+    pub(crate) fn is_over(&self) -> bool {
         self.lines.iter().all(|line| line.is_over)
     }
 
     /// The best point that was looked at, if it is better than the one that the search started from.
-    pub(super) fn best(&self) -> Option<(&[f64], f64)> {
+    pub(crate) fn best(&self) -> Option<(&[f64], f64)> {
         self.best.as_ref().map(|(x, cost)| (&x[..], *cost))
     }
 
     /// Whether a step lowers the cost by more than the threshold.
-    pub(super) fn is_lower(&self) -> bool {
+    pub(crate) fn is_lower(&self) -> bool {
         self.lines.iter().any(|line| line.best.is_some())
     }
 
     /// Parameters whose size is still unknown: no step has changed the cost.
-    pub(super) fn without_effect<'a>(&'a self, space: &'a Space) -> impl Iterator<Item = usize> + 'a {
+    pub(crate) fn without_effect<'a>(&'a self, space: &'a Space) -> impl Iterator<Item = usize> + 'a {
         self.lines.iter().filter(|line| line.is_over && !line.has_effect).map(|line| space.free()[line.k])
     }
 
     /// Asks for one point on each line that is not at its end; `asked` is given the number of the line.
-    pub(super) fn ask(&mut self, space: &Space, batch: &mut Batch, mut asked: impl FnMut(usize)) {
+    pub(crate) fn ask(&mut self, space: &Space, batch: &mut Batch, mut asked: impl FnMut(usize)) {
         for number in (0..self.lines.len()).filter(|&number| !self.lines[number].is_over) {
             let line = &self.lines[number];
             let i = space.free()[line.k];
@@ -157,7 +157,7 @@ impl SizeSearch {
     }
 
     /// Takes the cost of the point asked for on a line; none if it failed or is above the cutoff.
-    pub(super) fn see(&mut self, space: &Space, number: usize, cost: Option<f64>) {
+    pub(crate) fn see(&mut self, space: &Space, number: usize, cost: Option<f64>) {
         let line = &mut self.lines[number];
         let change = line.change(cost, (self.f_base, self.threshold));
         let step = cost.map(|cost| Step { exponent: line.exponent, side: line.side, cost });
@@ -189,7 +189,7 @@ impl SizeSearch {
         }
     }
 
-    pub(super) fn found(&self, space: &Space) -> Vec<Found> {
+    pub(crate) fn found(&self, space: &Space) -> Vec<Found> {
         let found = |line: &Line| {
             let base = self.base[space.free()[line.k]];
             let vertex = |step: Step| (line.value(base, step.exponent, step.side), step.cost);
@@ -200,7 +200,7 @@ impl SizeSearch {
         self.lines.iter().filter(|line| line.has_effect).map(found).collect()
     }
 
-    pub(super) fn is_sound(&self, space: &Space) -> bool {
+    pub(crate) fn is_sound(&self, space: &Space) -> bool {
         (self.base.len(), self.x.len()) == (space.n(), space.n())
             && self.best.as_ref().is_none_or(|(x, _)| x.len() == space.n())
             && self.lines.iter().all(|line| line.k < space.n_free())

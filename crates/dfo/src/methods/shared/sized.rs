@@ -1,0 +1,199 @@
+//! A search that begins with a look for the sizes that nothing tells (`sizes.rs`), for methods that start from a point.
+
+use super::sizes::{Found, SizeSearch};
+use crate::answer::{Answers, Best};
+use crate::error::Error;
+use crate::method::{Batch, Details, Method, Setup, Status, restored, saved};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+/// Options of a method that needs the sizes of all parameters.
+pub trait NeedsSizes: Clone + Serialize + DeserializeOwned {
+    /// Its name.
+    const NAME: &'static str;
+
+    /// The method itself.
+    type Search: Method + Serialize + DeserializeOwned;
+
+    /// Begins where all sizes are known.
+    ///
+    /// # Errors
+    /// Those of the method.
+    fn search(&self, setup: Setup) -> Result<Self::Search, Error>;
+
+    /// Whether a search fits to a problem and to itself: what comes from a file may not.
+    fn is_sound(search: &Self::Search, setup: &Setup) -> bool;
+}
+
+/// A running search whose parameters of unknown size were moved alone first, by steps of powers of ten.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(bound = "")]
+pub struct WithSizes<O: NeedsSizes> {
+    options: O,
+    setup: Setup,
+    sizes: Option<SizeSearch>,
+    /// The search, and the problem that it began with: the point and the sizes that were found.
+    search: Option<(Setup, O::Search)>,
+    /// The line of each point of the last batch; none for the start.
+    roles: Vec<Option<usize>>,
+    waiting: bool,
+    n_batches: u64,
+    n_points: u64,
+    best: Best,
+}
+
+fn knows_sizes(setup: &Setup) -> bool {
+    !setup.start_given || (0..setup.space.n_free()).all(|k| !setup.space.size_is_unknown(k))
+}
+
+impl<O: NeedsSizes> WithSizes<O> {
+    pub(crate) fn begin(options: &O, setup: Setup) -> Result<Self, Error> {
+        let search = match knows_sizes(&setup) {
+            true => Some((setup.clone(), options.search(setup.clone())?)),
+            false => None,
+        };
+        Ok(Self::of(options, setup, search))
+    }
+
+    fn of(options: &O, setup: Setup, search: Option<(Setup, O::Search)>) -> Self {
+        Self {
+            options: options.clone(),
+            setup,
+            sizes: None,
+            search,
+            roles: Vec::new(),
+            waiting: false,
+            n_batches: 0,
+            n_points: 0,
+            best: Best::default(),
+        }
+    }
+
+    /// Continues from a state that was saved for this problem.
+    pub(crate) fn restore(options: &O, setup: Setup, state: &[u8]) -> Result<Self, Error> {
+        if knows_sizes(&setup) {
+            let search = restored(state, |search: &O::Search| O::is_sound(search, &setup))?;
+            return Ok(Self::of(options, setup.clone(), Some((setup, search))));
+        }
+        restored(state, |s: &Self| {
+            s.setup.space == setup.space
+                && s.sizes.as_ref().is_none_or(|sizes| sizes.is_sound(&setup.space))
+                && s.best.is_sound(setup.space.n())
+                && s.search.as_ref().is_none_or(|(begun, search)| {
+                    let x0 = begun.space.x0();
+                    x0.len() == setup.space.n()
+                        && setup.space.bounds().contains(x0)
+                        && setup.space.starting_at(x0).is_same_space(&begun.space)
+                        && O::is_sound(search, begun)
+                })
+        })
+    }
+
+    /// The method itself, where it has begun.
+    pub(crate) fn search(&self) -> Option<&O::Search> {
+        self.search.as_ref().map(|(_, search)| search)
+    }
+
+    /// All that can be known of the sizes is known.
+    fn begin_search(&mut self) -> Result<(), Error> {
+        let mut begun = self.setup.clone();
+        if let Some(sizes) = &self.sizes {
+            begun.space = begun.space.starting_at(sizes.best().map_or(sizes.base().0, |(x, _)| x));
+            for Found { k, size, .. } in sizes.found(&self.setup.space) {
+                begun.space.set_unit(k, size);
+            }
+        }
+        let search = self.options.search(begun.clone())?;
+        self.search = Some((begun, search));
+        Ok(())
+    }
+}
+
+impl<O: NeedsSizes> Method for WithSizes<O> {
+    fn name(&self) -> &'static str {
+        O::NAME
+    }
+
+    fn ask(&mut self, batch: &mut Batch) {
+        if let Some((_, search)) = &mut self.search {
+            search.ask(batch);
+            batch.renumber(self.n_batches + batch.index(), self.n_points);
+            return;
+        }
+        batch.start(self.setup.space.n(), self.n_batches, self.n_points);
+        self.roles.clear();
+        let Self { sizes, roles, setup, .. } = self;
+        match sizes {
+            Some(sizes) => sizes.ask(&setup.space, batch, |line| roles.push(Some(line))),
+            None => {
+                batch.push(setup.space.x0(), f64::INFINITY);
+                roles.push(None);
+            }
+        }
+        self.waiting = true;
+    }
+
+    fn speculate(&mut self, wanted: usize, known: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
+        if let Some((_, search)) = &mut self.search {
+            search.speculate(wanted, known, batch);
+        }
+    }
+
+    fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
+        if let Some((_, search)) = &mut self.search {
+            return search.tell(answers);
+        }
+        let (asked, outcomes) = (self.roles.len(), answers.outcomes());
+        if !self.waiting {
+            return Err(Error::TellWithoutAsk);
+        }
+        if outcomes.len() > asked {
+            return Err(Error::TooManyOutcomes { asked, told: outcomes.len() });
+        }
+        self.waiting = false;
+        self.n_batches += 1;
+        self.n_points += asked as u64;
+        let space = &self.setup.space;
+        for (outcome, role) in outcomes.iter().zip(&self.roles).filter(|(outcome, _)| outcome.is_known()) {
+            match (role, &mut self.sizes, outcome.value()) {
+                (Some(line), Some(sizes), cost) => sizes.see(space, *line, cost),
+                (_, _, Some(cost)) => {
+                    self.best.offer(space.x0(), cost);
+                    self.sizes = Some(SizeSearch::from_start(space, space.x0(), cost));
+                }
+                // Nothing to compare with.
+                (_, _, None) => return self.begin_search(),
+            }
+        }
+        match &self.sizes {
+            Some(sizes) if sizes.is_over() => self.begin_search(),
+            _ => Ok(()),
+        }
+    }
+
+    fn status(&self) -> Status {
+        self.search().map_or(Status::Running, Method::status)
+    }
+
+    fn details(&self) -> Details<'_> {
+        let details = self.search().map_or_else(Details::default, Method::details);
+        let unmoved = |sizes: &SizeSearch| sizes.without_effect(&self.setup.space).collect();
+        Details { without_effect: self.sizes.as_ref().map_or_else(Vec::new, unmoved), ..details }
+    }
+
+    fn best(&self) -> Option<(&[f64], f64)> {
+        let seen = [
+            self.best.get(),
+            self.sizes.as_ref().and_then(SizeSearch::best),
+            self.search().and_then(Method::best),
+        ];
+        seen.into_iter().flatten().reduce(|best, other| if other.1 < best.1 { other } else { best })
+    }
+
+    fn save(&self) -> Option<Vec<u8>> {
+        match &self.search {
+            Some((_, search)) if knows_sizes(&self.setup) => search.save(),
+            _ => saved(self),
+        }
+    }
+}
