@@ -204,7 +204,7 @@ fn chained(x: &[f64]) -> f64 {
     x.windows(2).map(|w| 4.0 * (w[0] - w[1] * w[1]).powi(2) + (1.0 - w[1]).powi(2)).sum()
 }
 
-/// About as many evaluations as NEWUOA: some 10 n for quadratics, 40 to 60 n for chained Rosenbrock functions.
+/// Some 10 n evaluations for quadratics, 40 to 60 n for chained Rosenbrock functions.
 #[test]
 fn many_parameters_take_evaluations_in_proportion() {
     let coupled = |x: &[f64]| -> f64 {

@@ -15,7 +15,7 @@ use crate::trajectory::Counts;
 use crate::words::word;
 use crate::{error, files, fmu_error, logs};
 use calibration::{
-    Calibration, CalibrationError, CurrentPhase, Engine, Entry, Experiment, FitNoise, FitOptions, NoiseRule,
+    CalibrationError, CurrentPhase, Engine, Entry, Experiment, FitNoise, FitOptions, NoiseRule,
     Problem, Severity, Solver, Verdict,
 };
 use dfo::{Progress, Query, RobustLoss, Termination, Want};
