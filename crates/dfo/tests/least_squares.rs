@@ -324,3 +324,48 @@ fn an_interrupt_between_rounds_ends_the_run() {
     assert!(stopped.jacobian.is_none());
     assert_eq!(told(&run("stopped").run().unwrap()), told(&whole));
 }
+
+/// Chained Rosenbrock functions as residuals.
+fn chained(x: &[f64], out: &mut Vec<f64>) {
+    out.extend(x.windows(2).flat_map(|x| [10.0 * (x[1] - x[0] * x[0]), 1.0 - x[0]]));
+}
+
+/// Many parameters are no reason to stop: the cost falls with the first steps.
+#[test]
+fn hundreds_of_parameters() {
+    let n = 610;
+    let start: Vec<f64> = (0..n).map(|k| if k % 2 == 0 { -1.2 } else { 1.0 }).collect();
+    let run = minimize(residuals(chained)).start(&start).method(LeastSquares::default());
+    let report = run.max_evaluations(n + 81).run().unwrap();
+    assert!(report.fun < 0.02 * report.trace.iter().next().unwrap().outcome.value().unwrap(), "{report}");
+}
+
+/// The search goes on beside a region that fails, from the best point and not from the start.
+#[test]
+fn a_wall_is_followed() {
+    let wall = |x: &[f64], out: &mut Vec<f64>| {
+        out.extend([10.0 * (x[1] - x[0] * x[0]), if x[0] > 0.9 { f64::NAN } else { 1.0 - x[0] }]);
+    };
+    for start in [[-1.2, 1.0], [0.3, -0.5], [-0.7, 2.0]] {
+        let report = minimize(residuals(wall)).start(&start).method(LeastSquares::default()).run().unwrap();
+        assert!(report.fun < 0.01001 && report.n_evaluations < 260, "{start:?} {report}");
+        let costs: Vec<f64> = report.trace.iter().filter_map(|e| e.outcome.value()).collect();
+        let near = costs.iter().position(|f| *f < 0.02).unwrap();
+        assert!(costs[near..].iter().all(|f| *f < 0.5 * costs[0]), "{start:?} {costs:?}");
+    }
+}
+
+/// What no memory holds is refused once the number of residuals is known: after the start alone, not after all n + 1 points.
+#[test]
+fn residuals_that_do_not_fit_into_memory_are_refused() {
+    let setup = Setup::new(Space::new(&vec![1.0; 3000], Bounds::unbounded(3000), &[], &[]).unwrap());
+    let mut method = match LeastSquares::default().begin(&setup) {
+        Ok(method) => method,
+        Err(error) => return assert!(matches!(error, Error::Memory { .. }), "{error}"),
+    };
+    let (mut batch, mut answers) = (Batch::new(), Answers::default());
+    method.ask(&mut batch);
+    assert_eq!(batch.len(), 1);
+    answers.push(Outcome::Value(1.0), &vec![1e-4; 10_000_000]);
+    assert!(matches!(method.tell(&answers), Err(Error::Memory { .. })));
+}

@@ -19,6 +19,8 @@ const STRAIGHT: f64 = 1.5;
 const LITTLE: f64 = 0.05;
 /// Points asked for since noise was found before the run may end: so many times n + 1.
 const FEWEST: usize = 5;
+/// Sweeps for each eigenvalue: a few are enough.
+const MOST_SWEEPS: usize = 100;
 
 impl LeastSquaresState {
     /// The points around the centre, with their weights, nearest first: those within two radii, and as many more as a model needs.
@@ -159,7 +161,7 @@ impl Coverage {
     /// The direction along which the points tell least, away from their mean.
     fn least(&self) -> Vec<f64> {
         let n = self.mean.len();
-        let eigen = SymmetricEigen::try_new(self.spread.clone(), f64::EPSILON, 1000);
+        let eigen = SymmetricEigen::try_new(self.spread.clone(), f64::EPSILON, MOST_SWEEPS * n);
         let direction = eigen.map(|eigen| eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned());
         let direction = direction.filter(|d| d.iter().all(|d| d.is_finite()));
         let direction =

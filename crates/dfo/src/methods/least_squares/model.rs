@@ -1,71 +1,11 @@
-//! Models of the residuals: linear interpolation on n + 1 points, linear regression on more.
+//! Regression models of the residuals on many points.
 
 use super::points::norm;
-use super::subproblem::{Cancelled, Linear, Subproblem};
-use nalgebra::linalg::LU;
-use nalgebra::{DMatrix, DVector, Dyn, SVD};
+use super::subproblem::{Linear, Subproblem, smallest_singular_value};
+use nalgebra::{DMatrix, DVector};
 
 /// Steps to the minimum of a quadratic model of the residuals.
 const MOST_INNER: usize = 30;
-
-/// Linear interpolation around a base point.
-#[derive(Debug, Clone)]
-pub(super) struct Interpolation {
-    pub(super) linear: Linear,
-    /// Of the rows of distances from the base point, each divided by its length.
-    distances: LU<f64, Dyn, Dyn>,
-    lengths: Vec<f64>,
-}
-
-impl Interpolation {
-    /// Interpolates; `None` where the points lie in a plane up to rounding. `others`: displacements from the base point, and
-    /// residuals, of the n other points. `cancelled` is asked now and then where there are many residuals.
-    pub(super) fn new(
-        base: &[f64],
-        others: &[(Vec<f64>, &[f64])],
-        cancelled: &mut dyn FnMut() -> bool,
-    ) -> Result<Option<Self>, Cancelled> {
-        let n = others.len();
-        let lengths: Vec<f64> = others.iter().map(|(w, _)| norm(w)).collect();
-        if lengths.iter().any(|length| !(*length > 0.0 && length.is_finite())) {
-            return Ok(None);
-        }
-        let distances = DMatrix::from_fn(n, n, |k, j| others[k].0[j] / lengths[k]).lu();
-        let u = distances.u();
-        if (0..n).any(|k| u[(k, k)].abs() < 1e-12) {
-            return Ok(None);
-        }
-        // J W' = D: the differences D are turned first, so that only n of their rows are left to solve for.
-        let difference = |i: usize, k: usize| (others[k].1[i] - base[i]) / lengths[k];
-        let Linear { factor, reached } = Linear::new((base.len(), n), |i| base[i], difference, cancelled)?;
-        let Some(factor) = distances.solve(&factor.transpose()).map(|factor| factor.transpose()) else {
-            return Ok(None);
-        };
-        let finite = factor.iter().chain(reached.iter()).all(|v| v.is_finite());
-        Ok(finite.then_some(Self { linear: Linear { factor, reached }, distances, lengths }))
-    }
-
-    /// The values of the Lagrange polynomials of the other points at a displacement from the base point.
-    pub(super) fn lagrange(&self, step: &[f64]) -> Vec<f64> {
-        // W' v = s with W = P^-1 L U.
-        let mut v = DVector::from_column_slice(step);
-        let (l, u) = (self.distances.l(), self.distances.u());
-        u.tr_solve_upper_triangular_mut(&mut v);
-        l.tr_solve_lower_triangular_mut(&mut v);
-        self.distances.p().inv_permute_rows(&mut v);
-        v.iter().zip(&self.lengths).map(|(v, length)| v / length).collect()
-    }
-
-    /// The gradient of the Lagrange polynomial of one of the other points.
-    pub(super) fn gradient(&self, other: usize) -> Vec<f64> {
-        let mut e = DVector::zeros(self.lengths.len());
-        e[other] = 1.0 / self.lengths[other];
-        if !self.distances.solve_mut(&mut e) {
-            e.fill(0.0);
-        }
-        e.iter().copied().collect()
-    }
-}
 
 /// Regression around a centre, the points weighted by their distances: linear, with squares, or quadratic, as the points allow.
 pub(super) struct Regression {
@@ -164,9 +104,7 @@ impl Regression {
     /// How far the minimum of the cost may lie from that of the model, which is at this displacement: where noise hides the rise of
     /// the cost along the direction of least curvature.
     pub(super) fn uncertainty(&self, w: &[f64]) -> f64 {
-        let factor = self.linear(w).factor;
-        let svd = SVD::try_new(factor, false, false, f64::EPSILON, 1000);
-        let smallest = svd.map_or(0.0, |svd| svd.singular_values.min());
+        let smallest = smallest_singular_value(&self.linear(w).factor);
         if smallest > 0.0 { self.excess.sqrt() / smallest } else { f64::INFINITY }
     }
 
@@ -210,33 +148,16 @@ mod tests {
         vec![1.0 + 2.0 * z[0] - z[1], 3.0 * z[1], 0.5]
     }
 
-    /// The sum of squares by the model, but for its constant.
-    fn cost(linear: &Linear, z: &[f64]) -> f64 {
-        (&linear.reached + &linear.factor * DVector::from_column_slice(z)).norm_squared()
-    }
-
     #[test]
     fn a_linear_function_is_its_own_model() {
         let points = [vec![0.1, 0.3], vec![-0.2, 0.1], vec![0.3, -0.2], vec![0.0, 0.0]];
         let values: Vec<Vec<f64>> = points.iter().map(|z| residuals(z)).collect();
-        let base = residuals(&[0.0, 0.0]);
-        let others: Vec<(Vec<f64>, &[f64])> =
-            points.iter().cloned().zip(values.iter().map(Vec::as_slice)).take(2).collect();
-        let model = Interpolation::new(&base, &others, &mut || false).unwrap().unwrap();
         let all: Vec<(Vec<f64>, f64, &[f64])> =
             points.iter().zip(&values).map(|(z, v)| (z.clone(), 0.7, v.as_slice())).collect();
-        let regression = Regression::new(&all).unwrap();
+        let Linear { factor, reached } = Regression::new(&all).unwrap().linear(&[0.0, 0.0]);
         let square = |z: &[f64]| residuals(z).iter().map(|r| r * r).sum::<f64>();
-        for linear in [&model.linear, &regression.linear(&[0.0, 0.0])] {
-            let constant = square(&[0.0, 0.0]) - cost(linear, &[0.0, 0.0]);
-            assert!((square(&[0.7, -2.0]) - cost(linear, &[0.7, -2.0]) - constant).abs() < 1e-12);
-        }
-        for (k, z) in points[..2].iter().enumerate() {
-            let values = model.lagrange(z);
-            assert!((values[k] - 1.0).abs() < 1e-13 && values[1 - k].abs() < 1e-13, "{values:?}");
-            let gradient = model.gradient(k);
-            let at = |z: &[f64]| gradient[0] * z[0] + gradient[1] * z[1];
-            assert!((at(z) - 1.0).abs() < 1e-13 && at(&points[1 - k]).abs() < 1e-13);
-        }
+        let cost = |z: &[f64]| (&reached + &factor * DVector::from_column_slice(z)).norm_squared();
+        let constant = square(&[0.0, 0.0]) - cost(&[0.0, 0.0]);
+        assert!((square(&[0.7, -2.0]) - cost(&[0.7, -2.0]) - constant).abs() < 1e-12);
     }
 }

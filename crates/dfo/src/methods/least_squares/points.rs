@@ -30,6 +30,25 @@ pub(super) fn norm(v: &[f64]) -> f64 {
     v.iter().map(|v| v * v).sum::<f64>().sqrt()
 }
 
+/// Numbers that are added side by side: sums in order would wait for each other.
+const LANES: usize = 8;
+
+/// The sum of the products.
+pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let (blocks_a, blocks_b) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
+    let rest = blocks_a.remainder().iter().zip(blocks_b.remainder()).map(|(a, b)| a * b).sum::<f64>();
+    let mut sums = [0.0; LANES];
+    for (a, b) in blocks_a.zip(blocks_b) {
+        (0..LANES).for_each(|k| sums[k] += a[k] * b[k]);
+    }
+    sums.iter().sum::<f64>() + rest
+}
+
+/// `y += share x`.
+pub(super) fn axpy(share: f64, x: &[f64], y: &mut [f64]) {
+    y.iter_mut().zip(x).for_each(|(y, x)| *y += share * x);
+}
+
 pub(super) fn distance(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
 }

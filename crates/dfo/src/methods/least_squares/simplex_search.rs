@@ -1,29 +1,63 @@
 //! The simplex search that takes over where points fail around the best one.
 
-use super::points::Evaluated;
+use super::points::{Evaluated, distance};
 use super::state::{LeastSquaresState, Phase, simplex_method};
 use crate::answer::Answers;
 use crate::error::Error;
-use crate::method::{Method, MethodOptions, Status};
+use crate::method::{Method, Status};
+use crate::methods::nelder_mead::SimplexSearch;
 use crate::termination::Termination;
 
+/// A simplex that ends at a cost larger than the best one by more than this share of it has not found the way.
+const WORSE: f64 = 1e-3;
+
 impl LeastSquaresState {
-    /// Points fail around the best one, and a model tells nothing of that: a simplex search from the start, which keeps off such
-    /// places, takes over.
+    /// Points fail around the best one, and a model tells nothing of that: a simplex search, which keeps off such places, takes over from
+    /// the best of the points that lie a first radius away from them. Right beside them a simplex collapses.
     pub(super) fn begin_simplex(&mut self) {
-        self.phase = match simplex_method().begin(&self.setup) {
-            Ok(simplex) => Phase::Simplex(Box::new(simplex)),
+        let is_away = |k: &usize| {
+            let near = |failed: &Vec<f64>| distance(failed, &self.points[*k].z) < self.options.radius;
+            !self.failed.iter().any(near)
+        };
+        let from = self.best_of((0..self.points.len()).filter(is_away)).unwrap_or_else(|| self.base());
+        let Evaluated { x, cost, .. } = &self.points[from];
+        self.begin_simplex_at(&x.clone(), Some(*cost));
+    }
+
+    fn begin_simplex_at(&mut self, x: &[f64], cost: Option<f64>) {
+        let counts = (self.n_batches, self.n_points);
+        self.phase = match SimplexSearch::new(&simplex_method(), &self.setup, x, counts) {
+            Ok(mut simplex) => {
+                if let Some(cost) = cost {
+                    simplex.state.set_start_cost(cost);
+                }
+                Phase::Simplex(Box::new(simplex))
+            }
             Err(_) => Phase::Ended(Termination::Collapsed),
         };
+    }
+
+    /// The simplex search has ended at a worse point than the best one: another one from the start. False where this was it.
+    fn begin_again(&mut self) -> bool {
+        let Phase::Simplex(simplex) = &self.phase else { return false };
+        let x0 = self.setup.space.x0().to_vec();
+        let found = simplex.state.best().map_or(f64::INFINITY, |(_, cost)| cost);
+        if simplex.start == x0 || self.best_seen.get().is_none_or(|(_, best)| found <= (1.0 + WORSE) * best) {
+            return false;
+        }
+        self.n_iterations += simplex.state.details().n_iterations;
+        self.n_batches += simplex.state.n_batches();
+        self.n_points += simplex.state.n_points();
+        let cost = self.points.iter().find(|point| point.x == x0).map(|point| point.cost);
+        self.begin_simplex_at(&x0, cost);
+        true
     }
 
     /// Takes the answers to the points of the simplex search: they serve the model of the result, too.
     pub(super) fn tell_simplex(&mut self, answers: &Answers) -> Result<(), Error> {
         let Phase::Simplex(simplex) = &mut self.phase else { return Ok(()) };
-        simplex.tell(answers)?;
-        let status = simplex.status();
-        self.n_batches += 1;
-        self.n_points += self.simplex_points.len() as u64;
+        simplex.state.tell(answers)?;
+        let status = simplex.state.status();
         for (k, x) in std::mem::take(&mut self.simplex_points).into_iter().enumerate().take(answers.len()) {
             if let Some((cost, residuals)) = answers.outcomes()[k].value().zip(answers.residuals(k)) {
                 self.best_seen.offer(&x, cost);
@@ -34,11 +68,12 @@ impl LeastSquaresState {
             }
         }
         if let Some(best) = self.best_of(0..self.points.len()) {
-            self.set = vec![best];
+            (self.set, self.model) = (vec![best], None);
         }
         self.forget();
         match status {
             Status::Running => {}
+            _ if self.begin_again() => {}
             Status::Ended(termination) => self.end(termination),
             Status::NoStart => self.end(Termination::Collapsed),
         }
@@ -48,7 +83,7 @@ impl LeastSquaresState {
     /// Ends, with the tests of the simplex where it was one.
     fn end(&mut self, termination: Termination) {
         if let Phase::Simplex(simplex) = &self.phase {
-            let details = simplex.details();
+            let details = simplex.state.details();
             self.tests = details.tests;
             self.operation = details.operation;
             self.n_iterations += details.n_iterations;

@@ -1,15 +1,16 @@
 //! The state machine: which points are asked for, and what becomes of their residuals. How the next points are chosen stands in
 //! `trust_region.rs`; in `averaging.rs` once noise has been found; in `simplex_search.rs` where points fail.
 
-use super::model::Interpolation;
+use super::interpolation::Interpolation;
 use super::options::LeastSquares;
 use super::points::{Evaluated, distance};
 use crate::answer::{Answers, Best, Want};
 use crate::choices::Measure;
 use crate::error::Error;
 use crate::linear_model::LinearModel;
+use crate::memory;
 use crate::method::{Batch, Details, Method, Operation, Setup, Status, saved};
-use crate::methods::nelder_mead::{BatchPlan, NelderMead, NelderMeadState};
+use crate::methods::nelder_mead::{BatchPlan, NelderMead, SimplexSearch};
 use crate::space::clamp;
 use crate::termination::Termination;
 use crate::tolerances::{Extent, Tests};
@@ -21,6 +22,13 @@ const MOST_RETRIES: u32 = 12;
 const MOST_RESIZED: u32 = 8;
 /// Points that are kept: so many times n + 1.
 const MOST_KEPT: usize = 20;
+/// Fewer where they have more residuals than this in all.
+const MOST_NUMBERS: usize = 1 << 27;
+/// From so many parameters on the start is evaluated alone: it tells whether the residuals of the others fit into memory.
+const LARGE: usize = 500;
+
+/// Points that failed are remembered up to this number.
+const MOST_FAILED: usize = 64;
 
 /// Where the search stands.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -32,7 +40,7 @@ pub(super) enum Phase {
     /// Steps on regression models: there is noise.
     Averaging(Averaging),
     /// A simplex search: points fail around the best one.
-    Simplex(Box<NelderMeadState>),
+    Simplex(Box<SimplexSearch>),
     NoStart,
     Ended(Termination),
 }
@@ -112,8 +120,7 @@ pub struct LeastSquaresState {
     pub(super) rho: f64,
     pub(super) phase: Phase,
     pub(super) round: Vec<Candidate>,
-    /// The model that the trial points of the round come from; made again where it is missing.
-    #[serde(skip)]
+    /// The model on the set; made again where it is missing.
     pub(super) model: Option<Interpolation>,
     asked: Vec<usize>,
     /// The points that the simplex asked for last.
@@ -130,6 +137,8 @@ pub struct LeastSquaresState {
     pub(super) f_0: f64,
     /// Of the last step that failed: the distance of the residuals from the model, and the size of step and set.
     pub(super) failure: Option<(f64, f64)>,
+    /// Points that failed, the last ones.
+    pub(super) failed: Vec<Vec<f64>>,
     /// Trial points, and points for the model, in a row that failed.
     pub(super) n_failed: usize,
     pub(super) n_geometry_failed: usize,
@@ -173,6 +182,7 @@ impl LeastSquaresState {
             n_resized: 0,
             f_0: 0.0,
             failure: None,
+            failed: Vec::new(),
             n_failed: 0,
             n_geometry_failed: 0,
             n_geometry: 0,
@@ -216,20 +226,25 @@ impl LeastSquaresState {
             && self.setup.tolerances.check().is_ok()
             && self.options.check().is_ok()
             && self.origin.len() == n
-            && self.origin.iter().all(|u| u.is_finite())
+            && self.origin.iter().enumerate().all(|(k, u)| {
+                let (lower, upper) = setup.space.working_bounds(k);
+                u.is_finite() && (lower..=upper).contains(u)
+            })
             && is_length(self.rho)
             && is_length(self.delta)
             && !self.f_0.is_nan()
             && self.best_seen.is_sound(n_user)
             && self.points.iter().all(is_point)
             && self.round.iter().all(is_candidate)
+            && self.failed.iter().all(|z| z.len() == n && z.iter().all(|z| z.is_finite()))
             && self.set.iter().chain(&self.improving).all(|k| *k < len)
             && self.set.len() <= n + 1
+            && self.model.as_ref().is_none_or(|model| model.is_sound(n, m) && model.base < self.set.len())
             && self.asked.iter().all(|k| *k < self.round.len())
             && (self.set.is_empty() == matches!(self.phase, Phase::Starting | Phase::NoStart))
             && match &self.phase {
                 Phase::Averaging(averaging) => averaging.is_sound(n),
-                Phase::Simplex(simplex) => simplex.is_sound(&simplex_method().prepared(setup)),
+                Phase::Simplex(simplex) => simplex.is_sound(&simplex_method(), setup),
                 _ => true,
             }
     }
@@ -310,6 +325,12 @@ impl LeastSquaresState {
     /// Takes what is known of a point that was asked for. A neighbour of the start that failed is tried elsewhere.
     fn take(&mut self, place: usize, answer: Option<(f64, &[f64])>) {
         let Candidate { role, z, x, retries, .. } = &self.round[place];
+        if answer.is_none() {
+            if self.failed.len() == MOST_FAILED {
+                self.failed.remove(0);
+            }
+            self.failed.push(z.clone());
+        }
         let known = match (answer, role) {
             (Some((cost, residuals)), _) => {
                 self.best_seen.offer(x, cost);
@@ -361,6 +382,10 @@ impl LeastSquaresState {
             }
         }
         self.n_resized += 1;
+        if !found.is_empty() {
+            // Their places are in other units now.
+            self.failed.clear();
+        }
         for (k, factor) in &found {
             let size = (self.setup.space.size(*k) * factor).clamp(1e-150, 1e150);
             self.setup.space.set_unit(*k, size);
@@ -385,12 +410,17 @@ impl LeastSquaresState {
         self.f_0 = self.points[0].cost;
         self.operation = Some(Operation::Initial);
         self.phase = if self.n() == 0 { Phase::Ended(Termination::AllFixed) } else { Phase::Descending };
-        self.choose_set(best);
+        if self.points.len() == self.n() + 1 {
+            self.set = (0..self.points.len()).collect();
+        } else {
+            self.choose_set(best);
+        }
     }
 
-    /// Forgets the points that lie farthest, where there are too many.
+    /// Forgets the points that lie farthest, where there are too many: a part of them, so that this is not to be done again at once.
     pub(super) fn forget(&mut self) {
-        let most = MOST_KEPT * (self.n() + 1);
+        let m = self.points.first().map_or(1, |point| point.residuals.len().max(1));
+        let most = (MOST_KEPT * (self.n() + 1)).min(MOST_NUMBERS / m).max(2 * (self.n() + 1));
         if self.points.len() <= most
             || self.set.is_empty()
             || !self.round.is_empty()
@@ -399,17 +429,18 @@ impl LeastSquaresState {
             return;
         }
         let centre = self.points[self.base()].z.clone();
-        while self.points.len() > most {
-            let far = |k: &usize| distance(&self.points[*k].z, &centre);
-            let others = (0..self.points.len()).filter(|k| !self.set.contains(k));
-            let Some(farthest) = others.max_by(|a, b| far(a).total_cmp(&far(b)).then(b.cmp(a))) else {
-                return;
-            };
-            self.points.remove(farthest);
-            let shift = |k: &mut usize| *k -= usize::from(*k > farthest);
-            self.set.iter_mut().for_each(shift);
-            shift(&mut self.completed.0);
-        }
+        let mut is_kept = vec![false; self.points.len()];
+        self.set.iter().for_each(|k| is_kept[*k] = true);
+        let far = |k: usize| (distance(&self.points[k].z, &centre), k);
+        let mut others: Vec<(f64, usize)> = (0..is_kept.len()).filter(|k| !is_kept[*k]).map(far).collect();
+        others.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let places = (most - most / 16).saturating_sub(self.set.len());
+        others.iter().take(places).for_each(|(_, k)| is_kept[*k] = true);
+        let moved = |k: &mut usize| *k = is_kept.iter().take(*k).filter(|kept| **kept).count();
+        self.set.iter_mut().for_each(moved);
+        moved(&mut self.completed.0);
+        let mut kept = is_kept.iter();
+        self.points.retain(|_| kept.next() == Some(&true));
     }
 }
 
@@ -440,13 +471,16 @@ impl Method for LeastSquaresState {
         }
         if let Phase::Simplex(simplex) = &mut self.phase {
             simplex.ask(batch);
-            batch.renumber(self.n_batches, self.n_points);
             batch.set_want(Want::Residuals);
             self.simplex_points = batch.points().map(<[f64]>::to_vec).collect();
             self.waiting = !batch.is_empty();
             return;
         }
-        for (k, candidate) in self.round.iter().enumerate().filter(|(_, c)| c.known == Known::Pending) {
+        let is_first = |c: &Candidate| c.role == Role::Start(None) && c.known == Known::Pending;
+        let is_first = self.n() >= LARGE && self.round.first().is_some_and(is_first);
+        let at_once = if is_first { 1 } else { self.round.len() };
+        let pending = self.round.iter().enumerate().filter(|(_, c)| c.known == Known::Pending);
+        for (k, candidate) in pending.take(at_once) {
             batch.push(&candidate.x, f64::INFINITY);
             self.asked.push(k);
         }
@@ -464,6 +498,12 @@ impl Method for LeastSquaresState {
         }
         if outcomes.len() > asked {
             return Err(Error::TooManyOutcomes { asked, told: outcomes.len() });
+        }
+        if let Some(m) = (0..outcomes.len()).find_map(|k| answers.residuals(k)).map(<[f64]>::len)
+            && self.points.is_empty()
+        {
+            // Those of the answers and those of the method.
+            memory::check("the residuals of n + 1 points", &[2 * m, self.n() + 1])?;
         }
         self.waiting = false;
         self.n_batches += 1;
@@ -487,23 +527,16 @@ impl Method for LeastSquaresState {
     }
 
     fn details(&self) -> Details<'_> {
-        if let Phase::Simplex(simplex) = &self.phase {
-            let Details { n_iterations, operation, tests, settled, .. } = simplex.details();
-            return Details {
-                n_iterations: self.n_iterations + n_iterations,
-                operation: operation.or(self.operation),
-                tests: tests.or(self.tests),
-                settled,
-                plan: "serial",
-                ..Details::default()
-            };
-        }
-        Details {
+        let details = Details {
             n_iterations: self.n_iterations,
             operation: self.operation,
             tests: self.tests,
             plan: if self.options.batch.is_some_and(|batch| batch > 1) { "rounds" } else { "serial" },
             ..Details::default()
+        };
+        match &self.phase {
+            Phase::Simplex(simplex) => Details { simplex: None, ..simplex.details(details) },
+            _ => details,
         }
     }
 

@@ -1,22 +1,29 @@
 //! The step of a Gauss-Newton model within a ball and a box.
 
+use super::triangle::{
+    Triangle, add_product, diagonal, rows_at_once, solve, solve_transposed, times_transposed, without,
+};
 use nalgebra::{DMatrix, DVector, SVD};
+use std::borrow::Cow;
 
 /// Newton steps for the multiplier of the ball: from a good bracket it takes three or four.
 const MOST_STEPS: usize = 60;
 /// Singular values below this share of the largest are rounding: differences of residuals have lost some digits.
 const RANK: f64 = 1e-13;
-/// Sweeps for singular values: a few for each are enough.
-const MOST_SWEEPS: usize = 1000;
-/// Numbers of a Jacobian that are turned at once: they fit into a cache.
-const AT_ONCE: usize = 1 << 18;
+/// Sweeps for each singular value: a few are enough.
+const MOST_SWEEPS: usize = 100;
+/// Up to so many parameters the ball's step is exact; else it is the best one in a subspace of so many dimensions.
+const SUBSPACE: usize = 12;
+/// Steps to the smallest singular value of a triangle.
+const INVERSE_STEPS: usize = 10;
 
 /// The run was interrupted.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Cancelled;
 
 /// Residuals as a linear function of the displacement `s` from a base point, turned so that only n numbers are left of them:
-/// `|r + J s|^2 = |c + F s|^2 + constant`, with `F` and `c` from the QR factorisation of `J`.
+/// `|r + J s|^2 = |c + F s|^2 + constant`. With at least as many residuals as parameters `F` is the triangle of the QR factorisation of `J`,
+/// else `J` itself.
 #[derive(Debug, Clone)]
 pub(super) struct Linear {
     pub(super) factor: DMatrix<f64>,
@@ -24,47 +31,70 @@ pub(super) struct Linear {
 }
 
 impl Linear {
-    /// Turns residuals and their Jacobian, m x n, block of rows by block of rows: each with the triangle that those before it have left
-    /// (Demmel, Grigori, Hoemmen and Langou, SIAM J. Sci. Comput. 34, 2012, A206). `cancelled` is asked before each block but the first.
+    pub(super) fn nothing() -> Self {
+        Self { factor: DMatrix::zeros(0, 0), reached: DVector::zeros(0) }
+    }
+
+    /// Turns residuals and their Jacobian, m x n, block of rows by block of rows. `cancelled` is asked before each block but the first.
     pub(super) fn new(
-        (m, n): (usize, usize),
+        m: usize,
+        n: usize,
         residual: impl Fn(usize) -> f64,
         jacobian: impl Fn(usize, usize) -> f64,
         cancelled: &mut dyn FnMut() -> bool,
     ) -> Result<Self, Cancelled> {
-        let rows = (AT_ONCE / n.max(1)).max(4 * n);
-        let (mut factor, mut reached) = (DMatrix::zeros(0, n), DVector::zeros(0));
-        let mut from = 0;
-        while from < m {
+        if m < n {
+            return Ok(Self {
+                factor: DMatrix::from_fn(m, n, jacobian),
+                reached: DVector::from_fn(m, |i, _| residual(i)),
+            });
+        }
+        let mut triangle = Triangle::zero(n);
+        let at_once = rows_at_once(n).min(m);
+        let mut block = Vec::with_capacity(at_once * (n + 1));
+        for from in (0..m).step_by(at_once) {
             if from > 0 && cancelled() {
                 return Err(Cancelled);
             }
-            let to = if m - from < 2 * rows { m } else { from + rows };
-            let above = factor.nrows();
-            let row = |i: usize| i - above + from;
-            let stacked = DMatrix::from_fn(above + to - from, n, |i, j| {
-                if i < above { factor[(i, j)] } else { jacobian(row(i), j) }
-            });
-            let turned =
-                DVector::from_fn(
-                    stacked.nrows(),
-                    |i, _| if i < above { reached[i] } else { residual(row(i)) },
-                );
-            Self { factor, reached } = Self::turned(turned, stacked);
-            from = to;
+            let rows = from..(from + at_once).min(m);
+            block.clear();
+            for k in 0..n {
+                block.extend(rows.clone().map(|i| jacobian(i, k)));
+            }
+            block.extend(rows.clone().map(&residual));
+            triangle.absorb(rows.len(), &mut block);
         }
-        Ok(Self { factor, reached })
+        Ok(Self { factor: triangle.factor, reached: triangle.reached })
+    }
+
+    /// The decrease of the sum of squares at a step.
+    pub(super) fn decrease(&self, step: &[f64]) -> f64 {
+        let after = if self.factor.is_square() {
+            let mut after = self.reached.clone();
+            add_product(&self.factor, step, after.as_mut_slice());
+            after
+        } else {
+            &self.reached + &self.factor * DVector::from_column_slice(step)
+        };
+        self.reached.norm_squared() - after.norm_squared()
+    }
+
+    /// With one more residual.
+    pub(super) fn with_row(&self, row: &[f64], residual: f64) -> Self {
+        let m = self.reached.len();
+        let mut factor = self.factor.clone().insert_row(m, 0.0);
+        factor.row_mut(m).iter_mut().zip(row).for_each(|(to, from)| *to = *from);
+        Self::turned(self.reached.clone().push(residual), factor)
     }
 
     /// Turns residuals and a Jacobian that are at hand.
-    pub(super) fn turned(mut residuals: DVector<f64>, jacobian: DMatrix<f64>) -> Self {
+    pub(super) fn turned(residuals: DVector<f64>, jacobian: DMatrix<f64>) -> Self {
         let (m, n) = jacobian.shape();
-        if m <= n {
+        if m < n {
             return Self { factor: jacobian, reached: residuals };
         }
-        let qr = jacobian.qr();
-        qr.q_tr_mul(&mut residuals);
-        Self { factor: qr.r(), reached: residuals.rows(0, n).into_owned() }
+        let turned = Self::new(m, n, |i| residuals[i], |i, k| jacobian[(i, k)], &mut || false);
+        turned.unwrap_or_else(|Cancelled| Self::nothing())
     }
 }
 
@@ -84,7 +114,7 @@ impl Subproblem<'_> {
     pub(super) fn solve(&self) -> (Vec<f64>, f64) {
         let Linear { factor, reached } = self.linear;
         let n = factor.ncols();
-        let gradient = factor.tr_mul(reached);
+        let gradient = transposed_product(factor, reached);
         let mut step = vec![0.0; n];
         // At a bound with the descent leading out.
         let blocked = |k: usize| {
@@ -92,9 +122,13 @@ impl Subproblem<'_> {
         };
         let mut free: Vec<usize> = (0..n).filter(|&k| !blocked(k)).collect();
         let mut left = self.radius * self.radius;
-        let mut rest = reached.clone();
+        let (mut a, mut rest) = (Cow::Borrowed(factor), Cow::Borrowed(reached));
+        if free.len() < n {
+            let (some, turned) = columns_of(factor, &free, reached);
+            (a, rest) = (Cow::Owned(some), Cow::Owned(turned));
+        }
         while !free.is_empty() && left > 0.0 {
-            let part = within_ball(factor.select_columns(&free), &rest, left.sqrt());
+            let part = within_ball(&a, &rest, left.sqrt());
             let share = |(place, &k): (usize, &usize)| {
                 let s = part[place];
                 let bound = if s > 0.0 { self.upper[k] } else { self.lower[k] };
@@ -106,51 +140,137 @@ impl Subproblem<'_> {
                 free.iter().enumerate().for_each(|(place, &k)| step[k] = part[place]);
                 break;
             }
-            let mut still = Vec::with_capacity(free.len());
+            let mut kept = Vec::with_capacity(free.len());
+            let mut reached = rest.into_owned();
             for (place, &k) in free.iter().enumerate() {
                 if shares[place] > first {
-                    still.push(k);
+                    kept.push(place);
                     continue;
                 }
                 step[k] = if part[place] > 0.0 { self.upper[k] } else { self.lower[k] };
                 left -= step[k] * step[k];
-                rest += factor.column(k) * step[k];
+                reached += a.column(place) * step[k];
             }
-            free = still;
+            free = kept.iter().map(|place| free[*place]).collect();
+            let (some, turned) = columns_of(&a, &kept, &reached);
+            (a, rest) = (Cow::Owned(some), Cow::Owned(turned));
         }
-        let after = reached + factor * DVector::from_column_slice(&step);
-        (step, reached.norm_squared() - after.norm_squared())
+        let decrease = self.linear.decrease(&step);
+        // Of numbers near the largest there are nothing may be left.
+        if decrease.is_finite() { (step, decrease) } else { (vec![0.0; n], 0.0) }
     }
 }
 
-/// The step that makes `|r + A s|` smallest, where `A` tells of all directions.
+/// Some columns; of a triangle turned into one.
+fn columns_of(a: &DMatrix<f64>, kept: &[usize], r: &DVector<f64>) -> (DMatrix<f64>, DVector<f64>) {
+    if a.is_square() { without(a, kept, r) } else { (a.select_columns(kept), r.clone()) }
+}
+
+/// The step that makes `|r + A s|` smallest, where the triangle `A` tells of all directions.
 fn unlimited(a: &DMatrix<f64>, r: &DVector<f64>) -> Option<DVector<f64>> {
-    let (m, n) = a.shape();
-    if m < n {
+    if !a.is_square() {
         return None;
     }
-    let qr = a.clone().qr();
-    let upper = qr.r();
-    let (least, most) = (0..n).fold((f64::INFINITY, 0.0f64), |(least, most), k| {
-        (least.min(upper[(k, k)].abs()), most.max(upper[(k, k)].abs()))
-    });
+    let (least, most) = diagonal(a);
     // Near the rounding of its entries a matrix has no inverse.
     if least <= 1e-10 * most {
         return None;
     }
-    let mut turned = r.clone();
-    qr.q_tr_mul(&mut turned);
-    upper.solve_upper_triangular(&-turned.rows(0, n)).filter(|step| step.iter().all(|s| s.is_finite()))
+    let mut step = -r;
+    solve(a, step.as_mut_slice(), 0.0);
+    step.iter().all(|s| s.is_finite()).then_some(step)
+}
+
+fn transposed_product(a: &DMatrix<f64>, r: &DVector<f64>) -> DVector<f64> {
+    if a.is_square() { DVector::from_vec(times_transposed(a, r.as_slice())) } else { a.tr_mul(r) }
+}
+
+/// An orthonormal basis of directions along which the best step within any ball is (nearly) to be found: powers of `A'A` times the
+/// gradient, for small balls, and of its inverse times the step without a ball, for large ones (an extended Krylov space: Druskin and
+/// Knizhnerman, SIAM J. Matrix Anal. Appl. 19, 1998, 755).
+fn subspace(a: &DMatrix<f64>, r: &DVector<f64>) -> DMatrix<f64> {
+    let n = a.ncols();
+    let least = RANK * a.norm();
+    let mut basis: Vec<DVector<f64>> = Vec::with_capacity(SUBSPACE);
+    let mut add = |v: &DVector<f64>| {
+        let mut rest = v.clone();
+        for _ in 0..2 {
+            for b in &basis {
+                rest.axpy(-b.dot(&rest), b, 1.0);
+            }
+        }
+        let length = rest.norm();
+        let is_new = length > 1e-10 * v.norm() && length.is_finite();
+        if is_new {
+            basis.push(rest / length);
+        }
+        is_new.then(|| basis[basis.len() - 1].clone())
+    };
+    let (mut near, mut far) = (Some(transposed_product(a, r)), None);
+    if a.is_square() && least > 0.0 {
+        let mut step = r.clone();
+        solve(a, step.as_mut_slice(), least);
+        far = Some(step);
+    }
+    for turn in 0..SUBSPACE {
+        if turn % 2 == 0 || !a.is_square() {
+            near = near.and_then(|v| add(&v)).map(|v| transposed_product(a, &(a * v)));
+        } else {
+            far = far.and_then(|v| add(&v)).map(|mut v| {
+                solve_transposed(a, v.as_mut_slice(), least);
+                solve(a, v.as_mut_slice(), least);
+                v
+            });
+        }
+    }
+    if basis.is_empty() { DMatrix::zeros(n, 1) } else { DMatrix::from_columns(&basis) }
+}
+
+/// The smallest singular value of a triangle, by inverse iteration (Golub and Van Loan, section 8.2.2) where it is large; 0 where there is none.
+pub(super) fn smallest_singular_value(r: &DMatrix<f64>) -> f64 {
+    let n = r.ncols();
+    if !r.iter().all(|r| r.is_finite()) {
+        return 0.0;
+    }
+    if n <= SUBSPACE {
+        let svd = SVD::try_new(r.clone(), false, false, f64::EPSILON, MOST_SWEEPS * n);
+        return svd.map_or(0.0, |svd| svd.singular_values.min());
+    }
+    if !r.is_square() || diagonal(r).0 == 0.0 {
+        return 0.0;
+    }
+    let mut v = DVector::from_fn(n, |k, _| 1.0 + (k % 7) as f64);
+    let mut length = v.norm();
+    for _ in 0..INVERSE_STEPS {
+        v /= length;
+        solve_transposed(r, v.as_mut_slice(), 0.0);
+        solve(r, v.as_mut_slice(), 0.0);
+        length = v.norm();
+    }
+    if length.is_finite() { length.sqrt().recip() } else { 0.0 }
 }
 
 /// The shortest of the steps that make `|r + A s|` smallest within `|s| <= radius`.
-fn within_ball(a: DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> {
-    let n = a.ncols();
-    if let Some(step) = unlimited(&a, r).filter(|step| step.norm() <= radius) {
+fn within_ball(a: &DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> {
+    if let Some(step) = unlimited(a, r).filter(|step| step.norm() <= radius) {
         return step;
     }
+    if a.ncols() <= SUBSPACE {
+        return on_the_ball(a.clone(), r, radius);
+    }
+    let basis = subspace(a, r);
+    let Linear { factor, reached } = Linear::turned(r.clone(), a * &basis);
+    &basis * on_the_ball(factor, &reached, radius)
+}
+
+/// The same by singular values.
+fn on_the_ball(a: DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> {
+    let n = a.ncols();
+    if !a.iter().all(|a| a.is_finite()) {
+        return DVector::zeros(n);
+    }
     // Numbers near the largest there are may have none.
-    let svd = SVD::try_new(a, true, true, f64::EPSILON, MOST_SWEEPS);
+    let svd = SVD::try_new(a, true, true, f64::EPSILON, MOST_SWEEPS * n);
     let Some(SVD { u: Some(u), v_t: Some(v_t), singular_values: sigma }) = &svd else {
         return DVector::zeros(n);
     };

@@ -1,10 +1,11 @@
 //! Steps on interpolation models: the next points from the model, and radius, resolution and set from what they gave.
 
-use super::model::Interpolation;
-use super::points::{Selection, difference, distance, norm, sum};
+use super::interpolation::{Interpolation, Place, combine};
+use super::points::{Selection, difference, distance, dot, norm, sum};
 use super::state::{Candidate, Known, LeastSquaresState, Phase, Role};
-use super::subproblem::{Cancelled, Linear, Subproblem, longest};
+use super::subproblem::{Cancelled, Linear, Subproblem, longest, smallest_singular_value};
 use crate::method::Operation;
+use crate::methods::shared::failures::{Plane, plane};
 use crate::termination::Termination;
 
 /// A radius below this cannot be resolved.
@@ -18,6 +19,10 @@ const MOST_TURNS: usize = 200;
 const MOST_TRIES: u32 = 8;
 /// A radius that failures have made smaller than this is not made smaller any more: a simplex goes on.
 const STUCK: f64 = 1e-4;
+/// Points that failed keep steps away so far from them, in units of the trust region's radius.
+const NEAR: f64 = 4.0;
+/// Curvature across the plane to failed points, in units of the largest of the model.
+const AVOIDANCE: f64 = 100.0;
 /// Of two steps that failed the later one is so much shorter at least, points of the set included; the model of smooth residuals is
 /// then nearer to them by the square of that, and what is not nearer by this factor at least is noise.
 const NEARER: f64 = 0.25;
@@ -39,21 +44,27 @@ impl LeastSquaresState {
         cancelled: &mut dyn FnMut() -> bool,
     ) -> Result<Option<Interpolation>, Cancelled> {
         let (z, residuals) = (&self.points[base].z, &self.points[base].residuals[..]);
-        let others = self.set.iter().filter(|k| **k != base).map(|k| &self.points[*k]);
-        let mut others: Vec<(Vec<f64>, &[f64])> =
-            others.map(|p| (difference(&p.z, z), &p.residuals[..])).collect();
-        if others.len() < self.n() {
-            let missing = Selection::of(others.iter().map(|(w, _)| &w[..])).missing(self.n());
-            others
-                .extend(missing.into_iter().map(|v| (v.iter().map(|v| v * self.delta).collect(), residuals)));
+        let place = self.set.iter().position(|k| *k == base).unwrap_or(0);
+        let known: Vec<Place<'_>> =
+            self.set.iter().map(|k| (&self.points[*k].z[..], &self.points[*k].residuals[..])).collect();
+        if known.len() > self.n() {
+            return Interpolation::new(&known, place, cancelled);
         }
-        Interpolation::new(residuals, &others, cancelled)
+        let others = self.set.iter().filter(|k| **k != base).map(|k| difference(&self.points[*k].z, z));
+        let others: Vec<Vec<f64>> = others.collect();
+        let missing = Selection::of(others.iter().map(|v| &v[..])).missing(self.n());
+        let missing = missing.iter().map(|v| v.iter().zip(z).map(|(v, z)| z + v * self.delta).collect());
+        let missing: Vec<Vec<f64>> = missing.collect();
+        let all: Vec<Place<'_>> =
+            known.into_iter().chain(missing.iter().map(|z| (&z[..], residuals))).collect();
+        Interpolation::new(&all, place, cancelled)
     }
 
     /// Makes the set from a point and those nearest to it.
     pub(super) fn choose_set(&mut self, base: usize) {
         let selection = Selection::nearest(&self.points, &self.points[base].z, self.n());
         self.set = std::iter::once(base).chain(selection.chosen).collect();
+        self.model = None;
     }
 
     /// The same around the best point of the set and of a round.
@@ -78,8 +89,6 @@ impl LeastSquaresState {
 
     /// Fills the round, or ends; where it is cancelled, it has done neither and can be called again.
     pub(super) fn descend(&mut self, cancelled: &mut dyn FnMut() -> bool) -> Result<(), Cancelled> {
-        // Of the same points there is one model.
-        let mut known: Option<(Vec<usize>, Interpolation)> = None;
         // Each turn without a point shrinks the resolution, or takes a point out of the set.
         for turn in 0.. {
             if !self.round.is_empty() || !matches!(self.phase, Phase::Descending) {
@@ -94,8 +103,12 @@ impl LeastSquaresState {
                 self.complete(base);
                 continue;
             }
-            let model = match known.take().filter(|(set, _)| *set == self.set && set.len() == self.n() + 1) {
-                Some((_, model)) => Some(model),
+            let model = match self.model.take().filter(|_| self.set.len() == self.n() + 1) {
+                Some(mut model) => {
+                    let step = difference(&self.points[base].z, &self.points[self.set[model.base]].z);
+                    model.rebase(self.set.iter().position(|k| *k == base).unwrap_or(0), &step);
+                    Some(model)
+                }
                 None => self.interpolation(base, cancelled)?,
             };
             let improving = self.improving.take();
@@ -113,11 +126,12 @@ impl LeastSquaresState {
             if let Some(point) = improving {
                 let distance = distance(&self.points[point].z, &self.points[base].z);
                 self.improve(base, &model, point, distance);
+                self.model = Some(model);
                 continue;
             }
             let z = self.points[base].z.clone();
             let (lower, upper) = self.space_around(&z);
-            let (step, predicted) = best_step(&model.linear, self.delta, (&lower, &upper));
+            let (step, predicted) = self.best_step(&z, &model.linear, self.delta, (&lower, &upper));
             let length = norm(&step);
             let f = self.points[base].cost;
             let mut tests = self.judge(self.rho, predicted, f);
@@ -125,10 +139,18 @@ impl LeastSquaresState {
                 let (x_size, gain) = self.uncertainty(base, &model.linear, length, predicted);
                 tests = self.judge(x_size, gain, f);
             }
-            if tests.passed && length >= 0.9 * self.delta {
-                // What the radius keeps away counts, too: failed points may have made it small.
+            let mut is_kept_off = false;
+            if tests.passed && (length >= 0.9 * self.delta || !self.failed.is_empty()) {
+                // What the radius and failed points keep away counts, too.
                 let radius = self.options.radius.max(self.delta);
-                tests = self.judge(self.rho, best_step(&model.linear, radius, (&lower, &upper)).1, f);
+                tests =
+                    self.judge(self.rho, self.best_step(&z, &model.linear, radius, (&lower, &upper)).1, f);
+                if tests.passed {
+                    let (lower, upper) = (&lower[..], &upper[..]);
+                    let free = Subproblem { linear: &model.linear, radius, lower, upper }.solve().1;
+                    tests = self.judge(self.rho, free, f);
+                    is_kept_off = !tests.passed;
+                }
             }
             self.tests = Some(tests);
             // What rounding makes of a sum of squares, and what is nothing next to the tolerance: a direction without effect
@@ -137,14 +159,15 @@ impl LeastSquaresState {
             let nothing = rounding.max(1e-7 * tests.f_limit);
             if tests.passed || f <= ZERO * self.f_0 {
                 self.phase = Phase::Ended(Termination::Converged);
-            } else if self.n_failed > 0 && self.delta < STUCK {
+            } else if is_kept_off || (self.n_failed > 0 && self.delta < STUCK) {
                 self.begin_simplex();
             } else if self.rho < SMALLEST {
                 self.phase = Phase::Ended(Termination::Collapsed);
             } else if length < 0.5 * self.rho || predicted <= nothing {
                 let (x_size, gain) = self.uncertainty(base, &model.linear, length, predicted);
                 let may_pass = self.setup.tolerances.x_tol > 0.0 && !tests.x_passed;
-                if !may_pass && (gain <= rounding || self.is_flat(&model.linear, rounding, (&lower, &upper)))
+                if !may_pass
+                    && (gain <= rounding || self.is_flat(&z, &model.linear, rounding, (&lower, &upper)))
                 {
                     self.phase = Phase::Ended(Termination::Collapsed);
                     continue;
@@ -152,7 +175,7 @@ impl LeastSquaresState {
                 if x_size < 0.1 * self.rho {
                     // The model is nearer to the residuals than this resolution asks for.
                     self.refine(x_size);
-                    known = Some((self.set.clone(), model));
+                    self.model = Some(model);
                     continue;
                 }
                 self.n_geometry += 1;
@@ -168,7 +191,7 @@ impl LeastSquaresState {
                 } else if self.delta <= self.rho {
                     self.refine(x_size);
                 }
-                known = Some((self.set.clone(), model));
+                self.model = Some(model);
             } else {
                 self.ask_for(sum(&z, &step), Role::Trial { predicted, radius: self.delta });
                 if let Some(more) =
@@ -188,8 +211,7 @@ impl LeastSquaresState {
         let Some(curvature) = self.curvature.filter(|_| self.set.len() == self.n() + 1) else {
             return coarse;
         };
-        let sigma = nalgebra::SVD::try_new(linear.factor.clone(), false, false, f64::EPSILON, 1000);
-        let Some(sigma) = sigma.map(|svd| svd.singular_values.min()) else { return coarse };
+        let sigma = smallest_singular_value(&linear.factor);
         let (_, far) = self.farthest(base);
         // The Jacobian is wrong by the curvature times the size of the set, the gradient by that times the residuals.
         let gradient = curvature * far * self.points[base].cost.sqrt() / sigma;
@@ -206,7 +228,7 @@ impl LeastSquaresState {
         let n_radii = if more >= n { (more - n).min(RADII.len() - 1) } else { more / 3 };
         let unit = if length < 0.99 * self.delta { length } else { self.delta };
         for radius in RADII[1..=n_radii].iter().map(|share| share * unit) {
-            let (other, predicted) = best_step(linear, radius, (&lower, &upper));
+            let (other, predicted) = self.best_step(z, linear, radius, (&lower, &upper));
             if predicted > 0.0 && distance(&other, step) > 0.05 * norm(&other) {
                 self.ask_for(sum(z, &other), Role::Trial { predicted, radius });
             }
@@ -249,9 +271,9 @@ impl LeastSquaresState {
     }
 
     /// Whether the cost differs by no more than its rounding over all the resolution, and the model promises no more farther away.
-    fn is_flat(&self, linear: &Linear, rounding: f64, (lower, upper): (&[f64], &[f64])) -> bool {
+    fn is_flat(&self, z: &[f64], linear: &Linear, rounding: f64, (lower, upper): (&[f64], &[f64])) -> bool {
         linear.factor.norm_squared() * self.rho * self.rho <= rounding
-            && best_step(linear, self.options.radius.max(self.delta), (lower, upper)).1 <= rounding
+            && self.best_step(z, linear, self.options.radius.max(self.delta), (lower, upper)).1 <= rounding
     }
 
     /// A smaller resolution: a tenth, or the distance at which the minimum may lie where that is less.
@@ -267,8 +289,8 @@ impl LeastSquaresState {
         let radius = (0.1 * distance).min(0.5 * self.delta).max(self.rho);
         let z = self.points[base].z.clone();
         let (lower, upper) = self.space_around(&z);
-        let place = self.set.iter().filter(|k| **k != base).position(|k| *k == point).unwrap_or(0);
-        let step = longest(&model.gradient(place), radius, (&lower, &upper), self.n_geometry_failed % 2 == 1);
+        let place = self.set.iter().position(|k| *k == point).unwrap_or(0);
+        let step = longest(model.gradient(place), radius, (&lower, &upper), self.n_geometry_failed % 2 == 1);
         self.ask_for(sum(&z, &step), Role::Geometry { instead: point });
     }
 
@@ -276,7 +298,17 @@ impl LeastSquaresState {
     pub(super) fn descended(&mut self, round: &[Candidate]) {
         match (&round[0].role, round[0].known) {
             (Role::Geometry { instead }, Known::Point(new)) => {
-                self.set.iter_mut().filter(|k| **k == *instead).for_each(|k| *k = new);
+                if let Some(place) = self.set.iter().position(|k| *k == *instead) {
+                    let model = self.model.take().filter(|_| self.set.len() == self.n() + 1);
+                    self.model = model.and_then(|mut model| {
+                        let base = self.set[model.base];
+                        let step = difference(&self.points[new].z, &self.points[base].z);
+                        let lagrange = model.lagrange(&step);
+                        let misfit = self.misfit(base, new, &lagrange);
+                        self.follow(&mut model, place, new, (&step, &lagrange, &misfit)).then_some(model)
+                    });
+                    self.set[place] = new;
+                }
                 self.n_geometry_failed = 0;
             }
             (Role::Geometry { .. }, _) => {
@@ -338,9 +370,11 @@ impl LeastSquaresState {
             (self.n_failed, self.n_geometry) = (0, 0);
         }
         let model = self.model.take().or_else(|| self.interpolation(base, &mut || false).ok().flatten());
-        if let Some(((k, ..), model)) = best.zip(model) {
-            let lagrange = model.lagrange(&difference(&self.points[k].z, &z));
-            let misfit = self.misfit(base, k, &lagrange);
+        if let Some(((k, ..), mut model)) = best.zip(model) {
+            let step = difference(&self.points[k].z, &z);
+            let lagrange = model.lagrange(&step);
+            let off = self.misfit(base, k, &lagrange);
+            let misfit = norm(&off);
             let size = length.max(self.farthest(base).1);
             if ratio >= 0.3 {
                 self.curvature = Some(misfit / (length * size));
@@ -354,8 +388,13 @@ impl LeastSquaresState {
                 None if ratio < 0.1 => self.failure = Some((misfit, size)),
                 _ => {}
             }
-            if round.len() == 1 && self.set.len() == self.n() + 1 {
-                self.exchange(base, k, &lagrange);
+            if round.len() == 1
+                && self.set.len() == self.n() + 1
+                && let Some(place) = self.replaced(base, k, &lagrange)
+            {
+                let is_accurate = self.follow(&mut model, place, k, (&step, &lagrange, &off));
+                self.model = is_accurate.then_some(model);
+                self.set[place] = k;
             }
         }
         if round.len() > 1 || self.set.len() <= self.n() {
@@ -392,41 +431,78 @@ impl LeastSquaresState {
         self.ask_for(sum(&z, &step), Role::Probe { misfit });
     }
 
-    /// Distance of the residuals at a new point from the model.
-    fn misfit(&self, base: usize, new: usize, lagrange: &[f64]) -> f64 {
-        let of_base = 1.0 - lagrange.iter().sum::<f64>();
-        let mut rest: Vec<f64> = self.points[new].residuals.clone();
-        let others = self.set.iter().filter(|k| **k != base);
-        for (k, weight) in others.zip(lagrange).chain(std::iter::once((&base, &of_base))) {
-            rest.iter_mut().zip(&self.points[*k].residuals).for_each(|(rest, r)| *rest -= weight * r);
-        }
-        norm(&rest)
+    /// How far the residuals at a new point are off the model.
+    fn misfit(&self, base: usize, new: usize, lagrange: &[f64]) -> Vec<f64> {
+        let base = &self.points[base].residuals;
+        let mut rest = difference(&self.points[new].residuals, base);
+        combine(&mut rest, &self.residuals_of_set(), base, lagrange);
+        rest
     }
 
-    /// Takes a new point into the set in the place of one that lies far away, or that it tells most of.
-    fn exchange(&mut self, base: usize, new: usize, lagrange: &[f64]) {
-        let of_base = 1.0 - lagrange.iter().sum::<f64>();
+    fn residuals_of_set(&self) -> Vec<&[f64]> {
+        self.set.iter().map(|k| &self.points[*k].residuals[..]).collect()
+    }
+
+    /// Takes a new point into the model; false where it is not accurate any more. `values`: the step to it from the base point, those of
+    /// the Lagrange polynomials, and how far it is off the model.
+    fn follow(
+        &self,
+        model: &mut Interpolation,
+        place: usize,
+        new: usize,
+        (step, lagrange, misfit): (&[f64], &[f64], &[f64]),
+    ) -> bool {
+        let is_better = self.points[new].cost < self.points[self.set[model.base]].cost;
+        let new = &self.points[new].residuals;
+        model.exchange(place, (step, lagrange), &self.residuals_of_set(), (new, misfit), is_better)
+    }
+
+    /// The place of the point that a new one takes: one that lies far away, or that the new one tells most of.
+    fn replaced(&self, base: usize, new: usize, lagrange: &[f64]) -> Option<usize> {
         let better = self.points[new].cost < self.points[base].cost;
         let from = if better { new } else { base };
-        let mut others = lagrange.iter();
-        let mut chosen: Option<(usize, f64)> = None;
-        for (place, &k) in self.set.iter().enumerate() {
-            let value = if k == base { of_base } else { others.next().copied().unwrap_or(0.0) };
-            if k == base && !better {
-                continue;
-            }
+        let weight = |(&k, value): (&usize, &f64)| {
             let distance = distance(&self.points[k].z, &self.points[from].z);
-            let weight = value.abs() * (distance / self.delta).powi(2).max(1.0);
-            if weight > chosen.map_or(0.0, |(_, most)| most) {
-                chosen = Some((place, weight));
-            }
-        }
-        if let Some((place, _)) = chosen {
-            self.set[place] = new;
-        }
+            if k == base && !better { 0.0 } else { value.abs() * (distance / self.delta).powi(2).max(1.0) }
+        };
+        let weights = self.set.iter().zip(lagrange).map(weight).enumerate();
+        let most = weights.fold((0, 0.0), |most, new| if new.1 > most.1 { new } else { most });
+        (most.1 > 0.0).then_some(most.0)
     }
-}
 
-fn best_step(linear: &Linear, radius: f64, (lower, upper): (&[f64], &[f64])) -> (Vec<f64>, f64) {
-    Subproblem { linear, radius, lower, upper }.solve()
+    /// The model's best step from `z`, and the decrease that it predicts: on the side of the points with residuals, where points around
+    /// have failed.
+    fn best_step(
+        &self,
+        z: &[f64],
+        linear: &Linear,
+        radius: f64,
+        (lower, upper): (&[f64], &[f64]),
+    ) -> (Vec<f64>, f64) {
+        let best = Subproblem { linear, radius, lower, upper }.solve();
+        if self.failed.is_empty() {
+            return best;
+        }
+        let reach = NEAR * self.delta.max(self.rho);
+        let near = |other: &Vec<f64>| Some(difference(other, z)).filter(|d| norm(d) <= reach);
+        let mut failed: Vec<Vec<f64>> = self.failed.iter().filter_map(near).collect();
+        failed.sort_by(|a, b| norm(a).total_cmp(&norm(b)));
+        let good: Vec<Vec<f64>> = self.points.iter().filter_map(|p| near(&p.z)).collect();
+        let Some(Plane { normal, limit }) =
+            plane(&good, &failed).filter(|p| dot(&p.normal, &best.0) > p.limit)
+        else {
+            return best;
+        };
+        // Steps beyond the plane are made costly: those that remain lead along it.
+        let steep = linear.factor.tr_mul(&linear.reached).norm() / radius;
+        let weight = (AVOIDANCE * linear.factor.norm_squared().max(steep)).sqrt();
+        let row: Vec<f64> = normal.iter().map(|v| weight * v).collect();
+        let (step, _) = Subproblem {
+            linear: &linear.with_row(&row, -weight * limit),
+            ..Subproblem { linear, radius, lower, upper }
+        }
+        .solve();
+        let predicted = linear.decrease(&step);
+        (step, predicted)
+    }
 }

@@ -40,11 +40,13 @@ mod lee_wiswall;
 mod options;
 mod restart;
 mod simplex;
+mod simplex_search;
 mod speculation;
 mod state;
 mod trial;
 
 pub use options::{BatchPlan, Coefficients, InitialSimplex, NelderMead};
+pub(crate) use simplex_search::SimplexSearch;
 pub use state::NelderMeadState;
 
 use crate::error::Error;

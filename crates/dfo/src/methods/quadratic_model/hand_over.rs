@@ -1,9 +1,9 @@
 //! Where noise and kinks show in the model, and what follows from them.
 
-use super::simplex::Simplex;
 use super::state::{Phase, QuadraticModelState};
 use crate::error::Error;
 use crate::method::Roughness;
+use crate::methods::nelder_mead::{NelderMead, SimplexSearch};
 use crate::methods::shared::cost::Cost;
 
 /// Resolutions in a row at which steps failed: then there is noise, or a kink.
@@ -21,7 +21,7 @@ impl QuadraticModelState {
     pub(super) fn begin_with_simplex(&mut self) -> Result<(), Error> {
         let space = &self.setup.space;
         if self.hand_over && (0..space.n_free()).any(|k| space.size_is_unknown(k)) {
-            self.simplex = Some(Simplex::new(&self.setup, space.x0(), (0, 0))?);
+            self.simplex = Some(SimplexSearch::new(&NelderMead::default(), &self.setup, space.x0(), (0, 0))?);
             self.phase = Phase::HandedOver;
         }
         Ok(())
@@ -54,7 +54,7 @@ impl QuadraticModelState {
     pub(super) fn hand_over(&mut self) -> bool {
         let best = self.points.best();
         let (start, cost) = (self.points.x(best).to_vec(), self.points.cost(best));
-        let simplex = Simplex::new(&self.setup, &start, self.rounds.counts());
+        let simplex = SimplexSearch::new(&NelderMead::default(), &self.setup, &start, self.rounds.counts());
         let (Ok(mut simplex), Cost::Value(cost)) = (simplex, cost) else { return false };
         simplex.state.set_start_cost(cost);
         (self.simplex, self.phase) = (Some(simplex), Phase::HandedOver);

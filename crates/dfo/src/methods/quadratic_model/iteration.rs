@@ -1,12 +1,12 @@
 //! One iteration: the next trial point, and what follows from its cost.
 
-use super::failures::{Plane, plane};
 use super::hand_over::MOST_REFUSED;
 use super::model::{Interpolation, Quadratic};
 use super::state::{Phase, QuadraticModelState};
 use super::subproblem::{Region, minimize};
 use super::truncated;
 use crate::choices::Measure;
+use crate::methods::shared::failures::{Plane, plane};
 use crate::termination::Termination;
 use crate::tolerances::{Extent, Tests};
 use nalgebra::{DMatrix, DVector, SymmetricEigen};

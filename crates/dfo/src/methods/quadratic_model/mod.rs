@@ -17,17 +17,16 @@
 //!
 //! **Noise and kinks.** Where the cost is smooth the curvature of the model settles as the resolution shrinks; where it grows all the
 //! same there is a kink or noise, and passed tests mean nothing: the search starts anew, too, or hands over to a simplex search
-//! (`hand_over.rs`, `simplex.rs`), which goes on from the best point as Nelder-Mead does from a start.
+//! (`hand_over.rs`, `nelder_mead/simplex_search.rs`), which goes on from the best point as Nelder-Mead does from a start.
 //!
 //! **Failures.** A failed point enters no model. The step is shortened, and later steps keep to the side of a plane between
-//! failed points and those of the model (`failures.rs`). Of the first points a failed one is tried nearer to the start and on its other side.
+//! failed points and those of the model (`shared/failures.rs`). Of the first points a failed one is tried nearer to the start and on its other side.
 //!
 //! **Cutoffs**: none, since a model needs the value of every point. **Time**: O((4n)^3) operations per point up to 20 parameters: 11 microseconds
 //! for 2, 0.2 ms for 10, 0.6 ms for 20. For more parameters the inverse of the interpolation conditions is updated as points are exchanged, the
 //! steps are those of truncated conjugate gradients, and the model keeps 2n + 1 points (`many.rs`, `inverse.rs`, `truncated.rs`), as in NEWUOA:
 //! O(n^2) operations per point (`benches/overhead.rs`).
 
-mod failures;
 mod hand_over;
 mod initial;
 mod inverse;
@@ -35,7 +34,6 @@ mod iteration;
 mod many;
 mod model;
 mod options;
-mod simplex;
 mod state;
 mod subproblem;
 mod truncated;

@@ -4,10 +4,10 @@ use super::initial;
 use super::inverse::Inverse;
 use super::model::{Interpolation, Quadratic};
 use super::options::QuadraticModel;
-use super::simplex::Simplex;
 use crate::answer::Answers;
 use crate::error::Error;
 use crate::method::{Batch, Details, Method, Operation, Roughness, Setup, Status, saved};
+use crate::methods::nelder_mead::{NelderMead, SimplexSearch};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::methods::shared::rounds::Rounds;
@@ -81,7 +81,7 @@ pub struct QuadraticModelState {
     #[serde(default)]
     pub(super) hand_over: bool,
     #[serde(default)]
-    pub(super) simplex: Option<Simplex>,
+    pub(super) simplex: Option<SimplexSearch>,
     /// The resolutions since the last start, and the size of the curvature of the model when they were exhausted.
     #[serde(default)]
     pub(super) curvatures: Vec<(f64, f64)>,
@@ -159,7 +159,10 @@ impl QuadraticModelState {
             && self.points.len() > 0
             && (self.phase != Phase::Starting || self.points.len() == self.retries.len())
             && (self.phase == Phase::HandedOver) == self.simplex.is_some()
-            && self.simplex.as_ref().is_none_or(|simplex| simplex.is_sound(&self.setup))
+            && self
+                .simplex
+                .as_ref()
+                .is_none_or(|simplex| simplex.is_sound(&NelderMead::default(), &self.setup))
     }
 
     /// Places all points but the first around it.

@@ -1,6 +1,7 @@
-//! What several methods have: the rank of a cost, populations, generations.
+//! What several methods have: the rank of a cost, populations, generations, planes beside points that failed.
 
 pub(crate) mod cost;
+pub(crate) mod failures;
 pub(crate) mod generations;
 pub(crate) mod population;
 pub(crate) mod ranked_points;

@@ -1,46 +1,47 @@
-//! The simplex search that takes over where the model shows noise or kinks.
+//! The simplex search that takes over where a model is of no use.
 
+use super::{NelderMead, NelderMeadState};
 use crate::error::Error;
 use crate::method::{Batch, Details, Method, MethodOptions, Setup};
-use crate::methods::nelder_mead::{NelderMead, NelderMeadState};
 use serde::{Deserialize, Serialize};
 
 /// The simplex search that has taken over.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub(super) struct Simplex {
+pub(crate) struct SimplexSearch {
     /// Where it started from.
-    start: Vec<f64>,
+    pub(crate) start: Vec<f64>,
     /// Batches and points before it.
     n_batches: u64,
     n_points: u64,
-    pub(super) state: NelderMeadState,
+    pub(crate) state: NelderMeadState,
 }
 
-impl Simplex {
-    pub(super) fn new(
+impl SimplexSearch {
+    pub(crate) fn new(
+        method: &NelderMead,
         setup: &Setup,
         start: &[f64],
         (n_batches, n_points): (u64, u64),
     ) -> Result<Self, Error> {
-        let state = NelderMead::default().begin(&starting_at(setup, start))?;
+        let state = method.begin(&starting_at(setup, start))?;
         Ok(Self { start: start.to_vec(), n_batches, n_points, state })
     }
 
-    pub(super) fn is_sound(&self, setup: &Setup) -> bool {
+    pub(crate) fn is_sound(&self, method: &NelderMead, setup: &Setup) -> bool {
         let space = &setup.space;
         self.start.len() == space.n()
             && self.start.iter().all(|v| v.is_finite())
             && space.bounds().contains(&self.start)
-            && self.state.is_sound(&NelderMead::default().prepared(&starting_at(setup, &self.start)))
+            && self.state.is_sound(&method.prepared(&starting_at(setup, &self.start)))
     }
 
-    pub(super) fn ask(&mut self, batch: &mut Batch) {
+    pub(crate) fn ask(&mut self, batch: &mut Batch) {
         self.state.ask(batch);
         batch.renumber(self.n_batches + batch.index(), self.n_points);
     }
 
     /// Where the simplex stands; what it does not know of itself yet comes from the search before.
-    pub(super) fn details(&self, before: Details<'static>) -> Details<'_> {
+    pub(crate) fn details(&self, before: Details<'static>) -> Details<'_> {
         let own = self.state.details();
         Details {
             n_iterations: before.n_iterations + own.n_iterations,

@@ -7,9 +7,9 @@ const GAP: f64 = 1e-2;
 const SHARE: f64 = 0.25;
 
 /// `normal's <= limit` for the displacements `s` that lie on the side of the points with a cost; the normal has length 1.
-pub(super) struct Plane {
-    pub(super) normal: Vec<f64>,
-    pub(super) limit: f64,
+pub(crate) struct Plane {
+    pub(crate) normal: Vec<f64>,
+    pub(crate) limit: f64,
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
@@ -26,7 +26,7 @@ fn farthest<'a>(points: &'a [Vec<f64>], direction: &[f64]) -> (&'a [f64], f64) {
 /// kept where not all can be parted from the others. The origin must be among the `good` points.
 ///
 /// The gap is that between the nearest points of the two convex hulls, approached by the steps of Gilbert (SIAM J. Control 4, 1966).
-pub(super) fn plane(good: &[Vec<f64>], failed: &[Vec<f64>]) -> Option<Plane> {
+pub(crate) fn plane(good: &[Vec<f64>], failed: &[Vec<f64>]) -> Option<Plane> {
     let mut failed = failed;
     while let Some(first) = failed.first() {
         // From the origin to the first failed point, to begin with.
