@@ -137,7 +137,10 @@ fn whoever_answers_first_the_path_is_the_same() {
             let (report, _) = run(&method, (4, 300), width, 10);
             assert_eq!(timeless(&report.trace), timeless(&serial.trace), "{name} {width}");
             assert_eq!((&report.x, report.fun, &report.message), (&serial.x, serial.fun, &serial.message));
-            assert_eq!((report.n_evaluations, report.n_iterations), (serial.n_evaluations, serial.n_iterations));
+            assert_eq!(
+                (report.n_evaluations, report.n_iterations),
+                (serial.n_evaluations, serial.n_iterations)
+            );
         }
     }
 }

@@ -15,8 +15,8 @@ use crate::trajectory::Counts;
 use crate::words::word;
 use crate::{error, files, fmu_error, logs};
 use calibration::{
-    CalibrationError, CurrentPhase, Engine, Entry, Experiment, FitNoise, FitOptions, NoiseRule,
-    Problem, Severity, Solver, Verdict,
+    CalibrationError, CurrentPhase, Engine, Entry, Experiment, FitNoise, FitOptions, NoiseRule, Problem,
+    Severity, Solver, Verdict,
 };
 use dfo::{Progress, Query, RobustLoss, Termination, Want};
 use fmi::OpenOptions;

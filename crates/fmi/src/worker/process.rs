@@ -18,8 +18,8 @@ use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
-use std::thread::available_parallelism;
 use std::thread::JoinHandle;
+use std::thread::available_parallelism;
 use std::time::{Duration, Instant};
 
 /// How often somebody who waits for an answer looks at the rest of the world.
@@ -259,7 +259,8 @@ impl Process {
         };
         // What was printed last arrives after the end. Who else has the pipe open may keep it so.
         let began = Instant::now();
-        while self.reader.as_ref().is_some_and(|reader| !reader.is_finished()) && began.elapsed() < LAST_WORDS {
+        while self.reader.as_ref().is_some_and(|reader| !reader.is_finished()) && began.elapsed() < LAST_WORDS
+        {
             std::thread::sleep(Duration::from_millis(1));
         }
         let (function, time) = last.map_or((None, None), |last| (Some(last.function), last.time));
