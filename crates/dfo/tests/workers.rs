@@ -117,7 +117,9 @@ fn an_exception_counts_when_the_path_comes_to_it() {
 fn more_workers_need_fewer_rounds() {
     let rounds = |n: usize, workers: usize| {
         let method = NelderMead::default().batch(BatchPlan::Ahead);
-        let run = minimize(rosenbrock).start(&vec![-1.2; n]).method(method).workers(workers);
+        let costs =
+            |b: &BatchView<'_>| (0..b.len()).map(|k| Outcome::Value(rosenbrock(b.point(k)))).collect();
+        let run = minimize_batches(costs).start(&vec![-1.2; n]).method(method).workers(workers);
         let report = run.max_iterations(60).run().unwrap();
         report.n_batches
     };
