@@ -39,7 +39,10 @@ pub fn serve_if_asked(service: impl FnOnce() -> Box<dyn Service> + Send) {
         thread.map(|thread| thread.join())
     });
     // The process ends before who watches the socket may be done with that.
-    std::env::var_os(FOLDER).iter().for_each(|folder| remove(Path::new(folder)));
+    if let Some(folder) = std::env::var_os(FOLDER) {
+        kill_processes_of(std::process::id(), Path::new(&folder));
+        remove(Path::new(&folder));
+    }
     match service {
         Ok(Ok(Ok(()))) => std::process::exit(0),
         Ok(Ok(Err(error))) => {

@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 /// A worker that nobody has asked for anything for so long is ended.
 const IDLE: Duration = Duration::from_secs(5);
 
-/// How often somebody who waits for the start of a process asks whether it is still wanted.
-const LOOK: Duration = Duration::from_millis(10);
+/// How often somebody who waits for the start of a process asks whether it is still wanted, and whether another one is free.
+const LOOK: Duration = Duration::from_micros(500);
 
 /// The memory of a worker is looked at after each so many calls, and after every one that took so long.
 const LOOK_EVERY: u64 = 32;
@@ -102,10 +102,10 @@ impl Workers {
         run_limit: Option<Duration>,
         is_fresh: bool,
     ) -> Result<Vec<Quirk>, FmiError> {
-        let mut call = |process: Option<Process>| {
+        let mut call = |process: Option<Process>, is_new: bool| {
             let mut process = match process {
                 Some(process) => process,
-                None => self.new_process(cancelled)?,
+                None => self.new_process(load.id, is_new, cancelled)?,
             };
             let (quirks, can_go_on) = self.call_in(&mut process, load, asked, answer, cancelled, run_limit);
             // Otherwise it ends here.
@@ -116,7 +116,7 @@ impl Workers {
         };
         let process = if is_fresh { None } else { self.idle_process(load.id) };
         let was_used = process.is_some();
-        let error = match call(process) {
+        let error = match call(process, is_fresh) {
             Err(error) => error,
             outcome => return outcome,
         };
@@ -130,7 +130,7 @@ impl Workers {
             return Err(error);
         }
         log::info!("{error}; the same is tried once more in a fresh process");
-        call(None)
+        call(None, true)
     }
 
     /// The quirks; and whether the process can be asked again.
@@ -191,8 +191,14 @@ impl Workers {
         Some(idle.processes.remove(place).0)
     }
 
-    /// A process that was never asked for anything: one that was started ahead if there is any.
-    fn new_process(&self, cancelled: &dyn Fn() -> bool) -> Result<Process, FmiError> {
+    /// A process that was never asked for anything: one that was started ahead if there is any; or, unless it has to be new, one that
+    /// becomes free meanwhile.
+    fn new_process(
+        &self,
+        load: u64,
+        is_new: bool,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Process, FmiError> {
         let ahead = self.idle().ahead.pop();
         let Some(ahead) = ahead else {
             return Process::start(&self.launcher, &self.limits, cancelled);
@@ -201,7 +207,12 @@ impl Workers {
             match ahead.process.recv_timeout(LOOK) {
                 Ok(process) => return Ok(process),
                 Err(RecvTimeoutError::Timeout) if cancelled() => return Err(FmiError::Cancelled),
-                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Timeout) => {
+                    if !is_new && let Some(free) = self.idle_process(load) {
+                        self.idle().ahead.push(ahead);
+                        return Ok(free);
+                    }
+                }
                 Err(RecvTimeoutError::Disconnected) => {
                     return Process::start(&self.launcher, &self.limits, cancelled);
                 }
