@@ -180,6 +180,7 @@ impl Calibration {
             }
             own.tolerances = stage.tolerances.unwrap_or(run.tolerances);
             own.limits = Limits {
+                max_failed: own.limits.max_failed,
                 max_evaluations: least(stage.limits.max_evaluations, evaluations),
                 max_iterations: least(stage.limits.max_iterations, iterations),
                 max_time: of_stage.or(run.limits.max_time),

@@ -489,10 +489,22 @@ impl<M: Method> Drive<M> {
     }
 }
 
+/// Evaluations before the share of those that failed is looked at.
+const FEWEST_EVALUATIONS: usize = 20;
+
+/// Whether more have failed than are allowed.
+fn too_many_failed(round: &Round, limits: &Limits) -> bool {
+    let (n, failed) = (round.ledger.n_evaluations, round.ledger.n_failed);
+    n >= FEWEST_EVALUATIONS && limits.max_failed.is_some_and(|share| failed as f64 > share * n as f64)
+}
+
 /// Limits that hold between two batches, besides those of the gateway.
 pub(crate) fn reached<M: Method + ?Sized>(method: &M, round: &Round, limits: &Limits) -> Option<Termination> {
     if round.target_reached(limits) {
         return Some(Termination::Target);
+    }
+    if too_many_failed(round, limits) {
+        return Some(Termination::TooManyFailed);
     }
     let most = limits.max_iterations?;
     let details = method.details();

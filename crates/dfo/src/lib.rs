@@ -22,7 +22,8 @@
 //! | `pattern-search` | kinks and jumps, not smooth costs; few parameters, with or without bounds | [`PatternSearch`] |
 //! | `ga` (`genetic`) | integers and choices next to numbers, in a box | [`Genetic`] |
 //!
-//! [`AnyMethod`] has them by name; [`Optimizer`] (ask/tell) leaves the evaluations to the caller.
+//! [`AnyMethod`] has them by name; [`Optimizer`] (ask/tell) leaves the evaluations to the caller, an [`Evaluator`] of one's own
+//! ([`minimize_by`]) to a cluster, for example.
 //!
 //! What holds for every method:
 //!

@@ -63,7 +63,7 @@ impl LinearModel {
         for noise in NOISE {
             let weights: Vec<f64> = others.iter().map(|(_, d, _)| 1.0 / (d * d + noise)).collect();
             let steps = DMatrix::from_fn(others.len(), n, |k, j| weights[k] * others[k].0[j]);
-            let svd = steps.clone().try_svd(true, true, f64::EPSILON, 10_000)?;
+            let svd = steps.clone().try_svd(true, true, f64::EPSILON, most_sweeps(steps.ncols()))?;
             if svd.singular_values.min() <= RANK_TOLERANCE * svd.singular_values.max() {
                 break;
             }
@@ -205,6 +205,11 @@ impl Covariance {
     }
 }
 
+/// So many sweeps a decomposition of so many columns may take in all.
+fn most_sweeps(n: usize) -> usize {
+    10_000.max(100 * n)
+}
+
 /// `(A' A)^+` for columns of length one or zero, and which of the unknowns have no part in the null space.
 fn inverse_of_normal_matrix(columns: DMatrix<f64>, p: usize) -> (DMatrix<f64>, Vec<bool>) {
     let nothing = (DMatrix::zeros(p, p), vec![false; p]);
@@ -214,7 +219,7 @@ fn inverse_of_normal_matrix(columns: DMatrix<f64>, p: usize) -> (DMatrix<f64>, V
     // Rows of zeros, so that all p right singular vectors are there.
     let rows = columns.nrows().max(p);
     let columns = columns.resize_vertically(rows, 0.0);
-    let Some(svd) = columns.try_svd(false, true, f64::EPSILON, 10_000) else { return nothing };
+    let Some(svd) = columns.try_svd(false, true, f64::EPSILON, most_sweeps(p)) else { return nothing };
     let Some(v_t) = svd.v_t else { return nothing };
     let smallest = RANK_TOLERANCE * svd.singular_values.max();
     let mut inverse = DMatrix::zeros(p, p);

@@ -242,6 +242,12 @@ impl<'a, M, D> Minimize<'a, M, D> {
         self
     }
 
+    /// Ends the run where more than this share of its evaluations has failed, see [`Limits::max_failed`].
+    pub fn max_failed(mut self, share: f64) -> Self {
+        self.description.options.limits.max_failed = Some(share);
+        self
+    }
+
     /// Where no limit is set, none holds: not even the method's defaults.
     pub fn unlimited(mut self) -> Self {
         self.description.options.unlimited = true;

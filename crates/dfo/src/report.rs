@@ -303,6 +303,12 @@ fn message<M: Method + ?Sized>(
         Termination::AllFailed => {
             with_tests("not converged: every point failed after some that did not".to_owned())
         }
+        Termination::TooManyFailed => with_tests(format!(
+            "not converged: {} of {} evaluations failed, more than the share of {} that is allowed",
+            ledger.n_failed,
+            ledger.n_evaluations,
+            limits.max_failed.unwrap_or(f64::NAN)
+        )),
         Termination::Stalled => with_tests("not converged: nothing new was found for long".to_owned()),
         Termination::AllFixed => "all parameters are fixed: their one point was evaluated".to_owned(),
         Termination::MaxEvaluations => {

@@ -19,6 +19,8 @@ pub enum Termination {
     OneFiniteVertex,
     /// No point of the simplex or population has a cost any more, though earlier ones had.
     AllFailed,
+    /// More than the share of all evaluations that was allowed has failed.
+    TooManyFailed,
     /// Nothing new came for long: no better point in many generations, or every point asked for was known already.
     Stalled,
     /// All parameters are fixed: the one point there is was evaluated.
@@ -62,6 +64,7 @@ impl Termination {
             Self::Collapsed => "collapsed",
             Self::OneFiniteVertex => "one-finite-vertex",
             Self::AllFailed => "all-failed",
+            Self::TooManyFailed => "too-many-failed",
             Self::Stalled => "stalled",
             Self::AllFixed => "all-fixed",
             Self::MaxEvaluations => "max-evaluations",

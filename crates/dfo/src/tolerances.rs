@@ -18,6 +18,9 @@ pub struct Limits {
     /// The run ends with the first evaluation of the path whose cost is at or below this. What was evaluated at once with it
     /// and comes after it counts as made ahead of need.
     pub target: Option<f64>,
+    /// The run ends where more than this share of its evaluations has failed, of at least 20; from 0 to 1.
+    #[serde(default)]
+    pub max_failed: Option<f64>,
 }
 
 impl Limits {
@@ -31,6 +34,9 @@ impl Limits {
     pub(crate) fn check(&self) -> Result<(), Error> {
         if self.max_evaluations == Some(0) {
             return Err(Error::Option { name: "max_evaluations", value: 0.0, range: "at least 1" });
+        }
+        if let Some(value) = self.max_failed.filter(|share| !(0.0..=1.0).contains(share)) {
+            return Err(Error::Option { name: "max_failed", value, range: "between 0 and 1" });
         }
         match self.target {
             Some(value) if value.is_nan() => Err(Error::Option { name: "target", value, range: "a number" }),

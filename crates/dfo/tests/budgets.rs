@@ -225,3 +225,19 @@ fn an_observer_may_stop_and_sees_everything_once() {
         assert!(!report.is_success() && report.message.contains("callback"));
     }
 }
+
+#[test]
+fn too_many_failures_end_a_run_with_its_best_point() {
+    for workers in [1, 3] {
+        let cost = |x: &[f64]| if x[0] > 0.3 { f64::NAN } else { common::rosenbrock(x) };
+        let run = minimize(cost).bounds(&[-1.0; 2], &[1.0; 2]).unwrap().seed(1).workers(workers);
+        let run = run.method("de".parse::<dfo::AnyMethod>().unwrap());
+        let report = run.max_failed(0.25).run().unwrap();
+        assert_eq!(report.termination, Termination::TooManyFailed, "{report}");
+        assert!(4 * report.n_failed > report.n_evaluations && report.n_evaluations >= 20, "{report}");
+        assert!(report.fun.is_finite() && !report.is_success(), "{report}");
+        assert!(report.message.contains("more than the share of 0.25"), "{}", report.message);
+    }
+    let error = minimize(common::rosenbrock).start(&[1.0, 1.0]).max_failed(1.5).run().unwrap_err();
+    assert!(matches!(error, dfo::Error::Option { name: "max_failed", .. }));
+}

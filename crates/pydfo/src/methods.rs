@@ -10,7 +10,7 @@ use serde_json::{Map, Number, Value, json};
 use std::collections::BTreeMap;
 
 /// The options of every method; read in `pydfo/_options.py`.
-const COMMON: &str = "cache, checkpoint_interval, f_tol, kinds, nominal, problem, scale, stop, tolerances, trace_limit, warm_start, x_tol";
+const COMMON: &str = "cache, checkpoint_interval, f_tol, kinds, max_failed, nominal, problem, scale, stop, tolerances, trace_limit, warm_start, x_tol";
 
 /// The method of a name, with its options.
 pub(crate) fn method(name: &str, entries: &Bound<'_, PyDict>) -> PyResult<AnyMethod> {

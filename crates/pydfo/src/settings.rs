@@ -33,6 +33,7 @@ pub(crate) struct Options {
     checkpoint_interval: Option<f64>,
     cache: Option<usize>,
     trace_limit: Option<usize>,
+    max_failed: Option<f64>,
     scale: Vec<String>,
     nominal: Vec<Option<f64>>,
     kinds: Vec<String>,
@@ -96,6 +97,7 @@ impl Options {
             max_iterations: self.max_iterations,
             max_time,
             target: self.target,
+            max_failed: self.max_failed,
         };
         let run = RunOptions {
             method: methods::method(&self.method, self.method_options.bind(py))?,

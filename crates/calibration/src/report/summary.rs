@@ -112,6 +112,7 @@ fn sentence(fit: &Fit) -> String {
         Termination::MaxTime => "The fit did not converge within its time limit",
         Termination::Interrupted => "The fit was interrupted before it converged",
         Termination::StoppedByObserver => "The callback ended the fit before it converged",
+        Termination::TooManyFailed => "The fit was ended because too many simulations failed",
         _ => "The fit did not converge",
     };
     let before = match fit.start_rms {

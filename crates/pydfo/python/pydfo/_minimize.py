@@ -100,7 +100,8 @@ def minimize(
         ``nominal`` (typical sizes of the parameters, None where there is none to give; a parameter that starts at 0 without
         one and without a box is first moved by powers of ten to find its size), ``scale`` ("linear" or "log", for all or each), ``kinds``
         ("continuous", "integer" or "categorical", for all or each), ``cache`` (evaluations remembered, so that exact
-        repeats cost nothing), ``trace_limit`` (evaluations kept in the trace), ``warm_start`` (an earlier result or trace,
+        repeats cost nothing), ``trace_limit`` (evaluations kept in the trace), ``max_failed`` (the run ends where more than this
+        share of its evaluations has failed, of at least 20), ``warm_start`` (an earlier result or trace,
         or points and costs: where to start), ``problem`` (a word or hash for what `fun` computes, which you vouch for: the
         costs of a warm start are reused only where it is the same in both runs), ``checkpoint_interval`` (seconds between
         writes, 0.2).

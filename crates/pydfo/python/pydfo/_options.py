@@ -70,6 +70,7 @@ class Options:
     checkpoint_interval: float | None = None
     cache: int | None = None
     trace_limit: int | None = None
+    max_failed: float | None = None
     scale: list[str] = field(default_factory=list)
     nominal: list[float | None] = field(default_factory=list)
     kinds: list[str] = field(default_factory=list)
@@ -139,6 +140,7 @@ def build(
     stop, tolerances = (None if own.get(name) is None else choice(name, own[name]) for name in ("stop", "tolerances"))
     own = {name: value for name, value in own.items() if name not in ("stop", "tolerances")}
     cache, trace_limit = limit("cache", take("cache"), 0), limit("trace_limit", take("trace_limit"), 1)
+    max_failed = optional_number("max_failed", take("max_failed"))
     scale, kinds = per_parameter("scale", take("scale"), n), per_parameter("kinds", take("kinds"), n)
     nominal = take("nominal")
     interval, (known, known_problem) = take("checkpoint_interval"), warm_start(take("warm_start"), n)
@@ -182,6 +184,7 @@ def build(
         checkpoint_interval=optional_number("checkpoint_interval", interval),
         cache=cache,
         trace_limit=trace_limit,
+        max_failed=max_failed,
         scale=scale,
         nominal=[] if nominal is None else numbers_or_none("nominal", nominal, n),
         kinds=kinds,

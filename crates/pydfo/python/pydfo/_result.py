@@ -34,6 +34,7 @@ STATUS: Final[dict[str, int]] = {
     "stalled": 14,
     "constant-cost": 15,
     "unbounded": 16,
+    "too-many-failed": 17,
 }
 
 
