@@ -72,6 +72,18 @@ def test_a_point_that_an_executor_loses_has_failed():
     assert result.nfev == 200
 
 
+def test_too_many_failures_end_a_run():
+    def failing(x):
+        return np.nan if x[0] > 0.3 else slow_cost(x)
+
+    asked = {"bounds": [(-1, 1)] * 2, "method": "de", "rng": 1, "options": {"max_failed": 0.25}}
+    result = pydfo.minimize(failing, **asked)
+    assert result.status == 17 and result.nfev < 4 * result.nfail and np.isfinite(result.fun)
+    assert "more than the share of 0.25" in result.message
+    with pytest.raises(ValueError, match="max_failed"):
+        pydfo.minimize(failing, **{**asked, "options": {"max_failed": 2}})
+
+
 def test_functions_that_raise_end_the_run():
     def wrong(x):
         raise RuntimeError("no")
