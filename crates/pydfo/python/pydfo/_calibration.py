@@ -387,10 +387,10 @@ class Calibration(Point):
         for name in ("scale", "nominal", "kinds"):
             if name in own:
                 raise ValueError(f"options: {name} of a fit is that of its parameters")
-        executor = _evaluate.executor_of(workers)
-        if executor is not None:
-            executor = _engine.Simulations(self, executor)
-        count = executor.width if executor else _options.worker_count("workers", workers, None)
+        given: Any = workers
+        executor = _evaluate.executor_of(given)
+        engine = None if executor is None else _engine.Simulations(self, executor)
+        count = engine.width if engine else _options.worker_count("workers", given, None)
         if own.get("batch") == "workers":
             own["batch"] = count or _options.all_cores()
         cost = _objective.built(objective, self)
@@ -457,7 +457,7 @@ class Calibration(Point):
                     "covariance": covariance,
                     "preflight": _options.flag("preflight", preflight),
                     "noise": _options.choice("noise", noise),
-                    "engine": executor,
+                    "engine": engine,
                 }
                 result = self._native.fit(built, asked)
         except BaseException as e:

@@ -8,6 +8,7 @@ from typing import Any, final
 import numpy as np
 import numpy.typing as npt
 
+from ._evaluate import Futures
 from ._experiment import Experiment, Settings
 from ._files import OpenOptions
 from ._model import Request
@@ -84,7 +85,7 @@ __all__ = [
 __version__: str
 
 def minimize(
-    func: Callable[..., Any],
+    func: Callable[..., Any] | Futures,
     x0: list[float] | None,
     lower: list[float],
     upper: list[float],
@@ -172,6 +173,7 @@ class Calibration:
         cls, model: Fmu | str, experiments: list[Experiment], settings: Settings, parameters: list[Parameter]
     ) -> Calibration: ...
     def state(self) -> bytes: ...
+    def answer(self, x: npt.NDArray[np.float64], cutoff: float, loss: bytes) -> bytes: ...
     @staticmethod
     def model_of(state: bytes) -> tuple[Path, str]: ...
     @staticmethod

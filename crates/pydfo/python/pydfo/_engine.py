@@ -41,7 +41,7 @@ class Problem(NamedTuple):
     def open(self) -> Any:
         """The native calibration. FileNotFoundError: the model is not here."""
         path, content = _core.Calibration.model_of(self.state)
-        if not os.path.exists(path):
+        if not path.exists():
             path = _kept_model(content, self.model)
         return _core.Calibration.restore(self.state, _core.Fmu(path, self.opened), self.functions)
 
@@ -53,7 +53,7 @@ class Missing(NamedTuple):
     machine: str
 
 
-def _kept_model(content: str, model: bytes | None) -> str:
+def _kept_model(content: str, model: bytes | None) -> Path:
     """The place of a model that travelled to this machine."""
     folder = Path(tempfile.gettempdir()) / f"fmufit-models-{os.getuid() if hasattr(os, 'getuid') else os.getlogin()}"
     folder.mkdir(mode=0o700, exist_ok=True)
@@ -69,7 +69,7 @@ def _kept_model(content: str, model: bytes | None) -> str:
         kept = sorted(folder.glob("*.fmu"), key=lambda path: path.stat().st_mtime)
         for old in kept[:-MOST_MODELS]:
             old.unlink(missing_ok=True)
-    return os.fspath(place)
+    return place
 
 
 def simulate(

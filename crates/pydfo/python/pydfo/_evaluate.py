@@ -230,9 +230,9 @@ def plan_width(workers: Any) -> int:
     """How many points may be under way at once: the workers of an executor, as far as it tells, else all cores."""
     # Python's own, loky, MPI.
     known = getattr(workers, "_max_workers", None) or getattr(workers, "num_workers", None)
-    client = getattr(workers, "_client", None)
-    if known is None and callable(getattr(client, "nthreads", None)):
-        known = sum(client.nthreads().values())
+    nthreads = getattr(getattr(workers, "_client", None), "nthreads", None)
+    if known is None and callable(nthreads):
+        known = sum(nthreads().values())
     return known if isinstance(known, int) and known > 0 else _options.all_cores()
 
 
