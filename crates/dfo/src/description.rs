@@ -162,12 +162,13 @@ impl<M: MethodOptions> Description<M> {
             started.round = Round::new(stored.ledger, stored.store);
             started.round.store.forget_aborts();
             started.round.stale = stored.stale;
+            let n_known = stored.known.len();
             for known in stored.known {
                 started.round.store.keep(known);
             }
             (started.observed, started.first_recent) = (stored.observed, stored.first_recent);
             started.before = stored.seconds;
-            let n_evaluations = started.round.ledger.n_evaluations;
+            let n_evaluations = started.round.ledger.n_evaluations + n_known;
             started.resumed = Some(Resumed { path: place.path.clone(), n_evaluations });
         }
         started.writer = Some(Writer::new(place, fingerprint)?);

@@ -8,7 +8,7 @@ use crate::error::Error;
 use crate::evaluation::ledger::Ledger;
 use crate::evaluation::round::{Round, reset};
 use crate::evaluation::store::{Early, FIRST_ID};
-use crate::evaluation::{Evaluator, Guesses, Polled, Reached, RunControl, StopCause};
+use crate::evaluation::{Evaluator, GivesUp, Guesses, Polled, Reached, RunControl, StopCause};
 use crate::method::{Batch, Details, Method, Status};
 use crate::observe::Progress;
 use crate::report::{self, Report, Resumed};
@@ -120,19 +120,22 @@ impl<M: Method> Drive<M> {
     pub(crate) fn run(mut self, mut around: Around<'_, '_, '_>) -> Result<Report, Error> {
         while !self.advance(&mut around)? {}
         self.guesses.cancel(around.evaluator);
-        if !around.evaluator.leave() {
-            self.wait_for_the_rest(&mut around);
-        }
+        let is_left = around.evaluator.leave();
+        self.take_the_rest(&mut around, is_left);
         let termination = self.ended().unwrap_or(Some(Termination::Interrupted));
         let control = around.control;
         self.report(termination, &mut || control.check() == Some(StopCause::Interrupted))
     }
 
-    /// What is still under way is given up, but not lost where it ends all the same.
-    fn wait_for_the_rest(&mut self, around: &mut Around<'_, '_, '_>) {
+    /// What is still under way is given up, but not lost where it ends all the same; it is waited for unless it `is_left` to itself.
+    fn take_the_rest(&mut self, around: &mut Around<'_, '_, '_>, is_left: bool) {
         let mut answer = Answer::default();
         loop {
-            match around.evaluator.poll(&around.control.wait(true), &mut answer) {
+            let mut wait = around.control.wait(true);
+            if is_left {
+                wait.until = Instant::now();
+            }
+            match around.evaluator.poll(&wait, &mut answer) {
                 Polled::Answered(id) => {
                     let answer = std::mem::take(&mut answer);
                     let gives_up = around.evaluator.gives_up();
@@ -142,6 +145,7 @@ impl<M: Method> Drive<M> {
                         self.round.keep_unneeded(k, &answer);
                     }
                 }
+                Polled::Waiting if is_left => return,
                 Polled::Waiting => _ = around.control.check(),
                 Polled::Idle => return,
             }
@@ -327,8 +331,16 @@ impl<M: Method> Drive<M> {
             }
         } else if let Some(k) = self.round.work.place_of(id).filter(|&k| k < self.answers.len()) {
             if answer.outcome != Outcome::Skipped {
-                let outcome = std::mem::replace(&mut answer.outcome, Outcome::Skipped);
-                answer.outcome = outcome.checked(self.round.work.cutoff(k));
+                let cutoff = self.round.work.query(k).cutoff;
+                answer.outcome = match std::mem::replace(&mut answer.outcome, Outcome::Skipped) {
+                    // It might as well have been given up, as elsewhere.
+                    Outcome::Value(v)
+                        if v > cutoff && v.is_finite() && self.round.gives_up == GivesUp::Yes =>
+                    {
+                        Outcome::Above(cutoff)
+                    }
+                    outcome => outcome.checked(cutoff),
+                };
             }
             let filled = std::mem::take(answer);
             self.fill(k, filled, evaluator);

@@ -7,7 +7,8 @@ use crate::description::Description;
 use crate::drive::{Around, Drive, Observer};
 use crate::error::Error;
 use crate::evaluation::{
-    BatchFunction, BatchView, Batches, CallingThread, Evaluator, OnCallingThread, RunControl, Shared, Threads,
+    BatchFunction, BatchView, Batches, CallingThread, Evaluator, GivesUp, OnCallingThread, RunControl,
+    Shared, Threads,
 };
 use crate::loss::RobustLoss;
 use crate::method::{Method, MethodOptions};
@@ -131,6 +132,7 @@ pub struct Driven<'a> {
     observer: Option<Box<Observer<'a>>>,
     poll: Option<Box<dyn FnMut() -> bool + 'a>>,
     has_residuals: bool,
+    gives_up: GivesUp,
     loss: RobustLoss,
     spent: Duration,
 }
@@ -138,7 +140,16 @@ pub struct Driven<'a> {
 impl<'a> Driven<'a> {
     fn new(source: Source<'a>) -> Self {
         let (loss, spent) = (RobustLoss::default(), Duration::ZERO);
-        Self { source, cancel: None, observer: None, poll: None, has_residuals: false, loss, spent }
+        Self {
+            source,
+            cancel: None,
+            observer: None,
+            poll: None,
+            has_residuals: false,
+            gives_up: GivesUp::Unknown,
+            loss,
+            spent,
+        }
     }
 }
 
@@ -392,6 +403,13 @@ impl<'a, M> Minimize<'a, M> {
         self
     }
 
+    /// Says whether a function of [`minimize_batches`] gives up above cutoffs: then a cost above one counts as given up, whoever
+    /// evaluates.
+    pub fn gives_up(mut self, gives_up: GivesUp) -> Self {
+        self.driver.gives_up = gives_up;
+        self
+    }
+
     /// Says whether an [`Evaluator`] of one's own gives residuals: then a method that is chosen for the problem may ask for them.
     pub fn with_residuals(mut self, has_residuals: bool) -> Self {
         self.driver.has_residuals = has_residuals;
@@ -428,7 +446,8 @@ impl<M: MethodOptions> Minimize<'_, M> {
     /// Options that cannot be used; an objective that failed at every starting point; a run that was ended before any
     /// point had a finite cost. Every other end is a [`Report`].
     pub fn run(mut self) -> Result<Report, Error> {
-        let Driven { mut source, cancel, mut observer, mut poll, has_residuals, loss, spent } = self.driver;
+        let Driven { mut source, cancel, mut observer, mut poll, has_residuals, gives_up, loss, spent } =
+            self.driver;
         if let Source::Evaluator(evaluator) = &source {
             self.description.options.workers = Some(evaluator.width().max(1));
         }
@@ -463,7 +482,7 @@ impl<M: MethodOptions> Minimize<'_, M> {
                 let shared = Shared::new(&**objective, signals, workers);
                 std::thread::scope(|scope| go(&mut Threads::new(scope, &shared, here)))
             }
-            Source::Batches(function) => go(&mut Batches::new(function.as_mut(), workers)),
+            Source::Batches(function) => go(&mut Batches::new(function.as_mut(), workers, gives_up)),
             Source::Evaluator(evaluator) => go(evaluator),
         }?;
         report.undo(loss);

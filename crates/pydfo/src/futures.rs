@@ -4,7 +4,7 @@
 use crate::interrupt::{EndRequest, Inside};
 use crate::objective::PyObjective;
 use calibration::{Calibration, Engine};
-use dfo::{Answer, Evaluator, Outcome, Polled, Query, RobustLoss, Wait};
+use dfo::{Answer, Evaluator, GivesUp, Outcome, Polled, Query, RobustLoss, Wait};
 use numpy::PyArray1;
 use ode::Stats;
 use pyo3::exceptions::PyValueError;
@@ -182,6 +182,10 @@ impl Evaluator for PyEvaluator<'_> {
 
     fn width(&self) -> usize {
         self.futures.width
+    }
+
+    fn gives_up(&self) -> GivesUp {
+        self.objective.gives_up()
     }
 
     /// What an executor has begun it ends without us.

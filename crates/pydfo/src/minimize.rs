@@ -101,6 +101,7 @@ pub(crate) fn minimize<'py>(
                 dfo::minimize_by(evaluator).loss(loss.unwrap_or_default())
             }
             true => dfo::minimize_batches(|batch| objective.evaluate_batch(py, batch))
+                .gives_up(objective.gives_up())
                 .loss(loss.unwrap_or_default()),
             false => dfo::minimize(ByRef(&*objective)),
         };

@@ -2,7 +2,7 @@
 
 use crate::interrupt::{EndRequest, Inside};
 use crate::threads::lock;
-use dfo::{Answer, BatchView, Objective, Outcome, Query, Report, RobustLoss};
+use dfo::{Answer, BatchView, GivesUp, Objective, Outcome, Query, Report, RobustLoss};
 use numpy::{PyArray1, PyArrayMethods, PyUntypedArray};
 use pyo3::exceptions::{PyBaseException, PyException, PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -31,6 +31,11 @@ impl PyObjective {
         stop: Arc<EndRequest>,
     ) -> Self {
         Self { function, tolerant, takes_cutoff, loss, stop, raised: Mutex::default() }
+    }
+
+    /// Whether costs above the cutoff count as given up.
+    pub(crate) fn gives_up(&self) -> GivesUp {
+        if self.takes_cutoff { GivesUp::Yes } else { GivesUp::No }
     }
 
     /// The function, or what hands points to it.

@@ -167,3 +167,39 @@ def calibration_loss(calibration):
     with Watching(1) as executor:
         decay().fit("nelder-mead", workers=executor, max_evaluations=3)
     return seen[0]
+
+
+class Cancelling(concurrent.futures.ThreadPoolExecutor):
+    """Cancels every seventh task by itself."""
+
+    count = 0
+
+    def submit(self, fn, /, *args, **kwargs):
+        self.count += 1
+        if self.count % 7 == 0:
+            future = concurrent.futures.Future()
+            future.cancel()
+            future.set_running_or_notify_cancel()
+            return future
+        return super().submit(fn, *args, **kwargs)
+
+
+def test_a_task_that_is_cancelled_elsewhere_has_failed():
+    with Cancelling(2) as executor:
+        asked = {"bounds": [(-2, 2)] * 2, "method": "de", "rng": 1, "max_evaluations": 120}
+        result = pydfo.minimize(slow_cost, [-1.2, 1.0], workers=executor, **asked)
+    assert result.nfev == 120 and result.nfail > 10 and "cancelled" in next(iter(result.failures))
+    with pytest.raises(TypeError, match="the class ThreadPoolExecutor"):
+        pydfo.minimize(slow_cost, [-1.2, 1.0], workers=concurrent.futures.ThreadPoolExecutor)
+
+
+def test_costs_above_the_cutoff_are_the_same_for_all_kinds_of_workers():
+    def cost(x, *, cutoff):
+        return slow_cost(x)
+
+    def path(workers):
+        trace = pydfo.minimize(cost, [-1.2, 1.0], method="nelder-mead", workers=workers, max_evaluations=60).trace
+        return trace.fun[trace.used].tobytes(), trace.above[trace.used].tobytes()
+
+    with concurrent.futures.ThreadPoolExecutor(3) as executor:
+        assert path(1) == path(2) == path(executor) == path(map)

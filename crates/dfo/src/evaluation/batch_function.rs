@@ -1,6 +1,6 @@
 //! A function of the user's that evaluates whole batches on the calling thread.
 
-use super::evaluator::{Evaluator, Polled, Wait, panicked};
+use super::evaluator::{Evaluator, GivesUp, Polled, Wait, panicked};
 use crate::answer::{Answer, Failure, Outcome};
 use crate::objective::{CancelSignals, Query};
 use std::cell::{Cell, RefCell};
@@ -85,6 +85,7 @@ const LEAST_GAIN: f64 = 1.5;
 pub(crate) struct Batches<'a> {
     function: &'a mut BatchFunction<'a>,
     workers: usize,
+    gives_up: GivesUp,
     /// How much faster the points of the last calls were together than one by one, as the function told.
     gain: Option<f64>,
     points: Vec<f64>,
@@ -100,10 +101,11 @@ pub(crate) struct Batches<'a> {
 
 impl<'a> Batches<'a> {
     /// `workers`: how many points a batch should have where the path needs fewer.
-    pub(crate) fn new(function: &'a mut BatchFunction<'a>, workers: usize) -> Self {
+    pub(crate) fn new(function: &'a mut BatchFunction<'a>, workers: usize, gives_up: GivesUp) -> Self {
         Self {
             function,
             workers,
+            gives_up,
             gain: None,
             points: Vec::new(),
             queries: Vec::new(),
@@ -214,6 +216,10 @@ impl Evaluator for Batches<'_> {
 
     fn room(&self, plan: usize) -> usize {
         plan
+    }
+
+    fn gives_up(&self) -> GivesUp {
+        self.gives_up
     }
 
     fn is_ready(&self) -> bool {

@@ -14,7 +14,7 @@ use std::hash::Hasher;
 /// So many evaluations ahead of need may be for nothing, per evaluation of the path; and so many in all before that.
 const WASTE: f64 = 1.75;
 const WASTE_OF_THOUSAND: f64 = 3.5;
-const FIRST_WASTE: usize = 64;
+const FIRST_WASTE: usize = 16;
 /// Up to so many workers the first share holds.
 const FEW_WORKERS: f64 = 64.0;
 

@@ -20,6 +20,9 @@ const STACK_SIZE: usize = 16 << 20;
 /// So long the calling thread has the first points to itself, to see whether evaluations are worth handing over.
 const TRIAL: Duration = Duration::from_micros(100);
 
+/// So many threads the calling thread starts at once; the others are started by these.
+const AT_ONCE: usize = 32;
+
 /// A point on its way to a thread and back.
 #[derive(Debug)]
 struct Job {
@@ -39,6 +42,8 @@ struct Queue {
     /// Nothing begins before.
     opens: Option<Instant>,
     n_threads: usize,
+    /// Threads that were started and have not looked for a job yet.
+    n_starting: usize,
     /// Threads that wait for a job.
     n_idle: usize,
     /// Whether the calling thread evaluates, too.
@@ -90,21 +95,42 @@ impl<'a> Shared<'a> {
         }
     }
 
-    /// Starts a thread where jobs wait that none is free for. What the system refuses is done by those there are.
-    fn start_more<'s>(&'s self, scope: &'s Scope<'s, '_>, sender: &Sender<Job>) {
-        let mut queue = self.queue();
-        let busy = queue.n_threads + usize::from(queue.is_joined);
-        if queue.jobs.len() <= queue.n_idle || busy >= self.workers || queue.is_closed {
-            return;
+    /// Starts threads where jobs wait that none is free for, at most so many. What the system refuses is done by those there are.
+    fn start_more<'s>(&'s self, scope: &'s Scope<'s, '_>, sender: &Sender<Job>, at_most: usize) {
+        for _ in 0..at_most {
+            let mut queue = self.queue();
+            let (busy, coming) =
+                (queue.n_threads + usize::from(queue.is_joined), queue.n_idle + queue.n_starting);
+            if queue.jobs.len() <= coming || busy >= self.workers || queue.is_closed {
+                return;
+            }
+            let number = queue.n_threads;
+            queue.n_threads += 1;
+            queue.n_starting += 1;
+            drop(queue);
+            if let Err(e) = self.start(scope, sender, number) {
+                let mut queue = self.queue();
+                queue.n_threads -= 1;
+                queue.n_starting -= 1;
+                log::warn!("cannot start worker thread {number} of {}: {e}", self.workers);
+                return;
+            }
         }
-        let name = format!("dfo-worker-{}", queue.n_threads);
-        queue.n_threads += 1;
-        drop(queue);
+    }
+
+    fn start<'s>(
+        &'s self,
+        scope: &'s Scope<'s, '_>,
+        sender: &Sender<Job>,
+        number: usize,
+    ) -> std::io::Result<()> {
+        let name = format!("dfo-worker-{number}");
         let own = sender.clone();
         let work = move || {
+            self.queue().n_starting -= 1;
             while let Some(mut job) = self.next() {
-                // Each starts the next, so that the calling thread need not start a thousand.
-                self.start_more(scope, &own);
+                // Each starts another, so that the calling thread need not start a thousand.
+                self.start_more(scope, &own, 1);
                 let Job { x, query, answer, over, .. } = &mut job;
                 if over.load(Ordering::Relaxed) {
                     answer.clear();
@@ -115,11 +141,7 @@ impl<'a> Shared<'a> {
                 let _ = own.send(job);
             }
         };
-        if let Err(e) = Builder::new().name(name).stack_size(STACK_SIZE).spawn_scoped(scope, work) {
-            let mut queue = self.queue();
-            queue.n_threads -= 1;
-            log::warn!("cannot start worker thread {} of {}: {e}", queue.n_threads, self.workers);
-        }
+        Builder::new().name(name).stack_size(STACK_SIZE).spawn_scoped(scope, work).map(drop)
     }
 }
 
@@ -171,7 +193,7 @@ impl<'s, 'e> Threads<'s, 'e> {
             self.shared.changed.notify_one();
         }
         drop(queue);
-        self.shared.start_more(self.scope, &self.sender);
+        self.shared.start_more(self.scope, &self.sender, AT_ONCE);
     }
 
     /// Lets the threads begin; or takes `all` back that none has begun.
@@ -186,7 +208,7 @@ impl<'s, 'e> Threads<'s, 'e> {
         }
         drop(queue);
         self.shared.changed.notify_all();
-        self.shared.start_more(self.scope, &self.sender);
+        self.shared.start_more(self.scope, &self.sender, AT_ONCE);
     }
 
     /// Evaluates a point on the calling thread.

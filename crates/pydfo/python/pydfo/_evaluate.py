@@ -75,6 +75,11 @@ class Returning:
     def __call__(self, x: Any) -> Any:
         try:
             return self.fun(x)
+        except KeyboardInterrupt:
+            if os.getpid() == self.home:
+                raise
+            # A worker of a pool that dies of Ctrl-C leaves its map waiting for ever.
+            return KeyboardInterrupt()
         except Exception as e:
             if os.getpid() == self.home:
                 return e
@@ -160,6 +165,7 @@ class Futures:
         self._call = Timed(returning)
         self._executor = executor
         self._futures: dict[int, concurrent.futures.Future[Any]] = {}
+        self._given_up: set[int] = set()
         self._ended: queue.SimpleQueue[int] = queue.SimpleQueue()
         self.width = width or plan_width(executor)
 
@@ -181,9 +187,11 @@ class Futures:
             return None
         future = self._futures.pop(number)
         try:
-            if future.cancelled():
+            if future.cancelled() and number in self._given_up:
                 return number, 0.0, ..., ""
             ended = future.result()
+        except concurrent.futures.CancelledError as e:
+            return number, 0.0, RuntimeError(f"the task was cancelled {e}".strip()), "lost"
         except (concurrent.futures.BrokenExecutor, pickle.PicklingError, TypeError, AttributeError, ImportError) as e:
             # No point would fare better.
             return number, 0.0, e, "broken"
@@ -197,6 +205,7 @@ class Futures:
         """Gives up a point: one that runs goes on."""
         future = self._futures.get(number)
         if future is not None:
+            self._given_up.add(number)
             future.cancel()
 
 
@@ -206,6 +215,8 @@ def executor_of(workers: Any) -> Any:
     TypeError for objects of Dask and joblib that are none, with the one to pass instead."""
     if callable(getattr(workers, "get_executor", None)):
         raise TypeError("a Dask Client is no executor: give workers=client.get_executor()")
+    if isinstance(workers, type):
+        raise TypeError(f"workers cannot be the class {workers.__name__}: give an executor, {workers.__name__}(...)")
     if callable(getattr(workers, "submit", None)):
         return workers
     if type(workers).__module__.partition(".")[0] == "joblib":
