@@ -215,9 +215,9 @@ def executor_of(workers: Any) -> Any:
     TypeError for objects of Dask and joblib that are none, with the one to pass instead."""
     if callable(getattr(workers, "get_executor", None)):
         raise TypeError("a Dask Client is no executor: give workers=client.get_executor()")
-    if isinstance(workers, type):
-        raise TypeError(f"workers cannot be the class {workers.__name__}: give an executor, {workers.__name__}(...)")
     if callable(getattr(workers, "submit", None)):
+        if isinstance(workers, type):
+            raise TypeError(f"workers cannot be the class {workers.__name__}: give an executor, {workers.__name__}(...)")
         return workers
     if type(workers).__module__.partition(".")[0] == "joblib":
         raise TypeError(
