@@ -277,6 +277,12 @@ impl Evaluator for Threads<'_, '_> {
             }
         }
         self.hand_over(None);
+        if self.shared.queue().n_threads == 0 {
+            // The system refuses any: the calling thread is left.
+            self.take_back(true);
+            let Some(first) = self.waiting.pop_front() else { return Polled::Idle };
+            return self.evaluate(first, wait, answer);
+        }
         match self.receiver.recv_timeout(wait.left()) {
             Ok(job) => {
                 self.away.retain(|(id, _)| *id != job.query.id);

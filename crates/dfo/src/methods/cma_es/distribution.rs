@@ -1,6 +1,7 @@
 //! The normal distribution that points are drawn from, and how it follows the ranked steps of a generation.
 
 use super::weights::{Weights, effective};
+use crate::methods::shared::dot::dot;
 use crate::rng::Stream;
 use nalgebra::{DMatrix, SymmetricEigen};
 use serde::{Deserialize, Serialize};
@@ -202,17 +203,6 @@ impl Distribution {
             && [&self.covariance, &self.axes].iter().all(|m| m.len() == n * n)
             && [&self.deviations, &self.path_sigma, &self.path_c].iter().all(|v| v.len() == n)
     }
-}
-
-/// A sum of products in eight parts, which processors add at once.
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let (eights, others) = (a.chunks_exact(8), b.chunks_exact(8));
-    let rest = eights.remainder().iter().zip(others.remainder()).map(|(a, b)| a * b).sum::<f64>();
-    let mut parts = [0.0; 8];
-    for (a, b) in eights.zip(others) {
-        parts.iter_mut().zip(a.iter().zip(b)).for_each(|(part, (a, b))| *part += a * b);
-    }
-    parts.iter().sum::<f64>() + rest
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 //! solving the conditions takes O(m^3). For models of many parameters.
 
 use super::model::{GRADIENT_WEIGHT, SHIFTS};
+use crate::methods::shared::dot::dot;
 use nalgebra::{Cholesky, DMatrix};
 use serde::{Deserialize, Serialize};
 
@@ -33,17 +34,6 @@ pub(super) struct Step {
     hw: Vec<f64>,
     beta: f64,
     end: Vec<f64>,
-}
-
-/// A sum of products in parts, which processors add at once.
-pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let (eights, others) = (a.chunks_exact(8), b.chunks_exact(8));
-    let rest = eights.remainder().iter().zip(others.remainder()).map(|(a, b)| a * b).sum::<f64>();
-    let mut parts = [0.0; 8];
-    for (a, b) in eights.zip(others) {
-        parts.iter_mut().zip(a.iter().zip(b)).for_each(|(part, (a, b))| *part += a * b);
-    }
-    parts.iter().sum::<f64>() + rest
 }
 
 /// The upper median; 0 of nothing.

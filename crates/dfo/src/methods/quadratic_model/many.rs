@@ -1,10 +1,11 @@
 //! What is done otherwise for many parameters, so that an evaluation takes O(n^2) operations: the inverse of the interpolation conditions is
 //! kept from step to step, and points that lie far off are replaced one by one (NEWUOA: Powell, report DAMTP 2004/NA08; BOBYQA: 2009/NA06).
 
-use super::inverse::{Inverse, dot, median};
+use super::inverse::{Inverse, median};
 use super::iteration::norm;
 use super::options::MOST_FROM_SCRATCH;
 use super::state::{Phase, QuadraticModelState};
+use crate::methods::shared::dot::dot;
 
 /// The inverse is made anew when the base point is farther from its origin than so many trust regions: numbers lose the square of it,
 const FROM_ORIGIN: f64 = 1e3;

@@ -1,7 +1,7 @@
 //! The step of a quadratic model of many parameters within a ball and a box: by conjugate gradients, of O(n^2) operations for each.
 
-use super::inverse::dot;
 use super::subproblem::Region;
+use crate::methods::shared::dot::dot;
 
 /// A step that brings less than this share of the decrease so far ends the search, and so does a gradient as small as this beside the
 /// first (Powell, report DAMTP 2004/NA08, section 5).

@@ -1,6 +1,8 @@
-//! What several methods have: the rank of a cost, populations, generations, planes beside points that failed.
+//! What several methods have: the rank of a cost, populations, generations, planes beside points that failed, products of
+//! long vectors.
 
 pub(crate) mod cost;
+pub(crate) mod dot;
 pub(crate) mod failures;
 pub(crate) mod generations;
 pub(crate) mod population;
