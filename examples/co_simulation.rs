@@ -6,6 +6,7 @@
 
 #![allow(clippy::print_stdout)]
 
+use calibration::RunContext;
 use fmufit::calibration::{
     Calibration, Data, Experiment, FitOptions, Parameter, SavedFit, SimulationSettings,
 };
@@ -49,9 +50,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     std::fs::create_dir_all(&folder)?;
     fit.save(&calibration, folder.join("quad_tank.fit"))?;
     fit.export_ssv(&calibration, folder.join("quad_tank.ssv"), None)?;
-    calibration.report(&fit, folder.join("report.html"))?;
+    calibration.report(&fit, folder.join("report.html"), &RunContext::new())?;
     let again = SavedFit::load(folder.join("quad_tank.fit"))?;
-    if again.fit.x != fit.x || again.calibration_with(fmu)?.cost(&fit.x)? != fit.cost {
+    if again.fit.x != fit.x || again.calibration_with(fmu)?.cost(&fit.x, &RunContext::new())? != fit.cost {
         return Err("what was saved is not what is read".into());
     }
     std::fs::remove_dir_all(&folder)?;

@@ -7,6 +7,7 @@
 
 #![allow(clippy::print_stdout)]
 
+use calibration::RunContext;
 use fmufit::calibration::{
     Calibration, Data, Experiment, Fit, FitOptions, Parameter, Stage, Validation, ValidationSet,
 };
@@ -40,7 +41,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         builder = builder.parameter(Parameter::new(name, nominal).bounds(1e-4 * nominal, upper));
     }
     let calibration = builder.build()?;
-    let validated = |fit: &Fit| calibration.validate(fit, &ValidationSet::Windows(vec![(501.0, 1200.0)]));
+    let validated = |fit: &Fit| {
+        calibration.validate(fit, &ValidationSet::Windows(vec![(501.0, 1200.0)]), &RunContext::new())
+    };
 
     let stages = [Stage::new(["C2", "G2"]), Stage::new(["C1", "G1"])];
     let fit = calibration.fit_stages(&stages, FitOptions::default())?;

@@ -4,6 +4,7 @@
 
 #![allow(clippy::print_stdout)]
 
+use calibration::RunContext;
 use fmufit::calibration::{Calibration, Data, Experiment, FitOptions, Parameter};
 use fmufit::example_models::example_fmu;
 use fmufit::fmi::Fmu;
@@ -21,7 +22,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .parameter(Parameter::new("armFriction", 0.012).bounds(0.0, 0.022))
         .parameter(Parameter::new("pendulumFriction", 0.002).bounds(0.0, 0.012))
         .build()?;
-    let nominal = calibration.cost(&calibration.start())?;
+    let nominal = calibration.cost(&calibration.start(), &RunContext::new())?;
     let fit = calibration.fit(FitOptions::default())?;
     println!("nominal cost {nominal:.4}");
     println!("{fit}");

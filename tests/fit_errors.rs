@@ -4,6 +4,7 @@
 
 mod common;
 
+use calibration::RunContext;
 use common::*;
 use fmufit::calibration::{Calibration, CalibrationBuilder, Data, Experiment, FitOptions, Parameter};
 
@@ -56,14 +57,14 @@ fn a_wrong_number_of_values_is_an_error_with_both_numbers() {
         .experiment(Experiment::new(d).output("x", "x"))
         .build()
         .unwrap();
-    let e = c.cost(&[1.0, 2.0]).unwrap_err().to_string();
+    let e = c.cost(&[1.0, 2.0], &RunContext::new()).unwrap_err().to_string();
     assert!(e.contains("2 values given for 1 parameters (k)"), "{e}");
-    assert!(c.cost(&[f64::NAN]).is_err());
+    assert!(c.cost(&[f64::NAN], &RunContext::new()).is_err());
     let e = c.fit(FitOptions { start: Some(vec![20.0]), ..FitOptions::default() }).unwrap_err().to_string();
     assert!(e.contains("'k'") && e.contains("start 20 is outside of the bounds 0.1 and 10"), "{e}");
     // Trajectories at times beyond the model's default experiment, which ends at 10.
     let times = [0.0, 5.0, 50.0];
-    assert_eq!(c.simulate(&[0.1], Some(&times)).unwrap()[0].time, times);
+    assert_eq!(c.simulate(&[0.1], Some(&times), &RunContext::new()).unwrap()[0].time, times);
 }
 
 #[test]
@@ -93,12 +94,12 @@ fn a_time_limit_that_is_too_short_says_nothing_about_the_model() {
             .build()
             .unwrap()
     };
-    assert!(calibration(Some(std::time::Duration::ZERO)).cost(&[1.0]).is_err());
+    assert!(calibration(Some(std::time::Duration::ZERO)).cost(&[1.0], &RunContext::new()).is_err());
     assert_eq!(fmu.reuse(), None);
     // The ways of bringing instances back are checked when the runs so far have taken long enough for that.
     let unlimited = calibration(None);
     for _ in 0..10_000 {
-        assert!(unlimited.cost(&[1.0]).is_ok());
+        assert!(unlimited.cost(&[1.0], &RunContext::new()).is_ok());
         if fmu.reuse().is_some() {
             break;
         }

@@ -4,6 +4,7 @@
 
 mod common;
 
+use calibration::RunContext;
 use common::*;
 use fmufit::calibration::{Calibration, CalibrationError, Data, Experiment, Fit, FitOptions, Parameter};
 use fmufit::dfo::{
@@ -47,27 +48,27 @@ fn the_fit_finds_the_friction_and_is_the_same_for_any_number_of_workers_and_plan
 fn cost_is_the_sum_of_squared_residuals_in_the_promised_order() {
     let calibration = calibration(furuta_measurements());
     let x = [0.011, 0.0015];
-    let cost = calibration.cost(&x).unwrap();
-    let residuals = calibration.residuals(&x).unwrap();
+    let cost = calibration.cost(&x, &RunContext::new()).unwrap();
+    let residuals = calibration.residuals(&x, &RunContext::new()).unwrap();
     assert_eq!(residuals.len(), 2 * 801);
     let sum: f64 = residuals.iter().map(|r| r * r).sum();
     assert_eq!(sum.to_bits(), cost.to_bits());
     // output by output: the second half belongs to theta
     let data = furuta_measurements();
-    let simulated = &calibration.simulate(&x, None).unwrap()[0];
+    let simulated = &calibration.simulate(&x, None, &RunContext::new()).unwrap()[0];
     let theta = simulated.get("pendulumJoint.phi").unwrap();
     let measured = data.column("theta").unwrap();
     for k in 0..801 {
         assert_eq!(residuals[801 + k].to_bits(), (theta[k] - measured[k]).to_bits());
     }
-    assert_eq!(cost.to_bits(), calibration.cost(&x).unwrap().to_bits());
+    assert_eq!(cost.to_bits(), calibration.cost(&x, &RunContext::new()).unwrap().to_bits());
 }
 
 #[test]
 fn a_cutoff_ends_hopeless_simulations_and_changes_nothing_else() {
     let calibration = calibration(furuta_measurements());
     let x = [0.011, 0.0015];
-    let cost = calibration.cost(&x).unwrap();
+    let cost = calibration.cost(&x, &RunContext::new()).unwrap();
     let at = |cutoff: f64| calibration.answer(&x, &Query::new(0, 0, cutoff)).outcome;
     assert_eq!(at(cost), Outcome::Value(cost));
     assert_eq!(at(0.5 * cost), Outcome::Above(0.5 * cost));
@@ -85,7 +86,8 @@ fn missing_values_and_a_window_shorten_the_vector_and_nothing_else() {
     let full = calibration(data);
     let holed = calibration(holed);
     let x = [0.011, 0.0015];
-    let (a, mut b) = (full.residuals(&x).unwrap(), holed.residuals(&x).unwrap());
+    let (a, mut b) =
+        (full.residuals(&x, &RunContext::new()).unwrap(), holed.residuals(&x, &RunContext::new()).unwrap());
     assert_eq!(b.len(), a.len() - 2);
     b.insert(3, a[3]);
     b.insert(700, a[700]);
@@ -97,7 +99,7 @@ fn missing_values_and_a_window_shorten_the_vector_and_nothing_else() {
         .build()
         .unwrap();
     // The last steps differ: they are cut to end with the window.
-    let windowed = windowed.residuals(&x).unwrap();
+    let windowed = windowed.residuals(&x, &RunContext::new()).unwrap();
     assert_eq!(windowed.len(), 21);
     assert!(windowed.iter().zip(&a[20..=40]).all(|(w, a)| (w - a).abs() < 1e-6), "{windowed:?}");
 }

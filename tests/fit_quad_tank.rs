@@ -4,6 +4,7 @@
 
 mod common;
 
+use calibration::RunContext;
 use common::*;
 use fmufit::calibration::{Calibration, Data, Experiment, Fit, FitOptions, Parameter};
 use fmufit::dfo::RunOptions;
@@ -75,7 +76,7 @@ fn inputs_are_linear_between_the_rows() {
     }
     let finer = Data::from_columns((0..=120).map(|k| 0.5 * f64::from(k)).collect(), columns).unwrap();
     let x = [2.66e-6, 2.71e-6];
-    let expected = calibration(data, 2).cost(&x).unwrap();
-    let found = calibration(finer, 2).cost(&x).unwrap();
+    let expected = calibration(data, 2).cost(&x, &RunContext::new()).unwrap();
+    let found = calibration(finer, 2).cost(&x, &RunContext::new()).unwrap();
     assert!((found - expected).abs() < 1e-5 * expected, "{found} instead of {expected}");
 }

@@ -5,6 +5,7 @@
 
 mod common;
 
+use calibration::RunContext;
 use common::*;
 use fmufit::calibration::{Calibration, Experiment, Parameter};
 
@@ -35,7 +36,7 @@ fn growth(calls: usize, workers: usize) -> usize {
                 scope.spawn(move || {
                     for k in (from + worker..to).step_by(workers) {
                         let x = [0.008 + 1e-7 * (k % 1000) as f64, 0.001 + 1e-8 * (k % 997) as f64];
-                        assert!(calibration.cost(&x).unwrap().is_finite());
+                        assert!(calibration.cost(&x, &RunContext::new()).unwrap().is_finite());
                     }
                 });
             }

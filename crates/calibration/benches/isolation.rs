@@ -2,6 +2,7 @@
 //! evaluation in this process. `cargo bench -p fmufit-calibration --bench isolation`
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
+use calibration::RunContext;
 use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, SimulationSettings};
 use dfo::RunOptions;
 use fmi::Fmu;
@@ -77,12 +78,13 @@ fn overhead() {
     };
     let (here, apart) = (calibration(Isolation::None), calibration(Isolation::Process));
     let began = Instant::now();
-    apart.cost(&[1.2]).unwrap();
+    apart.cost(&[1.2], &RunContext::new()).unwrap();
     println!("first answer of a process: {:.1} ms", 1e3 * began.elapsed().as_secs_f64());
     let rounds: Vec<[f64; 3]> = (0..ROUNDS)
         .map(|_| {
-            let cost =
-                |calibration: &Calibration| seconds_per_call(|| drop(calibration.residuals(&[1.2]).unwrap()));
+            let cost = |calibration: &Calibration| {
+                seconds_per_call(|| drop(calibration.residuals(&[1.2], &RunContext::new()).unwrap()))
+            };
             [seconds_per_call(&mut ping), cost(&here), cost(&apart)]
         })
         .collect();

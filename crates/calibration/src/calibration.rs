@@ -13,6 +13,7 @@ use crate::remote::{Asked, Job};
 use crate::residual::CostRule;
 use crate::solver::{AtStart, Choice, Solver};
 use crate::warning::{SETUP_LOG_TARGET, SetupWarning};
+use base::RunContext;
 use dfo::{Answer, Checkpoint, Failure, Objective, Outcome, Query, RobustLoss, Want};
 use fmi::worker::Isolation;
 use fmi::{Cancel, FmiError, Fmu, Pool, Trajectory};
@@ -215,7 +216,7 @@ impl Calibration {
     /// `x` has another length than there are parameters.
     pub fn prior_cost(&self, x: &[f64], loss: RobustLoss) -> f64 {
         let mut residuals = vec![0.0; self.residual_layout().priors.len()];
-        let rule = CostRule::whole(loss, &|| false);
+        let rule = CostRule::whole(loss, &RunContext::new());
         self.evaluator.prior_residuals(x, rule, &mut residuals).unwrap_or(f64::NAN)
     }
 
@@ -243,36 +244,28 @@ impl Calibration {
         self.evaluator.start()
     }
 
+    /// The same, if it is known already.
+    pub fn known_solver(&self) -> Option<&Solver> {
+        self.choice.known()
+    }
+
     /// The method that integrates the simulations of this calibration, in fits and outside of them. Where the settings
     /// name none, it is found at the first use, by a race at the parameters' start values (see [`race`](crate::race)): up to four
     /// simulations of every experiment, one if the model is not stiff there. It stays the same from then on.
     ///
     /// # Errors
     /// The model cannot be loaded or instantiated. Simulations that fail are no error: they lose.
-    pub fn solver(&self) -> Result<&Solver, CalibrationError> {
-        self.solver_until(&|| false)
-    }
-
-    /// The same, if it is known already.
-    pub fn known_solver(&self) -> Option<&Solver> {
-        self.choice.known()
-    }
-
-    /// As [`solver`](Self::solver); gives up when `cancelled` says so.
-    ///
-    /// # Errors
-    /// As [`solver`](Self::solver), and [`CalibrationError::Cancelled`].
-    pub fn solver_until(&self, cancelled: &dyn Fn() -> bool) -> Result<&Solver, CalibrationError> {
-        self.solver_counted(cancelled, &mut Stats::default()).map(|(solver, _)| solver)
+    pub fn solver(&self, context: &RunContext<'_>) -> Result<&Solver, CalibrationError> {
+        self.solver_counted(context, &mut Stats::default()).map(|(solver, _)| solver)
     }
 
     /// The same; what a race takes is added to `stats`, and the evaluation at the start values that was part of it is handed on.
     pub(crate) fn solver_counted(
         &self,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Result<(&Solver, Option<AtStart>), CalibrationError> {
-        let (chosen, at_start) = self.choice.chosen(&self.evaluator, cancelled, stats)?;
+        let (chosen, at_start) = self.choice.chosen(&self.evaluator, context, stats)?;
         Ok((&chosen.solver, at_start))
     }
 
@@ -285,24 +278,16 @@ impl Calibration {
     }
 
     /// The simulators of an experiment with the method in use.
-    pub(crate) fn pool(&self, experiment: usize, cancelled: &dyn Fn() -> bool) -> Result<&Pool, NoCost> {
-        self.choice.pool(&self.evaluator, experiment, cancelled)
+    pub(crate) fn pool(&self, experiment: usize, context: &RunContext<'_>) -> Result<&Pool, NoCost> {
+        self.choice.pool(&self.evaluator, experiment, context)
     }
 
     /// The cost at `x` (one value per parameter, user's units).
     ///
     /// # Errors
     /// The wrong number of values, or a simulation that failed: then the error says where and why.
-    pub fn cost(&self, x: &[f64]) -> Result<f64, CalibrationError> {
-        self.cost_until(x, &|| false)
-    }
-
-    /// As [`cost`](Self::cost); `cancelled` is asked before every step of the simulation, which ends when it says so.
-    ///
-    /// # Errors
-    /// As [`cost`](Self::cost), and [`CalibrationError::Cancelled`].
-    pub fn cost_until(&self, x: &[f64], cancelled: &dyn Fn() -> bool) -> Result<f64, CalibrationError> {
-        self.evaluate_fully(x, cancelled, &mut Stats::default()).map(|(cost, _)| cost)
+    pub fn cost(&self, x: &[f64], context: &RunContext<'_>) -> Result<f64, CalibrationError> {
+        self.evaluate_fully(x, context, &mut Stats::default()).map(|(cost, _)| cost)
     }
 
     /// The residuals at `x`, simulated minus measured times weight: experiment by experiment, output by output, in the
@@ -310,30 +295,18 @@ impl Calibration {
     ///
     /// # Errors
     /// As [`cost`](Self::cost).
-    pub fn residuals(&self, x: &[f64]) -> Result<Vec<f64>, CalibrationError> {
-        self.residuals_until(x, &|| false)
-    }
-
-    /// As [`residuals`](Self::residuals), ended as [`cost_until`](Self::cost_until).
-    ///
-    /// # Errors
-    /// As [`cost`](Self::cost), and [`CalibrationError::Cancelled`].
-    pub fn residuals_until(
-        &self,
-        x: &[f64],
-        cancelled: &dyn Fn() -> bool,
-    ) -> Result<Vec<f64>, CalibrationError> {
-        self.residuals_counted(x, cancelled, &mut Stats::default())
+    pub fn residuals(&self, x: &[f64], context: &RunContext<'_>) -> Result<Vec<f64>, CalibrationError> {
+        self.residuals_counted(x, context, &mut Stats::default())
     }
 
     /// The same; what the simulations take is added to `stats`.
     pub(crate) fn residuals_counted(
         &self,
         x: &[f64],
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Result<Vec<f64>, CalibrationError> {
-        self.evaluate_fully(x, cancelled, stats).map(|(_, residuals)| residuals)
+        self.evaluate_fully(x, context, stats).map(|(_, residuals)| residuals)
     }
 
     /// Simulates every experiment at `x` and keeps the trajectories of the compared outputs, at the measured times or,
@@ -341,47 +314,39 @@ impl Calibration {
     ///
     /// # Errors
     /// As [`cost`](Self::cost).
-    pub fn simulate(&self, x: &[f64], times: Option<&[f64]>) -> Result<Vec<Trajectory>, CalibrationError> {
-        self.simulate_until(x, times, &|| false)
-    }
-
-    /// As [`simulate`](Self::simulate), ended as [`cost_until`](Self::cost_until).
-    ///
-    /// # Errors
-    /// As [`cost`](Self::cost), and [`CalibrationError::Cancelled`].
-    pub fn simulate_until(
+    pub fn simulate(
         &self,
         x: &[f64],
         times: Option<&[f64]>,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Vec<Trajectory>, CalibrationError> {
         (0..self.problem().experiments.len())
-            .map(|k| self.simulate_experiment_until(k, x, times, cancelled))
+            .map(|k| self.simulate_experiment(k, x, times, context))
             .collect()
     }
 
-    /// As [`simulate_until`](Self::simulate_until), one experiment, counted from 0.
+    /// As [`simulate`](Self::simulate), one experiment, counted from 0.
     ///
     /// # Errors
     /// As [`cost`](Self::cost), and [`CalibrationError::Cancelled`].
     ///
     /// # Panics
     /// There is no such experiment.
-    pub fn simulate_experiment_until(
+    pub fn simulate_experiment(
         &self,
         experiment: usize,
         x: &[f64],
         times: Option<&[f64]>,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Trajectory, CalibrationError> {
         self.check_length(x)?;
-        let method = self.solver_until(cancelled)?.method;
+        let method = self.solver(context)?.method;
         if let Ok(remote) = &self.evaluator.remote {
             let times = times.map(<[f64]>::to_vec);
             let job = Job::Experiment { experiment, x: x.to_vec(), method, times };
-            return remote.trajectory(&job, cancelled);
+            return remote.trajectory(&job, context);
         }
-        let mut poll = || if cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+        let mut poll = || if context.is_over() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
         let simulation = &self.evaluator.simulations[experiment];
         let trajectory = simulation.trajectory(self.fmu(), (x, method), times, &mut poll)?;
         match trajectory.termination {
@@ -409,12 +374,12 @@ impl Calibration {
     fn evaluate_fully(
         &self,
         x: &[f64],
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Result<(f64, Vec<f64>), CalibrationError> {
         self.check_length(x)?;
         let mut residuals = vec![0.0; self.n_residuals()];
-        let rule = CostRule::whole(RobustLoss::default(), cancelled);
+        let rule = CostRule::whole(RobustLoss::default(), context);
         let cost = self.evaluate_in(Asked::Checked, x, rule, &mut residuals, stats);
         cost.map(|cost| (cost, residuals)).map_err(|no_cost| match no_cost {
             NoCost::Failed { message, source, .. } => self.failed_at(x, message, source),
@@ -445,8 +410,9 @@ impl Calibration {
         stats: &mut Stats,
     ) {
         let before = stats.right_hand_sides;
+        let ended = || query.cancelled();
         answer.residuals.resize(self.n_residuals(), 0.0);
-        let rule = CostRule { loss, cutoff: query.cutoff, cancelled: &|| query.cancelled() };
+        let rule = CostRule { loss, cutoff: query.cutoff, context: RunContext::new().asking(&ended) };
         answer.outcome = match self.evaluate_into(x, rule, &mut answer.residuals, stats) {
             Ok(cost) => Outcome::Value(cost),
             Err(NoCost::Above) => Outcome::Above(query.cutoff),
@@ -481,17 +447,17 @@ impl Calibration {
         stats: &mut Stats,
     ) -> Result<f64, NoCost> {
         if let Ok(remote) = &self.evaluator.remote {
-            let method = self.method_until(rule.cancelled)?;
+            let method = self.method(&rule.context)?;
             return remote.evaluate((x, method), rule, (None, process), out, stats);
         }
         self.evaluator.evaluate(x, rule, out, stats, |k, run| {
-            Ok(self.pool(k, rule.cancelled)?.with_simulator(rule.cancelled, run))
+            Ok(self.pool(k, &rule.context)?.with_simulator(&rule.context, run))
         })
     }
 
     /// The method in use, for an evaluation.
-    pub(crate) fn method_until(&self, cancelled: &dyn Fn() -> bool) -> Result<Method, NoCost> {
-        let solver = self.solver_until(cancelled).map_err(|error| match error {
+    pub(crate) fn method(&self, context: &RunContext<'_>) -> Result<Method, NoCost> {
+        let solver = self.solver(context).map_err(|error| match error {
             CalibrationError::Model(error) => NoCost::Over(Box::new(error)),
             _ => NoCost::Cancelled,
         });

@@ -7,11 +7,12 @@ use crate::objective::CostKind;
 use crate::parallel;
 use crate::validation::{Validation, ValidationSet};
 use crate::worth::digits;
+use base::RunContext;
 use dfo::{AnyMethod, RobustLoss, RunOptions};
 use ode::{Number, Stats};
 use std::fmt;
 use std::thread::available_parallelism;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// How a cross-validation is made.
 #[derive(Debug, Clone)]
@@ -80,18 +81,7 @@ impl Calibration {
     pub fn cross_validate(
         &self,
         options: &CrossValidationOptions,
-    ) -> Result<CrossValidation, CalibrationError> {
-        self.cross_validate_until(options, &|| false)
-    }
-
-    /// As [`cross_validate`](Self::cross_validate); `cancelled` is asked on the calling thread.
-    ///
-    /// # Errors
-    /// As [`cross_validate`](Self::cross_validate), and [`CalibrationError::Cancelled`].
-    pub fn cross_validate_until(
-        &self,
-        options: &CrossValidationOptions,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<CrossValidation, CalibrationError> {
         let setup = |message: String| Err(CalibrationError::Setup(message));
         let n = self.problem().experiments.len();
@@ -106,25 +96,21 @@ impl Calibration {
         if !(2..=n).contains(&k) {
             return setup(format!("{k} folds of {n} recordings: there must be from 2 to {n}"));
         }
-        self.solver_until(cancelled)?;
+        self.solver(context)?;
         self.prepare()?;
         let workers = options.run.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
-        let late = options.run.limits.max_time.and_then(|limit| Instant::now().checked_add(limit));
-        let task = |fold: usize, cancelled: &dyn Fn() -> bool| {
+        let task = |fold: usize, context: &RunContext<'_>| {
             let mut run = options.run.clone();
             (run.workers, run.checkpoint) = (Some((workers / k).max(1)), None);
-            if let Some(late) = late {
-                let left = late.saturating_duration_since(Instant::now());
-                run.limits.max_time = Some(left.max(Duration::from_millis(1)));
-            }
-            let is_late = || late.is_some_and(|late| Instant::now() >= late);
-            match self.fold((fold, k), run, options, &|| cancelled() || is_late()) {
+            run.limits.max_time = context.left().map(|left| left.max(Duration::from_millis(1)));
+            match self.fold((fold, k), run, options, context) {
                 // What it was when the time was up says nothing.
-                _ if is_late() && !cancelled() => Ok(None),
+                _ if context.is_late() && !context.is_cancelled() => Ok(None),
                 fold => fold.map(Some),
             }
         };
-        let made = parallel::map((k, workers), cancelled, &task).into_iter();
+        let made =
+            parallel::map((k, workers), &context.within(options.run.limits.max_time), &task).into_iter();
         let made: Vec<Option<Fold>> =
             made.map(|fold| fold.unwrap_or(Err(CalibrationError::Cancelled))).collect::<Result<_, _>>()?;
         let names = self.problem().experiment_names();
@@ -164,7 +150,7 @@ impl Calibration {
         (fold, k): (usize, usize),
         run: RunOptions<AnyMethod>,
         options: &CrossValidationOptions,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Fold, CalibrationError> {
         let mut problem = self.problem().clone();
         let (mut held_out, mut kept) = (Vec::new(), Vec::new());
@@ -182,27 +168,26 @@ impl Calibration {
             source: Box::new(source),
         };
         let fitted = self.derived(problem).map_err(without)?;
-        let poll: Option<Box<dyn FnMut() -> bool>> = Some(Box::new(cancelled));
         let fit = fitted
             .fit(FitOptions {
                 run,
                 loss: options.loss,
                 objective: options.objective.clone(),
                 noise: options.noise,
-                poll,
+                context: *context,
                 worth: None,
                 ..FitOptions::default()
             })
             .map_err(without)?;
-        if cancelled() {
+        if context.is_over() {
             return Err(CalibrationError::Cancelled);
         }
-        let validation = fitted.validate_until(&fit, &ValidationSet::Experiments(held_out), cancelled);
+        let validation = fitted.validate(&fit, &ValidationSet::Experiments(held_out), context);
         let mut validation = validation.map_err(without)?;
         let mut fit_rms = fit.rms;
         if !options.loss.is_linear() {
             let plain = (&options.objective, RobustLoss::default());
-            let found = fitted.cost_and_residuals(&fit.x, plain, cancelled, &mut validation.stats);
+            let found = fitted.cost_and_residuals(&fit.x, plain, context, &mut validation.stats);
             validation.n_simulations += 1;
             fit_rms = found.map_or(f64::NAN, |(_, r)| fitted.rms_of(&r, fitted.residual_layout()));
         }

@@ -5,6 +5,7 @@ use crate::no_cost::NoCost;
 use crate::objective::CostKind;
 use crate::parameter::{Parameter, Scale};
 use crate::residual::CostRule;
+use base::RunContext;
 use dfo::{FailureKind, Kind, Measure, Outcome, Report, Termination, Tolerances};
 use ode::Stats;
 use serde::{Deserialize, Serialize};
@@ -79,7 +80,7 @@ impl Calibration {
         &self,
         (start, held, report, kind): (&[f64], &[usize], &Report, &CostKind),
         tolerances: &Tolerances,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Findings {
         let mut candidates = self.near_bound(report, tolerances);
@@ -100,7 +101,7 @@ impl Calibration {
             checked.n_checks += 1;
             let mut x = report.x.clone();
             x[index] = value;
-            let rule = CostRule::whole(report.loss, cancelled);
+            let rule = CostRule::whole(report.loss, context);
             let sum = self.evaluate_into(&x, rule, &mut residuals, stats)?;
             let outcome = kind.outcome(self.residual_layout(), (sum, &residuals), &mut Vec::new());
             outcome.value().ok_or_else(|| NoCost::failed(FailureKind::Error, "there is no cost".to_owned()))
@@ -131,7 +132,7 @@ impl Calibration {
                 _ => {}
             }
         }
-        if cancelled() {
+        if context.is_over() {
             found.n_checks = checked.n_checks;
             return found;
         }

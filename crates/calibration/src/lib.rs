@@ -57,6 +57,7 @@ mod warning;
 mod worker;
 mod worth;
 
+pub use base::RunContext;
 pub use calibration::{Calibration, CalibrationBuilder};
 pub use check::{Check, CheckOptions};
 pub use column_units::{InputColumn, recorded_inputs};

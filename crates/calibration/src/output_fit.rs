@@ -3,6 +3,7 @@
 use crate::calibration::Calibration;
 use crate::layout::{OutputResiduals, ResidualLayout};
 use crate::residual::CostRule;
+use base::RunContext;
 use dfo::RobustLoss;
 use ode::Stats;
 use serde::{Deserialize, Serialize};
@@ -107,14 +108,14 @@ impl Calibration {
         &self,
         (start, x): (&[f64], &[f64]),
         (known, loss): (&KeptResiduals, RobustLoss),
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> (Option<Vec<f64>>, Option<Vec<f64>>) {
         let [at_start, at_end] = known.plain((start, x), loss);
         let mut simulated = |x: &[f64]| {
             let mut residuals = vec![0.0; self.n_residuals()];
-            let rule = CostRule::whole(RobustLoss::default(), cancelled);
-            let cost = (!cancelled()).then(|| self.evaluate_into(x, rule, &mut residuals, stats));
+            let rule = CostRule::whole(RobustLoss::default(), context);
+            let cost = (!context.is_over()).then(|| self.evaluate_into(x, rule, &mut residuals, stats));
             cost.is_some_and(|cost| cost.is_ok()).then_some(residuals)
         };
         let Some(at_end) = at_end.or_else(|| simulated(x)) else { return (None, None) };

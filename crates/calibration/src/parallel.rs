@@ -1,5 +1,6 @@
 //! The same task for many items, on threads of its own; a task beside another one.
 
+use base::RunContext;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::thread::Builder;
@@ -12,25 +13,29 @@ const STACK_SIZE: usize = 16 << 20;
 const POLL: Duration = Duration::from_millis(20);
 
 /// What `task` makes of the numbers below `n`, in their order, on up to `workers` threads; on the calling thread where one is enough
-/// or none can be started. The calling thread asks `cancelled`; a task is told by the function that it is given, and is not begun
+/// or none can be started. The calling thread looks at the context; a task has one of its own that ends with it, and is not begun
 /// after that. `None`: not begun, or it panicked.
 pub(crate) fn map<T: Send>(
     (n, workers): (usize, usize),
-    cancelled: &dyn Fn() -> bool,
-    task: &(dyn Fn(usize, &dyn Fn() -> bool) -> T + Sync),
+    context: &RunContext<'_>,
+    task: &(dyn Fn(usize, &RunContext<'_>) -> T + Sync),
 ) -> Vec<Option<T>> {
     let mut results: Vec<Option<T>> = (0..n).map(|_| None).collect();
     let (next, is_over) = (AtomicUsize::new(0), AtomicBool::new(false));
     if n.min(workers) > 1 {
+        let end = context.end();
         let (sender, receiver) = channel();
         std::thread::scope(|scope| {
             let spawn = |k: usize| {
                 let (sender, next, is_over) = (sender.clone(), &next, &is_over);
                 let work = move || {
-                    let is_over = || is_over.load(Ordering::Relaxed);
+                    let context = RunContext::new().flagged(is_over).until(end);
                     loop {
                         let item = next.fetch_add(1, Ordering::Relaxed);
-                        if item >= n || is_over() || sender.send((item, task(item, &is_over))).is_err() {
+                        if item >= n
+                            || context.is_over()
+                            || sender.send((item, task(item, &context))).is_err()
+                        {
                             break;
                         }
                     }
@@ -43,7 +48,9 @@ pub(crate) fn map<T: Send>(
             loop {
                 match receiver.recv_timeout(POLL) {
                     Ok((item, result)) => results[item] = Some(result),
-                    Err(RecvTimeoutError::Timeout) if cancelled() => is_over.store(true, Ordering::Relaxed),
+                    Err(RecvTimeoutError::Timeout) if context.is_cancelled() => {
+                        is_over.store(true, Ordering::Relaxed)
+                    }
                     Err(RecvTimeoutError::Timeout) => {}
                     Err(RecvTimeoutError::Disconnected) => break,
                 }
@@ -55,28 +62,28 @@ pub(crate) fn map<T: Send>(
         });
     }
     for (item, result) in results.iter_mut().enumerate().skip(next.into_inner()) {
-        if is_over.load(Ordering::Relaxed) || cancelled() {
+        if is_over.load(Ordering::Relaxed) || context.is_over() {
             break;
         }
-        *result = Some(task(item, cancelled));
+        *result = Some(task(item, context));
     }
     results
 }
 
-/// Does `work` on the calling thread and `task` on one of its own, which is told when `cancelled` says so, or when the work has failed. `None`: it
+/// Does `work` on the calling thread and `task` on one of its own, whose context ends with the calling thread's, or when the work has failed. `None`: it
 /// panicked.
 pub(crate) fn beside<T: Send, U, E>(
-    cancelled: &dyn Fn() -> bool,
-    task: impl FnOnce(&dyn Fn() -> bool) -> T + Send,
+    context: &RunContext<'_>,
+    task: impl FnOnce(&RunContext<'_>) -> T + Send,
     work: impl FnOnce() -> Result<U, E>,
 ) -> (Result<U, E>, Option<T>) {
     let (is_over, (sender, receiver)) = (AtomicBool::new(false), channel());
     std::thread::scope(|scope| {
         let is_over = &is_over;
-        scope.spawn(move || sender.send(task(&|| is_over.load(Ordering::Relaxed))));
+        scope.spawn(move || sender.send(task(&RunContext::new().flagged(is_over))));
         let done = work();
         loop {
-            if done.is_err() || cancelled() {
+            if done.is_err() || context.is_over() {
                 is_over.store(true, Ordering::Relaxed);
             }
             match receiver.recv_timeout(POLL) {
@@ -95,10 +102,10 @@ mod tests {
     #[test]
     fn results_are_in_the_order_of_the_items() {
         for workers in [1, 3, 100] {
-            let squares = map((20, workers), &|| false, &|k, _| k * k);
+            let squares = map((20, workers), &RunContext::new(), &|k, _| k * k);
             assert_eq!(squares, (0..20).map(|k| Some(k * k)).collect::<Vec<_>>());
         }
-        assert!(map((0, 3), &|| false, &|k, _| k).is_empty());
+        assert!(map((0, 3), &RunContext::new(), &|k, _| k).is_empty());
     }
 
     #[test]
@@ -109,8 +116,8 @@ mod tests {
                 asked.set(asked.get() + 1);
                 asked.get() > 2
             };
-            let waited = map((100, workers), &cancelled, &|_, is_over| {
-                while !is_over() {
+            let waited = map((100, workers), &RunContext::new().asking(&cancelled), &|_, context| {
+                while !context.is_over() {
                     std::thread::yield_now();
                 }
             });
@@ -121,7 +128,7 @@ mod tests {
 
     #[test]
     fn a_panic_costs_one_result() {
-        let results = map((4, 2), &|| false, &|k, _| {
+        let results = map((4, 2), &RunContext::new(), &|k, _| {
             assert_ne!(k, 2);
             k
         });

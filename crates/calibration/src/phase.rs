@@ -1,7 +1,6 @@
-//! The phases of a fit: what it does just now, and the time that is left for all of them.
+//! The phases of a fit.
 
 use std::sync::atomic::{AtomicU8, Ordering};
-use std::time::{Duration, Instant};
 
 /// What a fit does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -53,36 +52,6 @@ impl CurrentPhase {
     }
 }
 
-/// The wall-clock time of a fit: one limit for all of its phases, from its start on.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Deadline {
-    began: Instant,
-    end: Option<Instant>,
-}
-
-impl Deadline {
-    /// From now on; a limit beyond what the clock can count is none.
-    pub(crate) fn new(limit: Option<Duration>) -> Self {
-        let began = Instant::now();
-        Self { began, end: limit.and_then(|limit| began.checked_add(limit)) }
-    }
-
-    /// Whether the time is up.
-    pub(crate) fn is_over(&self) -> bool {
-        self.end.is_some_and(|end| Instant::now() >= end)
-    }
-
-    /// What is left; `None`: no limit.
-    pub(crate) fn left(&self) -> Option<Duration> {
-        self.end.map(|end| end.saturating_duration_since(Instant::now()))
-    }
-
-    /// The time since the start.
-    pub(crate) fn elapsed(&self) -> Duration {
-        self.began.elapsed()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -94,14 +63,5 @@ mod tests {
             current.set(phase);
             assert_eq!(current.get(), phase);
         }
-    }
-
-    #[test]
-    fn a_limit_ends_and_none_never_does() {
-        let none = Deadline::new(None);
-        assert!(!none.is_over() && none.left().is_none());
-        assert!(Deadline::new(Some(Duration::MAX)).left().is_none());
-        let over = Deadline::new(Some(Duration::ZERO));
-        assert!(over.is_over() && over.left() == Some(Duration::ZERO));
     }
 }

@@ -7,6 +7,7 @@ use crate::fit::{Fit, FitNoise};
 use crate::parallel;
 use crate::parameter::Parameter;
 use crate::worth::{Worth, check_level};
+use base::RunContext;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use ode::Number;
 use serde::{Deserialize, Serialize};
@@ -92,7 +93,7 @@ impl Calibration {
         &self,
         fit: &Fit,
         options: &BandOptions,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Vec<PredictionBand>, CalibrationError> {
         let setup = |message: String| Err(CalibrationError::Setup(message));
         self.check_length(&fit.x)?;
@@ -127,10 +128,10 @@ impl Calibration {
         if let Some(name) = chosen.unwrap_or_default().iter().find(|name| !known.contains(&name.as_str())) {
             return setup(format!("there is no output '{name}'; there are: {}", known.join(", ")));
         }
-        self.solver_until(cancelled)?;
+        self.solver(context)?;
         self.prepare()?;
         // Short simulations may end before anybody asks again.
-        if cancelled() {
+        if context.is_over() {
             return Err(CalibrationError::Cancelled);
         }
         let steps = self.principal_steps(fit, worth);
@@ -148,11 +149,11 @@ impl Calibration {
         }
         let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
         let n = self.problem().experiments.len();
-        let task = |i: usize, cancelled: &dyn Fn() -> bool| {
-            self.simulate_experiment_until(i % n, &points[i / n], options.times.as_deref(), cancelled)
+        let task = |i: usize, context: &RunContext<'_>| {
+            self.simulate_experiment(i % n, &points[i / n], options.times.as_deref(), context)
         };
         let mut found = Vec::with_capacity(points.len() * n);
-        for simulated in parallel::map((points.len() * n, workers), cancelled, &task) {
+        for simulated in parallel::map((points.len() * n, workers), context, &task) {
             found.push(simulated.unwrap_or(Err(CalibrationError::Cancelled))?);
         }
         if let Some(i) = (0..found.len()).find(|i| found[*i].time.len() != found[i % n].time.len()) {

@@ -8,6 +8,7 @@ use crate::parameter::Parameter;
 use crate::residual::sum_of_squares;
 use crate::simulations::{Point, Simulations};
 use crate::worth::digits;
+use base::RunContext;
 use dfo::{Kind, RobustLoss};
 use nalgebra::DMatrix;
 use ode::Stats;
@@ -93,7 +94,7 @@ pub struct ParameterCheck {
 
 impl Calibration {
     /// Looks before a fit at what would spoil it: each parameter is moved by a hundredth of its size (one simulation each, in
-    /// parallel), and the start is simulated once more with a hundredth of the relative tolerance (with a fixed-step method: half the step). `cancelled` is asked on the calling
+    /// parallel), and the start is simulated once more with a hundredth of the relative tolerance (with a fixed-step method: half the step). The context is looked at on the calling
     /// thread.
     ///
     /// # Errors
@@ -101,9 +102,9 @@ impl Calibration {
     pub fn preflight(
         &self,
         options: &PreflightOptions,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Preflight, CalibrationError> {
-        self.preflight_counted(options, &mut None, cancelled, &mut Stats::default())
+        self.preflight_counted(options, &mut None, context, &mut Stats::default())
     }
 
     /// The same; what its simulations took is added to `stats`. `known`: the residuals at the start, as they count, and the seconds
@@ -112,13 +113,13 @@ impl Calibration {
         &self,
         options: &PreflightOptions,
         known: &mut Option<(Vec<f64>, f64)>,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Result<Preflight, CalibrationError> {
         let start = options.start.clone().unwrap_or_else(|| self.start());
         self.check_length(&start)?;
         let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
-        let mut simulations = Simulations::new(self, (options.loss, workers), cancelled)?;
+        let mut simulations = Simulations::new(self, (options.loss, workers), context)?;
         let (residuals, seconds_per_evaluation) = match known {
             Some(known) => known.clone(),
             None => {

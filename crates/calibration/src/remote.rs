@@ -8,6 +8,7 @@ use crate::parallel::beside;
 use crate::problem::{ModelFile, Problem};
 use crate::race::{RaceOutcome, RaceRun, RaceTask};
 use crate::residual::CostRule;
+use base::RunContext;
 use dfo::RobustLoss;
 use fmi::worker::{Frame, Isolation, Load, WorkerLimits, Workers};
 use fmi::{FmiError, Fmu, OpenOptions, SimulateOptions, Trajectory};
@@ -138,7 +139,7 @@ impl Processes {
         &self,
         job: &Job,
         (process, limit): (Asked, Option<Duration>),
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         use_answer: impl FnOnce(&mut Frame) -> std::io::Result<T>,
     ) -> Result<T, FmiError> {
         let frames = || self.frames.lock().unwrap_or_else(PoisonError::into_inner);
@@ -147,9 +148,9 @@ impl Processes {
         let is_fresh = process == Asked::Fresh || self.is_always_fresh.load(Ordering::Relaxed);
         let is_checked = || self.is_checked.load(Ordering::Relaxed);
         if process != Asked::Checked || is_fresh || is_checked() {
-            self.call(&asked, &mut answer, (is_fresh, limit), cancelled)?;
+            self.call(&asked, &mut answer, (is_fresh, limit), context)?;
         } else {
-            self.ask_checked(&asked, &mut answer, limit, cancelled)?;
+            self.ask_checked(&asked, &mut answer, limit, context)?;
         }
         if process == Asked::Checked && !is_checked() || self.is_always_fresh.load(Ordering::Relaxed) {
             self.workers.start_ahead(&self.load, 0, 1);
@@ -164,9 +165,9 @@ impl Processes {
         asked: &Frame,
         answer: &mut Frame,
         (is_fresh, limit): (bool, Option<Duration>),
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<(), FmiError> {
-        let quirks = self.workers.call(&self.load, asked, answer, cancelled, limit, is_fresh)?;
+        let quirks = self.workers.call(&self.load, asked, answer, context, limit, is_fresh)?;
         self.fmu.add_quirks(quirks);
         Ok(())
     }
@@ -178,27 +179,27 @@ impl Processes {
         asked: &Frame,
         answer: &mut Frame,
         limit: Option<Duration>,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<(), FmiError> {
         let known = || self.first.lock().unwrap_or_else(PoisonError::into_inner);
         let first = known().clone();
         let Some((first, numbers)) = first.filter(|(first, _)| first != asked) else {
-            self.call(asked, answer, (false, limit), cancelled)?;
+            self.call(asked, answer, (false, limit), context)?;
             known().get_or_insert_with(|| (asked.clone(), answer.numbers.clone()));
             return Ok(());
         };
         if self.is_checked.swap(true, Ordering::Relaxed) {
-            return self.call(asked, answer, (false, limit), cancelled);
+            return self.call(asked, answer, (false, limit), context);
         }
         let (began, mut again) = (Instant::now(), Frame::default());
-        let in_fresh = |is_over: &dyn Fn() -> bool| {
+        let in_fresh = |context: &RunContext<'_>| {
             let mut answer = Frame::default();
-            self.call(asked, &mut answer, (true, limit), is_over).map(|()| answer)
+            self.call(asked, &mut answer, (true, limit), context).map(|()| answer)
         };
-        let (own, fresh) = beside(cancelled, in_fresh, || {
-            self.call(asked, answer, (false, limit), cancelled)?;
+        let (own, fresh) = beside(context, in_fresh, || {
+            self.call(asked, answer, (false, limit), context)?;
             match began.elapsed() < START {
-                true => self.call(&first, &mut again, (false, limit), cancelled),
+                true => self.call(&first, &mut again, (false, limit), context),
                 false => Ok(()),
             }
         });
@@ -208,7 +209,7 @@ impl Processes {
         if is_first_same && has_same_bits(&fresh.numbers, &answer.numbers) {
             return Ok(());
         }
-        self.call(asked, answer, (true, limit), cancelled)?;
+        self.call(asked, answer, (true, limit), context)?;
         let model = &self.fmu.description().model_name;
         if has_same_bits(&fresh.numbers, &answer.numbers) {
             log::warn!("{model}: {HIDDEN_STATE}");
@@ -279,10 +280,10 @@ impl Remote {
         &self,
         job: &Job,
         process: Asked,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         use_answer: impl FnOnce(&mut Frame) -> std::io::Result<T>,
     ) -> Result<T, FmiError> {
-        self.processes.ask(job, (process, self.run_limit), cancelled, use_answer)
+        self.processes.ask(job, (process, self.run_limit), context, use_answer)
     }
 
     /// The cost at a point, its residuals into `out`; see [`Evaluator::evaluate`](crate::evaluate::Evaluator::evaluate).
@@ -294,7 +295,7 @@ impl Remote {
         out: &mut [f64],
         stats: &mut Stats,
     ) -> Result<f64, NoCost> {
-        let CostRule { loss, cutoff, cancelled } = rule;
+        let CostRule { loss, cutoff, context } = rule;
         let job = Job::Evaluate { x: x.to_vec(), method, loss, cutoff, accuracy };
         let mut use_answer = |answer: &mut Frame| {
             let Evaluated { cost, stats } = answer.head()?;
@@ -307,10 +308,10 @@ impl Remote {
             }
             Ok((cost, stats))
         };
-        let mut evaluated = self.ask(&job, process, cancelled, &mut use_answer);
+        let mut evaluated = self.ask(&job, process, &context, &mut use_answer);
         if process != Asked::Fresh && matches!(&evaluated, Ok((Err(told), _)) if told.is_of_process()) {
             // A process that was used before may have lost what it needs.
-            evaluated = self.ask(&job, Asked::Fresh, cancelled, &mut use_answer);
+            evaluated = self.ask(&job, Asked::Fresh, &context, &mut use_answer);
         }
         let (cost, taken) = evaluated.map_err(NoCost::of_worker)?;
         *stats += taken;
@@ -321,10 +322,10 @@ impl Remote {
     pub(crate) fn race(
         &self,
         task: RaceTask,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Result<RaceRun, CalibrationError> {
-        let raced = self.ask(&Job::Race(task), Asked::Any, cancelled, |answer| {
+        let raced = self.ask(&Job::Race(task), Asked::Any, context, |answer| {
             let raced: Raced = answer.head()?;
             Ok((raced, std::mem::take(&mut answer.numbers)))
         });
@@ -353,9 +354,9 @@ impl Remote {
     pub(crate) fn trajectory(
         &self,
         job: &Job,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Trajectory, CalibrationError> {
-        let trajectory = self.ask(job, Asked::Checked, cancelled, trajectory_of);
+        let trajectory = self.ask(job, Asked::Checked, context, trajectory_of);
         trajectory.map_err(|error| match error {
             FmiError::Cancelled => CalibrationError::Cancelled,
             error => error.into(),
@@ -379,7 +380,7 @@ impl ModelProcess {
         Ok(Self { processes: Processes::new(fmu, limits, &open)? })
     }
 
-    /// As [`Fmu::simulate_with`], with the same bits. `cancelled` ends it. The second simulation is also made in a new process, at the
+    /// As [`Fmu::simulate_with`], with the same bits. The context ends it. The second simulation is also made in a new process, at the
     /// same time; where that gives others, each one has a new process from then on.
     ///
     /// # Errors
@@ -387,7 +388,7 @@ impl ModelProcess {
     pub fn simulate(
         &self,
         options: &SimulateOptions,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Trajectory, FmiError> {
         if let Some(input) = options.inputs.as_ref().and_then(|inputs| inputs.driven_by_function()) {
             let problem =
@@ -395,7 +396,7 @@ impl ModelProcess {
             return Err(FmiError::BadSetting { problem });
         }
         let job = Job::Simulate(Box::new(options.clone()));
-        self.processes.ask(&job, (Asked::Checked, options.timeout), cancelled, trajectory_of)
+        self.processes.ask(&job, (Asked::Checked, options.timeout), context, trajectory_of)
     }
 }
 

@@ -3,6 +3,7 @@
 use crate::data::Series;
 use crate::layout::OutputResiduals;
 use crate::measurements::Counted;
+use base::RunContext;
 use dfo::RobustLoss;
 use ode::{Observer, Sample};
 use std::ops::ControlFlow;
@@ -120,13 +121,13 @@ pub(crate) struct CostRule<'a> {
     /// The simulation ends when the sum is strictly above this.
     pub(crate) cutoff: f64,
     /// Asked before every step.
-    pub(crate) cancelled: &'a dyn Fn() -> bool,
+    pub(crate) context: RunContext<'a>,
 }
 
 impl<'a> CostRule<'a> {
     /// The whole cost.
-    pub(crate) fn whole(loss: RobustLoss, cancelled: &'a dyn Fn() -> bool) -> Self {
-        Self { loss, cutoff: f64::INFINITY, cancelled }
+    pub(crate) fn whole(loss: RobustLoss, context: &RunContext<'a>) -> Self {
+        Self { loss, cutoff: f64::INFINITY, context: *context }
     }
 }
 
@@ -210,7 +211,7 @@ impl Observer for Accumulator<'_> {
     }
 
     fn poll(&mut self) -> ControlFlow<()> {
-        if (self.rule.cancelled)() { self.end(Stop::Cancelled) } else { ControlFlow::Continue(()) }
+        if self.rule.context.is_over() { self.end(Stop::Cancelled) } else { ControlFlow::Continue(()) }
     }
 }
 
@@ -306,7 +307,7 @@ mod tests {
         assert_eq!(schedule.times[..], [0.0, 1.0, 3.0]);
         assert_eq!(c.n_residuals(), 5);
         let mut out = [f64::NAN; 5];
-        let rule = CostRule::whole(RobustLoss::default(), &|| false);
+        let rule = CostRule::whole(RobustLoss::default(), &RunContext::new());
         let mut a = Accumulator::new((&c, &schedule), &[0.0, 0.5], rule, (100.0, &mut out));
         for i in 0..schedule.times.len() {
             assert!(!a.is_complete());
@@ -334,7 +335,7 @@ mod tests {
         let c = Comparison::new(&[measured(&[(0.0, 0.0), (1.0, 0.0)])]);
         let schedule = c.schedule(|_| 0.0, 0.0);
         let [mut first, mut second] = [[0.0; 2]; 2];
-        let rule = CostRule { cutoff: 4.0, ..CostRule::whole(RobustLoss::default(), &|| false) };
+        let rule = CostRule { cutoff: 4.0, ..CostRule::whole(RobustLoss::default(), &RunContext::new()) };
         let mut a = Accumulator::new((&c, &schedule), &[0.0], rule, (0.0, &mut first));
         assert!(a.sample(&sample(0, &[2.0])).is_continue());
         assert!(a.sample(&sample(1, &[1e-3])).is_break());

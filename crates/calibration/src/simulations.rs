@@ -7,6 +7,7 @@ use crate::no_cost::NoCost;
 use crate::parallel;
 use crate::remote::Asked;
 use crate::residual::CostRule;
+use base::RunContext;
 use dfo::RobustLoss;
 use fmi::{InterfaceKind, SimulateOptions, SimulationPlan, Simulator};
 use ode::Stats;
@@ -50,7 +51,7 @@ pub(crate) struct Simulations<'a> {
     /// How many run at once.
     pub(crate) workers: usize,
     /// Asked on the calling thread.
-    pub(crate) cancelled: &'a dyn Fn() -> bool,
+    pub(crate) context: RunContext<'a>,
     /// Points that were simulated.
     pub(crate) n: usize,
     pub(crate) stats: Stats,
@@ -61,11 +62,11 @@ impl<'a> Simulations<'a> {
     pub(crate) fn new(
         calibration: &'a Calibration,
         (loss, workers): (RobustLoss, usize),
-        cancelled: &'a dyn Fn() -> bool,
+        context: &RunContext<'a>,
     ) -> Result<Self, CalibrationError> {
-        calibration.solver_until(cancelled)?;
+        calibration.solver(context)?;
         calibration.prepare()?;
-        Ok(Self { calibration, loss, workers, cancelled, n: 0, stats: Stats::default() })
+        Ok(Self { calibration, loss, workers, context: *context, n: 0, stats: Stats::default() })
     }
 
     /// The residuals at these points, in their order.
@@ -73,13 +74,13 @@ impl<'a> Simulations<'a> {
     /// # Errors
     /// [`CalibrationError::Cancelled`]; no simulation can be made any more.
     pub(crate) fn residuals(&mut self, points: &[Point]) -> Result<Vec<Found>, CalibrationError> {
-        if (self.cancelled)() {
+        if self.context.is_over() {
             return Err(CalibrationError::Cancelled);
         }
         let (calibration, loss) = (self.calibration, self.loss);
-        let task = |k: usize, cancelled: &dyn Fn() -> bool| {
+        let task = |k: usize, context: &RunContext<'_>| {
             let mut residuals = vec![0.0; calibration.n_residuals()];
-            let (mut stats, rule) = (Stats::default(), CostRule::whole(loss, cancelled));
+            let (mut stats, rule) = (Stats::default(), CostRule::whole(loss, context));
             let Point { x, is_accurate } = &points[k];
             let cost = match is_accurate {
                 true => calibration.evaluate_accurately(x, rule, &mut residuals, &mut stats),
@@ -87,7 +88,7 @@ impl<'a> Simulations<'a> {
             };
             (cost.map(|_| residuals), stats)
         };
-        let answers = parallel::map((points.len(), self.workers), self.cancelled, &task);
+        let answers = parallel::map((points.len(), self.workers), &self.context, &task);
         let mut found = Vec::with_capacity(points.len());
         for answer in answers {
             let Some((residuals, stats)) = answer else { return Err(CalibrationError::Cancelled) };
@@ -151,7 +152,7 @@ impl Calibration {
         stats: &mut Stats,
     ) -> Result<f64, NoCost> {
         if let Ok(remote) = &self.evaluator().remote {
-            let method = self.method_until(rule.cancelled)?;
+            let method = self.method(&rule.context)?;
             return remote.evaluate((x, method), rule, (Some(accuracy), Asked::Any), out, stats);
         }
         self.evaluator().evaluate(x, rule, out, stats, |k, run| {

@@ -5,6 +5,7 @@ use crate::evaluate::Evaluator;
 use crate::no_cost::NoCost;
 use crate::race::{Race, RaceOutcome, RaceRun, RaceTask, race};
 use crate::residual::{Accumulator, CostRule};
+use base::RunContext;
 use dfo::RobustLoss;
 use fmi::{FmiError, InterfaceKind, Pool, SimulateOptions, SimulationPlan, Simulator};
 use ode::{ErrorKind, Method, Observer, Sample, Stats};
@@ -54,7 +55,7 @@ struct Samples<'a> {
     /// Numbers of a sample that have a name.
     named: usize,
     compared: Accumulator<'a>,
-    cancelled: &'a dyn Fn() -> bool,
+    context: RunContext<'a>,
     was_cancelled: bool,
 }
 
@@ -71,7 +72,7 @@ impl Observer for Samples<'_> {
     }
 
     fn poll(&mut self) -> ControlFlow<()> {
-        self.was_cancelled = (self.cancelled)();
+        self.was_cancelled = self.context.is_over();
         if self.was_cancelled { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 }
@@ -87,9 +88,9 @@ impl Choice {
         &'a self,
         problem: &'a Evaluator,
         experiment: usize,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<&'a Pool, NoCost> {
-        let chosen = self.chosen(problem, cancelled, &mut Stats::default()).map_err(|error| match error {
+        let chosen = self.chosen(problem, context, &mut Stats::default()).map_err(|error| match error {
             CalibrationError::Model(error) => error.into(),
             _ => NoCost::Cancelled,
         })?;
@@ -102,7 +103,7 @@ impl Choice {
     pub(crate) fn chosen(
         &self,
         problem: &Evaluator,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Result<(&Chosen, Option<AtStart>), CalibrationError> {
         if let Some(chosen) = self.made.get() {
@@ -115,7 +116,7 @@ impl Choice {
         let method = problem.problem.settings.method;
         let integrates = problem.simulations[0].pool.plan().kind() == InterfaceKind::ModelExchange;
         let (solver, at_start) = if method == Method::Auto && integrates {
-            let (race, at_start) = run_race(problem, cancelled, stats)?;
+            let (race, at_start) = run_race(problem, context, stats)?;
             (Solver { method: race.method, race: Some(race) }, at_start)
         } else {
             (Solver { method, race: None }, None)
@@ -140,7 +141,7 @@ impl Choice {
 /// Races the methods on the simulations of a problem, at the start values of its parameters; with the evaluation there by the winner.
 fn run_race(
     problem: &Evaluator,
-    cancelled: &dyn Fn() -> bool,
+    context: &RunContext<'_>,
     stats: &mut Stats,
 ) -> Result<(Race, Option<AtStart>), CalibrationError> {
     let plan = problem.simulations[0].pool.plan();
@@ -159,8 +160,8 @@ fn run_race(
     let mut evaluated: Vec<(Method, AtStart)> = Vec::new();
     let raced = race(relative, &absolute, n, |task| {
         let (outcome, at_start) = match &problem.remote {
-            Ok(remote) => remote.race(*task, cancelled, stats)?,
-            Err(_) => simulate_race(problem, task, cancelled, stats)?,
+            Ok(remote) => remote.race(*task, context, stats)?,
+            Err(_) => simulate_race(problem, task, context, stats)?,
         };
         let at_start = at_start.map(|(residuals, seconds)| (task.method, AtStart { residuals, seconds }));
         evaluated.extend(at_start);
@@ -174,14 +175,13 @@ fn run_race(
 pub(crate) fn simulate_race(
     problem: &Evaluator,
     task: &RaceTask,
-    cancelled: &dyn Fn() -> bool,
+    context: &RunContext<'_>,
     stats: &mut Stats,
 ) -> Result<RaceRun, CalibrationError> {
     let plan = problem.simulations[0].pool.plan();
     let (relative, n) = (plan.relative_tolerance(), plan.n_states());
     let start = problem.start();
-    let never = || false;
-    let rule = CostRule::whole(RobustLoss::default(), &never);
+    let rule = CostRule::whole(RobustLoss::default(), &RunContext::new());
     let (mut all, mut total) = (Vec::new(), Stats::default());
     let mut residuals = vec![0.0; problem.n_residuals];
     let (mut rest, priors) = residuals.split_at_mut(problem.layout.n_measurements());
@@ -200,7 +200,7 @@ pub(crate) fn simulate_race(
         let plan = Arc::new(SimulationPlan::new(&problem.fmu, &options)?);
         let named = plan.output_names().len();
         let mut simulator = Simulator::new(plan)?;
-        let mut samples = Samples { values: all, named, compared, cancelled, was_cancelled: false };
+        let mut samples = Samples { values: all, named, compared, context: *context, was_cancelled: false };
         let ran = simulation.run(&mut simulator, &start, &schedule, &mut samples);
         match &ran {
             Ok(report) => *stats += report.stats,

@@ -6,13 +6,11 @@ use crate::error::CalibrationError;
 use crate::finding::{Finding, Severity};
 use crate::fit::{Fit, FitOptions, add_earlier, checkpoint_of, ended_by};
 use crate::output_fit::KeptResiduals;
-use crate::phase::{Deadline, FitPhase};
+use crate::phase::FitPhase;
 use crate::worth::WorthOptions;
 use dfo::{AnyMethod, Limits, Progress, Report, Termination, Tolerances};
 use ode::Stats;
-use std::cell::RefCell;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
 /// One stage of a fit.
 ///
@@ -115,13 +113,11 @@ impl Calibration {
             preflight,
             worth,
             mut observer,
-            poll,
-            cancel,
+            context,
             engine,
             phase,
         } = options.into();
-        let deadline = Deadline::new(run.limits.max_time);
-        let poll = RefCell::new(poll);
+        let context = context.within(run.limits.max_time);
         let start = start.unwrap_or_else(|| self.start());
         let in_stage =
             |k: usize| move |source| CalibrationError::Stage { number: k + 1, source: Box::new(source) };
@@ -134,16 +130,13 @@ impl Calibration {
         if let Some(checkpoint) = &run.checkpoint {
             self.adopt_solver(&checkpoint_of(checkpoint, ".stage1", true))?;
         }
-        let is_flagged = || cancel.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed));
-        let is_asked = || is_flagged() || poll.borrow_mut().as_mut().is_some_and(|poll| poll());
-        let is_late = || deadline.is_over() || is_asked();
         let mut stats = Stats::default();
         // The stages have one solver and one tolerance. Where there is no time for that, the first one ends at its start.
-        let chosen = self.solver_counted(&is_late, &mut stats).and_then(|_| {
-            self.choose_tolerance((&start, None), (loss, &run.tolerances), &is_late, &mut stats)
+        let chosen = self.solver_counted(&context, &mut stats).and_then(|_| {
+            self.choose_tolerance((&start, None), (loss, &run.tolerances), &context, &mut stats)
         });
         let tolerance = match chosen {
-            Err(error) if !deadline.is_over() || is_asked() => return Err(error),
+            Err(error) if !context.is_late() || context.is_cancelled() => return Err(error),
             chosen => chosen.ok().flatten().map(|(tolerance, _)| tolerance),
         };
         let tolerant = self.with_tolerance(tolerance.as_ref())?;
@@ -161,7 +154,7 @@ impl Calibration {
             let (n_evaluations, n_iterations) = (spent(|r| r.n_evaluations), spent(|r| r.n_iterations));
             let evaluations = run.limits.max_evaluations.map(|n| n.saturating_sub(n_evaluations));
             let iterations = run.limits.max_iterations.map(|n| n.saturating_sub(n_iterations));
-            let time = deadline.left();
+            let time = context.left();
             ended = match (evaluations, iterations, time) {
                 _ if k == 0 => None,
                 (Some(0), ..) => Some(Termination::MaxEvaluations),
@@ -189,8 +182,8 @@ impl Calibration {
             };
             let part = format!(".stage{}", k + 1);
             own.checkpoint = run.checkpoint.as_ref().map(|c| checkpoint_of(c, &part, k == 0));
-            let before = deadline.elapsed().as_secs_f64();
-            let within = if of_stage.is_some() { Deadline::new(of_stage) } else { deadline };
+            let before = context.elapsed().as_secs_f64();
+            let within = if of_stage.is_some() { context.within(of_stage) } else { context };
             let options = FitOptions {
                 run: own,
                 start: Some(x.clone()),
@@ -210,15 +203,14 @@ impl Calibration {
                         observer(&progress)
                     }) as Box<crate::fit::FitObserver<'_>>
                 }),
-                poll: poll.borrow().is_some().then(|| Box::new(&is_asked) as Box<dyn FnMut() -> bool>),
-                cancel: cancel.clone(),
+                context,
                 engine: engine.clone(),
                 phase: Arc::clone(&phase),
             };
             let fitted = windowed[k].as_ref().unwrap_or(this).fit_and_keep(options, Some(within));
             let fit = match fitted {
                 // It had no time for a single evaluation.
-                Ok((fit, _)) if k > 0 && fit.cost.is_nan() && deadline.is_over() => {
+                Ok((fit, _)) if k > 0 && fit.cost.is_nan() && context.is_late() => {
                     ended = Some(fit.report.termination);
                     break;
                 }
@@ -260,7 +252,7 @@ impl Calibration {
         let mut n_checks = 0;
         let mut cost_at = |x: &[f64]| {
             n_checks += 1;
-            let found = own.cost_and_residuals(x, (&objective, loss), &is_late, &mut stats);
+            let found = own.cost_and_residuals(x, (&objective, loss), &context, &mut stats);
             found.map(|(cost, residuals)| (cost, this.rms_of(&residuals, own.residual_layout())))
         };
         let is_own = |k: usize| stages[k].windows.is_empty() && fits[k].noise == noise;
@@ -278,7 +270,7 @@ impl Calibration {
             (fit.cost, fit.report.fun, fit.rms) = (cost, cost, rms);
         }
         phase.set(FitPhase::Checks);
-        let is_checked = worth.is_some() && is_over(&fit.report.termination) && !is_late();
+        let is_checked = worth.is_some() && is_over(&fit.report.termination) && !context.is_over();
         let (at_start, at_end) = match is_checked || !(is_first_own && is_last_own) {
             true => {
                 let of_stage = &fit.stages[fit.stages.len() - 1].start;
@@ -290,13 +282,13 @@ impl Calibration {
                         .map(|residuals| (x.as_slice(), residuals)),
                 );
                 let known = known.reweighed(this.residual_layout(), own.residual_layout());
-                own.plain_residuals((&start, &x), (&known, loss), &is_late, &mut fit.stats)
+                own.plain_residuals((&start, &x), (&known, loss), &context, &mut fit.stats)
             }
             false => (None, None),
         };
         if let Some(at_end) = at_end.as_deref().filter(|_| is_checked) {
             let (from, to) = ((start.as_slice(), at_start.as_deref()), (x.as_slice(), at_end));
-            let mut found = own.check_after_fit(from, to, &is_late, &mut fit.stats);
+            let mut found = own.check_after_fit(from, to, &context, &mut fit.stats);
             found.retain(|finding| !fit.setup_findings.contains(finding));
             fit.setup_findings.extend(found);
         }
@@ -314,7 +306,7 @@ impl Calibration {
                 n_checks: 0,
             };
             let known = fit.report.residuals.as_deref().or(at_end.as_deref());
-            own.worth_of_fit((&fit.report, &found, known), &run.tolerances, asked, (&is_late, &mut fit.stats))
+            own.worth_of_fit((&fit.report, &found, known), &run.tolerances, asked, &context, &mut fit.stats)
         });
         (fit.start_cost, fit.start_rms) = cost_at_start.unzip();
         (fit.n_measurements, fit.tolerance) = (self.n_measurements(), tolerance);

@@ -11,6 +11,7 @@ use crate::objective::CostKind;
 use crate::output_fit::OutputFit;
 use crate::residual::CostRule;
 use crate::worth::digits;
+use base::RunContext;
 use dfo::RobustLoss;
 use ode::Stats;
 use serde::{Deserialize, Serialize};
@@ -136,26 +137,18 @@ impl Calibration {
     /// # Errors
     /// Windows or recordings that cannot be used; local parameters that are to be fitted, after a fit of a function of the user's; a
     /// simulation that fails at the fitted parameters.
-    pub fn validate(&self, fit: &Fit, set: &ValidationSet) -> Result<Validation, CalibrationError> {
-        self.validate_until(fit, set, &|| false)
-    }
-
-    /// As [`validate`](Self::validate); `cancelled` is asked before every step of a simulation, which ends when it says so.
-    ///
-    /// # Errors
-    /// As [`validate`](Self::validate), and [`CalibrationError::Cancelled`].
-    pub fn validate_until(
+    pub fn validate(
         &self,
         fit: &Fit,
         set: &ValidationSet,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Validation, CalibrationError> {
         self.check_length(&fit.x)?;
-        self.solver_until(cancelled)?;
+        self.solver(context)?;
         match set {
             ValidationSet::Windows(windows) => {
                 let other = self.windowed(windows)?;
-                let validation = other.validation((&fit.start, &fit.x), Stats::default(), 0, cancelled)?;
+                let validation = other.validation((&fit.start, &fit.x), Stats::default(), 0, context)?;
                 Ok(Validation { findings: self.seen(&other, 0.0), ..validation })
             }
             ValidationSet::Experiments(experiments) => {
@@ -167,7 +160,6 @@ impl Calibration {
                 let (mut stats, mut n) = (Stats::default(), 0);
                 if local.iter().any(|&i| !other.parameters()[i].is_fixed()) {
                     let held = (0..x.len()).filter(|i| !local.contains(i)).collect();
-                    let poll: Option<Box<dyn FnMut() -> bool>> = Some(Box::new(cancelled));
                     let Some(objective) = CostKind::of_name(&fit.objective) else {
                         let names: Vec<&str> = local.iter().map(|&i| other.parameters()[i].name()).collect();
                         return Err(CalibrationError::Setup(format!(
@@ -182,19 +174,19 @@ impl Calibration {
                         noise: NoiseRule::Stated,
                         start: Some(x),
                         held,
-                        poll,
+                        context: *context,
                         objective,
                         loss: fit.report.loss,
                         worth: None,
                         ..FitOptions::default()
                     })?;
-                    if cancelled() {
+                    if context.is_over() {
                         return Err(CalibrationError::Cancelled);
                     }
                     n = refit.report.n_evaluations + refit.report.n_speculative + refit.n_checks;
                     (stats, x) = (refit.stats, refit.x);
                 }
-                let validation = other.validation((&start, &x), stats, n, cancelled)?;
+                let validation = other.validation((&start, &x), stats, n, context)?;
                 // A time and a value may be equal by chance.
                 Ok(Validation { findings: self.seen(&other, 0.5), ..validation })
             }
@@ -235,11 +227,11 @@ impl Calibration {
         (start, x): (&[f64], &[f64]),
         mut stats: Stats,
         n_simulations: usize,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Validation, CalibrationError> {
-        let residuals = self.residuals_until(x, cancelled)?;
+        let residuals = self.residuals(x, context)?;
         let mut at_start = vec![0.0; self.n_residuals()];
-        let rule = CostRule::whole(RobustLoss::default(), cancelled);
+        let rule = CostRule::whole(RobustLoss::default(), context);
         let at_start = match self.evaluate_into(start, rule, &mut at_start, &mut stats) {
             Ok(_) => Some(at_start),
             Err(NoCost::Cancelled) => return Err(CalibrationError::Cancelled),

@@ -8,6 +8,7 @@ use crate::race::RaceOutcome;
 use crate::remote::{Evaluated, Job, Loaded, Raced, RacedOutcome, put_trajectory};
 use crate::residual::CostRule;
 use crate::solver::{Solver, simulate_race};
+use base::RunContext;
 use fmi::description::Quirk;
 use fmi::worker::{Frame, Service};
 use fmi::{FmiError, Fmu, OpenOptions, Reuse};
@@ -66,7 +67,7 @@ impl Service for Server {
     fn answer(
         &mut self,
         asked: &Frame,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         answer: &mut Frame,
     ) -> Result<(), FmiError> {
         let unsaid = |error: io::Error| FmiError::BadSetting { problem: error.to_string() };
@@ -76,13 +77,13 @@ impl Service for Server {
             Job::Simulate(options) => {
                 let (_, fmu) = self.model.as_ref().ok_or_else(not_loaded)?;
                 let mut poll =
-                    || if cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+                    || if context.is_over() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
                 let trajectory = fmu.simulate_with(&options, &mut poll)?;
                 put_trajectory(trajectory, answer).map_err(unsaid)?;
             }
             job => {
                 let calibration = self.calibration.as_ref().ok_or_else(not_loaded)?;
-                done(calibration, job, cancelled, answer)?.map_err(unsaid)?;
+                done(calibration, job, context, answer)?.map_err(unsaid)?;
             }
         }
         let is_last = |(_, fmu): &(ModelFile, Fmu)| fmu.reuse() == Some(Reuse::NewProcess);
@@ -108,7 +109,7 @@ fn not_loaded() -> FmiError {
 fn done(
     calibration: &Calibration,
     job: Job,
-    cancelled: &dyn Fn() -> bool,
+    context: &RunContext<'_>,
     answer: &mut Frame,
 ) -> Result<io::Result<()>, FmiError> {
     let use_method = |method: Method| {
@@ -120,7 +121,7 @@ fn done(
         Job::Evaluate { x, method, loss, cutoff, accuracy } => {
             use_method(method)?;
             calibration.check_length(&x).map_err(model_error)?;
-            let (rule, mut stats) = (CostRule { loss, cutoff, cancelled }, Stats::default());
+            let (rule, mut stats) = (CostRule { loss, cutoff, context: *context }, Stats::default());
             answer.numbers.resize(calibration.n_residuals(), 0.0);
             let (out, stats_of_it) = (&mut answer.numbers, &mut stats);
             let cost = match accuracy {
@@ -137,7 +138,7 @@ fn done(
         Job::Race(task) => {
             let mut stats = Stats::default();
             let (outcome, at_start) =
-                simulate_race(calibration.evaluator(), &task, cancelled, &mut stats).map_err(model_error)?;
+                simulate_race(calibration.evaluator(), &task, context, &mut stats).map_err(model_error)?;
             let outcome = match outcome {
                 RaceOutcome::Finished { mut samples, stats } => {
                     answer.numbers.append(&mut samples);
@@ -155,14 +156,13 @@ fn done(
         }
         Job::Experiment { experiment, x, method, times } => {
             use_method(method)?;
-            let trajectory =
-                calibration.simulate_experiment_until(experiment, &x, times.as_deref(), cancelled);
+            let trajectory = calibration.simulate_experiment(experiment, &x, times.as_deref(), context);
             put_trajectory(trajectory.map_err(model_error)?, answer)
         }
         Job::Variables { experiment, x, method, times, variables } => {
             use_method(method)?;
             let trajectory =
-                calibration.simulate_variables_until(experiment, &x, times.as_deref(), &variables, cancelled);
+                calibration.simulate_variables(experiment, &x, times.as_deref(), &variables, context);
             put_trajectory(trajectory.map_err(model_error)?, answer)
         }
     })

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+use calibration::RunContext;
 use calibration::dfo::{DifferentialEvolution, RunOptions};
 use calibration::{
     Calibration, CalibrationBuilder, Check, CheckOptions, Data, Experiment, Finding, FitOptions, Parameter,
@@ -242,8 +243,8 @@ fn a_simulation_that_fails_is_a_finding() {
     let check = calibration.check();
     assert_eq!(check.findings[0].severity, Severity::Error);
     assert!(check.findings[0].sentence.contains("k = -1000000"), "{check}");
-    assert!(calibration.check_with(&NO_SIMULATION, &|| false).unwrap().is_ok());
-    assert!(calibration.check_with(&CheckOptions::default(), &|| true).is_err());
+    assert!(calibration.check_with(&NO_SIMULATION, &RunContext::new()).unwrap().is_ok());
+    assert!(calibration.check_with(&CheckOptions::default(), &RunContext::new().asking(&|| true)).is_err());
 }
 
 /// A decay with k = 20 and x(0) = 0.9, its value and its derivative measured with these errors; k and x(0) from 15 and 0.5.
@@ -286,7 +287,7 @@ fn outputs_of_unlike_scale_are_named_before_the_fit_and_after_it_where_their_noi
             before.subject == "outputs 'x' and 'der(x)'" && before.sentence.contains("at the start values")
         );
         // Without a simulation as well.
-        let unsimulated = calibration.check_with(&NO_SIMULATION, &|| false).unwrap();
+        let unsimulated = calibration.check_with(&NO_SIMULATION, &RunContext::new()).unwrap();
         assert_eq!(of_scales(&unsimulated.findings).len(), 1, "{unsimulated}");
         let fit = calibration.fit(FitOptions::default()).unwrap();
         assert_eq!(of_scales(&fit.findings()).len(), usize::from(is_unlike), "{fit}");

@@ -3,6 +3,7 @@
 
 #![allow(clippy::print_stdout, clippy::unwrap_used)]
 
+use calibration::RunContext;
 use calibration::{
     BandOptions, Calibration, CostKind, Data, Estimator, Experiment, FitOptions, NamedCost, Parameter, Prior,
     ProfileOptions, Scale, SimulationSettings, Weight, WorthOptions,
@@ -39,7 +40,10 @@ fn calibration(columns: [Vec<f64>; 2]) -> Calibration {
 
 /// How many of so many recordings have the truth in the interval of each parameter.
 fn covered(n: u64, estimator: Estimator) -> [u64; 3] {
-    let exact = calibration([vec![0.0; 100], vec![0.0; 100]]).simulate(&TRUTH, None).unwrap().swap_remove(0);
+    let exact = calibration([vec![0.0; 100], vec![0.0; 100]])
+        .simulate(&TRUTH, None, &RunContext::new())
+        .unwrap()
+        .swap_remove(0);
     let mut covered = [0; 3];
     for seed in 0..n {
         let mut noise = normal(seed + 1);
@@ -204,7 +208,7 @@ impl Study {
             }
             if self.objective.is_none() {
                 let options = ProfileOptions { workers: Some(1), ..ProfileOptions::default() };
-                let profile = calibration.profile(&fit, &options, &|| false).unwrap();
+                let profile = calibration.profile(&fit, &options, &RunContext::new()).unwrap();
                 for k in 0..2 {
                     count(&mut held.profiles[k], profile.parameters[k].interval(), Self::TRUTH[k]);
                 }
@@ -212,7 +216,8 @@ impl Study {
             let times = [0.1, 0.7, 2.0];
             let options =
                 BandOptions { times: Some(times.to_vec()), workers: Some(1), ..BandOptions::default() };
-            let band = calibration.prediction_bands(&fit, &options, &|| false).unwrap().swap_remove(0);
+            let band =
+                calibration.prediction_bands(&fit, &options, &RunContext::new()).unwrap().swap_remove(0);
             let [rate, start] = Self::TRUTH;
             for (k, t) in times.iter().enumerate() {
                 let truth = if self.is_line { rate + start * t } else { start * (-rate * t).exp() };

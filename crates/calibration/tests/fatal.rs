@@ -6,6 +6,7 @@
 
 mod support;
 
+use calibration::RunContext;
 use dfo::Termination;
 use fmi::Fmu;
 use support::{calibration, costs, faulty, fit};
@@ -23,7 +24,7 @@ fn fatal_costs_no_more_than_an_error() {
         assert_eq!(costs(&found), costs(&expected), "{workers}");
         assert_eq!(found.x, expected.x);
         assert_eq!(found.report.n_failed, expected.report.n_failed);
-        assert!(calibration.cost(&[1.7]).unwrap() < 1e-8);
+        assert!(calibration.cost(&[1.7], &RunContext::new()).unwrap() < 1e-8);
     }
 }
 
@@ -41,7 +42,7 @@ fn a_fit_that_has_no_copy_left_ends_with_its_best_point() {
     assert!(fit.cost.is_finite() && fit.x[0] < 2.2, "{fit}");
     let best = costs(&fit).into_iter().flatten().map(f64::from_bits).fold(f64::INFINITY, f64::min);
     assert_eq!(fit.cost, best);
-    let error = calibration.cost(&[1.0]).unwrap_err().to_string();
+    let error = calibration.cost(&[1.0], &RunContext::new()).unwrap_err().to_string();
     assert!(error.contains("static TLS"), "{error}");
 }
 
@@ -80,9 +81,9 @@ fn a_model_that_was_simulated_can_be_calibrated() {
     let options = fmi::SimulateOptions::new();
     let first = session.simulate(&options).unwrap();
     let calibration = calibration(fmu.clone());
-    let cost = calibration.cost(&[3.0]).unwrap();
+    let cost = calibration.cost(&[3.0], &RunContext::new()).unwrap();
     fit(&calibration, 2, 50);
-    assert_eq!(calibration.cost(&[3.0]).unwrap(), cost);
+    assert_eq!(calibration.cost(&[3.0], &RunContext::new()).unwrap(), cost);
     assert_eq!(session.get("y").unwrap().as_number(), first.final_value("y").unwrap());
     assert_eq!(session.simulate(&options).unwrap().columns, first.columns);
     assert_eq!(fmu.simulate(&options).unwrap().columns, first.columns);

@@ -5,6 +5,7 @@
 
 mod support;
 
+use calibration::RunContext;
 use calibration::{Calibration, Data, Experiment, FitOptions, ModelProcess, Parameter, SimulationSettings};
 use dfo::{Checkpoint, DifferentialEvolution, Limits, RunOptions};
 use fmi::worker::{Isolation, Launcher, WorkerLimits};
@@ -52,15 +53,21 @@ fn the_bits_are_the_same_in_this_process_and_in_others() {
         let found = fit(&apart, workers, 100);
         assert_eq!(costs(&found), costs(&expected), "{workers}");
         assert_eq!(format!("{:?}", found.worth), format!("{:?}", expected.worth));
-        assert_eq!(apart.residuals(&[2.0]).unwrap(), alone.residuals(&[2.0]).unwrap());
-        let (one, other) = (apart.simulate(&[2.0], None).unwrap(), alone.simulate(&[2.0], None).unwrap());
+        assert_eq!(
+            apart.residuals(&[2.0], &RunContext::new()).unwrap(),
+            alone.residuals(&[2.0], &RunContext::new()).unwrap()
+        );
+        let (one, other) = (
+            apart.simulate(&[2.0], None, &RunContext::new()).unwrap(),
+            alone.simulate(&[2.0], None, &RunContext::new()).unwrap(),
+        );
         assert_eq!(one, other);
         let variables = ["x".to_owned(), "der(x)".to_owned()];
         let recorded = |calibration: &Calibration| {
-            calibration.simulate_variables_until(0, &[2.0], Some(&[0.0, 0.5]), &variables, &|| false)
+            calibration.simulate_variables(0, &[2.0], Some(&[0.0, 0.5]), &variables, &RunContext::new())
         };
         assert_eq!(recorded(&apart).unwrap(), recorded(&alone).unwrap());
-        assert_eq!(apart.solver().unwrap(), alone.solver().unwrap());
+        assert_eq!(apart.solver(&RunContext::new()).unwrap(), alone.solver(&RunContext::new()).unwrap());
     }
 }
 
@@ -85,7 +92,7 @@ fn a_death_costs_one_evaluation() {
             failed.iter().all(|message| message.contains(said)) && !failed.is_empty(),
             "{fault}: {failed:?}"
         );
-        let error = calibration.cost(&[3.0]).unwrap_err().to_string();
+        let error = calibration.cost(&[3.0], &RunContext::new()).unwrap_err().to_string();
         assert!(error.contains(said) && error.contains("k = 3"), "{error}");
     }
 }
@@ -95,8 +102,8 @@ fn a_hang_is_ended_soon_after_its_limit() {
     let folder = faulty(&["FAULT_ABOVE=2.2", "FAULT=hang()"]);
     let timeout = Some(Duration::from_millis(300));
     let calibration = decay(open(&folder), SimulationSettings { timeout, ..settings(Isolation::Process) });
-    assert!(calibration.cost(&[1.0]).is_ok());
-    let error = calibration.cost(&[3.0]).unwrap_err().to_string();
+    assert!(calibration.cost(&[1.0], &RunContext::new()).is_ok());
+    let error = calibration.cost(&[3.0], &RunContext::new()).unwrap_err().to_string();
     assert!(error.contains("no answer within the time limit in fmi2GetDerivatives"), "{error}");
     // Without a limit it is ended with what it is part of.
     let calibration = decay(open(&folder), settings(Isolation::Process));
@@ -104,9 +111,8 @@ fn a_hang_is_ended_soon_after_its_limit() {
     let run = RunOptions { limits, workers: Some(1), ..FitOptions::default_run() };
     let found = calibration.fit(FitOptions { start: Some(vec![2.0]), ..run.into() });
     assert!(found.is_ok(), "{:?}", found.err());
-    let began = Instant::now();
-    let cancelled = || began.elapsed() > Duration::from_millis(200);
-    assert!(calibration.cost_until(&[3.0], &cancelled).is_err());
+    let short = RunContext::new().within(Some(Duration::from_millis(200)));
+    assert!(calibration.cost(&[3.0], &short).is_err());
 }
 
 #[test]
@@ -115,7 +121,7 @@ fn what_the_end_of_a_run_does_belongs_to_its_evaluation() {
     let timeout = Some(Duration::from_millis(300));
     let calibration = decay(open(&folder), SimulationSettings { timeout, ..settings(Isolation::Process) });
     for k in [1.0, 3.0, 1.5, 2.5, 2.0] {
-        match calibration.cost(&[k]) {
+        match calibration.cost(&[k], &RunContext::new()) {
             Ok(_) => assert!(k < 2.2, "{k}"),
             Err(error) => {
                 let error = error.to_string();
@@ -230,30 +236,30 @@ fn limits_hold() {
     let folder = faulty(&["FAULT_ABOVE=2.2", "FAULT=fill_memory()"]);
     let limited = SimulationSettings { memory_limit: Some(1 << 30), ..settings(Isolation::Process) };
     let calibration = decay(open(&folder), limited);
-    assert!(calibration.cost(&[1.0]).is_ok());
-    let error = calibration.cost(&[3.0]).unwrap_err().to_string();
+    assert!(calibration.cost(&[1.0], &RunContext::new()).is_ok());
+    let error = calibration.cost(&[3.0], &RunContext::new()).unwrap_err().to_string();
     assert!(error.contains("in fmi2GetDerivatives"), "{error}");
 
     let folder = faulty(&["FAULT_ABOVE=2.2", "FAULT=fill_shared_memory()"]);
     let limited = SimulationSettings { memory_limit: Some(300 << 20), ..settings(Isolation::Process) };
-    let error = decay(open(&folder), limited).cost(&[3.0]).unwrap_err().to_string();
+    let error = decay(open(&folder), limited).cost(&[3.0], &RunContext::new()).unwrap_err().to_string();
     assert!(error.contains("more memory than its limit of 314572800 bytes in fmi2GetDerivatives"), "{error}");
 
     let folder = faulty(&["FAULT_ABOVE=2.2", "FAULT=print_for_ever()"]);
     let timeout = Some(Duration::from_millis(300));
     let calibration = decay(open(&folder), SimulationSettings { timeout, ..settings(Isolation::Process) });
-    let error = calibration.cost(&[3.0]).unwrap_err().to_string();
+    let error = calibration.cost(&[3.0], &RunContext::new()).unwrap_err().to_string();
     assert!(error.contains("it had printed: ") && error.contains("what a model has to say"), "{error}");
 
     let outside = tempfile::tempdir().unwrap();
     let place = format!("FAULT=escape(\"{}/file\")", outside.path().display());
     let folder = faulty(&["FAULT_ABOVE=2.2", &place]);
     let free = decay(open(&folder), settings(Isolation::Process));
-    let error = free.cost(&[3.0]).unwrap_err().to_string();
+    let error = free.cost(&[3.0], &RunContext::new()).unwrap_err().to_string();
     assert!(error.contains("exit(7)") && outside.path().join("file").exists(), "{error}");
     std::fs::remove_file(outside.path().join("file")).unwrap();
     let confined = decay(open(&folder), SimulationSettings { sandbox: true, ..settings(Isolation::Process) });
-    match confined.cost(&[3.0]) {
+    match confined.cost(&[3.0], &RunContext::new()) {
         // It was refused both, and goes on.
         Ok(_) => assert!(!outside.path().join("file").exists()),
         Err(error) => assert!(error.to_string().contains("Landlock"), "{error}"),
@@ -270,9 +276,9 @@ fn other_evaluations_are_those_of_a_sound_model() {
         let calibration = decay(open(&folder), settings(Isolation::Process));
         let began = Instant::now();
         for k in [1.5, 2.25, 1.5, 2.5, 1.7] {
-            let found = calibration.residuals(&[k]);
+            let found = calibration.residuals(&[k], &RunContext::new());
             if k < 2.2 {
-                assert_eq!(found.unwrap(), sound.residuals(&[k]).unwrap(), "{fault} {k}");
+                assert_eq!(found.unwrap(), sound.residuals(&[k], &RunContext::new()).unwrap(), "{fault} {k}");
             } else if fault == "leave_orphan()" {
                 let error = found.unwrap_err().to_string();
                 assert!(error.contains("exit(3) in fmi2GetDerivatives"), "{error}");
@@ -321,16 +327,18 @@ fn a_state_that_no_variable_shows_is_found_outside_of_fits() {
     let points = [1.0, 1.5, 2.0];
     let alone: Vec<_> = points
         .iter()
-        .map(|k| decay(open(&folder), settings(Isolation::Process)).residuals(&[*k]).unwrap())
+        .map(|k| {
+            decay(open(&folder), settings(Isolation::Process)).residuals(&[*k], &RunContext::new()).unwrap()
+        })
         .collect();
     let calibration = decay(open(&folder), settings(Isolation::Process));
     for k in [0, 1, 2, 1, 0] {
-        assert_eq!(calibration.residuals(&points[k..=k]).unwrap(), alone[k], "{k}");
+        assert_eq!(calibration.residuals(&points[k..=k], &RunContext::new()).unwrap(), alone[k], "{k}");
     }
     let apart = || ModelProcess::new(&open(&folder), WorkerLimits::default()).unwrap();
     let simulated = |process: &ModelProcess, k: f64| {
         let options = SimulateOptions::new().final_time(1.0).start_value("k", k);
-        process.simulate(&options, &|| false).unwrap().columns
+        process.simulate(&options, &RunContext::new()).unwrap().columns
     };
     let alone = points.map(|k| simulated(&apart(), k));
     let process = apart();
@@ -362,7 +370,7 @@ fn twenty_thousand_runs_that_leak_a_megabyte_each() {
     assert!((fit(&calibration, 2, 500).x[0] - 1.7).abs() < 0.1);
     let before = own_size();
     for run in 0..20_000 {
-        let cost = calibration.cost(&[1.7 + 1e-6 * f64::from(run)]).unwrap();
+        let cost = calibration.cost(&[1.7 + 1e-6 * f64::from(run)], &RunContext::new()).unwrap();
         assert!(cost < 0.01, "{run}: {cost}");
     }
     let grown = own_size().saturating_sub(before);
@@ -378,14 +386,22 @@ fn twenty_thousand_runs_with_a_state_that_no_variable_shows() {
     let calibration = decay(open(&folder), settings(Isolation::Process));
     let point = |run: u32| [1.0 + 0.25 * f64::from(run % 5)];
     let expected: Vec<_> = (0..5)
-        .map(|run| decay(open(&folder), settings(Isolation::Process)).residuals(&point(run)).unwrap())
+        .map(|run| {
+            decay(open(&folder), settings(Isolation::Process))
+                .residuals(&point(run), &RunContext::new())
+                .unwrap()
+        })
         .collect();
     for run in 0..5 {
-        calibration.cost(&point(run)).unwrap();
+        calibration.cost(&point(run), &RunContext::new()).unwrap();
     }
     let before = own_size();
     for run in 0..20_000 {
-        assert_eq!(calibration.residuals(&point(run)).unwrap(), expected[run as usize % 5], "{run}");
+        assert_eq!(
+            calibration.residuals(&point(run), &RunContext::new()).unwrap(),
+            expected[run as usize % 5],
+            "{run}"
+        );
     }
     let grown = own_size().saturating_sub(before);
     assert!(grown < 8 << 20, "{grown} bytes");

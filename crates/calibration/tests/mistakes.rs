@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+use calibration::RunContext;
 use calibration::dfo::{Limits, Loss, Measure, RobustLoss, RunOptions, Stop, Tolerances};
 use calibration::{
     Calibration, CheckOptions, Data, Experiment, Finding, Fit, FitOptions, NoiseRule, Parameter, Prior,
@@ -83,7 +84,7 @@ fn a_fixed_step_that_is_too_large_is_compared_with_half_of_it() {
     let check = coarse.check();
     assert!(warns(&check.findings, "half the step of the solver 'euler' changes 'x'"), "{check}");
     assert_eq!(check.n_evaluations, 2);
-    let preflight = coarse.preflight(&calibration::PreflightOptions::default(), &|| false).unwrap();
+    let preflight = coarse.preflight(&calibration::PreflightOptions::default(), &RunContext::new()).unwrap();
     assert!(preflight.is_step_halved && preflight.to_string().contains("with half the step: give a smaller"));
     assert!(preflight.parameters[0].has_effect);
     let fit = coarse.fit(FitOptions { preflight: true, ..FitOptions::default() }).unwrap();
@@ -127,7 +128,7 @@ fn months_taken_for_days_are_named() {
     let check = |t: &[f64]| {
         let experiment = recording(t, decay(t, 1e-7, 1e-3));
         let calibration = calibration(vec![experiment], slow(), SimulationSettings::default());
-        calibration.check_with(&CheckOptions { simulate: false, max_time: None }, &|| false).unwrap()
+        calibration.check_with(&CheckOptions { simulate: false, max_time: None }, &RunContext::new()).unwrap()
     };
     // The first of January to the first of April of 2024, and four days by the hour.
     let first = [0.0, 31.0, 60.0, 91.0].map(|days| days * day);
@@ -228,7 +229,7 @@ fn a_search_that_ended_before_the_minimum_is_named_and_not_taken_for_weights() {
     };
     let fit = calibration.fit(run).unwrap();
     let worth = fit.worth.as_ref().map(|worth| worth.left_to_gain);
-    let at = calibration.worth(&fit.x, &calibration::WorthOptions::default(), &|| false).unwrap();
+    let at = calibration.worth(&fit.x, &calibration::WorthOptions::default(), &RunContext::new()).unwrap();
     assert!(worth.is_none_or(|left| left > 0.9) && at.left_to_gain > 0.9, "{fit}");
     assert!(warns(&at.findings, "the search ended before the minimum"), "{at}");
     assert!(!at.to_string().contains("weights of the other outputs"), "{at}");
@@ -290,7 +291,7 @@ fn starts_and_bounds_far_from_the_models_own_are_named() {
         .parameter(Parameter::new("C1", 2500.0).bounds(1.0, 50e3))
         .build()
         .unwrap()
-        .check_with(&CheckOptions { simulate: false, max_time: None }, &|| false)
+        .check_with(&CheckOptions { simulate: false, max_time: None }, &RunContext::new())
         .unwrap();
     assert!(
         warns(&check.findings, "start value of 'T1': it is 25 K, the model's own is 480: degC for K?"),
@@ -303,7 +304,7 @@ fn starts_and_bounds_far_from_the_models_own_are_named() {
 fn a_check_ends_by_its_time() {
     let calibration = calibration(vec![sound(1e-3)], k(), SimulationSettings::default());
     let options = CheckOptions { max_time: Some(Duration::from_nanos(1)), ..CheckOptions::default() };
-    let check = calibration.check_with(&options, &|| false).unwrap();
+    let check = calibration.check_with(&options, &RunContext::new()).unwrap();
     assert!(warns(&check.findings, "max_time: the check was ended by its time limit of 1e-9 s"), "{check}");
     assert!(calibration.check().is_ok());
 }

@@ -1,6 +1,7 @@
 //! The noise that is estimated with the parameters, beside which priors count.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
+use calibration::RunContext;
 use calibration::{
     BandOptions, Calibration, CalibrationBuilder, CostKind, Data, EstimatedNoise, Experiment, Fit, FitNoise,
     FitOptions, NamedCost, NoiseRule, Parameter, Prior, ProfileOptions, SavedFit, Severity, Stage,
@@ -13,7 +14,6 @@ use dfo::{
 use example_models::example_fmu;
 use fmi::Fmu;
 use std::ops::ControlFlow;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Normally distributed numbers: uniform ones by a linear congruential generator (Knuth's MMIX), turned by Box and Muller.
@@ -160,7 +160,11 @@ fn each_output_has_its_own_noise_and_a_stated_one_is_kept() {
     for ((a, b), error) in fit.x.iter().zip(&again.x).zip(errors) {
         assert!((a - b).abs() < 0.01 * error, "{a} {b} +- {error}");
     }
-    assert!((fit.cost - stated.cost(&fit.x).unwrap()).abs() < 1e-9 * fit.cost, "{}", fit.cost);
+    assert!(
+        (fit.cost - stated.cost(&fit.x, &RunContext::new()).unwrap()).abs() < 1e-9 * fit.cost,
+        "{}",
+        fit.cost
+    );
     // Only what is not stated is estimated; by the scale of a column nothing is stated.
     let scaled = [Weight::Inverse(calibration::OutputScale::Sd), (1.0 / 0.4).into()];
     let fit = throw(1, scaled).build().unwrap().fit(run(LeastSquares::default())).unwrap();
@@ -275,13 +279,13 @@ fn limits_hold_for_all_rounds_and_the_bits_do_not_depend_on_workers() {
         let seen = build().fit(options).unwrap();
         assert_eq!(bits(&seen), bits(&whole));
         assert!(counts.is_sorted() && counts.last().unwrap().0 == seen.report.n_evaluations, "{counts:?}");
-        let flag = Arc::new(AtomicBool::new(false));
+        let flag = AtomicBool::new(false);
         let options = FitOptions {
             observer: Some(Box::new(|progress| {
                 flag.store(progress.n_evaluations + 2 >= whole.report.n_evaluations, Ordering::Relaxed);
                 ControlFlow::Continue(())
             })),
-            cancel: Some(Arc::clone(&flag)),
+            context: RunContext::new().flagged(&flag),
             ..run(method.clone()).into()
         };
         let cut = build().fit(options).unwrap();
@@ -323,16 +327,16 @@ fn what_is_asked_of_the_fit_afterwards_has_its_weights() {
     let calibration = dahlquist(decay(6, 1e-3), 1.0).parameter(rate(1.0, 1.0, 0.3)).build().unwrap();
     let fit = calibration.fit(run(LeastSquares::default())).unwrap();
     let noise = estimated(&fit).outputs[0].sd;
-    let profile = calibration.profile(&fit, &ProfileOptions::default(), &|| false).unwrap();
+    let profile = calibration.profile(&fit, &ProfileOptions::default(), &RunContext::new()).unwrap();
     let (low, high) = profile.parameters[0].interval();
     let (from, to) = fit.worth.as_ref().unwrap().confidence_intervals(0.95).unwrap()[0];
     assert!(low < fit.x[0] && fit.x[0] < high, "{low} {high} {fit}");
     assert!(((high - low) / (to - from)).ln().abs() < 0.05, "{low} {high} for {from} {to}");
-    let bands = calibration.prediction_bands(&fit, &BandOptions::default(), &|| false).unwrap();
+    let bands = calibration.prediction_bands(&fit, &BandOptions::default(), &RunContext::new()).unwrap();
     assert_eq!(bands[0].noise, noise);
-    let curves = calibration.curves(&fit, &|| false).unwrap();
+    let curves = calibration.curves(&fit, &RunContext::new()).unwrap();
     let residuals = &curves[0].outputs[0].residuals;
-    let plain = calibration.residuals(&fit.x).unwrap();
+    let plain = calibration.residuals(&fit.x, &RunContext::new()).unwrap();
     assert!(residuals.iter().zip(&plain).all(|(a, b)| (a - b).abs() < 1e-12), "{residuals:?}");
     let sensitivities = calibration.sensitivities(&fit);
     let expected = times().iter().map(|t| -t * fit.x[0] * (-fit.x[0] * t).exp()).collect::<Vec<_>>();
@@ -344,19 +348,23 @@ fn what_is_asked_of_the_fit_afterwards_has_its_weights() {
     let squares: f64 = plain[..51].iter().map(|r| r * r).sum();
     assert!((fit.rms - (squares / 51.0).sqrt()).abs() < 1e-12, "{}", fit.rms);
     assert!((fit.outputs[0].rms - fit.rms).abs() < 1e-12);
-    let validation = calibration.validate(&fit, &ValidationSet::Windows(vec![(0.0, 1.0)])).unwrap();
+    let validation =
+        calibration.validate(&fit, &ValidationSet::Windows(vec![(0.0, 1.0)]), &RunContext::new()).unwrap();
     assert!(validation.rms < 3e-3, "{validation}");
     let bytes = fit.to_bytes(&calibration).unwrap();
     let saved = SavedFit::from_bytes(&bytes, "fit").unwrap();
     assert_eq!(saved.fit, fit);
-    let again =
-        saved.calibration().unwrap().profile(&saved.fit, &ProfileOptions::default(), &|| false).unwrap();
+    let again = saved
+        .calibration()
+        .unwrap()
+        .profile(&saved.fit, &ProfileOptions::default(), &RunContext::new())
+        .unwrap();
     assert_eq!((again.x, again.cost), (profile.x, profile.cost));
     let json: serde_json::Value = serde_json::from_str(&fit.to_json(&calibration).unwrap()).unwrap();
     assert_eq!(json["noise"]["estimated"]["outputs"][0]["sd"], noise);
     let folder = tempfile::tempdir().unwrap();
     let page = folder.path().join("fit.html");
-    calibration.report(&fit, &page).unwrap();
+    calibration.report(&fit, &page, &RunContext::new()).unwrap();
     assert!(std::fs::read_to_string(page).unwrap().contains("estimated with the parameters"));
 }
 

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+use calibration::RunContext;
 use calibration::dfo::{AnyMethod, LeastSquares, Loss, NelderMead, RobustLoss, RunOptions, Termination};
 use calibration::{
     Calibration, Compared, CostKind, CustomCost, CustomFailure, Data, Experiment, Fit, FitOptions, NamedCost,
@@ -48,7 +49,7 @@ fn named_costs_are_minimised_by_methods_that_see_the_cost_alone() {
             found.report.is_success() && found.worth.is_some() == (named == NamedCost::Likelihood),
             "{found}"
         );
-        let r = calibration.residuals(&found.x).unwrap();
+        let r = calibration.residuals(&found.x, &RunContext::new()).unwrap();
         let n = r.len() as f64;
         let sum: f64 = r.iter().map(|r| r * r).sum();
         let expected = match named {

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+use calibration::RunContext;
 use calibration::{
     Calibration, CalibrationBuilder, Data, Experiment, FitOptions, InitialState, Parameter, Prior, Scale,
     Table, Weight,
@@ -71,11 +72,11 @@ fn one_parameter_sets_several_variables_and_others_follow_it() {
     ]);
     assert_eq!(one.parameters().len(), 1);
     let x = [2.5e-6];
-    let expected = explicit.residuals(&[2.5e-6, 2.5e-6, 6e-6]).unwrap();
-    assert_eq!(one.residuals(&x).unwrap(), expected);
+    let expected = explicit.residuals(&[2.5e-6, 2.5e-6, 6e-6], &RunContext::new()).unwrap();
+    assert_eq!(one.residuals(&x, &RunContext::new()).unwrap(), expected);
     assert_eq!(
-        one.simulate(&x, None).unwrap()[0].columns,
-        explicit.simulate(&[2.5e-6, 2.5e-6, 6e-6], None).unwrap()[0].columns
+        one.simulate(&x, None, &RunContext::new()).unwrap()[0].columns,
+        explicit.simulate(&[2.5e-6, 2.5e-6, 6e-6], None, &RunContext::new()).unwrap()[0].columns
     );
     assert_eq!(one.tied_values(&x), [("qt.a3".to_owned(), 6e-6)]);
     let names = |(name, value): &(&str, f64)| ((*name).to_owned(), *value);
@@ -86,7 +87,7 @@ fn one_parameter_sets_several_variables_and_others_follow_it() {
     assert_eq!((fit.names.len(), fit.tied.len()), (1, 1));
     assert_eq!(fit.tied[0].1, 2.0 * fit.x[0] + 1e-6);
     assert!(fit.to_string().contains("qt.a3 = "), "{fit}");
-    let csv = fit.csv(&one, Table::Parameters, &|| false).unwrap();
+    let csv = fit.csv(&one, Table::Parameters, &RunContext::new()).unwrap();
     let row: Vec<&str> = csv.lines().nth(2).unwrap().split(',').collect();
     assert_eq!((row[0], row[9]), ("qt.a3", "outlets"), "{csv}");
     assert_eq!(row[1].parse(), Ok(fit.tied[0].1), "{csv}");
@@ -106,7 +107,7 @@ fn what_follows_a_local_parameter_is_local() {
         .parameter(Parameter::tied("x", "k", 1.0, 0.0))
         .build()
         .unwrap();
-    assert!(calibration.cost(&[1.0, 2.0]).unwrap() < 1e-8);
+    assert!(calibration.cost(&[1.0, 2.0], &RunContext::new()).unwrap() < 1e-8);
     let expected = [("x[slow]".to_owned(), 1.0), ("x[run2]".to_owned(), 2.0)];
     assert_eq!(calibration.tied_values(&[1.0, 2.0]), expected);
 }
@@ -125,10 +126,13 @@ fn a_prior_is_a_residual_that_is_no_measurement() {
     };
     let calibration = build(Some(Prior::Normal { mean, sd }));
     assert_eq!((calibration.n_residuals(), calibration.n_measurements()), (22, 21));
-    let residuals = calibration.residuals(&[1.3]).unwrap();
+    let residuals = calibration.residuals(&[1.3], &RunContext::new()).unwrap();
     assert_eq!(residuals[21], (1.3 - mean) / sd);
-    assert_eq!(residuals[..21], build(None).residuals(&[1.3]).unwrap());
-    assert_eq!(calibration.cost(&[1.3]).unwrap(), residuals.iter().fold(0.0, |sum, r| sum + r * r));
+    assert_eq!(residuals[..21], build(None).residuals(&[1.3], &RunContext::new()).unwrap());
+    assert_eq!(
+        calibration.cost(&[1.3], &RunContext::new()).unwrap(),
+        residuals.iter().fold(0.0, |sum, r| sum + r * r)
+    );
     let layout = calibration.residual_layout();
     assert_eq!((layout.priors[0].parameter, layout.priors[0].index, layout.n_residuals()), (0, 21, 22));
 
@@ -140,7 +144,8 @@ fn a_prior_is_a_residual_that_is_no_measurement() {
     for method in [dfo::AnyMethod::auto(dfo::Search::Local), NelderMead::default().into()] {
         let fit = calibration.fit(RunOptions { method, ..FitOptions::default_run() }).unwrap();
         assert_near(fit.x[0], a / b, 2e-4);
-        let squares: f64 = calibration.residuals(&fit.x).unwrap()[..21].iter().map(|r| r * r).sum();
+        let squares: f64 =
+            calibration.residuals(&fit.x, &RunContext::new()).unwrap()[..21].iter().map(|r| r * r).sum();
         assert_near(fit.rms, (squares / 21.0).sqrt(), 1e-12);
         assert_near(
             calibration.prior_cost(&fit.x, RobustLoss::default()),
@@ -150,7 +155,7 @@ fn a_prior_is_a_residual_that_is_no_measurement() {
     }
     // A logarithm; a prior of a parameter that is fixed says nothing.
     let relative = build(Some(Prior::LogNormal { median: 1.0, sigma: 0.5 }));
-    assert_near(relative.residuals(&[2.0]).unwrap()[21], 2.0f64.ln() / 0.5, 1e-12);
+    assert_near(relative.residuals(&[2.0], &RunContext::new()).unwrap()[21], 2.0f64.ln() / 0.5, 1e-12);
     let fixed = Parameter::new("x", 1.0).fixed(true).prior(Prior::Normal { mean, sd });
     assert_eq!(dahlquist(experiment).parameter(fixed).parameter(k()).build().unwrap().n_residuals(), 21);
 }
@@ -169,7 +174,7 @@ fn a_prior_that_is_above_the_cutoff_needs_no_simulation() {
     });
     assert_eq!(serial(true).x, serial(false).x);
     assert_near(calibration.fit(run).unwrap().x[0], 1.0, 1e-4);
-    let outside = calibration.cost(&[1.0, -1.0]).unwrap_err().to_string();
+    let outside = calibration.cost(&[1.0, -1.0], &RunContext::new()).unwrap_err().to_string();
     assert!(outside.contains("the prior of 'k' is not defined at -1"), "{outside}");
 }
 
@@ -180,7 +185,9 @@ fn states_start_as_given_as_measured_or_as_fitted() {
     let with = |experiment: Experiment, initial: InitialState| {
         dahlquist(experiment.initial_state("x", initial)).parameter(k()).build()
     };
-    let cost = |initial: InitialState| with(experiment(), initial).unwrap().cost(&[1.0]).unwrap();
+    let cost = |initial: InitialState| {
+        with(experiment(), initial).unwrap().cost(&[1.0], &RunContext::new()).unwrap()
+    };
     assert!(cost(3.0.into()) < 1e-8);
     // What was measured where the simulation starts, and nothing later.
     assert!(cost(InitialState::Measured) < 1e-8);
@@ -206,7 +213,7 @@ fn a_late_output_is_compared_with_what_the_model_was_before() {
     let (rate, tau) = (1.5, 0.137);
     let measured = |t: f64| (-rate * (t - tau).max(0.0)).exp();
     let fixed = dahlquist(decay(&measured).delay("x", tau)).parameter(k()).build().unwrap();
-    assert!(fixed.cost(&[rate]).unwrap() < 1e-8);
+    assert!(fixed.cost(&[rate], &RunContext::new()).unwrap() < 1e-8);
     let delay = || Parameter::new("tau", 0.05).bounds(0.0, 1.0).delay_of("x");
     let calibration = dahlquist(decay(&measured)).parameter(k()).parameter(delay()).build().unwrap();
     // Rows of late outputs are refused as those of others.
@@ -217,18 +224,21 @@ fn a_late_output_is_compared_with_what_the_model_was_before() {
         (vec![1.0, 0.5], "times must ascend: times[1] = 0.5 comes after 1"),
     ];
     for (times, expected) in refused {
-        let error = fixed.simulate(&[1.0], Some(&times)).unwrap_err().to_string();
+        let error = fixed.simulate(&[1.0], Some(&times), &RunContext::new()).unwrap_err().to_string();
         assert!(error.contains(expected), "{error}");
     }
     // A delay that is fitted gives the bits of one that is given.
     for x in [0.8, rate] {
-        assert_eq!(calibration.residuals(&[x, tau]).unwrap(), fixed.residuals(&[x]).unwrap());
+        assert_eq!(
+            calibration.residuals(&[x, tau], &RunContext::new()).unwrap(),
+            fixed.residuals(&[x], &RunContext::new()).unwrap()
+        );
         let rows = |calibration: &Calibration, x: &[f64]| {
-            calibration.simulate(x, Some(&[0.0, 0.1, 0.5, 2.0])).unwrap()
+            calibration.simulate(x, Some(&[0.0, 0.1, 0.5, 2.0]), &RunContext::new()).unwrap()
         };
         assert_eq!(rows(&calibration, &[x, tau])[0].columns, rows(&fixed, &[x])[0].columns);
     }
-    let rows = calibration.simulate(&[rate, tau], None).unwrap();
+    let rows = calibration.simulate(&[rate, tau], None, &RunContext::new()).unwrap();
     assert_eq!(rows[0].time, times(21, 0.1));
     rows[0].time.iter().zip(&rows[0].columns[0]).for_each(|(t, x)| assert_near(*x, measured(*t), 1e-5));
     let fits: Vec<_> = [(1, true), (3, true), (1, false)]
@@ -240,7 +250,7 @@ fn a_late_output_is_compared_with_what_the_model_was_before() {
     assert_near(fits[0].x[0], rate, 1e-3);
     assert_near(fits[0].x[1], tau, 1e-3);
     assert!(fits.iter().all(|fit| (&fit.x, fit.cost) == (&fits[0].x, fits[0].cost)));
-    assert_eq!(fits[0].cost, calibration.cost(&fits[0].x).unwrap());
+    assert_eq!(fits[0].cost, calibration.cost(&fits[0].x, &RunContext::new()).unwrap());
 
     // The clock of the recording is ahead: samples after the last time of it.
     let early = dahlquist(decay(&|t| (-rate * (t + 0.3)).exp()))
@@ -248,7 +258,7 @@ fn a_late_output_is_compared_with_what_the_model_was_before() {
         .parameter(Parameter::new("tau", 0.0).bounds(-0.5, 0.5).delay_of("x"))
         .build()
         .unwrap();
-    assert!(early.cost(&[rate, -0.3]).unwrap() < 1e-8);
+    assert!(early.cost(&[rate, -0.3], &RunContext::new()).unwrap() < 1e-8);
     let fit = early.fit(FitOptions::default()).unwrap();
     assert_near(fit.x[1], -0.3, 1e-3);
 }
@@ -278,14 +288,14 @@ fn late_inputs_are_those_of_a_recording_that_is_later() {
     let delay = Parameter::new("tau", 0.1).bounds(0.0, 2.0).delay_of("u1");
     let offset = Parameter::new("bias", 0.0).bounds(-1.0, 1.0).offset_of("u1");
     let fitted = build(plain().input("u1", "u1"), &[a1, delay, offset]);
-    let expected = fixed.residuals(&[2.8e-6]).unwrap();
-    assert_eq!(fitted.residuals(&[2.8e-6, 0.7, 0.0]).unwrap(), expected);
-    for (one, other) in by_function.residuals(&[2.8e-6]).unwrap().iter().zip(&expected) {
+    let expected = fixed.residuals(&[2.8e-6], &RunContext::new()).unwrap();
+    assert_eq!(fitted.residuals(&[2.8e-6, 0.7, 0.0], &RunContext::new()).unwrap(), expected);
+    for (one, other) in by_function.residuals(&[2.8e-6], &RunContext::new()).unwrap().iter().zip(&expected) {
         // The function has kinks, which are stops of a table.
         assert_near(*one, *other, 1e-5);
     }
-    assert_ne!(fitted.residuals(&[2.8e-6, 0.7, 0.5]).unwrap(), expected);
-    assert_eq!(fitted.residuals(&[2.8e-6, 0.7, 0.0]).unwrap(), expected);
+    assert_ne!(fitted.residuals(&[2.8e-6, 0.7, 0.5], &RunContext::new()).unwrap(), expected);
+    assert_eq!(fitted.residuals(&[2.8e-6, 0.7, 0.0], &RunContext::new()).unwrap(), expected);
 }
 
 #[test]
@@ -295,8 +305,12 @@ fn offsets_are_added_to_what_the_model_gives() {
         .parameter(Parameter::new("bias", 0.0).bounds(-1.0, 1.0).offset_of("x"))
         .build()
         .unwrap();
-    assert!(calibration.cost(&[2.0, 0.25]).unwrap() < 1e-8);
-    assert_near(calibration.simulate(&[2.0, 0.25], None).unwrap()[0].columns[0][0], 1.25, 1e-12);
+    assert!(calibration.cost(&[2.0, 0.25], &RunContext::new()).unwrap() < 1e-8);
+    assert_near(
+        calibration.simulate(&[2.0, 0.25], None, &RunContext::new()).unwrap()[0].columns[0][0],
+        1.25,
+        1e-12,
+    );
     let fit = calibration.fit(FitOptions::default()).unwrap();
     assert_near(fit.x[1], 0.25, 1e-4);
 }
@@ -321,7 +335,7 @@ fn windows_weights_and_warm_up_choose_what_counts() {
     // From the start: what comes first does not count; with a window: the simulation starts before it.
     assert_eq!(names(plain().warm_up(2.0)).0, [2.0, 3.0, 4.0, 5.0]);
     let calibration = dahlquist(plain().window(3.0, 5.0).warm_up(1.5)).parameter(k()).build().unwrap();
-    let rows = calibration.simulate(&[1.0], None).unwrap();
+    let rows = calibration.simulate(&[1.0], None, &RunContext::new()).unwrap();
     assert_eq!(rows[0].time, [3.0, 4.0, 5.0]);
     assert_near(rows[0].columns[0][0], (-1.5f64).exp(), 1e-5);
 }

@@ -2,6 +2,7 @@
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used, clippy::panic)]
 
+use calibration::RunContext;
 use calibration::{
     Calibration, CheckOptions, CurrentPhase, Data, Experiment, FitOptions, FitPhase, Parameter, SavedFit,
     SimulationSettings, Stage,
@@ -37,7 +38,7 @@ fn every_simulation_is_counted_and_none_is_made_twice() {
     let limits = Limits { max_evaluations: Some(evaluations), ..Limits::default() };
     let options = FitOptions { cutoffs: false, ..limited(NelderMead::default(), limits).into() };
     let fit = calibration.fit(options).unwrap();
-    let one = calibration.simulate(&[1.0], None).unwrap()[0].stats.right_hand_sides;
+    let one = calibration.simulate(&[1.0], None, &RunContext::new()).unwrap()[0].stats.right_hand_sides;
     let worth = fit.worth.as_ref().unwrap();
     // The end and the start were among the evaluations. The accurate simulation has twice as many steps, and one initialisation.
     let expected = evaluations + fit.report.n_speculative + fit.n_checks + worth.n_simulations;
@@ -57,7 +58,7 @@ fn the_choice_of_a_solver_counts_once() {
     assert_eq!(first.report.trace.len(), 5);
     let mut total = Stats::default();
     for entry in first.report.trace.iter() {
-        total += calibration.simulate(entry.x, None).unwrap()[0].stats;
+        total += calibration.simulate(entry.x, None, &RunContext::new()).unwrap()[0].stats;
     }
     assert_eq!(first.stats, total);
     for (one, other) in first.report.trace.iter().zip(second.report.trace.iter()) {
@@ -75,7 +76,7 @@ fn endless() -> Calibration {
 fn a_check_ends_in_time_where_one_simulation_is_endless() {
     let began = Instant::now();
     let options = CheckOptions { max_time: Some(Duration::from_millis(300)), ..CheckOptions::default() };
-    let check = endless().check_with(&options, &|| false).unwrap();
+    let check = endless().check_with(&options, &RunContext::new()).unwrap();
     assert!(
         check.to_string().contains("its time limit of 0.3 s before the simulation at the start"),
         "{check}"
@@ -111,9 +112,9 @@ fn the_start_is_the_result_where_one_simulation_is_endless() {
 fn nothing_is_simulated_when_the_time_is_up() {
     let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Euler, Some(1e-5));
     // The first use of the model is tested, once per process.
-    calibration.preflight(&calibration::PreflightOptions::default(), &|| false).unwrap();
+    calibration.preflight(&calibration::PreflightOptions::default(), &RunContext::new()).unwrap();
     let began = Instant::now();
-    calibration.cost(&[1.0]).unwrap();
+    calibration.cost(&[1.0], &RunContext::new()).unwrap();
     let limits = Limits { max_time: Some(10 * began.elapsed()), ..Limits::default() };
     let mut run = limited(NelderMead::default(), limits);
     (run.tolerances.x_tol, run.tolerances.f_tol) = (0.0, 0.0);
@@ -127,9 +128,9 @@ fn nothing_is_simulated_when_the_time_is_up() {
 #[test]
 fn the_message_names_the_limit_that_was_given() {
     let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Euler, Some(1e-4));
-    calibration.preflight(&calibration::PreflightOptions::default(), &|| false).unwrap();
+    calibration.preflight(&calibration::PreflightOptions::default(), &RunContext::new()).unwrap();
     let began = Instant::now();
-    calibration.cost(&[1.0]).unwrap();
+    calibration.cost(&[1.0], &RunContext::new()).unwrap();
     let one = Duration::from_millis(1) + began.elapsed();
     let given = |times: u32| Limits { max_time: Some(times * one), ..Limits::default() };
     let (limits, of_stage) = (given(16), given(5));

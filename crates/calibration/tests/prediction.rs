@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+use calibration::RunContext;
 use calibration::{
     BandOptions, Calibration, CrossValidationOptions, Data, Experiment, FitOptions, Parameter, Scale,
 };
@@ -35,7 +36,9 @@ fn the_band_is_that_of_the_delta_method() {
     let worth = fit.worth.as_ref().unwrap();
     let times = vec![0.0, 0.3, 1.0, 2.5];
     let options = BandOptions { times: Some(times.clone()), ..BandOptions::default() };
-    let [band] = &calibration.prediction_bands(&fit, &options, &|| false).unwrap()[..] else { panic!() };
+    let [band] = &calibration.prediction_bands(&fit, &options, &RunContext::new()).unwrap()[..] else {
+        panic!()
+    };
     let (k, x0) = (fit.x[0], fit.x[1]);
     for (i, t) in times.iter().enumerate() {
         let decay = (-k * t).exp();
@@ -53,9 +56,11 @@ fn the_band_is_that_of_the_delta_method() {
     assert!((band.noise - fit.rms * (40.0_f64 / 38.0).sqrt()).abs() < 1e-9);
     // The same for any number of workers; narrower for a lower level.
     let one = BandOptions { workers: Some(1), ..options.clone() };
-    assert_eq!(&calibration.prediction_bands(&fit, &one, &|| false).unwrap()[0], band);
+    assert_eq!(&calibration.prediction_bands(&fit, &one, &RunContext::new()).unwrap()[0], band);
     let half = BandOptions { level: 0.5, ..options };
-    assert!(calibration.prediction_bands(&fit, &half, &|| false).unwrap()[0].upper[2] < band.upper[2]);
+    assert!(
+        calibration.prediction_bands(&fit, &half, &RunContext::new()).unwrap()[0].upper[2] < band.upper[2]
+    );
 }
 
 #[test]
@@ -69,7 +74,10 @@ fn a_band_of_parameters_on_a_log_scale_is_that_of_linear_ones() {
             .build()
             .unwrap();
         let fit = calibration.fit(FitOptions::default()).unwrap();
-        calibration.prediction_bands(&fit, &BandOptions::default(), &|| false).unwrap().swap_remove(0)
+        calibration
+            .prediction_bands(&fit, &BandOptions::default(), &RunContext::new())
+            .unwrap()
+            .swap_remove(0)
     };
     let expected = band(Scale::Linear, true);
     for has_bounds in [true, false] {
@@ -86,7 +94,7 @@ fn a_band_without_degrees_of_freedom_is_refused() {
     let calibration = calibration(vec![recording(2.0, 1.0).window(0.0, 0.1)], false);
     let fit = calibration.fit(FitOptions::default()).unwrap();
     assert_eq!(fit.worth.as_ref().unwrap().degrees_of_freedom, 0);
-    let error = calibration.prediction_bands(&fit, &BandOptions::default(), &|| false).unwrap_err();
+    let error = calibration.prediction_bands(&fit, &BandOptions::default(), &RunContext::new()).unwrap_err();
     assert!(error.to_string().contains("2 residuals are no more than the parameters"), "{error}");
 }
 
@@ -102,7 +110,10 @@ fn local_parameters_of_what_is_held_out_are_fitted_with_the_loss_of_the_fit() {
     let calibration = calibration(recordings, true);
     let loss = RobustLoss::new(Loss::Cauchy, 0.02).unwrap();
     let found = calibration
-        .cross_validate(&CrossValidationOptions { loss, ..CrossValidationOptions::default() })
+        .cross_validate(
+            &CrossValidationOptions { loss, ..CrossValidationOptions::default() },
+            &RunContext::new(),
+        )
         .unwrap();
     let of_third = &found.folds[2].validation;
     assert!((of_third.x[1] - 2.5).abs() < 0.02, "{found}");
@@ -127,17 +138,17 @@ fn a_band_that_cannot_be_made_says_why() {
         ),
         (&without, options.clone(), "needs the covariance"),
     ] {
-        let error = calibration.prediction_bands(fit, &options, &|| false).unwrap_err().to_string();
+        let error = calibration.prediction_bands(fit, &options, &RunContext::new()).unwrap_err().to_string();
         assert!(error.contains(expected), "{error}");
     }
-    assert!(calibration.prediction_bands(&fit, &options, &|| true).is_err());
+    assert!(calibration.prediction_bands(&fit, &options, &RunContext::new().asking(&|| true)).is_err());
 }
 
 #[test]
 fn each_recording_is_left_out_once() {
     let recordings = vec![recording(2.0, 1.0), recording(2.05, 2.0), recording(2.0, 3.0).named("third")];
     let calibration = calibration(recordings, true);
-    let found = calibration.cross_validate(&CrossValidationOptions::default()).unwrap();
+    let found = calibration.cross_validate(&CrossValidationOptions::default(), &RunContext::new()).unwrap();
     let names: Vec<_> = found.folds.iter().map(|fold| fold.held_out.join(" ")).collect();
     assert_eq!(names, ["run1", "run2", "third"]);
     assert_eq!(found.folds[0].fit.names, ["k", "x[run2]", "x[third]"]);
@@ -153,27 +164,30 @@ fn each_recording_is_left_out_once() {
     // By hand: the same calibration without the first.
     let mut options = CrossValidationOptions { folds: Some(2), ..CrossValidationOptions::default() };
     options.run.workers = Some(1);
-    let two = calibration.cross_validate(&options).unwrap();
+    let two = calibration.cross_validate(&options, &RunContext::new()).unwrap();
     assert_eq!(two.folds[0].held_out, ["run1", "third"]);
     options.run.workers = Some(4);
-    let again = calibration.cross_validate(&options).unwrap();
+    let again = calibration.cross_validate(&options, &RunContext::new()).unwrap();
     assert_eq!(again.rms.to_bits(), two.rms.to_bits());
 }
 
 #[test]
 fn recordings_that_cannot_be_left_out_are_named() {
     let one = calibration(vec![recording(2.0, 1.0)], false);
-    let error = one.cross_validate(&CrossValidationOptions::default()).unwrap_err().to_string();
+    let error =
+        one.cross_validate(&CrossValidationOptions::default(), &RunContext::new()).unwrap_err().to_string();
     assert!(error.contains("two or more experiments; there is one"), "{error}");
     let two = calibration(vec![recording(2.0, 1.0), recording(2.0, 2.0)], true);
     for folds in [0, 1, 3] {
         let options = CrossValidationOptions { folds: Some(folds), ..CrossValidationOptions::default() };
-        let error = two.cross_validate(&options).unwrap_err().to_string();
+        let error = two.cross_validate(&options, &RunContext::new()).unwrap_err().to_string();
         assert!(
             error.contains(&format!("{folds} folds of 2 recordings: there must be from 2 to 2")),
             "{error}"
         );
     }
-    let error = two.cross_validate_until(&CrossValidationOptions::default(), &|| true).unwrap_err();
+    let error = two
+        .cross_validate(&CrossValidationOptions::default(), &RunContext::new().asking(&|| true))
+        .unwrap_err();
     assert!(matches!(error, calibration::CalibrationError::Cancelled));
 }

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+use calibration::RunContext;
 use calibration::{
     Calibration, CalibrationBuilder, CalibrationError, Data, Experiment, FitOptions, Parameter, Problem,
 };
@@ -57,8 +58,8 @@ fn sum(residuals: &[f64]) -> f64 {
 fn the_cost_has_the_same_bits_on_every_path() {
     let calibration = furuta();
     let x = [0.0113, 0.0021];
-    let residuals = calibration.residuals(&x).unwrap();
-    let cost = calibration.cost(&x).unwrap();
+    let residuals = calibration.residuals(&x, &RunContext::new()).unwrap();
+    let cost = calibration.cost(&x, &RunContext::new()).unwrap();
     assert_eq!(cost.to_bits(), sum(&residuals).to_bits());
     assert_ne!(cost.to_bits(), sum(&residuals.iter().rev().copied().collect::<Vec<_>>()).to_bits());
 
@@ -83,11 +84,14 @@ fn the_cost_has_the_same_bits_on_every_path() {
         let limits = Limits { max_evaluations: Some(40), ..Limits::default() };
         let run = RunOptions { limits, workers: Some(workers), ..FitOptions::default_run() };
         let fit = calibration.fit(FitOptions { cutoffs, ..run.into() }).unwrap();
-        assert_eq!(fit.cost.to_bits(), calibration.cost(&fit.x).unwrap().to_bits());
-        assert_eq!(fit.cost.to_bits(), sum(&calibration.residuals(&fit.x).unwrap()).to_bits());
+        assert_eq!(fit.cost.to_bits(), calibration.cost(&fit.x, &RunContext::new()).unwrap().to_bits());
+        assert_eq!(
+            fit.cost.to_bits(),
+            sum(&calibration.residuals(&fit.x, &RunContext::new()).unwrap()).to_bits()
+        );
         for entry in fit.report.trace.iter() {
             if let Outcome::Value(cost) = entry.outcome {
-                assert_eq!(cost.to_bits(), calibration.cost(entry.x).unwrap().to_bits());
+                assert_eq!(cost.to_bits(), calibration.cost(entry.x, &RunContext::new()).unwrap().to_bits());
             }
         }
         found.push((fit.x, fit.cost));
@@ -101,12 +105,12 @@ fn local_parameters_stand_in_their_place_once_per_experiment() {
     let names: Vec<&str> = calibration.parameters().iter().map(Parameter::name).collect();
     assert_eq!(names, ["k[slow]", "k[run2]", "x[slow]", "x[run2]"]);
     assert_eq!(calibration.start(), [1.5, 3.0, 1.0, 1.0]);
-    assert!(calibration.cost(&[2.0, 4.0, 1.0, 3.0]).unwrap() < 1e-8);
+    assert!(calibration.cost(&[2.0, 4.0, 1.0, 3.0], &RunContext::new()).unwrap() < 1e-8);
     // The second experiment does not see the first entry.
-    let residuals = |x: [f64; 4]| calibration.residuals(&x).unwrap();
+    let residuals = |x: [f64; 4]| calibration.residuals(&x, &RunContext::new()).unwrap();
     let (one, other) = (residuals([2.0, 4.0, 1.0, 3.0]), residuals([1.0, 4.0, 1.0, 3.0]));
     assert!(one[1..11] != other[1..11] && one[11..] == other[11..]);
-    let rows = calibration.simulate(&[2.0, 4.0, 1.0, 3.0], None).unwrap();
+    let rows = calibration.simulate(&[2.0, 4.0, 1.0, 3.0], None, &RunContext::new()).unwrap();
     assert!((rows[1].columns[0][10] - 3.0 * (-4.0f64).exp()).abs() < 1e-4);
 
     let fit = calibration.fit(FitOptions::default()).unwrap();
@@ -141,9 +145,12 @@ fn a_problem_survives_a_file() {
     let problem: Problem = ciborium::from_reader(&bytes[..]).unwrap();
     assert_eq!(&problem, calibration.problem());
     let again = Calibration::from_problem(open("dahlquist"), problem.clone()).unwrap();
-    again.set_solver(calibration.solver().unwrap().clone()).unwrap();
+    again.set_solver(calibration.solver(&RunContext::new()).unwrap().clone()).unwrap();
     let x = [2.1, 3.9, 1.0, 3.1];
-    assert_eq!(again.cost(&x).unwrap().to_bits(), calibration.cost(&x).unwrap().to_bits());
+    assert_eq!(
+        again.cost(&x, &RunContext::new()).unwrap().to_bits(),
+        calibration.cost(&x, &RunContext::new()).unwrap().to_bits()
+    );
 
     let other = open("van_der_pol");
     let found = other.content_hash().unwrap().to_owned();
@@ -154,9 +161,9 @@ fn a_problem_survives_a_file() {
 #[test]
 fn a_fit_can_be_cancelled_while_its_solver_is_chosen() {
     let calibration = furuta();
-    let by_flag = FitOptions { cancel: Some(Arc::new(AtomicBool::new(true))), ..FitOptions::default() };
-    let by_poll = FitOptions { poll: Some(Box::new(|| true)), ..FitOptions::default() };
-    for options in [by_flag, by_poll] {
+    let flag = AtomicBool::new(true);
+    for context in [RunContext::new().flagged(&flag), RunContext::new().asking(&|| true)] {
+        let options = FitOptions { context, ..FitOptions::default() };
         assert!(matches!(calibration.fit(options), Err(CalibrationError::Cancelled)));
         assert_eq!(calibration.known_solver(), None);
     }
@@ -184,8 +191,10 @@ fn the_layout_of_the_residuals_says_what_each_one_compares() {
     assert_eq!(layout.outputs[1].weights[..], [2.0, 2.0]);
     assert_eq!(layout.n_residuals(), calibration.n_residuals());
     // Together with a simulation they make the residuals.
-    let (residuals, trajectories) =
-        (calibration.residuals(&[1.3]).unwrap(), calibration.simulate(&[1.3], None).unwrap());
+    let (residuals, trajectories) = (
+        calibration.residuals(&[1.3], &RunContext::new()).unwrap(),
+        calibration.simulate(&[1.3], None, &RunContext::new()).unwrap(),
+    );
     for o in &layout.outputs {
         let trajectory = &trajectories[o.experiment];
         for (i, t) in o.times.iter().enumerate() {

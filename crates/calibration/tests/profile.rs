@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+use calibration::RunContext;
 use calibration::{
     Calibration, CalibrationError, CostKind, Data, Estimator, Experiment, Fit, FitOptions, NamedCost,
     Parameter, Profile, ProfileEnd, ProfileOptions, Scale, WorthOptions,
@@ -32,7 +33,7 @@ fn fitted(calibration: &Calibration, options: FitOptions<'_>) -> Fit {
 }
 
 fn profile(calibration: &Calibration, fit: &Fit, options: &ProfileOptions) -> Profile {
-    calibration.profile(fit, options, &|| false).unwrap()
+    calibration.profile(fit, options, &RunContext::new()).unwrap()
 }
 
 /// x = x0 exp(-k t), with noise.
@@ -71,7 +72,7 @@ fn the_interval_of_a_linear_model_is_that_of_its_covariance() {
         let fit = fitted(&calibration, FitOptions { worth, ..FitOptions::default() });
         let options = ProfileOptions { is_corrected: false, ..ProfileOptions::default() };
         let found = profile(&calibration, &fit, &options);
-        let r = calibration.residuals(&fit.x).unwrap();
+        let r = calibration.residuals(&fit.x, &RunContext::new()).unwrap();
         let sum = |part: &[f64]| part.iter().map(|r| r * r).sum::<f64>();
         // (J'J)^-1 J'SJ (J'J)^-1 with the rows (1, t) of h and (0, 2) of v.
         let (mut of_h, of_v) = ([0.0; 3], [0.0, 0.0, 4.0 * 50.0]);
@@ -164,7 +165,7 @@ fn one_parameter_and_scales() {
         let (low, high) = found.parameters[0].interval();
         let variance = fit.cost / 29.0;
         for end in [low, high] {
-            let rise = (calibration.cost(&[end]).unwrap() - fit.cost) / variance;
+            let rise = (calibration.cost(&[end], &RunContext::new()).unwrap() - fit.cost) / variance;
             near(rise, found.threshold, 0.01 * found.threshold);
         }
         // Fast decays are told apart worse than slow ones.
@@ -258,7 +259,9 @@ fn workers_interrupts_and_files_change_no_number() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("profile.json");
     let n_saved = || std::fs::read_to_string(&file).unwrap_or_default().matches("\"side\"").count();
-    let cut = calibration.profile(&fit, &with(1, Some(&file)), &|| n_saved() > 1).unwrap();
+    let cut = calibration
+        .profile(&fit, &with(1, Some(&file)), &RunContext::new().asking(&|| n_saved() > 1))
+        .unwrap();
     assert!(cut.is_interrupted && cut.to_string().contains("interrupted"), "{cut}");
     assert_eq!((n_saved(), &cut.parameters[0]), (2, &whole.parameters[0]));
     assert_eq!(cut.parameters[1].upper, ProfileEnd::Interrupted);
@@ -266,11 +269,12 @@ fn workers_interrupts_and_files_change_no_number() {
     assert_eq!((n_saved(), &without_stats(resumed)), (4, &whole));
     let again = profile(&calibration, &fit, &with(1, Some(&file)));
     assert!(again.n_simulations == whole.n_simulations && n_saved() == 4);
-    let cancelled = calibration.profile(&fit, &with(1, None), &|| true).unwrap_err();
+    let cancelled =
+        calibration.profile(&fit, &with(1, None), &RunContext::new().asking(&|| true)).unwrap_err();
     assert!(matches!(cancelled, CalibrationError::Cancelled));
 
     let refused = |options: ProfileOptions| {
-        calibration.profile(&fit, &options, &|| false).map(|_| ()).unwrap_err().to_string()
+        calibration.profile(&fit, &options, &RunContext::new()).map(|_| ()).unwrap_err().to_string()
     };
     let said = refused(ProfileOptions { level: 0.9, ..with(1, Some(&file)) });
     assert!(said.contains("another fit") && said.contains("profile.json"), "{said}");
@@ -289,11 +293,12 @@ fn fits_that_have_no_profile_are_refused() {
         decay([Parameter::new("k", 1.0).bounds(0.1, 5.0), Parameter::new("x", 1.0).fixed(true)]);
     let fit = fitted(&calibration, FitOptions::default());
     let fixed = ProfileOptions { parameters: Some(vec![1]), ..ProfileOptions::default() };
-    let said = calibration.profile(&fit, &fixed, &|| false).unwrap_err().to_string();
+    let said = calibration.profile(&fit, &fixed, &RunContext::new()).unwrap_err().to_string();
     assert!(said.contains("'x' was not fitted"), "{said}");
     assert_eq!(profile(&calibration, &fit, &ProfileOptions::default()).parameters.len(), 1);
     let mae = FitOptions { objective: CostKind::Named(NamedCost::Mae), ..FitOptions::default() };
     let fit = fitted(&calibration, mae);
-    let said = calibration.profile(&fit, &ProfileOptions::default(), &|| false).unwrap_err().to_string();
+    let said =
+        calibration.profile(&fit, &ProfileOptions::default(), &RunContext::new()).unwrap_err().to_string();
     assert!(said.contains("that of a sum of squares") && said.contains("mae"), "{said}");
 }

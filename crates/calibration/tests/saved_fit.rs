@@ -1,6 +1,7 @@
 //! A fit in a file: it comes back with all bits, shows what it is without its model, and files that are none are refused.
 #![allow(clippy::unwrap_used)]
 
+use calibration::RunContext;
 use calibration::dfo::RobustLoss;
 use calibration::{
     Calibration, CalibrationError, Data, Experiment, Fit, FitOptions, Parameter, SavedFit, Stage,
@@ -51,7 +52,7 @@ fn a_fit_comes_back_with_all_bits() {
     assert_eq!(format!("{:?}", saved.problem), format!("{:?}", calibration.problem()));
     let again = saved.calibration().unwrap();
     assert_eq!(again.known_solver(), Some(&fit.solver));
-    assert_eq!(again.cost(&fit.x).unwrap().to_bits(), fit.cost.to_bits());
+    assert_eq!(again.cost(&fit.x, &RunContext::new()).unwrap().to_bits(), fit.cost.to_bits());
     assert_eq!(saved.fit.to_bytes(&again).unwrap(), bytes);
 }
 
@@ -76,17 +77,17 @@ fn without_its_model_a_fit_shows_its_numbers() {
         let text = error.to_string();
         assert!(text.contains("model.fmu") && text.contains(&hash) && text.contains(expected), "{text}");
     };
-    check(described.cost(&fit.x).unwrap_err(), "not there any more");
-    check(described.simulate(&fit.x, None).unwrap_err(), "not there any more");
+    check(described.cost(&fit.x, &RunContext::new()).unwrap_err(), "not there any more");
+    check(described.simulate(&fit.x, None, &RunContext::new()).unwrap_err(), "not there any more");
     assert!(described.fit(FitOptions::default()).is_err());
     // Another content at its place.
     std::fs::copy(example_models::example_fmu("van_der_pol").unwrap(), &place).unwrap();
     let described = saved.calibration().unwrap();
-    check(described.cost(&fit.x).unwrap_err(), "what is there now has the content");
+    check(described.cost(&fit.x, &RunContext::new()).unwrap_err(), "what is there now has the content");
     let other = saved.calibration_with(Fmu::open(&place).unwrap()).unwrap_err();
     assert!(matches!(other, CalibrationError::OtherModel { .. }), "{other}");
     let again = saved.calibration_with(Fmu::open(&moved).unwrap()).unwrap();
-    assert_eq!(again.cost(&fit.x).unwrap().to_bits(), fit.cost.to_bits());
+    assert_eq!(again.cost(&fit.x, &RunContext::new()).unwrap().to_bits(), fit.cost.to_bits());
     assert_eq!(again.problem().model.path, moved);
 }
 

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+use calibration::RunContext;
 use calibration::{
     Calibration, CalibrationError, Data, Entry, Experiment, FitOptions, Parameter, SimulationSettings,
     Verdict,
@@ -62,8 +63,8 @@ fn a_stiff_model_is_raced_once_and_the_winner_is_used_everywhere() {
     let raced = calibration(Method::Auto);
     assert_eq!(raced.known_solver(), None);
     let x = [2600.0, 9100.0];
-    let cost = raced.cost(&x).unwrap();
-    let solver = raced.solver().unwrap().clone();
+    let cost = raced.cost(&x, &RunContext::new()).unwrap();
+    let solver = raced.solver(&RunContext::new()).unwrap().clone();
     let race = solver.race.as_ref().unwrap();
     let methods: Vec<_> = race.entries.iter().map(|e| e.method).collect();
     assert_eq!(methods, [Method::Auto, Method::Bdf, Method::Radau5]);
@@ -81,12 +82,12 @@ fn a_stiff_model_is_raced_once_and_the_winner_is_used_everywhere() {
     assert_eq!(fit.solver, solver);
     assert!(fit.to_string().contains(&format!("solver {}", solver.method.name())), "{fit}");
     // A cost is the same function before, in and after a fit, and with the winner named.
-    assert_eq!(raced.cost(&x).unwrap().to_bits(), cost.to_bits());
-    assert_eq!(raced.cost(&fit.x).unwrap().to_bits(), fit.cost.to_bits());
+    assert_eq!(raced.cost(&x, &RunContext::new()).unwrap().to_bits(), cost.to_bits());
+    assert_eq!(raced.cost(&fit.x, &RunContext::new()).unwrap().to_bits(), fit.cost.to_bits());
     let named = calibration(solver.method);
-    assert_eq!(named.cost(&x).unwrap().to_bits(), cost.to_bits());
-    assert_eq!(named.solver().unwrap().race, None);
-    let trajectory = &raced.simulate(&x, None).unwrap()[0];
+    assert_eq!(named.cost(&x, &RunContext::new()).unwrap().to_bits(), cost.to_bits());
+    assert_eq!(named.solver(&RunContext::new()).unwrap().race, None);
+    let trajectory = &raced.simulate(&x, None, &RunContext::new()).unwrap()[0];
     let rows = trajectory.get("T_out").unwrap().iter().zip(exhaust().column("T_out").unwrap().to_vec());
     let sum: f64 = rows.map(|(simulated, measured)| (simulated - measured).powi(2)).sum();
     assert_eq!(sum.to_bits(), cost.to_bits());
@@ -95,7 +96,7 @@ fn a_stiff_model_is_raced_once_and_the_winner_is_used_everywhere() {
 #[test]
 fn the_race_has_the_same_winner_and_numbers_again() {
     let [one, two] = [0, 1].map(|_| calibration(Method::Auto));
-    assert_eq!(one.solver().unwrap(), two.solver().unwrap());
+    assert_eq!(one.solver(&RunContext::new()).unwrap(), two.solver(&RunContext::new()).unwrap());
 }
 
 #[test]
@@ -149,7 +150,7 @@ fn a_resumed_fit_takes_the_solver_from_its_checkpoint() {
 #[test]
 fn a_fit_can_be_interrupted_in_the_race() {
     let slow = calibration(Method::Auto);
-    let options = FitOptions { poll: Some(Box::new(|| true)), ..few(5) };
+    let options = FitOptions { context: RunContext::new().asking(&|| true), ..few(5) };
     let ended = slow.fit(options);
     // Either the race was over before the first look, or nothing was found.
     match ended {
@@ -164,7 +165,7 @@ fn a_fit_can_be_interrupted_in_the_race() {
 #[ignore = "a table to read"]
 #[allow(clippy::print_stdout)]
 fn table() {
-    println!("{:?}", calibration(Method::Auto).solver().unwrap());
+    println!("{:?}", calibration(Method::Auto).solver(&RunContext::new()).unwrap());
     for method in [Method::Auto, Method::Bdf, Method::Radau5] {
         let fit = calibration(method).fit(few(400)).unwrap();
         let method = if method == Method::Auto { "race" } else { method.name() };

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+use calibration::RunContext;
 use calibration::dfo::{Checkpoint, Limits, NelderMead, Resume, RunOptions, Termination};
 use calibration::{Calibration, Data, Experiment, Fit, FitOptions, Parameter, SimulationSettings, Stage};
 use example_models::example_fmu;
@@ -79,13 +80,13 @@ fn a_method_and_a_window_of_its_own() {
     let methods: Vec<_> = fit.stages.iter().map(|stage| stage.report.method.clone()).collect();
     assert_eq!(methods, ["nelder-mead", "least-squares"]);
     let half = tanks(&[("qt.a3", 3e-6), ("qt.a4", 3e-6)], Some((0.0, 30.0)));
-    assert_eq!(fit.stages[0].cost, half.cost(&fit.stages[0].x).unwrap());
-    assert_eq!(fit.start_cost, Some(calibration.cost(&calibration.start()).unwrap()));
+    assert_eq!(fit.stages[0].cost, half.cost(&fit.stages[0].x, &RunContext::new()).unwrap());
+    assert_eq!(fit.start_cost, Some(calibration.cost(&calibration.start(), &RunContext::new()).unwrap()));
     // The costs of the first stage are those of another window.
     assert_eq!(fit.report.trace.len(), fit.stages[1].report.n_evaluations);
     let last = [stages[1].clone(), stages[0].clone()];
     let fit = calibration.fit_stages(&last, FitOptions::default()).unwrap();
-    assert_eq!(fit.cost, calibration.cost(&fit.x).unwrap());
+    assert_eq!(fit.cost, calibration.cost(&fit.x, &RunContext::new()).unwrap());
     assert!(fit.cost > fit.stages[1].cost);
     let sum: f64 = fit.outputs.iter().map(|o| o.n as f64 * o.rms * o.rms).sum();
     assert!((sum / fit.cost - 1.0).abs() < 1e-9 && fit.n_measurements == 4 * 61);

@@ -1,6 +1,7 @@
 //! The relative tolerance that a fit chooses for its simulations.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
+use calibration::RunContext;
 use calibration::{
     Calibration, CalibrationBuilder, Data, Experiment, Fit, FitOptions, Parameter, ProfileOptions, SavedFit,
     Severity, SimulationSettings, Stage,
@@ -97,7 +98,7 @@ fn nothing_is_simulated_for_it_where_it_cannot_matter() {
     let calibration = oscillator(&folder, 0.03).build().unwrap();
     let fit = calibration.fit(run(1e-4)).unwrap();
     assert_eq!((fit.tolerance.unwrap().used, fit.tolerance.unwrap().n_simulations), (1e-6, 0));
-    assert_eq!(calibration.cost(&fit.x).unwrap(), fit.cost);
+    assert_eq!(calibration.cost(&fit.x, &RunContext::new()).unwrap(), fit.cost);
 }
 
 #[test]
@@ -111,7 +112,7 @@ fn the_choice_is_the_same_everywhere_and_kept() {
     assert!(one.tolerance.unwrap().used < 1e-6 && !is_noisy(&one), "{one}");
     let saved = SavedFit::from_bytes(&one.to_bytes(&calibration).unwrap(), "fit").unwrap();
     assert_eq!(saved.fit.tolerance, one.tolerance);
-    let profile = calibration.profile(&one, &ProfileOptions::default(), &|| false).unwrap();
+    let profile = calibration.profile(&one, &ProfileOptions::default(), &RunContext::new()).unwrap();
     let (low, high) = profile.parameters[0].interval();
     assert!(low < one.x[0] && one.x[0] < high, "{low} {high} {one}");
     let staged = calibration.fit_stages(&[Stage::new(["mu"])], run(1e-4)).unwrap();

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+use calibration::RunContext;
 use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, SimulationSettings};
 use dfo::{BatchPlan, Limits, NelderMead, RunOptions};
 use example_models::example_fmu;
@@ -39,7 +40,7 @@ fn the_totals_are_the_sum_over_all_evaluations() {
         assert_eq!(fit.report.trace.len(), 12);
         let mut total = Stats::default();
         for entry in fit.report.trace.iter() {
-            total += calibration.simulate(entry.x, None).unwrap()[0].stats;
+            total += calibration.simulate(entry.x, None, &RunContext::new()).unwrap()[0].stats;
         }
         assert_eq!(fit.stats, total);
         assert!(fit.stats.state_events > 12 && fit.stats.event_indicators > fit.stats.state_events);

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+use calibration::RunContext;
 use calibration::{Calibration, CalibrationError, Data, Experiment, FitOptions, Parameter, Severity};
 use example_models::example_fmu;
 use fmi::Fmu;
@@ -31,7 +32,7 @@ fn tank(names: [&str; 2], per_metre: f64, voltages: (&str, f64)) -> Result<Calib
 #[test]
 fn columns_are_converted_to_the_units_of_the_model() {
     let metres = tank(["x1", "x2"], 1.0, ("u", 5.0)).unwrap();
-    let expected = metres.cost(&[2.7e-6]).unwrap();
+    let expected = metres.cost(&[2.7e-6], &RunContext::new()).unwrap();
     for (names, per_metre, voltages) in [
         (["x1 [m]", "x2 (m)"], 1.0, ("u [V]", 5.0)),
         (["x1 [mm]", "x2 (mm)"], 1e3, ("u [mV]", 5e3)),
@@ -48,7 +49,7 @@ fn columns_are_converted_to_the_units_of_the_model() {
         for printed in [check.to_string(), fit.to_string()] {
             assert_eq!(printed.contains(converted), names[0] == "x1 [mm]", "{printed}");
         }
-        let cost = calibration.cost(&[2.7e-6]).unwrap();
+        let cost = calibration.cost(&[2.7e-6], &RunContext::new()).unwrap();
         assert!((cost - expected).abs() <= 1e-12 * expected, "{names:?}: {cost} {expected}");
         let data = calibration.problem().experiments[0].data();
         assert_eq!(data.unit(names[0]), Some("m"));
@@ -56,7 +57,7 @@ fn columns_are_converted_to_the_units_of_the_model() {
         let again =
             Calibration::from_problem(calibration.fmu().clone(), calibration.problem().clone()).unwrap();
         assert_eq!(again.problem(), calibration.problem());
-        assert_eq!(again.cost(&[2.7e-6]).unwrap().to_bits(), cost.to_bits());
+        assert_eq!(again.cost(&[2.7e-6], &RunContext::new()).unwrap().to_bits(), cost.to_bits());
     }
 }
 
@@ -87,9 +88,9 @@ fn units_of_other_quantities_are_refused_and_unknown_ones_named() {
 
 #[test]
 fn a_number_behind_a_name_is_no_unit() {
-    let expected = tank(["x1", "x2"], 1.0, ("u", 5.0)).unwrap().cost(&[2.7e-6]).unwrap();
+    let expected = tank(["x1", "x2"], 1.0, ("u", 5.0)).unwrap().cost(&[2.7e-6], &RunContext::new()).unwrap();
     for names in [["x1 [2]", "x2 (3)"], ["x1 (2)", "x2 [3]"]] {
-        let cost = tank(names, 1.0, ("u", 5.0)).unwrap().cost(&[2.7e-6]).unwrap();
+        let cost = tank(names, 1.0, ("u", 5.0)).unwrap().cost(&[2.7e-6], &RunContext::new()).unwrap();
         assert_eq!(cost.to_bits(), expected.to_bits(), "{names:?}");
     }
 }
@@ -108,8 +109,8 @@ fn a_line_of_units_counts_for_columns_with_the_names_of_variables() {
             .parameter(Parameter::new("qt.a1", 3e-6).bounds(2e-6, 4e-6))
             .build()
     };
-    let expected = recording("m", 1.0).unwrap().cost(&[2.7e-6]).unwrap();
-    let cost = recording("mm", 1e3).unwrap().cost(&[2.7e-6]).unwrap();
+    let expected = recording("m", 1.0).unwrap().cost(&[2.7e-6], &RunContext::new()).unwrap();
+    let cost = recording("mm", 1e3).unwrap().cost(&[2.7e-6], &RunContext::new()).unwrap();
     assert!((cost - expected).abs() <= 1e-9 * expected, "{cost} {expected}");
     let message = recording("bar", 1.0).unwrap_err().to_string();
     assert!(message.contains("'bar' (kg.m-1.s-2) cannot be converted to 'm'"), "{message}");

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+use calibration::RunContext;
 use calibration::dfo::Limits;
 use calibration::{
     Calibration, CrossValidationOptions, Data, Experiment, Fit, FitOptions, Parameter, Severity,
@@ -43,7 +44,8 @@ fn rms(steps: std::ops::RangeInclusive<u32>, (k, x0): (f64, f64), (other, y0): (
 fn a_window_is_reached_with_its_history() {
     let (calibration, fit) = fitted(vec![experiment(2.0, 1.0).window(0.0, 1.0)], false);
     let x0 = fit.x[1];
-    let validation = calibration.validate(&fit, &ValidationSet::Windows(vec![(2.0, 3.0)])).unwrap();
+    let validation =
+        calibration.validate(&fit, &ValidationSet::Windows(vec![(2.0, 3.0)]), &RunContext::new()).unwrap();
     assert_eq!((validation.n, validation.x == fit.x), (11, true));
     assert!((validation.rms / rms(20..=30, (1.0, x0), (2.0, 1.0)) - 1.0).abs() < 1e-4, "{validation:?}");
     let at_start = rms(20..=30, (1.0, 1.0), (2.0, 1.0));
@@ -54,7 +56,8 @@ fn a_window_is_reached_with_its_history() {
     assert!((output.simulated()[0] - x0 * f64::exp(-2.0)).abs() < 1e-6);
     assert_eq!((validation.n_simulations, validation.stats.accepted_steps > 0), (2, true));
     // The window that was fitted: the numbers of the fit.
-    let again = calibration.validate(&fit, &ValidationSet::Windows(vec![(0.0, 1.0)])).unwrap();
+    let again =
+        calibration.validate(&fit, &ValidationSet::Windows(vec![(0.0, 1.0)]), &RunContext::new()).unwrap();
     assert_eq!((again.rms, again.scaled_rms()), (fit.rms, fit.scaled_rms()));
     assert_eq!(again.outputs[0].fit, fit.outputs[0]);
     // Which is said, as it is of a part of it, and of the recording given once more; of another one nothing is.
@@ -63,10 +66,15 @@ fn a_window_is_reached_with_its_history() {
         again.to_string().contains("\nwarning  run1: x: the fit has seen 11 of these 11 measurements"),
         "{again}"
     );
-    let part = calibration.validate(&fit, &ValidationSet::Windows(vec![(0.8, 1.2)])).unwrap();
+    let part =
+        calibration.validate(&fit, &ValidationSet::Windows(vec![(0.8, 1.2)]), &RunContext::new()).unwrap();
     assert!(part.findings[0].sentence.contains("3 of these 5 measurements"), "{part}");
     let on = |e: Experiment| {
-        calibration.validate(&fit, &ValidationSet::Experiments(vec![e])).unwrap().findings.len()
+        calibration
+            .validate(&fit, &ValidationSet::Experiments(vec![e]), &RunContext::new())
+            .unwrap()
+            .findings
+            .len()
     };
     assert_eq!((on(experiment(2.0, 1.0).window(0.0, 1.0)), on(experiment(2.0, 1.5))), (1, 0));
     let text = validation.to_string();
@@ -79,7 +87,8 @@ fn what_belongs_to_another_recording_is_fitted_to_it() {
     assert_eq!(fit.names, ["k", "x[run1]", "x[run2]"]);
     // The first other recording has the name that one of the fit has: its start is its own all the same.
     let others = vec![experiment(2.0, 5.0).start_value("x", 4.0), experiment(2.2, 2.0).named("colder")];
-    let validation = calibration.validate(&fit, &ValidationSet::Experiments(others)).unwrap();
+    let validation =
+        calibration.validate(&fit, &ValidationSet::Experiments(others), &RunContext::new()).unwrap();
     assert_eq!(validation.names, ["k", "x[run1]", "x[colder]"]);
     assert_eq!(validation.x[0], fit.x[0]);
     assert!((validation.x[1] - 5.0).abs() < 1e-3, "{validation}");
@@ -101,10 +110,14 @@ fn sets_that_cannot_be_used_are_named() {
         (experiments(experiment(1.0, 1.0).output("y", "x")), "\"y\""),
         (experiments(Experiment::new(decay(1.0, 1.0)).output("x", "z")), "z"),
     ] {
-        let error = calibration.validate(&fit, &set).unwrap_err().to_string();
+        let error = calibration.validate(&fit, &set, &RunContext::new()).unwrap_err().to_string();
         assert!(error.contains(expected), "{error}");
     }
-    let error = calibration.validate_until(&fit, &ValidationSet::Windows(vec![(0.0, 1.0)]), &|| true);
+    let error = calibration.validate(
+        &fit,
+        &ValidationSet::Windows(vec![(0.0, 1.0)]),
+        &RunContext::new().asking(&|| true),
+    );
     assert!(matches!(error, Err(calibration::CalibrationError::Cancelled)));
 }
 
@@ -113,9 +126,9 @@ fn a_cross_validation_ends_when_the_time_is_up() {
     let (calibration, _) = fitted(vec![experiment(2.0, 1.0), experiment(2.1, 1.5)], true);
     let mut options = CrossValidationOptions::default();
     options.run.limits = Limits { max_time: Some(Duration::from_nanos(1)), ..Limits::default() };
-    let error = calibration.cross_validate(&options).unwrap_err().to_string();
+    let error = calibration.cross_validate(&options, &RunContext::new()).unwrap_err().to_string();
     assert!(error.contains("before one of 2 folds was done"), "{error}");
     options.run.limits.max_time = Some(Duration::from_secs(600));
-    let found = calibration.cross_validate(&options).unwrap();
+    let found = calibration.cross_validate(&options, &RunContext::new()).unwrap();
     assert!(found.folds.len() == 2 && found.unfinished.is_empty());
 }

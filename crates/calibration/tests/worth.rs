@@ -2,6 +2,7 @@
 
 #![allow(clippy::print_stderr, clippy::unwrap_used)]
 
+use calibration::RunContext;
 use calibration::{
     Calibration, CostKind, Data, Estimator, Experiment, Fit, FitOptions, NamedCost, Parameter,
     PreflightOptions, Prior, Scale, Severity, Worth, WorthOptions,
@@ -21,7 +22,7 @@ fn data(time: &[f64], columns: &[(&str, Vec<f64>)]) -> Data {
 
 fn worth(calibration: &Calibration, x: &[f64], estimator: Estimator) -> Worth {
     let options = WorthOptions { estimator, ..WorthOptions::default() };
-    calibration.worth(x, &options, &|| false).unwrap()
+    calibration.worth(x, &options, &RunContext::new()).unwrap()
 }
 
 fn near(got: f64, expected: f64, relative: f64) {
@@ -87,12 +88,17 @@ fn parameters_that_are_held_are_named_and_taken_as_known() {
     let one = worth_of(&free, &[0]);
     assert!(one.standard_errors[1] < 0.9 * both.standard_errors[1] && one.standard_errors[0] == 0.0);
     let wrong = WorthOptions { held: vec![2], ..WorthOptions::default() };
-    assert!(free.worth(&[1.5, 1.0], &wrong, &|| false).unwrap_err().to_string().contains("there are only 2"));
+    assert!(
+        free.worth(&[1.5, 1.0], &wrong, &RunContext::new())
+            .unwrap_err()
+            .to_string()
+            .contains("there are only 2")
+    );
 }
 
 fn worth_of(calibration: &Calibration, held: &[usize]) -> Worth {
     let options = WorthOptions { held: held.to_vec(), ..WorthOptions::default() };
-    calibration.worth(&[1.5, 1.0], &options, &|| false).unwrap()
+    calibration.worth(&[1.5, 1.0], &options, &RunContext::new()).unwrap()
 }
 
 #[test]
@@ -113,9 +119,11 @@ fn the_result_depends_on_no_number_of_workers_and_costs_no_evaluation() {
     let without = fit(1, None);
     assert_eq!(without.report.n_evaluations, fits[0].report.n_evaluations);
     assert!(without.worth.is_none() && fits[0].worth.as_ref().unwrap().n_simulations > 4);
-    let cancelled = calibration.worth(&[1.0, 1.0], &WorthOptions::default(), &|| true).unwrap_err();
+    let cancelled = calibration
+        .worth(&[1.0, 1.0], &WorthOptions::default(), &RunContext::new().asking(&|| true))
+        .unwrap_err();
     assert!(matches!(cancelled, calibration::CalibrationError::Cancelled));
-    assert!(calibration.worth(&[1.0], &WorthOptions::default(), &|| false).is_err());
+    assert!(calibration.worth(&[1.0], &WorthOptions::default(), &RunContext::new()).is_err());
 }
 
 #[test]
@@ -195,7 +203,7 @@ fn outputs_have_variances_of_their_own_unless_they_are_pooled() {
     let x = calibration.fit(FitOptions::default()).unwrap().x;
     // Rows (1, t) of h and (0, 1) of v, for each recording.
     let (mut normal, mut middle) = ([[0.0; 2]; 2], [[0.0; 2]; 2]);
-    let residuals = calibration.residuals(&x).unwrap();
+    let residuals = calibration.residuals(&x, &RunContext::new()).unwrap();
     let sum = |from: usize| residuals[from..from + 50].iter().map(|r| r * r).sum::<f64>();
     let mut of_output = [[[0.0; 2]; 2]; 2];
     for t in time.iter().chain(&time) {
@@ -286,7 +294,7 @@ fn a_likelihood_has_the_errors_of_its_curvature_and_names_dead_parameters() {
     near(error(&found), error(&expected), 1e-3);
     assert_eq!(found.worth.unwrap().cost.to_bits(), found.cost.to_bits());
     // The curvature by hand, of N / 2 ln(r'r / N).
-    let half = |g: f64| 20.0 * (calibration.cost(&[g, 0.7]).unwrap() / 40.0).ln();
+    let half = |g: f64| 20.0 * (calibration.cost(&[g, 0.7], &RunContext::new()).unwrap() / 40.0).ln();
     let h = 0.3 * error(&expected);
     let g = expected.x[0];
     let curvature = (half(g + h) - 2.0 * half(g) + half(g - h)) / (h * h);
@@ -307,7 +315,7 @@ fn data_without_noise_raise_no_doubt_of_the_accuracy() {
     assert!(worth.is_exact && !fit.to_string().contains("relative_tolerance"), "{fit}");
     assert_eq!(worth.undetermined, [] as [usize; 0]);
     let at_truth = PreflightOptions { start: Some(vec![2.0]), ..PreflightOptions::default() };
-    assert_eq!(calibration.preflight(&at_truth, &|| false).unwrap().noise, 0.0);
+    assert_eq!(calibration.preflight(&at_truth, &RunContext::new()).unwrap().noise, 0.0);
 }
 
 fn exhaust() -> Option<Calibration> {
@@ -363,7 +371,7 @@ fn a_preflight_says_what_would_spoil_the_fit() {
         .parameter(Parameter::new("v", 0.0).fixed(true))
         .build()
         .unwrap();
-    let found = ball.preflight(&PreflightOptions::default(), &|| false).unwrap();
+    let found = ball.preflight(&PreflightOptions::default(), &RunContext::new()).unwrap();
     let effects: Vec<_> = found.parameters.iter().map(|p| (p.has_effect, p.moved_to.is_some())).collect();
     assert_eq!(effects, [(false, true), (true, true), (false, false)]);
     assert!(found.messages.len() == 1 && found.messages[0].starts_with("e moves no output"), "{found}");
@@ -376,14 +384,15 @@ fn a_preflight_says_what_would_spoil_the_fit() {
     }
     let fit = ball.fit(FitOptions { preflight: true, ..FitOptions::default() }).unwrap();
     assert_eq!(fit.preflight.unwrap().messages, found.messages);
-    assert!(ball.preflight(&PreflightOptions::default(), &|| true).is_err());
+    assert!(ball.preflight(&PreflightOptions::default(), &RunContext::new().asking(&|| true)).is_err());
 }
 
 #[test]
 fn a_preflight_names_pairs_that_are_confounded_at_the_start() {
     let Some(calibration) = exhaust() else { return };
     let start = Some(vec![13893.0, 211.9, 16089.0, 47.4]);
-    let found = calibration.preflight(&PreflightOptions { start, ..PreflightOptions::default() }, &|| false);
+    let found =
+        calibration.preflight(&PreflightOptions { start, ..PreflightOptions::default() }, &RunContext::new());
     let found = found.unwrap();
     assert!(found.confounded.iter().any(|(i, j, c)| (*i, *j) == (0, 3) && *c < -0.9), "{found}");
 }
@@ -400,7 +409,7 @@ fn a_preflight_has_the_same_correlation_whichever_way_the_bounds_let_it_step() {
             .parameter(Parameter::new("g", -9.0).bounds(lower, upper))
             .build()
             .unwrap();
-        let found = ball.preflight(&PreflightOptions::default(), &|| false).unwrap();
+        let found = ball.preflight(&PreflightOptions::default(), &RunContext::new()).unwrap();
         assert!(matches!(found.confounded[..], [(0, 1, c)] if c < -0.95), "{found}");
     }
 }

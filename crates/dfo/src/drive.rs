@@ -14,6 +14,8 @@ use crate::observe::Progress;
 use crate::report::{self, Report, Resumed};
 use crate::termination::{Termination, UNBOUNDED};
 use crate::tolerances::Limits;
+use base::RunContext;
+use std::cell::Cell;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
@@ -22,7 +24,7 @@ pub(crate) type Observer<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
 /// Who takes part in a run besides its method.
 pub(crate) struct Around<'a, 'b, 'c> {
     pub(crate) evaluator: &'a mut dyn Evaluator,
-    pub(crate) control: &'a mut RunControl<'b>,
+    pub(crate) control: &'a RunControl<'b>,
     pub(crate) observer: Option<&'a mut Observer<'c>>,
 }
 
@@ -124,7 +126,8 @@ impl<M: Method> Drive<M> {
         self.take_the_rest(&mut around, is_left);
         let termination = self.ended().unwrap_or(Some(Termination::Interrupted));
         let control = around.control;
-        self.report(termination, &mut || control.check() == Some(StopCause::Interrupted))
+        let is_interrupted = || control.check() == Some(StopCause::Interrupted);
+        self.report(termination, &RunContext::new().asking(&is_interrupted))
     }
 
     /// What is still under way is given up, but not lost where it ends all the same; it is waited for unless it `is_left` to itself.
@@ -153,17 +156,12 @@ impl<M: Method> Drive<M> {
     }
 
     /// The result; nothing is left of the run then.
-    fn report(
-        mut self,
-        termination: Option<Termination>,
-        interrupted: &mut dyn FnMut() -> bool,
-    ) -> Result<Report, Error> {
+    fn report(mut self, termination: Option<Termination>, context: &RunContext<'_>) -> Result<Report, Error> {
         let seconds = self.elapsed();
         self.round.finish();
         let Self { method, round, limits, workers, method_reason, resumed, .. } = self;
         let mut ledger = round.ledger;
-        let report =
-            report::conclude(&method, &mut ledger, &limits, workers, termination, seconds, interrupted)?;
+        let report = report::conclude(&method, &mut ledger, &limits, workers, termination, seconds, context)?;
         Ok(Report { method_reason, resumed, ..report })
     }
 
@@ -174,7 +172,7 @@ impl<M: Method> Drive<M> {
         round.finish();
         let (method, ledger, limits) = (&self.method, &mut round.ledger, &self.limits);
         let report =
-            report::conclude(method, ledger, limits, self.workers, termination, seconds, &mut || false)?;
+            report::conclude(method, ledger, limits, self.workers, termination, seconds, &RunContext::new())?;
         Ok(Report { method_reason: self.method_reason.clone(), resumed: self.resumed.clone(), ..report })
     }
 
@@ -198,14 +196,14 @@ impl<M: Method> Drive<M> {
     }
 
     fn ask(&mut self, around: &mut Around<'_, '_, '_>) -> Result<(), Error> {
-        let (mut cause, control) = (None, &mut *around.control);
-        let mut cancelled = || {
-            cause = cause.or_else(|| control.check());
-            cause.is_some()
+        let cause = Cell::new(None);
+        let is_over = || {
+            cause.set(cause.get().or_else(|| around.control.check()));
+            cause.get().is_some()
         };
-        self.method.ask_unless(&mut cancelled, &mut self.batch);
+        self.method.ask_unless(&RunContext::new().asking(&is_over), &mut self.batch);
         let is_running = self.method.status() == Status::Running;
-        let limit = match cause {
+        let limit = match cause.get() {
             Some(StopCause::Interrupted) if self.batch.is_empty() && is_running => {
                 Some(Termination::Interrupted)
             }
@@ -238,7 +236,7 @@ impl<M: Method> Drive<M> {
         if self.limits.max_evaluations.is_some_and(|m| self.round.ledger.n_evaluations >= m) {
             return Some(Termination::MaxEvaluations);
         }
-        control.signals.is_late().then_some(Termination::MaxTime)
+        control.signals().is_late().then_some(Termination::MaxTime)
     }
 
     /// Hands in what the batch needs and is not under way, in request order, and what may be needed next.
@@ -393,7 +391,7 @@ impl<M: Method> Drive<M> {
         if self.answers[..n_needed].iter().any(|answer| !answer.outcome.is_known()) {
             // An evaluation gave up although nothing above noticed: the deadline passed inside of it, or the
             // objective was told to stop elsewhere.
-            let is_late = control.signals.is_late();
+            let is_late = control.signals().is_late();
             return Some(if is_late { Termination::MaxTime } else { Termination::Interrupted });
         }
         stopped

@@ -72,6 +72,7 @@ mod tolerances;
 mod trace;
 
 pub use answer::{Answer, Answers, Failure, FailureKind, Outcome, Want};
+pub use base::RunContext;
 pub use checkpoint::{Checkpoint, Code, Resume};
 pub use choices::{BoundsHandling, Kind, Measure, Search, Stop, Transform};
 pub use error::{Error, NothingFound};

@@ -3,6 +3,7 @@
 
 use crate::choices::Transform;
 use crate::space::Space;
+use base::RunContext;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
@@ -36,12 +37,12 @@ impl LinearModel {
     /// By regression on points of a search: their places in units of the sizes of the working coordinates and their residuals.
     /// `best`: the point itself, its place and its residuals. A point at the distance d from it is wrong by d^2 for curvature,
     /// and by the noise; its weight is the inverse of their sum. `None` where the points span no more than a plane, or where there are
-    /// many residuals and it is `cancelled`.
+    /// many residuals and the context is over.
     pub(crate) fn regression<'a>(
         space: &Space,
         (x, z, residuals): (&[f64], &[f64], &[f64]),
         points: impl Iterator<Item = (&'a [f64], &'a [f64])> + Clone,
-        cancelled: &mut dyn FnMut() -> bool,
+        context: &RunContext<'_>,
     ) -> Option<Self> {
         let (n, m) = (z.len(), residuals.len());
         let moved = |place: &[f64]| place.iter().zip(z).map(|(a, b)| a - b).collect::<Vec<f64>>();
@@ -68,12 +69,12 @@ impl LinearModel {
                 break;
             }
             let at_once = (AT_ONCE / others.len()).max(1);
-            if m > at_once && cancelled() {
+            if m > at_once && context.is_over() {
                 return None;
             }
             let (mut transposed, mut misfit) = (DMatrix::zeros(n, m), 0.0);
             for from in (0..m).step_by(at_once) {
-                if from > 0 && cancelled() {
+                if from > 0 && context.is_over() {
                     return None;
                 }
                 let len = at_once.min(m - from);
@@ -309,7 +310,7 @@ mod tests {
             let at_best: Vec<f64> = r(&best, noise);
             let points = places.iter().map(Vec::as_slice).zip(values.iter().map(Vec::as_slice));
             let best_point = (&[1.0, 10.0][..], &best[..], &at_best[..]);
-            let model = LinearModel::regression(&space, best_point, points, &mut || false).unwrap();
+            let model = LinearModel::regression(&space, best_point, points, &RunContext::new()).unwrap();
             let e = 1f64.exp();
             let expected = [2.0, 0.2, 1.0, -0.2, e, 0.1 * e];
             for (k, (j, expected)) in model.jacobian.iter().zip(expected).enumerate() {
@@ -320,7 +321,7 @@ mod tests {
         let line = [([1.5, 1.0], [0.0]), ([2.0, 1.0], [1.0])];
         let points = line.iter().map(|(z, r)| (&z[..], &r[..]));
         let best = (&[1.0, 10.0][..], &[1.0, 1.0][..], &[1.0][..]);
-        assert_eq!(LinearModel::regression(&space, best, points, &mut || false), None);
+        assert_eq!(LinearModel::regression(&space, best, points, &RunContext::new()), None);
     }
 
     #[test]

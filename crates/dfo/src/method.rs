@@ -10,6 +10,7 @@ use crate::objective::Query;
 use crate::space::Space;
 use crate::termination::Termination;
 use crate::tolerances::{Tests, Tolerances};
+use base::RunContext;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -362,10 +363,10 @@ pub trait Method {
     /// without telling gives the same batch.
     fn ask(&mut self, batch: &mut Batch);
 
-    /// The same for methods whose own computations may take long: where `cancelled` says so, the batch is left empty although the method
+    /// The same for methods whose own computations may take long: where the context is over, the batch is left empty although the method
     /// has not ended, and it can be asked again.
-    fn ask_unless(&mut self, cancelled: &mut dyn FnMut() -> bool, batch: &mut Batch) {
-        let _ = cancelled;
+    fn ask_unless(&mut self, context: &RunContext<'_>, batch: &mut Batch) {
+        let _ = context;
         self.ask(batch);
     }
 
@@ -394,9 +395,9 @@ pub trait Method {
     fn details(&self) -> Details<'_>;
 
     /// The derivatives of the residuals at the best point, for methods that have them (see [`Space`] for its scales). Called
-    /// once, at the end of a run. `None` where it would take long and is `cancelled`.
-    fn linear_model(&self, cancelled: &mut dyn FnMut() -> bool) -> Option<LinearModel> {
-        let _ = cancelled;
+    /// once, at the end of a run. `None` where it would take long and the context is over.
+    fn linear_model(&self, context: &RunContext<'_>) -> Option<LinearModel> {
+        let _ = context;
         None
     }
 

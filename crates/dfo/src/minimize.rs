@@ -21,12 +21,11 @@ use crate::run_options::{Known, RunOptions};
 use crate::space::Bounds;
 use crate::tolerances::{Limits, Tolerances};
 use crate::trace::{Trace, TraceEntry};
+use base::RunContext;
 use std::fmt;
 use std::marker::PhantomData;
 use std::ops::ControlFlow;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Minimises an objective: a closure `Fn(&[f64]) -> f64 + Sync`, or anything that is an [`Objective`].
 ///
@@ -128,9 +127,8 @@ enum Source<'a> {
 /// Of a [`Minimize`]: what it minimises is evaluated by the run.
 pub struct Driven<'a> {
     source: Source<'a>,
-    cancel: Option<Arc<AtomicBool>>,
+    context: RunContext<'a>,
     observer: Option<Box<Observer<'a>>>,
-    poll: Option<Box<dyn FnMut() -> bool + 'a>>,
     has_residuals: bool,
     gives_up: GivesUp,
     loss: RobustLoss,
@@ -142,9 +140,8 @@ impl<'a> Driven<'a> {
         let (loss, spent) = (RobustLoss::default(), Duration::ZERO);
         Self {
             source,
-            cancel: None,
+            context: RunContext::new(),
             observer: None,
-            poll: None,
             has_residuals: false,
             gives_up: GivesUp::Unknown,
             loss,
@@ -218,7 +215,7 @@ impl<'a, M, D> Minimize<'a, M, D> {
 
     /// Evaluations that may run at once, on threads of our own with 16 MiB of stack; 1 (the default): on the calling
     /// thread. The result does not depend on it. Evaluations that are too short to be worth handing over stay on the
-    /// calling thread; so does the first one, which shows that, unless there is a [`poll`](Self::poll) function.
+    /// calling thread; so does the first one, which shows that, unless its [`context`](Self::context) has a function.
     pub fn workers(mut self, workers: usize) -> Self {
         self.description.options.workers = Some(workers);
         self
@@ -395,11 +392,12 @@ impl<'a, M> Minimize<'a, M> {
         self
     }
 
-    /// Called on the calling thread between evaluations, with workers at least every 50 ms; `true` interrupts the
-    /// run: no further evaluation starts, and running ones see
-    /// [`Query::cancelled`](crate::Query::cancelled).
-    pub fn poll(mut self, poll: impl FnMut() -> bool + 'a) -> Self {
-        self.driver.poll = Some(Box::new(poll));
+    /// Who may interrupt the run: no further evaluation starts then, and running ones see
+    /// [`Query::cancelled`](crate::Query::cancelled). The function of the context is called on the calling thread between evaluations,
+    /// with workers at least every 50 ms. Several runs can share a flag. The time that the context has left ends the run as
+    /// [`max_time`](Self::max_time) does, if it ends sooner.
+    pub fn context(mut self, context: RunContext<'a>) -> Self {
+        self.driver.context = context;
         self
     }
 
@@ -429,14 +427,6 @@ impl<'a, M> Minimize<'a, M> {
         self.driver.spent = time;
         self
     }
-
-    /// A flag that interrupts the run when set: no further evaluation starts, and running ones see
-    /// [`Query::cancelled`](crate::Query::cancelled). The run itself neither raises nor lowers it, so several
-    /// runs can share one.
-    pub fn cancel(mut self, flag: Arc<AtomicBool>) -> Self {
-        self.driver.cancel = Some(flag);
-        self
-    }
 }
 
 impl<M: MethodOptions> Minimize<'_, M> {
@@ -446,8 +436,7 @@ impl<M: MethodOptions> Minimize<'_, M> {
     /// Options that cannot be used; an objective that failed at every starting point; a run that was ended before any
     /// point had a finite cost. Every other end is a [`Report`].
     pub fn run(mut self) -> Result<Report, Error> {
-        let Driven { mut source, cancel, mut observer, mut poll, has_residuals, gives_up, loss, spent } =
-            self.driver;
+        let Driven { mut source, context, mut observer, has_residuals, gives_up, loss, spent } = self.driver;
         if let Source::Evaluator(evaluator) = &source {
             self.description.options.workers = Some(evaluator.width().max(1));
         }
@@ -465,16 +454,15 @@ impl<M: MethodOptions> Minimize<'_, M> {
         }
         let before = Duration::try_from_secs_f64(started.before).unwrap_or(Duration::MAX);
         let left = started.limits.max_time.map(|t| t.saturating_sub(before).saturating_sub(spent));
-        let deadline = left.and_then(|t| Instant::now().checked_add(t));
-        let here = if poll.is_some() { OnCallingThread::WhenShort } else { OnCallingThread::AtFirst };
-        let cancel = cancel.unwrap_or_default();
-        let poll = poll.as_mut().map(|p| p.as_mut() as &mut dyn FnMut() -> bool);
-        let mut control = RunControl::new(&cancel, deadline, poll);
-        let (workers, signals) = (started.workers, control.signals);
+        let context = context.within(left);
+        let here =
+            if context.function().is_some() { OnCallingThread::WhenShort } else { OnCallingThread::AtFirst };
+        let control = RunControl::new(context);
+        let (workers, signals) = (started.workers, control.signals());
         let drive = Drive::new(started, false);
         let go = |evaluator: &mut dyn Evaluator| {
             let observer = observer.as_deref_mut();
-            drive.run(Around { evaluator, control: &mut control, observer })
+            drive.run(Around { evaluator, control: &control, observer })
         };
         let mut report = match &mut source {
             Source::Objective(objective) if workers == 1 => go(&mut CallingThread::new(&**objective)),

@@ -8,10 +8,11 @@ use crate::evaluation::store::FIRST_ID;
 use crate::evaluation::{ByHand, RunControl};
 use crate::method::Method;
 use crate::methods::BoxedMethod;
-use crate::objective::{NEVER, Query};
+use crate::objective::Query;
 use crate::report::Report;
 use crate::termination::Termination;
 use crate::trace::Trace;
+use base::RunContext;
 use std::time::{Duration, Instant};
 
 /// A point that is to be evaluated.
@@ -55,7 +56,7 @@ impl Optimizer {
     pub(crate) fn start<T: Method + Send + 'static>(started: StartedRun<T>) -> Result<Self, Error> {
         let (workers, before) = (started.workers, started.before);
         let left = started.limits.max_time.map(|t| t.saturating_sub(Duration::from_secs_f64(before)));
-        let deadline = left.and_then(|left| Instant::now().checked_add(left));
+        let deadline = RunContext::new().within(left).end();
         let drive = Drive::new(started.map_method(BoxedMethod::new), true);
         let mut optimizer = Self { drive, hand: ByHand::new(workers), deadline };
         optimizer.advance(|drive, around| drive.advance(around).map(|_| ()))?;
@@ -67,8 +68,8 @@ impl Optimizer {
         &mut self,
         go_on: impl FnOnce(&mut Drive<BoxedMethod>, &mut Around<'_, '_, '_>) -> Result<(), Error>,
     ) -> Result<(), Error> {
-        let mut control = RunControl::new(&NEVER, self.deadline, None);
-        let mut around = Around { evaluator: &mut self.hand, control: &mut control, observer: None };
+        let control = RunControl::new(RunContext::new().until(self.deadline));
+        let mut around = Around { evaluator: &mut self.hand, control: &control, observer: None };
         go_on(&mut self.drive, &mut around)?;
         self.drive.unsaved.take().map_or(Ok(()), Err)
     }

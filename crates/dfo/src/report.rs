@@ -8,6 +8,7 @@ use crate::method::{BarrierStage, Method, Optimum, Simplex};
 use crate::termination::{Termination, UNBOUNDED};
 use crate::tolerances::{Limits, Tests};
 use crate::trace::Trace;
+use base::RunContext;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::fmt;
@@ -216,7 +217,7 @@ pub(crate) fn conclude<M: Method + ?Sized>(
     workers: usize,
     termination: Option<Termination>,
     seconds: f64,
-    interrupted: &mut dyn FnMut() -> bool,
+    context: &RunContext<'_>,
 ) -> Result<Report, Error> {
     let Some(termination) = termination else {
         return Err(Error::AllStartsFailed(ledger.nothing_found()));
@@ -229,8 +230,8 @@ pub(crate) fn conclude<M: Method + ?Sized>(
         Some(std::mem::take(&mut ledger.best_residuals)).filter(|residuals| !residuals.is_empty());
     let fits =
         |model: &LinearModel| residuals.as_ref().is_some_and(|r| model.jacobian.len() == r.len() * x.len());
-    let mut cancelled = || termination == Termination::Interrupted || interrupted();
-    let model = method.linear_model(&mut cancelled).filter(fits);
+    let is_over = || termination == Termination::Interrupted || context.is_over();
+    let model = method.linear_model(&RunContext::new().asking(&is_over)).filter(fits);
     let (jacobian, active) = model.map_or((None, Vec::new()), |model| (Some(model.jacobian), model.active));
     Ok(Report {
         message: message(method, ledger, limits, &termination, fun, seconds),

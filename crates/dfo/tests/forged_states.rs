@@ -62,7 +62,7 @@ fn go_on(method: &mut impl Method, residuals: Residuals, rounds: usize) {
         method.status();
         method.best();
     }
-    method.linear_model(&mut || false);
+    method.linear_model(&dfo::RunContext::new());
 }
 
 /// The numbers and lists of a state, each as the way that leads to it.

@@ -7,11 +7,11 @@ mod problems;
 use common::{probe_fails, rosenbrock, timeless};
 use dfo::{
     Answers, Batch, Bounds, Checkpoint, Error, LeastSquares, Method, MethodOptions, Minimize, Objective,
-    Outcome, Report, Setup, Space, Termination, by_hand, minimize, residuals,
+    Outcome, Report, RunContext, Setup, Space, Termination, by_hand, minimize, residuals,
 };
 use problems::{instances, residuals as more_wild};
+use std::cell::Cell;
 use std::ops::ControlFlow;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 
@@ -274,16 +274,16 @@ fn own_computations_can_be_interrupted() {
     let setup = Setup::new(Space::new(&[1.0, 1.0, 1.0], bounds, &[], &[]).unwrap());
     let [mut plain, mut interrupted] = [0, 1].map(|_| LeastSquares::default().begin(&setup).unwrap());
     let (mut batch, mut other, mut answers) = (Batch::new(), Batch::new(), Answers::default());
-    let (mut n_interrupted, mut n_looks) = (0, 0);
+    let mut n_interrupted = 0;
     for _ in 0..12 {
         plain.ask(&mut batch);
         for most in 0.. {
-            let mut looks = 0;
-            let mut cancelled = || {
-                looks += 1;
-                looks > most
+            let looks = Cell::new(0);
+            let ask = || {
+                looks.set(looks.get() + 1);
+                looks.get() > most
             };
-            interrupted.ask_unless(&mut cancelled, &mut other);
+            interrupted.ask_unless(&RunContext::new().asking(&ask), &mut other);
             if !other.is_empty() {
                 break;
             }
@@ -300,12 +300,16 @@ fn own_computations_can_be_interrupted() {
         interrupted.tell(&answers).unwrap();
     }
     assert!(n_interrupted >= 8, "{n_interrupted}");
-    let mut count = || {
-        n_looks += 1;
+    let n_looks = Cell::new(0);
+    let count = || {
+        n_looks.set(n_looks.get() + 1);
         false
     };
-    assert!(plain.linear_model(&mut count).is_some() && n_looks >= 4, "{n_looks}");
-    assert!(plain.linear_model(&mut || true).is_none());
+    assert!(
+        plain.linear_model(&RunContext::new().asking(&count)).is_some() && n_looks.get() >= 4,
+        "{n_looks:?}"
+    );
+    assert!(plain.linear_model(&RunContext::new().asking(&|| true)).is_none());
 }
 
 /// A run that is interrupted while its method computes ends at once, and goes on from there.
@@ -318,10 +322,9 @@ fn an_interrupt_between_rounds_ends_the_run() {
         run.max_evaluations(12).checkpoint(at)
     };
     let whole = run("whole").run().unwrap();
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
-    let stopped = run("stopped").cancel(Arc::clone(&stop)).observer(move |progress| {
-        flag.store(progress.n_evaluations >= 7, Ordering::Relaxed);
+    let stop = AtomicBool::new(false);
+    let stopped = run("stopped").context(RunContext::new().flagged(&stop)).observer(|progress| {
+        stop.store(progress.n_evaluations >= 7, Ordering::Relaxed);
         ControlFlow::Continue(())
     });
     let stopped = stopped.run().unwrap();

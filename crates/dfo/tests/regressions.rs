@@ -1,8 +1,8 @@
-//! Corners that once went wrong: logarithms without bounds, clamping, pools within pools, panics of the poll function.
+//! Corners that once went wrong: logarithms without bounds, clamping, pools within pools, panics of the function of a context.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use dfo::{BoundsHandling, NelderMead, Transform, minimize};
+use dfo::{BoundsHandling, NelderMead, RunContext, Transform, minimize};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
@@ -34,32 +34,41 @@ fn clamped_points_lie_on_the_bound_not_in_the_middle() {
 fn a_minimisation_within_a_minimisation_with_workers_of_its_own_ends() {
     let outer = move |x: &[f64]| {
         let a = x[0];
-        let run = minimize(move |y: &[f64]| (y[0] - a).powi(2)).start(&[0.0]).workers(3).poll(|| false);
+        let run = minimize(move |y: &[f64]| (y[0] - a).powi(2))
+            .start(&[0.0])
+            .workers(3)
+            .context(RunContext::new().asking(&|| false));
         run.run().unwrap().x[0].powi(2)
     };
-    let report = minimize(outer).start(&[1.0]).workers(2).poll(|| false).max_evaluations(30).run().unwrap();
+    let report = minimize(outer)
+        .start(&[1.0])
+        .workers(2)
+        .context(RunContext::new().asking(&|| false))
+        .max_evaluations(30)
+        .run()
+        .unwrap();
     assert!(report.fun < 1.0);
 }
 
 #[test]
-fn a_panic_of_the_poll_function_ends_the_batch() {
+fn a_panic_of_the_function_that_is_asked_ends_the_batch() {
     let calls = AtomicUsize::new(0);
     let objective = |x: &[f64]| {
         calls.fetch_add(1, Ordering::SeqCst);
         std::thread::sleep(Duration::from_millis(100));
         x.iter().sum()
     };
-    let mut polls = 0;
+    let polls = std::cell::Cell::new(0);
     let result = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
-        let poll = || {
-            polls += 1;
-            if polls == 2 {
+        let ask = || {
+            polls.set(polls.get() + 1);
+            if polls.get() == 2 {
                 // A panic without its message, which may take long to write while the workers go on.
                 std::panic::resume_unwind(Box::new("out of patience"));
             }
             false
         };
-        minimize(objective).start(&[1.0; 12]).workers(2).poll(poll).run()
+        minimize(objective).start(&[1.0; 12]).workers(2).context(RunContext::new().asking(&ask)).run()
     }));
     assert!(result.is_err());
     assert!(calls.load(Ordering::SeqCst) < 13);

@@ -14,6 +14,7 @@ use crate::threads::lock;
 use crate::trajectory::Counts;
 use crate::words::word;
 use crate::{error, files, fmu_error, logs};
+use calibration::RunContext;
 use calibration::{
     CalibrationError, CurrentPhase, Engine, Entry, Experiment, FitNoise, FitOptions, NoiseRule, Problem,
     Severity, Solver, Verdict,
@@ -51,16 +52,16 @@ impl PyCalibration {
     pub(crate) fn compute<T: Send + 'static>(
         &self,
         py: Python<'_>,
-        work: impl FnOnce(&calibration::Calibration, &dyn Fn() -> bool) -> Result<T, CalibrationError>
+        work: impl FnOnce(&calibration::Calibration, &RunContext<'_>) -> Result<T, CalibrationError>
         + Send
         + 'static,
     ) -> PyResult<T> {
         let last = self.last.load(Ordering::Relaxed);
         let last = (last > 0).then(|| Duration::from_nanos(last));
         let (inner, took) = (Arc::clone(&self.inner), Arc::clone(&self.last));
-        let timed = move |cancelled: &dyn Fn() -> bool| {
+        let timed = move |context: &RunContext<'_>| {
             let begun = Instant::now();
-            let result = work(&inner, cancelled);
+            let result = work(&inner, context);
             took.store(
                 u64::try_from(begun.elapsed().as_nanos()).unwrap_or(u64::MAX).max(1),
                 Ordering::Relaxed,
@@ -74,7 +75,7 @@ impl PyCalibration {
         } else {
             watch = Watch::new(py)?;
             let flag = watch.stop().flag();
-            watch.run_briefly(move || timed(&|| flag.load(Ordering::Relaxed)))?
+            watch.run_briefly(move || timed(&RunContext::new().flagged(&flag)))?
         };
         logs::pass_on(py)?;
         if let Some(e) = watch.stop().take_raised().or_else(|| self.callbacks.take_raised()) {
@@ -91,13 +92,13 @@ impl PyCalibration {
     pub(crate) fn compute_to_end<T: Send + 'static>(
         &self,
         py: Python<'_>,
-        work: impl FnOnce(&calibration::Calibration, &dyn Fn() -> bool) -> Result<T, CalibrationError>
+        work: impl FnOnce(&calibration::Calibration, &RunContext<'_>) -> Result<T, CalibrationError>
         + Send
         + 'static,
     ) -> PyResult<(T, bool)> {
         let (watch, inner) = (Watch::new(py)?, Arc::clone(&self.inner));
         let flag = watch.stop().flag();
-        let result = watch.run(move |_| work(&inner, &|| flag.load(Ordering::Relaxed)))?;
+        let result = watch.run(move |_| work(&inner, &RunContext::new().flagged(&flag)))?;
         logs::pass_on(py)?;
         if let Some(e) = watch.stop().take_raised().or_else(|| self.callbacks.take_raised()) {
             return Err(e);
@@ -217,10 +218,11 @@ impl PyCalibration {
         let experiments =
             experiments.into_iter().enumerate().map(&mut named).collect::<PyResult<Vec<_>>>()?;
         let built = files::watched(py, move |cancel| {
-            let cancelled = || cancel.is_asked();
+            let ask = || cancel.is_asked();
+            let context = RunContext::new().asking(&ask);
             let mut builder = calibration::Calibration::builder(fmu).settings(settings);
             for (name, resolved, experiment) in experiments {
-                let made = experiment.experiment(resolved, &cancelled).map_err(|e| match name {
+                let made = experiment.experiment(resolved, &context).map_err(|e| match name {
                     Some(name) => CalibrationError::Experiment { name, source: Box::new(e) },
                     None => e,
                 });
@@ -347,8 +349,8 @@ impl PyCalibration {
 
     /// The same, chosen if it is not yet.
     fn solver(&self, py: Python<'_>) -> PyResult<&'static str> {
-        self.compute(py, |calibration, cancelled| {
-            calibration.solver_until(cancelled).map(|solver| solver.method.name())
+        self.compute(py, |calibration, context| {
+            calibration.solver(context).map(|solver| solver.method.name())
         })
     }
 
@@ -369,12 +371,11 @@ impl PyCalibration {
     }
 
     fn cost(&self, py: Python<'_>, x: Vec<f64>) -> PyResult<f64> {
-        self.compute(py, move |calibration, cancelled| calibration.cost_until(&x, cancelled))
+        self.compute(py, move |calibration, context| calibration.cost(&x, context))
     }
 
     fn residuals<'py>(&self, py: Python<'py>, x: Vec<f64>) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let residuals =
-            self.compute(py, move |calibration, cancelled| calibration.residuals_until(&x, cancelled))?;
+        let residuals = self.compute(py, move |calibration, context| calibration.residuals(&x, context))?;
         Ok(PyArray1::from_vec(py, residuals))
     }
 
@@ -387,11 +388,9 @@ impl PyCalibration {
         times: Option<Vec<f64>>,
         experiment: Option<usize>,
     ) -> PyResult<Vec<Bound<'py, PyDict>>> {
-        let trajectories = self.compute(py, move |calibration, cancelled| match experiment {
-            Some(k) => {
-                calibration.simulate_experiment_until(k, &x, times.as_deref(), cancelled).map(|t| vec![t])
-            }
-            None => calibration.simulate_until(&x, times.as_deref(), cancelled),
+        let trajectories = self.compute(py, move |calibration, context| match experiment {
+            Some(k) => calibration.simulate_experiment(k, &x, times.as_deref(), context).map(|t| vec![t]),
+            None => calibration.simulate(&x, times.as_deref(), context),
         })?;
         let columns = |trajectory: fmi::Trajectory| {
             let columns = PyDict::new(py);
@@ -449,6 +448,10 @@ impl PyCalibration {
         let told = Arc::clone(&phase);
         let outcome = watch.run_with_ticks(
             move |caller| {
+                let (flag, ask) = (asked.flag(), || asked.is_asked() || callbacks.has_raised());
+                let context = RunContext::new().flagged(&flag);
+                let is_asked = asked.has_parent() || !callbacks.is_empty();
+                let context = if is_asked { context.asking(&ask) } else { context };
                 let options = FitOptions {
                     run,
                     start,
@@ -462,10 +465,7 @@ impl PyCalibration {
                     observer: Some(Box::new(|progress: &Progress<'_>| {
                         seen.pass_on(progress, caller, notified.as_ref())
                     })),
-                    cancel: Some(asked.flag()),
-                    poll: (asked.has_parent() || !callbacks.is_empty()).then(|| {
-                        Box::new(|| asked.is_asked() || callbacks.has_raised()) as Box<dyn FnMut() -> bool>
-                    }),
+                    context,
                     ..FitOptions::default()
                 };
                 match stages {

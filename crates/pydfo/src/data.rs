@@ -2,6 +2,7 @@
 
 use crate::error;
 use crate::interrupt::Watch;
+use calibration::RunContext;
 use calibration::{CalibrationError, ClockChange, CsvRequest, Data, DateError, PairUnit, TimeColumn};
 use numpy::{PyArray1, PyReadonlyArray1};
 use pyo3::exceptions::PyValueError;
@@ -36,7 +37,7 @@ pub(crate) fn date_seconds<'py>(
 ) -> PyResult<(Bound<'py, PyArray1<f64>>, Option<Change>)> {
     let pair = PairUnit::of_column(column);
     let watch = Watch::without_handler(py);
-    match watch.run_here(|cancelled| calibration::date_seconds(&texts, pair, cancelled)) {
+    match watch.run_here(|context| calibration::date_seconds(&texts, pair, context)) {
         Ok((seconds, change)) => Ok((PyArray1::from_vec(py, seconds), change.map(fields))),
         Err(DateError::Cell(row, message)) => Err(at_row(row, &message)),
         Err(DateError::Cancelled) => Err(watch.interrupted()),
@@ -107,8 +108,8 @@ impl PyTable {
         left_out: Vec<String>,
     ) -> PyResult<Self> {
         let watch = Watch::without_handler(py);
-        let read = |cancelled: &dyn Fn() -> bool| {
-            Data::read_csv_text(text, source, CsvRequest { time, columns: Some(&needed), cancelled })
+        let read = |context: &RunContext<'_>| {
+            Data::read_csv_text(text, source, CsvRequest { time, columns: Some(&needed), context: *context })
         };
         match watch.run_here(read) {
             Ok(inner) => Ok(Self { inner: inner.left_out(left_out) }),

@@ -5,6 +5,7 @@ use crate::inputs::{Callback, Callbacks};
 use crate::settings::time_limit;
 use crate::words::word;
 use crate::{error, fmu_error, values};
+use calibration::RunContext;
 use calibration::{
     CalibrationError, CsvRequest, Data, Experiment, InitialState, OutputScale, Parameter, Prior,
     SimulationSettings, Weight,
@@ -279,16 +280,17 @@ impl ExperimentFields {
         measured.chain(weights).chain(driving).chain(&self.mask_column).cloned().collect()
     }
 
-    /// The experiment with its recording, which is read unless `cancelled` says that it is to end.
+    /// The experiment with its recording, which is read unless the context is over.
     pub(crate) fn experiment(
         self,
         resolved: Resolved,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Experiment, CalibrationError> {
         let data = match (&self.path, &self.table) {
             (Some(path), _) => {
                 let columns = self.columns();
-                let request = CsvRequest { time: self.time.as_deref(), columns: Some(&columns), cancelled };
+                let request =
+                    CsvRequest { time: self.time.as_deref(), columns: Some(&columns), context: *context };
                 Data::read_csv(path, request)?
             }
             (None, Some(table)) => table.get().inner.clone(),

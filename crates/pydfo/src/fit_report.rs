@@ -5,13 +5,13 @@ use crate::findings::{self, FindingFields};
 use crate::fit::PyFit;
 use crate::interrupt::Watch;
 use crate::logs;
+use calibration::RunContext;
 use calibration::{Calibration, CalibrationError, ExperimentCurves, Fit, OutputCurves, Signal};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
 /// The summary of a fit as plain text.
 #[pyfunction]
@@ -35,12 +35,12 @@ pub(crate) fn fit_html(fit: &PyFit) -> String {
 fn simulated<T: Send + 'static>(
     py: Python<'_>,
     fit: &PyFit,
-    work: impl FnOnce(&Calibration, &Fit, &dyn Fn() -> bool) -> Result<T, CalibrationError> + Send + 'static,
+    work: impl FnOnce(&Calibration, &Fit, &RunContext<'_>) -> Result<T, CalibrationError> + Send + 'static,
 ) -> PyResult<T> {
     let watch = Watch::new(py)?;
     let flag = watch.stop().flag();
     let (calibration, fit) = (Arc::clone(&fit.calibration), Arc::clone(&fit.inner));
-    let done = watch.run_briefly(move || work(&calibration, &fit, &|| flag.load(Ordering::Relaxed)))?;
+    let done = watch.run_briefly(move || work(&calibration, &fit, &RunContext::new().flagged(&flag)))?;
     logs::pass_on(py)?;
     if let Some(e) = watch.stop().take_raised() {
         return Err(e);
@@ -54,7 +54,7 @@ fn simulated<T: Send + 'static>(
 /// Writes the report of a fit.
 #[pyfunction]
 pub(crate) fn fit_report(py: Python<'_>, fit: &PyFit, path: PathBuf) -> PyResult<()> {
-    simulated(py, fit, move |calibration, fit, cancelled| calibration.report_until(fit, path, cancelled))
+    simulated(py, fit, move |calibration, fit, context| calibration.report(fit, path, context))
 }
 
 /// A variable, its unit, times and values.

@@ -7,6 +7,7 @@
 //! other work (a simulation inside of an objective) stops with it.
 
 use crate::threads::{self, lock};
+use calibration::RunContext;
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::intern;
 use pyo3::prelude::*;
@@ -314,18 +315,19 @@ impl<'py> Watch<'py> {
         })
     }
 
-    /// Runs `work` on the calling thread without the interpreter lock. What `work` is given is to be asked before every
-    /// step: it looks for signals every 20 ms, and says whether the work is to end.
-    pub(crate) fn run_here<T: Send>(&self, work: impl FnOnce(&dyn Fn() -> bool) -> T + Send) -> T {
+    /// Runs `work` on the calling thread without the interpreter lock. The context that `work` is given looks
+    /// for signals every 20 ms.
+    pub(crate) fn run_here<T: Send>(&self, work: impl FnOnce(&RunContext<'_>) -> T + Send) -> T {
         let stop = &*self.stop;
         self.py.detach(move || {
             let clock = PollClock::new();
-            work(&|| {
+            let ask = || {
                 if clock.is_due() {
                     Python::attach(|py| stop.look(py));
                 }
                 stop.is_asked()
-            })
+            };
+            work(&RunContext::new().asking(&ask))
         })
     }
 

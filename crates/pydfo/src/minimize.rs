@@ -6,6 +6,7 @@ use crate::interrupt::{EndRequest, Watch};
 use crate::objective::PyObjective;
 use crate::report::{self, LastProgress, Listener, ResultKind, Snapshot};
 use crate::settings::{self, LossFields, Options, Settings};
+use calibration::RunContext;
 use dfo::{ByRef, MethodOptions, Minimize, NelderMead, Progress, Report, Tolerances};
 use pyo3::prelude::*;
 use std::ops::ControlFlow;
@@ -38,14 +39,15 @@ impl RunSetup {
         Ok(self.settings.apply(run.bounds(&self.lower, &self.upper)?))
     }
 
-    fn run<'a>(
+    fn run(
         self,
-        run: Minimize<'a, NelderMead>,
+        run: Minimize<'_, NelderMead>,
         stop: &EndRequest,
-        poll: impl FnMut() -> bool + 'a,
-        observer: Option<&'a mut Observer<'_>>,
+        ask: &dyn Fn() -> bool,
+        observer: Option<&mut Observer<'_>>,
     ) -> Result<Report, dfo::Error> {
-        let run = self.describe(run)?.cancel(stop.flag()).poll(poll);
+        let flag = stop.flag();
+        let run = self.describe(run)?.context(RunContext::new().flagged(&flag).asking(ask));
         match observer {
             Some(observer) => run.observer(observer).run(),
             None => run.run(),
@@ -105,7 +107,7 @@ pub(crate) fn minimize<'py>(
                 .loss(loss.unwrap_or_default()),
             false => dfo::minimize(ByRef(&*objective)),
         };
-        setup.run(run, &stop, || stop.poll(py), observer)
+        setup.run(run, &stop, &|| stop.poll(py), observer)
     } else {
         let last_progress = Arc::new(LastProgress::new(kind));
         let (objective, stop) = (Arc::clone(&objective), Arc::clone(&stop));
@@ -113,7 +115,7 @@ pub(crate) fn minimize<'py>(
         let outcome = watch.run(move |caller| {
             let mut notify = |progress: &Progress<'_>| seen.pass_on(progress, caller, notified.as_ref());
             let run = dfo::minimize(ByRef(&*objective));
-            setup.run(run, &stop, || stop.is_asked(), Some(&mut notify))
+            setup.run(run, &stop, &|| stop.is_asked(), Some(&mut notify))
         })?;
         match outcome {
             Some(outcome) => outcome,

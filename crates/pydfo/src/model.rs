@@ -9,6 +9,7 @@ use crate::trajectory;
 use crate::words::word;
 use crate::{error, fmu_error, logs, values};
 use calibration::ModelProcess;
+use calibration::RunContext;
 use fmi::description::Interval;
 use fmi::worker::{Isolation, WorkerLimits};
 use fmi::{FmiError, InterfaceKind, Session, SimulateOptions, Trajectory};
@@ -17,7 +18,7 @@ use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::ops::ControlFlow;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 
 pyo3::import_exception!(pydfo._errors, Interrupted);
@@ -201,8 +202,8 @@ impl Model {
         let stop = Arc::clone(watch.stop());
         let (options, callbacks) = self.options(py, request, &stop)?;
         let outcome = if is_here {
-            let run = |cancelled: &dyn Fn() -> bool| {
-                let mut poll = || match cancelled() {
+            let run = |context: &RunContext<'_>| {
+                let mut poll = || match context.is_over() {
                     true => ControlFlow::Break(()),
                     false => ControlFlow::Continue(()),
                 };
@@ -252,8 +253,8 @@ fn simulate_apart(
         None => apart.insert(ModelProcess::new(session.fmu(), WorkerLimits::default())?),
     };
     let flag = options.cancel.clone();
-    let cancelled = || flag.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed));
-    process.simulate(&session.with_values(options), &cancelled)
+    let context = flag.as_deref().map_or_else(RunContext::new, |flag| RunContext::new().flagged(flag));
+    process.simulate(&session.with_values(options), &context)
 }
 
 impl Model {

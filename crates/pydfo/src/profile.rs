@@ -4,6 +4,7 @@ use crate::calibration::PyCalibration;
 use crate::error;
 use crate::fit::PyFit;
 use crate::trajectory::Counts;
+use calibration::RunContext;
 use calibration::{ParameterProfile, Profile, ProfileOptions};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
@@ -25,8 +26,8 @@ pub(crate) fn profile<'py>(
     let (level, is_corrected, max_points) = extent;
     let max_points = max_points.unwrap_or_else(|| ProfileOptions::default().max_points);
     let options = ProfileOptions { parameters, level, is_corrected, max_points, workers, checkpoint };
-    let work = move |calibration: &calibration::Calibration, cancelled: &dyn Fn() -> bool| {
-        calibration.profile(&fit, &options, cancelled)
+    let work = move |calibration: &calibration::Calibration, context: &RunContext<'_>| {
+        calibration.profile(&fit, &options, context)
     };
     let (found, was_interrupted) = calibration.compute_to_end(py, work)?;
     let fields = to_python(py, &found)?;

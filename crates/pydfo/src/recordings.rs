@@ -20,7 +20,7 @@ pub(crate) fn check(
     max_time: Option<f64>,
 ) -> PyResult<(Vec<FindingFields>, String, usize, bool)> {
     let options = CheckOptions { simulate, max_time: time_limit("max_time", max_time)? };
-    let check = calibration.compute(py, move |c, cancelled| c.check_with(&options, cancelled))?;
+    let check = calibration.compute(py, move |c, context| c.check_with(&options, context))?;
     let (table, is_ok) = (check.to_string(), check.is_ok());
     Ok((findings::fields(check.findings), table, check.n_evaluations, is_ok))
 }

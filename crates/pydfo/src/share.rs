@@ -137,9 +137,9 @@ pub(crate) fn fit_to_csv(
 ) -> PyResult<String> {
     let table: Table = word("what", table)?;
     let (inner, calibration) = (Arc::clone(&fit.inner), PyCalibration::of(Arc::clone(&fit.calibration)));
-    calibration.compute(py, move |calibration, cancelled| match path {
-        Some(path) => inner.write_csv(calibration, path, table, cancelled).map(|()| String::new()),
-        None => inner.csv(calibration, table, cancelled),
+    calibration.compute(py, move |calibration, context| match path {
+        Some(path) => inner.write_csv(calibration, path, table, context).map(|()| String::new()),
+        None => inner.csv(calibration, table, context),
     })
 }
 
@@ -165,9 +165,8 @@ pub(crate) fn simulate_variables<'py>(
     times: Option<Vec<f64>>,
     variables: Vec<String>,
 ) -> PyResult<Vec<Bound<'py, PyDict>>> {
-    let trajectories = calibration.compute(py, move |calibration, cancelled| {
-        let simulate =
-            |k| calibration.simulate_variables_until(k, &x, times.as_deref(), &variables, cancelled);
+    let trajectories = calibration.compute(py, move |calibration, context| {
+        let simulate = |k| calibration.simulate_variables(k, &x, times.as_deref(), &variables, context);
         (0..calibration.problem().experiments.len()).map(simulate).collect::<Result<Vec<_>, _>>()
     })?;
     let description = calibration.inner.fmu().description();
@@ -198,8 +197,8 @@ pub(crate) fn export_fmu(
     keep: bool,
 ) -> PyResult<(Option<PathBuf>, Option<PathBuf>, Option<String>)> {
     let (inner, calibration) = (Arc::clone(&fit.inner), PyCalibration::of(Arc::clone(&fit.calibration)));
-    let written = calibration.compute(py, move |calibration, cancelled| {
-        inner.export_fmu(calibration, path, experiment.as_deref(), keep, cancelled)
+    let written = calibration.compute(py, move |calibration, context| {
+        inner.export_fmu(calibration, path, experiment.as_deref(), keep, context)
     })?;
     Ok((written.fmu, written.ssv, written.warning))
 }

@@ -31,7 +31,7 @@ fn experiments(
         let name = fields.name.clone().unwrap_or_else(|| Experiment::default_name(k));
         let resolved = fields.resolve(py, of, callbacks)?;
         let watch = Watch::without_handler(py);
-        let made = watch.run_here(|cancelled| fields.experiment(resolved, cancelled));
+        let made = watch.run_here(|context| fields.experiment(resolved, context));
         if let Err(CalibrationError::Cancelled) = made {
             return Err(watch.interrupted());
         }
@@ -58,8 +58,8 @@ pub(crate) fn validate<'py>(
         None => ValidationSet::Windows(windows),
     };
     let fit = fit.inner.clone();
-    let validation = calibration
-        .compute(py, move |calibration, cancelled| calibration.validate_until(&fit, &set, cancelled));
+    let validation =
+        calibration.compute(py, move |calibration, context| calibration.validate(&fit, &set, context));
     // An exception of an input function is why the simulation failed.
     if let Some(e) = callbacks.take_raised() {
         return Err(e);
@@ -121,8 +121,8 @@ pub(crate) fn cross_validate<'py>(
     let (loss, noise) = (settings::loss(loss)?.unwrap_or_default(), word("noise", &noise)?);
     let Settings { run, .. } = options.check(py, FitOptions::default_run().tolerances)?;
     let options = CrossValidationOptions { folds, run, loss, noise, ..CrossValidationOptions::default() };
-    let found = calibration
-        .compute(py, move |calibration, cancelled| calibration.cross_validate_until(&options, cancelled))?;
+    let found =
+        calibration.compute(py, move |calibration, context| calibration.cross_validate(&options, context))?;
     let fields = PyDict::new(py);
     let of_fold = |fold: &Fold| {
         let fields = PyDict::new(py);
@@ -160,7 +160,7 @@ pub(crate) fn prediction_bands<'py>(
     let (level, is_corrected) = extent;
     let options = BandOptions { times, level, is_corrected, outputs, workers: None };
     let bands = calibration
-        .compute(py, move |calibration, cancelled| calibration.prediction_bands(&fit, &options, cancelled))?;
+        .compute(py, move |calibration, context| calibration.prediction_bands(&fit, &options, context))?;
     let to_python = |band: PredictionBand| {
         let fields = PyDict::new(py);
         fields.set_item("experiment", band.experiment)?;

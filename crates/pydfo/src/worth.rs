@@ -35,7 +35,7 @@ pub(crate) fn worth_at(
     workers: Option<usize>,
 ) -> PyResult<PyWorth> {
     let options = WorthOptions { workers, held, ..settings::worth(Some(covariance))?.unwrap_or_default() };
-    let worth = calibration.compute(py, move |c, cancelled| c.worth(&x, &options, cancelled))?;
+    let worth = calibration.compute(py, move |c, context| c.worth(&x, &options, context))?;
     Ok(PyWorth { inner: Arc::new(worth) })
 }
 
@@ -48,7 +48,7 @@ pub(crate) fn preflight_at<'py>(
     workers: Option<usize>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let options = PreflightOptions { start: Some(x), workers, ..PreflightOptions::default() };
-    let found = calibration.compute(py, move |c, cancelled| c.preflight(&options, cancelled))?;
+    let found = calibration.compute(py, move |c, context| c.preflight(&options, context))?;
     preflight(py, &found)
 }
 

@@ -22,7 +22,7 @@ pub use result::Check;
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::finding::{Finding, Severity};
-use crate::phase::Deadline;
+use base::RunContext;
 use ode::Stats;
 use series::{Evaluated, Evaluations, Outputs, Place};
 use subject::Subject;
@@ -36,21 +36,20 @@ impl Calibration {
     /// unlike in the cost, inputs that nothing drives or that end early, values, ranges and start values that the model states for its
     /// parameters, and how accurate the simulations are. What cannot be evaluated at all is refused when the calibration is built.
     pub fn check(&self) -> Check {
-        self.check_with(&CheckOptions::default(), &|| false).unwrap_or_default()
+        self.check_with(&CheckOptions::default(), &RunContext::new()).unwrap_or_default()
     }
 
-    /// As [`check`](Self::check), as it is asked for; ends when `cancelled` says so.
+    /// As [`check`](Self::check), as it is asked for; ends with the context.
     ///
     /// # Errors
     /// [`CalibrationError::Cancelled`] alone: a simulation that fails is a finding, and so is the end of the time.
     pub fn check_with(
         &self,
         options: &CheckOptions,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Check, CalibrationError> {
-        let deadline = Deadline::new(options.max_time);
-        let is_ended = || deadline.is_over() || cancelled();
-        let mut evaluations = Evaluations { cancelled: &is_ended, n: 0, stats: Stats::default() };
+        let context = context.within(options.max_time);
+        let mut evaluations = Evaluations { context, n: 0, stats: Stats::default() };
         let subjects = self.subjects();
         let mut findings = model::construction_warnings(self.warnings());
         findings.extend(self.findings_of_description_and_data(&subjects, &self.start()));
@@ -61,7 +60,7 @@ impl Calibration {
             false => Ok(()),
         };
         match simulated {
-            Err(CalibrationError::Cancelled) if !cancelled() => {
+            Err(CalibrationError::Cancelled) if !context.is_over() => {
                 findings.push(options.out_of_time(at_start.is_some()))
             }
             other => other?,
@@ -81,7 +80,7 @@ impl Calibration {
         evaluations: &mut Evaluations<'_>,
     ) -> Result<(), CalibrationError> {
         evaluations.n += 1;
-        let start = match self.residuals_until(&self.start(), evaluations.cancelled) {
+        let start = match self.residuals(&self.start(), &evaluations.context) {
             Ok(residuals) => at_start.insert(Evaluated { residuals, x: self.start() }),
             Err(CalibrationError::Cancelled) => return Err(CalibrationError::Cancelled),
             Err(error) => {
@@ -108,7 +107,7 @@ impl Calibration {
         &self,
         (start, at_start): (&[f64], Option<&[f64]>),
         (x, at_end): (&[f64], &[f64]),
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Vec<Finding> {
         let subjects = self.subjects();
@@ -119,7 +118,7 @@ impl Calibration {
             let outputs = Outputs::new(self, (&at_start, Some(&at_end)));
             doubts.extend(simulated::findings(&subjects, &outputs));
             doubts.extend(signals::findings(&subjects, &outputs));
-            let mut evaluations = Evaluations { cancelled, n: 0, stats: Stats::default() };
+            let mut evaluations = Evaluations { context: *context, n: 0, stats: Stats::default() };
             let found = time_unit::findings(self, &subjects, &outputs, &mut evaluations);
             *stats += evaluations.stats;
             match found {
@@ -139,11 +138,11 @@ impl Calibration {
     pub(crate) fn large_step_after_fit(
         &self,
         (x, residuals): (&[f64], &[f64]),
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Option<Finding> {
         let at = Evaluated { residuals: residuals.to_vec(), x: x.to_vec() };
-        let mut evaluations = Evaluations { cancelled, n: 0, stats: Stats::default() };
+        let mut evaluations = Evaluations { context: *context, n: 0, stats: Stats::default() };
         let found = settings::large_step(self, (&at, Place::Fitted), &mut evaluations);
         *stats += evaluations.stats;
         found.ok().flatten()

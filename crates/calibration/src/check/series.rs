@@ -3,6 +3,7 @@
 use super::subject::Subject;
 use crate::calibration::Calibration;
 use crate::layout::OutputResiduals;
+use base::RunContext;
 use ode::Stats;
 use std::fmt;
 
@@ -14,7 +15,7 @@ pub(super) struct Evaluated {
 
 /// Evaluations that are made: how many, and what they take.
 pub(super) struct Evaluations<'a> {
-    pub(super) cancelled: &'a dyn Fn() -> bool,
+    pub(super) context: RunContext<'a>,
     pub(super) n: usize,
     pub(super) stats: Stats,
 }

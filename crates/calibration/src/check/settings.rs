@@ -47,7 +47,7 @@ pub(super) fn large_step(
     }
     evaluations.n += 1;
     let mut residuals = vec![0.0; calibration.n_residuals()];
-    let rule = CostRule::whole(RobustLoss::default(), evaluations.cancelled);
+    let rule = CostRule::whole(RobustLoss::default(), &evaluations.context);
     let stats = &mut evaluations.stats;
     match calibration.evaluate_with(Accuracy::HalfStep, &at.x, rule, &mut residuals, stats) {
         Ok(_) => {}

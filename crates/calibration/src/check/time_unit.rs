@@ -98,7 +98,7 @@ fn in_milliseconds(
     let Some(fast) = a_thousandth_as_long(calibration) else { return Ok(None) };
     evaluations.n += 1;
     let mut residuals = vec![0.0; fast.n_residuals()];
-    let rule = CostRule::whole(RobustLoss::default(), evaluations.cancelled);
+    let rule = CostRule::whole(RobustLoss::default(), &evaluations.context);
     match fast.evaluate_into(&fast.start(), rule, &mut residuals, &mut evaluations.stats) {
         Ok(_) => {}
         Err(NoCost::Cancelled) => return Err(CalibrationError::Cancelled),

@@ -6,6 +6,7 @@ use super::text::shortened;
 use super::time_column::{PairUnit, TimeColumn, find_column, time_unit};
 use super::units::Unit;
 use crate::error::CalibrationError;
+use base::RunContext;
 use std::borrow::Cow;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -30,12 +31,12 @@ pub struct CsvRequest<'a> {
     /// The columns that are kept beside the times; of the others only the names. `None`: all.
     pub columns: Option<&'a [String]>,
     /// Asked every few thousand rows; reading ends when it says so.
-    pub cancelled: &'a dyn Fn() -> bool,
+    pub context: RunContext<'a>,
 }
 
 impl Default for CsvRequest<'_> {
     fn default() -> Self {
-        Self { time: None, columns: None, cancelled: &|| false }
+        Self { time: None, columns: None, context: RunContext::new() }
     }
 }
 
@@ -139,7 +140,7 @@ impl Data {
         let (mut n_rows, mut dates, mut has_units) = (0, Vec::new(), false);
         let (mut cells, empty) = (Vec::new(), Cow::Borrowed(""));
         while let Some((line, len)) = records.next(&mut cells) {
-            if n_rows % ROWS_PER_LOOK == 0 && (request.cancelled)() {
+            if n_rows % ROWS_PER_LOOK == 0 && request.context.is_over() {
                 return Err(CalibrationError::Cancelled);
             }
             // A delimiter at the end of a row or of the header makes an empty cell that belongs to no column.
@@ -212,7 +213,7 @@ impl Data {
             }
             let stated = time.unit.as_deref().and_then(PairUnit::named);
             let pair = stated.or_else(|| PairUnit::of_column(&time.name));
-            let found = date_seconds(&dates, pair, request.cancelled);
+            let found = date_seconds(&dates, pair, &request.context);
             (times, clock_change) = found.map_err(|error| match error {
                 DateError::Cell(row, why) => bad(format!("time in line {}: {why}", line_of(row))),
                 DateError::Cancelled => CalibrationError::Cancelled,
@@ -624,7 +625,7 @@ mod tests {
                 "{e:.300}"
             );
         }
-        let request = CsvRequest { cancelled: &|| true, ..CsvRequest::default() };
+        let request = CsvRequest { context: RunContext::new().asking(&|| true), ..CsvRequest::default() };
         let cancelled = Data::read_csv_text(b"time,y\n0,1\n", "test.csv", request);
         assert!(matches!(cancelled, Err(CalibrationError::Cancelled)));
     }

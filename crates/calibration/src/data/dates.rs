@@ -1,5 +1,6 @@
 //! Dates and times of day as times in s since the first of them.
 
+use base::RunContext;
 use jiff::Timestamp;
 use jiff::civil::{Date, DateTime, Time};
 use jiff::fmt::strtime;
@@ -46,8 +47,8 @@ pub enum DateError {
 }
 
 /// The times in s since the first, and an hour that is missing in those without a zone. All are written as the first is: as dates, dates
-/// with a zone, or times of day. Two numbers (`10:02`) are what `pair` says, else minutes and seconds where they can be nothing else. Ends
-/// when `cancelled` says so.
+/// with a zone, or times of day. Two numbers (`10:02`) are what `pair` says, else minutes and seconds where they can be nothing else. Ends with
+/// the context.
 ///
 /// # Errors
 /// The index of a cell that is none, and what is wrong with it; two numbers that may be hours and minutes or minutes and seconds; an hour
@@ -55,13 +56,13 @@ pub enum DateError {
 pub fn date_seconds(
     cells: &[impl AsRef<str>],
     pair: Option<PairUnit>,
-    cancelled: &dyn Fn() -> bool,
+    context: &RunContext<'_>,
 ) -> Result<(Vec<f64>, Option<ClockChange>), DateError> {
     let mut first = None;
     let pair = pair.or_else(|| pair_of(cells));
     let mut seconds = Vec::with_capacity(cells.len());
     for (row, cell) in cells.iter().map(AsRef::as_ref).enumerate() {
-        if row % CELLS_PER_LOOK == 0 && cancelled() {
+        if row % CELLS_PER_LOOK == 0 && context.is_over() {
             return Err(DateError::Cancelled);
         }
         let (form, nanoseconds) = parse(cell, pair).ok_or_else(|| DateError::Cell(row, complaint(cell)))?;
@@ -160,7 +161,7 @@ mod tests {
     }
 
     fn with_pair(cells: &[&str], pair: Option<PairUnit>) -> Result<Vec<f64>, (usize, String)> {
-        match date_seconds(cells, pair, &|| false) {
+        match date_seconds(cells, pair, &RunContext::new()) {
             Ok((seconds, _)) => Ok(seconds),
             Err(DateError::Cell(row, message)) => Err((row, message)),
             Err(DateError::Cancelled) => unreachable!("nothing cancels"),
@@ -194,7 +195,7 @@ mod tests {
     #[test]
     fn a_clock_that_was_changed_is_said() {
         let days = |hours: [&str; 5]| hours.map(|hour| format!("2024-10-27 {hour}"));
-        let found = |cells: &[String]| date_seconds(cells, None, &|| false);
+        let found = |cells: &[String]| date_seconds(cells, None, &RunContext::new());
         let (times, change) = found(&days(["01:00", "01:30", "03:00", "03:30", "04:00"])).unwrap();
         assert_eq!(times, [0.0, 1800.0, 7200.0, 9000.0, 10800.0]);
         assert_eq!(change.unwrap().from, "2024-10-27T01:30:00");
@@ -204,7 +205,10 @@ mod tests {
         // Times with a zone need no guess.
         let zoned: Vec<String> = days(["01:00", "01:30", "03:00", "03:30", "04:00"]).map(|t| t + "Z").into();
         assert_eq!(found(&zoned).unwrap().1, None);
-        assert_eq!(date_seconds(&zoned, None, &|| true), Err(DateError::Cancelled));
+        assert_eq!(
+            date_seconds(&zoned, None, &RunContext::new().asking(&|| true)),
+            Err(DateError::Cancelled)
+        );
     }
 
     #[test]

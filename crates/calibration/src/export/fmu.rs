@@ -4,6 +4,7 @@ use super::files::{check_belongs, check_path, check_suffix};
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::Fit;
+use base::RunContext;
 use fmi::platform::write_whole;
 use fmi::{FmiError, Fmu, Trajectory};
 use ode::{Number, Termination};
@@ -49,8 +50,8 @@ impl Fit {
     /// tools that set the start values of the description.
     ///
     /// `experiment`: whose values, where there are [local](crate::Parameter::local) parameters. Values that were given as
-    /// [start values](crate::Experiment::start_value) of experiments are no part of the fit and not written. Simulations end when
-    /// `cancelled` says so.
+    /// [start values](crate::Experiment::start_value) of experiments are no part of the fit and not written. Simulations end with
+    /// the context.
     ///
     /// # Errors
     /// As [`Calibration::variable_values`]; [`CalibrationError::Setup`] for a name that does not end in `.fmu`, or for the
@@ -61,7 +62,7 @@ impl Fit {
         path: impl AsRef<Path>,
         experiment: Option<&str>,
         keep: bool,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<FmuExport, CalibrationError> {
         let path = path.as_ref();
         check_suffix(path, "fmu")?;
@@ -82,7 +83,7 @@ impl Fit {
             calibration.fmu().write_with_start_values(&values, file)?;
             let copy = Fmu::open_with(copy, calibration.fmu().options())?;
             for &k in &experiments {
-                match self.difference(calibration, &copy, k, cancelled).map_err(Unwritten::Failed)? {
+                match self.difference(calibration, &copy, k, context).map_err(Unwritten::Failed)? {
                     Some(difference) if keep => ignored = Some(difference),
                     Some(difference) => return Err(Unwritten::Ignored(difference)),
                     None => {}
@@ -123,15 +124,15 @@ impl Fit {
         calibration: &Calibration,
         copy: &Fmu,
         k: usize,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Option<String>, CalibrationError> {
         let outputs: Vec<String> =
             calibration.problem().experiments[k].outputs().map(|(variable, _)| variable.to_owned()).collect();
-        let fitted = calibration.simulate_variables_until(k, &self.x, None, &outputs, cancelled)?;
-        let method = calibration.solver_until(cancelled)?.method;
+        let fitted = calibration.simulate_variables(k, &self.x, None, &outputs, context)?;
+        let method = calibration.solver(context)?.method;
         let simulation = &calibration.evaluator().simulations[k];
         let options = simulation.recording((&self.x, method), None, &outputs);
-        let mut poll = || if cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+        let mut poll = || if context.is_over() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
         let copied = match copy.simulate_with(&options, &mut poll) {
             Ok(trajectory) if trajectory.termination == Termination::StoppedByObserver => {
                 return Err(CalibrationError::Cancelled);

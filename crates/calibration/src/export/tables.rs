@@ -6,6 +6,7 @@ use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::Fit;
 use crate::parameter::Parameter;
+use base::RunContext;
 use dfo::Outcome;
 use std::path::Path;
 
@@ -28,7 +29,7 @@ pub enum Table {
 }
 
 impl Fit {
-    /// A table of the fit as text. Simulations, for the trajectories, end when `cancelled` says so.
+    /// A table of the fit as text. Simulations, for the trajectories, end with the context.
     ///
     /// # Errors
     /// [`CalibrationError::Setup`] if it is no fit of this calibration; those of simulating.
@@ -36,12 +37,12 @@ impl Fit {
         &self,
         calibration: &Calibration,
         table: Table,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<String, CalibrationError> {
         check_belongs(self, calibration)?;
         let rows = match table {
             Table::Parameters => self.parameter_rows(calibration),
-            Table::Trajectories => self.trajectory_rows(calibration, cancelled)?,
+            Table::Trajectories => self.trajectory_rows(calibration, context)?,
             Table::Trace => self.trace_rows(),
         };
         let mut writer = csv::Writer::from_writer(Vec::new());
@@ -61,9 +62,9 @@ impl Fit {
         calibration: &Calibration,
         path: impl AsRef<Path>,
         table: Table,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<(), CalibrationError> {
-        write(path.as_ref(), calibration, self.csv(calibration, table, cancelled)?.as_bytes())
+        write(path.as_ref(), calibration, self.csv(calibration, table, context)?.as_bytes())
     }
 
     fn parameter_rows(&self, calibration: &Calibration) -> Vec<Vec<String>> {
@@ -119,7 +120,7 @@ impl Fit {
     fn trajectory_rows(
         &self,
         calibration: &Calibration,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Vec<Vec<String>>, CalibrationError> {
         let header = [
             "experiment",
@@ -132,9 +133,9 @@ impl Fit {
             "weight",
             "residual",
         ];
-        let trajectories = calibration.simulate_until(&self.x, None, cancelled)?;
+        let trajectories = calibration.simulate(&self.x, None, context)?;
         let layout = self.residual_layout(calibration);
-        let residuals = calibration.residuals_until(&self.x, cancelled)?;
+        let residuals = calibration.residuals(&self.x, context)?;
         let residuals = layout.reweighed(&residuals, calibration.residual_layout());
         let names = calibration.problem().experiment_names();
         let mut rows = vec![header.map(str::to_owned).to_vec()];

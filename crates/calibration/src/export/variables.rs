@@ -3,6 +3,7 @@
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::remote::Job;
+use base::RunContext;
 use fmi::Trajectory;
 use ode::Termination;
 use std::ops::ControlFlow;
@@ -29,32 +30,32 @@ impl Calibration {
 
     /// Simulates an experiment, counted from 0, at `x` and records variables of the model as they are: by their names, elements of
     /// arrays, patterns with `*` and `?`, or `all`; at the measured times or, if `times` are given, at those. Outputs are not
-    /// delayed, and have no offset. `cancelled` ends it as in [`simulate_until`](Self::simulate_until).
+    /// delayed, and have no offset. The context ends it as in [`simulate`](Self::simulate).
     ///
     /// # Errors
-    /// As [`simulate_until`](Self::simulate_until); [`fmi::FmiError::UnknownVariable`] with the nearest names.
+    /// As [`simulate`](Self::simulate); [`fmi::FmiError::UnknownVariable`] with the nearest names.
     ///
     /// # Panics
     /// There is no such experiment.
-    pub fn simulate_variables_until(
+    pub fn simulate_variables(
         &self,
         experiment: usize,
         x: &[f64],
         times: Option<&[f64]>,
         variables: &[String],
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Trajectory, CalibrationError> {
         self.check_length(x)?;
-        let method = self.solver_until(cancelled)?.method;
+        let method = self.solver(context)?.method;
         if let Ok(remote) = &self.evaluator().remote {
             let (times, variables) = (times.map(<[f64]>::to_vec), variables.to_vec());
             let job = Job::Variables { experiment, x: x.to_vec(), method, times, variables };
-            return remote.trajectory(&job, cancelled);
+            return remote.trajectory(&job, context);
         }
         let mut options = self.evaluator().simulations[experiment].recording((x, method), times, variables);
         let values = self.values_in(experiment, x);
         options.start_values.extend(values.into_iter().map(|(name, value)| (name, value.into())));
-        let mut poll = || if cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+        let mut poll = || if context.is_over() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
         let trajectory = self.fmu().simulate_with(&options, &mut poll)?;
         match trajectory.termination {
             Termination::StoppedByObserver => Err(CalibrationError::Cancelled),

@@ -5,6 +5,7 @@ use crate::no_cost::NoCost;
 use crate::parallel::beside;
 use crate::remote::{Asked, Remote};
 use crate::residual::CostRule;
+use base::RunContext;
 use dfo::RobustLoss;
 use ode::Stats;
 use std::convert::Infallible;
@@ -30,15 +31,15 @@ impl Calibration {
         &self,
         best: Option<Known<'_>>,
         loss: RobustLoss,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         work: impl FnOnce() -> T,
     ) -> (T, Fresh) {
         let remote = self.evaluator().remote.as_ref().ok().filter(|remote| !remote.is_always_fresh());
-        let (Some(remote), Some(best), false) = (remote, best, cancelled()) else {
+        let (Some(remote), Some(best), false) = (remote, best, context.is_over()) else {
             return (work(), Fresh::Same);
         };
-        let task = |is_over: &dyn Fn() -> bool| self.again(remote, best, loss, is_over);
-        let (Ok(done), found) = beside(cancelled, task, || Ok::<T, Infallible>(work()));
+        let task = |context: &RunContext<'_>| self.again(remote, best, loss, context);
+        let (Ok(done), found) = beside(context, task, || Ok::<T, Infallible>(work()));
         (done, found.unwrap_or(Fresh::Same))
     }
 
@@ -47,13 +48,13 @@ impl Calibration {
         remote: &Remote,
         (x, known): Known<'_>,
         loss: RobustLoss,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Fresh {
         // The bits of the residuals, none of a point that fails; `Err`: nothing was found out.
         let residuals = || -> Result<Option<Vec<u64>>, ()> {
-            let rule = CostRule::whole(loss, cancelled);
+            let rule = CostRule::whole(loss, context);
             let mut residuals = vec![0.0; self.n_residuals()];
-            let method = self.method_until(cancelled).map_err(drop)?;
+            let method = self.method(context).map_err(drop)?;
             let asked = (None, Asked::Fresh);
             match remote.evaluate((x, method), rule, asked, &mut residuals, &mut Stats::default()) {
                 Ok(_) => Ok(Some(residuals.iter().map(|residual| residual.to_bits()).collect())),

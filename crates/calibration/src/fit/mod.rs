@@ -24,10 +24,11 @@ use crate::layout::ResidualLayout;
 use crate::objective::CostKind;
 use crate::output_fit::KeptResiduals;
 use crate::parameter::{Parameter, Scale};
-use crate::phase::{Deadline, FitPhase};
+use crate::phase::FitPhase;
 use crate::residual::{CostRule, sum_of_squares};
 use crate::simulations::Simulations;
 use crate::worth::{KnownPoint, SEARCH, Worth, WorthOptions};
+use base::RunContext;
 use dfo::{Measure, Report, RobustLoss, Termination, Tolerances, typical_size};
 use ode::{Number, Stats};
 use rounds::Made;
@@ -67,20 +68,19 @@ impl Calibration {
     pub(crate) fn fit_and_keep(
         &self,
         options: FitOptions<'_>,
-        deadline: Option<Deadline>,
+        within: Option<RunContext<'_>>,
     ) -> Result<(Fit, KeptResiduals), CalibrationError> {
-        let mut job = Job::new(self, options, deadline)?;
+        let mut job = Job::new(self, options, within)?;
         let mut stats = Stats::default();
         let made = self.made(&mut job, &mut stats);
         let Made { own, searched, noise, tolerance } = match made {
-            Err(error) if !job.is_asked() => Made::of(self.start_alone(&job, error)?),
+            Err(error) if !job.context.is_cancelled() => Made::of(self.start_alone(&job, error)?),
             made => made?,
         };
         // With the weights and the tolerance of the fit.
         let own = own.as_ref().unwrap_or(self);
         let Searched { report, found, residuals, preflight, solver, tolerances, raised } = searched;
-        let Job { start, held, objective, loss, deadline, phase, worth, .. } = &job;
-        let cancelled = || job.is_cancelled();
+        let Job { start, held, objective, loss, context, phase, worth, .. } = &job;
         let mut remarks = raised;
         remarks.extend(self.unstated_noise(&job, noise.as_ref()));
         if let Some(reason) = self.runs_here_by_its_inputs() {
@@ -91,10 +91,10 @@ impl Calibration {
         phase.set(FitPhase::Checks);
         let is_whole = worth.is_some() && held.is_empty();
         let (at_start, at_end) =
-            own.plain_residuals((start, &report.x), (&residuals, *loss), &cancelled, &mut stats);
+            own.plain_residuals((start, &report.x), (&residuals, *loss), context, &mut stats);
         if let Some(at_end) = at_end.as_deref().filter(|_| is_whole && is_over(&report.termination)) {
             let (from, to) = ((start.as_slice(), at_start.as_deref()), (report.x.as_slice(), at_end));
-            remarks.extend(own.check_after_fit(from, to, &cancelled, &mut stats));
+            remarks.extend(own.check_after_fit(from, to, context, &mut stats));
         }
         if let Some(at_end) = at_end.as_deref().filter(|_| noise == Some(FitNoise::Stated)) {
             remarks.extend(noise::contradictions_of_stated(own, at_end));
@@ -107,9 +107,8 @@ impl Calibration {
             options.held.extend(held);
             let asked = WorthOptions { loss: *loss, is_likelihood: objective.is_likelihood(), ..options };
             let known = report.residuals.as_deref().or(at_end.as_deref());
-            let worth =
-                own.worth_of_fit((&report, &found, known), &tolerances, asked, (&cancelled, &mut stats));
-            if worth.is_none() && is_over(&report.termination) && deadline.is_over() {
+            let worth = own.worth_of_fit((&report, &found, known), &tolerances, asked, context, &mut stats);
+            if worth.is_none() && is_over(&report.termination) && context.is_late() {
                 let sentence = "the time was up before the standard errors were known";
                 remarks.push(Finding::new(Severity::Warning, "max_time", sentence, ""));
             }
@@ -118,7 +117,7 @@ impl Calibration {
         if let Some(at_end) =
             at_end.as_deref().filter(|_| own.has_fixed_step() && worth.is_none() && is_whole)
         {
-            remarks.extend(own.large_step_after_fit((&report.x, at_end), &cancelled, &mut stats));
+            remarks.extend(own.large_step_after_fit((&report.x, at_end), context, &mut stats));
         }
         let start_cost =
             report.trace.iter().find(|e| e.x == start.as_slice()).and_then(|e| e.outcome.value());
@@ -136,7 +135,7 @@ impl Calibration {
                 (false, Some(_)) => match residuals.at((x, start)) {
                     Some(known) => Some(self.rms_of(known, own.residual_layout())),
                     None => {
-                        let found = own.cost_and_residuals(x, (objective, *loss), &cancelled, &mut stats);
+                        let found = own.cost_and_residuals(x, (objective, *loss), context, &mut stats);
                         found.map(|(_, residuals)| self.rms_of(&residuals, own.residual_layout()))
                     }
                 },
@@ -196,11 +195,11 @@ impl Calibration {
         &self,
         x: &[f64],
         (kind, loss): (&CostKind, RobustLoss),
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Option<(f64, Vec<f64>)> {
         let mut residuals = vec![0.0; self.n_residuals()];
-        let sum = self.evaluate_into(x, CostRule::whole(loss, cancelled), &mut residuals, stats).ok()?;
+        let sum = self.evaluate_into(x, CostRule::whole(loss, context), &mut residuals, stats).ok()?;
         let outcome = kind.outcome(self.residual_layout(), (sum, &residuals), &mut Vec::new());
         Some((outcome.value()?, residuals))
     }
@@ -212,13 +211,14 @@ impl Calibration {
         (report, found, residuals): (&Report, &Findings, Option<&[f64]>),
         tolerances: &Tolerances,
         mut options: WorthOptions,
-        (cancelled, stats): (&dyn Fn() -> bool, &mut Stats),
+        context: &RunContext<'_>,
+        stats: &mut Stats,
     ) -> Option<Worth> {
-        if !is_over(&report.termination) || cancelled() {
+        if !is_over(&report.termination) || context.is_over() {
             return None;
         }
         let workers = options.workers.unwrap_or(1);
-        let mut simulations = Simulations::new(self, (RobustLoss::default(), workers), cancelled).ok()?;
+        let mut simulations = Simulations::new(self, (RobustLoss::default(), workers), context).ok()?;
         let (inert, criterion) = (&found.without_effect, options.criterion());
         let at_bound = found.at_bound.iter().map(|(index, _)| index);
         options.held.extend(at_bound.filter(|index| !inert.contains(index)));

@@ -5,13 +5,13 @@ use super::noise::NoiseRule;
 use crate::objective::CostKind;
 use crate::phase::CurrentPhase;
 use crate::worth::WorthOptions;
+use base::RunContext;
 use dfo::{AnyMethod, Measure, Progress, RobustLoss, RunOptions, Search, Stop, Tolerances};
 use std::cell::RefCell;
 use std::fmt;
 use std::ops::ControlFlow;
 use std::rc::Rc;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 /// Called after each iteration; `Break` ends the fit.
 pub type FitObserver<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
@@ -50,10 +50,9 @@ pub struct FitOptions<'a> {
     pub worth: Option<WorthOptions>,
     /// Called after each iteration, on the calling thread.
     pub observer: Option<Box<FitObserver<'a>>>,
-    /// Asked on the calling thread at least every 50 ms; `true` interrupts the fit.
-    pub poll: Option<Box<dyn FnMut() -> bool + 'a>>,
-    /// A flag that interrupts the fit when it is raised, within a step of the simulations that are running.
-    pub cancel: Option<Arc<AtomicBool>>,
+    /// Who may interrupt the fit: within a step of the simulations that are running. Its function is called on the calling thread at least
+    /// every 50 ms. The time limit is that of [`run`](Self::run), or of the context, if that ends sooner.
+    pub context: RunContext<'a>,
     /// Who makes the simulations of the search; default: workers of this machine, as many as [`run`](Self::run) says. What comes before
     /// and after the search is simulated here.
     pub engine: Option<Rc<RefCell<dyn Engine>>>,
@@ -84,8 +83,7 @@ impl Default for FitOptions<'_> {
             preflight: false,
             worth: Some(WorthOptions::default()),
             observer: None,
-            poll: None,
-            cancel: None,
+            context: RunContext::new(),
             engine: None,
             phase: Arc::default(),
         }

@@ -117,7 +117,7 @@ impl Calibration {
             self.adopt_solver(checkpoint)?;
         }
         job.phase.set(FitPhase::Solver);
-        let (_, raced) = self.solver_counted(&|| job.is_cancelled(), stats)?;
+        let (_, raced) = self.solver_counted(&job.context, stats)?;
         let raced = raced.filter(|_| job.start == self.start());
         let counted =
             |plain: Vec<f64>| plain.into_iter().map(|r| job.loss.transform(r)).collect::<Vec<f64>>();
@@ -132,7 +132,7 @@ impl Calibration {
             true => None,
             false => {
                 let asked = (job.loss, &job.run.tolerances);
-                self.choose_tolerance((&job.start, at_start.take()), asked, &|| job.is_cancelled(), stats)?
+                self.choose_tolerance((&job.start, at_start.take()), asked, &job.context, stats)?
             }
         };
         let (tolerance, known) = chosen.unzip();
@@ -201,7 +201,7 @@ impl Calibration {
                 // What the search before has found is not lost.
                 (Err(error), Some((own, mut before))) => match ended_by(&error) {
                     Some(termination) => {
-                        let is_late = job.deadline.is_over() && !job.is_asked();
+                        let is_late = job.context.is_late() && !job.context.is_cancelled();
                         let ended = if is_late { Termination::MaxTime } else { termination };
                         before.report.message +=
                             &format!("; the fit ended before its noise was known to 1 %: {ended}");
@@ -220,10 +220,9 @@ impl Calibration {
             };
             raised.append(&mut searched.raised);
             let start = if noise.n_rounds == 1 { &begun } else { &job.start };
-            let cancelled = || job.is_cancelled();
             let known = (&searched.residuals, job.loss);
             let (of_start, of_end) =
-                own.plain_residuals((start, &searched.report.x), known, &cancelled, stats);
+                own.plain_residuals((start, &searched.report.x), known, &job.context, stats);
             if noise.n_rounds == 1 {
                 first_start = of_start.map(|r| self.residual_layout().reweighed(&r, own.residual_layout()));
             }
@@ -260,7 +259,7 @@ impl Calibration {
                 () if is_spent(limits.max_iterations, report.n_iterations) => {
                     Some(Termination::MaxIterations)
                 }
-                () if job.deadline.is_over() => Some(Termination::MaxTime),
+                () if job.context.is_late() => Some(Termination::MaxTime),
                 () => None,
             };
             if let Some(termination) = ended {
@@ -325,8 +324,8 @@ impl Calibration {
             Point::new(x)
         });
         let points: Vec<Point> = points.collect();
-        let (cancelled, workers) = (|| job.is_cancelled(), job.run.workers.unwrap_or(1));
-        let found = Simulations::new(self, (job.loss, workers), &cancelled).and_then(|mut simulations| {
+        let (context, workers) = (job.context, job.run.workers.unwrap_or(1));
+        let found = Simulations::new(self, (job.loss, workers), &context).and_then(|mut simulations| {
             let found = simulations.residuals(&points);
             *stats += simulations.stats;
             found

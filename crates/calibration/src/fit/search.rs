@@ -12,12 +12,13 @@ use crate::finding::{Finding, Severity};
 use crate::objective::CostKind;
 use crate::output_fit::KeptResiduals;
 use crate::parameter::{Parameter, Scale};
-use crate::phase::{CurrentPhase, Deadline, FitPhase};
+use crate::phase::{CurrentPhase, FitPhase};
 use crate::preflight::{Preflight, PreflightOptions};
 use crate::remote::HIDDEN_STATE;
 use crate::residual::sum_of_squares;
 use crate::solver::Solver;
 use crate::worth::{WorthOptions, digits};
+use base::RunContext;
 use dfo::{
     Answer, AnyMethod, ByRef, Evaluator, GivesUp, Kind, Measure, NothingFound, Objective, Outcome, Polled,
     Query, Report, Resume, RobustLoss, RunOptions, Termination, Tolerances, Trace, Wait, Want,
@@ -26,7 +27,6 @@ use ode::{Number, Stats};
 use std::cell::RefCell;
 use std::collections::{HashMap, VecDeque};
 use std::rc::Rc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::available_parallelism;
 
@@ -183,11 +183,10 @@ pub(super) struct Job<'a> {
     pub(super) wants_preflight: bool,
     pub(super) worth: Option<WorthOptions>,
     pub(super) observer: RefCell<Option<Box<FitObserver<'a>>>>,
-    pub(super) poll: RefCell<Option<Box<dyn FnMut() -> bool + 'a>>>,
-    pub(super) cancel: Option<Arc<AtomicBool>>,
     pub(super) engine: Option<Rc<RefCell<dyn Engine>>>,
     pub(super) phase: Arc<CurrentPhase>,
-    pub(super) deadline: Deadline,
+    /// Who may end it, and its time.
+    pub(super) context: RunContext<'a>,
     /// Whether it is a part of a fit, which has chosen the tolerance.
     pub(super) is_part: bool,
     /// Of the limits, by searches before.
@@ -200,10 +199,10 @@ impl<'a> Job<'a> {
     pub(super) fn new(
         calibration: &Calibration,
         options: FitOptions<'a>,
-        deadline: Option<Deadline>,
+        within: Option<RunContext<'a>>,
     ) -> Result<Self, CalibrationError> {
-        let is_part = deadline.is_some();
-        let deadline = deadline.unwrap_or_else(|| Deadline::new(options.run.limits.max_time));
+        let is_part = within.is_some();
+        let context = within.unwrap_or_else(|| options.context.within(options.run.limits.max_time));
         let mut run = options.run;
         options.objective.check(calibration.residual_layout(), !options.loss.is_linear())?;
         if options.noise == NoiseRule::Estimated
@@ -234,29 +233,13 @@ impl<'a> Job<'a> {
             wants_preflight: options.preflight,
             worth: options.worth,
             observer: RefCell::new(options.observer),
-            poll: RefCell::new(options.poll),
-            cancel: options.cancel,
             engine: options.engine,
             phase: options.phase,
-            deadline,
+            context,
             is_part,
             spent: Spent::default(),
             at_start: RefCell::default(),
         })
-    }
-
-    fn is_polled(&self) -> bool {
-        self.poll.borrow_mut().as_mut().is_some_and(|poll| poll())
-    }
-
-    /// Whether it is interrupted.
-    pub(super) fn is_asked(&self) -> bool {
-        self.cancel.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed)) || self.is_polled()
-    }
-
-    /// Whether it is interrupted, or its time is up.
-    pub(super) fn is_cancelled(&self) -> bool {
-        self.deadline.is_over() || self.is_asked()
     }
 }
 
@@ -282,8 +265,8 @@ impl Calibration {
         mut at_start: AtStart,
         stats: &mut Stats,
     ) -> Result<Searched, CalibrationError> {
-        let Job { start, held, cutoffs, objective, loss, deadline, .. } = job;
-        let (cutoffs, loss, deadline) = (*cutoffs, *loss, *deadline);
+        let Job { start, held, cutoffs, objective, loss, context, .. } = job;
+        let (cutoffs, loss) = (*cutoffs, *loss);
         let mut described = job.run.clone();
         let bound = |side: fn(&Parameter) -> f64| {
             let mut bounds: Vec<f64> = self.parameters().iter().map(side).collect();
@@ -295,8 +278,7 @@ impl Calibration {
         // What is held can have any value, and does not choose the method.
         held.iter().for_each(|&i| kinds[i] = Kind::Continuous);
         let sizes: Vec<Option<f64>> = self.parameters().iter().map(|p| self.given_size(p)).collect();
-        let cancelled = || job.is_cancelled();
-        let solver = self.solver_until(&cancelled)?;
+        let solver = self.solver(context)?;
         job.phase.set(FitPhase::ModelTest);
         self.prepare()?;
         let problem = self.problem_hash(solver);
@@ -308,7 +290,7 @@ impl Calibration {
         let preflight = job.wants_preflight.then(|| {
             job.phase.set(FitPhase::Preflight);
             let options = PreflightOptions { start: Some(start.clone()), workers: described.workers, loss };
-            self.preflight_counted(&options, &mut at_start, &cancelled, stats)
+            self.preflight_counted(&options, &mut at_start, context, stats)
         });
         let preflight = preflight.transpose()?;
         let mut raised = Vec::new();
@@ -363,7 +345,7 @@ impl Calibration {
                 .transforms(&transforms)
                 .kinds(&kinds)
                 .known_scales(&sizes)
-                .spent(deadline.elapsed())
+                .spent(context.elapsed())
                 .options(described.clone());
             if let Some(observer) = &mut *observer {
                 run = run.observer(|progress| {
@@ -374,13 +356,7 @@ impl Calibration {
                     observer(&progress)
                 });
             }
-            if job.poll.borrow().is_some() {
-                run = run.poll(|| job.is_polled());
-            }
-            if let Some(flag) = &job.cancel {
-                run = run.cancel(Arc::clone(flag));
-            }
-            let outcome = run.run().map_err(|error| match error {
+            let outcome = run.context(*context).run().map_err(|error| match error {
                 dfo::Error::NeedsResiduals { method } => CalibrationError::Setup(format!(
                     "{method} minimises sums of squares, and the objective '{}' is none: leave the method to the fit \
                      (method auto), or take nelder-mead",
@@ -395,8 +371,8 @@ impl Calibration {
             let of_run = (start.as_slice(), held.as_slice(), &report, objective);
             let best = residuals.at((&report.x, start)).map(|known| (report.x.as_slice(), known));
             let best = best.filter(|_| job.worth.is_some());
-            let (found, again) = self.beside_fresh_process(best, loss, &cancelled, || {
-                self.findings(of_run, &tolerances, &cancelled, stats)
+            let (found, again) = self.beside_fresh_process(best, loss, context, || {
+                self.findings(of_run, &tolerances, context, stats)
             });
             match again {
                 Fresh::Same => break (report, found, residuals),
@@ -432,7 +408,7 @@ impl Calibration {
         error: CalibrationError,
     ) -> Result<Searched, CalibrationError> {
         let found = match error {
-            CalibrationError::Cancelled if job.deadline.is_over() => {
+            CalibrationError::Cancelled if job.context.is_late() => {
                 let trace = Trace::new(job.start.len());
                 NothingFound { n_evaluations: 0, failures: Vec::new(), x: None, trace }
             }
@@ -447,7 +423,7 @@ impl Calibration {
             &job.start,
             job.run.method.name(),
             found,
-            job.deadline.elapsed().as_secs_f64(),
+            job.context.elapsed().as_secs_f64(),
         );
         let residuals = KeptResiduals::of_start(job.at_start.take());
         if let Some(known) = residuals.at_start() {

@@ -8,6 +8,7 @@ use crate::finding::{Finding, Severity};
 use crate::layout::OutputResiduals;
 use crate::no_cost::NoCost;
 use crate::residual::{CostRule, sum_of_squares};
+use base::RunContext;
 use dfo::{Measure, RobustLoss, Tolerances};
 use fmi::InterfaceKind;
 use ode::{Number, Stats};
@@ -71,7 +72,7 @@ impl Calibration {
         &self,
         (start, known): (&[f64], AtStart),
         (loss, tolerances): (RobustLoss, &Tolerances),
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Result<Option<(ChosenTolerance, AtStart)>, CalibrationError> {
         let stated = self.fmu().description().default_experiment.tolerance.filter(|t| *t > 0.0 && *t < 1.0);
@@ -95,7 +96,7 @@ impl Calibration {
             let cost = self.evaluate_with(
                 Accuracy::Tolerance(tolerance),
                 start,
-                CostRule::whole(loss, cancelled),
+                CostRule::whole(loss, context),
                 &mut residuals,
                 stats,
             );

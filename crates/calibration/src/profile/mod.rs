@@ -14,6 +14,7 @@ use crate::parallel;
 use crate::parameter::Parameter;
 use crate::simulations::Simulations;
 use crate::worth::{Criterion, KnownPoint, Worth, check_level};
+use base::RunContext;
 use dfo::{Kind, RobustLoss};
 use refit::{NoFit, Refits};
 pub use result::{ParameterProfile, Profile, ProfileEnd, ProfilePoint};
@@ -70,7 +71,7 @@ impl Calibration {
     /// Bioinformatics 25, 2009, with the quantile of chi-square, its limit for many measurements). It is about the optimum of the cost,
     /// which is found more accurately first. For a linear model the interval is that of the covariance.
     ///
-    /// The sides of the parameters run in parallel. `cancelled` is asked on the calling thread; after the optimum is found, an
+    /// The sides of the parameters run in parallel. The context is looked at on the calling thread; after the optimum is found, an
     /// interrupt leaves what is there in hand ([`Profile::is_interrupted`]).
     ///
     /// # Errors
@@ -81,13 +82,13 @@ impl Calibration {
         &self,
         fit: &Fit,
         options: &ProfileOptions,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Profile, CalibrationError> {
         self.check_length(&fit.x)?;
         if self.known_solver().is_none() {
             self.set_solver(fit.solver.clone())?;
         }
-        self.of_fit(fit)?.as_ref().unwrap_or(self).own_profile(fit, options, cancelled)
+        self.of_fit(fit)?.as_ref().unwrap_or(self).own_profile(fit, options, context)
     }
 
     /// The same with the weights and the tolerance of the fit.
@@ -95,7 +96,7 @@ impl Calibration {
         &self,
         fit: &Fit,
         options: &ProfileOptions,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Profile, CalibrationError> {
         let setup = |message: String| Err(CalibrationError::Setup(message));
         if fit.objective != CostKind::default().name() {
@@ -156,7 +157,7 @@ impl Calibration {
         );
         let saved = SavedSides::open(options.checkpoint.as_deref(), problem, n)?;
         let mut n_simulations = 0;
-        let (x, cost) = refits.refit(&fit.x, n, &mut n_simulations, cancelled).map_err(|e| match e {
+        let (x, cost) = refits.refit(&fit.x, n, &mut n_simulations, context).map_err(|e| match e {
             NoFit::Cancelled => CalibrationError::Cancelled,
             NoFit::Failed(message) => {
                 CalibrationError::Setup(format!("the optimum of the cost is not found: {message}"))
@@ -167,7 +168,7 @@ impl Calibration {
                 "the residuals are all zero: without noise there is no profile likelihood".to_owned(),
             );
         }
-        let mut simulations = Simulations::new(self, (RobustLoss::default(), workers), cancelled)?;
+        let mut simulations = Simulations::new(self, (RobustLoss::default(), workers), context)?;
         let criterion = Criterion::Loss(fit.report.loss);
         let known = KnownPoint { held: held.clone(), f_tol: 1e-4, criterion, ..KnownPoint::default() };
         let (worth, curvature) = self.worth_and_curvature(&x, estimator, &known, &mut simulations)?;
@@ -198,20 +199,20 @@ impl Calibration {
             .flat_map(|k| [BoundSide::Lower, BoundSide::Upper].map(|side| (k, side)))
             .collect();
         let saved = Mutex::new(saved);
-        let task = |s: usize, cancelled: &dyn Fn() -> bool| {
+        let task = |s: usize, context: &RunContext<'_>| {
             let (k, side) = sides[s];
             // A poisoned lock is no reason to fail: the list is whole at every instant.
             let lock = || saved.lock().unwrap_or_else(|e| e.into_inner());
             if let Some(side) = lock().of(asked[k], side) {
                 return side.clone();
             }
-            let walked = walk(&refits, (asked[k], side), &origins[k], cancelled);
+            let walked = walk(&refits, (asked[k], side), &origins[k], context);
             if walked.end != ProfileEnd::Interrupted {
                 lock().add(walked.clone());
             }
             walked
         };
-        let mut walked = parallel::map((sides.len(), workers), cancelled, &task).into_iter();
+        let mut walked = parallel::map((sides.len(), workers), context, &task).into_iter();
         let mut parameters = Vec::with_capacity(asked.len());
         for &i in &asked {
             let mut next = |side| {

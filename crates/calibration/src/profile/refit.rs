@@ -3,6 +3,7 @@
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::parameter::{Parameter, Scale};
+use base::RunContext;
 use dfo::{
     Answer, ByRef, Kind, LeastSquares, Limits, Objective, Query, RobustLoss, RunOptions, Termination,
     Tolerances,
@@ -64,7 +65,7 @@ impl Refits<'_> {
         start: &[f64],
         index: usize,
         n_simulations: &mut usize,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<(Vec<f64>, f64), NoFit> {
         let failed = |error: dfo::Error| match error {
             dfo::Error::EndedWithoutPoint { termination: Termination::Interrupted, .. } => NoFit::Cancelled,
@@ -91,7 +92,7 @@ impl Refits<'_> {
             .kinds(&vec![Kind::Continuous; start.len()])
             .known_scales(&sizes)
             .options(options)
-            .poll(cancelled)
+            .context(*context)
             .run()
             .map_err(failed)?;
         *n_simulations += report.n_evaluations;

@@ -4,6 +4,7 @@ use super::refit::{NoFit, Refits};
 use super::result::{ProfileEnd, ProfilePoint};
 use super::saved::Side;
 use crate::effect::{AT, BoundSide, inner, outer};
+use base::RunContext;
 
 /// By how much a step may grow, and shrink.
 const GROWTH: (f64, f64) = (0.1, 3.0);
@@ -56,7 +57,7 @@ pub(super) fn walk(
     refits: &Refits<'_>,
     (index, side): (usize, BoundSide),
     origin: &Origin<'_>,
-    cancelled: &dyn Fn() -> bool,
+    context: &RunContext<'_>,
 ) -> Side {
     let parameter = &refits.calibration.parameters()[index];
     let (sign, bound) = match side {
@@ -81,7 +82,7 @@ pub(super) fn walk(
         let mut x: Vec<f64> = from.iter().enumerate().map(along).collect();
         x[index] = if is_at_limit(u) { bound } else { outer(parameter, u) };
         let value = x[index];
-        let (x, cost) = refits.refit(&x, index, &mut done.n_simulations, cancelled).map_err(|e| match e {
+        let (x, cost) = refits.refit(&x, index, &mut done.n_simulations, context).map_err(|e| match e {
             NoFit::Cancelled => ProfileEnd::Interrupted,
             NoFit::Failed(message) => ProfileEnd::Failed { at: value, message },
         })?;

@@ -6,6 +6,7 @@ use crate::fit::Fit;
 use crate::input::InputSource;
 use crate::layout::OutputResiduals;
 use crate::parallel;
+use base::RunContext;
 use fmi::Trajectory;
 use std::thread::available_parallelism;
 
@@ -56,29 +57,29 @@ pub struct Signal {
 
 impl Calibration {
     /// What is to be drawn of a fit, experiment by experiment: each is simulated at the start of the fit and at the fitted values.
-    /// `cancelled` is asked before every step of the simulations.
+    /// The context is looked at before every step of the simulations.
     ///
     /// # Errors
     /// The fit has another number of parameters, or its simulation fails now; [`CalibrationError::Cancelled`].
     pub fn curves(
         &self,
         fit: &Fit,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Vec<ExperimentCurves>, CalibrationError> {
         self.check_length(&fit.x)?;
         let layout = fit.residual_layout(self);
         let residuals = match &fit.worth {
             Some(worth) if worth.residuals.len() == layout.n_residuals() => worth.residuals.clone(),
-            _ => layout.reweighed(&self.residuals_until(&fit.x, cancelled)?, self.residual_layout()),
+            _ => layout.reweighed(&self.residuals(&fit.x, context)?, self.residual_layout()),
         };
         let names = self.problem().experiment_names();
         // Chosen before several threads ask for it.
-        self.solver_until(cancelled)?;
+        self.solver(context)?;
         let workers = available_parallelism().map_or(1, usize::from);
-        let simulate = |k: usize, cancelled: &dyn Fn() -> bool| {
-            self.response(k / 2, if k.is_multiple_of(2) { &fit.start } else { &fit.x }, cancelled)
+        let simulate = |k: usize, context: &RunContext<'_>| {
+            self.response(k / 2, if k.is_multiple_of(2) { &fit.start } else { &fit.x }, context)
         };
-        let mut responses = parallel::map((2 * names.len(), workers), cancelled, &simulate).into_iter();
+        let mut responses = parallel::map((2 * names.len(), workers), context, &simulate).into_iter();
         let mut response = || responses.next().flatten().unwrap_or(Err(CalibrationError::Cancelled));
         let curves = |(k, name): (usize, String)| {
             let (at_start, at_end) = (response()?, response()?);
@@ -129,14 +130,14 @@ impl Calibration {
         &self,
         k: usize,
         x: &[f64],
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Option<Trajectory>, CalibrationError> {
         let options = &self.evaluator().simulations[k].options;
         let (Some(start), Some(end)) = (options.start_time, options.final_time) else { return Ok(None) };
         let step = (end - start) / (CURVE_POINTS - 1) as f64;
         let mut times: Vec<f64> = (0..CURVE_POINTS).map(|i| (start + i as f64 * step).min(end)).collect();
         times.dedup();
-        match self.simulate_experiment_until(k, x, Some(&times), cancelled) {
+        match self.simulate_experiment(k, x, Some(&times), context) {
             Err(CalibrationError::Cancelled) => Err(CalibrationError::Cancelled),
             simulated => Ok(simulated.ok()),
         }

@@ -13,6 +13,7 @@ pub use curves::{ExperimentCurves, OutputCurves, Signal};
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::Fit;
+use base::RunContext;
 use base::files::Unfinished;
 use std::io::Write;
 use std::path::Path;
@@ -34,19 +35,11 @@ impl Calibration {
     /// [`CalibrationError::ReportFile`]: the file cannot be written. [`CalibrationError::Setup`]: its name ends in something else than
     /// `.html`. The fit has another number of parameters, or its simulation
     /// fails now.
-    pub fn report(&self, fit: &Fit, path: impl AsRef<Path>) -> Result<(), CalibrationError> {
-        self.report_until(fit, path, &|| false)
-    }
-
-    /// As [`report`](Self::report); `cancelled` is asked before every step of the simulations.
-    ///
-    /// # Errors
-    /// As [`report`](Self::report), and [`CalibrationError::Cancelled`].
-    pub fn report_until(
+    pub fn report(
         &self,
         fit: &Fit,
         path: impl AsRef<Path>,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<(), CalibrationError> {
         let path = path.as_ref();
         let suffix = path.extension().map(|suffix| suffix.to_string_lossy().to_lowercase());
@@ -59,7 +52,7 @@ impl Calibration {
         let failed = |source| CalibrationError::ReportFile { path: path.to_owned(), source };
         // Before the simulations, which may take long.
         let unfinished = Unfinished::new(path).map_err(failed)?;
-        let page = page::page(self, fit, cancelled)?;
+        let page = page::page(self, fit, context)?;
         unfinished.file().write_all(page.as_bytes()).and_then(|()| unfinished.finish()).map_err(failed)
     }
 }
@@ -67,6 +60,7 @@ impl Calibration {
 #[cfg(test)]
 mod tests {
     use crate::{BoundSide, Calibration, Data, Experiment, Finding, Fit, FitOptions, Parameter, Severity};
+    use base::RunContext;
 
     /// x' = -k x with k = 2, recorded with an error of a thousandth; c has no effect.
     fn decay() -> (Calibration, Fit) {
@@ -165,7 +159,7 @@ mod tests {
         let fit = calibration.fit(FitOptions::default()).unwrap();
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("report.html");
-        calibration.report(&fit, &path).unwrap();
+        calibration.report(&fit, &path, &RunContext::new()).unwrap();
         for text in [fit.to_string(), fit.to_html(), std::fs::read_to_string(&path).unwrap()] {
             assert!(text.contains("k\\u{1b}[2J\\u{202e}"), "{text}");
             assert!(!text.contains(['\u{1b}', '\u{202e}']), "{text}");
@@ -181,7 +175,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("report.html");
         std::fs::write(&path, "an older one").unwrap();
-        calibration.report(&fit, &path).unwrap();
+        calibration.report(&fit, &path, &RunContext::new()).unwrap();
         let page = std::fs::read_to_string(&path).unwrap();
         for expected in [
             "<!DOCTYPE html>",
@@ -210,14 +204,18 @@ mod tests {
     #[test]
     fn a_report_that_cannot_be_written_says_where_and_why() {
         let (calibration, mut fit) = decay();
-        let error = calibration.report(&fit, "/no/such/folder/x.html").unwrap_err().to_string();
+        let error =
+            calibration.report(&fit, "/no/such/folder/x.html", &RunContext::new()).unwrap_err().to_string();
         assert!(error.contains("cannot write /no/such/folder/x.html: there is no folder"), "{error}");
         let folder = tempfile::tempdir().unwrap();
-        assert!(calibration.report(&fit, folder.path()).is_err());
-        let error = calibration.report(&fit, folder.path().join("x.pdf")).unwrap_err().to_string();
+        assert!(calibration.report(&fit, folder.path(), &RunContext::new()).is_err());
+        let error = calibration
+            .report(&fit, folder.path().join("x.pdf"), &RunContext::new())
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("x.pdf: a report is a page in HTML"), "{error}");
         fit.x.push(1.0);
-        assert!(calibration.report(&fit, folder.path().join("x.html")).is_err());
+        assert!(calibration.report(&fit, folder.path().join("x.html"), &RunContext::new()).is_err());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 }

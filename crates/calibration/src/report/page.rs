@@ -8,6 +8,7 @@ use super::template;
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::Fit;
+use base::RunContext;
 use ode::Number;
 use serde::Serialize;
 
@@ -60,10 +61,10 @@ struct Setup {
 pub(super) fn page(
     calibration: &Calibration,
     fit: &Fit,
-    cancelled: &dyn Fn() -> bool,
+    context: &RunContext<'_>,
 ) -> Result<String, CalibrationError> {
     let page = Page {
-        outputs: output_figures(&calibration.curves(fit, cancelled)?),
+        outputs: output_figures(&calibration.curves(fit, context)?),
         search: [convergence(fit), waterfall(fit)].into_iter().flatten().collect(),
         correlation: correlation(fit),
         residual_checks: residual_checks(fit),

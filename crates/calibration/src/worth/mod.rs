@@ -19,6 +19,7 @@ use crate::parameter::{Parameter, Scale};
 use crate::residual::sum_of_squares;
 use crate::simulations::{Point, Simulations};
 use autocorrelation::Dependence;
+use base::RunContext;
 use covariance::{Factors, Noise, groups};
 use dfo::{Kind, RobustLoss};
 use differences::{Center, Differences};
@@ -58,7 +59,7 @@ impl Calibration {
     /// How much a point is worth as the result of a fit: covariance and correlation of the parameters, what the data cannot tell, what
     /// the residuals look like, and the cost with a hundredth of the relative tolerance (of a fixed-step method: half the step). Takes one simulation for that, and two for
     /// each parameter that is not held, at least twice (steps of about one standard error are found by a first round). Simulations run
-    /// in parallel. `cancelled` is asked on the calling thread.
+    /// in parallel. The context is looked at on the calling thread.
     ///
     /// # Errors
     /// The wrong number of values; the simulation fails there, or on all sides around it; [`CalibrationError::Cancelled`].
@@ -66,11 +67,11 @@ impl Calibration {
         &self,
         x: &[f64],
         options: &WorthOptions,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Worth, CalibrationError> {
         self.check_length(x)?;
         let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
-        let mut simulations = Simulations::new(self, (RobustLoss::default(), workers), cancelled)?;
+        let mut simulations = Simulations::new(self, (RobustLoss::default(), workers), context)?;
         if let Some(index) = options.held.iter().find(|i| **i >= x.len()) {
             let n = x.len();
             return Err(CalibrationError::Setup(format!(

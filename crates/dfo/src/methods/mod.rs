@@ -29,6 +29,7 @@ use crate::error::Error;
 use crate::linear_model::LinearModel;
 use crate::method::{Batch, Details, Method, MethodOptions, ProblemClass, Setup, Status};
 use crate::option_texts;
+use base::RunContext;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
@@ -514,8 +515,8 @@ impl Method for BoxedMethod {
     fn ask(&mut self, batch: &mut Batch) {
         self.0.ask(batch);
     }
-    fn ask_unless(&mut self, cancelled: &mut dyn FnMut() -> bool, batch: &mut Batch) {
-        self.0.ask_unless(cancelled, batch);
+    fn ask_unless(&mut self, context: &RunContext<'_>, batch: &mut Batch) {
+        self.0.ask_unless(context, batch);
     }
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
         self.0.tell(answers)
@@ -532,8 +533,8 @@ impl Method for BoxedMethod {
     fn best(&self) -> Option<(&[f64], f64)> {
         self.0.best()
     }
-    fn linear_model(&self, cancelled: &mut dyn FnMut() -> bool) -> Option<LinearModel> {
-        self.0.linear_model(cancelled)
+    fn linear_model(&self, context: &RunContext<'_>) -> Option<LinearModel> {
+        self.0.linear_model(context)
     }
     fn save(&self) -> Option<Vec<u8>> {
         self.0.save()

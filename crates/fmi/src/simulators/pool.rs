@@ -3,6 +3,7 @@
 use super::simulator::Simulator;
 use crate::error::FmiError;
 use crate::simulation::plan::SimulationPlan;
+use base::RunContext;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// A simulator of one plan for any number of threads, which use it one at a time; so they use all pools of one
@@ -24,16 +25,16 @@ impl Pool {
         &self.plan
     }
 
-    /// Uses the simulator when nobody else does; `cancelled` is asked every 20 ms until then. The wait counts in no time limit.
+    /// Uses the simulator when nobody else does; the context is looked at every 20 ms until then. The wait counts in no time limit.
     ///
     /// # Errors
     /// Those of `work` and of [`Simulator::new`]; [`FmiError::Cancelled`].
     pub fn with_simulator<T>(
         &self,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         work: impl FnOnce(&mut Simulator) -> Result<T, FmiError>,
     ) -> Result<T, FmiError> {
-        let turn = self.plan.fmu().turns().enter_while(&mut || !cancelled());
+        let turn = self.plan.fmu().turns().enter_while(&mut || !context.is_over());
         let _turn = turn.ok_or(FmiError::Cancelled)?;
         let lock = || self.simulator.lock().unwrap_or_else(PoisonError::into_inner);
         // Taken out: one that panics is not used again, and a thread may come here again within its work.

@@ -8,6 +8,7 @@ use super::service::Service;
 use super::settings::{ASKED, FOLDER, LEVEL, VERSION};
 use crate::error::{Told, ToldKind};
 use crate::sys::{Page, close_inherited, tell_calls};
+use base::RunContext;
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::fs::{Mode, OFlags};
 use rustix::process::{Resource, Rlimit, setrlimit};
@@ -92,8 +93,9 @@ fn serve(limits: &str, mut service: Box<dyn Service>) -> io::Result<()> {
             outcome => outcome?,
         }
         answer.clear();
-        let served =
-            catch_unwind(AssertUnwindSafe(|| service.answer(&asked, &|| page.is_cancelled(), &mut answer)));
+        let served = catch_unwind(AssertUnwindSafe(|| {
+            service.answer(&asked, &RunContext::new().asking(&|| page.is_cancelled()), &mut answer)
+        }));
         let told = match served {
             Ok(Ok(())) => None,
             Ok(Err(error)) => Some(error.told()),

@@ -9,6 +9,7 @@ use super::settings::{ASKED, FOLDER, LEVEL, VERSION};
 use crate::description::Quirk;
 use crate::error::{EndKind, FmiError, WorkerEnd};
 use crate::sys::Page;
+use base::RunContext;
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 use std::collections::VecDeque;
 use std::io::{self, BufReader, ErrorKind, Read};
@@ -94,7 +95,7 @@ impl Process {
     pub(super) fn start(
         launcher: &Launcher,
         limits: &WorkerLimits,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Self, FmiError> {
         let no_worker = |error: io::Error| FmiError::NoWorker { reason: error.to_string() };
         let folder = Folder::named();
@@ -144,7 +145,7 @@ impl Process {
         }
         let mut hello = Frame::default();
         let (began, mut none) = (Instant::now(), None);
-        let answered = process.receive(&mut hello, cancelled, &mut none, Some(began + START));
+        let answered = process.receive(&mut hello, context, &mut none, Some(began + START));
         match answered {
             Ok(()) if hello.head::<String>().is_ok_and(|version| version == VERSION) => Ok(process),
             Ok(()) => {
@@ -162,7 +163,7 @@ impl Process {
         &mut self,
         asked: &Frame,
         answer: &mut Frame,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         run_limit: Option<Duration>,
     ) -> Result<Notes, NoAnswer> {
         self.page.set_cancelled(false);
@@ -183,7 +184,7 @@ impl Process {
         if may_spin {
             self.page.wait_for_answer(self.number, SPIN);
         }
-        self.receive(answer, cancelled, &mut limit, None)?;
+        self.receive(answer, context, &mut limit, None)?;
         self.last_took = began.elapsed();
         if answer.number != self.number {
             // Of a copy of the worker, for example, that the FMU has made.
@@ -199,7 +200,7 @@ impl Process {
     fn receive(
         &mut self,
         answer: &mut Frame,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         limit: &mut Option<RunLimit>,
         end: Option<Instant>,
     ) -> Result<(), NoAnswer> {
@@ -211,7 +212,7 @@ impl Process {
             if is_over(child) {
                 return Err(ErrorKind::UnexpectedEof.into());
             }
-            if asked_to_end.is_none() && cancelled() {
+            if asked_to_end.is_none() && context.is_over() {
                 page.set_cancelled(true);
                 asked_to_end = Some(now);
             }

@@ -7,6 +7,7 @@ use super::load::Load;
 use super::process::{NoAnswer, Process};
 use crate::description::Quirk;
 use crate::error::{EndKind, FmiError, Told, ToldKind, WorkerEnd};
+use base::RunContext;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -71,10 +72,11 @@ impl Workers {
             let is_wanted = Arc::downgrade(&ahead.is_wanted);
             let (launcher, limits, load) = (self.launcher.clone(), self.limits, Arc::clone(load));
             let start = move || {
-                let cancelled = || is_wanted.strong_count() == 0;
+                let is_unwanted = || is_wanted.strong_count() == 0;
+                let context = RunContext::new().asking(&is_unwanted);
                 // Who needs one meets the same error.
-                let Ok(mut process) = Process::start(&launcher, &limits, &cancelled) else { return };
-                if ask_to_load(&mut process, &load, &mut Frame::default(), &cancelled).is_ok() {
+                let Ok(mut process) = Process::start(&launcher, &limits, &context) else { return };
+                if ask_to_load(&mut process, &load, &mut Frame::default(), &context).is_ok() {
                     let _ = sender.send(process);
                 }
             };
@@ -87,7 +89,7 @@ impl Workers {
         self.watch(&mut idle);
     }
 
-    /// Asks a worker that has loaded `load`, and returns the quirks of the model that it has found. `cancelled` is asked every 10 ms, and the worker has 0.25 s to answer
+    /// Asks a worker that has loaded `load`, and returns the quirks of the model that it has found. The context is looked at every 10 ms, and the worker has 0.25 s to answer
     /// after that; a single simulation that takes longer than `run_limit` and 0.25 s ends the worker. Where a worker dies, the same is asked once more in a fresh one;
     /// with `is_fresh` the first one is new, too, and is all.
     ///
@@ -98,16 +100,16 @@ impl Workers {
         load: &Load,
         asked: &Frame,
         answer: &mut Frame,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         run_limit: Option<Duration>,
         is_fresh: bool,
     ) -> Result<Vec<Quirk>, FmiError> {
         let mut call = |process: Option<Process>, is_new: bool| {
             let mut process = match process {
                 Some(process) => process,
-                None => self.new_process(load.id, is_new, cancelled)?,
+                None => self.new_process(load.id, is_new, context)?,
             };
-            let (quirks, can_go_on) = self.call_in(&mut process, load, asked, answer, cancelled, run_limit);
+            let (quirks, can_go_on) = self.call_in(&mut process, load, asked, answer, context, run_limit);
             // Otherwise it ends here.
             if can_go_on && !is_fresh {
                 self.give_back(process);
@@ -140,16 +142,16 @@ impl Workers {
         load: &Load,
         asked: &Frame,
         answer: &mut Frame,
-        cancelled: &dyn Fn() -> bool,
+        context: &RunContext<'_>,
         run_limit: Option<Duration>,
     ) -> (Result<Vec<Quirk>, FmiError>, bool) {
         if process.loaded != Some(load.id)
-            && let Err(error) = ask_to_load(process, load, answer, cancelled)
+            && let Err(error) = ask_to_load(process, load, answer, context)
         {
             return (Err(error), false);
         }
         let began = Instant::now();
-        let told = ask(process, asked, answer, (cancelled, run_limit));
+        let told = ask(process, asked, answer, context, run_limit);
         let is_of_process = matches!(&told, Err(FmiError::Told(told)) if told.is_of_process());
         let can_go_on = !process.has_ended()
             && !is_of_process
@@ -193,20 +195,15 @@ impl Workers {
 
     /// A process that was never asked for anything: one that was started ahead if there is any; or, unless it has to be new, one that
     /// becomes free meanwhile.
-    fn new_process(
-        &self,
-        load: u64,
-        is_new: bool,
-        cancelled: &dyn Fn() -> bool,
-    ) -> Result<Process, FmiError> {
+    fn new_process(&self, load: u64, is_new: bool, context: &RunContext<'_>) -> Result<Process, FmiError> {
         let ahead = self.idle().ahead.pop();
         let Some(ahead) = ahead else {
-            return Process::start(&self.launcher, &self.limits, cancelled);
+            return Process::start(&self.launcher, &self.limits, context);
         };
         loop {
             match ahead.process.recv_timeout(LOOK) {
                 Ok(process) => return Ok(process),
-                Err(RecvTimeoutError::Timeout) if cancelled() => return Err(FmiError::Cancelled),
+                Err(RecvTimeoutError::Timeout) if context.is_over() => return Err(FmiError::Cancelled),
                 Err(RecvTimeoutError::Timeout) => {
                     if !is_new && let Some(free) = self.idle_process(load) {
                         self.idle().ahead.push(ahead);
@@ -214,7 +211,7 @@ impl Workers {
                     }
                 }
                 Err(RecvTimeoutError::Disconnected) => {
-                    return Process::start(&self.launcher, &self.limits, cancelled);
+                    return Process::start(&self.launcher, &self.limits, context);
                 }
             }
         }
@@ -260,10 +257,10 @@ fn ask_to_load(
     process: &mut Process,
     load: &Load,
     answer: &mut Frame,
-    cancelled: &dyn Fn() -> bool,
+    context: &RunContext<'_>,
 ) -> Result<(), FmiError> {
     process.loaded = None;
-    ask(process, &load.frame, answer, (cancelled, None))?;
+    ask(process, &load.frame, answer, context, None)?;
     process.loaded = Some(load.id);
     Ok(())
 }
@@ -273,9 +270,10 @@ fn ask(
     process: &mut Process,
     asked: &Frame,
     answer: &mut Frame,
-    (cancelled, run_limit): (&dyn Fn() -> bool, Option<Duration>),
+    context: &RunContext<'_>,
+    run_limit: Option<Duration>,
 ) -> Result<(), FmiError> {
-    let notes = process.call(asked, answer, cancelled, run_limit).map_err(|no_answer| match no_answer {
+    let notes = process.call(asked, answer, context, run_limit).map_err(|no_answer| match no_answer {
         NoAnswer::Cancelled => FmiError::Cancelled,
         NoAnswer::Ended(end) => FmiError::WorkerEnded(Box::new(end)),
     })?;

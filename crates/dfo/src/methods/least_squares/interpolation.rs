@@ -5,6 +5,7 @@
 use super::points::{axpy, difference, distance, dot, norm};
 use super::subproblem::{Cancelled, Linear};
 use super::triangle::{Triangle, add_product, diagonal, solve, solve_transposed, times_transposed};
+use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
@@ -36,12 +37,12 @@ pub(super) struct Interpolation {
 pub(super) type Place<'a> = (&'a [f64], &'a [f64]);
 
 impl Interpolation {
-    /// Interpolates; `None` where the points lie in a plane up to rounding. `cancelled` is asked now and then where there are many
+    /// Interpolates; `None` where the points lie in a plane up to rounding. The context is looked at now and then where there are many
     /// residuals.
     pub(super) fn new(
         points: &[Place<'_>],
         base: usize,
-        cancelled: &mut dyn FnMut() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Option<Self>, Cancelled> {
         let n = points.len() - 1;
         // Around the start its neighbours make a diagonal matrix.
@@ -80,7 +81,7 @@ impl Interpolation {
         // J W' = D: the differences D are turned first, so that only n of their rows are left to solve for.
         let (zero, of_base) = (points[reference].1, points[base].1);
         let difference = |i: usize, k: usize| (points[others[k]].1[i] - zero[i]) / lengths[k];
-        let turned = Linear::new(of_base.len(), n, |i| of_base[i], difference, cancelled)?;
+        let turned = Linear::new(of_base.len(), n, |i| of_base[i], difference, context)?;
         let Linear { mut factor, reached } = turned;
         if let Some(distances) = &distances {
             let Some(jacobian) = distances.solve(&factor.transpose()) else { return Ok(None) };
@@ -336,7 +337,7 @@ mod tests {
             let mut values: Vec<Vec<f64>> = places.iter().map(|z| residuals(z, m)).collect();
             let fresh = |places: &[Vec<f64>], values: &[Vec<f64>], base: usize| {
                 let set: Vec<Place<'_>> = places.iter().zip(values).map(|(z, r)| (&z[..], &r[..])).collect();
-                Interpolation::new(&set, base, &mut || false).unwrap().unwrap()
+                Interpolation::new(&set, base, &RunContext::new()).unwrap().unwrap()
             };
             let mut model = fresh(&places, &values, 0);
             let mut n_fresh = 0;
@@ -378,7 +379,7 @@ mod tests {
         let (z, r) =
             ([vec![0.0, 0.0], vec![1.0, 0.0], vec![0.0, 1.0]], [[1.0, 2.0, 0.0], [3.0, 1.0, 1.0], [0.0; 3]]);
         let set: Vec<Place<'_>> = z.iter().zip(&r).map(|(z, r)| (&z[..], &r[..])).collect();
-        let model = Interpolation::new(&set, 1, &mut || false).unwrap().unwrap();
+        let model = Interpolation::new(&set, 1, &RunContext::new()).unwrap().unwrap();
         let stored = Stored::from(model.clone());
         assert_eq!(squares(&stored.clone().try_into().unwrap(), &[0.3, 0.4]), squares(&model, &[0.3, 0.4]));
         let spoils: [fn(&mut Stored); 3] =

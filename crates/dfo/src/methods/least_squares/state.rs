@@ -14,6 +14,7 @@ use crate::methods::nelder_mead::{BatchPlan, NelderMead, SimplexSearch};
 use crate::space::clamp;
 use crate::termination::Termination;
 use crate::tolerances::{Extent, Tests};
+use base::RunContext;
 use serde::{Deserialize, Serialize};
 
 /// How often a starting point that failed is tried nearer to the start.
@@ -450,17 +451,17 @@ impl Method for LeastSquaresState {
     }
 
     fn ask(&mut self, batch: &mut Batch) {
-        self.ask_unless(&mut || false, batch);
+        self.ask_unless(&RunContext::new(), batch);
     }
 
-    fn ask_unless(&mut self, cancelled: &mut dyn FnMut() -> bool, batch: &mut Batch) {
+    fn ask_unless(&mut self, context: &RunContext<'_>, batch: &mut Batch) {
         batch.start(self.setup.space.n(), self.n_batches, self.n_points);
         batch.set_want(Want::Residuals);
         self.asked.clear();
         if self.round.is_empty() {
             match &self.phase {
                 Phase::Descending => {
-                    if self.descend(cancelled).is_err() {
+                    if self.descend(context).is_err() {
                         self.waiting = false;
                         return;
                     }
@@ -544,10 +545,10 @@ impl Method for LeastSquaresState {
         self.best_seen.get()
     }
 
-    fn linear_model(&self, cancelled: &mut dyn FnMut() -> bool) -> Option<LinearModel> {
+    fn linear_model(&self, context: &RunContext<'_>) -> Option<LinearModel> {
         let best = self.points.iter().min_by(|a, b| a.cost.total_cmp(&b.cost))?;
         let points = self.points.iter().map(|p| (&p.z[..], &p.residuals[..]));
-        LinearModel::regression(&self.setup.space, (&best.x, &best.z, &best.residuals), points, cancelled)
+        LinearModel::regression(&self.setup.space, (&best.x, &best.z, &best.residuals), points, context)
     }
 
     fn save(&self) -> Option<Vec<u8>> {

@@ -3,6 +3,7 @@
 use super::triangle::{
     Triangle, add_product, diagonal, rows_at_once, solve, solve_transposed, times_transposed, without,
 };
+use base::RunContext;
 use nalgebra::{DMatrix, DVector, SVD};
 use std::borrow::Cow;
 
@@ -35,13 +36,13 @@ impl Linear {
         Self { factor: DMatrix::zeros(0, 0), reached: DVector::zeros(0) }
     }
 
-    /// Turns residuals and their Jacobian, m x n, block of rows by block of rows. `cancelled` is asked before each block but the first.
+    /// Turns residuals and their Jacobian, m x n, block of rows by block of rows. The context is looked at before each block but the first.
     pub(super) fn new(
         m: usize,
         n: usize,
         residual: impl Fn(usize) -> f64,
         jacobian: impl Fn(usize, usize) -> f64,
-        cancelled: &mut dyn FnMut() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Self, Cancelled> {
         if m < n {
             return Ok(Self {
@@ -53,7 +54,7 @@ impl Linear {
         let at_once = rows_at_once(n).min(m);
         let mut block = Vec::with_capacity(at_once * (n + 1));
         for from in (0..m).step_by(at_once) {
-            if from > 0 && cancelled() {
+            if from > 0 && context.is_over() {
                 return Err(Cancelled);
             }
             let rows = from..(from + at_once).min(m);
@@ -93,7 +94,7 @@ impl Linear {
         if m < n {
             return Self { factor: jacobian, reached: residuals };
         }
-        let turned = Self::new(m, n, |i| residuals[i], |i, k| jacobian[(i, k)], &mut || false);
+        let turned = Self::new(m, n, |i| residuals[i], |i, k| jacobian[(i, k)], &RunContext::new());
         turned.unwrap_or_else(|Cancelled| Self::nothing())
     }
 }

@@ -7,6 +7,7 @@ use super::subproblem::{Cancelled, Linear, Subproblem, longest, smallest_singula
 use crate::method::Operation;
 use crate::methods::shared::failures::{Plane, plane};
 use crate::termination::Termination;
+use base::RunContext;
 
 /// A radius below this cannot be resolved.
 const SMALLEST: f64 = 1e-15;
@@ -41,14 +42,14 @@ impl LeastSquaresState {
     fn interpolation(
         &self,
         base: usize,
-        cancelled: &mut dyn FnMut() -> bool,
+        context: &RunContext<'_>,
     ) -> Result<Option<Interpolation>, Cancelled> {
         let (z, residuals) = (&self.points[base].z, &self.points[base].residuals[..]);
         let place = self.set.iter().position(|k| *k == base).unwrap_or(0);
         let known: Vec<Place<'_>> =
             self.set.iter().map(|k| (&self.points[*k].z[..], &self.points[*k].residuals[..])).collect();
         if known.len() > self.n() {
-            return Interpolation::new(&known, place, cancelled);
+            return Interpolation::new(&known, place, context);
         }
         let others = self.set.iter().filter(|k| **k != base).map(|k| difference(&self.points[*k].z, z));
         let others: Vec<Vec<f64>> = others.collect();
@@ -57,7 +58,7 @@ impl LeastSquaresState {
         let missing: Vec<Vec<f64>> = missing.collect();
         let all: Vec<Place<'_>> =
             known.into_iter().chain(missing.iter().map(|z| (&z[..], residuals))).collect();
-        Interpolation::new(&all, place, cancelled)
+        Interpolation::new(&all, place, context)
     }
 
     /// Makes the set from a point and those nearest to it.
@@ -88,7 +89,7 @@ impl LeastSquaresState {
     }
 
     /// Fills the round, or ends; where it is cancelled, it has done neither and can be called again.
-    pub(super) fn descend(&mut self, cancelled: &mut dyn FnMut() -> bool) -> Result<(), Cancelled> {
+    pub(super) fn descend(&mut self, context: &RunContext<'_>) -> Result<(), Cancelled> {
         // Each turn without a point shrinks the resolution, or takes a point out of the set.
         for turn in 0.. {
             if !self.round.is_empty() || !matches!(self.phase, Phase::Descending) {
@@ -109,7 +110,7 @@ impl LeastSquaresState {
                     model.rebase(self.set.iter().position(|k| *k == base).unwrap_or(0), &step);
                     Some(model)
                 }
-                None => self.interpolation(base, cancelled)?,
+                None => self.interpolation(base, context)?,
             };
             let improving = self.improving.take();
             let Some(model) = model else {
@@ -369,7 +370,7 @@ impl LeastSquaresState {
         if ratio > 0.0 {
             (self.n_failed, self.n_geometry) = (0, 0);
         }
-        let model = self.model.take().or_else(|| self.interpolation(base, &mut || false).ok().flatten());
+        let model = self.model.take().or_else(|| self.interpolation(base, &RunContext::new()).ok().flatten());
         if let Some(((k, ..), mut model)) = best.zip(model) {
             let step = difference(&self.points[k].z, &z);
             let lagrange = model.lagrange(&step);

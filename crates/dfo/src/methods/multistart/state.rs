@@ -16,6 +16,7 @@ use crate::rng::draw_seed;
 use crate::sampling::Sampling;
 use crate::termination::Termination;
 use crate::tolerances::Tests;
+use base::RunContext;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -352,7 +353,7 @@ impl MultistartState {
             if let Some((x, cost)) = search.method.best().filter(|_| status != Status::Running) {
                 if core.minima.first().is_none_or(|best| cost < best.cost) {
                     (core.tests, core.model) =
-                        (search.method.details().tests, search.method.linear_model(&mut || false));
+                        (search.method.details().tests, search.method.linear_model(&RunContext::new()));
                 }
                 let found = Optimum { x: x.to_vec(), cost, n_starts: 1 };
                 clusters::enter(&core.setup.space, &mut core.minima, found);
@@ -512,7 +513,7 @@ impl Method for MultistartState {
         self.core.best.get()
     }
 
-    fn linear_model(&self, _: &mut dyn FnMut() -> bool) -> Option<LinearModel> {
+    fn linear_model(&self, _: &RunContext<'_>) -> Option<LinearModel> {
         let is_best = self.core.minima.first().map(|m| m.cost) == self.core.best.cost();
         self.core.model.clone().filter(|_| is_best)
     }

@@ -1,0 +1,144 @@
+//! The context of a piece of work: who may end it early, and when its time is over.
+
+use std::fmt;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// Under what conditions work goes on: until somebody asks for its end, and until its time is over. It is passed by reference to
+/// everything that takes long, which looks at [`is_over`](Self::is_over) between its steps.
+///
+/// ```
+/// use base::RunContext;
+/// use std::time::Duration;
+///
+/// let context = RunContext::new();
+/// assert!(!context.is_over() && context.left().is_none());
+/// let short = context.within(Some(Duration::ZERO));
+/// assert!(short.is_over() && !short.is_cancelled());
+/// ```
+#[derive(Clone, Copy)]
+pub struct RunContext<'a> {
+    ask: Option<&'a dyn Fn() -> bool>,
+    flag: Option<&'a AtomicBool>,
+    began: Instant,
+    end: Option<Instant>,
+}
+
+impl<'a> RunContext<'a> {
+    /// Nobody ends the work, and it may take any time.
+    pub fn new() -> Self {
+        Self { ask: None, flag: None, began: Instant::now(), end: None }
+    }
+
+    /// The work ends when this function, which is called on the thread that works, says so.
+    #[must_use]
+    pub fn asking(self, ask: &'a dyn Fn() -> bool) -> Self {
+        Self { ask: Some(ask), ..self }
+    }
+
+    /// The work ends when another thread has raised this flag.
+    #[must_use]
+    pub fn flagged(self, flag: &'a AtomicBool) -> Self {
+        Self { flag: Some(flag), ..self }
+    }
+
+    /// The same, and it has this time from now on, if that ends sooner. A limit beyond what the clock can count is none.
+    #[must_use]
+    pub fn within(self, limit: Option<Duration>) -> Self {
+        let began = Instant::now();
+        Self { began, ..self }.until(limit.and_then(|limit| began.checked_add(limit)))
+    }
+
+    /// The same, and its time is over at that moment, if that is sooner.
+    #[must_use]
+    pub fn until(self, end: Option<Instant>) -> Self {
+        let end = match (self.end, end) {
+            (Some(outer), Some(inner)) => Some(outer.min(inner)),
+            (outer, inner) => outer.or(inner),
+        };
+        Self { end, ..self }
+    }
+
+    /// Somebody asks for the end.
+    pub fn is_cancelled(&self) -> bool {
+        self.flag.is_some_and(|flag| flag.load(Ordering::Relaxed)) || self.function().is_some_and(|ask| ask())
+    }
+
+    /// The function that is asked.
+    pub fn function(&self) -> Option<&'a dyn Fn() -> bool> {
+        self.ask
+    }
+
+    /// The flag that is looked at.
+    pub fn flag(&self) -> Option<&'a AtomicBool> {
+        self.flag
+    }
+
+    /// The time is over.
+    pub fn is_late(&self) -> bool {
+        self.end.is_some_and(|end| Instant::now() >= end)
+    }
+
+    /// The work is to end: it was cancelled, or its time is over.
+    pub fn is_over(&self) -> bool {
+        self.is_late() || self.is_cancelled()
+    }
+
+    /// The time that is left; `None` without a limit.
+    pub fn left(&self) -> Option<Duration> {
+        self.end.map(|end| end.saturating_duration_since(Instant::now()))
+    }
+
+    /// When the time is over; `None` without a limit.
+    pub fn end(&self) -> Option<Instant> {
+        self.end
+    }
+
+    /// The time since the work began.
+    pub fn elapsed(&self) -> Duration {
+        self.began.elapsed()
+    }
+}
+
+impl Default for RunContext<'_> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl fmt::Debug for RunContext<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("RunContext")
+            .field("elapsed", &self.elapsed())
+            .field("left", &self.left())
+            .finish_non_exhaustive()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn work_ends_when_asked_or_flagged_or_late() {
+        let flag = AtomicBool::new(false);
+        let asked = std::cell::Cell::new(false);
+        let ask = || asked.get();
+        let (by_flag, by_asking) = (RunContext::new().flagged(&flag), RunContext::new().asking(&ask));
+        assert!(!by_flag.is_over() && !by_asking.is_over());
+        flag.store(true, Ordering::Relaxed);
+        asked.set(true);
+        assert!(by_flag.is_cancelled() && by_asking.is_cancelled() && !by_asking.is_late());
+    }
+
+    #[test]
+    fn the_shorter_limit_holds_and_none_is_endless() {
+        let none = RunContext::new().within(None);
+        assert!(!none.is_late() && none.left().is_none());
+        assert!(none.within(Some(Duration::MAX)).left().is_none());
+        let over = none.within(Some(Duration::ZERO));
+        assert!(over.is_over() && over.left() == Some(Duration::ZERO));
+        assert!(over.within(Some(Duration::from_secs(3600))).is_late());
+        assert!(over.within(None).is_late() && !none.within(Some(Duration::from_secs(3600))).is_late());
+    }
+}
