@@ -9,7 +9,6 @@ use calibration::{
 use dfo::{Answer, Limits, Objective, Outcome, Query, RunOptions, Want};
 use example_models::example_fmu;
 use fmi::Fmu;
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 fn open(name: &str) -> Fmu {
