@@ -46,7 +46,7 @@ pub(super) fn enter(folder: &Path) -> std::io::Result<()> {
 
 /// Removes a folder in which something may be made meanwhile.
 pub(super) fn remove(folder: &Path) {
-    for _ in 0..20 {
+    for _ in 0..100 {
         if std::fs::remove_dir_all(folder).is_ok() || !folder.exists() {
             return;
         }
