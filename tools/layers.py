@@ -20,7 +20,7 @@ LAYERS = {
         finding
         data no_cost parameter
         input layout
-        experiment
+        experiment parameter_record
         measurements names
         objective residual warning
         problem
@@ -42,6 +42,7 @@ LAYERS = {
     """,
     "dfo": """
         number option_texts choices rng answer encoding
+        record
         termination trace
         error
         loss
@@ -84,14 +85,13 @@ LAYERS = {
         solve
     """,
     "pydfo": """
-        dict quad_err threads words
-        interrupt logs methods
+        dict quad_err threads
+        interrupt logs
         fmu_error objective report
         error files futures values
-        data findings worker
+        data findings methods record worker
         description inputs trajectory
-        settings
-        cost experiment fit minimize model py_system stages
+        cost experiment fit minimize model py_system
         calibration fit_report optimizer solve
         profile recordings share validation worth
     """,

@@ -8,7 +8,7 @@ use crate::parallel;
 use crate::validation::{Validation, ValidationSet};
 use crate::worth::digits;
 use base::RunContext;
-use dfo::{AnyMethod, RobustLoss, RunOptions};
+use dfo::{AnyMethod, Record, RobustLoss, RunOptions};
 use ode::{Number, Stats};
 use std::fmt;
 use std::thread::available_parallelism;
@@ -35,6 +35,18 @@ impl Default for CrossValidationOptions {
     fn default() -> Self {
         let (loss, objective, noise) = (RobustLoss::default(), CostKind::default(), NoiseRule::default());
         Self { folds: None, run: FitOptions::default_run(), loss, objective, noise }
+    }
+}
+
+impl CrossValidationOptions {
+    /// A cross-validation of fits of `n` parameters as a record asks for it: `folds`, and what [`FitOptions::asked`] reads.
+    ///
+    /// # Errors
+    /// An option that there is not, or a value that it cannot have.
+    pub fn asked(mut record: Record, n: usize) -> Result<Self, dfo::Error> {
+        let folds = record.remove("folds").map_or(Ok(None), |folds| folds.read_limit("folds", 0))?;
+        let FitOptions { run, loss, objective, noise, .. } = FitOptions::asked(record, n)?;
+        Ok(Self { folds, run, loss, objective, noise })
     }
 }
 

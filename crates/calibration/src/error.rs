@@ -39,6 +39,9 @@ pub enum CalibrationError {
         /// What is wrong.
         message: String,
     },
+    /// A value that does not fit what it is given to.
+    #[error(transparent)]
+    Record(#[from] dfo::RecordError),
     /// Experiments, outputs or parameters are missing or contradict each other.
     #[error("{0}")]
     Setup(String),

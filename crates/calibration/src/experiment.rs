@@ -4,6 +4,7 @@ use crate::data::{Data, Series};
 use crate::error::CalibrationError;
 use crate::input::{InputSource, SignalFunction};
 use crate::parameter::Parameter;
+use dfo::{Record, RecordError};
 use fmi::description::{Causality, Variability};
 use fmi::worker::{Isolation, WorkerLimits};
 use fmi::{ModelDescription, Value};
@@ -463,6 +464,36 @@ pub struct SimulationSettings {
 const LOOSEST: f64 = 1e-6;
 
 impl SimulationSettings {
+    /// The settings of a record: `solver` is the method, `timeout` is in s, all else has the name of its field. What it does not say is
+    /// as by default.
+    ///
+    /// # Errors
+    /// A setting that there is not, or a value that it cannot have.
+    pub fn asked(record: &Record) -> Result<Self, RecordError> {
+        let mut settings = Self::default();
+        for (name, value) in record {
+            match name.as_str() {
+                "kind" => settings.kind = value.parse(name)?,
+                "solver" => settings.method = value.parse(name)?,
+                "relative_tolerance" => settings.relative_tolerance = value.read(name)?,
+                "step_size" => settings.step_size = value.read(name)?,
+                "max_step" => settings.max_step = value.read(name)?,
+                "input_derivatives" => settings.input_derivatives = value.read(name)?,
+                "chattering" => settings.chattering = value.parse(name)?,
+                "timeout" => settings.timeout = value.read_time(name)?,
+                "isolation" => settings.isolation = value.parse(name)?,
+                "memory_limit" => {
+                    settings.memory_limit = value.read_limit(name, 1)?.map(|bytes| bytes as u64)
+                }
+                "sandbox" => settings.sandbox = value.read(name)?,
+                _ => {
+                    return Err(RecordError::message(format!("there is no setting '{name}' of simulations")));
+                }
+            }
+        }
+        Ok(settings)
+    }
+
     /// What processes of the FMU may take.
     pub(crate) fn worker_limits(&self) -> WorkerLimits {
         let usual = WorkerLimits::default();

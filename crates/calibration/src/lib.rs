@@ -37,6 +37,7 @@ mod objective;
 mod output_fit;
 mod parallel;
 mod parameter;
+mod parameter_record;
 mod phase;
 mod prediction;
 mod preflight;

@@ -8,7 +8,7 @@ use crate::fit::{Fit, FitOptions, add_earlier, checkpoint_of, ended_by};
 use crate::output_fit::KeptResiduals;
 use crate::phase::FitPhase;
 use crate::worth::WorthOptions;
-use dfo::{AnyMethod, Limits, Progress, Report, Termination, Tolerances};
+use dfo::{AnyMethod, AskedRun, Limits, Progress, Record, Report, RunOptions, Termination, Tolerances};
 use ode::Stats;
 use std::sync::Arc;
 
@@ -72,6 +72,25 @@ impl Stage {
     }
 }
 
+impl Stage {
+    /// A stage of a fit of `n` parameters as a record asks for it: `parameters`, `windows`, and the options of its run.
+    ///
+    /// # Errors
+    /// An option that there is not, or a value that it cannot have.
+    pub fn asked(mut record: Record, n: usize) -> Result<Self, dfo::Error> {
+        let mut stage = Self::default();
+        if let Some(parameters) = record.remove("parameters") {
+            stage.parameters = parameters.read("parameters")?;
+        }
+        if let Some(windows) = record.remove("windows") {
+            stage.windows = windows.read("windows")?;
+        }
+        let run = AskedRun::new(FitOptions::default_run(), &record, n)?.options;
+        (stage.method, stage.limits, stage.tolerances) = (Some(run.method), run.limits, Some(run.tolerances));
+        Ok(stage)
+    }
+}
+
 /// The smaller of two limits.
 fn least<T: PartialOrd>(a: Option<T>, b: Option<T>) -> Option<T> {
     match (a, b) {
@@ -127,6 +146,12 @@ impl Calibration {
         let freed = (stages.iter().enumerate())
             .map(|(k, stage)| self.freed(stage, &held).map_err(in_stage(k)))
             .collect::<Result<Vec<_>, _>>()?;
+        for (k, stage) in stages.iter().enumerate() {
+            let held: Vec<usize> = (0..start.len()).filter(|i| !freed[k].contains(i)).collect();
+            let method = stage.method.clone().unwrap_or_else(|| run.method.clone());
+            let mut own = RunOptions { method, ..RunOptions::default() };
+            self.choose_method(&mut own, &held, &objective).map_err(in_stage(k))?;
+        }
         if let Some(checkpoint) = &run.checkpoint {
             self.adopt_solver(&checkpoint_of(checkpoint, ".stage1", true))?;
         }

@@ -81,11 +81,11 @@ impl<M: MethodOptions> Description<M> {
         let unbounded = Bounds::unbounded(n);
         let bounds = self.bounds.as_ref().unwrap_or(&unbounded);
         let (lower, upper) = (bounds.lower(), bounds.upper());
-        let class = ProblemClass { lower, upper, kinds: &self.kinds, residuals, search: Search::Local };
-        if let Some((method, reason)) = self.options.method.chosen(&class)? {
-            (self.options.method, self.options.method_reason) = (method, Some(reason.to_owned()));
-        }
-        Ok(())
+        // What is fixed does not choose the method.
+        let is_free = |i: &usize| lower.get(*i) != upper.get(*i);
+        let kinds: Vec<Kind> = (0..self.kinds.len()).filter(is_free).map(|i| self.kinds[i]).collect();
+        let class = ProblemClass { lower, upper, kinds: &kinds, residuals, search: Search::Local };
+        self.options.choose(&class)
     }
 
     /// Checks everything, and starts or continues. `residuals`: whether the objective is known to give them.

@@ -2,6 +2,7 @@
 
 use crate::choices::Kind;
 use crate::number::{Bytes, Number};
+use crate::record::RecordError;
 use crate::termination::Termination;
 use crate::trace::Trace;
 use std::fmt;
@@ -113,6 +114,9 @@ pub enum Error {
         /// What it must be.
         range: &'static str,
     },
+    /// A value that does not fit the option that it is given to, or an option that there is not.
+    #[error(transparent)]
+    Record(#[from] RecordError),
     /// There is no method of this name or number.
     #[error("there is no method '{name}'{hint}; known are {known}")]
     UnknownMethod {

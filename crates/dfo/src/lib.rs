@@ -62,6 +62,7 @@ mod objective;
 mod observe;
 mod optimizer;
 mod option_texts;
+mod record;
 mod report;
 mod rng;
 mod run_options;
@@ -99,8 +100,9 @@ pub use objective::{
 };
 pub use observe::Progress;
 pub use optimizer::{Optimizer, Point};
+pub use record::{Record, RecordError, Value};
 pub use report::{Report, Resumed};
-pub use run_options::{Known, RunOptions};
+pub use run_options::{AskedRun, Known, RunOptions};
 pub use sampling::Sampling;
 pub use space::{Bounds, Space, typical_size};
 pub use termination::Termination;

@@ -2,6 +2,7 @@
 
 use crate::answer::Outcome;
 use crate::error::Error;
+use crate::record::{Record, RecordError};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::SQRT_2;
 use std::fmt;
@@ -67,6 +68,20 @@ impl RobustLoss {
             name: "the scale of the loss",
             value: scale,
             range: "positive (1e-300 to 1e300)",
+        })
+    }
+
+    /// The loss of a record, whose options `loss` and `f_scale` it takes out; `None`: it names none.
+    ///
+    /// # Errors
+    /// A value that such an option cannot have.
+    pub fn asked(record: &mut Record) -> Result<Option<Self>, Error> {
+        let (loss, scale) = (record.remove("loss"), record.remove("f_scale"));
+        let Some(loss) = loss else { return Ok(None) };
+        let kind = loss.read("loss")?;
+        let Some(scale) = scale else { return Self::new(kind, 1.0).map(Some) };
+        Self::new(kind, scale.read("f_scale")?).map(Some).map_err(|_| {
+            RecordError::range("positive and finite (1e-300 to 1e300)").of("f_scale", &scale).into()
         })
     }
 

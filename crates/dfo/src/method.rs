@@ -306,7 +306,7 @@ pub trait MethodOptions {
     ///
     /// # Errors
     /// There is none for the search that is asked for.
-    fn chosen(&self, class: &ProblemClass<'_>) -> Result<Option<(Self, &'static str)>, Error>
+    fn chosen(&self, class: &ProblemClass<'_>) -> Result<Option<(Self, String)>, Error>
     where
         Self: Sized,
     {

@@ -17,7 +17,7 @@ use crate::objective::{Objective, ResidualFunction, residuals};
 use crate::observe::Progress;
 use crate::optimizer::Optimizer;
 use crate::report::Report;
-use crate::run_options::{Known, RunOptions};
+use crate::run_options::{AskedRun, Known, RunOptions};
 use crate::space::Bounds;
 use crate::tolerances::{Limits, Tolerances};
 use crate::trace::{Trace, TraceEntry};
@@ -211,6 +211,12 @@ impl<'a, M, D> Minimize<'a, M, D> {
         let Self { description, driver, life } = self;
         let Description { x0, bounds, transforms, sizes, kinds, .. } = description;
         Minimize { description: Description { options, x0, bounds, transforms, sizes, kinds }, driver, life }
+    }
+
+    /// All that was asked for by name.
+    pub fn asked(self, asked: AskedRun) -> Minimize<'a, AnyMethod, D> {
+        let AskedRun { options, scale, nominal, kinds } = asked;
+        self.options(options).transforms(&scale).known_scales(&nominal).kinds(&kinds)
     }
 
     /// Evaluations that may run at once, on threads of our own with 16 MiB of stack; 1 (the default): on the calling

@@ -210,9 +210,12 @@ fn a_second_run_has_the_same_bits_on_every_worker() {
         .parameters(["armFriction", "pendulumFriction"])
         .outputs(["armJoint.phi", "pendulumJoint.phi"]);
     let pool = Pool::new(Arc::new(SimulationPlan::new(&fmu, &options).unwrap()));
-    let run = |values: [f64; 2]| pool.with_simulator(&|| false, |simulator| simulator.trajectory(&values));
+    let run = |values: [f64; 2]| {
+        pool.with_simulator(&base::RunContext::new(), |simulator| simulator.trajectory(&values))
+    };
     let truth = bits(&run([0.011, 0.0015]).unwrap());
-    let settled = pool.with_simulator(&|| false, |simulator| Ok(settle(simulator, &[0.011, 0.0015])));
+    let settled =
+        pool.with_simulator(&base::RunContext::new(), |simulator| Ok(settle(simulator, &[0.011, 0.0015])));
     assert_eq!(settled.unwrap(), Reuse::Reset);
     std::thread::scope(|scope| {
         for _ in 0..2 {

@@ -50,7 +50,8 @@ fn no_two_threads_are_in_one_library() {
                     let mut session = Session::new(fmu.clone());
                     for round in 0..15 {
                         let k = f64::from(1 + thread + round % 3);
-                        let of_pool = pool.with_simulator(&base::RunContext::new(), |simulator| simulator.trajectory(&[k]));
+                        let of_pool = pool
+                            .with_simulator(&base::RunContext::new(), |simulator| simulator.trajectory(&[k]));
                         assert!(is_of(k, &of_pool.unwrap()));
                         session.set("k", k).unwrap();
                         assert!(is_of(k, &session.simulate(&options()).unwrap()));

@@ -212,7 +212,9 @@ fn a_second_run_has_the_same_bits() {
 fn workers_get_the_same_bits_side_by_side() {
     let folder = model("furuta");
     let pool = Pool::new(furuta(&folder.open()));
-    let run = |values: [f64; 2]| pool.with_simulator(&|| false, |simulator| simulator.trajectory(&values));
+    let run = |values: [f64; 2]| {
+        pool.with_simulator(&base::RunContext::new(), |simulator| simulator.trajectory(&values))
+    };
     let truth = bits(&run([0.011, 0.0015]).unwrap());
     std::thread::scope(|scope| {
         for _ in 0..3 {

@@ -2,22 +2,20 @@
 
 use crate::cost::{self, CostFields};
 use crate::description::Fmu;
-use crate::experiment::{ExperimentFields, ParameterFields, SettingsFields, SignalFunctions};
+use crate::experiment::{ExperimentFields, PyParameter, SignalFunctions};
 use crate::fit::PyFit;
 use crate::futures::{PyEngine, encoded, state};
 use crate::inputs::Callbacks;
 use crate::interrupt::{Watch, fits_here};
+use crate::record::PyRecord;
 use crate::report::{self, LastProgress, Listener, ResultKind};
-use crate::settings::{self, LossFields, Options, Settings};
-use crate::stages::StageFields;
 use crate::threads::lock;
 use crate::trajectory::Counts;
-use crate::words::word;
 use crate::{error, files, fmu_error, logs};
 use calibration::RunContext;
 use calibration::{
-    CalibrationError, CurrentPhase, Engine, Entry, Experiment, FitNoise, FitOptions, NoiseRule, Problem,
-    Severity, Solver, Verdict,
+    CalibrationError, CurrentPhase, Engine, Entry, Experiment, FitNoise, FitOptions, Problem, Severity,
+    Solver, Verdict,
 };
 use dfo::{Progress, Query, RobustLoss, Termination, Want};
 use fmi::OpenOptions;
@@ -164,12 +162,8 @@ pub(crate) fn give_functions(problem: &mut Problem, functions: SignalFunctions) 
 struct FitFields {
     start: Option<Vec<f64>>,
     observer: Option<Py<PyAny>>,
-    loss: Option<LossFields>,
-    stages: Option<Vec<StageFields>>,
-    covariance: Option<String>,
+    stages: Option<Vec<PyRecord>>,
     objective: Option<CostFields>,
-    preflight: bool,
-    noise: String,
     /// A `_engine.Simulations`.
     engine: Option<Py<PyAny>>,
 }
@@ -190,14 +184,14 @@ impl PyCalibration {
         py: Python<'_>,
         model: Source<'_>,
         experiments: Vec<ExperimentFields>,
-        settings: SettingsFields,
-        parameters: Vec<ParameterFields>,
+        settings: PyRecord,
+        parameters: Vec<PyParameter>,
     ) -> PyResult<Self> {
         let fmu = match model {
             Source::Open(fmu) => fmu.get().fmu.clone(),
             Source::Path(path) => files::open(py, path, &OpenOptions::default())?,
         };
-        let settings = settings.check(py)?;
+        let settings = settings.settings(py)?;
         let parameters = parameters.into_iter().map(|p| p.check(py)).collect::<PyResult<Vec<_>>>()?;
         // The name of an experiment, where there are several.
         let is_one = experiments.len() == 1;
@@ -291,11 +285,6 @@ impl PyCalibration {
     /// Names of the entries of `x`.
     fn names(&self) -> Vec<&str> {
         self.inner.parameters().iter().map(|p| p.name()).collect()
-    }
-
-    /// Their bounds, both the same where one is fixed, and what values they take.
-    fn bounds(&self) -> Vec<(f64, f64, String)> {
-        self.inner.parameters().iter().map(|p| (p.lower(), p.upper(), p.value_kind().to_string())).collect()
     }
 
     /// Names of the parameters that are tied, and their values.
@@ -423,15 +412,17 @@ impl PyCalibration {
         cost::series(py, &self.inner.problem().experiment_names(), measured)
     }
 
-    fn fit<'py>(&self, py: Python<'py>, options: Options, asked: FitFields) -> PyResult<Bound<'py, PyAny>> {
-        let FitFields { start, observer, loss, stages, covariance, objective, preflight, noise, engine } =
-            asked;
-        let check = |stages: Vec<StageFields>| stages.into_iter().map(|stage| stage.check(py)).collect();
-        let stages: Option<Vec<calibration::Stage>> = stages.map(check).transpose()?;
-        let loss = settings::loss(loss)?.unwrap_or_default();
-        let worth = settings::worth(covariance.as_deref())?;
-        let noise = word::<NoiseRule>("noise", &noise)?;
-        let Settings { run, .. } = options.check(py, FitOptions::default_run().tolerances)?;
+    fn fit<'py>(&self, py: Python<'py>, asked: PyRecord, objects: FitFields) -> PyResult<Bound<'py, PyAny>> {
+        let FitFields { start, observer, stages, objective, engine } = objects;
+        let n_parameters = self.inner.parameters().len();
+        let stage = |asked: PyRecord| {
+            calibration::Stage::asked(asked.values.clone(), n_parameters).map_err(|e| asked.error(py, &e))
+        };
+        let stages: Option<Vec<calibration::Stage>> =
+            stages.map(|stages| stages.into_iter().map(stage).collect()).transpose()?;
+        let options = FitOptions::asked(asked.values.clone(), n_parameters);
+        let FitOptions { run, loss, noise, preflight, worth, .. } =
+            options.map_err(|e| asked.error(py, &e))?;
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());
         let tick = observer.as_ref().and_then(|observer| observer.getattr(py, "tick").ok());

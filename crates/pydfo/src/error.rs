@@ -4,7 +4,7 @@
 use crate::fmu_error;
 use crate::interrupt::EndRequest;
 use pyo3::exceptions::{
-    PyKeyError, PyKeyboardInterrupt, PyMemoryError, PyOSError, PyUserWarning, PyValueError,
+    PyKeyError, PyKeyboardInterrupt, PyMemoryError, PyOSError, PyTypeError, PyUserWarning, PyValueError,
 };
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -35,6 +35,7 @@ pub(crate) fn optimiser(py: Python<'_>, error: &dfo::Error) -> PyErr {
                  another method"
             ));
         }
+        dfo::Error::Record(e) => return refused(e, &message),
         dfo::Error::Memory { .. } => return PyMemoryError::new_err(message),
         dfo::Error::UnknownPoint { .. } => return PyKeyError::new_err(message),
         _ => return PyValueError::new_err(message),
@@ -74,7 +75,16 @@ pub(crate) fn calibration(py: Python<'_>, error: &calibration::CalibrationError)
             reworded(py, calibration(py, source), message)
         }
         E::Optimiser(e) => optimiser(py, e),
+        E::Record(e) => refused(e, &message),
         _ => CalibrationError::new_err(message),
+    }
+}
+
+/// A value that does not fit: a TypeError where it is of another type.
+pub(crate) fn refused(error: &dfo::RecordError, message: &str) -> PyErr {
+    match error.is_type() {
+        true => PyTypeError::new_err(message.to_owned()),
+        false => PyValueError::new_err(message.to_owned()),
     }
 }
 

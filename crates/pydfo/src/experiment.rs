@@ -2,118 +2,40 @@
 
 use crate::data::PyTable;
 use crate::inputs::{Callback, Callbacks};
-use crate::settings::time_limit;
-use crate::words::word;
-use crate::{error, fmu_error, values};
+use crate::record::{self, PyRecord};
+use crate::{error, values};
 use calibration::RunContext;
 use calibration::{
-    CalibrationError, CsvRequest, Data, Experiment, InitialState, OutputScale, Parameter, Prior,
-    SimulationSettings, Weight,
+    CalibrationError, CsvRequest, Data, Experiment, InitialState, OutputScale, Parameter, Weight,
 };
-use fmi::FmiError;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// `pydfo.Parameter`, field by field.
-#[derive(FromPyObject)]
-pub(crate) struct ParameterFields {
-    name: String,
-    start: Option<f64>,
-    lower: f64,
-    upper: f64,
-    scale: String,
-    nominal: Option<f64>,
-    kind: String,
-    fixed: bool,
-    local: bool,
-    variables: Option<Vec<String>>,
-    delay_of: Option<String>,
-    offset_of: Option<String>,
-    tied_to: Option<String>,
-    factor: f64,
-    offset: f64,
-    across_units: bool,
-    unit: Option<String>,
-    display_name: Option<String>,
-    prior: Option<PriorFields>,
-}
+/// A `pydfo.Parameter`.
+pub(crate) struct PyParameter(PyRecord);
 
-/// `pydfo.Normal` or `pydfo.LogNormal`, field by field.
-#[derive(FromPyObject)]
-enum PriorFields {
-    Normal { mean: f64, sd: f64 },
-    LogNormal { median: f64, sigma: f64 },
-}
+impl<'a, 'py> FromPyObject<'a, 'py> for PyParameter {
+    type Error = PyErr;
 
-impl From<PriorFields> for Prior {
-    fn from(fields: PriorFields) -> Self {
-        match fields {
-            PriorFields::Normal { mean, sd } => Prior::Normal { mean, sd },
-            PriorFields::LogNormal { median, sigma } => Prior::LogNormal { median, sigma },
-        }
+    fn extract(object: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
+        object.call_method0("_record")?.extract().map(Self)
     }
 }
 
-impl ParameterFields {
-    pub(crate) fn check(self, py: Python<'_>) -> PyResult<Parameter> {
-        let scale = word("scale", &self.scale)?;
-        let kind = word("kind", &self.kind)?;
-        let name = self.name;
-        let bad = |message: &str| {
-            let message = message.to_owned();
-            Err(error::calibration(py, &CalibrationError::Parameter { name: name.clone(), message }))
-        };
-        let mut parameter = match (&self.tied_to, self.start) {
-            (Some(to), None) => {
-                Parameter::tied(&name, to, self.factor, self.offset).across_units(self.across_units)
-            }
-            (Some(_), Some(_)) => {
-                return bad("it is tied to another one, whose start counts: leave start out");
-            }
-            (None, None) => return bad("start is missing: give a number to start from"),
-            (None, Some(_)) if (self.factor, self.offset, self.across_units) != (1.0, 0.0, false) => {
-                return bad(
-                    "factor, offset and across_units are those of tied_to: name the parameter that it follows",
-                );
-            }
-            (None, Some(start)) => Parameter::new(&name, start),
-        };
-        parameter = parameter
-            .bounds(self.lower, self.upper)
-            .scale(scale)
-            .kind(kind)
-            .fixed(self.fixed)
-            .local(self.local);
-        parameter = match (self.variables, self.delay_of, self.offset_of) {
-            (None, None, None) => parameter,
-            (Some(variables), None, None) => parameter.variables(variables),
-            (None, Some(variable), None) => parameter.delay_of(variable),
-            (None, None, Some(variable)) => parameter.offset_of(variable),
-            _ => return bad("at most one of variables, delay_of and offset_of can be given"),
-        };
-        if let Some(nominal) = self.nominal {
-            parameter = parameter.nominal(nominal);
-        }
-        if let Some(unit) = self.unit {
-            parameter = parameter.in_unit(unit);
-        }
-        if let Some(shown) = self.display_name {
-            parameter = parameter.display_name(shown);
-        }
-        if let Some(prior) = self.prior {
-            parameter = parameter.prior(prior.into());
-        }
-        parameter.check().map_err(|e| error::calibration(py, &e))?;
-        Ok(parameter)
+impl PyParameter {
+    pub(crate) fn check(&self, py: Python<'_>) -> PyResult<Parameter> {
+        self.0.parameter(py)
     }
 }
 
-/// Checks the numbers of a `pydfo.Parameter`.
+/// The fields of a `pydfo.Parameter`, checked and as they are by default where none are said.
 #[pyfunction]
-pub(crate) fn check_parameter(py: Python<'_>, parameter: ParameterFields) -> PyResult<()> {
-    parameter.check(py).map(|_| ())
+pub(crate) fn check_parameter(py: Python<'_>, given: PyRecord) -> PyResult<Bound<'_, PyDict>> {
+    let record = given.parameter(py)?.record().map_err(|e| error::calibration(py, &e))?;
+    record::to_python(py, &record)
 }
 
 /// `pydfo.Experiment`, field by field.
@@ -178,45 +100,11 @@ enum StateFields {
     #[pyo3(transparent)]
     Word(String),
     #[pyo3(transparent)]
-    Fitted(ParameterFields),
+    Fitted(PyParameter),
 }
 
 /// The functions of time among the inputs of an experiment: its number, the variable, the function.
 pub(crate) type SignalFunctions = Vec<(usize, String, Py<PyAny>)>;
-
-/// `pydfo._experiment.Settings`, field by field.
-#[derive(FromPyObject)]
-pub(crate) struct SettingsFields {
-    kind: String,
-    timeout: Option<f64>,
-    relative_tolerance: Option<f64>,
-    solver: String,
-    step_size: Option<f64>,
-    max_step: Option<f64>,
-    input_derivatives: bool,
-    chattering: String,
-    isolation: String,
-    memory_limit: Option<u64>,
-    sandbox: bool,
-}
-
-impl SettingsFields {
-    pub(crate) fn check(&self, py: Python<'_>) -> PyResult<SimulationSettings> {
-        Ok(SimulationSettings {
-            kind: self.kind.parse().map_err(|e| fmu_error::raise(py, &e))?,
-            method: self.solver.parse().map_err(|e| fmu_error::raise(py, &FmiError::Options(e)))?,
-            relative_tolerance: self.relative_tolerance,
-            step_size: self.step_size,
-            max_step: self.max_step,
-            input_derivatives: Some(self.input_derivatives),
-            timeout: time_limit("timeout", self.timeout)?,
-            chattering: self.chattering.parse().map_err(|e| fmu_error::raise(py, &FmiError::Options(e)))?,
-            isolation: self.isolation.parse().map_err(|e| fmu_error::raise(py, &e))?,
-            memory_limit: self.memory_limit,
-            sandbox: self.sandbox,
-        })
-    }
-}
 
 /// What an experiment has of Python objects, looked at with the interpreter lock.
 pub(crate) struct Resolved {

@@ -26,17 +26,15 @@ mod optimizer;
 mod profile;
 mod py_system;
 mod quad_err;
+mod record;
 mod recordings;
 mod report;
-mod settings;
 mod share;
 mod solve;
-mod stages;
 mod threads;
 mod trajectory;
 mod validation;
 mod values;
-mod words;
 mod worker;
 mod worth;
 
@@ -65,7 +63,7 @@ mod core_module {
         fit_curves, fit_findings, fit_html, fit_outputs, fit_report, fit_sensitivities, fit_text,
     };
     #[pymodule_export]
-    use super::methods::{auto_method, method_name, method_names, method_of_number, option_names};
+    use super::methods::{method_name, method_names, method_of_number, option_names};
     #[pymodule_export]
     use super::minimize::minimize;
     #[pymodule_export]

@@ -4,10 +4,10 @@ use crate::error;
 use crate::futures::PyEvaluator;
 use crate::interrupt::{EndRequest, Watch};
 use crate::objective::PyObjective;
+use crate::record::PyRecord;
 use crate::report::{self, LastProgress, Listener, ResultKind, Snapshot};
-use crate::settings::{self, LossFields, Options, Settings};
 use calibration::RunContext;
-use dfo::{ByRef, MethodOptions, Minimize, NelderMead, Progress, Report, Tolerances};
+use dfo::{AskedRun, ByRef, MethodOptions, Minimize, NelderMead, Progress, Report, RobustLoss, RunOptions};
 use pyo3::prelude::*;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -19,12 +19,12 @@ pub(crate) struct RunSetup {
     x0: Option<Vec<f64>>,
     lower: Vec<f64>,
     upper: Vec<f64>,
-    settings: Settings,
+    asked: AskedRun,
 }
 
 impl RunSetup {
-    pub(crate) fn new(x0: Option<Vec<f64>>, lower: Vec<f64>, upper: Vec<f64>, settings: Settings) -> Self {
-        Self { x0, lower, upper, settings }
+    pub(crate) fn new(x0: Option<Vec<f64>>, lower: Vec<f64>, upper: Vec<f64>, asked: AskedRun) -> Self {
+        Self { x0, lower, upper, asked }
     }
 
     /// The same for the optimiser.
@@ -36,7 +36,7 @@ impl RunSetup {
             Some(x0) => run.start(x0),
             None => run,
         };
-        Ok(self.settings.apply(run.bounds(&self.lower, &self.upper)?))
+        Ok(run.bounds(&self.lower, &self.upper)?.asked(self.asked))
     }
 
     fn run(
@@ -58,10 +58,10 @@ impl RunSetup {
 /// Minimises a Python function. With one worker it is called on the calling thread, with more on threads of a pool;
 /// with `batches` it takes whole batches on the calling thread, see [`PyObjective::evaluate_batch`], or points one by one, see
 /// [`PyEvaluator`]; with `cutoffs` it is
-/// told the cutoff of each point; with a `loss` and its scale it returns residuals.
+/// told the cutoff of each point; with a `loss` and its scale among the options it returns residuals.
 #[pyfunction]
 #[pyo3(signature = (
-    func, x0, lower, upper, options, *, tolerant=false, observer=None, detail=false, batches=false, cutoffs=false, loss=None
+    func, x0, lower, upper, options, *, tolerant=false, observer=None, detail=false, batches=false, cutoffs=false
 ))]
 #[expect(clippy::too_many_arguments, reason = "keyword arguments of a private function")]
 pub(crate) fn minimize<'py>(
@@ -70,22 +70,21 @@ pub(crate) fn minimize<'py>(
     x0: Option<Vec<f64>>,
     lower: Vec<f64>,
     upper: Vec<f64>,
-    options: Options,
+    mut options: PyRecord,
     tolerant: bool,
     observer: Option<Py<PyAny>>,
     detail: bool,
     batches: bool,
     cutoffs: bool,
-    loss: Option<LossFields>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let checked = options.check(py, Tolerances::default())?;
-    let loss = settings::loss(loss)?;
-    if loss.is_none() && checked.run.method.needs_residuals() {
+    let loss = RobustLoss::asked(&mut options.values).map_err(|e| options.error(py, &e))?;
+    let asked = options.run(py, RunOptions::default(), lower.len())?;
+    if loss.is_none() && asked.options.method.needs_residuals() {
         return Err(error::optimiser(py, &dfo::Error::NeedsResiduals { method: "least-squares" }));
     }
     let kind = ResultKind::of(loss.is_some());
-    let alone = checked.run.workers.is_none_or(|workers| workers == 1);
-    let setup = RunSetup::new(x0, lower, upper, checked);
+    let alone = asked.options.workers.is_none_or(|workers| workers == 1);
+    let setup = RunSetup::new(x0, lower, upper, asked);
     let watch = Watch::new(py)?;
     let stop = Arc::clone(watch.stop());
     let objective = Arc::new(PyObjective::new(func, (tolerant, cutoffs), loss, Arc::clone(&stop)));

@@ -3,10 +3,9 @@
 use crate::description::Fmu;
 use crate::inputs::{self, Callbacks, Function, Table};
 use crate::interrupt::{CallingThread, EndRequest, Watch, fits_here};
-use crate::settings::time_limit;
+use crate::record::{read, time_limit};
 use crate::threads::lock;
 use crate::trajectory;
-use crate::words::word;
 use crate::{error, fmu_error, logs, values};
 use calibration::ModelProcess;
 use calibration::RunContext;
@@ -307,7 +306,7 @@ impl Model {
         options.chattering =
             request.chattering.parse().map_err(|e: ode::OptionsError| fmu_error::raise(py, &e.into()))?;
         options.step_size = request.step_size;
-        options.between_steps = word("between_steps", &request.between_steps)?;
+        options.between_steps = read("between_steps", &request.between_steps)?;
         options.max_step = request.max_step;
         for ignored in options.without_effect(self.kind) {
             error::warn(py, &ignored)?;

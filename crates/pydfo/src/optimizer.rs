@@ -3,10 +3,10 @@
 use crate::error;
 use crate::minimize::RunSetup;
 use crate::objective;
+use crate::record::PyRecord;
 use crate::report::{self, ResultKind};
-use crate::settings::Options;
 use crate::threads::lock;
-use dfo::{Answer, MethodOptions, Outcome, RobustLoss, Tolerances};
+use dfo::{Answer, MethodOptions, Outcome, RobustLoss, RunOptions};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::{PyBaseException, PyTypeError};
 use pyo3::prelude::*;
@@ -32,12 +32,12 @@ impl PyOptimizer {
         x0: Option<Vec<f64>>,
         lower: Vec<f64>,
         upper: Vec<f64>,
-        options: Options,
+        options: PyRecord,
     ) -> PyResult<Self> {
         let n = lower.len();
-        let settings = options.check(py, Tolerances::default())?;
-        let of_residuals = settings.run.method.needs_residuals();
-        let setup = RunSetup::new(x0, lower, upper, settings);
+        let asked = options.run(py, RunOptions::default(), n)?;
+        let of_residuals = asked.options.method.needs_residuals();
+        let setup = RunSetup::new(x0, lower, upper, asked);
         let optimizer = py.detach(|| setup.describe(dfo::by_hand()).and_then(|run| run.optimizer()));
         let inner = Mutex::new(optimizer.map_err(|e| error::optimiser(py, &e))?);
         Ok(Self { inner, n, of_residuals })

@@ -5,7 +5,7 @@ use crate::data::PyTable;
 use crate::description::Fmu;
 use crate::error;
 use crate::findings::{self, FindingFields};
-use crate::settings::time_limit;
+use crate::record::time_limit;
 use calibration::{CheckOptions, Data, Experiment};
 use numpy::PyArray1;
 use pyo3::prelude::*;

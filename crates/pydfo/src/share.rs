@@ -4,9 +4,9 @@ use crate::calibration::{PyCalibration, give_functions};
 use crate::description::Fmu;
 use crate::experiment::SignalFunctions;
 use crate::fit::PyFit;
-use crate::words::{word, word_of};
+use crate::record::{self, read};
 use crate::{error, files, trajectory};
-use calibration::{Prior, SavedFit, Table, Target, Tie};
+use calibration::{SavedFit, Table};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use std::path::PathBuf;
@@ -75,46 +75,9 @@ pub(crate) fn parameters_of<'py>(
     calibration: &PyCalibration,
 ) -> PyResult<(PathBuf, Vec<Bound<'py, PyDict>>)> {
     let problem = calibration.inner.problem();
-    let arguments = |p: &calibration::Parameter| {
-        let arguments = PyDict::new(py);
-        arguments.set_item("name", p.name())?;
-        match p.tie() {
-            Some(Tie { to, factor, offset, across_units }) => {
-                arguments.set_item("tied_to", to)?;
-                arguments.set_item("factor", factor)?;
-                arguments.set_item("offset", offset)?;
-                arguments.set_item("across_units", across_units)?;
-            }
-            None => {
-                arguments.set_item("start", p.start())?;
-                arguments.set_item("lower", p.given_bounds().0)?;
-                arguments.set_item("upper", p.given_bounds().1)?;
-            }
-        }
-        match p.target() {
-            Target::Variables(variables) if variables.as_slice() == [p.name()] => {}
-            Target::Variables(variables) => arguments.set_item("variables", variables)?,
-            Target::Delay(variable) => arguments.set_item("delay_of", variable)?,
-            Target::Offset(variable) => arguments.set_item("offset_of", variable)?,
-        }
-        let classes = py.import("pydfo._parameter")?;
-        let prior = match p.known_prior() {
-            None => None,
-            Some(Prior::Normal { mean, sd }) => Some(classes.getattr("Normal")?.call1((*mean, *sd))?),
-            Some(Prior::LogNormal { median, sigma }) => {
-                Some(classes.getattr("LogNormal")?.call1((*median, *sigma))?)
-            }
-        };
-        arguments.set_item("prior", prior)?;
-        arguments.set_item("unit", p.given_unit())?;
-        let shown = Some(p.shown_name()).filter(|shown| *shown != p.name());
-        arguments.set_item("display_name", shown)?;
-        arguments.set_item("scale", word_of(&p.scale_kind()))?;
-        arguments.set_item("nominal", p.nominal_size())?;
-        arguments.set_item("kind", word_of(&p.value_kind()))?;
-        arguments.set_item("fixed", p.is_fixed())?;
-        arguments.set_item("local", p.is_local())?;
-        Ok(arguments)
+    let arguments = |parameter: &calibration::Parameter| {
+        let record = parameter.record().map_err(|e| error::calibration(py, &e))?;
+        record::to_python(py, &record)
     };
     let all = problem.parameters.iter().map(arguments).collect::<PyResult<_>>()?;
     Ok((problem.model.path.clone(), all))
@@ -135,7 +98,7 @@ pub(crate) fn fit_to_csv(
     table: &str,
     path: Option<PathBuf>,
 ) -> PyResult<String> {
-    let table: Table = word("what", table)?;
+    let table: Table = read("what", table)?;
     let (inner, calibration) = (Arc::clone(&fit.inner), PyCalibration::of(Arc::clone(&fit.calibration)));
     calibration.compute(py, move |calibration, context| match path {
         Some(path) => inner.write_csv(calibration, path, table, context).map(|()| String::new()),

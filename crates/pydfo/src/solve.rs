@@ -3,7 +3,7 @@
 use crate::error;
 use crate::interrupt::{EndRequest, Watch};
 use crate::py_system::{Event, JacobianSource, PySystem, SparseJacobian, is_sparse, matrix, sparse_entries};
-use crate::settings::time_limit;
+use crate::record::time_limit;
 use crate::trajectory::Counts;
 use numpy::{PyArray1, PyArrayMethods};
 use ode::{

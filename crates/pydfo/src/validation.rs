@@ -7,12 +7,11 @@ use crate::findings;
 use crate::fit::PyFit;
 use crate::inputs::Callbacks;
 use crate::interrupt::Watch;
-use crate::settings::{self, LossFields, Options, Settings};
+use crate::record::PyRecord;
 use crate::trajectory::Counts;
-use crate::words::word;
 use calibration::{
-    BandOptions, CalibrationError, CrossValidationOptions, Experiment, FitOptions, Fold, PredictionBand,
-    ValidatedOutput, Validation, ValidationSet,
+    BandOptions, CalibrationError, CrossValidationOptions, Experiment, Fold, PredictionBand, ValidatedOutput,
+    Validation, ValidationSet,
 };
 use numpy::PyArray1;
 use pyo3::prelude::*;
@@ -113,14 +112,11 @@ fn of_output<'py>(py: Python<'py>, output: &ValidatedOutput) -> PyResult<Bound<'
 pub(crate) fn cross_validate<'py>(
     py: Python<'py>,
     calibration: &PyCalibration,
-    folds: Option<usize>,
-    options: Options,
-    asked: (Option<LossFields>, String),
+    asked: PyRecord,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let (loss, noise) = asked;
-    let (loss, noise) = (settings::loss(loss)?.unwrap_or_default(), word("noise", &noise)?);
-    let Settings { run, .. } = options.check(py, FitOptions::default_run().tolerances)?;
-    let options = CrossValidationOptions { folds, run, loss, noise, ..CrossValidationOptions::default() };
+    let n_parameters = calibration.inner.parameters().len();
+    let options = CrossValidationOptions::asked(asked.values.clone(), n_parameters);
+    let options = options.map_err(|e| asked.error(py, &e))?;
     let found =
         calibration.compute(py, move |calibration, context| calibration.cross_validate(&options, context))?;
     let fields = PyDict::new(py);

@@ -4,7 +4,7 @@ use crate::calibration::PyCalibration;
 use crate::error;
 use crate::findings;
 use crate::fit::PyFit;
-use crate::settings;
+use crate::record::read;
 use calibration::{Preflight, PreflightOptions, Worth, WorthOptions};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
@@ -34,7 +34,8 @@ pub(crate) fn worth_at(
     held: Vec<usize>,
     workers: Option<usize>,
 ) -> PyResult<PyWorth> {
-    let options = WorthOptions { workers, held, ..settings::worth(Some(covariance))?.unwrap_or_default() };
+    let estimator = read("covariance", covariance)?;
+    let options = WorthOptions { workers, held, estimator, ..WorthOptions::default() };
     let worth = calibration.compute(py, move |c, context| c.worth(&x, &options, context))?;
     Ok(PyWorth { inner: Arc::new(worth) })
 }

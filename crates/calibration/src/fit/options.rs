@@ -4,9 +4,9 @@ use super::engine::Engine;
 use super::noise::NoiseRule;
 use crate::objective::CostKind;
 use crate::phase::CurrentPhase;
-use crate::worth::WorthOptions;
+use crate::worth::{Estimator, WorthOptions};
 use base::RunContext;
-use dfo::{AnyMethod, Measure, Progress, RobustLoss, RunOptions, Search, Stop, Tolerances};
+use dfo::{AnyMethod, AskedRun, Measure, Progress, Record, RobustLoss, RunOptions, Search, Stop, Tolerances};
 use std::cell::RefCell;
 use std::fmt;
 use std::ops::ControlFlow;
@@ -67,6 +67,30 @@ impl FitOptions<'_> {
     pub fn default_run() -> RunOptions<AnyMethod> {
         let tolerances = Tolerances { x_tol: 1e-4, f_tol: 1e-4, measure: Measure::Relative, stop: Stop::All };
         RunOptions { method: AnyMethod::auto(Search::Local), tolerances, ..RunOptions::default() }
+    }
+}
+
+impl FitOptions<'_> {
+    /// A fit of `n` parameters as a record asks for it: `loss`, `f_scale`, `noise`, `preflight`, `covariance`, and the options of its
+    /// run. What it does not say is as by default.
+    ///
+    /// # Errors
+    /// An option that there is not, or a value that it cannot have.
+    pub fn asked(mut record: Record, n: usize) -> Result<Self, dfo::Error> {
+        let mut options =
+            Self { loss: RobustLoss::asked(&mut record)?.unwrap_or_default(), ..Self::default() };
+        if let Some(noise) = record.remove("noise") {
+            options.noise = noise.read("noise")?;
+        }
+        if let Some(preflight) = record.remove("preflight") {
+            options.preflight = preflight.read("preflight")?;
+        }
+        if let Some(covariance) = record.remove("covariance") {
+            let estimator: Option<Estimator> = covariance.read("covariance")?;
+            options.worth = estimator.map(|estimator| WorthOptions { estimator, ..WorthOptions::default() });
+        }
+        options.run = AskedRun::new(options.run, &record, n)?.options;
+        Ok(options)
     }
 }
 

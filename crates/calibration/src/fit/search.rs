@@ -21,7 +21,8 @@ use crate::worth::{WorthOptions, digits};
 use base::RunContext;
 use dfo::{
     Answer, AnyMethod, ByRef, Evaluator, GivesUp, Kind, Measure, NothingFound, Objective, Outcome, Polled,
-    Query, Report, Resume, RobustLoss, RunOptions, Termination, Tolerances, Trace, Wait, Want,
+    ProblemClass, Query, Report, Resume, RobustLoss, RunOptions, Search, Termination, Tolerances, Trace,
+    Wait, Want,
 };
 use ode::{Number, Stats};
 use std::cell::RefCell;
@@ -222,6 +223,7 @@ impl<'a> Job<'a> {
                 "parameter {index} is held, but there are only {n}"
             )));
         }
+        calibration.choose_method(&mut run, &options.held, &options.objective)?;
         Ok(Self {
             run,
             start,
@@ -446,6 +448,32 @@ impl Calibration {
             tolerances: job.run.tolerances,
             raised: Vec::new(),
         })
+    }
+
+    /// Chooses the method of a run in which these entries of `x` are held, where the choice is open.
+    pub(crate) fn choose_method(
+        &self,
+        run: &mut RunOptions<AnyMethod>,
+        held: &[usize],
+        objective: &CostKind,
+    ) -> Result<(), CalibrationError> {
+        let is_free = |i: &usize| {
+            let parameter = &self.parameters()[*i];
+            !held.contains(i) && parameter.lower() < parameter.upper()
+        };
+        let all = 0..self.parameters().len();
+        let bound = |i: usize, side: fn(&Parameter) -> f64| {
+            if is_free(&i) { side(&self.parameters()[i]) } else { 0.0 }
+        };
+        let class = ProblemClass {
+            lower: &all.clone().map(|i| bound(i, Parameter::lower)).collect::<Vec<_>>(),
+            upper: &all.clone().map(|i| bound(i, Parameter::upper)).collect::<Vec<_>>(),
+            // What is held can have any value, and does not choose the method.
+            kinds: &all.filter(is_free).map(|i| self.parameters()[i].value_kind()).collect::<Vec<_>>(),
+            residuals: objective.has_residuals(),
+            search: Search::Local,
+        };
+        run.choose(&class).map_err(|error| self.name_parameter(error))
     }
 
     /// The optimiser knows parameters by number, the user by name.

@@ -1,6 +1,7 @@
 //! Methods by name or number, for callers that choose at run time.
 
 mod barrier;
+pub(crate) mod by_name;
 mod cma_es;
 mod differential_evolution;
 mod genetic;
@@ -29,8 +30,11 @@ use crate::error::Error;
 use crate::linear_model::LinearModel;
 use crate::method::{Batch, Details, Method, MethodOptions, ProblemClass, Setup, Status};
 use crate::option_texts;
+use crate::record::{Record, Value};
 use base::RunContext;
+use by_name::{COMMON, collect, described, edits, folded, place, tagged, unknown};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 use std::fmt;
 use std::str::FromStr;
 
@@ -250,11 +254,6 @@ fn listed(asked: &str, is_it: impl Fn(&Listed) -> bool) -> Result<AnyMethod, Err
     Err(Error::UnknownMethod { name: asked.to_owned(), hint, known: known.join(", ") })
 }
 
-/// A name without what people write differently: the case of letters, and what stands between words.
-fn folded(name: &str) -> String {
-    name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
-}
-
 /// The method that somebody means who writes this: the one that solves the same problems, or the one whose name differs by few
 /// letters.
 fn meant(asked: &str) -> Option<&'static str> {
@@ -268,20 +267,6 @@ fn meant(asked: &str) -> Option<&'static str> {
     let near = names.map(|(name, known)| (edits(&asked, &known), known.len(), name)).min()?;
     // A third of the letters may differ.
     (3 * near.0 <= near.1.max(asked.chars().count())).then_some(near.2)
-}
-
-/// How many letters must be changed, added or taken away to make one word of the other (Levenshtein, Sov. Phys. Dokl. 10, 1966).
-fn edits(from: &str, to: &str) -> usize {
-    let to: Vec<char> = to.chars().collect();
-    let mut row: Vec<usize> = (0..=to.len()).collect();
-    for (i, c) in from.chars().enumerate() {
-        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
-        for (j, d) in to.iter().enumerate() {
-            let least = (diagonal + usize::from(c != *d)).min(row[j] + 1).min(row[j + 1] + 1);
-            diagonal = std::mem::replace(&mut row[j + 1], least);
-        }
-    }
-    row[to.len()]
 }
 
 impl Default for AnyMethod {
@@ -346,11 +331,14 @@ macro_rules! each {
 }
 
 /// No method in particular: the run chooses one ([`AnyMethod::chosen_for`]), and its report says which and why.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 #[non_exhaustive]
 pub struct Auto {
     /// What is looked for: the minimum next to the start (default), or the best in the box.
     pub search: Search,
+    /// Options for the method that will be chosen, by name; those of Nelder-Mead alone choose Nelder-Mead.
+    pub options: Record,
 }
 
 impl AnyMethod {
@@ -365,7 +353,7 @@ impl AnyMethod {
     /// # Ok::<(), dfo::Error>(())
     /// ```
     pub fn auto(search: Search) -> Self {
-        Self::Auto(Auto { search })
+        Self::Auto(Auto { search, ..Auto::default() })
     }
 
     /// The method for a problem of this class:
@@ -417,7 +405,7 @@ impl AnyMethod {
     }
 
     /// The method that a setup alone chooses, which does not say whether there are residuals.
-    fn of_setup(auto: Auto, setup: &Setup) -> Result<Self, Error> {
+    fn of_setup(auto: &Auto, setup: &Setup) -> Result<Self, Error> {
         let space = &setup.space;
         let mut kinds = vec![Kind::Continuous; space.n()];
         for (k, &index) in space.free().iter().enumerate() {
@@ -425,7 +413,86 @@ impl AnyMethod {
         }
         let (lower, upper) = (space.bounds().lower(), space.bounds().upper());
         let class = ProblemClass { lower, upper, kinds: &kinds, residuals: false, search: auto.search };
-        Ok(Self::chosen_for(&class)?.0)
+        Ok(auto.choose(&class)?.0)
+    }
+}
+
+impl AnyMethod {
+    /// The names of the options of this method.
+    pub fn option_names(&self) -> Result<BTreeSet<String>, Error> {
+        let mut names = BTreeSet::new();
+        collect(&Value::of(self)?, &mut names);
+        // Only L-SHADE plans with it.
+        if self.name() == "de-classic" {
+            names.remove("budget");
+        }
+        Ok(names)
+    }
+
+    /// The same method with these options, and as it is in all others.
+    ///
+    /// # Errors
+    /// An option that the method does not have, or a value that it cannot have.
+    pub fn with_options(self, options: &Record) -> Result<Self, Error> {
+        if let Self::Auto(Auto { search, .. }) = self {
+            // None leaves an option to the method.
+            let given = options.iter().filter(|(_, value)| **value != Value::Nothing);
+            let options = given.map(|(option, value)| (option.clone(), value.clone())).collect();
+            return Ok(Self::Auto(Auto { search, options }));
+        }
+        let (name, known) = (self.name(), self.option_names()?);
+        let (mut method, mut form) = (self.clone(), Value::of(&self)?);
+        for (option, given) in options {
+            let place = if known.contains(option) { place(&mut form, option) } else { None };
+            let Some(place) = place else { return Err(unknown(name, option, &known).into()) };
+            let is_optional = *place == Value::Nothing;
+            *place = tagged(option, given.clone());
+            method = form.read("method").map_err(|mut error| {
+                if let Some(what) = described(option) {
+                    error.must_be(what);
+                }
+                if is_optional {
+                    error.or_none();
+                }
+                error.of_method(name, option, given)
+            })?;
+        }
+        Ok(method)
+    }
+
+    /// The names of the options that there are, of any method or of every run.
+    pub fn all_option_names() -> Result<BTreeSet<String>, Error> {
+        let mut names: BTreeSet<String> = COMMON.into_iter().map(str::to_owned).collect();
+        for method in &LIST {
+            names.extend((method.options)().option_names()?);
+        }
+        Ok(names)
+    }
+}
+
+impl Auto {
+    /// The method for a problem, with the options that were given, and the reason. Options of Nelder-Mead alone choose Nelder-Mead,
+    /// where it can search.
+    fn choose(&self, class: &ProblemClass<'_>) -> Result<(AnyMethod, String), Error> {
+        let simplex = AnyMethod::from(NelderMead::default());
+        let can_take_simplex =
+            self.search == Search::Local && class.kinds.iter().all(|kind| *kind == Kind::Continuous);
+        let (mut method, reason) = AnyMethod::chosen_for(&ProblemClass { search: self.search, ..*class })?;
+        let mut reason = reason.to_owned();
+        let own = method.option_names()?;
+        let plan = match self.options.get("batch") {
+            Some(Value::Text(plan)) if plan != "workers" => Some(plan),
+            _ => None,
+        };
+        if can_take_simplex && let Some(plan) = plan {
+            (method, reason) = (simplex, format!("the batch plan '{plan}' is one of nelder-mead"));
+        } else if can_take_simplex && let Some(option) = self.options.keys().find(|o| !own.contains(*o)) {
+            let of_simplex = simplex.option_names()?;
+            if self.options.keys().all(|option| of_simplex.contains(option)) {
+                (method, reason) = (simplex, format!("the option '{option}' is one of nelder-mead"));
+            }
+        }
+        Ok((method.with_options(&self.options)?, reason))
     }
 }
 
@@ -433,11 +500,11 @@ impl MethodOptions for Auto {
     type Method = BoxedMethod;
 
     fn begin(&self, setup: &Setup) -> Result<BoxedMethod, Error> {
-        AnyMethod::of_setup(*self, setup)?.begin(setup)
+        AnyMethod::of_setup(self, setup)?.begin(setup)
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<BoxedMethod, Error> {
-        AnyMethod::of_setup(*self, setup)?.restore(setup, state)
+        AnyMethod::of_setup(self, setup)?.restore(setup, state)
     }
 
     fn describe(&self) -> Vec<(String, String)> {
@@ -472,9 +539,9 @@ impl MethodOptions for AnyMethod {
         each!(self, o => o.restore(setup, state).map(BoxedMethod::new))
     }
 
-    fn chosen(&self, class: &ProblemClass<'_>) -> Result<Option<(Self, &'static str)>, Error> {
+    fn chosen(&self, class: &ProblemClass<'_>) -> Result<Option<(Self, String)>, Error> {
         match self {
-            Self::Auto(auto) => Self::chosen_for(&ProblemClass { search: auto.search, ..*class }).map(Some),
+            Self::Auto(auto) => auto.choose(class).map(Some),
             _ => Ok(None),
         }
     }

@@ -8,7 +8,7 @@ import os
 import sys
 import warnings
 from contextlib import closing, nullcontext
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, SupportsFloat, SupportsIndex
 
 import numpy as np
@@ -16,14 +16,14 @@ import numpy.typing as npt
 
 from . import _check, _core, _engine, _evaluate, _objective, _options, _stages, _worker, _worth
 from ._errors import CalibrationWarning
-from ._experiment import Inputs, Names, Settings, Weights, collected, path_of
+from ._experiment import Inputs, Names, Weights, collected, path_of
 from ._files import OpenOptions
 from ._fit import Fit
 from ._fmin import Callback, check_callback, combine, listen
 from ._keywords import also_called, argument_names, explained, given_once
 from ._live import DELAY, LiveLine, is_watched
 from ._parameter import Parameter
-from ._point import FloatArray, Point
+from ._point import Point
 from ._progress import Printer
 from ._result import OptimizeResult
 from ._stages import Stage
@@ -203,19 +203,19 @@ class Calibration(Point):
                 raise TypeError(
                     f"parameters must be a list of pydfo.Parameter(name, start, lower, upper), not of {_options.show(parameter)}"
                 )
-        settings = Settings(
-            kind=_options.choice("kind", getattr(model, "kind", "auto") if kind is None else kind),
-            timeout=_options.optional_number("timeout", timeout),
-            relative_tolerance=_options.optional_number("relative_tolerance", relative_tolerance),
-            solver=_solver(solver),
-            step_size=_options.optional_number("step_size", step_size),
-            max_step=_options.optional_number("max_step", max_step),
-            chattering=_options.choice("chattering", chattering),
-            input_derivatives=_options.flag("input_derivatives", input_derivatives),
-            isolation=_options.choice("isolation", isolation),
-            memory_limit=_options.limit("memory_limit", memory_limit, 1),
-            sandbox=_options.flag("sandbox", sandbox),
-        )
+        settings: dict[str, Any] = {
+            "kind": getattr(model, "kind", "auto") if kind is None else kind,
+            "timeout": timeout,
+            "relative_tolerance": relative_tolerance,
+            "solver": _solver(solver),
+            "step_size": step_size,
+            "max_step": max_step,
+            "chattering": chattering,
+            "input_derivatives": input_derivatives,
+            "isolation": isolation,
+            "memory_limit": memory_limit,
+            "sandbox": sandbox,
+        }
         self._model = path_of(model)
         self._opened: OpenOptions | None = getattr(model, "_opened", None)
         opened = getattr(model, "_fmu", None)
@@ -229,7 +229,7 @@ class Calibration(Point):
         self._native = _core.Calibration(source, experiments, settings, list(self._parameters))
         for warning in self._native.warnings():
             warnings.warn(warning, CalibrationWarning, stacklevel=3)
-        if settings.isolation == "process" and not _worker.is_known:
+        if isolation == "process" and not _worker.is_known:
             said = f"the FMU runs in this process: no Python interpreter is found to start others (sys.executable is {sys.executable!r})"
             warnings.warn(said, CalibrationWarning, stacklevel=2)
         given = {name for parameter in self._parameters for name in (parameter.name, *(parameter.variables or ()))}
@@ -394,42 +394,36 @@ class Calibration(Point):
         if own.get("batch") == "workers":
             own["batch"] = count or _options.all_cores()
         cost = _objective.built(objective, self)
-        limits = _options.Limits.check(
-            ("max_evaluations", max_evaluations), ("max_iterations", max_iterations), max_time, target
-        )
 
-        def build(method: str, own: Mapping[str, Any], limits: _options.Limits, free: Callable[[str], bool]) -> _options.Options:
-            return _options.build(
+        def record(method: str, own: Mapping[str, Any], **more: Any) -> _options.Record:
+            return _options.record(
                 Calibration.fit,
                 method,
                 own,
                 len(self.names),
-                limits,
-                workers=count,
                 rng=rng,
                 checkpoint=checkpoint,
-                resume=resume,
-                bounds=self._bounds(),
-                search=search,
-                residuals=cost.has_residuals,
                 function=() if cost.function is None else (cost.function,),
-                parameter_kinds=[
-                    kind
-                    for name, (lower, upper, kind) in zip(self.names, self._native.bounds())
-                    if lower < upper and (free(name) or free(name.partition("[")[0]))
-                ],
+                workers=count,
+                resume=resume,
+                search=search,
+                **more,
             )
 
-        built = build(method, own, limits, lambda _: True)
-        of_stages = None
-        if stages is not None:
-            of_stages = _stages.built(
-                _stages.collected(stages),
-                method,
-                own,
-                lambda stage, method, own: build(method, own, stage.limits, lambda name: name in stage.parameters),
-            )
-        counted = (_options.choice("loss", loss), _options.number("f_scale", f_scale))
+        asked = record(
+            method,
+            own,
+            max_evaluations=max_evaluations,
+            max_iterations=max_iterations,
+            max_time=max_time,
+            target=target,
+            loss=loss,
+            f_scale=f_scale,
+            covariance=covariance,
+            preflight=preflight,
+            noise=noise,
+        )
+        of_stages = None if stages is None else _stages.records(_stages.collected(stages), method, own, record)
         begin = self._values(start)
         printer = Printer(self.names)
         shown = disp if disp is None else _options.flag("disp", disp)
@@ -448,18 +442,8 @@ class Calibration(Point):
             setattr(observer, "tick", live.tick)
         try:
             with closing(live) if live else nullcontext():
-                asked = {
-                    "start": begin,
-                    "observer": observer,
-                    "loss": counted,
-                    "stages": of_stages,
-                    "objective": cost,
-                    "covariance": covariance,
-                    "preflight": _options.flag("preflight", preflight),
-                    "noise": _options.choice("noise", noise),
-                    "engine": engine,
-                }
-                result = self._native.fit(built, asked)
+                objects = {"start": begin, "observer": observer, "stages": of_stages, "objective": cost, "engine": engine}
+                result = self._native.fit(asked, objects)
         except BaseException as e:
             # What the native code attached becomes a fit, too.
             for name in ("result", "partial_result"):
@@ -632,28 +616,22 @@ class Calibration(Point):
             There is only one recording, or there are more folds than recordings.
         """
         own = given_once(_options.dictionary(options), Calibration.cross_validate, x_tol=x_tol, f_tol=f_tol)
-        built = _options.build(
+        asked = _options.record(
             Calibration.fit,
             method,
             own,
             len(self.names),
-            _options.Limits.check(("max_evaluations", max_evaluations), ("max_iterations", max_iterations), max_time, None),
-            workers=_options.worker_count("workers", workers, None),
             rng=rng,
-            checkpoint=None,
-            resume="auto",
-            bounds=self._bounds(),
-            residuals=True,
-            parameter_kinds=[p.kind for p in self._parameters if not p.fixed],
+            workers=_options.worker_count("workers", workers, None),
+            max_evaluations=max_evaluations,
+            max_iterations=max_iterations,
+            max_time=max_time,
+            loss=loss,
+            f_scale=f_scale,
+            noise=noise,
+            folds=folds,
         )
-        counted = (_options.choice("loss", loss), _options.number("f_scale", f_scale))
-        asked = (counted, _options.choice("noise", noise))
-        return CrossValidation(**_core.cross_validate(self._native, _options.limit("folds", folds, 0), built, asked))
-
-    def _bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper bounds of the parameters; equal where one is fixed."""
-        bounds = self._native.bounds()
-        return np.array([lower for lower, _, _ in bounds]), np.array([upper for _, upper, _ in bounds])
+        return CrossValidation(**_core.cross_validate(self._native, asked))
 
     def _fit(self, result: OptimizeResult, start: list[float]) -> Fit:
         return Fit(self, result, np.array(start), self._native.known_solver())

@@ -186,23 +186,6 @@ def _errors_name(experiment: str | None) -> Iterator[None]:
         raise
 
 
-@dataclass(frozen=True)
-class Settings:
-    """How simulations are made, as the native code reads it."""
-
-    kind: str
-    timeout: float | None
-    relative_tolerance: float | None
-    solver: str
-    step_size: float | None
-    max_step: float | None
-    input_derivatives: bool
-    chattering: str
-    isolation: str
-    memory_limit: int | None
-    sandbox: bool
-
-
 def collected(data: Any, outputs: Any, parameters: Any, inputs: Any, **own: Any) -> tuple[list[Experiment], Any]:
     """The experiments and the parameters of a calibration, from its arguments: one recording with what belongs to it, or
     experiments, which the parameters follow."""

@@ -7,7 +7,6 @@ import logging
 import operator
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, SupportsFloat, SupportsIndex
 
 import numpy as np
@@ -223,22 +222,22 @@ def fmin(
         raise ValueError("nbr_cores and workers are two names for one argument: give one of them")
     name, given = ("nbr_cores", nbr_cores) if workers is None else ("workers", workers)
     batches, count = _evaluate.shared_out(func, name, given, 1)
-    limits = _options.Limits.check(("max_fevals", max_fevals), ("max_iters", max_iters), max_time, target)
-    if limits.max_evaluations is None:
-        # The user asked for no limit: the optimiser's own does not apply.
-        limits = replace(limits, unlimited=True)
-    built = _options.build(
+    asked = _options.record(
         fmin,
         method,
         own,
         n,
-        limits,
-        workers=count,
         rng=rng,
         checkpoint=checkpoint,
-        resume=resume,
-        bounds=(lower, upper),
         function=(func,),
+        workers=count,
+        max_fevals=max_fevals,
+        max_iters=max_iters,
+        max_time=max_time,
+        target=target,
+        # Who asks for no limit has none, not even the method's own.
+        unlimited=True,
+        resume=resume,
     )
     listeners: list[Callback] = []
     if debug:
@@ -262,7 +261,7 @@ def fmin(
             None if start is None else start.tolist(),
             lower.tolist(),
             upper.tolist(),
-            built,
+            asked,
             tolerant=on_error == "fail",
             observer=combine(listeners),
             batches=batches is not None,

@@ -70,13 +70,9 @@ _ABSENT: Final[Mapping[str, str]] = {
 }
 
 
-def _option_names() -> set[str]:
-    return set(_core.option_names())
-
-
 def _hint(name: str, arguments: Collection[str], among_options: bool = False) -> str:
     """What is meant, perhaps, of the arguments of a function and, where it has that argument, its ``options``."""
-    options = _option_names() if "options" in arguments else set()
+    options = _core.option_names() if "options" in arguments else set()
     for ours in (name, *_FOREIGN.get(name, ())):
         parts = ours.split(" and ")
         plural = "s" if len(parts) > 1 else ""
@@ -161,7 +157,7 @@ def positional_until(count: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 def check_options(options: Collection[str], function: Callable[..., Any]) -> None:
     """Refuses options that are arguments of `function`, and such as other tools have, saying what they are called here."""
-    arguments, known = argument_names(function), _option_names()
+    arguments, known = argument_names(function), _core.option_names()
     for name in options:
         if name in known:
             continue

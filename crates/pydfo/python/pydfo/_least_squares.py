@@ -136,33 +136,35 @@ def least_squares(
     given = given_once(_options.dictionary(options), least_squares, x_tol=x_tol, f_tol=f_tol, batch=batch)
     if given.get("batch") == "workers":
         given["batch"] = count
-    limits = (max_evaluations, max_iterations, max_time, target)
     bounds = _options.bounds_of_least_squares(bounds, start)
-    begin, lower, upper, built = describe(
+    begin, lower, upper, asked = describe(
         least_squares,
         "least-squares" if search == "local" else "auto",
         start,
         bounds,
         given,
-        count,
-        rng,
-        limits,
-        checkpoint,
-        resume,
-        search=search,
-        residuals=True,
+        rng=rng,
+        checkpoint=checkpoint,
         function=(fun, extra),
+        workers=count,
+        max_evaluations=max_evaluations,
+        max_iterations=max_iterations,
+        max_time=max_time,
+        target=target,
+        resume=resume,
+        search=search,
+        loss=loss,
+        f_scale=f_scale,
     )
     result = _core.minimize(
         batches or called,
         begin,
         lower,
         upper,
-        built,
+        asked,
         tolerant=on_error == "fail",
         observer=None if callback is None else listen(callback),
         batches=batches is not None,
-        loss=(_options.choice("loss", loss), _options.number("f_scale", f_scale)),
     )
     assert isinstance(result, LeastSquaresResult)
     _log.info("least_squares: %s; cost = %r after %d evaluations", result.message, result.cost, result.nfev)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, Literal, SupportsFloat, SupportsIndex
 
 import numpy as np
@@ -185,26 +185,29 @@ def minimize(
         if batches is not None:
             raise ValueError("vectorized=True evaluates whole batches itself; workers must be a number then")
         batches = _evaluate.vectorized(called)
-    start, lower, upper, built = describe(
+    start, lower, upper, asked = describe(
         minimize,
         method,
         x0,
         bounds,
         options,
-        count,
-        rng,
-        (max_evaluations, max_iterations, max_time, target),
-        checkpoint,
-        resume,
-        search=search,
+        rng=rng,
+        checkpoint=checkpoint,
         function=(fun, extra),
+        workers=count,
+        max_evaluations=max_evaluations,
+        max_iterations=max_iterations,
+        max_time=max_time,
+        target=target,
+        resume=resume,
+        search=search,
     )
     result: OptimizeResult = _core.minimize(
         batches or called,
         start,
         lower,
         upper,
-        built,
+        asked,
         tolerant=on_error == "fail",
         observer=None if callback is None else listen(callback),
         batches=batches is not None,
@@ -220,37 +223,9 @@ def describe(
     x0: npt.ArrayLike | None,
     bounds: Any,
     options: Mapping[str, Any] | None,
-    workers: int | None,
-    rng: int | np.random.Generator | None,
-    limits: Sequence[SupportsFloat | None],
-    checkpoint: str | os.PathLike[str] | None,
-    resume: str,
-    search: str = "local",
-    residuals: bool = False,
-    function: Sequence[Any] = (),
-) -> tuple[list[float] | None, list[float], list[float], _options.Options]:
+    **arguments: Any,
+) -> tuple[list[float] | None, list[float], list[float], _options.Record]:
     """Start, bounds and options of a run, as the native code takes them; `of` is the function that the user called."""
     start = None if x0 is None else _options.vector("x0", x0).tolist()
     lower, upper = _options.pairs_of_bounds(bounds, None if start is None else len(start))
-    max_evaluations, max_iterations, max_time, target = limits
-    checked = _options.Limits.check(
-        ("max_evaluations", max_evaluations), ("max_iterations", max_iterations), max_time, target
-    )
-    if not function:
-        _options.tell_of_checkpoint(checkpoint, resume, options)
-    built = _options.build(
-        of,
-        method,
-        options,
-        len(lower),
-        checked,
-        workers=workers,
-        rng=rng,
-        checkpoint=checkpoint,
-        resume=resume,
-        bounds=(lower, upper),
-        search=search,
-        residuals=residuals,
-        function=function,
-    )
-    return start, lower.tolist(), upper.tolist(), built
+    return start, lower.tolist(), upper.tolist(), _options.record(of, method, options, len(lower), **arguments)

@@ -94,9 +94,24 @@ class Optimizer:
         search: Literal["local", "global"] = "local",
     ) -> None:
         count = _options.worker_count("workers", workers, 1)
-        limits = (max_evaluations, max_iterations, max_time, target)
+        _options.tell_of_checkpoint(checkpoint, resume, options)
         self._native = _core.Optimizer(
-            *describe(Optimizer, method, x0, bounds, options, count, rng, limits, checkpoint, resume, search)
+            *describe(
+                Optimizer,
+                method,
+                x0,
+                bounds,
+                options,
+                rng=rng,
+                checkpoint=checkpoint,
+                workers=count,
+                max_evaluations=max_evaluations,
+                max_iterations=max_iterations,
+                max_time=max_time,
+                target=target,
+                resume=resume,
+                search=search,
+            )
         )
 
     def ask(self, k: SupportsIndex | None = None) -> Asked:

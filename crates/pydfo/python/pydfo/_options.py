@@ -9,7 +9,6 @@ import os
 import reprlib
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any, SupportsFloat, SupportsIndex
 
 import numpy as np
@@ -48,153 +47,38 @@ def beginning(text: str) -> str:
 SAMPLERS = tuple(name for name, needs_start in _core.method_names() if not needs_start)
 
 
-@dataclass(frozen=True)
-class Options:
-    """The options of a run, as the native code reads them; None is no limit, or the default."""
-
-    method: str
-    method_options: dict[str, Any]
-    method_reason: str | None
-    x_tol: float | None
-    f_tol: float | None
-    stop: str | None
-    tolerances: str | None
-    max_evaluations: int | None
-    max_iterations: int | None
-    max_time: float | None
-    target: float | None
-    workers: int | None
-    seed: int | None = None
-    checkpoint: str | None = None
-    resume: str = "auto"
-    checkpoint_interval: float | None = None
-    cache: int | None = None
-    trace_limit: int | None = None
-    max_failed: float | None = None
-    scale: list[str] = field(default_factory=list)
-    nominal: list[float | None] = field(default_factory=list)
-    kinds: list[str] = field(default_factory=list)
-    known: list[tuple[list[float], float]] = field(default_factory=list)
-    known_problem: str | None = None
-    problem: str | None = None
-    #: The hash of the code of the function that is minimised and True, or why there is none and False.
-    code: tuple[str, bool] | None = None
-    unlimited: bool = False
+#: What a user asks for, by name: the native code knows the names, the defaults and what values may be.
+Record = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Limits:
-    """The limits of a run, checked."""
-
-    max_evaluations: int | None
-    max_iterations: int | None
-    max_time: float | None
-    target: float | None
-    #: Whether the method's own limits hold where there is none.
-    unlimited: bool = False
-
-    @classmethod
-    def check(
-        cls,
-        evaluations: tuple[str, SupportsFloat | None],
-        iterations: tuple[str, SupportsFloat | None],
-        max_time: SupportsFloat | None,
-        target: SupportsFloat | None,
-    ) -> Limits:
-        """Checks four limits; the first two come with the names under which the user knows them."""
-        return cls(
-            max_evaluations=limit(*evaluations, 1),
-            max_iterations=limit(*iterations, 0),
-            max_time=optional_number("max_time", max_time),
-            target=optional_number("target", target),
-        )
-
-
-def build(
+def record(
     of: Callable[..., Any],
     method: str,
     options: Mapping[str, Any] | None,
     n: int,
-    limits: Limits,
     *,
-    workers: int | None,
-    rng: int | np.random.Generator | None,
-    checkpoint: str | os.PathLike[str] | None,
-    resume: str,
-    bounds: tuple[FloatArray, FloatArray],
-    search: str = "local",
-    residuals: bool = False,
-    parameter_kinds: Sequence[str] = (),
+    rng: int | np.random.Generator | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
     function: Sequence[Any] = (),
-) -> Options:
-    """What the user of the function `of` chose about a run over `n` parameters. What is not the method's own is taken out of
-    `options`. With `method` "auto" the native code chooses: by bounds, kinds, whether there are residuals, and what the search is
-    for. `function`: what is minimised, and what it is called with; nothing where no Python function is."""
-    own = dictionary(options)
-    _keywords.check_options(own, of)
-
-    def take(name: str) -> Any:
-        return own.pop(name, None)
-
-    x_tol, f_tol = (optional_number(name, take(name)) for name in ("x_tol", "f_tol"))
-    stop, tolerances = (None if own.get(name) is None else choice(name, own[name]) for name in ("stop", "tolerances"))
-    own = {name: value for name, value in own.items() if name not in ("stop", "tolerances")}
-    cache, trace_limit = limit("cache", take("cache"), 0), limit("trace_limit", take("trace_limit"), 1)
-    max_failed = optional_number("max_failed", take("max_failed"))
-    scale, kinds = per_parameter("scale", take("scale"), n), per_parameter("kinds", take("kinds"), n)
-    nominal = take("nominal")
-    interval, (known, known_problem) = take("checkpoint_interval"), warm_start(take("warm_start"), n)
-    if checkpoint is None and (resume == "require" or interval is not None):
-        what = f"resume={resume!r}" if resume == "require" else f"checkpoint_interval = {show(interval)}"
-        raise ValueError(f"{what} has no effect without a checkpoint: give its file, checkpoint=...")
-    problem = take("problem")
-    if own.get("initial_simplex") is not None:
-        vertices, steps = simplex(own["initial_simplex"], n)
-        own["initial_simplex"] = vertices if steps is None else steps
-    name, search, reason = method_name(method), choice("search", search), None
-    if search not in ("local", "global"):
-        raise ValueError(f"search = {search!r} is none of 'local', 'global'")
-    if name == "auto":
-        plan, of_parameters = own.get("batch"), kinds or list(parameter_kinds)
-        if isinstance(plan, str) and plan != "workers" and search == "local" and set(of_parameters) <= {"continuous"}:
-            name, reason = "nelder-mead", f"the batch plan {plan!r} is one of nelder-mead"
-        else:
-            lower, upper = (side.tolist() for side in bounds)
-            given = [key for key in own if own[key] is not None]
-            name, chosen, reason = _core.auto_method(of_parameters, lower, upper, residuals, search, given)
-            own = {**dict(chosen), **own}
-    elif search == "global":
-        raise ValueError(f"search='global' leaves the choice of the method to the run; with method={method!r} leave it out")
-    return Options(
-        method=name,
-        method_options=own,
-        method_reason=reason,
-        x_tol=x_tol,
-        f_tol=f_tol,
-        stop=stop,
-        tolerances=tolerances,
-        max_evaluations=limits.max_evaluations,
-        max_iterations=limits.max_iterations,
-        max_time=limits.max_time,
-        target=limits.target,
-        workers=workers,
-        seed=seed(rng),
-        checkpoint=None if checkpoint is None else os.fspath(checkpoint),
-        resume=choice("resume", resume),
-        checkpoint_interval=optional_number("checkpoint_interval", interval),
-        cache=cache,
-        trace_limit=trace_limit,
-        max_failed=max_failed,
-        scale=scale,
-        nominal=[] if nominal is None else numbers_or_none("nominal", nominal, n),
-        kinds=kinds,
-        known=known,
-        known_problem=known_problem,
-        problem=None if problem is None else choice("problem", problem),
+    **arguments: Any,
+) -> Record:
+    """What the user of the function `of` asks for of a run over `n` parameters: the options, with the arguments that name more.
+    `function`: what is minimised, and what it is called with; nothing where no Python function is."""
+    asked = dictionary(options)
+    _keywords.check_options(asked, of)
+    if asked.get("warm_start") is not None:
+        points, problem = warm_start(asked["warm_start"], n)
+        asked["warm_start"] = [{"x": x, "cost": cost, "residuals": [], "problem": problem} for x, cost in points]
+    if asked.get("initial_simplex") is not None:
+        check_simplex(asked["initial_simplex"], n)
+    asked.update(arguments, method=choice("method", method), seed=seed(rng))
+    if checkpoint is not None:
+        asked["checkpoint"] = os.fspath(checkpoint)
         # A problem with a name is the user's word for what is minimised.
-        code=_identity.of_code(*function) if function and checkpoint is not None and problem is None else None,
-        unlimited=limits.unlimited,
-    )
+        if function and asked.get("problem") is None:
+            text, is_hash = _identity.of_code(*function)
+            asked["code"] = {"hash" if is_hash else "unknown": text}
+    return asked
 
 
 def tell_of_checkpoint(checkpoint: str | os.PathLike[str] | None, resume: str, options: Mapping[str, Any] | None) -> None:
@@ -233,16 +117,6 @@ def seed(rng: int | np.random.Generator | None) -> int | None:
     if not 0 <= value < 2**64:
         raise ValueError(f"rng = {value} must be from 0 to 2**64 - 1")
     return value
-
-
-def per_parameter(name: str, value: Sequence[str] | str | None, n: int) -> list[str]:
-    """A word for each parameter; one word holds for all."""
-    if value is None:
-        return []
-    words = [value] * n if isinstance(value, str) else [choice(name, word) for word in value]
-    if len(words) != n:
-        raise ValueError(f"{name} has {len(words)} values for {n} parameters")
-    return words
 
 
 def warm_start(value: Any, n: int) -> tuple[list[tuple[list[float], float]], str | None]:
@@ -420,16 +294,8 @@ def bound(name: str, value: npt.ArrayLike | Sequence[float | None] | None, n: in
     return array.copy()
 
 
-def numbers_or_none(name: str, value: npt.ArrayLike | Sequence[float | None], n: int) -> list[float | None]:
-    """A number per parameter; None where there is none to give; one number holds for all."""
-    given = [v is not None for v in value] if isinstance(value, (list, tuple)) else [True] * n
-    return [v if is_given else None for v, is_given in zip(bound(name, value, n, np.nan).tolist(), given)]
-
-
-def simplex(value: npt.ArrayLike | None, n: int) -> tuple[list[list[float]] | None, list[float] | None]:
-    """Vertices or steps of an initial simplex from the argument ``initial_simplex``."""
-    if value is None:
-        return None, None
+def check_simplex(value: npt.ArrayLike, n: int) -> None:
+    """Refuses what is neither vertices nor steps of a simplex."""
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -437,14 +303,11 @@ def simplex(value: npt.ArrayLike | None, n: int) -> tuple[list[list[float]] | No
     if not np.isfinite(array).all():
         index = np.argwhere(~np.isfinite(array))[0].tolist()
         raise ValueError(f"initial_simplex{index} = {array[tuple(index)]} must be finite")
-    if array.ndim == 2 and array.shape[1] == n:
-        return array.tolist(), None
-    if array.shape == (n,):
-        return None, array.tolist()
-    raise ValueError(
-        f"initial_simplex of shape {array.shape}: either vertices, shape ({n + 1}, {n}), or one step per parameter, "
-        f"shape ({n},), is needed"
-    )
+    if array.shape != (n,) and not (array.ndim == 2 and array.shape[1] == n):
+        raise ValueError(
+            f"initial_simplex of shape {array.shape}: either vertices, shape ({n + 1}, {n}), or one step per parameter, "
+            f"shape ({n},), is needed"
+        )
 
 
 def names(argument: str, given: Iterable[str]) -> list[str]:

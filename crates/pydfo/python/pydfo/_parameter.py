@@ -10,7 +10,7 @@ import numpy as np
 
 from . import _core
 from ._keywords import explained
-from ._options import choice, flag, names, number, optional_number, show
+from ._options import Record, names, number, show
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,9 @@ class Normal:
     def __post_init__(self) -> None:
         _numbers(self, mean=self.mean, sd=self.sd)
 
+    def _record(self) -> Record:
+        return {"normal": vars(self)}
+
 
 @dataclass(frozen=True)
 class LogNormal:
@@ -52,6 +55,12 @@ class LogNormal:
 
     def __post_init__(self) -> None:
         _numbers(self, median=self.median, sigma=self.sigma)
+
+    def _record(self) -> Record:
+        return {"log-normal": vars(self)}
+
+
+_PRIORS: dict[str, type[Normal | LogNormal]] = {"normal": Normal, "log-normal": LogNormal}
 
 
 def _numbers(prior: Normal | LogNormal, **given: object) -> None:
@@ -174,33 +183,47 @@ class Parameter:
         display_name: str | None = None,
         prior: Normal | LogNormal | None = None,
     ) -> None:
-        put = object.__setattr__
-        put(self, "name", choice("name", name))
-        put(self, "start", optional_number("start", start))
-        put(self, "lower", -np.inf if lower is None else number("lower", lower))
-        put(self, "upper", np.inf if upper is None else number("upper", upper))
-        put(self, "scale", choice("scale", scale))
-        put(self, "nominal", optional_number("nominal", nominal))
-        put(self, "kind", choice("kind", kind))
-        put(self, "fixed", flag("fixed", fixed))
-        put(self, "local", flag("local", local))
-        listed = [variables] if isinstance(variables, str) else variables
-        put(self, "variables", None if listed is None else tuple(names("variables", listed)))
-        for optional, text in (
-            ("delay_of", delay_of),
-            ("offset_of", offset_of),
-            ("tied_to", tied_to),
-            ("unit", unit),
-            ("display_name", display_name),
-        ):
-            put(self, optional, None if text is None else choice(optional, text))
-        put(self, "factor", number("factor", factor))
-        put(self, "offset", number("offset", offset))
-        put(self, "across_units", flag("across_units", across_units))
         if prior is not None and not isinstance(prior, (Normal, LogNormal)):
             raise TypeError(f"prior must be pydfo.Normal(mean, sd) or pydfo.LogNormal(median, sigma), not {show(prior)}")
-        put(self, "prior", prior)
-        _core.check_parameter(self)
+        listed = [variables] if isinstance(variables, str) else variables
+        asked: Record = {
+            "name": name,
+            "start": start,
+            "lower": lower,
+            "upper": upper,
+            "scale": scale,
+            "nominal": nominal,
+            "kind": kind,
+            "fixed": fixed,
+            "local": local,
+            "variables": None if listed is None else names("variables", listed),
+            "delay_of": delay_of,
+            "offset_of": offset_of,
+            "tied_to": tied_to,
+            "factor": factor,
+            "offset": offset,
+            "across_units": across_units,
+            "unit": unit,
+            "display_name": display_name,
+            "prior": None if prior is None else prior._record(),
+        }
+        checked = _core.check_parameter(asked)
+        checked.update(prior=prior, variables=None if listed is None else tuple(asked["variables"]))
+        checked.update(lower=-np.inf if checked["lower"] is None else checked["lower"])
+        checked.update(upper=np.inf if checked["upper"] is None else checked["upper"])
+        for field, value in checked.items():
+            object.__setattr__(self, field, value)
+
+    def _record(self) -> Record:
+        """As the native code takes it."""
+        return {**vars(self), "prior": None if self.prior is None else self.prior._record()}
+
+    @classmethod
+    def _of(cls, record: Record) -> Parameter:
+        """The parameter of a record of the native code's."""
+        prior = record["prior"]
+        of_kind = None if prior is None else _PRIORS[next(iter(prior))](**next(iter(prior.values())))
+        return cls(**{**record, "prior": of_kind})
 
     def __repr__(self) -> str:
         said = [repr(self.name)]

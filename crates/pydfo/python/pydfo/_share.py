@@ -107,7 +107,7 @@ def _loaded(
     native, result = _core.load_fit(path, content, fmu, functions)
     calibration = Calibration.__new__(Calibration)
     place, parameters = _core.parameters_of(native)
-    calibration._parameters = tuple(Parameter(**arguments) for arguments in parameters)
+    calibration._parameters = tuple(Parameter._of(record) for record in parameters)
     calibration._model = os.fspath(place)
     calibration._opened = opened
     calibration._functions = functions

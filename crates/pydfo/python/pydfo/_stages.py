@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, SupportsFloat
 
 from . import _options
@@ -44,23 +43,17 @@ class Stage:
         self.parameters = names(parameters, "a stage")
         self.windows = intervals("windows", windows)
         self.method = None if method is None else _options.method_name(method)
-        self.limits = _options.Limits.check(
-            ("max_evaluations", max_evaluations), ("max_iterations", max_iterations), max_time, target
-        )
+        self.limits = {
+            "max_evaluations": max_evaluations,
+            "max_iterations": max_iterations,
+            "max_time": max_time,
+            "target": target,
+        }
         given = {name: value for name, value in (("x_tol", x_tol), ("f_tol", f_tol)) if value is not None}
         self.options = {**_options.dictionary(options), **given}
 
     def __repr__(self) -> str:
         return f"Stage({', '.join(self.parameters)})"
-
-
-@dataclass(frozen=True)
-class BuiltStage:
-    """A stage as the native code reads it."""
-
-    parameters: list[str]
-    windows: list[tuple[float, float]]
-    options: _options.Options
 
 
 def names(value: Any, what: str) -> list[str]:
@@ -105,13 +98,13 @@ def collected(stages: Any) -> list[Stage]:
     return [stage if isinstance(stage, Stage) else Stage(names(stage, f"stage {k}")) for k, stage in enumerate(stages, 1)]
 
 
-def built(
-    stages: Sequence[Stage], method: str, own: Mapping[str, Any], build: Callable[[Stage, str, dict[str, Any]], _options.Options]
-) -> list[BuiltStage]:
+def records(
+    stages: Sequence[Stage], method: str, own: Mapping[str, Any], record: Callable[..., _options.Record]
+) -> list[_options.Record]:
     """The stages with what holds for all of them: `method` and the options `own` where a stage has no method of its own."""
     found = []
     for stage in stages:
         inherited = own if stage.method is None else {name: own[name] for name in ("x_tol", "f_tol", "stop") if name in own}
-        options = build(stage, stage.method or method, {**inherited, **stage.options})
-        found.append(BuiltStage(stage.parameters, stage.windows, options))
+        asked = record(stage.method or method, {**inherited, **stage.options}, **stage.limits)
+        found.append({**asked, "parameters": stage.parameters, "windows": stage.windows})
     return found

@@ -1,0 +1,129 @@
+//! Options of methods by their names, and where they stand in the serialised defaults of a method.
+
+use crate::record::{Record, RecordError, Value};
+use std::collections::BTreeSet;
+
+/// The options that every method has, by the names that users know.
+pub(crate) const COMMON: [&str; 13] = [
+    "cache",
+    "checkpoint_interval",
+    "f_tol",
+    "kinds",
+    "max_failed",
+    "nominal",
+    "problem",
+    "scale",
+    "stop",
+    "tolerances",
+    "trace_limit",
+    "warm_start",
+    "x_tol",
+];
+
+/// Whether a value has options of its own: a variant with fields, as an object with its name as the only key.
+fn is_variant(value: &Value) -> bool {
+    matches!(value, Value::Record(fields) if fields.values().all(|value| matches!(value, Value::Record(_))))
+}
+
+/// Adds the names of the options of a serialised method: those of a variant (the scheme of differential evolution) are options like the
+/// others.
+pub(super) fn collect(form: &Value, names: &mut BTreeSet<String>) {
+    let Value::Record(variants) = form else { return };
+    for fields in variants.values() {
+        let Value::Record(fields) = fields else { continue };
+        for (name, value) in fields {
+            match is_variant(value) {
+                true => collect(value, names),
+                false => _ = names.insert(name.clone()),
+            }
+        }
+    }
+}
+
+/// Where an option stands in a serialised method.
+pub(super) fn place<'f>(form: &'f mut Value, option: &str) -> Option<&'f mut Value> {
+    let Value::Record(variants) = form else { return None };
+    variants.values_mut().find_map(|fields| match fields {
+        Value::Record(fields) => fields.iter_mut().find_map(|(name, value)| match is_variant(value) {
+            true => place(value, option),
+            false => (name == option).then_some(value),
+        }),
+        _ => None,
+    })
+}
+
+/// The serialised form of an option whose variant its shape tells.
+pub(super) fn tagged(option: &str, value: Value) -> Value {
+    let variant = |name: &str, value| Value::Record(Record::from([(name.to_owned(), value)]));
+    match (option, value) {
+        ("coefficients", Value::List(values)) if values.len() == 4 => {
+            let names = ["reflection", "expansion", "contraction", "shrink"].map(str::to_owned);
+            variant("custom", Value::Record(names.into_iter().zip(values).collect()))
+        }
+        ("initial_simplex", Value::Nothing) => Value::Text("auto".to_owned()),
+        ("initial_simplex", Value::List(rows)) => {
+            let name = if matches!(rows.first(), Some(Value::List(_))) { "vertices" } else { "steps" };
+            variant(name, Value::List(rows))
+        }
+        ("restarts", Value::Nothing) => Value::Text("none".to_owned()),
+        ("selection", value @ (Value::Count(_) | Value::Number(_))) => variant("tournament", value),
+        ("selection", Value::Text(word)) if word.eq_ignore_ascii_case("fitness") => {
+            Value::Text("fitness-proportional".to_owned())
+        }
+        ("weight", value @ (Value::Count(_) | Value::Number(_))) => variant("fixed", value),
+        ("weight", value @ Value::List(_)) => variant("dither", value),
+        // A number that is not finite is none of an option.
+        (_, Value::Number(number)) if !number.is_finite() => Value::Other(number.to_string()),
+        (_, value) => value,
+    }
+}
+
+/// What an option of several shapes must be.
+pub(super) fn described(option: &str) -> Option<&'static str> {
+    Some(match option {
+        "coefficients" => "'auto', 'standard', 'adaptive', or (reflection, expansion, contraction, shrink)",
+        "initial_simplex" => "steps or vertices",
+        "resolution" => "one number per parameter",
+        "selection" => "'fitness', or a number of members: the size of a tournament",
+        "weight" => "a number or (low, high)",
+        _ => return None,
+    })
+}
+
+/// The error for an option that there is not, with the one that is most like it.
+pub(super) fn unknown(method: &'static str, option: &str, known: &BTreeSet<String>) -> RecordError {
+    let asked = folded(option);
+    let all = known.iter().map(String::as_str).chain(COMMON);
+    let near = all.map(|name| (edits(&asked, &folded(name)), name)).min();
+    let hint = match near {
+        // Two fifths of the letters may differ.
+        Some((edits, name)) if 5 * edits <= 2 * name.len().max(option.len()) => {
+            format!("; did you mean '{name}'?")
+        }
+        _ => ";".to_owned(),
+    };
+    let known = known.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
+    let common = COMMON.join(", ");
+    RecordError::message(format!(
+        "{method} has no option '{option}'{hint} it has {known}, and every method has {common}"
+    ))
+}
+
+/// A name without what people write differently: the case of letters, and what stands between words.
+pub(super) fn folded(name: &str) -> String {
+    name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
+}
+
+/// How many letters must be changed, added or taken away to make one word of the other (Levenshtein, Sov. Phys. Dokl. 10, 1966).
+pub(super) fn edits(from: &str, to: &str) -> usize {
+    let to: Vec<char> = to.chars().collect();
+    let mut row: Vec<usize> = (0..=to.len()).collect();
+    for (i, c) in from.chars().enumerate() {
+        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
+        for (j, d) in to.iter().enumerate() {
+            let least = (diagonal + usize::from(c != *d)).min(row[j] + 1).min(row[j + 1] + 1);
+            diagonal = std::mem::replace(&mut row[j + 1], least);
+        }
+    }
+    row[to.len()]
+}
