@@ -1,8 +1,5 @@
 //! Weighted sums of the stages of a step, many components at once.
 
-/// So many components are added up at once, each in the order of the stages as if it were alone.
-const BLOCK: usize = 8;
-
 /// The stages that have these weights, with them.
 pub(crate) fn terms<'k, const S: usize>(
     weights: &'k [(usize, f64)],
@@ -11,34 +8,52 @@ pub(crate) fn terms<'k, const S: usize>(
     weights.iter().map(|(j, w)| (*w, &k[*j][..]))
 }
 
-/// `out_i = finish(sum_j w_j k_j_i, x_i)`, over terms `(w_j, k_j)`.
+/// `out_i = finish(sum_j w_j k_j_i, x_i)`, over terms `(w_j, k_j)`: blocks of components are added up at once, each component in the
+/// order of the stages as if it were alone.
 #[inline(always)]
 fn sums<'k>(
     out: &mut [f64],
     x: &[f64],
     terms: impl Iterator<Item = (f64, &'k [f64])> + Clone,
+    finish: impl Fn(f64, f64) -> f64 + Copy,
+) {
+    let n = out.len();
+    let mut at = 0;
+    while n - at >= 8 {
+        block::<8>(at, out, x, terms.clone(), finish);
+        at += 8;
+    }
+    if n - at >= 4 {
+        block::<4>(at, out, x, terms.clone(), finish);
+        at += 4;
+    }
+    if n - at >= 2 {
+        block::<2>(at, out, x, terms.clone(), finish);
+        at += 2;
+    }
+    if n > at {
+        block::<1>(at, out, x, terms, finish);
+    }
+}
+
+/// The `B` components from place `at` on.
+#[inline(always)]
+fn block<'k, const B: usize>(
+    at: usize,
+    out: &mut [f64],
+    x: &[f64],
+    terms: impl Iterator<Item = (f64, &'k [f64])>,
     finish: impl Fn(f64, f64) -> f64,
 ) {
-    let whole = out.len() - out.len() % BLOCK;
-    let (blocks, rest) = out.split_at_mut(whole);
-    for (b, (out, x)) in blocks.chunks_exact_mut(BLOCK).zip(x.chunks_exact(BLOCK)).enumerate() {
-        let mut sum = [0.0; BLOCK];
-        for (w, k) in terms.clone() {
-            for (sum, k) in sum.iter_mut().zip(&k[b * BLOCK..][..BLOCK]) {
-                *sum += w * k;
-            }
-        }
-        for ((o, x), sum) in out.iter_mut().zip(x).zip(sum) {
-            *o = finish(sum, *x);
+    let (Some(out), Some(x)) = (out[at..].first_chunk_mut::<B>(), x[at..].first_chunk::<B>()) else { return };
+    let mut sum = [0.0; B];
+    for (w, k) in terms {
+        for (sum, k) in sum.iter_mut().zip(&k[at..at + B]) {
+            *sum += w * k;
         }
     }
-    for (i, (o, x)) in rest.iter_mut().zip(&x[whole..]).enumerate() {
-        let mut sum = 0.0;
-        for (w, k) in terms.clone() {
-            sum += w * k[whole + i];
-        }
-        *o = finish(sum, *x);
-    }
+    // All before any is written: then they are made at once.
+    *out = std::array::from_fn(|i| finish(sum[i], x[i]));
 }
 
 /// `out = x + h * sum_j w_j k_j`.
@@ -74,7 +89,7 @@ mod tests {
     fn components_do_not_see_each_other() {
         let wave = |a: f64, n| (0..n).map(|i| (a * (i as f64 + 0.3)).sin()).collect::<Vec<f64>>();
         let weights = [0.1, -2.7, 1e-9];
-        for n in [0, 1, 7, 8, 9, 24, 29] {
+        for n in [0, 1, 2, 3, 4, 5, 7, 8, 9, 14, 24, 29] {
             let (x, k) = (wave(1.0, n), [wave(0.7, n), wave(3.1, n), wave(-0.2, n)]);
             let terms = weights.iter().copied().zip(k.iter().map(Vec::as_slice));
             let (mut at, mut sum) = (vec![f64::NAN; n], vec![f64::NAN; n]);

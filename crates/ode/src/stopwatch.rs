@@ -22,8 +22,20 @@ struct Tally {
     usual: f64,
     /// How many in a row were fast.
     fast: u32,
+    /// So many of the next are not timed.
+    left: u32,
+}
+
+impl Tally {
+    /// Those that are not timed between two that are.
+    fn skipped(&self) -> u32 {
+        if self.fast >= TRUST { STRIDE - 1 } else { 0 }
+    }
+
     /// Those since the last one that was timed.
-    untimed: u32,
+    fn untimed(&self) -> f64 {
+        f64::from(self.skipped() - self.left)
+    }
 }
 
 /// Estimates the time that is spent in calls of `KINDS` kinds.
@@ -75,7 +87,7 @@ impl<const KINDS: usize> Stopwatch<KINDS> {
     /// Begins anew. Which kinds are fast is not forgotten.
     pub fn reset(&mut self) {
         for tally in &mut self.tallies {
-            (tally.seconds, tally.untimed) = (0.0, 0);
+            (tally.seconds, tally.left) = (0.0, tally.skipped());
         }
     }
 
@@ -83,14 +95,15 @@ impl<const KINDS: usize> Stopwatch<KINDS> {
     #[inline]
     pub fn start(&mut self, kind: usize) -> Timing {
         let tally = &mut self.tallies[kind];
-        if tally.fast >= TRUST && tally.untimed + 1 < STRIDE {
-            tally.untimed += 1;
+        if tally.left > 0 {
+            tally.left -= 1;
             return Timing { kind, began: None };
         }
-        Timing { kind, began: Some(Instant::now()) }
+        self.start_timed(kind)
     }
 
     /// A call of this kind begins that is to be timed in any case, because one may take much longer than another.
+    #[inline(never)]
     pub fn start_timed(&mut self, kind: usize) -> Timing {
         Timing { kind, began: Some(Instant::now()) }
     }
@@ -113,7 +126,7 @@ impl<const KINDS: usize> Stopwatch<KINDS> {
 
     fn enter(&mut self, kind: usize, seconds: f64) -> f64 {
         let tally = &mut self.tallies[kind];
-        let seconds = seconds.max(0.0);
+        let (seconds, untimed) = (seconds.max(0.0), tally.untimed());
         if seconds < FAST {
             tally.fast = tally.fast.saturating_add(1);
             tally.usual = seconds;
@@ -121,14 +134,14 @@ impl<const KINDS: usize> Stopwatch<KINDS> {
             tally.fast = 0;
         }
         let each = if seconds < LONGEST { seconds } else { tally.usual };
-        tally.seconds += seconds + f64::from(tally.untimed) * each;
-        tally.untimed = 0;
+        tally.seconds += seconds + untimed * each;
+        tally.left = tally.skipped();
         seconds
     }
 
     /// The estimate for all calls so far, in seconds.
     pub fn seconds(&self) -> f64 {
-        self.tallies.iter().map(|tally| tally.seconds + f64::from(tally.untimed) * tally.usual).sum()
+        self.tallies.iter().map(|tally| tally.seconds + tally.untimed() * tally.usual).sum()
     }
 }
 

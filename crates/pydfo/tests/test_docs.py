@@ -6,6 +6,8 @@ import doctest
 import importlib
 import inspect
 import pkgutil
+import subprocess
+import sys
 
 import pytest
 
@@ -19,6 +21,19 @@ def test_examples_are_true(name):
     module = importlib.import_module(name)
     failed, _ = doctest.testmod(module, optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
     assert failed == 0 and module.__doc__
+
+
+def test_the_import_waits_with_what_is_not_used():
+    """Neither numpy nor most of the package; and a name that is none is told as such."""
+    program = """
+import sys, pydfo
+assert not {"numpy", "pydfo._calibration", "pydfo._model"} & set(sys.modules)
+assert set(pydfo.__all__) <= set(dir(pydfo)) and not hasattr(pydfo, "Calibrations")
+from pydfo import Calibration, dfo
+assert pydfo.Calibration is Calibration is sys.modules["pydfo._calibration"].Calibration
+assert pydfo.dfo is dfo is sys.modules["pydfo.dfo"]
+"""
+    subprocess.run([sys.executable, "-c", program], check=True)
 
 
 @pytest.mark.parametrize("name", sorted(set(pydfo.__all__) - {"__version__"}))

@@ -152,6 +152,28 @@ impl System {
         Ok(())
     }
 
+    /// Makes a raw call that sets time and states itself, where both are to be set and there are no continuous inputs. `false`: they
+    /// are not, or there are.
+    #[inline]
+    fn at_new_point(
+        &mut self,
+        t: f64,
+        x: &[f64],
+        call: impl FnOnce(&mut RawInstance, f64) -> Result<(), Fault>,
+    ) -> CallResult<bool> {
+        let time = t.max(self.floor);
+        let is_set = self.set_time.is_some_and(|set| same_bits(set, time));
+        if is_set || x.is_empty() || !self.running.plan.inputs.continuous.is_empty() {
+            return Ok(false);
+        }
+        (self.set_time, self.set_states, self.is_evaluated) = (None, None, false);
+        self.call(|raw| call(raw, time))?;
+        self.set_time = Some(time);
+        copy(&mut self.states, x);
+        self.set_states = Some(());
+        Ok(true)
+    }
+
     /// Sets the continuous inputs at `t`.
     fn set_inputs(&mut self, t: f64) -> CallResult<()> {
         let Self { running: Running { plan, inputs, current, .. }, sent, .. } = self;
@@ -228,7 +250,7 @@ impl System {
 
     fn commit(&mut self, t: f64, x: &[f64]) {
         self.last_time = t;
-        self.last_states.copy_from_slice(x);
+        copy(&mut self.last_states, x);
     }
 
     /// Goes from event mode to continuous time, unless the model has ended the simulation.
@@ -285,6 +307,18 @@ impl System {
         }
         self.call(|raw| raw.get_continuous_states(x))?;
         all_finite(x)
+    }
+}
+
+/// Copies a vector of the same length; a few numbers without a call.
+#[inline]
+fn copy(to: &mut [f64], from: &[f64]) {
+    match (to, from) {
+        ([a], [x]) => *a = *x,
+        ([a, b], [x, y]) => (*a, *b) = (*x, *y),
+        ([a, b, c], [x, y, z]) => (*a, *b, *c) = (*x, *y, *z),
+        ([a, b, c, d], [w, x, y, z]) => (*a, *b, *c, *d) = (*w, *x, *y, *z),
+        (to, from) => to.copy_from_slice(from),
     }
 }
 
@@ -395,17 +429,7 @@ impl HybridSystem for Integration<'_> {
     }
 
     fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
-        let time = t.max(self.floor);
-        let is_new_time = !self.set_time.is_some_and(|set| same_bits(set, time));
-        if is_new_time && self.running.plan.inputs.continuous.is_empty() {
-            self.set_time = None;
-            self.set_states = None;
-            self.is_evaluated = false;
-            self.call(|raw| raw.right_hand_side(time, x, dx))?;
-            self.set_time = Some(time);
-            self.states.copy_from_slice(x);
-            self.set_states = Some(());
-        } else {
+        if !self.at_new_point(t, x, |raw, time| raw.right_hand_side(time, x, dx))? {
             self.set_point(t, x)?;
             self.call(|raw| raw.get_derivatives(dx))?;
         }
@@ -454,9 +478,10 @@ impl HybridSystem for Integration<'_> {
         if z.is_empty() {
             return Ok(());
         }
-        self.set_point(t, x)?;
-        self.call(|raw| raw.get_event_indicators(z))?;
-        all_finite(z)?;
+        if !self.at_new_point(t, x, |raw, time| raw.indicators_at(time, x, z))? {
+            self.set_point(t, x)?;
+            self.call(|raw| raw.get_event_indicators(z))?;
+        }
         self.running.note(z);
         Ok(())
     }

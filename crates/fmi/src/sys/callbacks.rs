@@ -44,9 +44,16 @@ impl Callbacks {
     }
 
     /// What has to live while the instance is called.
+    #[inline]
     pub(super) fn enter(&self) -> Option<Current> {
         // SAFETY: the environment is kept until the component is gone (invariant 3).
         self.by_thread.then(|| unsafe { Current::set(&raw const *self.environment) })
+    }
+
+    /// Whether [something](Self::enter) has to live while the instance is called.
+    #[inline]
+    pub(super) fn is_by_thread(&self) -> bool {
+        self.by_thread
     }
 
     /// What the version keeps, made if there is nothing yet.

@@ -72,16 +72,21 @@ where
             }
         }
         let mut left = if asked || points == 0 { 0 } else { MAX_LOOKS };
+        let mut has_changed = self.space.domains.changed();
         for i in 0..self.space.domains.len() {
+            if !has_changed && self.space.domains.stands_still(i) {
+                continue;
+            }
             loop {
                 for _ in 0..MAX_TURNS {
-                    if self.space.domains.changed() {
+                    if has_changed {
                         return Ok(Some(end));
                     }
                     let Some(at) = self.space.domains.turning_point(i, start, end) else { break };
                     if self.changed_at(at, end, h, ready)? {
                         return Ok(Some(at));
                     }
+                    has_changed = self.space.domains.changed();
                 }
                 if left == 0 {
                     break;
@@ -91,9 +96,10 @@ where
                 if self.changed_at(at, end, h, ready)? {
                     return Ok(Some(at));
                 }
+                has_changed = self.space.domains.changed();
             }
         }
-        Ok(self.space.domains.changed().then_some(end))
+        Ok(has_changed.then_some(end))
     }
 
     /// At how many points inside the step the indicators are looked at whatever they were.

@@ -8,16 +8,19 @@ impl Domains {
     /// Writes down the direction of every crossing up to the end, after the time `elapsed`, that is an event; returns the
     /// first that crossed, those that do not slide before those that do. Times within `tolerance` are one.
     pub(crate) fn mark(&mut self, elapsed: f64, tolerance: f64) -> Option<usize> {
+        let mut has_any = false;
         for i in 0..self.len() {
             let (base, end) = (self.base[i], self.end[i]);
-            let has_crossed = if self.is_held(i) {
+            let has_crossed = if !self.slides(i) {
+                let from = self.reference()[i];
+                flipped(from, end) && crosses(self.direction(i), from, end)
+            } else if self.resets[i] {
                 self.falls(i) || (self.directions[i] == Direction::Both && flipped(base, end))
-            } else if self.slides(i) {
+            } else {
                 // One that came back in the step may have begun in the domain where it ends.
                 self.is_lost(i) || crosses(self.direction(i), base, end)
-            } else {
-                crosses(self.direction(i), self.reference()[i], end)
             };
+            has_any |= has_crossed;
             self.crossings[i] = match (has_crossed, end > 0.0) {
                 (true, true) => 1,
                 (true, false) => -1,
@@ -30,6 +33,9 @@ impl Domains {
                 let jumps = end.abs() > SMALL * self.largest[i];
                 self.near_zero[i] = if jumps { 0.0 } else { end.abs() + (tolerance * slope).abs() };
             }
+        }
+        if !has_any {
+            return None;
         }
         let crossed = |i: &usize| self.crossings[*i] != 0;
         (0..self.len()).filter(crossed).min_by_key(|i| self.slides(*i))

@@ -152,7 +152,10 @@ impl Domains {
 
     /// Whether any indicator has an event between two points.
     pub(super) fn any_crosses(&self, from: &[f64], to: &[f64]) -> bool {
-        from.iter().zip(to).enumerate().any(|(i, (from, to))| self.is_located(i, *from, *to))
+        from.iter()
+            .zip(to)
+            .enumerate()
+            .any(|(i, (from, to))| flipped(*from, *to) && self.is_located(i, *from, *to))
     }
 
     /// Whether any indicator has left the domain it was in, so that it is an event.

@@ -2,7 +2,6 @@
 
 use super::domains::{Domains, flipped};
 use crate::system::CallResult;
-use std::iter;
 
 /// A parabola comes near zero where its turning point is less than this share of the least value that it passes.
 const NEAR: f64 = 0.25;
@@ -20,10 +19,13 @@ pub(crate) struct Located {
 
 /// Where after `start` the parabola through three points `(t, z)` in one domain turns, if that is in the other domain or near it.
 fn turning_point([(t0, z0), (t1, z1), (t2, z2)]: [(f64, f64); 3], start: f64) -> Option<f64> {
+    if flipped(z0, z1) || flipped(z1, z2) {
+        return None;
+    }
     let (s1, s2) = ((z1 - z0) / (t1 - t0), (z2 - z1) / (t2 - t1));
     let curvature = (s2 - s1) / (t2 - t0);
     let inward = if z1 > 0.0 { curvature } else { -curvature };
-    if flipped(z0, z1) || flipped(z1, z2) || inward.is_nan() || inward <= 0.0 {
+    if inward.is_nan() || inward <= 0.0 {
         return None;
     }
     let t = 0.5 * (t1 + t2) - 0.5 * s2 / curvature;
@@ -35,21 +37,36 @@ fn turning_point([(t0, z0), (t1, z1), (t2, z2)]: [(f64, f64); 3], start: f64) ->
 }
 
 impl Domains {
-    /// Times and values of indicator `i` that are known of the step from `start` to `end`, ascending.
-    fn known(&self, i: usize, start: f64, end: f64) -> impl Iterator<Item = (f64, f64)> {
-        let looked =
-            self.looked_at.iter().zip(self.looked[i.min(self.looked.len())..].iter().step_by(self.len()));
-        let inside = looked.map(|(t, z)| (*t, *z));
-        iter::once((start, self.base[i])).chain(inside).chain([(end, self.end[i])])
+    /// Time and value of indicator `i` at the place `k` of what is known of the step from `start` to `end`, of which the last place is one more
+    /// than points were looked at inside.
+    #[inline]
+    fn known(&self, (i, k): (usize, usize), start: f64, end: f64) -> (f64, f64) {
+        match k.checked_sub(1) {
+            None => (start, self.base[i]),
+            Some(inside) if inside < self.looked_at.len() => {
+                (self.looked_at[inside], self.looked[inside * self.len() + i])
+            }
+            Some(_) => (end, self.end[i]),
+        }
+    }
+
+    /// Whether indicator `i` has the same value wherever it was looked at: it does not turn.
+    pub(crate) fn stands_still(&self, i: usize) -> bool {
+        let z = self.base[i];
+        let stood = self.before_time.is_none() || self.before[i] == z;
+        stood && self.end[i] == z && self.looked.iter().skip(i).step_by(self.len()).all(|looked| *looked == z)
     }
 
     /// Where between `start` and `end` a parabola through three neighbouring values of indicator `i` comes to its turning point, if
     /// that lies in the other domain or near it: a crossing and its return may hide there.
     pub(crate) fn turning_point(&self, i: usize, start: f64, end: f64) -> Option<f64> {
-        let before = self.before_time.map(|t| (t, self.before[i]));
-        let mut points = before.into_iter().chain(self.known(i, start, end));
-        let (mut a, mut b) = (points.next()?, points.next()?);
-        points.find_map(|c| {
+        let known = |k| self.known((i, k), start, end);
+        let (mut a, mut b, next) = match self.before_time {
+            Some(t) => ((t, self.before[i]), known(0), 1),
+            None => (known(0), known(1), 2),
+        };
+        (next..self.looked_at.len() + 2).find_map(|k| {
+            let c = known(k);
             let found = turning_point([a, b, c], start);
             (a, b) = (b, c);
             found
@@ -63,14 +80,18 @@ impl Domains {
         if self.slides(i) {
             return None;
         }
-        let mut points = self.known(i, start, end);
-        let (mut a, mut b) = (points.next()?, points.next()?);
-        points.find_map(|c| {
+        let known = |k| self.known((i, k), start, end);
+        let (mut a, mut b) = (known(0), known(1));
+        (2..self.looked_at.len() + 2).find_map(|k| {
+            let c = known(k);
             let [(t0, z0), (t1, z1), (t2, z2)] = [a, b, c];
             (a, b) = (b, c);
+            if flipped(z0, z1) || flipped(z1, z2) {
+                return None;
+            }
             let bend = (z1 - (z0 + (z2 - z0) * ((t1 - t0) / (t2 - t0)))).abs();
             let (from, to) = if t1 - t0 >= t2 - t1 { (t0, t1) } else { (t1, t2) };
-            let hides = !flipped(z0, z1) && !flipped(z1, z2) && bend > z0.abs().min(z1.abs()).min(z2.abs());
+            let hides = bend > z0.abs().min(z1.abs()).min(z2.abs());
             (hides && to - from >= least).then_some(0.5 * (from + to))
         })
     }
@@ -91,10 +112,14 @@ impl Domains {
             self.from.copy_from_slice(&self.mid);
             self.counts_since = Some(t);
         }
+        let n = self.mid.len();
         let place = self.looked_at.partition_point(|other| *other < t);
-        self.looked_at.insert(place, t);
-        let place = place * self.len();
-        self.looked.splice(place..place, self.mid.iter().copied());
+        self.looked_at.push(t);
+        self.looked.extend_from_slice(&self.mid);
+        if place + 1 < self.looked_at.len() {
+            self.looked_at[place..].rotate_right(1);
+            self.looked[place * n..].rotate_right(n);
+        }
         Ok(false)
     }
 

@@ -51,6 +51,11 @@ impl Domains {
     pub(crate) fn settle(&mut self) {
         for i in 0..self.len() {
             let z = self.end[i];
+            if self.since_event[i] == SinceEvent::Settled && !self.bounces[i] {
+                self.largest[i] = self.largest[i].max(z.abs());
+                self.onward[i] = false;
+                continue;
+            }
             let depth = self.since_event[i].depth();
             let came_back = depth.is_some_and(|depth| !is_behind(depth, z));
             self.largest[i] = self.largest[i].max(z.abs());
@@ -106,9 +111,11 @@ impl Domains {
     /// of the time before the step, from next to zero.
     fn may_return(&self, i: usize) -> bool {
         let (z0, z2) = (self.base[i], self.end[i]);
-        let from_zero = || self.before_time.is_none() && z0.abs() < 1e-3 * z2.abs();
-        let after_event = self.since_event[i].depth().map(|depth| is_behind(depth, z0));
-        !self.is_held(i) && z0 != z2 && !flipped(z0, z2) && after_event.unwrap_or_else(from_zero)
+        let may = match self.since_event[i].depth() {
+            None => self.before_time.is_none() && z0.abs() < 1e-3 * z2.abs(),
+            Some(depth) => is_behind(depth, z0),
+        };
+        may && z0 != z2 && !flipped(z0, z2) && !self.is_held(i)
     }
 
     /// Whether any indicator [may have returned](Self::may_return).

@@ -4,7 +4,7 @@ use crate::control::{Controller, Weights};
 use crate::stages::{combine, terms, weighted_sum};
 use crate::stepper::{Attempt, Equations, Properties, StepWithEvent, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
-use crate::tableau::{Dense, Estimate, Tableau, polynomial_weights};
+use crate::tableau::{Dense, Estimate, Tableau, by_power, polynomial_weights};
 use continuous::{TERMS, dense_terms, factors};
 
 mod continuous;
@@ -16,6 +16,8 @@ pub(crate) use dop853::DOP853;
 #[derive(Debug)]
 pub(crate) struct ExplicitRk<const S: usize> {
     tableau: &'static Tableau<S>,
+    /// The coefficients of the continuous extension, where it is one of polynomials.
+    polynomials: Option<[[f64; S]; 4]>,
     k: [Vec<f64>; S],
     stage: Vec<f64>,
     error: Vec<f64>,
@@ -29,6 +31,10 @@ impl<const S: usize> ExplicitRk<S> {
     pub(crate) fn new(tableau: &'static Tableau<S>) -> Self {
         Self {
             tableau,
+            polynomials: match &tableau.dense {
+                Dense::Polynomials(polynomials) => Some(by_power(polynomials)),
+                Dense::Terms(_) => None,
+            },
             k: std::array::from_fn(|_| Vec::new()),
             stage: Vec::new(),
             error: Vec::new(),
@@ -204,18 +210,15 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
     }
 
     fn interpolate(&self, trial: Trial<'_>, theta: f64, x: &mut [f64]) {
-        match &self.tableau.dense {
-            Dense::Polynomials(polynomials) => {
-                let weights = polynomial_weights(polynomials, theta);
-                let terms = weights.iter().copied().zip(self.k.iter().map(Vec::as_slice));
-                combine(x, trial.x, trial.h, terms);
-            }
-            Dense::Terms(_) => {
-                let factors = factors(theta);
-                for (i, (out, x)) in x.iter_mut().zip(trial.x).enumerate() {
-                    *out = x + self.dense.iter().zip(&factors).map(|(d, f)| d[i] * f).sum::<f64>();
-                }
-            }
+        if let Some(polynomials) = &self.polynomials {
+            let weights = polynomial_weights(polynomials, theta);
+            let terms = weights.iter().copied().zip(self.k.iter().map(Vec::as_slice));
+            combine(x, trial.x, trial.h, terms);
+            return;
+        }
+        let factors = factors(theta);
+        for (i, (out, x)) in x.iter_mut().zip(trial.x).enumerate() {
+            *out = x + self.dense.iter().zip(&factors).map(|(d, f)| d[i] * f).sum::<f64>();
         }
     }
 

@@ -10,48 +10,81 @@ in Python.
 
 from __future__ import annotations
 
-from . import dfo, ode
-from ._calibration import Calibration
-from ._check import Check, Finding
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from ._core import __version__
-from ._description import Description, Variable, read_description
-from ._errors import (
-    AllStartsFailed,
-    BadCalibrationError,
-    BadModelValueError,
-    CalibrationError,
-    CalibrationWarning,
-    CheckpointError,
-    FmuError,
-    Interrupted,
-    ModelTypeError,
-    NoResult,
-    PydfoError,
-    SimulationError,
-    UnknownVariableError,
-)
-from ._experiment import Experiment
-from ._files import build_fmu, clear_caches, example_fmu
-from ._fit import ChosenTolerance, Fit, FitNoise, OutputFit
-from ._fmin import fmin
-from ._least_squares import least_squares
-from ._minimize import minimize
-from ._model import FMUModel, load_fmu
-from ._optimizer import Above, Asked, Optimizer
-from ._parameter import LogNormal, Normal, Parameter
-from ._point import Raced
-from ._profile import Profile
-from ._progress import Progress
-from ._result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
-from ._scipy import scipy_method
-from ._share import load_fit
-from ._stages import Stage
-from ._trajectory import SimulationResult
-from ._validation import CrossValidation, Fold, PredictionBand, ValidatedOutput, Validation
 from ._worker import know_interpreter as _know_interpreter
-from ._worth import ParameterCheck, Preflight, ResidualCheck, Worth
+
+if TYPE_CHECKING:
+    from . import dfo, ode
+    from ._calibration import Calibration
+    from ._check import Check, Finding
+    from ._description import Description, Variable, read_description
+    from ._errors import (
+        AllStartsFailed,
+        BadCalibrationError,
+        BadModelValueError,
+        CalibrationError,
+        CalibrationWarning,
+        CheckpointError,
+        FmuError,
+        Interrupted,
+        ModelTypeError,
+        NoResult,
+        PydfoError,
+        SimulationError,
+        UnknownVariableError,
+    )
+    from ._experiment import Experiment
+    from ._files import build_fmu, clear_caches, example_fmu
+    from ._fit import ChosenTolerance, Fit, FitNoise, OutputFit
+    from ._fmin import fmin
+    from ._least_squares import least_squares
+    from ._minimize import minimize
+    from ._model import FMUModel, load_fmu
+    from ._optimizer import Above, Asked, Optimizer
+    from ._parameter import LogNormal, Normal, Parameter
+    from ._point import Raced
+    from ._profile import Profile
+    from ._progress import Progress
+    from ._result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
+    from ._scipy import scipy_method
+    from ._share import load_fit
+    from ._stages import Stage
+    from ._trajectory import SimulationResult
+    from ._validation import CrossValidation, Fold, PredictionBand, ValidatedOutput, Validation
+    from ._worth import ParameterCheck, Preflight, ResidualCheck, Worth
 
 _know_interpreter()
+
+#: The modules, and what each has for `pydfo`: they are imported when something of them is used first.
+_HOMES = {
+    "_calibration": "Calibration",
+    "_check": "Check Finding",
+    "_description": "Description Variable read_description",
+    "_errors": "AllStartsFailed BadCalibrationError BadModelValueError CalibrationError CalibrationWarning CheckpointError FmuError Interrupted ModelTypeError NoResult PydfoError SimulationError UnknownVariableError",
+    "_experiment": "Experiment",
+    "_files": "build_fmu clear_caches example_fmu",
+    "_fit": "ChosenTolerance Fit FitNoise OutputFit",
+    "_fmin": "fmin",
+    "_least_squares": "least_squares",
+    "_minimize": "minimize",
+    "_model": "FMUModel load_fmu",
+    "_optimizer": "Above Asked Optimizer",
+    "_parameter": "LogNormal Normal Parameter",
+    "_point": "Raced",
+    "_profile": "Profile",
+    "_progress": "Progress",
+    "_result": "BarrierStage LeastSquaresResult OptimizeResult Trace",
+    "_scipy": "scipy_method",
+    "_share": "load_fit",
+    "_stages": "Stage",
+    "_trajectory": "SimulationResult",
+    "_validation": "CrossValidation Fold PredictionBand ValidatedOutput Validation",
+    "_worth": "ParameterCheck Preflight ResidualCheck Worth",
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
 
 __all__ = [
     "Above",
@@ -116,3 +149,17 @@ __all__ = [
     "read_description",
     "scipy_method",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name in ("dfo", "ode"):
+        return importlib.import_module(f"{__name__}.{name}")
+    home = _HOME_OF.get(name)
+    if home is None:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()[name] = getattr(importlib.import_module(f"{__name__}.{home}"), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

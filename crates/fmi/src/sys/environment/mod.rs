@@ -3,8 +3,8 @@
 //!
 //! Every call into an FMU starts in the default floating-point mode, and the mode is looked at after it, before any
 //! arithmetic of ours: what an FMU changes acts until its function returns, in every run alike, and exceptions that it
-//! unmasks are masked again. Of the three calls of a right-hand side this is done for the first few; then it is looked at
-//! once after the three, and where one has changed the mode they are made again.
+//! unmasks are masked again. Of the three calls of a right-hand side, or of event indicators, at a new point this is done for
+//! the first few; then it is looked at once after the three, and where one has changed the mode they are made again.
 
 mod float;
 mod locale;

@@ -20,7 +20,8 @@ use std::sync::Arc;
 /// Log lines that an error carries.
 const LINES_IN_ERRORS: usize = 8;
 
-/// So many right-hand sides of a component are looked at call by call, for what the calls do to the floating-point mode.
+/// So many right-hand sides and event indicators of a component are looked at call by call, for what the calls do to the
+/// floating-point mode.
 const LOOKED_INTO: u8 = 8;
 
 /// `fmi3Independent`.
@@ -52,7 +53,7 @@ pub(crate) struct RawInstance {
     pub(super) has_arrays: bool,
     /// For messages: the time last set.
     pub(super) time: Option<f64>,
-    /// Right-hand sides that are still looked at call by call.
+    /// Right-hand sides and event indicators that are still looked at call by call.
     pub(super) to_look_into: u8,
     pub(super) saved: SavedStates,
     pub(super) buffers: Box<ValueBuffers>,
@@ -417,47 +418,88 @@ impl RawInstance {
     }
 
     /// The derivatives at a point: sets the time, then the states, and reads them.
+    #[inline]
     pub(crate) fn right_hand_side(&mut self, time: f64, states: &[f64], derivatives: &mut [f64]) -> Outcome {
-        let PointFunctions { set_time, set_continuous_states, get_derivatives, .. } =
-            &self.library.functions.point;
-        self.length(set_continuous_states.name, self.sizes.states, states.len())?;
-        self.length(get_derivatives.name, self.sizes.states, derivatives.len())?;
+        let size = self.sizes.states;
+        self.vector_at((time, states), |point| &point.get_derivatives, (size, derivatives))
+    }
+
+    /// The event indicators at a point: sets the time, then the states, and reads them.
+    #[inline]
+    pub(crate) fn indicators_at(&mut self, time: f64, states: &[f64], indicators: &mut [f64]) -> Outcome {
+        let size = self.sizes.indicators;
+        self.vector_at((time, states), |point| &point.get_event_indicators, (size, indicators))
+    }
+
+    /// Sets the time, then the states, and calls a function that fills a vector of the model, which has this size. The mode of the thread
+    /// is looked at once, behind the three calls; where one of them has changed it, which may have acted in those after it, they are made
+    /// again one by one.
+    #[inline]
+    fn vector_at(
+        &mut self,
+        (time, states): (f64, &[f64]),
+        get: impl Fn(&PointFunctions) -> &Function<GetVector>,
+        (size, values): (usize, &mut [f64]),
+    ) -> Outcome {
+        let point = &self.library.functions.point;
+        self.length(point.set_continuous_states.name, self.sizes.states, states.len())?;
+        self.length(get(point).name, size, values.len())?;
         self.check_usable()?;
         self.callbacks.log().go_on();
-        self.time = Some(time);
-        last_call::note_time(time);
+        self.set_time_told(time);
+        if self.to_look_into > 0 || self.callbacks.is_by_thread() {
+            return self.vector_one_by_one((time, states), get, values);
+        }
+        let point = &self.library.functions.point;
+        let one = OneCall::enter(self.library.gate());
+        let c = self.component;
+        // SAFETY (of the three calls): the component is alive and ours alone (`&mut self`), both slices have as many places as
+        // the function reads or fills.
+        let mut answer = call!(&point.set_time, c, time);
+        if answer.is_good() {
+            answer = call!(&point.set_continuous_states, c, states.as_ptr(), states.len());
+        }
+        if answer.is_good() {
+            answer = call!(get(point), c, values.as_mut_ptr(), values.len());
+        }
+        let has_changed = restore_default();
+        one.forget();
+        if has_changed {
+            self.to_look_into = u8::MAX;
+            return self.vector_one_by_one((time, states), get, values);
+        }
+        self.check(answer)
+    }
+
+    /// The three calls of which each starts in the default floating-point mode; slices are checked.
+    #[inline(never)]
+    fn vector_one_by_one(
+        &mut self,
+        (time, states): (f64, &[f64]),
+        get: impl Fn(&PointFunctions) -> &Function<GetVector>,
+        values: &mut [f64],
+    ) -> Outcome {
+        let point = &self.library.functions.point;
         let one = OneCall::enter(self.library.gate());
         let _current = self.callbacks.enter();
         let c = self.component;
-        let (mut looks_into, mut changes) = (self.to_look_into > 0, false);
-        let answer = loop {
-            // The calls of a right-hand side, up to the first that fails. If they are looked into, each starts in the default
-            // floating-point mode if the first does.
-            let mut look = || changes |= looks_into && restore_default();
-            // SAFETY (of the three calls): the component is alive and ours alone (`&mut self`), both slices have as many
-            // places as it has states.
-            let mut answer = call!(set_time, c, time);
-            if answer.is_good() {
-                look();
-                answer = call!(set_continuous_states, c, states.as_ptr(), states.len());
-            }
-            if answer.is_good() {
-                look();
-                answer = call!(get_derivatives, c, derivatives.as_mut_ptr(), derivatives.len());
-            }
+        // SAFETY: as for `vector_at`.
+        let mut answer = call!(&point.set_time, c, time);
+        let mut changes = restore_default();
+        if answer.is_good() {
+            answer = call!(&point.set_continuous_states, c, states.as_ptr(), states.len());
             changes |= restore_default();
-            if looks_into || !changes {
-                break answer;
-            }
-            // One of the calls has changed the mode, which may have acted in those after it.
-            looks_into = true;
-        };
+        }
+        if answer.is_good() {
+            answer = call!(get(point), c, values.as_mut_ptr(), values.len());
+            changes |= restore_default();
+        }
         one.forget();
         if changes {
             self.to_look_into = u8::MAX;
-        } else if looks_into && self.to_look_into < u8::MAX {
+        } else if self.to_look_into < u8::MAX {
             // Who changes the mode does so from the first; looking takes as long as the calls of a small model.
-            self.to_look_into -= 1;
+            self.to_look_into = self.to_look_into.saturating_sub(1);
         }
         self.check(answer)
     }
