@@ -6,7 +6,10 @@
 //! evaluated, while later trials of generation `g` are still under way, and a long evaluation does not hold up the others. The rule
 //! counts answers, not workers: their number changes nothing. What L-SHADE learns from a generation is used from its end on. Trials of
 //! the first generation are made from the first population after half of it is known. With `lag` 0 a generation is made when the one before
-//! it is known whole, as in the papers. On twelve functions in the manner of BBOB (n = 2, 5, 10) lag 1 takes 5 % more evaluations.
+//! it is known whole, as in the papers. On twelve functions in the manner of BBOB lag 1 takes about 5 % more
+//! evaluations (solved within 1000 n of them, 40 seeds each: n = 2: 99.8 % with lag 1, 100 % with lag 0; n = 5: 85.6 and 87.7 %; n = 10:
+//! 42.1 and 45.4 %). Where one in ten evaluations takes ten times as long, 16 workers are 5.5 times as fast as one with lag 0,
+//! 7.5 times with 1, 11 times with 2 (simulated clock, n = 5, 5000 evaluations).
 //!
 //! **Selection.** A trial takes the place of its target when its cost is not above the target's; a failed or given-up
 //! trial never does. An evaluation may stop above the target's cost (the cutoff); a failed target sets none.

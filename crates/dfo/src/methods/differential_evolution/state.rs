@@ -316,7 +316,8 @@ impl GenerationRules for DifferentialRules {
                 let (lower, upper) = space.working_bounds(k % n);
                 lower <= *u && *u <= upper
             })
-            && self.members >= least
+            && (least..=members).contains(&self.members)
+            && self.generation < 1 << 60
             && self.n_made <= self.members
             && adaptive == self.adaptation.is_some()
             && self.adaptation.as_ref().is_none_or(|a| a.is_sound(n, members))
