@@ -223,11 +223,14 @@ def test_joblib_changes_nothing():
     executor = loky.get_reusable_executor(2)
     try:
         for method in ("nelder-mead", "de", "multistart"):
-            same(pydfo.minimize(slow_cost, [0.2, 0.3], method=method, workers=executor, **asked),
-                 pydfo.minimize(slow_cost, [0.2, 0.3], method=method, workers=1, **asked))
-        assert decay().fit("nelder-mead", workers=executor, max_evaluations=40).x.tobytes() == decay().fit(
-            "nelder-mead", workers=1, max_evaluations=40
-        ).x.tobytes()
+            same(
+                pydfo.minimize(slow_cost, [0.2, 0.3], method=method, workers=executor, **asked),
+                pydfo.minimize(slow_cost, [0.2, 0.3], method=method, workers=1, **asked),
+            )
+        assert (
+            decay().fit("nelder-mead", workers=executor, max_evaluations=40).x.tobytes()
+            == decay().fit("nelder-mead", workers=1, max_evaluations=40).x.tobytes()
+        )
     finally:
         executor.shutdown(kill_workers=True)
 

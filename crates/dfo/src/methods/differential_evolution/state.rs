@@ -316,12 +316,19 @@ impl GenerationRules for DifferentialRules {
                 let (lower, upper) = space.working_bounds(k % n);
                 lower <= *u && *u <= upper
             })
+            && self.ahead_made.iter().all(|made| are_factors((made.weight, made.probability)))
+            && self.factors.iter().all(|factors| are_factors(*factors))
             && (least..=members).contains(&self.members)
             && self.generation < 1 << 60
             && self.n_made <= self.members
             && adaptive == self.adaptation.is_some()
             && self.adaptation.as_ref().is_none_or(|a| a.is_sound(n, members))
     }
+}
+
+/// Whether these may be `F` and `CR` of a trial: what comes from a file may not.
+fn are_factors((weight, probability): (f64, f64)) -> bool {
+    (0.0..=1.0).contains(&weight) && (0.0..=1.0).contains(&probability)
 }
 
 /// A population whose members have no costs yet.
