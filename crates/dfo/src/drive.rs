@@ -265,9 +265,9 @@ impl<M: Method> Drive<M> {
 
     /// Fills the workers that the path leaves free.
     fn look_ahead(&mut self, around: &mut Around<'_, '_, '_>, is_late: bool) {
-        if self.cause.is_none() && self.n_missing > 0 {
+        if self.cause.is_none() && self.n_missing > 0 && self.end == usize::MAX {
             let counts = (self.n_missing, self.round.left_after(&self.limits), is_late);
-            self.guesses.renew(&mut self.method, &mut self.round, counts, around.evaluator);
+            self.guesses.renew(&mut self.method, (&mut self.round, &self.answers), counts, around.evaluator);
         }
     }
 

@@ -81,8 +81,8 @@ pub use evaluation::{BatchView, Evaluator, GivesUp, Polled, Wait};
 pub use linear_model::{Covariance, LinearModel};
 pub use loss::{Loss, RobustLoss};
 pub use method::{
-    BarrierStage, Batch, Details, Lookahead, Method, MethodOptions, Operation, Optimum, ProblemClass,
-    Roughness, Setup, Simplex, SimplexView, Status,
+    AnswersSoFar, BarrierStage, Batch, Details, Lookahead, Method, MethodOptions, Operation, Optimum,
+    ProblemClass, Roughness, Setup, Simplex, SimplexView, Status,
 };
 pub use methods::{
     Adaptive, AnyMethod, Auto, Barrier, BarrierState, BatchPlan, BoxedMethod, CmaBounds, CmaEs, CmaEsState,

@@ -1,7 +1,7 @@
 //! Ask / tell: a method proposes a batch of points, is told their outcomes in request order, and never calls the
 //! objective.
 
-use crate::answer::{Answers, Want};
+use crate::answer::{Answer, Answers, Want};
 use crate::choices::{Kind, Search};
 use crate::encoding::{decode, encode};
 use crate::error::Error;
@@ -26,6 +26,9 @@ pub struct Batch {
     points: Vec<f64>,
     cutoffs: Vec<f64>,
     ids: Vec<u64>,
+    /// So many of the first points the path will come to.
+    #[serde(skip)]
+    n_certain: usize,
 }
 
 /// No run counts more points, batches or iterations: to add two such numbers is no overflow.
@@ -46,6 +49,17 @@ impl Batch {
         self.points.clear();
         self.cutoffs.clear();
         self.ids.clear();
+        self.n_certain = 0;
+    }
+
+    /// For methods that look ahead: the path will come to all points so far, unless the run ends before.
+    pub fn all_certain(&mut self) {
+        self.n_certain = self.len();
+    }
+
+    /// Of the points ahead of need, the number of those that the path will come to.
+    pub(crate) fn n_certain(&self) -> usize {
+        self.n_certain
     }
 
     /// For methods: says what is wanted of all points. With residuals there are no cutoffs.
@@ -352,6 +366,18 @@ pub trait MethodOptions {
     }
 }
 
+/// What is known while the points that a method asked for are under way.
+pub trait AnswersSoFar {
+    /// Whether a point needs no evaluation any more.
+    fn contains(&self, x: &[f64]) -> bool;
+
+    /// The answer to point `k` of the batch last asked, once it has come.
+    fn answer(&self, k: usize) -> Option<&Answer>;
+
+    /// The answer to this query at a point that was evaluated ahead of need.
+    fn ahead(&self, x: &[f64], query: &Query<'_>) -> Option<Answer>;
+}
+
 /// A method of optimisation as a state machine without input or output.
 ///
 /// [`ask`](Self::ask) and [`tell`](Self::tell) alternate until `ask` leaves the batch empty.
@@ -370,10 +396,11 @@ pub trait Method {
         self.ask(batch);
     }
 
-    /// Adds up to `wanted` points that the path may need after those just asked for, the most probable first, with cutoffs
-    /// that are at least those of the path. `known` says which points need no evaluation any more. What becomes of them is
-    /// not told: it is at hand when the path asks for them. Must not change what the method does.
-    fn speculate(&mut self, wanted: usize, known: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
+    /// Adds points that the path may need after those just asked for, with cutoffs that are at least those of the path: first
+    /// those that it will come to unless the run ends before ([`Batch::all_certain`]), in its order, also those that are known,
+    /// then others, the most probable first; up to `wanted` that are not `known`. What becomes of them is not told: it is at hand
+    /// when the path asks for them. Must not change what the method does.
+    fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
         let _ = (wanted, known, batch);
     }
 

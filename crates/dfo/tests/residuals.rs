@@ -2,9 +2,9 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use dfo::{
-    Answers, Batch, BatchView, Checkpoint, Details, Error, Known, Lookahead, Method, MethodOptions, Minimize,
-    Objective, Operation, Outcome, Setup, Status, Termination, Want, by_hand, minimize, minimize_batches,
-    residuals,
+    Answers, AnswersSoFar, Batch, BatchView, Checkpoint, Details, Error, Known, Lookahead, Method,
+    MethodOptions, Minimize, Objective, Operation, Outcome, Setup, Status, Termination, Want, by_hand,
+    minimize, minimize_batches, residuals,
 };
 use serde::{Deserialize, Serialize};
 
@@ -76,7 +76,7 @@ impl Method for StencilsState {
             batch.push(&x, f64::INFINITY);
         }
     }
-    fn speculate(&mut self, wanted: usize, _: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
+    fn speculate(&mut self, wanted: usize, _: &dyn AnswersSoFar, batch: &mut Batch) {
         // Some that come to nothing.
         for k in 0..wanted.min(2) {
             batch.push(&self.x.iter().map(|x| x - 0.25 * (k + 1) as f64).collect::<Vec<_>>(), f64::INFINITY);

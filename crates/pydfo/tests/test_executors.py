@@ -203,3 +203,45 @@ def test_costs_above_the_cutoff_are_the_same_for_all_kinds_of_workers():
 
     with concurrent.futures.ThreadPoolExecutor(3) as executor:
         assert path(1) == path(2) == path(executor) == path(map)
+
+
+def kills_once(x, marker):
+    """Kills its process at the first point in a region, once."""
+    if x[0] > 0.4:
+        try:
+            os.close(os.open(marker, os.O_CREAT | os.O_EXCL))
+        except FileExistsError:
+            pass
+        else:
+            os.kill(os.getpid(), signal.SIGKILL)
+    return slow_cost(x)
+
+
+def test_joblib_changes_nothing():
+    loky = pytest.importorskip("joblib.externals.loky")
+    asked = {"bounds": [(-2, 2)] * 2, "rng": 3, "max_evaluations": 120}
+    executor = loky.get_reusable_executor(2)
+    try:
+        for method in ("nelder-mead", "de", "multistart"):
+            same(
+                pydfo.minimize(slow_cost, [0.2, 0.3], method=method, workers=executor, **asked),
+                pydfo.minimize(slow_cost, [0.2, 0.3], method=method, workers=1, **asked),
+            )
+        assert (
+            decay().fit("nelder-mead", workers=executor, max_evaluations=40).x.tobytes()
+            == decay().fit("nelder-mead", workers=1, max_evaluations=40).x.tobytes()
+        )
+    finally:
+        executor.shutdown(kill_workers=True)
+
+
+def test_dask_evaluates_again_what_a_killed_process_had(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    marker = str(tmp_path / "killed")
+    asked = {"bounds": [(-2, 2)] * 2, "method": "de", "rng": 3, "max_evaluations": 120, "args": (marker,)}
+    cluster = distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None)
+    with cluster, distributed.Client(cluster) as client:
+        result = pydfo.minimize(kills_once, [0.2, 0.3], workers=client.get_executor(pure=False), **asked)
+    assert os.path.exists(marker) and result.nfail == 0
+    # The marker is there: nothing is killed any more.
+    same(result, pydfo.minimize(kills_once, [0.2, 0.3], workers=1, **asked))

@@ -296,7 +296,7 @@ def test_sizes_scales_and_warm_starts_are_options():
         ("nelder-mead", {"bounds_handling": "sine", "initial_simplex": [0.1, 0.2], "stop": "any", "tolerances": "absolute"}),
         ("barrier", {"mu": 0.5, "factor": 0.2, "batch": "two"}),
         ("barrier", {"mu": None}),
-        ("de", {"population": 30, "sampling": "sobol", "repair": "mirror", "include_start": False, "budget": 500}),
+        ("de", {"population": 30, "sampling": "sobol", "repair": "mirror", "include_start": False, "budget": 500, "lag": 0}),
         ("de", {"p_best": 0.2, "memory": 6, "archive": 1.5, "final_population": 6, "budget": None}),
         ("de-classic", {"strategy": "best1", "crossover": "exponential", "weight": (0.5, 1.0), "probability": 0.7}),
         ("de-classic", {"strategy": "current_to_best1", "weight": 0.6}),

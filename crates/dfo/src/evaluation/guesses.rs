@@ -2,7 +2,7 @@
 //! given up when it has gone elsewhere.
 
 use super::evaluator::{Evaluator, GivesUp};
-use super::round::Round;
+use super::round::{Round, UnderWay};
 use super::store::FIRST_ID;
 use crate::answer::{Answer, Outcome};
 use crate::method::{Batch, Lookahead, Method};
@@ -73,13 +73,13 @@ impl Guesses {
         found.map(|guess| guess.place = Some(k)).is_some()
     }
 
-    /// Gives up those that the path has left, and begins others where there is room. `open`: points of the path that are
-    /// under way; `left`: evaluations that the budget leaves after these; `is_late`: whether others have ended since these began, which
-    /// take longer than most then.
+    /// Gives up those that the path has left, and begins others where there is room. `answers`: to the points of the path that were
+    /// under way; `open`: how many still are; `left`: evaluations that the budget leaves after these; `is_late`: whether others have
+    /// ended since these began, which take longer than most then.
     pub(crate) fn renew<M: Method + ?Sized>(
         &mut self,
         method: &mut M,
-        round: &mut Round,
+        (round, answers): (&mut Round, &[Answer]),
         (open, left, is_late): (usize, usize, bool),
         evaluator: &mut dyn Evaluator,
     ) {
@@ -100,7 +100,7 @@ impl Guesses {
         asked.set_want(round.work.want());
         if wanted > 0 {
             // Farther than there is room for: what is under way already is not given up because others have come before it.
-            method.speculate(2 * wanted, &|x: &[f64]| round.store.contains(x), asked);
+            method.speculate(2 * wanted, &UnderWay { round, answers }, asked);
         }
         hashes.clear();
         hashes.extend(asked.points().map(hash));
@@ -114,25 +114,28 @@ impl Guesses {
         // A point that was given up may still be evaluated to its end.
         let under_way_in_all = open + under_way.len() - awaited;
         let most = allowed_waste(round.ledger.n_evaluations + open, evaluator.width());
-        let waste = round.ledger.n_in_vain().saturating_sub(awaited);
-        let allowed = most.saturating_sub(waste);
-        // What is begun while the path waits for long helps most.
-        let allowed = if is_late { allowed } else { allowed.div_ceil(2) };
-        let mut free = room.saturating_sub(under_way_in_all).min(allowed);
         hashes.clear();
         hashes.extend(under_way.iter().filter(|guess| !guess.is_cancelled).map(|guess| guess.hash));
         hashes.sort_unstable();
+        let is_begun = |x: &[f64]| hashes.binary_search(&hash(x)).is_ok();
+        // The path will come to these.
+        let is_useful = |k: &usize| is_begun(asked.point(*k)) || round.store.contains(asked.point(*k));
+        let useful = awaited + (0..asked.n_certain()).filter(is_useful).count();
+        let allowed = most.saturating_sub(round.ledger.n_in_vain().saturating_sub(useful));
+        // What is begun while the path waits for long helps most.
+        let mut allowed = if is_late { allowed } else { allowed.div_ceil(2) };
+        let mut free = room.saturating_sub(under_way_in_all);
         for k in 0..asked.len() {
-            let x = asked.point(k);
-            if free == 0 {
+            let (x, is_certain) = (asked.point(k), k < asked.n_certain());
+            if free == 0 || !is_certain && allowed == 0 {
                 break;
             }
-            let hash = hash(x);
-            if hashes.binary_search(&hash).is_ok() {
+            if is_begun(x) || is_certain && (k >= left || round.store.contains(x)) {
                 continue;
             }
             free -= 1;
-            let mut query = asked.query(k);
+            allowed = allowed.saturating_sub(usize::from(!is_certain));
+            let (hash, mut query) = (hash(x), asked.query(k));
             query.id = FIRST_ID + round.ledger.n_guessed;
             round.ledger.n_guessed += 1;
             let mut point = spare.pop().unwrap_or_default();

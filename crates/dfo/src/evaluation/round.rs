@@ -4,7 +4,8 @@ use super::evaluator::GivesUp;
 use super::ledger::{Ledger, Source};
 use super::store::{Early, Store};
 use crate::answer::{Answer, Answers, Outcome, Want};
-use crate::method::Batch;
+use crate::method::{AnswersSoFar, Batch};
+use crate::objective::Query;
 use crate::termination::Termination;
 use crate::tolerances::Limits;
 use crate::trace::SpeculativeEntry;
@@ -24,6 +25,8 @@ pub(crate) struct Round {
     /// What is to be evaluated for it.
     pub(crate) work: Batch,
     pub(crate) gives_up: GivesUp,
+    /// The place of the batch that each point of `work` has.
+    work_places: Vec<usize>,
     sources: Vec<Source>,
     /// The answers to the points of a batch, and what of them the method is told.
     answers: Vec<Answer>,
@@ -53,6 +56,7 @@ impl Round {
             stale: 0,
             work: Batch::new(),
             gives_up: GivesUp::Unknown,
+            work_places: Vec::new(),
             sources: Vec::new(),
             answers: Vec::new(),
             told: Answers::default(),
@@ -68,6 +72,7 @@ impl Round {
         let mut left = self.left(limits);
         self.work.start(batch.n(), batch.index(), 0);
         self.work.set_want(batch.want());
+        self.work_places.clear();
         self.sources.clear();
         reset(&mut self.answers, batch.len());
         self.places.clear();
@@ -96,6 +101,7 @@ impl Round {
                     }
                     None => {
                         self.work.push_with_id(x, cutoff, batch.id(k));
+                        self.work_places.push(k);
                         Source::Run
                     }
                 }
@@ -123,6 +129,7 @@ impl Round {
             return Source::Cached;
         }
         self.work.push_with_id(batch.point(k), batch.cutoff(k), batch.id(k));
+        self.work_places.push(k);
         Source::Again
     }
 
@@ -173,9 +180,9 @@ impl Round {
 
     /// Place `k` of `work` is under way already.
     pub(crate) fn begun(&mut self, k: usize) {
-        let mut work = (0..self.sources.len()).filter(|&place| self.sources[place].is_work());
-        if let Some(place) = work.nth(k).filter(|&place| self.sources[place] == Source::Run) {
-            self.sources[place] = Source::Begun;
+        let source = &mut self.sources[self.work_places[k]];
+        if *source == Source::Run {
+            *source = Source::Begun;
         }
     }
 
@@ -218,7 +225,7 @@ impl Round {
 
     /// How many points of `work` lie before this place of the batch.
     pub(crate) fn n_before(&self, place: usize) -> usize {
-        self.sources[..place].iter().filter(|source| source.is_work()).count()
+        self.work_places.partition_point(|&other| other < place)
     }
 
     /// Why the run ends with this batch, if it is not entered whole. `last`: of [`last`](Self::last).
@@ -338,6 +345,31 @@ impl Round {
 
     pub(crate) fn target_reached(&self, limits: &Limits) -> bool {
         matches!((limits.target, self.ledger.best.cost()), (Some(target), Some(best)) if best <= target)
+    }
+}
+
+/// A round while `answers` to its work come in.
+pub(crate) struct UnderWay<'a> {
+    pub(crate) round: &'a Round,
+    pub(crate) answers: &'a [Answer],
+}
+
+impl AnswersSoFar for UnderWay<'_> {
+    fn contains(&self, x: &[f64]) -> bool {
+        self.round.store.contains(x)
+    }
+
+    fn answer(&self, k: usize) -> Option<&Answer> {
+        let answer = match *self.round.sources.get(k)? {
+            Source::Copy(twin) => return self.answer(twin),
+            source if source.is_work() => self.answers.get(self.round.n_before(k)),
+            _ => self.round.answers.get(k),
+        };
+        answer.filter(|answer| answer.outcome.is_known())
+    }
+
+    fn ahead(&self, x: &[f64], query: &Query<'_>) -> Option<Answer> {
+        self.round.store.look_up(x, query, self.round.gives_up)
     }
 }
 

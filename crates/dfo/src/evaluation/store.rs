@@ -216,6 +216,17 @@ impl Store {
         })
     }
 
+    /// What is known of a point where it answers this query, early evaluations included.
+    pub(crate) fn look_up(&self, x: &[f64], query: &Query<'_>, gives_up: GivesUp) -> Option<Answer> {
+        let key = bits(x);
+        if let Some(known) = self.known.get(&key) {
+            let is_below = matches!(known.outcome, Outcome::Above(c) if c < query.cutoff);
+            return (known.answers(query.want) && !is_below).then(|| known.only(query.want));
+        }
+        let early = self.early.get(self.places.get(&key)?.front()?)?;
+        early.entry.answer_to(query, gives_up)
+    }
+
     /// Takes out all that are early.
     pub(crate) fn drain(&mut self) -> impl Iterator<Item = Early> {
         self.places.clear();

@@ -12,7 +12,8 @@ use crate::answer::{Answers, Best, Outcome};
 use crate::choices::Measure;
 use crate::error::Error;
 use crate::method::{
-    BarrierStage, Batch, Details, Method, MethodOptions, Operation, Setup, Status, restored, saved,
+    AnswersSoFar, BarrierStage, Batch, Details, Method, MethodOptions, Operation, Setup, Status, restored,
+    saved,
 };
 use crate::methods::nelder_mead::{BatchPlan, Coefficients, NelderMead, NelderMeadState};
 use crate::option_texts;
@@ -362,7 +363,7 @@ impl Method for BarrierState {
         self.cutoffs.extend((0..batch.len()).map(|k| batch.cutoff(k)));
     }
 
-    fn speculate(&mut self, wanted: usize, known: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
+    fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
         let first = batch.len();
         // What follows a stage is not foreseen.
         if self.ended.is_none() {

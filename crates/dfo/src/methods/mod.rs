@@ -28,7 +28,7 @@ use crate::answer::Answers;
 use crate::choices::{Kind, Search};
 use crate::error::Error;
 use crate::linear_model::LinearModel;
-use crate::method::{Batch, Details, Method, MethodOptions, ProblemClass, Setup, Status};
+use crate::method::{AnswersSoFar, Batch, Details, Method, MethodOptions, ProblemClass, Setup, Status};
 use crate::option_texts;
 use crate::record::{Record, Value};
 use base::RunContext;
@@ -588,7 +588,7 @@ impl Method for BoxedMethod {
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
         self.0.tell(answers)
     }
-    fn speculate(&mut self, wanted: usize, known: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
+    fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
         self.0.speculate(wanted, known, batch);
     }
     fn status(&self) -> Status {

@@ -173,7 +173,7 @@ impl GenerationRules for CmaRules {
         std::mem::swap(population, candidates);
     }
 
-    fn started(&mut self, pool: &Populations) {
+    fn started(&mut self, pool: &mut Populations) {
         if pool.population.n_finite() > 0 {
             self.learn(&pool.population, &pool.setup.space);
         }

@@ -146,6 +146,9 @@ pub struct DifferentialEvolution {
     /// Evaluations over which L-SHADE shrinks its population; default the limit of the run, without one `2000 (n + 1)`. A
     /// plan, not a limit: after it the run goes on with the last members.
     pub budget: Option<usize>,
+    /// So many trials are made ahead of selection at any time, in units of the members; default 1. With 0 a generation is made when the one
+    /// before it is known whole.
+    pub lag: f64,
 }
 
 impl Default for DifferentialEvolution {
@@ -157,6 +160,7 @@ impl Default for DifferentialEvolution {
             repair: Repair::Midpoint,
             include_start: true,
             budget: None,
+            lag: 1.0,
         }
     }
 }
@@ -226,6 +230,13 @@ impl DifferentialEvolution {
         self
     }
 
+    /// Sets how many trials are made ahead of selection, in units of the members.
+    #[must_use]
+    pub fn lag(mut self, members: f64) -> Self {
+        self.lag = members;
+        self
+    }
+
     /// Name of the method with these options.
     pub fn name(&self) -> &'static str {
         match self.scheme {
@@ -241,6 +252,7 @@ impl DifferentialEvolution {
         if self.budget == Some(0) {
             return Err(Error::Option { name: "budget", value: 0.0, range: "at least 1" });
         }
+        within("lag", self.lag, 0.0, 10.0, "from 0 to 10")?;
         match self.scheme {
             Scheme::Classic { weight, probability, .. } => {
                 within("crossover probability", probability, 0.0, 1.0, "from 0 to 1")?;

@@ -5,13 +5,15 @@ use super::operators::{cross, different, donor, repair};
 use super::options::{Crossover, DifferentialEvolution, Scheme, Weight, planned};
 use crate::choices::Kind;
 use crate::error::Error;
-use crate::method::Setup;
+use crate::method::{Lookahead, Setup};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::generations::{GenerationRules, Generations, Populations};
+use crate::methods::shared::ranked_points::RankedPoints;
 use crate::rng::{Purpose, Stream};
 use crate::space::Space;
 use crate::termination::Termination;
 use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
 
 /// A running differential evolution; made by [`DifferentialEvolution`].
 pub type DifferentialEvolutionState = Generations<DifferentialRules>;
@@ -20,12 +22,40 @@ pub type DifferentialEvolutionState = Generations<DifferentialRules>;
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct DifferentialRules {
     options: DifferentialEvolution,
-    /// `F` and `CR` of each trial.
+    /// `F` and `CR` of each candidate.
     factors: Vec<(f64, f64)>,
     adaptation: Option<Adaptation>,
     trial: Vec<f64>,
     /// Members evaluated in complete generations.
     n_evaluated: usize,
+    /// Trials that are not candidates yet, in their order: working coordinates one after the other, the rest.
+    ahead: VecDeque<f64>,
+    ahead_made: VecDeque<Made>,
+    /// The generation that trials are made for, its members, those made, and the members of all generations before it.
+    generation: u64,
+    members: usize,
+    n_made: usize,
+    n_before: usize,
+    /// The trials that follow from the answers so far to a generation that is under way.
+    #[serde(skip)]
+    foreseen: Option<Box<Foreseen>>,
+}
+
+/// How a trial was made.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+struct Made {
+    /// The slot of its target.
+    slot: usize,
+    weight: f64,
+    probability: f64,
+}
+
+/// The state after the first so many answers to a generation.
+#[derive(Debug, Clone)]
+struct Foreseen {
+    rules: DifferentialRules,
+    population: RankedPoints,
+    n_taken: usize,
 }
 
 impl DifferentialRules {
@@ -49,14 +79,19 @@ impl DifferentialRules {
             adaptation,
             trial: vec![0.0; n],
             n_evaluated: 0,
+            ahead: VecDeque::new(),
+            ahead_made: VecDeque::new(),
+            generation: 0,
+            members,
+            n_made: members,
+            n_before: 0,
+            foreseen: None,
         };
         let (pool, _) =
             Populations::new(setup, seed, (members, members), options.sampling, options.include_start)?;
         Ok(Generations::new(rules, pool))
     }
-}
 
-impl DifferentialRules {
     /// Whether it was made with these options.
     pub(super) fn is_of(&self, options: &DifferentialEvolution) -> bool {
         let adaptive = match options.scheme {
@@ -65,6 +100,94 @@ impl DifferentialRules {
         };
         self.options == *options && self.adaptation.as_ref().map(|adaptation| adaptation.options) == adaptive
     }
+
+    /// Makes the next trial from the population as it stands, from draws of its own.
+    fn make(&mut self, (setup, seed): (&Setup, u64), population: &RankedPoints) {
+        if self.n_made >= self.members.min(population.len()) {
+            self.n_before += self.members;
+            self.members = self.members_after(self.n_before).min(population.len());
+            self.generation += 1;
+            self.n_made = 0;
+        }
+        let (slot, generation) = (self.n_made, self.generation);
+        self.n_made += 1;
+        let mut stream = Stream::new(seed, Purpose::Individual, generation, slot);
+        let (target, trial) = (population.u(slot), &mut self.trial[..]);
+        let mut made = Made { slot, weight: 0.0, probability: 0.0 };
+        match (self.options.scheme, &self.adaptation) {
+            (Scheme::Classic { strategy, crossover, weight, probability }, _) => {
+                let weight = match weight {
+                    Weight::Dither(low, high) => {
+                        Stream::new(seed, Purpose::Generation, generation, 0).between(low, high)
+                    }
+                    Weight::Fixed(weight) => weight,
+                };
+                let mut r = [0; 5];
+                let r = &mut r[..strategy.n_drawn()];
+                different(&mut stream, population.len(), slot, r);
+                donor(strategy, population, (slot, population.best()), r, weight, trial);
+                cross(crossover, &mut stream, probability, target, trial);
+            }
+            (Scheme::Adaptive(_), Some(adaptation)) => {
+                (made.weight, made.probability) = adaptation.factors(&mut stream);
+                adaptation.donor(&mut stream, population, slot, made.weight, trial);
+                cross(Crossover::Binomial, &mut stream, made.probability, target, trial);
+            }
+            (Scheme::Adaptive(_), None) => trial.copy_from_slice(target),
+        }
+        repair(self.options.repair, &mut stream, &setup.space, target, trial);
+        self.ahead.extend(trial.iter());
+        self.ahead_made.push_back(made);
+    }
+
+    /// Members of a generation that follows so many evaluations.
+    fn members_after(&self, n_evaluated: usize) -> usize {
+        self.adaptation.as_ref().map_or(self.members, |a| a.population_after(n_evaluated))
+    }
+
+    /// Trials that are made ahead of selection where there are so many members.
+    fn lag(&self, members: usize) -> usize {
+        (self.options.lag * members as f64).round() as usize
+    }
+
+    /// Makes trials until so many are not selected from; `n_left` of them are candidates.
+    fn make_up_to(&mut self, lag: usize, n_left: usize, problem: (&Setup, u64), population: &RankedPoints) {
+        while self.ahead_made.len() + n_left < lag && problem.0.space.n_free() > 0 {
+            self.make(problem, population);
+        }
+    }
+
+    /// Takes a candidate into the population if it is not worse than the member in its slot, and makes the trials that follow.
+    fn take(
+        &mut self,
+        slot: usize,
+        cost: Cost,
+        problem: (&Setup, u64),
+        (population, candidates): (&mut RankedPoints, &RankedPoints),
+    ) {
+        let old = population.cost(slot);
+        if let (Cost::Value(f), false) = (cost, old.better_than(cost)) {
+            if let (Some(adaptation), Cost::Value(before)) = (&mut self.adaptation, old)
+                && f < before
+            {
+                adaptation.succeeded(self.factors[slot], before - f, population.u(slot));
+            }
+            population.set(slot, candidates.u(slot), candidates.x(slot));
+            population.set_cost(slot, cost);
+            population.rank_again(slot);
+        }
+        let members = candidates.len();
+        self.make_up_to(self.lag(members), members - 1 - slot, problem, population);
+    }
+
+    /// Enters the cost of a member of the first population, and makes the trials that follow.
+    fn enter(&mut self, slot: usize, cost: Cost, problem: (&Setup, u64), population: &mut RankedPoints) {
+        population.set_cost(slot, cost);
+        population.rank_again(slot);
+        let members = population.len();
+        let lag = self.lag(members).min(members.div_ceil(2));
+        self.make_up_to(lag, members - 1 - slot, problem, population);
+    }
 }
 
 impl GenerationRules for DifferentialRules {
@@ -72,65 +195,39 @@ impl GenerationRules for DifferentialRules {
         self.options.name()
     }
 
-    /// Each trial is made from draws of its own.
+    /// The trials that are made, and those that are still to be made.
     fn make_candidates(&mut self, generation: u64, pool: &mut Populations) {
         let Populations { setup, seed, population, candidates } = pool;
-        let mut common = Stream::new(*seed, Purpose::Generation, generation, 0);
         if let Some(adaptation) = &mut self.adaptation {
             let members = adaptation.population_after(self.n_evaluated).min(population.len());
             population.keep_best(members);
             candidates.resize(members);
             self.factors.resize(members, (0.0, 0.0));
-            adaptation.trim_archive(members, &mut common);
+            adaptation.trim_archive(members, &mut Stream::new(*seed, Purpose::Generation, generation, 0));
         }
-        let weight = match self.options.scheme {
-            Scheme::Classic { weight: Weight::Dither(low, high), .. } => common.between(low, high),
-            Scheme::Classic { weight: Weight::Fixed(weight), .. } => weight,
-            Scheme::Adaptive(_) => 0.0,
-        };
-        for i in 0..population.len() {
-            let mut stream = Stream::new(*seed, Purpose::Individual, generation, i);
-            let (target, trial) = (population.u(i), &mut self.trial[..]);
-            match (self.options.scheme, &self.adaptation) {
-                (Scheme::Classic { strategy, crossover, probability, .. }, _) => {
-                    let mut r = [0; 5];
-                    let r = &mut r[..strategy.n_drawn()];
-                    different(&mut stream, population.len(), i, r);
-                    donor(strategy, population, (i, population.best()), r, weight, trial);
-                    cross(crossover, &mut stream, probability, target, trial);
-                }
-                (Scheme::Adaptive(_), Some(adaptation)) => {
-                    let (f, cr) = adaptation.factors(&mut stream);
-                    self.factors[i] = (f, cr);
-                    adaptation.donor(&mut stream, population, i, f, trial);
-                    cross(Crossover::Binomial, &mut stream, cr, target, trial);
-                }
-                (Scheme::Adaptive(_), None) => trial.copy_from_slice(target),
+        let n = setup.space.n_free();
+        for slot in 0..population.len() {
+            if self.ahead_made.is_empty() {
+                self.make((setup, *seed), population);
             }
-            repair(self.options.repair, &mut stream, &setup.space, target, trial);
-            candidates.place(i, trial, &setup.space);
+            let Some(Made { weight, probability, .. }) = self.ahead_made.pop_front() else { return };
+            self.factors[slot] = (weight, probability);
+            self.trial.clear();
+            self.trial.extend(self.ahead.drain(..n));
+            candidates.place(slot, &self.trial, &setup.space);
         }
     }
 
     /// The cost of the target: what is above it is not selected.
     fn cutoff(&self, pool: &Populations, candidate: usize) -> f64 {
-        pool.cost_as_cutoff(candidate)
+        cost_as_cutoff(&pool.population, candidate)
     }
 
     fn select(&mut self, pool: &mut Populations) {
-        let Populations { population, candidates, .. } = pool;
-        for i in 0..population.len() {
-            let (old, new) = (population.cost(i), candidates.cost(i));
-            let Cost::Value(f) = new else { continue };
-            if old.better_than(new) {
-                continue;
-            }
-            if let (Some(adaptation), Cost::Value(before)) = (&mut self.adaptation, old)
-                && f < before
-            {
-                adaptation.succeeded(self.factors[i], before - f, population.u(i));
-            }
-            population.copy_from(i, candidates, i);
+        self.foreseen = None;
+        let Populations { setup, seed, population, candidates } = pool;
+        for slot in 0..candidates.len() {
+            self.take(slot, candidates.cost(slot), (setup, *seed), (population, candidates));
         }
         if let Some(adaptation) = &mut self.adaptation {
             adaptation.learn();
@@ -138,8 +235,60 @@ impl GenerationRules for DifferentialRules {
         self.n_evaluated += population.len();
     }
 
-    fn started(&mut self, pool: &Populations) {
-        self.n_evaluated = pool.population.len();
+    fn started(&mut self, pool: &mut Populations) {
+        self.foreseen = None;
+        let Populations { setup, seed, population, .. } = pool;
+        let members = population.len();
+        let mut known = without_costs(population);
+        for slot in 0..members {
+            self.enter(slot, population.cost(slot), (setup, *seed), &mut known);
+        }
+        self.n_evaluated = members;
+    }
+
+    fn lookahead(&self) -> Lookahead {
+        if self.options.lag == 0.0 { Lookahead::None } else { Lookahead::Measured }
+    }
+
+    fn look_ahead(
+        &mut self,
+        pool: &Populations,
+        is_first: bool,
+        cost: &dyn Fn(usize) -> Option<Cost>,
+        found: &mut dyn FnMut(&[f64], f64) -> bool,
+    ) {
+        let Populations { setup, seed, population, candidates } = pool;
+        let mut foreseen = self.foreseen.take().unwrap_or_else(|| {
+            let population = if is_first { without_costs(population) } else { population.clone() };
+            Box::new(Foreseen { rules: self.clone(), population, n_taken: 0 })
+        });
+        let Foreseen { rules, population, n_taken } = &mut *foreseen;
+        while *n_taken < population.len()
+            && let Some(cost) = cost(*n_taken)
+        {
+            match is_first {
+                true => rules.enter(*n_taken, cost, (setup, *seed), population),
+                false => rules.take(*n_taken, cost, (setup, *seed), (population, candidates)),
+            }
+            *n_taken += 1;
+        }
+        let (space, n) = (&setup.space, setup.space.n_free());
+        let mut x = space.x0().to_vec();
+        for (k, made) in rules.ahead_made.iter().enumerate() {
+            rules.trial.clear();
+            rules.trial.extend(rules.ahead.range(k * n..(k + 1) * n));
+            space.to_user(&rules.trial, &mut x);
+            // The cost of the target falls from here on.
+            let cutoff = if made.slot < population.len() {
+                cost_as_cutoff(population, made.slot)
+            } else {
+                f64::INFINITY
+            };
+            if !found(&x, cutoff) {
+                break;
+            }
+        }
+        self.foreseen = Some(foreseen);
     }
 
     fn ended(&mut self, pool: &Populations, _: f64) -> Option<Termination> {
@@ -152,16 +301,45 @@ impl GenerationRules for DifferentialRules {
     }
 
     fn is_sound(&self, pool: &Populations) -> bool {
-        let (n, members) = (pool.setup.space.n_free(), pool.population.len());
+        let (space, n, members) = (&pool.setup.space, pool.setup.space.n_free(), pool.population.len());
         let adaptive = matches!(self.options.scheme, Scheme::Adaptive(_));
         let least = match self.options.scheme {
             Scheme::Classic { strategy, .. } => strategy.n_drawn() + 1,
             Scheme::Adaptive(_) => 4,
         };
-        members >= if n == 0 { 1 } else { least }
+        let least = if n == 0 { 1 } else { least };
+        members >= least
             && (pool.candidates.len(), self.factors.len()) == (members, members)
             && self.trial.len() == n
+            && self.ahead.len() == self.ahead_made.len() * n
+            && self.ahead.iter().enumerate().all(|(k, u)| {
+                let (lower, upper) = space.working_bounds(k % n);
+                lower <= *u && *u <= upper
+            })
+            && self.ahead_made.iter().all(|made| are_factors((made.weight, made.probability)))
+            && self.factors.iter().all(|factors| are_factors(*factors))
+            && (least..=members).contains(&self.members)
+            && self.generation < 1 << 60
+            && self.n_made <= self.members
             && adaptive == self.adaptation.is_some()
             && self.adaptation.as_ref().is_none_or(|a| a.is_sound(n, members))
     }
+}
+
+/// Whether these may be `F` and `CR` of a trial: what comes from a file may not.
+fn are_factors((weight, probability): (f64, f64)) -> bool {
+    (0.0..=1.0).contains(&weight) && (0.0..=1.0).contains(&probability)
+}
+
+/// A population whose members have no costs yet.
+fn without_costs(population: &RankedPoints) -> RankedPoints {
+    let mut unknown = population.clone();
+    (0..unknown.len()).for_each(|slot| unknown.set_cost(slot, Cost::Pending));
+    unknown.rank();
+    unknown
+}
+
+/// The cost of a member as a cutoff for what would take its place.
+fn cost_as_cutoff(population: &RankedPoints, member: usize) -> f64 {
+    population.cost(member).value().unwrap_or(f64::INFINITY)
 }

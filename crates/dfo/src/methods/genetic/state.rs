@@ -152,7 +152,7 @@ impl GenerationRules for GeneticRules {
         }
     }
 
-    fn started(&mut self, pool: &Populations) {
+    fn started(&mut self, pool: &mut Populations) {
         let population = &pool.population;
         for member in 0..population.len() {
             self.best_seen.take_better(population, member);

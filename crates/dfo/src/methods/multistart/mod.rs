@@ -15,9 +15,14 @@
 //! For costs without residuals, part of the budget goes to differential evolution before (`exploration`): what it finds is the first
 //! start, and its first population is the first sample.
 //!
+//! The path goes through the searches in turn, a batch of each at a time. A search whose answers have come does not wait for the others: a copy
+//! of it goes on ahead of the path, and so do the next searches in the queue where there are workers for them. What they evaluate is what
+//! the path comes to, unless the run ends before; so the number of workers changes nothing.
+//!
 //! Where the evaluations are limited, sample and searches side by side take at most half of them before the first local search has
 //! ended; the others wait from then on. So a problem with one minimum is solved where its local search needs less than the other half.
 
+mod ahead;
 mod clusters;
 mod options;
 mod state;

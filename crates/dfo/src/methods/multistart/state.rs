@@ -1,17 +1,20 @@
 //! The state machine: sampling, exploration, and several local searches side by side.
 
+use super::ahead::Ahead;
 use super::clusters;
 use super::options::Multistart;
 use crate::answer::{Answers, Best, Want};
 use crate::error::Error;
 use crate::linear_model::LinearModel;
 use crate::method::{
-    Batch, Details, Lookahead, Method, MethodOptions, Operation, Optimum, Setup, Status, restored, saved,
+    AnswersSoFar, Batch, Details, Lookahead, Method, MethodOptions, Operation, Optimum, Setup, Status,
+    restored, saved,
 };
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::population::MAX_MEMBERS;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::methods::shared::rounds::Rounds;
+use crate::objective::Query;
 use crate::rng::draw_seed;
 use crate::sampling::Sampling;
 use crate::termination::Termination;
@@ -87,6 +90,7 @@ pub struct MultistartState {
     core: Core,
     exploration: Option<Box<dyn Method + Send>>,
     searches: Vec<Search>,
+    ahead: Vec<Ahead>,
     /// What was asked last, all searches together; empty while nothing is.
     asked: Batch,
     told: Answers,
@@ -141,7 +145,15 @@ impl MultistartState {
 
     fn of(options: &Multistart, core: Core, exploration: Option<Box<dyn Method + Send>>) -> Self {
         let (asked, told) = (Batch::new(), Answers::default());
-        Self { options: options.clone(), core, exploration, searches: Vec::new(), asked, told }
+        Self {
+            options: options.clone(),
+            core,
+            exploration,
+            searches: Vec::new(),
+            ahead: Vec::new(),
+            asked,
+            told,
+        }
     }
 
     pub(super) fn restore(options: &Multistart, setup: &Setup, state: &[u8]) -> Result<Self, Error> {
@@ -279,8 +291,12 @@ impl MultistartState {
 
     /// How many searches run at once: after an exploration the first runs alone, for what is left of the budget is its.
     fn at_once(&self) -> usize {
-        let alone = self.core.n_planned > 0 && !self.first_has_ended();
-        self.options.side_by_side.unwrap_or(if alone { 1 } else { SIDE_BY_SIDE })
+        self.options.side_by_side.unwrap_or(if self.needs_the_rest() { 1 } else { SIDE_BY_SIDE })
+    }
+
+    /// Whether the first search after an exploration is under way.
+    fn needs_the_rest(&self) -> bool {
+        self.core.n_planned > 0 && !self.first_has_ended()
     }
 
     /// Takes the answers to the points of the exploration.
@@ -329,6 +345,7 @@ impl MultistartState {
             first += len;
             if len > 0 {
                 search.method.tell(&self.told)?;
+                self.ahead.retain_mut(|ahead| ahead.start != search.start || ahead.follow(&self.told));
             }
         }
         self.core.operation = Some(Operation::LocalSearches);
@@ -360,6 +377,10 @@ impl MultistartState {
             }
             status == Status::Running
         });
+        let Self { searches, ahead, .. } = self;
+        ahead.retain(|ahead| {
+            searches.iter().map(|search| &search.start).chain(&core.queue).any(|start| *start == ahead.start)
+        });
         if self.searches.len() < before { self.next() } else { Ok(()) }
     }
 
@@ -374,6 +395,76 @@ impl MultistartState {
                 search.asked = Batch::new();
             }
         }
+    }
+
+    /// Copies of the searches that run and of the next in the queue go as far as the answers reach.
+    fn look_ahead(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
+        let want = if self.options.needs_residuals() { Want::Residuals } else { Want::Cost };
+        let at = |asked: &Batch, k: usize| {
+            let cutoff = if want == Want::Cost { asked.cutoff(k) } else { f64::INFINITY };
+            known.ahead(asked.point(k), &Query::new(0, 0, cutoff).want(want))
+        };
+        let mut left = wanted;
+        let (mut first, mut n_ahead) = (0, 0);
+        for j in 0..self.searches.len() {
+            let (place, Some(mut ahead)) = (first, self.take_ahead(j)) else { return };
+            first += self.searches[j].asked.len();
+            let is_asked = first > place;
+            ahead.advance(&|asked, k, is_same| {
+                if is_same && is_asked { known.answer(place + k).cloned() } else { at(asked, k) }
+            });
+            n_ahead += ahead.n_ahead();
+            if ahead.is_ahead() || !is_asked {
+                for (x, cutoff) in ahead.points() {
+                    batch.push(x, cutoff);
+                    left = left.saturating_sub(usize::from(!known.contains(x)));
+                }
+            }
+            self.ahead.push(ahead);
+        }
+        // The next in the queue, unless the budget ends before.
+        let budget = self.core.setup.max_evaluations.map_or(usize::MAX, |most| {
+            most.saturating_sub(self.core.n_points as usize + self.asked.len() + n_ahead)
+        });
+        let mut budget = if self.needs_the_rest() { 0 } else { budget };
+        for k in 0..self.core.queue.len() {
+            if left == 0 || budget == 0 {
+                break;
+            }
+            let start = self.core.queue[k].clone();
+            let before = self.ahead.iter().position(|ahead| ahead.start == start);
+            let mut ahead = match before {
+                Some(place) => self.ahead.swap_remove(place),
+                None => match self.options.search(&self.setup_at(&start), None) {
+                    Ok(method) => Ahead::new(start, method),
+                    Err(_) => break,
+                },
+            };
+            ahead.advance(&|asked, k, _| at(asked, k));
+            budget = budget.saturating_sub(ahead.n_ahead());
+            for (x, cutoff) in ahead.points().take(budget) {
+                batch.push(x, cutoff);
+                left = left.saturating_sub(usize::from(!known.contains(x)));
+                budget -= 1;
+            }
+            self.ahead.push(ahead);
+        }
+        batch.all_certain();
+        for search in &self.searches {
+            if let Some(ahead) = self.ahead.iter_mut().find(|ahead| ahead.start == search.start) {
+                ahead.method.speculate(left.div_ceil(self.searches.len()), known, batch);
+            }
+        }
+    }
+
+    /// The copy of a search that is under way, as it is, or a new one.
+    fn take_ahead(&mut self, j: usize) -> Option<Ahead> {
+        let Search { start, method, .. } = &self.searches[j];
+        if let Some(place) = self.ahead.iter().position(|ahead| ahead.start == *start) {
+            return Some(self.ahead.swap_remove(place));
+        }
+        let copy = self.options.search(&self.setup_at(start), Some(&method.save()?)).ok()?;
+        Some(Ahead::new(start.clone(), copy))
     }
 
     /// Asks the searches; a method may find out that it has ended when it is asked.
@@ -476,9 +567,15 @@ impl Method for MultistartState {
         Ok(())
     }
 
-    fn speculate(&mut self, wanted: usize, known: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
-        for search in self.searches.iter_mut().filter(|search| !search.asked.is_empty()) {
-            search.method.speculate(wanted, known, batch);
+    fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
+        match self.core.phase {
+            Phase::Exploring if self.core.n_explored + self.asked.len() < self.core.n_planned => {
+                if let Some(exploration) = &mut self.exploration {
+                    exploration.speculate(wanted, known, batch);
+                }
+            }
+            Phase::Searching => self.look_ahead(wanted, known, batch),
+            _ => {}
         }
     }
 
@@ -493,7 +590,6 @@ impl Method for MultistartState {
     fn details(&self) -> Details<'_> {
         let core = &self.core;
         let exploring = self.exploration.as_ref().and_then(|method| method.details().population);
-        let first = self.searches.first();
         let is_best = |tests: &Tests| core.best.cost().is_some_and(|best| best >= tests.f_best);
         Details {
             n_iterations: core.n_iterations,
@@ -503,7 +599,7 @@ impl Method for MultistartState {
             plan: "sample, then searches side by side",
             seed: Some(core.seed),
             population: exploring.or_else(|| Some(core.sample.view())),
-            lookahead: first.map_or(Lookahead::None, |first| first.method.details().lookahead),
+            lookahead: Lookahead::Measured,
             optima: &core.minima,
             ..Details::default()
         }

@@ -10,7 +10,7 @@ use super::trial::{Seen, Trial, TrialPoint};
 use crate::answer::{Answers, Outcome};
 use crate::choices::BoundsHandling;
 use crate::error::Error;
-use crate::method::{Batch, Details, Method, Operation, Setup, Status, saved};
+use crate::method::{AnswersSoFar, Batch, Details, Method, Operation, Setup, Status, saved};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::methods::shared::sizes::SizeSearch;
@@ -281,16 +281,21 @@ impl Method for NelderMeadState {
         Ok(())
     }
 
-    fn speculate(&mut self, wanted: usize, known: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
+    fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
         let Phase::Evaluating(trial) = self.phase else { return };
         let (cutoff, best) = (self.worst_cost(), self.simplex.cost(self.simplex.best()).value());
         // A reflection that asks for an expansion beats the best vertex.
         let best = best.filter(|_| cutoff.is_finite()).unwrap_or(f64::INFINITY);
         let Self { speculation, simplex, setup, trials, numbers, handling, .. } = self;
         let problem = Problem { space: &setup.space, handling: *handling, numbers, simplex };
-        speculation.look(&problem, (trial, trials), (wanted, known), |x, expansion| {
-            batch.push(x, if expansion { best.min(cutoff) } else { cutoff });
-        });
+        speculation.look(
+            &problem,
+            (trial, trials),
+            (wanted, &|x: &[f64]| known.contains(x)),
+            |x, expansion| {
+                batch.push(x, if expansion { best.min(cutoff) } else { cutoff });
+            },
+        );
     }
 
     fn status(&self) -> Status {

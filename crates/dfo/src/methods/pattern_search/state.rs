@@ -5,7 +5,7 @@ use super::poll::Poll;
 use crate::answer::Answers;
 use crate::choices::{BoundsHandling, Measure, Transform};
 use crate::error::Error;
-use crate::method::{Batch, Details, Method, Operation, Setup, Status, saved};
+use crate::method::{AnswersSoFar, Batch, Details, Method, Operation, Setup, Status, saved};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::termination::Termination;
@@ -310,7 +310,7 @@ impl Method for Polling {
         }
     }
 
-    fn speculate(&mut self, wanted: usize, known: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
+    fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
         // The rest of this poll, then the one that follows if all of its points fail, or if the step cannot be doubled.
         let (rest, next) = match self.phase {
             Phase::Starting => (0, (self.next_poll(1, false), 0.5 * self.scale)),
@@ -326,7 +326,7 @@ impl Method for Polling {
                 return;
             }
             self.poll_step(poll, k, scale, &mut step);
-            if self.place(&step, &mut ahead) && ahead.1 != self.trial.1 && !known(&ahead.1) {
+            if self.place(&step, &mut ahead) && ahead.1 != self.trial.1 && !known.contains(&ahead.1) {
                 batch.push(&ahead.1, self.best_cost());
             }
         }

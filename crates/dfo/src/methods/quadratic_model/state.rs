@@ -6,7 +6,7 @@ use super::model::{Interpolation, Quadratic};
 use super::options::QuadraticModel;
 use crate::answer::Answers;
 use crate::error::Error;
-use crate::method::{Batch, Details, Method, Operation, Roughness, Setup, Status, saved};
+use crate::method::{AnswersSoFar, Batch, Details, Method, Operation, Roughness, Setup, Status, saved};
 use crate::methods::nelder_mead::{NelderMead, SimplexSearch};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
@@ -275,7 +275,7 @@ impl Method for QuadraticModelState {
         Ok(())
     }
 
-    fn speculate(&mut self, wanted: usize, known: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
+    fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
         if let Some(simplex) = &mut self.simplex {
             simplex.state.speculate(wanted, known, batch);
         }

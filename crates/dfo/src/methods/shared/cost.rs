@@ -1,10 +1,11 @@
 //! What is known about the cost of a point that a method keeps, and how two of them compare.
 
+use crate::answer::Outcome;
 use serde::{Deserialize, Serialize};
 
 /// The cost of a vertex or of a member of a population. The order of the variants is the order of rank.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub(crate) enum Cost {
+pub enum Cost {
     /// A finite cost.
     Value(f64),
     /// The objective failed there.
@@ -14,6 +15,11 @@ pub(crate) enum Cost {
 }
 
 impl Cost {
+    /// The cost by an outcome that is known. What was given up above the cost that it had to reach has none, like what failed.
+    pub(crate) fn of(outcome: &Outcome) -> Self {
+        outcome.value().map_or(Self::Failed, Self::Value)
+    }
+
     /// The rule of rank, a total order because values are finite: is `self` strictly better?
     pub(crate) fn better_than(self, other: Self) -> bool {
         match (self, other) {

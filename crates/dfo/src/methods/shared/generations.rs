@@ -4,7 +4,9 @@
 use crate::answer::Answers;
 use crate::error::Error;
 use crate::memory;
-use crate::method::{Batch, Details, Method, Operation, Setup, Status, restored, saved};
+use crate::method::{
+    AnswersSoFar, Batch, Details, Lookahead, Method, Operation, Setup, Status, restored, saved,
+};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::methods::shared::rounds::Rounds;
@@ -30,7 +32,24 @@ pub trait GenerationRules: Serialize + DeserializeOwned {
     fn select(&mut self, pool: &mut Populations);
 
     /// The first population is known.
-    fn started(&mut self, pool: &Populations);
+    fn started(&mut self, pool: &mut Populations);
+
+    /// How far to evaluate ahead of need.
+    fn lookahead(&self) -> Lookahead {
+        Lookahead::None
+    }
+
+    /// Gives the candidates of later generations that are certain by now, in their order and with their cutoffs, to `found`, until it
+    /// returns false. `cost` is that of a member of the first population, while this `is_first`, or of a candidate, as far as it has come.
+    fn look_ahead(
+        &mut self,
+        pool: &Populations,
+        is_first: bool,
+        cost: &dyn Fn(usize) -> Option<Cost>,
+        found: &mut dyn FnMut(&[f64], f64) -> bool,
+    ) {
+        let _ = (pool, is_first, cost, found);
+    }
 
     /// Why the run is over after a generation whose tests did not pass, if it is. `best`: the smallest cost so far.
     fn ended(&mut self, pool: &Populations, best: f64) -> Option<Termination>;
@@ -144,7 +163,7 @@ impl<B: GenerationRules> Generations<B> {
         } else {
             Phase::Proposing
         };
-        self.rules.started(&self.pool);
+        self.rules.started(&mut self.pool);
     }
 
     fn end_generation(&mut self) {
@@ -201,6 +220,31 @@ impl<B: GenerationRules> Method for Generations<B> {
         }
     }
 
+    fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
+        let Self { rules, pool, phase, rounds, .. } = self;
+        let (is_first, tried) = match phase {
+            Phase::Starting => (true, &pool.population),
+            Phase::Evaluating => (false, &pool.candidates),
+            Phase::Proposing | Phase::NoStart | Phase::Ended(_) => return,
+        };
+        if rules.lookahead() == Lookahead::None {
+            return;
+        }
+        let cost = |slot: usize| match tried.cost(slot) {
+            Cost::Pending => {
+                rounds.place_of(slot).and_then(|k| known.answer(k)).map(|a| Cost::of(&a.outcome))
+            }
+            cost => Some(cost),
+        };
+        let mut left = wanted;
+        rules.look_ahead(pool, is_first, &cost, &mut |x, cutoff| {
+            batch.push(x, cutoff);
+            left -= usize::from(!known.contains(x));
+            left > 0
+        });
+        batch.all_certain();
+    }
+
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
         if self.phase == Phase::Starting {
             if self.rounds.tell(answers, &mut self.pool.population)? {
@@ -232,6 +276,7 @@ impl<B: GenerationRules> Method for Generations<B> {
             tests: self.tests,
             settled: self.tests.is_some_and(|tests| tests.passed),
             plan: "generation",
+            lookahead: self.rules.lookahead(),
             seed: Some(self.pool.seed),
             population: Some(self.pool.population.view()),
             ..Details::default()
@@ -270,13 +315,5 @@ impl Populations {
         let n_exact = population.seed_with(&setup, include_start || n == 0);
         let candidates = RankedPoints::new(space, candidates);
         Ok((Self { setup, seed, population, candidates }, n_exact))
-    }
-
-    /// The cost of a member as a cutoff for what would take its place.
-    pub(crate) fn cost_as_cutoff(&self, member: usize) -> f64 {
-        match self.population.cost(member) {
-            Cost::Value(cost) => cost,
-            _ => f64::INFINITY,
-        }
     }
 }

@@ -7,6 +7,7 @@ use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::space::Space;
 use crate::tolerances::{Extent, Tests, Tolerances, typical};
+use std::cmp::Ordering;
 
 /// More members than this are a mistake, not a wish.
 pub(crate) const MAX_MEMBERS: usize = 1_000_000;
@@ -53,37 +54,34 @@ impl RankedPoints {
     /// Ranks all members anew; members of the same cost rank by slot.
     pub(crate) fn rank(&mut self) {
         let costs = &self.costs;
-        self.order.sort_unstable_by(|&a, &b| {
-            if costs[a].better_than(costs[b]) {
-                std::cmp::Ordering::Less
-            } else if costs[b].better_than(costs[a]) {
-                std::cmp::Ordering::Greater
-            } else {
-                a.cmp(&b)
-            }
-        });
+        self.order.sort_unstable_by(|&a, &b| in_rank(costs, a, b));
     }
 
-    /// Keeps the `len` best members, in the order of their slots. Needs up-to-date ranks, and leaves them.
+    /// The same where only this member has changed since the last ranking.
+    pub(crate) fn rank_again(&mut self, slot: usize) {
+        self.order.retain(|other| *other != slot);
+        let costs = &self.costs;
+        let rank = self.order.partition_point(|&other| in_rank(costs, other, slot).is_lt());
+        self.order.insert(rank, slot);
+    }
+
+    /// Keeps the `len` best members. Those in the first `len` slots stay there; those beyond take the slots of members that go, in
+    /// the order of the slots. Needs up-to-date ranks, and leaves them.
     pub(crate) fn keep_best(&mut self, len: usize) {
         if self.order.len() <= len {
             return;
         }
-        // Pending stands for members that go; the others move up.
-        for &slot in &self.order[len..] {
-            self.costs[slot] = Cost::Pending;
+        let (stay, go) = self.order.split_at_mut(len);
+        stay.sort_unstable();
+        go.sort_unstable();
+        let from = stay.partition_point(|slot| *slot < len);
+        for (&from, &to) in stay[from..].iter().zip(go.iter()) {
+            self.u.copy_within(from * self.n..(from + 1) * self.n, to * self.n);
+            self.x.copy_within(from * self.n_user..(from + 1) * self.n_user, to * self.n_user);
+            self.costs[to] = self.costs[from];
+            self.values[to] = self.values[from];
         }
-        let mut kept = 0;
-        for slot in 0..self.costs.len() {
-            if self.costs[slot] != Cost::Pending {
-                self.u.copy_within(slot * self.n..(slot + 1) * self.n, kept * self.n);
-                self.x.copy_within(slot * self.n_user..(slot + 1) * self.n_user, kept * self.n_user);
-                self.costs[kept] = self.costs[slot];
-                self.values[kept] = self.values[slot];
-                kept += 1;
-            }
-        }
-        self.resize(kept);
+        self.resize(len);
         self.rank();
     }
 
@@ -139,6 +137,17 @@ impl RankedPoints {
     }
 }
 
+/// How two slots compare by rank.
+fn in_rank(costs: &[Cost], a: usize, b: usize) -> Ordering {
+    if costs[a].better_than(costs[b]) {
+        Ordering::Less
+    } else if costs[b].better_than(costs[a]) {
+        Ordering::Greater
+    } else {
+        a.cmp(&b)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -156,17 +165,24 @@ mod tests {
     }
 
     #[test]
-    fn the_worst_leave_and_the_rest_keep_their_order() {
+    fn the_worst_leave_and_the_rest_keep_their_slots() {
         use Cost::{Failed, Value};
         let (space, mut p) = population(&[Value(3.0), Failed, Value(1.0), Value(2.0), Failed]);
         assert_eq!((p.order(), p.n_finite()), (&[2, 3, 0, 1, 4][..], 3));
         p.keep_best(3);
-        assert_eq!(p.order(), [1, 2, 0]);
+        assert_eq!(p.order(), [2, 1, 0]);
         assert_eq!(
             [0, 1, 2].map(|s| (p.u(s)[0], p.cost(s))),
-            [(0.0, Value(3.0)), (2.0, Value(1.0)), (3.0, Value(2.0))]
+            [(0.0, Value(3.0)), (3.0, Value(2.0)), (2.0, Value(1.0))]
         );
         assert!(p.is_sound(&space));
+        for (slot, cost, order) in
+            [(0, 0.5, [0, 2, 1]), (0, 9.0, [2, 1, 0]), (1, 1.0, [1, 2, 0]), (2, 1.0, [1, 2, 0])]
+        {
+            p.set_cost(slot, Value(cost));
+            p.rank_again(slot);
+            assert_eq!(p.order(), order);
+        }
     }
 
     #[test]

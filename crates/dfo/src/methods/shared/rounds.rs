@@ -63,11 +63,16 @@ impl Rounds {
         for (k, outcome) in outcomes.iter().enumerate().filter(|(_, o)| o.is_known()) {
             let slot = self.roles[k];
             // What was given up above the target's cost is no candidate, like what failed.
-            candidates.set_cost(slot, outcome.value().map_or(Cost::Failed, Cost::Value));
+            candidates.set_cost(slot, Cost::of(outcome));
             let Some(value) = outcome.value() else { continue };
             self.best.offer(candidates.x(slot), value);
         }
         Ok(!candidates.is_pending())
+    }
+
+    /// The place of a candidate in the last batch.
+    pub(crate) fn place_of(&self, slot: usize) -> Option<usize> {
+        self.roles.binary_search(&slot).ok()
     }
 
     /// Batches and points told so far.

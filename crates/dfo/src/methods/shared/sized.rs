@@ -3,7 +3,7 @@
 use super::sizes::{Found, SizeSearch};
 use crate::answer::{Answers, Best};
 use crate::error::Error;
-use crate::method::{Batch, Details, Method, Setup, Status, restored, saved};
+use crate::method::{AnswersSoFar, Batch, Details, Method, Setup, Status, restored, saved};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -133,7 +133,7 @@ impl<O: NeedsSizes> Method for WithSizes<O> {
         self.waiting = true;
     }
 
-    fn speculate(&mut self, wanted: usize, known: &dyn Fn(&[f64]) -> bool, batch: &mut Batch) {
+    fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
         if let Some((_, search)) = &mut self.search {
             search.speculate(wanted, known, batch);
         }

@@ -1,0 +1,105 @@
+//! Workers on a clock of their own: evaluations take as long as one likes, and no time passes meanwhile.
+
+use dfo::{Answer, Evaluator, GivesUp, Outcome, Polled, Query, Wait};
+use std::cell::Cell;
+use std::collections::VecDeque;
+use std::rc::Rc;
+
+pub fn rosenbrock(x: &[f64]) -> f64 {
+    x.windows(2).map(|w| 100.0 * (w[1] - w[0] * w[0]).powi(2) + (1.0 - w[0]).powi(2)).sum()
+}
+
+pub fn hash(x: &[f64]) -> u64 {
+    let mix = |h: u64, v: &f64| (h ^ v.to_bits()).wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(29);
+    x.iter().fold(7, mix).wrapping_mul(0xBF58_476D_1CE4_E5B9) >> 33
+}
+
+/// One in so many points takes ten times as long.
+pub fn one_in(every: u64) -> impl Fn(&[f64]) -> f64 + Copy {
+    move |x| if hash(x).is_multiple_of(every) { 10.0 } else { 1.0 }
+}
+
+/// What is seen from outside.
+#[derive(Default)]
+pub struct Seen {
+    /// The clock, the time that points took in all, how many began.
+    pub now: Cell<f64>,
+    pub busy: Cell<f64>,
+    pub begun: Cell<usize>,
+}
+
+/// Workers on a clock of their own: what ends first answers first.
+pub struct Clocked<L> {
+    width: usize,
+    length: L,
+    pub answer: fn(&[f64], &Query<'_>) -> Answer,
+    pub gives_up: GivesUp,
+    waiting: VecDeque<(Query<'static>, Vec<f64>)>,
+    /// When it ends, when it began, the point.
+    running: Vec<(f64, f64, Query<'static>, Vec<f64>)>,
+    cancelled: Vec<u64>,
+    seen: Rc<Seen>,
+}
+
+impl<L: Fn(&[f64]) -> f64> Clocked<L> {
+    pub fn new(width: usize, length: L) -> (Self, Rc<Seen>) {
+        let seen = Rc::new(Seen::default());
+        let own = Rc::clone(&seen);
+        let (waiting, running, cancelled) = (VecDeque::new(), Vec::new(), Vec::new());
+        let answer = |x: &[f64], _: &Query<'_>| Outcome::Value(rosenbrock(x)).into();
+        let gives_up = GivesUp::No;
+        (Self { width, length, answer, gives_up, waiting, running, cancelled, seen: own }, seen)
+    }
+
+    fn begin(&mut self) {
+        while self.running.len() < self.width
+            && let Some((query, x)) = self.waiting.pop_front()
+        {
+            let now = self.seen.now.get();
+            self.seen.begun.set(self.seen.begun.get() + 1);
+            self.running.push((now + (self.length)(&x), now, query, x));
+        }
+    }
+}
+
+impl<L: Fn(&[f64]) -> f64> Evaluator for Clocked<L> {
+    fn submit(&mut self, x: &[f64], query: Query<'static>) {
+        self.waiting.push_back((query, x.to_vec()));
+    }
+
+    fn poll(&mut self, _: &Wait<'_>, answer: &mut Answer) -> Polled {
+        answer.clear();
+        if let Some(id) = self.cancelled.pop() {
+            return Polled::Answered(id);
+        }
+        self.begin();
+        let first = (0..self.running.len()).min_by(|a, b| self.running[*a].0.total_cmp(&self.running[*b].0));
+        let Some(first) = first else { return Polled::Idle };
+        let (end, began, query, x) = self.running.swap_remove(first);
+        self.seen.now.set(end);
+        self.seen.busy.set(self.seen.busy.get() + end - began);
+        *answer = (self.answer)(&x, &query);
+        Polled::Answered(query.id)
+    }
+
+    /// A simulation stops at its next step.
+    fn cancel(&mut self, id: u64) {
+        let now = self.seen.now.get();
+        if let Some(place) = self.running.iter().position(|r| r.2.id == id) {
+            let (_, began, ..) = self.running.swap_remove(place);
+            self.seen.busy.set(self.seen.busy.get() + now - began);
+            self.cancelled.push(id);
+        } else if let Some(place) = self.waiting.iter().position(|w| w.0.id == id) {
+            self.waiting.remove(place);
+            self.cancelled.push(id);
+        }
+    }
+
+    fn width(&self) -> usize {
+        self.width
+    }
+
+    fn gives_up(&self) -> GivesUp {
+        self.gives_up
+    }
+}
