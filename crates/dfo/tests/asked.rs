@@ -1,4 +1,5 @@
 //! Runs that are asked for by name.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use dfo::{
     AnyMethod, AskedRun, BatchPlan, Coefficients, Error, Kind, Measure, MethodOptions, NelderMead,
