@@ -111,8 +111,8 @@ impl Archive {
         Ok(Archive { content, content_hash: OnceLock::new() })
     }
 
-    /// Stands for the archive that was at `path` with this content. It holds the description; no other file
-    /// can be read.
+    /// An archive of which only the description is available: it was at `path` with this content, and no other
+    /// file of it can be read.
     pub(crate) fn absent(path: &Path, description: Vec<u8>, content_hash: String, reason: String) -> Archive {
         let content = Content::Absent(Absent { path: path.to_owned(), description, reason });
         Archive { content, content_hash: content_hash.into() }
