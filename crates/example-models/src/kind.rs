@@ -33,7 +33,7 @@ impl ExampleKind {
         ExampleKind::Fmi3,
     ];
 
-    /// What stands behind the model's name in the name of the file.
+    /// Suffix that follows the model's name in the file name.
     pub(crate) fn suffix(self) -> &'static str {
         match self {
             ExampleKind::Fmi1ModelExchange => "-fmi1-me",

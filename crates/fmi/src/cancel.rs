@@ -25,7 +25,7 @@ impl Cancel {
         Self { flag: None, at: Instant::now().checked_add(time) }
     }
 
-    /// Whether the flag is raised, or the time has come.
+    /// True if the flag is set, or the time limit has passed.
     pub fn is_asked(&self) -> bool {
         self.flag.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed))
             || self.at.is_some_and(|at| Instant::now() >= at)

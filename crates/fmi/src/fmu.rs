@@ -44,7 +44,7 @@ struct Inner {
     real_references: OnceLock<Vec<(u32, usize)>>,
     /// Departures from the standard that showed in runs.
     quirks_seen: Mutex<Vec<Quirk>>,
-    /// What simulations were told once.
+    /// Subjects of messages that simulations have logged; each is logged once.
     said: Mutex<Vec<&'static str>>,
     workers: Mutex<std::sync::Weak<Workers>>,
     description: ModelDescription,
@@ -52,7 +52,7 @@ struct Inner {
     archive: Arc<Archive>,
 }
 
-/// How a model is run.
+/// Choice of the interface that runs a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 pub enum Kind {
     /// By model exchange where the FMU offers it, else by co-simulation.
@@ -146,7 +146,7 @@ impl Fmu {
         Self::describe(Archive::absent(path, description, content_hash, reason), path, options)
     }
 
-    /// Whether only its description is at hand, see [`absent`](Self::absent).
+    /// True if only its description is available, see [`absent`](Self::absent).
     pub fn is_absent(&self) -> bool {
         self.inner.archive.is_absent()
     }
@@ -159,7 +159,7 @@ impl Fmu {
         self.inner.archive.description(self.inner.options.description.bytes, &Cancel::default())
     }
 
-    /// How it was opened.
+    /// Options with which it was opened.
     pub fn options(&self) -> &OpenOptions {
         &self.inner.options
     }
@@ -173,7 +173,7 @@ impl Fmu {
         &self.inner.archive
     }
 
-    /// Whether both are one: what one of them loads, the other has loaded.
+    /// True if both share one state: a library loaded by one is loaded for the other.
     pub fn is_same(&self, other: &Fmu) -> bool {
         Arc::ptr_eq(&self.inner, &other.inner)
     }
@@ -277,7 +277,7 @@ impl Fmu {
         }
     }
 
-    /// What is done with the log.
+    /// Log settings.
     pub(crate) fn logging(&self) -> &LogOptions {
         &self.inner.options.logging
     }
@@ -317,8 +317,8 @@ impl Fmu {
         self.inner.quirks_seen.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// How long the last simulation of a [`Session`](crate::Session) of this FMU took, by any of its clones; loading the
-    /// library does not count. `None`: there was none.
+    /// Wall-clock time of the last simulation of a [`Session`](crate::Session) of this FMU, by any of its
+    /// clones; loading the library does not count. `None`: there was none.
     pub fn last_run(&self, kind: InterfaceKind) -> Option<Duration> {
         let nanoseconds = self.inner.last_runs[kind as usize].load(Ordering::Relaxed);
         (nanoseconds > 0).then(|| Duration::from_nanos(nanoseconds))
@@ -329,17 +329,17 @@ impl Fmu {
         self.inner.last_runs[kind as usize].store(nanoseconds.max(1), Ordering::Relaxed);
     }
 
-    /// How instances are reset, for the interface that is used where nothing else is asked for; `None` before it was tried.
+    /// Way in which instances are reset, for the default interface; `None` before it was tried.
     pub fn reuse(&self) -> Option<Reuse> {
         self.choose(Kind::Auto).ok().and_then(|kind| self.reuse_of(kind))
     }
 
-    /// How instances are reset; `None` before it was tried.
+    /// Way in which instances are reset; `None` before it was tried.
     pub fn reuse_of(&self, kind: InterfaceKind) -> Option<Reuse> {
         self.verdict(kind).reuse
     }
 
-    /// What is known about bringing back one kind of instances.
+    /// State of knowledge about the reset of instances of one interface.
     pub(crate) fn verdict(&self, kind: InterfaceKind) -> MutexGuard<'_, Verdict> {
         self.inner.libraries.verdict(kind)
     }
@@ -402,7 +402,8 @@ impl Fmu {
         self.inner.libraries.give_up(library);
     }
 
-    /// Whether the FMU can be simulated, one way or the other; the interface that would be used.
+    /// Checks that the FMU can be simulated by one of its interfaces; returns the interface that would be
+    /// used.
     ///
     /// # Errors
     /// [`FmiError::NotOffered`], [`FmiError::NeedsExecutionTool`].
@@ -463,7 +464,7 @@ impl Fmu {
         }
     }
 
-    /// Whether the FMU can be run in this way; the interface.
+    /// Checks that the FMU can be run by this interface, and returns it.
     pub(crate) fn check_interface(&self, kind: InterfaceKind) -> Result<&Interface, FmiError> {
         let description = self.description();
         let interface = self.interface(kind).ok_or_else(|| FmiError::NotOffered {

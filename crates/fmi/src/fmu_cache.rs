@@ -30,7 +30,7 @@ struct Entry {
     fmu: Fmu,
 }
 
-/// What tells one file from another, and from its earlier self.
+/// Key that distinguishes a file from others, and from its earlier versions.
 type Key = (PathBuf, platform::FileIdentity, Option<platform::FileIdentity>);
 
 impl FmuCache {

@@ -7,7 +7,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, ThreadId};
 use std::time::Duration;
 
-/// How long a thread that waits does not look whether it is to go on waiting.
+/// Time between two checks of a waiting thread for whether it is to go on waiting.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 type Task = Box<dyn FnOnce() + Send>;
@@ -27,7 +27,7 @@ struct State {
     /// Those who wait, by the numbers of their coming.
     waiting: VecDeque<u64>,
     last_number: u64,
-    /// What others have left to be done by whoever is in.
+    /// Tasks left by other threads for the thread that is in.
     left: Vec<Task>,
 }
 

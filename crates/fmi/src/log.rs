@@ -17,7 +17,7 @@ const PER_POINT: i32 = 4;
 /// and when it has used that up, may still log so many errors. The lines beyond are counted, and neither expanded nor kept.
 const ERRORS_BEYOND: i32 = 64;
 
-/// Which lines of an FMU's log are kept; the others are not even expanded.
+/// Filter for the lines of an FMU's log; lines that are not kept are not even expanded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum LogFilter {
@@ -129,7 +129,7 @@ impl Log {
         }
     }
 
-    /// Whether a line is to be expanded and kept.
+    /// True if a line is to be expanded and kept.
     pub(crate) fn admits(&self, status: Status) -> bool {
         const FILTERS: [LogFilter; 4] =
             [LogFilter::All, LogFilter::Warnings, LogFilter::Errors, LogFilter::Nothing];

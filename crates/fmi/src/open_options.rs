@@ -1,4 +1,4 @@
-//! What opening an FMU may be told.
+//! Options for opening an FMU.
 
 use crate::archive::ArchiveLimits;
 use crate::cancel::Cancel;
@@ -17,18 +17,18 @@ use std::time::Duration;
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OpenOptions {
-    /// What an archive may contain.
+    /// Limits on the archive.
     pub limits: ArchiveLimits,
-    /// What its description may ask for.
+    /// Limits on the model description.
     pub description: DescriptionLimits,
-    /// How the library is loaded.
+    /// Options of the dynamic loader.
     pub loader: LoaderOptions,
     /// Run the FMU although it says that it needs the tool that made it (`needsExecutionTool`): the tool is there, or the
     /// FMU exaggerates.
     pub tool_is_present: bool,
-    /// What is done with the logs of the instances that simulations use.
+    /// Log settings of the instances that simulations use.
     pub logging: LogOptions,
-    /// How long the compiler may run that builds the library of a source-code FMU (default: five minutes).
+    /// Time limit of the compiler that builds the library of a source-code FMU (default: five minutes).
     pub compile_time: Duration,
     /// Ends the opening early. It is not looked at any more when the FMU is open.
     #[serde(skip)]
@@ -49,7 +49,7 @@ impl Default for OpenOptions {
     }
 }
 
-/// What is done with the log of an FMU. Its lines are kept per instance, not for ever, and the last of them are part of
+/// Log settings of an FMU. Its lines are kept per instance, not for ever, and the last of them are part of
 /// every error.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct LogOptions {
@@ -57,7 +57,7 @@ pub struct LogOptions {
     pub asked: bool,
     /// Of which categories, by their names; none: of all (see [`Instance::log_categories`](crate::Instance::log_categories)).
     pub categories: Vec<String>,
-    /// Which lines are kept.
+    /// Filter for the lines.
     pub filter: LogFilter,
     /// Lines go to the program's logger at the level `info`, after the run that they are of; else at `debug`.
     pub shown: bool,

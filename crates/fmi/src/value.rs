@@ -86,7 +86,7 @@ impl VariableKind {
         })
     }
 
-    /// Whether values are numbers, so that results can hold them.
+    /// True if values are numbers, so that results can hold them.
     pub fn is_number(self) -> bool {
         !matches!(self, VariableKind::String | VariableKind::Binary)
     }

@@ -110,7 +110,7 @@ fn check_record(
     })
 }
 
-/// Whether an earlier entry seems to be the same file.
+/// True if an earlier entry seems to be the same file.
 fn repeats(record: &Record, names: &Names, listed: &[Listed]) -> bool {
     let first = names.position(&record.name).and_then(|position| listed.get(position));
     first.is_some_and(|first| {
@@ -132,7 +132,7 @@ fn is_folder(record: &Record) -> Result<bool, EntryProblem> {
     }
 }
 
-/// How the data are stored: not encrypted, by a known method, with believable sizes.
+/// Checks the storage of the data: not encrypted, by a known method, with plausible sizes.
 fn check_storage(record: &Record, is_folder: bool, limits: &ArchiveLimits) -> Result<(), EntryProblem> {
     let (compressed, size) = (record.compressed_size, record.size);
     if record.flags & ENCRYPTED != 0 {

@@ -1,11 +1,12 @@
-//! What an archive may contain, and what it has to.
+//! Limits on the contents of an archive, and the name of the file that it must hold.
 
 use serde::{Deserialize, Serialize};
 
 /// Name of the file every FMU has at its root.
 pub(crate) const MODEL_DESCRIPTION: &str = "modelDescription.xml";
 
-/// What an archive may contain. The defaults are far above any real FMU, and stop archives made to fill a disk.
+/// Limits on the contents of an archive. The defaults are far above any real FMU, and stop archives made to
+/// fill a disk.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ArchiveLimits {
     /// Files and folders (default 100 000).

@@ -26,7 +26,8 @@ use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-/// Whether names could be those of the files of one archive; else the first that could not, and why.
+/// Checks that the names could be those of the files of one archive; else returns the first that could not,
+/// and the reason.
 pub(crate) fn check_names<'a>(
     names: impl IntoIterator<Item = &'a str>,
 ) -> Result<(), (String, EntryProblem)> {
@@ -39,7 +40,7 @@ pub(crate) fn check_names<'a>(
     Ok(())
 }
 
-/// Whether a relative path with slashes stays inside of the folder it starts in.
+/// True if a relative path with slashes stays inside of the folder it starts in.
 pub(crate) fn is_inside(path: &str) -> bool {
     names::check(path).is_ok()
 }
@@ -75,9 +76,9 @@ struct Absent {
 struct Folder {
     /// An absolute path.
     root: PathBuf,
-    /// How many files there may be.
+    /// Limits on the number and size of the files.
     limits: ArchiveLimits,
-    /// What the libraries were when the folder was opened.
+    /// Identities of the libraries when the folder was opened.
     libraries: Vec<(PathBuf, FileIdentity)>,
 }
 
@@ -110,7 +111,8 @@ impl Archive {
         Ok(Archive { content, content_hash: OnceLock::new() })
     }
 
-    /// What was at `path` with this content, by its description: nothing else of it can be read.
+    /// An archive of which only the description is available: it was at `path` with this content, and no other
+    /// file of it can be read.
     pub(crate) fn absent(path: &Path, description: Vec<u8>, content_hash: String, reason: String) -> Archive {
         let content = Content::Absent(Absent { path: path.to_owned(), description, reason });
         Archive { content, content_hash: content_hash.into() }
@@ -205,8 +207,8 @@ impl Archive {
         }
     }
 
-    /// Whether another archive has the same content, byte for byte. Folders are compared with nothing: they can be edited
-    /// at any time.
+    /// True if another archive has the same content, byte for byte. False for folders: they can be edited at
+    /// any time.
     pub(crate) fn has_content_of(&self, other: &Archive) -> bool {
         let (Content::Packed(one), Content::Packed(two)) = (&self.content, &other.content) else {
             return false;
@@ -250,7 +252,7 @@ impl Archive {
         }
     }
 
-    /// Whether it is a file, which is unpacked into a private folder that goes with this value.
+    /// True for a file, which is unpacked into a private folder that is removed with this value.
     pub fn is_private(&self) -> bool {
         matches!(self.content, Content::Packed(_))
     }

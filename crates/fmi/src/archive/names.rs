@@ -56,7 +56,7 @@ pub(super) struct Names {
 
 struct Seen {
     name: String,
-    /// Which name it was part of.
+    /// Index of the name it was part of.
     position: usize,
     kind: Kind,
 }
@@ -88,22 +88,22 @@ impl Names {
         self.add_one(path, if is_folder { Kind::Folder } else { Kind::File })
     }
 
-    /// Whether a folder of exactly this name was added.
+    /// True if a folder of exactly this name was added.
     fn is_folder(&self, name: &str) -> bool {
         self.seen.get(&fold(name)).is_some_and(|seen| seen.name == name && seen.kind == Kind::Folder)
     }
 
-    /// Which of the names added, counted from 0, was the first with this one (or with a part of this name).
+    /// Index, counted from 0, of the first name added that is this one (or has it as a part).
     pub(super) fn position(&self, name: &str) -> Option<usize> {
         self.seen.get(&fold(name)).map(|seen| seen.position)
     }
 
-    /// How many files and folders there are, those included that have no entry of their own.
+    /// Number of files and folders, including those that have no entry of their own.
     pub(super) fn count(&self) -> u64 {
         self.seen.len() as u64
     }
 
-    /// How many of them are folders.
+    /// Number of folders among them.
     pub(super) fn n_folders(&self) -> u64 {
         self.folders
     }
@@ -130,8 +130,8 @@ impl Names {
     }
 }
 
-/// What file systems that ignore case compare, nearly: upper case, then lower case, so that letters with two
-/// lower-case forms fall together.
+/// Form of a name that file systems that ignore case compare, nearly: upper case, then lower case, so that
+/// letters with two lower-case forms become equal.
 fn fold(name: &str) -> String {
     if name.is_ascii() { name.to_ascii_lowercase() } else { name.to_uppercase().to_lowercase() }
 }

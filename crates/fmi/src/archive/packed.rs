@@ -19,11 +19,11 @@ use std::sync::{Mutex, PoisonError};
 /// Folders at the root that no running FMU needs.
 const NOT_FOR_RUNNING: &[&str] = &["documentation", "sources", "terminalsAndIcons"];
 
-/// What is unpacked together.
+/// Parts of an archive, each unpacked as one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Part {
-    /// What the library may look for when it runs: everything but documentation, sources and the binaries of other
-    /// platforms.
+    /// Files that the library may look for when it runs: everything but documentation, sources and the
+    /// binaries of other platforms.
     Running,
     /// `sources/`.
     Sources,
@@ -57,13 +57,13 @@ pub(super) struct Packed {
     path: PathBuf,
     /// Stays open: a file that takes the name of this one does not take its place.
     file: File,
-    /// What the file was when it was listed.
+    /// Identity of the file when it was listed.
     identity: FileIdentity,
     entries: Vec<Listed>,
     unpacked: Mutex<Unpacked>,
 }
 
-/// What is on the disk at present.
+/// Entries that are on the disk at present.
 #[derive(Debug, Default)]
 struct Unpacked {
     folder: Option<PrivateFolder>,
@@ -94,13 +94,13 @@ impl Packed {
         self.entries.iter().filter(|entry| entry.is_repeated).map(|entry| entry.name.as_str())
     }
 
-    /// What the directory of the archive says about its entries, their checksums included: archives of the same content
-    /// have the same.
+    /// Names, sizes, compressed sizes and checksums of the entries, from the directory of the archive:
+    /// archives of the same content have the same.
     fn directory(&self) -> impl Iterator<Item = (&str, u64, u64, u32)> {
         self.entries.iter().map(|entry| (entry.name.as_str(), entry.size, entry.compressed_size, entry.crc32))
     }
 
-    /// Whether the directories say the same.
+    /// True if the directories are equal.
     pub(super) fn has_directory_of(&self, other: &Self) -> bool {
         self.entries.len() == other.entries.len() && self.directory().eq(other.directory())
     }

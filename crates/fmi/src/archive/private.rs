@@ -17,7 +17,7 @@ const INSIDE: &str = "fmu";
 const LOCK: &str = "lock";
 /// A lock in the making.
 const NEW_LOCK: &str = "lock.new";
-/// What a lock holds.
+/// Content of a lock file.
 const MARK: &[u8] = b"fmufit: an unpacked FMU; this folder goes with the process that locks this file\n";
 
 /// A folder of this process.
@@ -169,7 +169,7 @@ fn remove_unlocked(folder: &Path) {
     }
 }
 
-/// Whether nothing is in a folder but the lock and the unpacked FMU.
+/// True if a folder holds nothing but the lock and the unpacked FMU.
 fn has_our_layout(folder: &Path) -> bool {
     let is_ours = |entry: io::Result<fs::DirEntry>| {
         entry.is_ok_and(|entry| match entry.file_type() {
@@ -198,7 +198,7 @@ fn remove_begun(folder: &Path) {
     let _ = fs::remove_dir(folder);
 }
 
-/// Whether nothing was done in a folder for a long time.
+/// True if a folder has not been modified for a long time.
 fn is_old(folder: &Path) -> bool {
     let modified = folder.symlink_metadata().and_then(|found| found.modified());
     modified.ok().and_then(|time| time.elapsed().ok()).is_some_and(|age| age > ABANDONED)

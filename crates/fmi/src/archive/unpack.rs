@@ -66,7 +66,7 @@ impl Source<'_> {
         Ok(bytes)
     }
 
-    /// Whether two entries have the same contents.
+    /// Returns true if two entries have the same contents.
     pub(super) fn are_same(self, one: &Listed, other: &Listed) -> Result<bool, FmiError> {
         let hash = |entry: &Listed| {
             let mut hashing = Hashing::default();

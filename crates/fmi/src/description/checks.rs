@@ -1,4 +1,4 @@
-//! What can only be judged with the whole file in view: references between its parts, and the quirk report.
+//! Checks that need the whole description: references between its parts, and the quirk report.
 //!
 //! Everything that can be worked with is tolerated and reported (FMUs in the wild leave the standard in many small
 //! ways); only what would make a run wrong or unsafe is an error.
@@ -302,7 +302,7 @@ fn check_units(model: &ModelDescription, quirks: &mut Quirks) {
     }
 }
 
-/// Whether the derivatives say whose they are, and the outputs are the outputs.
+/// Checks that the derivatives name their states, and that the outputs listed are the outputs.
 fn check_structure(model: &ModelDescription, quirks: &mut Quirks) {
     let mut listed = HashSet::new();
     let mut states = HashSet::new();

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// What a description says about a clock.
+/// Timing of a clock, from the model description.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct ClockTiming {

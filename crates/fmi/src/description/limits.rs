@@ -1,4 +1,4 @@
-//! How much a model description may ask for, and what has been used of it so far.
+//! Limits on the memory for reading a model description, and the amount used so far.
 
 use crate::archive::MODEL_DESCRIPTION;
 use crate::cancel::Cancel;
@@ -6,8 +6,8 @@ use crate::error::FmiError;
 use serde::{Deserialize, Serialize};
 use std::cell::Cell;
 
-/// What a model description may ask for. The defaults are above what real models need, and stop small files that would fill
-/// the memory.
+/// Limits on a model description. The defaults are above what real models need, and stop small files that
+/// would fill the memory.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DescriptionLimits {
     /// Bytes of `modelDescription.xml` (default 64 MiB, a description of 200 000 variables). Reading it takes at most
@@ -29,7 +29,7 @@ const MEMORY_PER_BYTE: u64 = 8;
 /// Of it, for what is there for a moment only: attributes as they are read, a list that grows.
 const TRANSIENT_PER_BYTE: u64 = 2;
 
-/// What is left of the memory for reading one document, and whether the reading is cancelled.
+/// Memory left for reading one document, and the flag that cancels the reading.
 #[derive(Debug)]
 pub(super) struct Budget {
     pub(super) limits: DescriptionLimits,
@@ -77,7 +77,7 @@ impl Budget {
         self.complaint().map_or(Ok(()), |complaint| Err(refusal(complaint)))
     }
 
-    /// What has to be said if more was taken than there is.
+    /// Message if more memory was taken than there is.
     pub(super) fn complaint(&self) -> Option<String> {
         let Self { limits: DescriptionLimits { bytes, .. }, .. } = self;
         self.is_exceeded.get().then(|| {

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::fmt;
 
-/// What `modelDescription.xml` says about a model.
+/// The content of `modelDescription.xml`.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct ModelDescription {
@@ -21,7 +21,7 @@ pub struct ModelDescription {
     /// Key shared by the description and the binary, exactly as in the file
     /// (`guid` in FMI 1.0 and 2.0, `instantiationToken` in 3.0).
     pub guid: String,
-    /// What the model is.
+    /// Description of the model.
     pub description: Option<String>,
     /// Who made it.
     pub author: Option<String>,
@@ -61,7 +61,7 @@ pub struct ModelDescription {
     pub declared_states: Option<usize>,
     /// Where the file departs from the standard.
     pub quirks: Vec<Quirk>,
-    /// Whether a variable is an array (FMI 3.0).
+    /// True if a variable is an array (FMI 3.0).
     pub(crate) has_arrays: bool,
     /// Elements that its arrays may have together.
     pub(crate) most_elements: usize,
@@ -140,13 +140,13 @@ impl ModelDescription {
 pub struct Interface {
     /// Base name of the binary (and prefix of FMI 1.0's functions); never holds a path separator.
     pub model_identifier: String,
-    /// What it can do.
+    /// Capability flags.
     pub capabilities: Capabilities,
     /// Files in `sources/` to compile, relative to it. For FMI 3.0, see `sources/buildDescription.xml` instead.
     pub source_files: Vec<String>,
 }
 
-/// What an interface can do; false and 0 unless the file says more.
+/// Capabilities of an interface; false and 0 unless the file says more.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Capabilities {
@@ -187,12 +187,12 @@ pub struct Capabilities {
 }
 
 impl Capabilities {
-    /// Whether a co-simulation of it handles events between steps.
+    /// True if a co-simulation with it handles events between steps.
     pub(crate) fn uses_event_mode(&self) -> bool {
         self.has_event_mode
     }
 
-    /// Whether its steps may end before their end: only where the next one may have any length.
+    /// True if its steps may end early: only where the next step may have any length.
     pub(crate) fn may_return_early(&self) -> bool {
         self.might_return_early_from_do_step && self.can_handle_variable_communication_step_size
     }
@@ -203,7 +203,7 @@ impl Capabilities {
 pub struct LogCategory {
     /// Name.
     pub name: String,
-    /// What it is about.
+    /// Description of the category.
     pub description: Option<String>,
 }
 
@@ -220,7 +220,7 @@ pub struct DefaultExperiment {
     pub step_size: Option<f64>,
 }
 
-/// Which variables are outputs, derivatives and initial unknowns, and what they depend on.
+/// Outputs, derivatives and initial unknowns, with the variables that they depend on.
 /// All indices are in range of the variables.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ModelStructure {
@@ -241,11 +241,11 @@ pub struct Unknown {
     pub index: usize,
     /// Indices of the variables it depends on; `None`: on all (nothing known), empty: on none.
     pub dependencies: Option<Vec<usize>>,
-    /// How it depends on each of them; empty where the file does not say.
+    /// Kind of its dependency on each of them; empty where the file does not say.
     pub kinds: Vec<DependencyKind>,
 }
 
-/// How an unknown depends on a known.
+/// Kind of the dependency of an unknown on a known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum DependencyKind {
@@ -266,7 +266,7 @@ pub enum DependencyKind {
 pub struct Quirk {
     /// Its class.
     pub kind: QuirkKind,
-    /// What was found and what was made of it.
+    /// The departure, and how it was treated.
     pub message: String,
     /// Line in the file, counted from 1 (0: the file as a whole).
     pub line: u32,

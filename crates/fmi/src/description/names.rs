@@ -123,7 +123,7 @@ impl Search {
         Search { wanted, limit, name: Vec::new(), rows: Default::default() }
     }
 
-    /// How far a name is away, if not too far. The last part of a name, `phi` of `joint.phi`, may stand for it.
+    /// Distance of a name, if not too large. The last part of a name, `phi` of `joint.phi`, may stand for it.
     fn distance(&mut self, name: &str) -> Option<usize> {
         if name.len() > 16 * LONGEST_WANTED {
             return None;
@@ -141,8 +141,8 @@ impl Search {
         edits.or_else(|| self.shares_a_word().then_some(self.limit + 1))
     }
 
-    /// Whether a name contains the wanted one, or begins as it does, half of it at least: `fricScale`, `joint.friction` for
-    /// `friction`.
+    /// True if a name contains the wanted one, or begins with at least half of it: `fricScale`,
+    /// `joint.friction` for `friction`.
     fn shares_a_word(&self) -> bool {
         let same = self.name.iter().zip(&self.wanted).take_while(|(a, b)| a == b).count();
         let n = self.wanted.len();

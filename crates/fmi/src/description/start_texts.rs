@@ -102,7 +102,7 @@ fn edit(tag: &str, at: usize, text: &str) -> Option<(Range<usize>, String)> {
 /// A document as text of which every byte is kept: of two-byte encodings the characters, else one character for each byte.
 struct Text {
     encoding: &'static Encoding,
-    /// Whether a byte order mark comes before the text.
+    /// True if a byte order mark comes before the text.
     is_marked: bool,
     text: String,
 }

@@ -11,7 +11,7 @@ pub(crate) struct Structure {
 }
 
 impl Structure {
-    /// Whether all structural parameters have their start values.
+    /// True if all structural parameters have their start values.
     pub(crate) fn is_default(&self) -> bool {
         self.values.is_empty()
     }

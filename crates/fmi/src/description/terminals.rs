@@ -5,9 +5,10 @@
 pub struct Terminal {
     /// Its name, unique on its level.
     pub name: String,
-    /// How members of two connected terminals are paired: `plug`, `bus`, `sequence`, or a name with a domain.
+    /// Rule by which members of two connected terminals are paired: `plug`, `bus`, `sequence`, or a name with
+    /// a domain.
     pub matching_rule: String,
-    /// What kind of connector it is, as a name with a domain.
+    /// Kind of connector, as a name with a domain.
     pub kind: Option<String>,
     /// Description.
     pub description: Option<String>,
@@ -26,7 +27,7 @@ pub struct Terminal {
 pub struct TerminalMember {
     /// Name of the variable in the model description.
     pub variable: String,
-    /// How it is connected: `signal` (equal), `inflow` or `outflow` (sum is zero), or a name with a domain.
+    /// Kind of connection: `signal` (equal), `inflow` or `outflow` (sum is zero), or a name with a domain.
     pub kind: String,
     /// Its name in the terminal.
     pub name: Option<String>,

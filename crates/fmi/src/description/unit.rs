@@ -5,7 +5,7 @@
 pub struct Unit {
     /// Name, as variables refer to it.
     pub name: String,
-    /// How it is made of SI base units; `None` where the file does not say.
+    /// Exponents of the SI base units, factor and offset; `None` where the file does not say.
     pub base: Option<BaseUnit>,
     /// Other units values may be shown in.
     pub display_units: Vec<DisplayUnit>,

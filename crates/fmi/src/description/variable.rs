@@ -11,7 +11,7 @@ pub struct Variable {
     pub name: String,
     /// Handle for get and set calls; unique per kind only, aliases share it.
     pub value_reference: u32,
-    /// What it means.
+    /// Description.
     pub description: Option<String>,
     /// Type of the value.
     pub kind: VariableKind,
@@ -19,8 +19,8 @@ pub struct Variable {
     pub causality: Causality,
     /// When it may change.
     pub variability: Variability,
-    /// How its initial value comes about: as the file says, else the standard's default;
-    /// `None` for inputs and the independent variable.
+    /// Initialization: as the file says, else the standard's default; `None` for inputs and the independent
+    /// variable.
     pub initial: Option<Initial>,
     /// May be set several times at one instant (default true).
     pub can_handle_multiple_set_per_time_instant: bool,
@@ -90,7 +90,7 @@ pub enum Dimension {
 pub struct Alias {
     /// The name; lookups find the variable by it, patterns fit it, and results have a column of it.
     pub name: String,
-    /// What it means.
+    /// Description.
     pub description: Option<String>,
     /// Unit for showing the value under this name.
     pub display_unit: Option<String>,
@@ -101,7 +101,7 @@ pub struct Alias {
 pub struct TypeDefinition {
     /// Name.
     pub name: String,
-    /// What it means.
+    /// Description.
     pub description: Option<String>,
     /// Type of the values.
     pub kind: VariableKind,
@@ -132,7 +132,7 @@ pub struct EnumerationItem {
     pub name: String,
     /// The integer that stands for it.
     pub value: i64,
-    /// What it means.
+    /// Description.
     pub description: Option<String>,
 }
 
@@ -173,8 +173,8 @@ pub enum Variability {
 }
 
 impl Variability {
-    /// What is meant where a file does not say: the schema's "continuous" fits Real variables only, and parameters
-    /// do not change.
+    /// Variability where a file does not say: the schema's "continuous" fits Real variables only, and
+    /// parameters do not change.
     pub(super) fn default_for(causality: Causality, kind: VariableKind) -> Variability {
         match causality {
             Causality::Parameter | Causality::StructuralParameter | Causality::CalculatedParameter => {
@@ -186,7 +186,7 @@ impl Variability {
     }
 }
 
-/// How an initial value comes about.
+/// Initialization of a variable (attribute `initial`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Initial {
@@ -199,7 +199,7 @@ pub enum Initial {
 }
 
 impl Initial {
-    /// What the standard prescribes where a file does not say (FMI 2.0, table in 2.2.7).
+    /// Default of the standard where a file does not say (FMI 2.0, table in 2.2.7).
     pub(super) fn default_for(causality: Causality, variability: Variability) -> Option<Initial> {
         match (causality, variability) {
             (Causality::Input | Causality::Independent, _) => None,

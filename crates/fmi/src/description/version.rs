@@ -22,18 +22,19 @@ impl fmt::Display for FmiVersion {
 }
 
 impl FmiVersion {
-    /// Whether the standard has a table of the combinations of causality, variability and initial that are allowed, and of
-    /// the start values that go with them, by which a description can be judged (FMI 2.0.x, section 2.2.7).
+    /// True if the standard has a table of the allowed combinations of causality, variability and initial,
+    /// and of the start values that go with them, by which a description can be judged (FMI 2.0.x, section
+    /// 2.2.7).
     pub(super) fn has_table_of_combinations(&self) -> bool {
         self.major == 2
     }
 
-    /// Whether the model structure lists the outputs.
+    /// True if the model structure lists the outputs.
     pub(super) fn lists_outputs(&self) -> bool {
         self.major >= 2
     }
 
-    /// How the folders of binaries are named.
+    /// Naming scheme of the folders of binaries.
     pub fn folder_names(&self) -> FolderNames {
         if self.major < 3 { FolderNames::SystemAndBits } else { FolderNames::ProcessorAndSystem }
     }

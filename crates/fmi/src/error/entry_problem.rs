@@ -1,6 +1,6 @@
-//! What can be wrong with one entry of an archive.
+//! Reasons to refuse an entry of an archive.
 
-/// What is wrong with one entry of an archive.
+/// Reason to refuse an entry of an archive.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum EntryProblem {

@@ -9,7 +9,7 @@ use std::fmt;
 pub struct CallFailure {
     /// The function, by the standard's name.
     pub call: &'static str,
-    /// What it returned.
+    /// Status that it returned.
     pub status: Status,
     /// The variables it was about, as far as that is known.
     pub variables: Vec<String>,
@@ -17,7 +17,7 @@ pub struct CallFailure {
     pub time: Option<f64>,
     /// The last lines the instance logged, oldest first; references to variables are expanded to names.
     pub log: Vec<LogLine>,
-    /// How many other lines are not shown: earlier ones, and those beyond the rate limit.
+    /// Number of other lines that are not shown: earlier ones, and those beyond the rate limit.
     pub dropped_log_lines: u64,
 }
 
@@ -53,7 +53,7 @@ impl fmt::Display for CallFailure {
 
 impl std::error::Error for CallFailure {}
 
-/// What a call into an FMU returned.
+/// Status returned by a call into an FMU.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Status {
@@ -93,7 +93,7 @@ impl fmt::Display for Status {
 /// A line that an FMU logged.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LogLine {
-    /// How serious it is.
+    /// Severity.
     pub status: Status,
     /// Category, one of the model description's or anything else.
     pub category: String,

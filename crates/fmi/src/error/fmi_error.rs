@@ -1,4 +1,4 @@
-//! What can go wrong with an FMU: one error type that names the place and the numbers.
+//! The error type of this crate; each error names the place and the numbers.
 
 use super::entry_problem::EntryProblem;
 use super::failure::CallFailure;
@@ -21,9 +21,9 @@ pub enum FmiError {
     /// There is not enough memory for something large; nothing was taken.
     #[error("{what} would take {} MB of memory, more than is available", bytes / 1_000_000)]
     Memory {
-        /// What was to be made, with its numbers.
+        /// Object to be allocated, with its numbers.
         what: String,
-        /// How much it would take.
+        /// Size in bytes.
         bytes: u64,
     },
     /// An error in a worker process.
@@ -41,7 +41,7 @@ pub enum FmiError {
     /// The operating system refused something.
     #[error("cannot {action} {}: {source}{}", path.display(), limit_of_files(source.raw_os_error()))]
     Io {
-        /// What was tried, as a verb phrase: "open", "create".
+        /// Action that failed, as a verb phrase: "open", "create".
         action: &'static str,
         /// The file or folder.
         path: PathBuf,
@@ -63,7 +63,7 @@ pub enum FmiError {
     BadArchive {
         /// The archive.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Defect of the archive.
         reason: String,
     },
     /// An entry of the archive is not what an FMU may contain; nothing of it was unpacked.
@@ -73,7 +73,7 @@ pub enum FmiError {
         path: PathBuf,
         /// Name of the entry as stored.
         entry: String,
-        /// What is wrong with it.
+        /// Defect of the entry.
         problem: EntryProblem,
     },
     /// The archive as a whole exceeds a limit of [`ArchiveLimits`](crate::archive::ArchiveLimits).
@@ -81,11 +81,11 @@ pub enum FmiError {
     ArchiveLimit {
         /// The archive.
         path: PathBuf,
-        /// What was counted.
+        /// Quantity counted.
         what: &'static str,
-        /// How much there is (at least).
+        /// Count found (at least).
         found: u64,
-        /// How much is allowed.
+        /// Largest count allowed.
         limit: u64,
     },
     /// There is no `modelDescription.xml` at the root.
@@ -103,7 +103,7 @@ pub enum FmiError {
         file: &'static str,
         /// Line in the file, counted from 1.
         line: u32,
-        /// What is wrong.
+        /// Description of the defect.
         message: String,
     },
     /// A version of the standard that does not exist yet.
@@ -129,7 +129,7 @@ pub enum FmiError {
     NoSources {
         /// Model identifier of the interface.
         model_identifier: String,
-        /// What was looked for.
+        /// Sources that were looked for.
         reason: String,
     },
     /// No C compiler was found.
@@ -147,7 +147,7 @@ pub enum FmiError {
         model_identifier: String,
         /// The command.
         command: String,
-        /// How the compiler ended.
+        /// Exit status of the compiler.
         status: String,
         /// The last lines it wrote.
         output: String,
@@ -329,7 +329,7 @@ pub enum FmiError {
     /// NaN or an infinity where a number is needed.
     #[error("{name} = {value}: a finite number is needed", value = Number(*.value))]
     NotFinite {
-        /// What was to get the value.
+        /// Name that was to get the value.
         name: String,
         /// The value.
         value: f64,
@@ -347,13 +347,13 @@ pub enum FmiError {
     BadInput {
         /// The variable, or what stands for it.
         name: String,
-        /// What is wrong, with numbers.
+        /// The problem, with numbers.
         problem: String,
     },
     /// Settings of a simulation that do not make sense.
     #[error("{problem}")]
     BadSetting {
-        /// What is wrong, with numbers.
+        /// The problem, with numbers.
         problem: String,
     },
     /// An option of the integration method that cannot be used.
@@ -386,7 +386,7 @@ fn bits((least, most): (i128, i128)) -> u32 {
 }
 
 impl FmiError {
-    /// What is told of this error to those who cannot have it: its sort, and the data that they may use.
+    /// Form of this error for another process: its kind, and the data that are passed on.
     pub fn told(&self) -> Told {
         let (kind, time) = match self {
             FmiError::Told(told) => return (**told).clone(),
@@ -459,7 +459,8 @@ impl FmiError {
 const EMFILE: i32 = 24;
 const TOO_MANY_FILES: &str = "Too many open files";
 
-/// How many files this process may have open; `None` where the system does not say, or there is no limit.
+/// Limit on the number of open files of this process; `None` where the system does not say, or there is no
+/// limit.
 fn open_files_limit() -> Option<u64> {
     #[cfg(unix)]
     return rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
@@ -467,7 +468,7 @@ fn open_files_limit() -> Option<u64> {
     None
 }
 
-/// What is to be added to an error where the process has as many open files as it may have.
+/// Addition to an error where the process has as many open files as it may have.
 fn limit_of_files(error: Option<i32>) -> String {
     match open_files_limit() {
         Some(limit) if error == Some(EMFILE) => {

@@ -1,4 +1,4 @@
-//! What can go wrong with an FMU: one error type that names the place and the numbers, and what a failed call says.
+//! Errors of this crate, and the data of a failed call.
 
 mod entry_problem;
 mod failure;

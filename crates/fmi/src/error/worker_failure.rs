@@ -1,10 +1,10 @@
-//! What went wrong in a worker process: an error that it has told, or its end.
+//! Failures of a worker process: an error that it reported, or its end.
 
 use ode::Number;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// What sort of error a worker has told.
+/// Kind of an error that a worker reported.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum ToldKind {
@@ -36,20 +36,20 @@ pub struct Told {
     pub kind: ToldKind,
     /// Simulated time at which a simulation failed.
     pub time: Option<f64>,
-    /// What the failed call returned.
+    /// Status that the failed call returned.
     pub status: Option<String>,
     /// The last lines that the instance logged, oldest first.
     pub log: Vec<String>,
 }
 
 impl Told {
-    /// Whether it tells of the process or its files rather than of a simulation.
+    /// True if it concerns the process or its files rather than a simulation.
     pub fn is_of_process(&self) -> bool {
         matches!(self.kind, ToldKind::Model | ToldKind::NoFile | ToldKind::Memory)
     }
 }
 
-/// How a worker process came to its end.
+/// Cause of the end of a worker process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum EndKind {
@@ -59,7 +59,7 @@ pub enum EndKind {
     Hung,
     /// It had more memory than its limit, and was ended.
     Memory,
-    /// What it sent was no answer; it was ended.
+    /// Its output was not a valid answer; it was ended.
     Garbage,
 }
 
@@ -67,7 +67,7 @@ pub enum EndKind {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct WorkerEnd {
-    /// How it ended.
+    /// Cause.
     pub kind: EndKind,
     /// The same in words: "segmentation fault".
     pub what: String,
@@ -80,7 +80,7 @@ pub struct WorkerEnd {
 }
 
 impl WorkerEnd {
-    /// What happened and where, the same for all ends of that sort: "segmentation fault in fmi2DoStep".
+    /// Cause and place, the same for all ends of that kind: "segmentation fault in fmi2DoStep".
     pub fn reason(&self) -> String {
         match &self.function {
             Some(function) => format!("{} in {function}", self.what),

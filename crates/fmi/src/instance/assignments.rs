@@ -171,7 +171,7 @@ pub(crate) struct Assignments {
 }
 
 impl Assignments {
-    /// Whether there is nothing to set.
+    /// True if there is nothing to set.
     pub(crate) fn is_empty(&self) -> bool {
         self.reals.0.is_empty()
             && self.packed.is_empty()

@@ -1,4 +1,4 @@
-//! What can be done with the clocks of an instance by hand.
+//! Functions of an instance that read and set its clocks.
 
 use super::assignments::resolve;
 use super::phases::{Initialization, Instance, Readable};
@@ -21,8 +21,8 @@ impl<K> Instance<Initialization, K> {
 }
 
 impl<P: Readable, K> Instance<P, K> {
-    /// What the model says about the interval before the next tick of a clock, in initialization or event mode; `None`
-    /// while a countdown does not run.
+    /// Interval before the next tick of a clock as reported by the model, in initialization or event mode;
+    /// `None` while a countdown does not run.
     ///
     /// # Errors
     /// There is no such variable or it is no clock; the FMU cannot tell, or refuses.

@@ -9,7 +9,7 @@ use ode::{EventOutcome, Stopped};
 use std::thread;
 use std::time::Duration;
 
-/// What became of a communication step.
+/// Outcome of a communication step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct StepOutcome {
@@ -29,7 +29,7 @@ pub struct StepOutcome {
     pub may_have_ended: bool,
 }
 
-/// How often a step that is computed in the background is asked for.
+/// Time between two status queries of a step that is computed in the background.
 const POLL: Duration = Duration::from_micros(100);
 
 impl Core {

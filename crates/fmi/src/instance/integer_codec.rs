@@ -46,7 +46,7 @@ pub(crate) fn word_of_number(kind: VariableKind, x: f64) -> Option<i64> {
     }
 }
 
-/// Whether a number is a value of a variable.
+/// True if a number is a valid value of a variable.
 pub(crate) fn is_of(variable: &Variable, x: f64) -> bool {
     let fits = |(least, most): (i128, i128)| whole(x).is_some_and(|i| (least..=most).contains(&i));
     word_of_number(variable.kind, x).is_some() && variable.integer_range().is_none_or(fits)

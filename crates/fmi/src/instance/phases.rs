@@ -32,19 +32,19 @@ pub enum CoSimulation {}
 
 /// A phase in the life of an [`Instance`].
 pub trait Phase: sealed::Sealed {
-    /// Whether the standard lets this variable be set in this phase.
+    /// Checks that the standard lets this variable be set in this phase.
     ///
     /// # Errors
     /// [`FmiError::NotSettable`] with the reason.
     fn check_settable(variable: &Variable) -> Result<(), FmiError>;
 
-    /// Whether structural parameters are set without entering another mode.
+    /// True if structural parameters are set without entering another mode.
     #[doc(hidden)]
     fn is_configuration() -> bool {
         false
     }
 
-    /// Whether the experiment has yet to be set up.
+    /// True if the experiment has yet to be set up.
     #[doc(hidden)]
     fn is_before_setup() -> bool {
         false
@@ -312,7 +312,7 @@ impl<P: Readable, K> Instance<P, K> {
         self.core.call(|raw| raw.adjoint_derivative(Direction { unknowns, knowns, seed }, sensitivity))
     }
 
-    /// What a variable depends on with the present structural parameters, element by element (FMI 3.0).
+    /// Dependencies of a variable with the present structural parameters, element by element (FMI 3.0).
     ///
     /// # Errors
     /// There is no such variable; the FMU cannot, refuses, or names a kind of dependency that the standard does not know.

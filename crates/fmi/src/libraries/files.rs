@@ -34,7 +34,7 @@ fn root_of<'a>(path: &'a Path, source: &Source) -> &'a Path {
     source.place().components().fold(path, |path, _| path.parent().unwrap_or(path))
 }
 
-/// Whether anything but the library itself would lie in a copy's folder.
+/// True if a copy's folder would hold anything besides the library itself.
 pub(super) fn has_company(source: &Source) -> bool {
     let beside = source.library.parent().and_then(|folder| fs::read_dir(folder).ok());
     source.is_inside()

@@ -10,7 +10,7 @@ use std::any::Any;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// What keeps the folder of a copy on the disk.
+/// Owner that keeps the folder of a copy on the disk.
 pub(super) type FolderOwner = Arc<dyn Any + Send + Sync>;
 
 /// A variable that runs set: whether before the initialization (or in it, and later), its type, its reference.
@@ -19,7 +19,7 @@ pub(crate) type Setting = (bool, VariableKind, u32);
 /// A loaded copy of a library.
 pub(crate) struct LoadedLibrary {
     path: PathBuf,
-    /// What was ever set in it, sorted; `None`: anything, by hand.
+    /// Every setting ever made in it, sorted; `None`: anything, by hand.
     set: Mutex<Option<Vec<Setting>>>,
     gate: Arc<Gate>,
     /// One function table for each way of running the model, over the same static variables.
@@ -51,7 +51,8 @@ impl LoadedLibrary {
         Ok(Self { path, set: Mutex::new(Some(Vec::new())), gate, tables, folder: Mutex::new(Some(folder)) })
     }
 
-    /// How much of what a user sets was set in it before (`None`: users set anything, by hand); no answer where something else was.
+    /// Number of a user's settings that were made in it before (`None`: users set anything, by hand); no
+    /// answer where others were made.
     pub(super) fn n_set_of(&self, settings: Option<&[Setting]>) -> Option<usize> {
         match (&*self.set.lock().unwrap_or_else(PoisonError::into_inner), settings) {
             (None, None) => Some(1),
@@ -122,12 +123,12 @@ impl LoadedLibrary {
             .any(|table| table.lock().unwrap_or_else(PoisonError::into_inner).as_deref().is_some_and(&holds))
     }
 
-    /// Whether a call has returned `Fatal`: it is never used again.
+    /// True if a call has returned `Fatal`: it is never used again.
     pub(crate) fn is_fatal(&self) -> bool {
         self.any(Library::is_fatal)
     }
 
-    /// Whether an instance was ever made in it.
+    /// True if an instance was ever made in it.
     pub(crate) fn is_used(&self) -> bool {
         self.any(Library::is_used)
     }

@@ -55,7 +55,7 @@ fn take_kept(source: &Source, settings: Option<&[Setting]>) -> Option<Arc<Loaded
     Some(library)
 }
 
-/// What a library is needed for.
+/// Use for which a library is needed.
 #[derive(Clone, Copy)]
 pub(crate) struct Wanted<'a> {
     pub(crate) kind: InterfaceKind,
@@ -65,7 +65,7 @@ pub(crate) struct Wanted<'a> {
     pub(crate) only_one: bool,
 }
 
-/// What makes a library that is needed.
+/// Functions and options with which a needed library is loaded.
 pub(crate) struct Maker<'a> {
     pub(crate) archive: &'a Arc<Archive>,
     pub(crate) loader: LoaderOptions,
@@ -79,7 +79,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Libraries {
-    /// What is known about bringing back one kind of instances.
+    /// State of knowledge about the reset of instances of one interface.
     pub(crate) fn verdict(&self, kind: InterfaceKind) -> MutexGuard<'_, Verdict> {
         lock(&self.verdicts[kind as usize])
     }
@@ -154,7 +154,7 @@ impl Libraries {
         first
     }
 
-    /// Whether the file itself is to be loaded: it is in a folder that nobody else has, and is not loaded yet.
+    /// True if the file itself is to be loaded: it is in a private folder, and is not loaded yet.
     fn takes_original(&self, source: &Source, archive: &Archive) -> bool {
         if !(archive.is_private() && source.is_inside()) {
             return false;

@@ -9,7 +9,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-/// What tells one library from another.
+/// Key that distinguishes libraries.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 enum Key {
     /// Of an archive: its fingerprint, and the place in it.
@@ -18,7 +18,7 @@ enum Key {
     File(FilePlace, FileIdentity, LoaderOptions),
 }
 
-/// What all loaded copies of one library have in common, whoever has opened the FMU.
+/// State shared by all loaded copies of one library, whoever has opened the FMU.
 #[derive(Debug, Default)]
 struct Content {
     /// Copies can be unloaded, and share nothing with each other; read from the file when it is first needed.
@@ -37,7 +37,7 @@ pub(super) struct Source {
     pub(super) library: PathBuf,
     /// The folder of the FMU.
     pub(super) root: PathBuf,
-    /// What the file was when it was found, where it could be written over.
+    /// Identity of the file when it was found, where it could be written over.
     identity: Option<FileIdentity>,
     content: Arc<Content>,
 }
@@ -63,12 +63,12 @@ impl Source {
         Ok(Self { library, root, identity, content })
     }
 
-    /// Whether both are of one content.
+    /// True if both are of one content.
     pub(super) fn is_same(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.content, &other.content)
     }
 
-    /// Whether the library is one of the FMU's files, not one that was built from its sources.
+    /// True if the library is one of the FMU's files, not one that was built from its sources.
     pub(super) fn is_inside(&self) -> bool {
         self.library.starts_with(&self.root)
     }
@@ -92,7 +92,7 @@ impl Source {
         }
     }
 
-    /// Whether copies can be unloaded, and share nothing with each other.
+    /// True if copies can be unloaded, and share nothing with each other.
     pub(super) fn may_unload(&self) -> bool {
         *self.content.may_unload.get_or_init(|| platform::may_be_unloaded(&self.library))
     }

@@ -1,9 +1,9 @@
-//! What is known about bringing the instances of an FMU back to their start.
+//! State of knowledge about the reset of an FMU's instances.
 
-/// What is known of one way of running the model.
+/// State of knowledge about the reset of instances of one interface.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Verdict {
-    /// How instances are brought back; `None` before it was tried. Only gets worse.
+    /// Way in which instances are reset; `None` before it was tried. Only gets worse.
     pub(crate) reuse: Option<Reuse>,
     /// Saved states do not bring an instance back.
     pub(crate) no_restore: bool,
@@ -17,15 +17,15 @@ impl Verdict {
         self.reuse = self.reuse.max(Some(reuse));
     }
 
-    /// Whether a new instance is made for every run, whatever a simulator has seen.
+    /// True if a new instance is made for every run, whatever a simulator has seen.
     pub(crate) fn is_final(&self) -> bool {
         self.reuse >= Some(Reuse::Reinstantiate)
     }
 }
 
-/// How the instances of an FMU are brought back to their start between simulations: the first of these ways that was
-/// seen to be right. Right means that runs have the same bits as on a new instance, also after a run with other values;
-/// which way is faster is never asked.
+/// Way in which the instances of an FMU are reset between simulations: the first of these that was seen to be
+/// right. Right means that runs have the same bits as on a new instance, also after a run with other values;
+/// speed is not compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum Reuse {

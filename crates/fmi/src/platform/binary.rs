@@ -88,7 +88,7 @@ impl fmt::Display for BinaryFormat {
     }
 }
 
-/// What the header of a shared library says.
+/// Header of a shared library.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BinaryHeader {
     /// File format.
@@ -119,7 +119,7 @@ impl BinaryHeader {
         Ok(header.map(|(format, machines)| BinaryHeader { format, machines }))
     }
 
-    /// Whether this platform can load it.
+    /// True if this platform can load it.
     pub fn runs_here(&self) -> bool {
         self.format == BinaryFormat::host() && self.machines.contains(&Machine::host())
     }
@@ -175,7 +175,7 @@ fn mapped_length<'data, Elf: FileHeader<Endian = Endianness>, R: ReadRef<'data>>
     Some(mapped.map(end).max().unwrap_or(0))
 }
 
-/// What a file is that stands where a library should be, for a message.
+/// Kind of the file found in place of a library, for a message.
 pub(crate) fn describe(path: &Path) -> String {
     let header = match BinaryHeader::read(path) {
         Ok(Some(header)) => return header.to_string(),

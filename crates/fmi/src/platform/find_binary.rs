@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 pub struct FoundBinary {
     /// The library.
     pub path: PathBuf,
-    /// What was not as it should be, if anything: another name than the model identifier.
+    /// Irregularity, if any: another name than the model identifier.
     pub note: Option<String>,
 }
 

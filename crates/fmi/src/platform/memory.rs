@@ -1,10 +1,10 @@
-//! Whether there is memory for something large, asked before it is taken: systems promise more than they have, and end the
-//! process that believes them.
+//! Check that memory for a large object is available, before it is allocated: systems promise more than they
+//! have, and end the process that uses it.
 
 use super::system::available_memory;
 use crate::error::FmiError;
 
-/// What is taken without asking.
+/// Bytes that are allocated without a check.
 const SMALL: u64 = 64 << 20;
 
 /// Refuses to go on if `bytes` for `what` are more than is available.

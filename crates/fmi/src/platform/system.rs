@@ -10,7 +10,7 @@ use std::{env, io};
 /// Extension of shared libraries on this platform, without the dot: `so`, `dll`, `dylib`.
 pub const LIBRARY_EXTENSION: &str = env::consts::DLL_EXTENSION;
 
-/// How the folders of `binaries/` are named.
+/// Naming scheme of the folders of `binaries/`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FolderNames {
     /// `linux64` (FMI 1.0 and 2.0).
@@ -180,7 +180,7 @@ pub(crate) fn system_libraries() -> &'static [&'static str] {
     if cfg!(windows) { &[] } else { &["-lm"] }
 }
 
-/// Whether a component of an archive's path can be the name of a file here.
+/// True if a component of an archive's path can be the name of a file here.
 pub(crate) fn is_file_name(component: &str) -> bool {
     if !cfg!(windows) {
         return true;
@@ -193,7 +193,7 @@ pub(crate) fn is_file_name(component: &str) -> bool {
     !device && !component.ends_with(['.', ' ']) && !component.contains(['<', '>', ':', '"', '|', '?', '*'])
 }
 
-/// Whether a file is marked as executable by its owner.
+/// True if a file is marked as executable by its owner.
 pub(crate) fn is_executable(metadata: &fs::Metadata) -> bool {
     #[cfg(unix)]
     {
@@ -239,9 +239,9 @@ pub fn without_private_folders(text: &str) -> String {
     out + rest
 }
 
-/// How the names of private folders begin.
+/// Prefix of the names of private folders.
 pub(crate) const PRIVATE_PREFIX: &str = "fmufit-unpacked-";
-/// What is between the name of a private folder and what is in it.
+/// Path between the name of a private folder and its content.
 const PRIVATE_INSIDE: &str = "/fmu/";
 
 /// Makes a folder appear at a second place, where systems can do so without ado.
@@ -273,7 +273,7 @@ pub(crate) fn available_memory() -> Option<u64> {
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)
 }
 
-/// What tells a file from another, and from what it was before it was changed.
+/// Data that distinguish a file from others, and from its earlier versions.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub(crate) struct FileIdentity {
     /// Device and inode, where systems have them.
@@ -300,7 +300,7 @@ impl FileIdentity {
         }
     }
 
-    /// Whether the file has not been written since.
+    /// True if the file has not been written since.
     pub(crate) fn same_content(&self, other: &Self) -> bool {
         (self.size, self.modified) == (other.size, other.modified)
     }

@@ -1,5 +1,5 @@
-//! Whether a library can be unloaded, read from the file without running anything of it (System V ABI, chapters 4 and 5; GNU
-//! extension `STB_GNU_UNIQUE`).
+//! Decides, from the file and without running any of its code, if a library can be unloaded (System V ABI,
+//! chapters 4 and 5; GNU extension `STB_GNU_UNIQUE`).
 
 use object::read::elf::{Dyn, FileHeader, Sym};
 use object::{Endianness, FileKind, elf};
@@ -39,9 +39,10 @@ const KEEPING: &[&str] = &[
     "putenv", "environ", "_environ", "__environ", "openlog",
 ];
 
-/// Whether nothing of the library at `path` can be called, and nothing of its memory be used, once its instances are gone, and it shares
-/// no variables with other libraries of the process: it is linked with the C library alone and imports none of its functions that
-/// start threads, keep addresses or load other libraries. Not so what cannot be read, or is in another format.
+/// True if, once the instances of the library at `path` are gone, nothing of it can be called and nothing of
+/// its memory used, and it shares no variables with other libraries of the process: it is linked with the C
+/// library alone and imports none of its functions that start threads, keep addresses or load other
+/// libraries. False for a file that cannot be read or is in another format.
 pub(crate) fn may_be_unloaded(path: &Path) -> bool {
     let Ok(data) = std::fs::read(path) else { return false };
     let found = match FileKind::parse(&*data) {

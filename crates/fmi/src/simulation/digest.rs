@@ -31,7 +31,7 @@ impl Digest {
         }
     }
 
-    /// Whether both took in the same numbers, up to the last note of the one with fewer of those that are kept.
+    /// True if both contain the same numbers, up to the last of the notes kept by the one with fewer of them.
     pub(crate) fn begins_as(&self, other: &Digest) -> bool {
         self.way.iter().zip(&other.way).all(|(one, other)| one == other)
     }

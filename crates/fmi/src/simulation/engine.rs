@@ -1,4 +1,4 @@
-//! What makes the steps of a simulation: the driver of integrations, or the FMU itself.
+//! Engines that make the steps of a simulation: the driver of integrations, or the FMU itself.
 
 use crate::description::{Value, Variable};
 use crate::error::FmiError;

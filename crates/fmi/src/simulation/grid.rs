@@ -63,7 +63,7 @@ impl SimulateOptions {
 }
 
 impl SimulateOptions {
-    /// Which of start and end are suggestions of the model, for messages.
+    /// Names those of start and end that the model suggests, for messages.
     fn suggested(&self, experiment: &DefaultExperiment) -> String {
         let of_model = [
             experiment.start_time.filter(|_| self.start_time.is_none()).map(|t| ("start", t, "start_time")),

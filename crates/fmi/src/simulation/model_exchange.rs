@@ -46,9 +46,10 @@ pub(crate) struct System {
 /// changed since the sample before, to be trusted in the rest of the run.
 const GOOD_SAMPLES: u32 = 8;
 
-/// Whether the model computes its variables when they are read, as the standard wants it, or only together with the
-/// derivatives: then those are computed before (seen in FMUs of OpenModelica 1.12). Judged anew in every run, by its own
-/// first samples, which are right in any case: so a run does not depend on those before it.
+/// Time at which the model computes its variables: when they are read, as the standard demands, or only
+/// together with the derivatives. In the latter case the derivatives are computed before (seen in FMUs of
+/// OpenModelica 1.12). Determined anew in every run, from its own first samples, which are right in any case:
+/// so a run does not depend on those before it.
 #[derive(Debug, Clone, Copy)]
 enum Freshness {
     /// So many samples went well.

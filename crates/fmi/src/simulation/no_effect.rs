@@ -5,7 +5,7 @@ use crate::sys::InterfaceKind;
 use ode::{Method, Number};
 
 impl SimulateOptions {
-    /// What is set and has no effect where the model is run in this way, and why; one sentence each.
+    /// Settings that have no effect with this interface, with the reason; one sentence each.
     pub fn without_effect(&self, kind: InterfaceKind) -> Vec<String> {
         let (method, integrates) = (self.method, kind == InterfaceKind::ModelExchange);
         let mut found = Vec::new();

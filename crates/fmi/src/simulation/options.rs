@@ -1,4 +1,4 @@
-//! What a simulation may be told.
+//! Options of a simulation.
 
 use crate::description::{DefaultExperiment, Interval, Value};
 use crate::fmu::Kind;
@@ -15,8 +15,8 @@ pub const DEFAULT_INTERVALS: usize = 500;
 /// Relative tolerance where neither the options nor the model say one.
 pub const DEFAULT_TOLERANCE: f64 = 1e-6;
 
-/// What becomes of rows between the steps of a co-simulation that cannot stop there: one that takes steps of one length only, or
-/// steps from one multiple of its own step to the next (`fixedInternalStepSize`, FMI 3.0).
+/// Treatment of rows between the steps of a co-simulation that cannot stop there: one that takes steps of one
+/// length only, or steps from one multiple of its own step to the next (`fixedInternalStepSize`, FMI 3.0).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BetweenSteps {
@@ -75,14 +75,15 @@ pub struct SimulateOptions {
     pub outputs: Option<Vec<String>>,
     /// Time-varying inputs.
     pub inputs: Option<Inputs>,
-    /// Whether co-simulations that extrapolate inputs (`canInterpolateInputs`, FMI 1.0 and 2.0) are told their derivatives
-    /// for the next step: that of the line to the inputs at its end. Default: yes. Inputs that are held over each step, as
-    /// with `Some(false)` and in most other tools, are farther from the truth, by an error of the order of the step.
+    /// Passes derivatives of inputs, those of the line to the inputs at the end of the next step, to
+    /// co-simulations that extrapolate inputs (`canInterpolateInputs`, FMI 1.0 and 2.0). Default: yes. Inputs
+    /// held over each step, as with `Some(false)` and in most other tools, are less accurate, by an error of
+    /// the order of the step.
     pub input_derivatives: Option<bool>,
     /// Relative tolerance; default: that of the default experiment, else 1e-6. The model is told of it where it is given here or there: a
     /// co-simulation has a default of its own.
     pub relative_tolerance: Option<f64>,
-    /// How the model is run.
+    /// Interface that runs the model.
     pub kind: Kind,
     /// Integration method (model exchange).
     pub method: Method,
@@ -98,7 +99,7 @@ pub struct SimulateOptions {
     pub timeout: Option<Duration>,
     /// Limit of work in equivalents of a right-hand side, see [`ode::Stats::work`] (model exchange).
     pub max_work: Option<f64>,
-    /// What happens when state events follow each other so closely that time hardly advances (model exchange).
+    /// Response to state events that follow each other so closely that time hardly advances (model exchange).
     pub chattering: ChatteringPolicy,
     /// Add rows for both sides of every event.
     pub record_events: bool,
@@ -162,7 +163,8 @@ impl SimulateOptions {
         self
     }
 
-    /// Whether a plan for the one serves the other: all is the same, the flag that cancels too.
+    /// True if a plan for one can be used for the other: all options are equal, including the flag that
+    /// cancels.
     pub(crate) fn is_same(&self, other: &Self) -> bool {
         // One pattern for all fields, so that none can be forgotten.
         macro_rules! same {

@@ -1,4 +1,4 @@
-//! What ends a run from outside: the observer, the flag that cancels, the limit of wall-clock time.
+//! External reasons to end a run: the observer, the flag that cancels, the limit of wall-clock time.
 
 use ode::{EventRecord, Observer, Options, Sample, StepView, Stopped, Watch};
 use std::cell::RefCell;

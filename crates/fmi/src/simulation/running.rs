@@ -1,5 +1,5 @@
-//! What a run of a model has whichever way the model is run: an instance, in the phase it is in, and what is written beside
-//! it.
+//! State of a run, for both interfaces: an instance, in its current phase, and the buffers written during the
+//! run.
 
 use crate::error::FmiError;
 use crate::instance::{CoSimulation, ContinuousTime, Core, EventMode, Instance, StepMode};
@@ -133,7 +133,7 @@ impl Current {
     }
 }
 
-/// What a run has, and keeps for the next one.
+/// State of a run, kept for the next one.
 #[derive(Debug)]
 pub(crate) struct Running {
     pub(crate) plan: Arc<SimulationPlan>,

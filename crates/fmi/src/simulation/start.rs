@@ -1,4 +1,5 @@
-//! How a run of an FMU begins, whichever way it goes on: values, initialization mode, inputs at the start time, clocks.
+//! Start of a run of an FMU, for both interfaces: values, initialization mode, inputs at the start time,
+//! clocks.
 
 use crate::error::FmiError;
 use crate::instance::{Core, Initialization, Instance, Instantiated};

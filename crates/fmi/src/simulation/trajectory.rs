@@ -31,9 +31,9 @@ pub struct Trajectory {
     pub events: Vec<EventRecord>,
     /// The ticks of clocks, in the order of their times.
     pub ticks: Vec<Tick>,
-    /// What it cost; of the seconds see [`Simulator::run`](crate::Simulator::run).
+    /// Statistics of the cost; for the seconds, see [`Simulator::run`](crate::Simulator::run).
     pub stats: Stats,
-    /// How it ended.
+    /// Reason for its end.
     pub termination: Termination,
     /// Time at which it ended.
     pub end_time: f64,
@@ -67,7 +67,8 @@ impl ValueColumn {
         &self.places
     }
 
-    /// What the [`places`](Self::places) stand for: of texts and binary values those of all columns of the simulation, each once.
+    /// Values to which the [`places`](Self::places) refer: for texts and binary values those of all columns
+    /// of the simulation, each once.
     pub fn distinct(&self) -> &[Value] {
         &self.values
     }
@@ -77,7 +78,7 @@ impl ValueColumn {
         self.places.len()
     }
 
-    /// Whether there are no rows.
+    /// True if there are no rows.
     pub fn is_empty(&self) -> bool {
         self.places.is_empty()
     }

@@ -17,7 +17,7 @@ pub(crate) struct VariableElement {
 }
 
 impl VariableElement {
-    /// What a name stands for: a variable, or `name[2,1]`, counted from 1.
+    /// Resolves a name: a variable, or an element `name[2,1]`, counted from 1.
     ///
     /// # Errors
     /// [`FmiError::UnknownVariable`] with the nearest names.
@@ -37,7 +37,7 @@ impl VariableElement {
         Ok(Self { variable: resolve(description, name)?, element })
     }
 
-    /// Whether the two have a value in common: aliases have the same reference.
+    /// True if the two have a value in common: aliases have the same reference.
     pub(crate) fn overlaps(self, other: VariableElement, description: &ModelDescription) -> bool {
         let reference = |place: VariableElement| {
             let variable = &description.variables[place.variable];
@@ -162,7 +162,7 @@ impl<T> Slots<T> {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct FloatSlots {
     slots: Slots<f64>,
-    /// How many references and values are of type `Real`.
+    /// Number of references and number of values of type `Real`.
     reals: (usize, usize),
 }
 
@@ -238,7 +238,8 @@ pub(crate) struct StartValues {
     pub(crate) inputs: Assignments,
 }
 
-/// What one run is given: start values, those of the plan or others for the same variables, and the values of its parameters.
+/// Input of one run: start values, those of the plan or others for the same variables, and the values of its
+/// parameters.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct RunInput<'a> {
     pub(crate) start: &'a StartValues,

@@ -17,9 +17,9 @@ use std::time::Instant;
 
 const DIFFERS: &str = "a simulation after it differs from one on a new instance";
 
-/// What a short run showed.
+/// Result of a short run.
 enum Probe {
-    /// What the FMU answered.
+    /// Digest of the FMU's results.
     Digest(Digest),
     /// It could not be started: nothing to compare.
     Nothing,
@@ -44,7 +44,7 @@ impl Probe {
     }
 }
 
-/// What a check has found.
+/// Result of a check.
 enum Finding {
     /// Nothing: runs fail, or a time limit ends them.
     Nothing,
@@ -225,7 +225,7 @@ impl Check<'_> {
         if self.watch.is_stopped { Err(simulator.ended(ErrorKind::Cancelled)) } else { Ok(probe) }
     }
 
-    /// What it has taken so far.
+    /// Cost so far.
     fn taken(&self) -> Checks {
         Checks { seconds: Seconds::new(self.began.elapsed().as_secs_f64()), ..self.checks }
     }

@@ -6,7 +6,7 @@ use crate::simulation::running::Running;
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 
-/// What a check may take of the time of the runs before it.
+/// Largest cost of a check, as a fraction of the time of the runs before it.
 const SHARE: f64 = 0.1;
 
 /// Runs of a check, as a rule.
@@ -57,7 +57,7 @@ impl FirstRun {
         most.clamp(*STEPS.start(), *STEPS.end())
     }
 
-    /// Whether the runs so far have taken long enough for a check.
+    /// True if the runs so far have taken long enough for a check.
     pub(super) fn is_due(&self) -> bool {
         let per_step = (self.took - self.starting) / self.n_steps.max(1) as f64;
         let estimate = RUNS as f64 * (self.starting + per_step * self.n_check_steps() as f64);

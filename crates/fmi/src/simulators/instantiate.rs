@@ -18,7 +18,7 @@ const NO_EVENT_MODE: &str = "the description promises an event mode in co-simula
 const SO_OFTEN: &str =
     "a loaded library can be instantiated only so often: simulations go on in newly loaded copies of it";
 
-/// How an instance is made.
+/// Options with which an instance is made.
 #[derive(Debug, Clone, Default)]
 pub struct InstanceOptions {
     /// Name of the instance, for log messages; default: the name of the model.
@@ -27,8 +27,8 @@ pub struct InstanceOptions {
     pub logging: bool,
     /// Of which categories, by their names; none: of all (see [`Instance::log_categories`]).
     pub log_categories: Vec<String>,
-    /// Which lines of the log are kept (see [`Instance::log`]); an FMU that goes on logging is held to four lines
-    /// for each point of time, step and event iteration, besides its errors, and the rest is counted.
+    /// Filter for the lines of the log (see [`Instance::log`]); an FMU that goes on logging is held to four
+    /// lines for each point of time, step and event iteration, besides its errors, and the rest is counted.
     pub log_filter: LogFilter,
     /// Let the FMU show windows.
     pub visible: bool,

@@ -59,9 +59,9 @@ impl Simulator {
         self.plan.fmu().instantiate_for_runs(library, (self.plan.kind, &self.plan.settings))
     }
 
-    /// Whether instances may be brought back by a saved state, as far as is known. Not in co-simulation: some models abort
-    /// the process when they are initialized after it (seen in Dymola's, whose solver is no part of the state), and reset
-    /// is as fast.
+    /// True if instances may be reset by a saved state, as far as is known. Not in co-simulation: some models
+    /// abort the process when they are initialized after it (seen in Dymola's, whose solver is no part of the
+    /// state), and reset is as fast.
     pub(super) fn may_restore(&self) -> bool {
         let (fmu, kind) = (self.plan.fmu(), self.plan.kind);
         kind == InterfaceKind::ModelExchange

@@ -11,7 +11,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 impl Simulator {
-    /// How instances are brought back, as far as it is known; `None`: a new instance is made until it was tried.
+    /// Way in which instances are reset, as far as it is known; `None`: a new instance is made until it was
+    /// tried.
     pub(super) fn reuse(&self) -> Option<Reuse> {
         let verdict = *self.plan.fmu().verdict(self.plan.kind);
         match verdict.is_final() {
@@ -20,7 +21,7 @@ impl Simulator {
         }
     }
 
-    /// Whether a call of its library has returned `Fatal`.
+    /// True if a call of its library has returned `Fatal`.
     pub(super) fn is_fatal(&self) -> bool {
         self.library.as_ref().is_some_and(|library| library.is_fatal())
     }
@@ -222,7 +223,7 @@ impl Simulator {
     }
 }
 
-/// What a run took, where it had begun.
+/// Statistics of a run that had begun.
 fn stats_of(outcome: &mut Result<Report, FmiError>) -> Option<&mut Stats> {
     match outcome {
         Ok(report) => Some(&mut report.stats),

@@ -26,7 +26,7 @@ use std::time::Instant;
 /// Runs have new instances at first. When a tenth of the time that they took is enough to put a way of bringing an instance back to the
 /// test, that is done: the first steps must have the same bits as on a new instance, also after a run with other
 /// values, or the next way is tried later (see [`Reuse`](crate::Reuse): a saved state, the reset function, a new instance for every run).
-/// What the test takes is in [`Stats::checks`](ode::Stats::checks). Parameters and start values are set
+/// The cost of the test is in [`Stats::checks`](ode::Stats::checks). Parameters and start values are set
 /// again for every run, and read back from an instance that was used before.
 ///
 /// ```compile_fail

@@ -1,4 +1,5 @@
-//! What to compile, and how: the recipe for a library, from the description or from the files that are there.
+//! Selection of the files to compile and their options: the recipe for a library, from the description or
+//! from the files present.
 
 use super::compiler::{Compiler, Patience};
 use super::headers;
@@ -64,7 +65,7 @@ const FMI2_FUNCTIONS: &[&str] = &[
     "fmi2GetStringStatus",
 ];
 
-/// How to build one library.
+/// Recipe from which one library is built.
 #[derive(Debug, PartialEq)]
 pub(super) struct Recipe {
     model_identifier: String,
@@ -184,7 +185,7 @@ impl Sources<'_> {
         FmiError::NoSources { model_identifier: self.model_identifier.to_owned(), reason }
     }
 
-    /// What to compile: as listed in the description, else in the build description, else every C file.
+    /// Files to compile: as listed in the description, else in the build description, else every C file.
     fn build_set(&self, description: &ModelDescription, interface: &Interface) -> Result<BuildSet, FmiError> {
         if !self.folder.is_dir() {
             return Err(self.error("there is no folder \"sources\"".to_owned()));

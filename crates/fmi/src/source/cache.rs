@@ -15,7 +15,7 @@ pub(super) const PACKED: &str = "packed";
 const SUBFOLDERS: &[&str] = &[LIBRARIES, PACKED];
 /// File whose time is that of the last use.
 const USED: &str = "used";
-/// What is unfinished starts with this.
+/// Prefix of unfinished entries.
 const UNFINISHED: &str = ".unfinished-";
 
 /// Bounds of the libraries kept.

@@ -11,17 +11,17 @@ use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-/// How long a compiler may take to say what it is.
+/// Time limit of a compiler that is queried for its version.
 const ANSWER_TIME: Duration = Duration::from_secs(20);
-/// What is kept of a compiler's messages.
+/// Number of lines kept of a compiler's messages.
 const LAST_LINES: usize = 40;
 const LAST_BYTES: usize = 8000;
-/// How much of them is searched for the first error.
+/// Number of bytes of them that are searched for the first error.
 const SEARCHED_BYTES: u64 = 1 << 20;
-/// How often a running compiler is looked at: rarely enough to cost nothing beside it.
+/// Time between two checks of a running compiler: long enough to cost nothing beside it.
 const LOOK_EVERY: Duration = Duration::from_millis(5);
 
-/// What ends a compiler that runs.
+/// Conditions that end a running compiler: cancellation and a time limit.
 pub(super) struct Patience<'a> {
     pub(super) cancel: &'a Cancel,
     pub(super) limit: Duration,
@@ -108,7 +108,7 @@ impl Compiler {
         Ok(Some(Compiler { program, arguments, version }))
     }
 
-    /// What distinguishes it from other compilers.
+    /// Text that distinguishes it from other compilers.
     pub(super) fn identity(&self) -> String {
         format!("{} {} {}", self.program, self.arguments.join(" "), self.version)
     }

@@ -9,7 +9,7 @@ use crate::error::FmiError;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// How long a compiler may run, where nothing else is said.
+/// Default time limit of a compiler.
 pub(crate) const COMPILE_TIME: Duration = Duration::from_secs(300);
 
 /// Builds the library of an interface from the sources of an FMU with the system's C compiler (`CC`, else `cc`,

@@ -1,4 +1,4 @@
-//! What an FMU may call back: the logger and the memory functions.
+//! Callbacks of an FMU: the logger and the memory functions.
 //!
 //! The loggers of FMI 1.0 and 2.0 are variadic, which stable Rust can call but not define. Of the two ways out, a fixed-arity
 //! function in its place loses the arguments (messages keep their `%s`), so a C shim (`logger.c`) expands the message
@@ -22,7 +22,7 @@ const LONGEST_TEXT: usize = 2047;
 #[derive(Debug)]
 pub(super) struct Callbacks {
     environment: Arc<Environment>,
-    /// What a version of the standard needs besides, at an address that does not change.
+    /// Additional data that a version of the standard needs, at an address that does not change.
     keep: OnceLock<Arc<dyn Any + Send + Sync>>,
     log: Arc<Log>,
     /// Messages go to the instance that is called on their thread (FMI 1.0).
@@ -77,7 +77,7 @@ impl Callbacks {
     }
 }
 
-/// What `componentEnvironment` points to; the same layout as in `logger.c`.
+/// Target of `componentEnvironment`; the same layout as in `logger.c`.
 #[repr(C)]
 #[derive(Debug, Clone)]
 pub(super) struct Environment {

@@ -91,7 +91,7 @@ pub(crate) fn close_inherited() -> io::Result<()> {
     }
 }
 
-/// What was inherited stays open where there is no such call.
+/// Inherited file descriptors stay open where there is no such call.
 #[cfg(all(unix, not(any(target_os = "linux", target_os = "android"))))]
 pub(crate) fn close_inherited() -> io::Result<()> {
     Ok(())

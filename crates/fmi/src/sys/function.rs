@@ -15,7 +15,7 @@ pub(super) struct Function<F> {
     pub(super) number: u32,
 }
 
-/// What a call answered.
+/// Status returned by a call, with the name of the function.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[must_use]
 pub(super) struct Answer {

@@ -51,7 +51,7 @@ type SetIntervalFraction =
 type ShiftFraction = unsafe extern "C" fn(Component, *const u32, usize, *mut u64, *mut u64) -> c_int;
 
 table! {
-    /// What both interfaces have.
+    /// Functions of both interfaces.
     pub(super) struct CommonFunctions {
         get_version: Text = optional "fmiGetVersion" | "fmi2GetVersion" | "fmi3GetVersion";
         get_types_platform: Text =
@@ -160,7 +160,7 @@ const LAST_SUCCESSFUL_TIME: c_int = 2;
 const TERMINATED: c_int = 3;
 
 impl StepFunctions {
-    /// How a pending step stands.
+    /// Queries the status of a pending step.
     ///
     /// # Safety
     /// As for the methods of [`Version`](super::version::Version).

@@ -14,7 +14,7 @@ const NAME: usize = 48;
 /// Functions that are known by name; calls of further ones are not told.
 const NAMES: usize = 160;
 
-/// What both processes see. All bits are valid values, whatever an FMU writes there.
+/// Memory shared by both processes. All bits are valid values, whatever an FMU writes there.
 #[repr(C)]
 struct Shared {
     /// Not 0: the worker is to end what it does.
@@ -99,7 +99,7 @@ impl Page {
         self.shared().cancel.store(cancelled.into(), Ordering::Relaxed);
     }
 
-    /// Whether the worker is to end what it does.
+    /// True if the worker is to end its current work.
     pub(crate) fn is_cancelled(&self) -> bool {
         self.shared().cancel.load(Ordering::Relaxed) != 0
     }
@@ -215,7 +215,7 @@ pub(crate) fn tell_calls(page: Page) -> Result<&'static Page, FmiError> {
     PAGE.get().ok_or(FmiError::Cancelled)
 }
 
-/// Whether this process is a worker.
+/// True if this process is a worker.
 pub(crate) fn is_worker() -> bool {
     PAGE.get().is_some()
 }

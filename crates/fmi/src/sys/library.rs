@@ -129,7 +129,7 @@ impl Library {
         &self.handle.gate
     }
 
-    /// Whether a call has returned `Fatal`: then nothing of the loaded file can be trusted any more.
+    /// True if a call has returned `Fatal`: then the state of the loaded file is not reliable any more.
     #[inline]
     pub(crate) fn is_fatal(&self) -> bool {
         self.handle.is_fatal.load(Ordering::Relaxed)
@@ -139,7 +139,7 @@ impl Library {
         self.handle.is_fatal.store(true, Ordering::Relaxed);
     }
 
-    /// Whether a component was ever made in the loaded file: then its static variables may have a past.
+    /// True if a component was ever made in the loaded file: then its static variables may have been changed.
     pub(crate) fn is_used(&self) -> bool {
         self.handle.is_used.load(Ordering::Relaxed)
     }
@@ -197,7 +197,7 @@ fn check_types(functions: &CommonFunctions, path: &Path) -> Result<(), FmiError>
     }
 }
 
-/// What a function answers that takes nothing and gives a text; `None` without the function.
+/// Text returned by a function without arguments; `None` without the function.
 fn text_of(function: &Function<Text>) -> Option<String> {
     // SAFETY: such functions of the standard may be called at any time, and answer with a text that ends in NUL and stays.
     unsafe {

@@ -1,4 +1,4 @@
-//! What differs between systems in this module: how a library is opened.
+//! System-dependent part of this module: the loading of a library.
 
 use super::environment::Inside;
 use crate::gate::Gate;
@@ -9,10 +9,11 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// How the dynamic loader is asked for a library. By default all its symbols are looked up when it is loaded, so that a
-/// missing one is an error then and not the end of the process later (`RTLD_NOW`), and none of them are offered to other
-/// libraries (`RTLD_LOCAL`). A library that is loaded already stays as it is; that holds for the libraries it depends on too,
-/// which the loader knows by their names: of two with one name in a process it takes the first.
+/// Options of the dynamic loader for a library. By default all its symbols are looked up when it is loaded,
+/// so that a missing one is an error then and not the end of the process later (`RTLD_NOW`), and none of them
+/// are offered to other libraries (`RTLD_LOCAL`). A library that is loaded already stays as it is; that holds
+/// for the libraries it depends on too, which the loader identifies by their names: of two with one name in a
+/// process it takes the first.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct LoaderOptions {
     /// Symbols of the library and what it depends on come before those of the process (`RTLD_DEEPBIND` of glibc): for
@@ -89,7 +90,7 @@ const DEEPBIND: Option<std::ffi::c_int> = Some(8);
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 const DEEPBIND: Option<std::ffi::c_int> = None;
 
-/// Whether the loader can do what is asked of it; else the option that it does not have.
+/// Checks that the loader supports the options; else returns the one that it does not have.
 pub(super) fn check(options: &LoaderOptions) -> Result<(), &'static str> {
     match options {
         LoaderOptions { deepbind: true, .. } if DEEPBIND.is_none() => Err("deepbind"),

@@ -72,7 +72,7 @@ impl Symbols<'_> {
     }
 }
 
-/// Whether a name in a table is that of a function.
+/// True if a name in a table is that of a function.
 fn is_symbol(name: &str) -> bool {
     !name.is_empty() && !name.starts_with('(')
 }

@@ -1,4 +1,4 @@
-//! What goes to an FMU and comes back, in types that do not depend on the version of FMI.
+//! Arguments and results of calls into an FMU, in types that do not depend on the version of FMI.
 
 use crate::description::{DependencyKind, Interval};
 use crate::error::Status;
@@ -16,7 +16,7 @@ pub(super) struct Component(*mut c_void);
 impl Component {
     pub(super) const NULL: Self = Self(std::ptr::null_mut());
 
-    /// Whether the FMU has made none.
+    /// True if the FMU has made no component.
     pub(super) fn is_null(self) -> bool {
         self.0.is_null()
     }
@@ -66,7 +66,7 @@ pub(super) fn file_uri(path: &Path) -> CString {
     CString::new(uri).unwrap_or_default()
 }
 
-/// What an event iteration told.
+/// Result of an event iteration.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct EventInfo {
     /// Another iteration is wanted.
@@ -81,14 +81,14 @@ pub(crate) struct EventInfo {
     pub(crate) next_event_time: Option<f64>,
 }
 
-/// What a model says about the interval before the next tick of a clock.
+/// Interval before the next tick of a clock, as reported by a model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct IntervalAnswer {
     pub(crate) qualifier: Qualifier,
     pub(crate) interval: Interval,
 }
 
-/// How an interval is meant.
+/// Qualifier of an interval.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Qualifier {
     NotYetKnown,
@@ -115,10 +115,11 @@ impl fmt::Display for InterfaceKind {
     }
 }
 
-/// What a communication step told.
+/// Result of a communication step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct StepInfo {
-    /// How far the model got, where that is not the end of the step (or not known to be); FMI 3.0: its time after every step.
+    /// Time that the model has reached, where that is not the end of the step (or not known to be); FMI 3.0:
+    /// its time after every step.
     pub(crate) reached: Option<f64>,
     /// The model returned before the end of the step and goes on from where it got (FMI 3.0).
     pub(crate) early: bool,
@@ -141,7 +142,7 @@ pub struct ElementDependency {
     pub known: u32,
     /// Position of the element of that one; `None`: all of it.
     pub known_element: Option<usize>,
-    /// How it depends on it.
+    /// Kind of the dependency.
     pub kind: DependencyKind,
 }
 
@@ -154,7 +155,7 @@ pub(crate) struct Direction<'a> {
     pub(crate) seed: &'a [f64],
 }
 
-/// What an instance is made with.
+/// Arguments with which an instance is made.
 #[derive(Debug)]
 pub(crate) struct Request<'a> {
     pub(crate) name: &'a CStr,
@@ -169,7 +170,7 @@ pub(crate) struct Request<'a> {
     pub(crate) log_filter: LogFilter,
 }
 
-/// What an experiment is set up with.
+/// Arguments with which an experiment is set up.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Experiment {
     pub(crate) tolerance: Option<f64>,

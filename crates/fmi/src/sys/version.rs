@@ -1,4 +1,4 @@
-//! What differs between the versions of FMI: functions whose types differ, in types of ours.
+//! Functions whose types differ between the versions of FMI, behind types that do not depend on the version.
 
 use super::callbacks::Callbacks;
 use super::function::{Answer, call};
@@ -72,7 +72,7 @@ pub(super) struct Step {
 /// As for [`Version`].
 #[allow(clippy::missing_safety_doc)]
 pub(super) trait Values: Send + Sync {
-    /// Whether a reference may stand for several values. If not, there are as many values as references.
+    /// True if a reference may stand for several values. If not, there are as many values as references.
     fn has_arrays(&self) -> bool {
         false
     }

@@ -1,4 +1,4 @@
-//! How this program starts a worker process.
+//! Command that starts a worker process.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -22,7 +22,7 @@ impl Launcher {
         *KNOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(self);
     }
 
-    /// How workers are started; `None`: nobody has said so.
+    /// Command that starts workers; `None`: it has not been set.
     pub(super) fn known() -> Option<Self> {
         KNOWN.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }

@@ -1,4 +1,4 @@
-//! What a worker process may take, and whether there is one.
+//! Limits of a worker process, and the choice of running an FMU in one.
 
 use serde::{Deserialize, Serialize};
 use std::str::FromStr;

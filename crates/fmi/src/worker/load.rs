@@ -1,9 +1,9 @@
-//! What a worker has to know before it can be asked for anything.
+//! Data that a worker needs before its first request.
 
 use super::frame::Frame;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// What a worker has to know before it can be asked.
+/// Data that a worker needs before its first request.
 #[derive(Debug)]
 pub struct Load {
     pub(super) id: u64,
@@ -14,7 +14,7 @@ pub struct Load {
 static NEXT_ID: AtomicU64 = AtomicU64::new(1);
 
 impl Load {
-    /// What a worker is to load before it is asked.
+    /// A load from the frame that a worker receives before its first request.
     pub fn new(frame: Frame) -> Self {
         Self { id: NEXT_ID.fetch_add(1, Ordering::Relaxed), frame }
     }

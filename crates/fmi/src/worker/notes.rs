@@ -1,4 +1,5 @@
-//! What a worker has to say beside its answers: lines for the program's logger, and departures from the standard that showed in runs.
+//! Notes that a worker sends with its answers: lines for the program's logger, and departures from the
+//! standard that showed in runs.
 
 use crate::description::Quirk;
 use log::{Level, Log, Metadata, Record};
@@ -16,7 +17,7 @@ pub(crate) struct Line {
     text: String,
 }
 
-/// What came up since the last answer.
+/// Notes made since the last answer.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(crate) struct Notes {
     pub(crate) lines: Vec<Line>,

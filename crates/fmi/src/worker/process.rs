@@ -23,7 +23,7 @@ use std::thread::JoinHandle;
 use std::thread::available_parallelism;
 use std::time::{Duration, Instant};
 
-/// How often somebody who waits for an answer looks at the rest of the world.
+/// Time between two checks for cancellation and limits while an answer is awaited.
 const LOOK: Duration = Duration::from_millis(10);
 
 /// A worker that was asked to end what it does, or whose simulation has reached its time limit, has so long to answer.
@@ -291,7 +291,7 @@ impl Process {
         if n > PRINTED_IN_ERRORS { format!("... {cut}") } else { cut }
     }
 
-    /// Whether it was ended, or its answer was none.
+    /// True if it was ended, or its answer was not valid.
     pub(super) fn has_ended(&self) -> bool {
         self.has_ended
     }
@@ -325,7 +325,7 @@ impl Drop for Process {
     }
 }
 
-/// Whether a process has ended. It keeps its number until it is waited for.
+/// True if a process has ended. It keeps its number until it is waited for.
 fn is_over(child: &Child) -> bool {
     let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
     matches!(waitid(WaitId::Pid(Pid::from_child(child)), options), Ok(Some(_)))
@@ -341,7 +341,7 @@ fn size_of(child: &Child) -> Option<u64> {
 /// One more, as long as it lives.
 struct Counted {
     counter: &'static AtomicUsize,
-    /// How many there are with it.
+    /// Value of the counter including this one.
     n: usize,
 }
 

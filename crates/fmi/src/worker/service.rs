@@ -1,11 +1,11 @@
-//! What a worker does.
+//! Interface between a worker process and the work that it does.
 
 use super::frame::Frame;
 use crate::description::Quirk;
 use crate::error::FmiError;
 use base::RunContext;
 
-/// What a worker does for who has started it.
+/// Work that a worker does for the process that has started it.
 pub trait Service {
     /// Answers a message; once the context is over, the answer is not wanted any more.
     ///

@@ -15,7 +15,8 @@ use std::time::{Duration, Instant};
 /// A worker that nobody has asked for anything for so long is ended.
 const IDLE: Duration = Duration::from_secs(5);
 
-/// How often somebody who waits for the start of a process asks whether it is still wanted, and whether another one is free.
+/// Time between two checks, while the start of a process is awaited, for whether it is still needed and
+/// another one is free.
 const LOOK: Duration = Duration::from_micros(500);
 
 /// The memory of a worker is looked at after each so many calls, and after every one that took so long.
@@ -160,7 +161,7 @@ impl Workers {
         (told.map(|()| std::mem::take(&mut process.quirks)), can_go_on)
     }
 
-    /// Whether a worker has served long enough, or has grown too much.
+    /// True if a worker has served long enough, or has grown too much.
     fn is_worn(&self, process: &mut Process, took: Duration) -> bool {
         if self.limits.calls.is_some_and(|most| process.n_calls >= most) {
             return true;

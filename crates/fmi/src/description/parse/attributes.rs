@@ -38,8 +38,8 @@ impl<'e> Attributes<'e> {
         self.get(name).filter(|text| self.budget.take_text(text)).map(str::to_owned)
     }
 
-    /// Whether there is memory for a list of as many items as an attribute has words. If there is not, reading ends with
-    /// the next element.
+    /// Reserves memory for a list of as many items as an attribute has words. If there is too little, returns
+    /// false, and reading ends with the next element.
     fn may_list<T>(&self, name: &str) -> bool {
         // Items are collected in lists that double.
         let words = self.get(name).map_or(0, |text| text.split_ascii_whitespace().count());

@@ -1,4 +1,5 @@
-//! What the elements `<Clock>` and `<ClockType>` say about the ticks of clocks (FMI 3.0.x, sections 2.2.8.3 and 2.4.4).
+//! Parses the elements `<Clock>` and `<ClockType>`: the ticks of clocks (FMI 3.0.x, sections 2.2.8.3 and
+//! 2.4.4).
 
 use super::attributes::Attributes;
 use crate::description::clock::{ClockKind, ClockTiming, Interval};

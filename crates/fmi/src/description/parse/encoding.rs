@@ -6,7 +6,7 @@ use crate::description::quirks::Quirks;
 use encoding_rs::{Encoding, UTF_8, UTF_16BE, UTF_16LE};
 use std::borrow::Cow;
 
-/// How far the XML declaration is looked for.
+/// Bytes in which the XML declaration is looked for.
 const DECLARATION_BYTES: usize = 256;
 
 /// Decodes a document; what need not be changed is not copied.

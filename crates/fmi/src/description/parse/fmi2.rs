@@ -94,7 +94,7 @@ fn variable(
     Ok((variable, flags))
 }
 
-/// What stands in the element that names the type.
+/// Parses the attributes of the element that names the type.
 fn value_attributes(attributes: &Attributes<'_>, variable: &mut Variable, draft: &mut Draft) -> Flags {
     let quirks = &mut draft.quirks;
     variable.declared_type = attributes.text("declaredType");

@@ -18,8 +18,8 @@ use std::collections::HashMap;
 /// left out.
 type Positions = HashMap<u32, Option<usize>>;
 
-/// What refers to variables that may stand further down: the clocks of a variable, as a list, and by value reference
-/// its dimensions.
+/// References to variables that may be declared further down: the clocks of a variable, as a list, and the
+/// value references of its dimensions.
 #[derive(Default)]
 struct Later {
     /// Position and value reference of the state.

@@ -1,4 +1,5 @@
-//! What the versions of the standard write alike: header, units, log categories, experiment, words.
+//! Parsers of the elements that the versions of the standard have in common: header, units, log categories,
+//! experiment, words.
 
 use super::attributes::Attributes;
 use super::xml::{Element, Xml};

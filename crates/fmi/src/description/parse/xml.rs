@@ -22,7 +22,7 @@ pub(super) struct Xml<'a> {
     budget: Rc<Budget>,
     /// Number of elements open.
     depth: usize,
-    /// How far lines are counted, and how many there are up to there.
+    /// Position in bytes up to which lines are counted, and the number of the line there.
     counted: usize,
     line: u32,
 }

@@ -58,7 +58,7 @@ impl Clocked {
     }
 }
 
-/// What the inputs say about clocks.
+/// Ticks and values of clocks and clocked variables, from the inputs.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct ClockInputs {
     /// Position of the clock and its ticks.
@@ -163,7 +163,7 @@ impl ClockPlan {
         Err(FmiError::BadSetting { problem })
     }
 
-    /// Whether there is anything to do for clocks.
+    /// True if there are no clocks to handle.
     pub(crate) fn is_empty(&self) -> bool {
         self.timed.is_empty() && self.triggered.is_empty() && self.watched.is_empty()
     }

@@ -1,5 +1,5 @@
-//! Co-simulation: the loop over communication points, which delivers the same samples as the integration of a model.
-//! Which points these are says [`Communication`].
+//! Co-simulation: the loop over the communication points (see [`Communication`]), which delivers the same
+//! samples as the integration of a model.
 //!
 //! At each point the row is read first; the inputs of the next step are set just before the step. So rows are limits from
 //! the left, and those at the start are read after the initialization with the inputs of that time. Limits from the right

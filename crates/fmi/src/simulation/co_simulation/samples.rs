@@ -26,7 +26,7 @@ impl Run<'_, '_> {
         Ok(())
     }
 
-    /// Whether the next requested time is listed once more.
+    /// True if the next requested time is listed once more.
     fn twice(&self) -> bool {
         let times = &self.plan.times;
         times.get(self.next_row + 1).is_some_and(|next| *next == times[self.next_row])

@@ -1,4 +1,5 @@
-//! What a co-simulation keeps from run to run: the instance and its buffers, and how it begins.
+//! State of a co-simulation that is kept from run to run (the instance and its buffers), and its
+//! initialization.
 
 use crate::description::Variable;
 use crate::error::FmiError;

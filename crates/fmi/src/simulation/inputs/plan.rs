@@ -16,7 +16,7 @@ use std::sync::Arc;
 /// A function of time.
 pub type InputFunction = Arc<dyn Fn(f64) -> f64 + Send + Sync>;
 
-/// What drives the inputs of a model.
+/// Sources that drive the inputs of a model.
 ///
 /// Continuous inputs of floating-point type are linear between the rows of their table, all other inputs (texts, too: [`values`](Self::values)) keep
 /// the value of a row until the next; outside of the table the first and the last row hold. A time listed twice is a jump: the first of the two rows
@@ -138,7 +138,7 @@ impl Inputs {
         self.source(name, SourceValues::Function(Arc::new(function)))
     }
 
-    /// Whether the same drives the same.
+    /// True if the sources are the same.
     pub(crate) fn is_same(&self, other: &Self) -> bool {
         self.sources.len() == other.sources.len()
             && self
@@ -187,9 +187,9 @@ pub(crate) struct InputPlan {
     pub(super) stops: Vec<InputStop>,
     /// Times closer than this are one.
     pub(super) time_tolerance: f64,
-    /// What is driven.
+    /// Variables that are driven.
     pub(crate) driven: Vec<VariableElement>,
-    /// What is said about clocks and their inputs.
+    /// Data for clocks and clocked inputs.
     pub(crate) clocks: ClockInputs,
 }
 
@@ -428,7 +428,7 @@ impl InputPlan {
         )
     }
 
-    /// How many stops lie between these times.
+    /// Number of stops between these times.
     pub(crate) fn stops_within(&self, start: f64, end: f64) -> usize {
         let up_to = |t: f64| self.stops.partition_point(|stop| stop.time <= t);
         up_to(end - self.time_tolerance).saturating_sub(up_to(start + self.time_tolerance))
@@ -462,7 +462,7 @@ impl Starts<'_> {
     }
 }
 
-/// Whether an input goes from row to row along a line.
+/// True if an input is interpolated linearly from row to row.
 fn is_linear(variable: &Variable) -> bool {
     variable.kind.is_float() && variable.variability == Variability::Continuous
 }

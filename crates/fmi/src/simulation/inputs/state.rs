@@ -108,7 +108,7 @@ impl InputState {
         Ok(())
     }
 
-    /// What is wrong where [`continuous_at`](Self::continuous_at) said no.
+    /// Error for a value that [`continuous_at`](Self::continuous_at) has refused.
     pub(crate) fn bad_function_value(&self, t: f64) -> FmiError {
         let bad = self.continuous.iter().find(|value| !value.is_finite());
         let value = bad.copied().unwrap_or(f64::NAN);

@@ -1,4 +1,4 @@
-//! What a simulation records: outputs sorted into one call per type, and the buffers they are read into.
+//! Recording of outputs: outputs sorted into one call per type, and the buffers they are read into.
 
 use super::texts::{self, ValueTable};
 use crate::description::{Causality, ModelDescription, Structure, Variability, Variable, VariableKind};
@@ -24,7 +24,7 @@ pub(crate) enum OutputSource {
     Text(usize),
     /// Place among the binary values.
     Bytes(usize),
-    /// Whether a clock ticked at this instant: place among the clocks recorded.
+    /// 1 if a clock ticked at this instant, else 0: index among the clocks recorded.
     Tick(usize),
 }
 
@@ -50,7 +50,7 @@ pub struct Recorded {
 struct Column {
     source: OutputSource,
     negated: bool,
-    /// Whether it may be interpolated.
+    /// True if it may be interpolated.
     is_continuous: bool,
 }
 
@@ -87,7 +87,7 @@ pub(crate) struct OutputPlan {
     pub(crate) smooth: (Vec<usize>, Vec<u32>),
 }
 
-/// What outputs are resolved against.
+/// Context in which outputs are resolved.
 pub(crate) struct OutputContext<'a> {
     pub(crate) model: &'a ModelDescription,
     pub(crate) structure: &'a Structure,
@@ -101,23 +101,23 @@ impl OutputPlan {
         self.columns.len()
     }
 
-    /// Whether a sample needs a call at all.
+    /// True if a sample needs a call of the FMU.
     pub(crate) fn needs_fmu(&self) -> bool {
         let nothing = self.reals.is_empty() && self.groups.is_empty();
         !(nothing && self.texts.0.is_empty() && self.binaries.0.is_empty())
     }
 
-    /// Whether a column is time itself.
+    /// True if a column is time itself.
     pub(crate) fn is_time(&self, column: usize) -> bool {
         self.columns[column].source == OutputSource::Time
     }
 
-    /// Whether a column tells the ticks of a clock, which are only at events.
+    /// True if a column holds the ticks of a clock, which are only at events.
     pub(crate) fn is_tick(&self, column: usize) -> bool {
         matches!(self.columns[column].source, OutputSource::Tick(_))
     }
 
-    /// Whether a column may be interpolated.
+    /// True if a column may be interpolated.
     pub(crate) fn is_continuous(&self, column: usize) -> bool {
         self.columns[column].is_continuous
     }
@@ -349,7 +349,7 @@ impl OutputBuffers {
         self.kept.1.copy_from_slice(&self.words);
     }
 
-    /// Whether the numbers read last are those kept, bit for bit.
+    /// True if the numbers read last are those kept, bit for bit.
     pub(crate) fn are_as_kept(&self) -> bool {
         let reals = self.reals.iter().zip(&self.kept.0);
         reals.into_iter().all(|(now, then)| now.to_bits() == then.to_bits()) && self.words == self.kept.1

@@ -1,4 +1,5 @@
-//! What a simulation records: which variables, the buffers they are read into, and the tables of texts beside them.
+//! Outputs of a simulation: the variables recorded, the buffers they are read into, and the tables of texts
+//! beside them.
 
 mod buffers;
 mod selection;

@@ -1,4 +1,4 @@
-//! Which variables a simulation records: names, elements of arrays, patterns, everything.
+//! Selection of the variables that a simulation records: names, elements of arrays, patterns, everything.
 
 use super::buffers::{OutputContext, OutputPlan, element_of};
 use crate::description::{Causality, ModelDescription, Structure, Variability, Variable};
@@ -55,8 +55,9 @@ impl Selection {
         selection
     }
 
-    /// What these names, elements (`name[2,1]`, counted from 1) and patterns (`*`: any characters, `?`: one) stand for;
-    /// `all`: every variable. What a pattern finds again is not recorded twice.
+    /// Columns of the variables given by these names, elements (`name[2,1]`, counted from 1) and patterns
+    /// (`*`: any characters, `?`: one); `all`: every variable. A variable found again by a pattern is not
+    /// recorded twice.
     ///
     /// # Errors
     /// A name is unknown; a pattern fits nothing.
@@ -129,8 +130,9 @@ pub(crate) fn states(description: &ModelDescription, structure: &Structure) -> V
     states
 }
 
-/// Whether `name` fits a pattern in which `*` stands for any characters and `?` for one. What follows the last `*` passed
-/// is tried at one place after the other, which takes no more than the product of the lengths.
+/// True if `name` matches a pattern in which `*` stands for any characters and `?` for one. The part after
+/// the last `*` passed is tried at one position after the other, which takes no more than the product of the
+/// lengths.
 fn fits(pattern: &str, name: &str) -> bool {
     let (mut p, mut n) = (pattern.chars(), name.chars());
     // The rest of the pattern behind the last star, and of the name where that was tried last.

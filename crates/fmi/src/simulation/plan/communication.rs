@@ -21,7 +21,7 @@ const MAX_STEPS: f64 = 1e9;
 pub(crate) struct Communication {
     /// Distance of the regular points; `None`: only requested times and inputs make points.
     pub(crate) step: Option<f64>,
-    /// Whether there may be other points.
+    /// True if there may be other points.
     pub(crate) variable: bool,
     /// The model's own step: all points but those of events are multiples of it.
     internal: Option<f64>,
@@ -113,7 +113,7 @@ impl Communication {
         if self.variable { self.internal } else { self.step }
     }
 
-    /// What there is to say of rows between the steps of the model.
+    /// Message about rows between the steps of the model.
     ///
     /// # Errors
     /// They are to be refused: the first one, with its neighbours.
@@ -138,7 +138,7 @@ impl Communication {
         }
     }
 
-    /// What there is to say of inputs that make more communication points than the step.
+    /// Message about inputs that make more communication points than the step.
     pub(crate) fn check_inputs(&self, grid: &Grid, stops: usize) -> Option<String> {
         let step = self.step.filter(|_| self.variable && self.internal.is_none())?;
         let regular = ((grid.end - grid.start) / step).ceil();

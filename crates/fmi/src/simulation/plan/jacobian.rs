@@ -1,10 +1,11 @@
-//! What a model says of its Jacobian: directional derivatives, and which derivatives depend on which states.
+//! Structure of the Jacobian from the model description: directional derivatives, and the states that each
+//! derivative depends on.
 
 use crate::description::{Capabilities, Causality, ModelDescription, Structure, Variability};
 use ode::JacobianPattern;
 use std::collections::HashMap;
 
-/// How the Jacobian of the right-hand side can be had from the FMU.
+/// Data with which the Jacobian of the right-hand side is computed from the FMU.
 #[derive(Debug, Default)]
 pub(crate) struct JacobianPlan {
     /// Places that may differ from zero, where the description says so and they are not all.
@@ -84,7 +85,7 @@ fn pattern(model: &ModelDescription, structure: &Structure) -> Option<JacobianPa
     JacobianPattern::new(n, entries).filter(|pattern| pattern.n_entries() < n * n)
 }
 
-/// Whether a variable does not change with the states.
+/// True if a variable does not change with the states.
 fn is_known(causality: Causality, variability: Variability) -> bool {
     use Causality::{CalculatedParameter, Independent, Input, Parameter, StructuralParameter};
     matches!(causality, Input | Independent | Parameter | StructuralParameter | CalculatedParameter)

@@ -31,7 +31,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub struct SimulationPlan {
     pub(crate) fmu: Fmu,
     pub(crate) options: ode::Options,
-    /// What the model is told of tolerances: what was asked for, else what its default experiment states.
+    /// Tolerance passed to the model: the one requested, else that of its default experiment.
     pub(crate) tolerance: Option<f64>,
     pub(crate) start: f64,
     pub(crate) end: f64,
@@ -47,11 +47,11 @@ pub struct SimulationPlan {
     pub(crate) n_indicators: usize,
     /// Nominals of the states as the description says them.
     pub(crate) nominals: Vec<f64>,
-    /// Which states the description calls unbounded.
+    /// For each state, true if the description calls it unbounded.
     pub(crate) unbounded: Vec<bool>,
     pub(crate) completed_step_not_needed: bool,
     pub(crate) kind: InterfaceKind,
-    /// How the Jacobian can be had; empty for co-simulation.
+    /// Data for the Jacobian; empty for co-simulation.
     pub(crate) jacobian: JacobianPlan,
     /// The steps of co-simulation.
     pub(crate) communication: Option<Communication>,
@@ -169,7 +169,8 @@ impl SimulationPlan {
         })
     }
 
-    /// Whether a simulator of another plan can go on with this one: the same variables are set, in the same way, and recorded.
+    /// True if a simulator of another plan can continue with this one: it sets the same variables in the same
+    /// way, and records the same.
     pub(crate) fn fits(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.family, &other.family)
             && self.settings == other.settings
@@ -206,7 +207,7 @@ impl SimulationPlan {
         Ok(())
     }
 
-    /// What the model calls a value that was not finite: the state that it is, or is the derivative of.
+    /// Name in the model of a value that was not finite: the state that it is, or is the derivative of.
     pub(crate) fn name_of(&self, value: &ode::NotFinite) -> Option<String> {
         let description = self.fmu.description();
         match value.what {
@@ -253,7 +254,7 @@ impl SimulationPlan {
         self.n_states
     }
 
-    /// How the model is run.
+    /// Interface that runs the model.
     pub fn kind(&self) -> InterfaceKind {
         self.kind
     }

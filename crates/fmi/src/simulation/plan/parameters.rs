@@ -1,4 +1,4 @@
-//! What runs set in their instances: structure, start values and parameters.
+//! Values that runs set in their instances: structure, start values and parameters.
 
 use super::read_back::{Lost, ReadBack, ReadBackBuffers};
 use crate::description::{Causality, ModelDescription, Structure, Value, Variable, VariableKind};
@@ -36,9 +36,9 @@ pub(crate) struct RunValues {
     /// The same of the parameters that are inputs.
     input_slots: FloatSlots,
     pub(super) parameter_names: Vec<String>,
-    /// What the parameters are where nobody gives a value.
+    /// Default values of the parameters.
     pub(super) parameter_starts: Vec<f64>,
-    /// What a reused instance is asked for again.
+    /// Values that are read back from a reused instance.
     pub(crate) read_back: ReadBack,
 }
 
@@ -133,7 +133,7 @@ impl RunValues {
         Ok(())
     }
 
-    /// What a parameter is where nobody gives a value.
+    /// Default value of a parameter.
     fn start_of(&self, starts: &Starts<'_>, parameter: &RunParameter) -> f64 {
         let slots = if parameter.is_input { &self.input_slots } else { &self.parameter_slots };
         match (parameter.place.element, starts.of(parameter.place.variable)) {
@@ -243,7 +243,8 @@ impl RunValues {
         slots.set(core, buffer)
     }
 
-    /// Whether an initialized instance has the values that [`set_up`](Self::set_up) gave it. An error is one of the FMU's.
+    /// True if an initialized instance has the values that [`set_up`](Self::set_up) gave it. An error is one
+    /// of the FMU's.
     pub(crate) fn has_values(
         &self,
         core: &mut Core,

@@ -1,5 +1,5 @@
-//! Whether an instance that was used before has the values it was given: some models that bring a saved state back, bring
-//! back the parameters that were in it, at once or later.
+//! Check that a reused instance has the values it was given: some models, when a saved state is restored,
+//! restore the parameters that were in it, at once or later.
 
 use crate::description::{Causality, Initial, ModelDescription, Variable, VariableKind};
 use crate::error::FmiError;
@@ -127,8 +127,8 @@ impl ReadBack {
         self.packed.iter_mut().for_each(|(_, columns)| columns.finish());
     }
 
-    /// Whether an initialized instance has the values given; `parameter` gives those of the parameters as the FMU was given
-    /// them. An error is one of the FMU's.
+    /// True if an initialized instance has the values given; `parameter` returns those of the parameters as
+    /// the FMU was given them. An error is one of the FMU's.
     pub(crate) fn agrees(
         &self,
         core: &mut Core,

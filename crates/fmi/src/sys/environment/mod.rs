@@ -1,5 +1,5 @@
-//! What a call into an FMU finds in its thread, and must not leave behind: the floating-point mode and the locale; and that no
-//! other thread is inside of the loaded library.
+//! Environment of a call into an FMU, restored after the call: the floating-point mode and the locale of its
+//! thread. No other thread is inside of the loaded library.
 //!
 //! Every call into an FMU starts in the default floating-point mode, and the mode is looked at after it, before any
 //! arithmetic of ours: what an FMU changes acts until its function returns, in every run alike, and exceptions that it

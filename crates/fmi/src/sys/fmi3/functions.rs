@@ -48,8 +48,8 @@ type DoStep =
     unsafe extern "C" fn(Component, f64, f64, bool, *mut Flag, *mut Flag, *mut Flag, *mut f64) -> c_int;
 
 table! {
-    /// What both interfaces have. The standard demands nearly all of it; FMUs that leave out what they do not need are known,
-    /// so only what every simulation needs must be there.
+    /// Functions of both interfaces. The standard demands nearly all of them; FMUs that leave out the
+    /// functions they do not need are known, so only those that every simulation needs are required.
     struct Common {
         enter_initialization: EnterInitialization = required "fmi3EnterInitializationMode";
         set_debug_logging: SetDebugLogging = optional "fmi3SetDebugLogging";

@@ -2,7 +2,7 @@
 
 use std::ffi::c_char;
 
-/// What is written on the way between the FMU and the outside. The pointers mean something during a call only.
+/// Buffers for values passed between the FMU and its caller. The pointers are valid during a call only.
 #[derive(Default)]
 pub(super) struct ValueBuffers {
     pub(super) words: Vec<i64>,

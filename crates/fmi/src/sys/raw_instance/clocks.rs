@@ -7,7 +7,7 @@ use crate::sys::function::call;
 use crate::sys::types::{IntervalAnswer, Qualifier};
 
 impl RawInstance {
-    /// What the model says about the interval before the next tick of a clock, as a fraction or not.
+    /// Interval before the next tick of a clock as reported by the model, as a fraction or not.
     pub(crate) fn get_interval(&mut self, clock: u32, fraction: bool) -> Result<IntervalAnswer, Fault> {
         let (clock, mut qualifier) = (&raw const clock, 0);
         let (mut interval, mut counter, mut resolution) = (0.0, 0, 0);

@@ -27,12 +27,13 @@ const LOOKED_INTO: u8 = 8;
 /// `fmi3Independent`.
 const INDEPENDENT: c_int = 0;
 
-/// What is remembered of earlier calls, for versions whose later ones are told of it or leave it out.
+/// Data kept of earlier calls, for versions in which later calls need them as arguments or do not return
+/// them.
 #[derive(Default)]
 pub(super) struct Memory {
-    /// What the instance was set up with.
+    /// Arguments with which the experiment was set up.
     experiment: Experiment,
-    /// What the initialization has already said about events (FMI 1.0).
+    /// Events reported by the initialization (FMI 1.0).
     announced: Option<EventInfo>,
     /// Nothing of the step that was tried last was computed.
     pub(super) is_step_repeated: bool,
@@ -120,7 +121,8 @@ impl RawInstance {
         })
     }
 
-    /// Whether a call of this instance, or of another of the same loaded copy of the library, returned `Fatal`.
+    /// True if a call of this instance, or of another of the same loaded copy of the library, returned
+    /// `Fatal`.
     pub(crate) fn is_fatal(&self) -> bool {
         self.fatal.is_some() || self.library.is_fatal()
     }
@@ -178,7 +180,7 @@ impl RawInstance {
         self.callbacks.log().lines().categories = categories.to_vec();
     }
 
-    /// What an error about `call` carries.
+    /// Data of an error about `call`.
     pub(crate) fn failed(&self, call: &'static str, status: Status) -> Failed {
         let (log, dropped) = self.callbacks.log().last(LINES_IN_ERRORS);
         Failed { call, status, time: self.time, log, dropped }
@@ -312,7 +314,7 @@ impl RawInstance {
         run!(self, |_library, c| derivative(&function, c, along, out))
     }
 
-    /// What the elements of a variable depend on.
+    /// Dependencies of the elements of a variable.
     pub(crate) fn variable_dependencies(&mut self, reference: u32) -> Result<Vec<ElementDependency>, Fault> {
         let CommonFunctions { count_dependencies, dependencies, .. } = self.library.functions.common;
         let mut n = 0;

@@ -1,4 +1,4 @@
-//! What a call answers that did not deliver.
+//! Faults of a call: the reasons why it returned no result.
 
 use crate::error::{CallFailure, FmiError, LogLine, Status};
 use std::path::PathBuf;

@@ -20,7 +20,7 @@ impl RawInstance {
         Ok(())
     }
 
-    /// Whether the state that it had when it was new is saved.
+    /// True if the state that it had when it was new is saved.
     pub(crate) fn has_origin(&self) -> bool {
         self.saved.origin.is_some()
     }
@@ -35,7 +35,7 @@ impl RawInstance {
         outcome
     }
 
-    /// Whether the token was made by this instance.
+    /// True if the token was made by this instance.
     pub(crate) fn owns(&self, saved: &SavedSlot) -> bool {
         self.saved.pointer(saved).is_some()
     }

@@ -42,8 +42,8 @@ impl SavedStates {
         self.slots.clear();
     }
 
-    /// Whether a state of a point passed is held, to which this run may be taken back. The state that the instance
-    /// had when it was new begins another run.
+    /// True if a saved state of this run is held, to which the run may be set back. The state that the
+    /// instance had when it was new begins another run.
     pub(super) fn may_be_restored(&self) -> bool {
         let held = self.slots.iter().filter(|slot| slot.token.strong_count() > 0).count();
         held > usize::from(self.origin.is_some())

@@ -22,12 +22,12 @@ impl RawInstance {
         completed(outcome, info)
     }
 
-    /// What the function that makes a step is called.
+    /// Name of the function that makes a step.
     pub(crate) fn step_function(&self) -> &'static str {
         self.library.version.step_function()
     }
 
-    /// How a pending step stands; as [`do_step`](Self::do_step).
+    /// Queries the status of a pending step; returns as [`do_step`](Self::do_step).
     pub(crate) fn step_status(&mut self, info: &mut StepInfo) -> Result<bool, Fault> {
         let outcome = run!(self, |library, c| library.functions.steps.status(c, info));
         completed(outcome, info)
@@ -84,7 +84,7 @@ impl RawInstance {
     }
 }
 
-/// Whether a step was completed; `false` for one that was cut short or is pending.
+/// True if a step was completed; `false` for one that was cut short or is pending.
 fn completed(outcome: Outcome, info: &StepInfo) -> Result<bool, Fault> {
     match outcome {
         Ok(()) => Ok(true),
