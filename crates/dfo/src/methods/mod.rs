@@ -270,7 +270,8 @@ fn meant(asked: &str) -> Option<&'static str> {
     (3 * near.0 <= near.1.max(asked.chars().count())).then_some(near.2)
 }
 
-/// How many letters must be changed, added or taken away to make one word of the other (Levenshtein, Sov. Phys. Dokl. 10, 1966).
+/// Number of letters that must be changed, added or removed to make one word of the other (Levenshtein, Sov.
+/// Phys. Dokl. 10, 1966).
 fn edits(from: &str, to: &str) -> usize {
     let to: Vec<char> = to.chars().collect();
     let mut row: Vec<usize> = (0..=to.len()).collect();
@@ -349,7 +350,7 @@ macro_rules! each {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Auto {
-    /// What is looked for: the minimum next to the start (default), or the best in the box.
+    /// Goal of the search: the minimum next to the start (default), or the best in the box.
     pub search: Search,
 }
 

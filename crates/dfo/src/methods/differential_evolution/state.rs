@@ -1,4 +1,4 @@
-//! How differential evolution breeds and selects: trial vectors against their targets.
+//! Breeding and selection of differential evolution: trial vectors against their targets.
 
 use super::adaptation::Adaptation;
 use super::operators::{cross, different, donor, repair};
@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 /// A running differential evolution; made by [`DifferentialEvolution`].
 pub type DifferentialEvolutionState = Generations<DifferentialRules>;
 
-/// What differential evolution keeps besides its population.
+/// State of differential evolution besides its population.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct DifferentialRules {
     options: DifferentialEvolution,
@@ -57,7 +57,7 @@ impl DifferentialRules {
 }
 
 impl DifferentialRules {
-    /// Whether it was made with these options.
+    /// True if it was made with these options.
     pub(super) fn is_of(&self, options: &DifferentialEvolution) -> bool {
         let adaptive = match options.scheme {
             Scheme::Adaptive(adaptive) => Some(adaptive),

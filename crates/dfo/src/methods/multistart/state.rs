@@ -87,7 +87,7 @@ pub struct MultistartState {
     core: Core,
     exploration: Option<Box<dyn Method + Send>>,
     searches: Vec<Search>,
-    /// What was asked last, all searches together; empty while nothing is.
+    /// The last batch requested, all searches together; empty while nothing is requested.
     asked: Batch,
     told: Answers,
 }
@@ -277,7 +277,8 @@ impl MultistartState {
         self.core.n_starts > self.searches.len()
     }
 
-    /// How many searches run at once: after an exploration the first runs alone, for what is left of the budget is its.
+    /// Number of searches that run at once: after an exploration the first runs alone, on what is left of the
+    /// budget.
     fn at_once(&self) -> usize {
         let alone = self.core.n_planned > 0 && !self.first_has_ended();
         self.options.side_by_side.unwrap_or(if alone { 1 } else { SIDE_BY_SIDE })
