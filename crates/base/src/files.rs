@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tempfile::{NamedTempFile, TempPath};
 
-/// What the name of a temporary file has behind the name of the file whose place it will take; the number of the process follows.
+/// Part of the name of a temporary file between the name of the file that it will replace and the number of
+/// the process.
 const WRITING: &str = ".writing-";
 
 /// So many bytes of a name are repeated in that of its temporary file: names have at most 255.
@@ -57,7 +58,8 @@ pub fn open_own(path: &Path) -> io::Result<File> {
     Ok(file)
 }
 
-/// Whether a file belongs to the owner of its folder. That the folder is one's own, the caller knows: only its owner can remove it.
+/// True if a file belongs to the owner of its folder. That the folder is one's own, the caller knows: only
+/// its owner can remove it.
 #[cfg(unix)]
 fn is_own(folder: &Path, file: &File) -> io::Result<bool> {
     use std::os::unix::fs::MetadataExt;
@@ -168,7 +170,7 @@ impl Drop for Claim {
     }
 }
 
-/// Whether an open file is still the one at a place: its owner may have removed it meanwhile.
+/// True if an open file is still the one at a place: its owner may have removed it meanwhile.
 fn is_at(file: &File, place: &Path) -> io::Result<bool> {
     #[cfg(unix)]
     {
@@ -284,7 +286,7 @@ pub fn write_whole(path: &Path, content: &[u8]) -> io::Result<()> {
     unfinished.finish()
 }
 
-/// What the names of the temporary files of a file begin with.
+/// Common beginning of the names of the temporary files of a file.
 fn prefix(name: &str) -> String {
     let end = (0..=name.len().min(LONGEST)).rev().find(|end| name.is_char_boundary(*end)).unwrap_or(0);
     format!(".{}{WRITING}", &name[..end])
@@ -306,7 +308,8 @@ pub fn remove_unfinished(path: &Path) {
     }
 }
 
-/// Whether a process may still write its temporary file: it is there, or, where that cannot be seen, the file is younger than a day.
+/// True if a process may still write its temporary file: it is there, or, where that cannot be seen, the file
+/// is younger than a day.
 fn is_alive(process: u32, file: &fs::DirEntry) -> bool {
     if Path::new("/proc/self").exists() {
         return Path::new("/proc").join(process.to_string()).exists();

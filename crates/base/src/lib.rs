@@ -1,4 +1,4 @@
-//! What every crate of this workspace needs and none of them is about: the context of a run, files.
+//! Parts that all crates of this workspace share: the context of a run, files.
 #![forbid(unsafe_code)]
 
 mod context;

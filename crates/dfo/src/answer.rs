@@ -1,10 +1,10 @@
-//! What comes back of an evaluation: a cost, "above the cutoff", or "failed: why"; and the residuals, where they were
-//! wanted.
+//! Answer to an evaluation: a cost, "above the cutoff", or "failed: why"; and the residuals, where they were
+//! requested.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// What became of one evaluation.
+/// Outcome of one evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Outcome {
     /// The cost. NaN and infinities become [`Failed`](Self::Failed) in the gateway.
@@ -44,8 +44,8 @@ impl Outcome {
         }
     }
 
-    /// Whether this says anything about the point: false for [`Skipped`](Self::Skipped), [`Abort`](Self::Abort) and
-    /// cancelled evaluations, from which no decision may follow.
+    /// True if this says anything about the point: false for [`Skipped`](Self::Skipped),
+    /// [`Abort`](Self::Abort) and cancelled evaluations, from which no decision may follow.
     pub fn is_known(&self) -> bool {
         match self {
             Self::Value(_) | Self::Above(_) => true,
@@ -54,7 +54,7 @@ impl Outcome {
         }
     }
 
-    /// Whether this says something about the point that lasts: another evaluation would say the same.
+    /// True if this says something lasting about the point: another evaluation would give the same.
     pub(crate) fn is_lasting(&self) -> bool {
         match self {
             Self::Failed(failure) => !matches!(failure.kind, FailureKind::Cancelled | FailureKind::TimedOut),
@@ -106,7 +106,7 @@ pub enum FailureKind {
     Cancelled,
 }
 
-/// What is to be known of a point.
+/// Kind of values that are requested of a point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 pub enum Want {
     /// Its cost.
@@ -119,12 +119,13 @@ pub enum Want {
 /// The answer to one query. An objective fills one that is lent to it, so that nothing is allocated once it is warm.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Answer {
-    /// What became of the evaluation.
+    /// Outcome of the evaluation.
     pub outcome: Outcome,
     /// The residuals, always the same number in the same order. Looked at only where the query wanted them and the outcome
     /// is a value.
     pub residuals: Vec<f64>,
-    /// What the evaluation took, in units of the objective's own (right-hand sides, for example); 0 if it does not count.
+    /// Work of the evaluation, in units of the objective's own (right-hand sides, for example); 0 if it does
+    /// not count.
     pub work: u64,
     /// Wall-clock seconds; the evaluator measures them.
     pub seconds: f64,
@@ -151,7 +152,7 @@ impl Answer {
         (self.work, self.seconds) = (0, 0.0);
     }
 
-    /// Whether this answers a query for `want`.
+    /// True if this answers a query for `want`.
     pub(crate) fn answers(&self, want: Want) -> bool {
         let without = want == Want::Residuals && self.residuals.is_empty();
         !(without && matches!(self.outcome, Outcome::Value(_)))
@@ -205,7 +206,7 @@ impl Answers {
         self.outcomes.len()
     }
 
-    /// Whether there are none.
+    /// True if there are no outcomes.
     pub fn is_empty(&self) -> bool {
         self.outcomes.is_empty()
     }
@@ -288,7 +289,7 @@ impl Best {
         self.0.as_ref().map(|(_, f)| *f)
     }
 
-    /// Whether the point has this length and a cost: what comes from a file may not.
+    /// True if the point has this length and a cost: what comes from a file may not.
     pub(crate) fn is_sound(&self, n: usize) -> bool {
         self.0.as_ref().is_none_or(|(x, cost)| x.len() == n && cost.is_finite())
     }

@@ -30,7 +30,7 @@ const FORMAT: u8 = 8;
 /// Version of the code, which every file names.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// What to do with a checkpoint that is there already.
+/// Treatment of a checkpoint that is there already.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Resume {
@@ -53,14 +53,14 @@ pub struct Checkpoint {
     pub resume: Resume,
     /// Least time between two writes while the run goes on; default 0.2 s. The end of a run is always written.
     pub interval: Duration,
-    /// What else identifies the run, by name: what the objective is made from, for example.
+    /// Further identity of the run, by name: what the objective is made from, for example.
     pub tags: Vec<(String, String)>,
-    /// What identifies the code of the objective, see [`code`](Self::code).
+    /// Identity of the code of the objective, see [`code`](Self::code).
     #[serde(default)]
     pub code: Option<Code>,
 }
 
-/// What identifies the code of an objective.
+/// Identity of the code of an objective.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Code {
@@ -116,8 +116,8 @@ impl Checkpoint {
         self
     }
 
-    /// What identifies the run in the file, by name, its tags among it; `None` where there is no file, or where it will not
-    /// be continued.
+    /// Identity of the run in the file, by name, its tags among it; `None` where there is no file, or where
+    /// it will not be continued.
     ///
     /// # Errors
     /// The file cannot be read, or is no checkpoint, or there is none and one is required.
@@ -142,7 +142,7 @@ pub(crate) struct Snapshot {
     pub(crate) ledger: Ledger,
     pub(crate) store: Store,
     pub(crate) stale: usize,
-    /// What is known of the batch that the method waits for.
+    /// Evaluations so far of the batch that the method waits for.
     pub(crate) known: Vec<Early>,
     pub(crate) observed: Option<usize>,
     pub(crate) first_recent: usize,
@@ -173,7 +173,7 @@ struct SnapshotRef<'a> {
     seed: Option<u64>,
 }
 
-/// What identifies a run, as text.
+/// Identity of a run, as text.
 pub(crate) fn fingerprint(
     (method, options, budget): (&str, Vec<(String, String)>, bool),
     setup: &Setup,
@@ -345,7 +345,7 @@ impl Writer {
         Ok(Self { next: Instant::now() + options.interval, options, fingerprint, _claim: claim })
     }
 
-    /// Whether it is time for another.
+    /// True if it is time for the next write.
     pub(crate) fn is_due(&self) -> bool {
         Instant::now() >= self.next
     }

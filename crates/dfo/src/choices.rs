@@ -14,7 +14,7 @@ pub enum Transform {
     Log,
 }
 
-/// What values a parameter takes.
+/// Kind of the values that a parameter takes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
@@ -37,7 +37,7 @@ impl fmt::Display for Kind {
     }
 }
 
-/// How the search is kept in the box.
+/// Treatment of the bounds by a search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -55,7 +55,7 @@ pub enum BoundsHandling {
     Clamp,
 }
 
-/// What a search looks for.
+/// Goal of a search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Search {
@@ -66,7 +66,7 @@ pub enum Search {
     Global,
 }
 
-/// How tolerances are measured.
+/// Measure of the tolerances.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Measure {
@@ -77,7 +77,7 @@ pub enum Measure {
     Absolute,
 }
 
-/// How many of the two tests must pass.
+/// Number of the two tests that must pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Stop {

@@ -38,10 +38,10 @@ pub(crate) struct StartedRun<T> {
     pub(crate) first_recent: usize,
     /// Seconds of the run before it was resumed.
     pub(crate) before: f64,
-    /// Whether the method needs residuals, and why it was chosen.
+    /// True if the method needs residuals; and the reason why it was chosen.
     pub(crate) needs_residuals: bool,
     pub(crate) method_reason: Option<String>,
-    /// What it was continued from.
+    /// Checkpoint that the run was continued from.
     pub(crate) resumed: Option<Resumed>,
 }
 

@@ -130,7 +130,8 @@ impl<M: Method> Drive<M> {
         self.report(termination, &RunContext::new().asking(&is_interrupted))
     }
 
-    /// What is still under way is given up, but not lost where it ends all the same; it is waited for unless it `is_left` to itself.
+    /// Keeps the answers to evaluations that are still under way, and have been cancelled, where they end all
+    /// the same. Waits for their end unless `is_left`: then they are left to themselves.
     fn take_the_rest(&mut self, around: &mut Around<'_, '_, '_>, is_left: bool) {
         let mut answer = Answer::default();
         loop {
@@ -489,7 +490,8 @@ impl<M: Method> Drive<M> {
         self.unsaved = written.err();
     }
 
-    /// What ends the run: an interrupt or an abort, else a checkpoint that could not be written, else this.
+    /// Termination of the run: an interrupt or an abort, else a checkpoint that could not be written, else
+    /// this.
     fn unless_unsaved(&self, termination: Termination) -> Termination {
         match (termination, &self.unsaved) {
             (hard @ (Termination::Aborted(_) | Termination::Interrupted), _) => hard,
@@ -502,7 +504,7 @@ impl<M: Method> Drive<M> {
 /// Evaluations before the share of those that failed is looked at.
 const FEWEST_EVALUATIONS: usize = 20;
 
-/// Whether more have failed than are allowed.
+/// True if more evaluations have failed than are allowed.
 fn too_many_failed(round: &Round, limits: &Limits) -> bool {
     let (n, failed) = (round.ledger.n_evaluations, round.ledger.n_failed);
     n >= FEWEST_EVALUATIONS && limits.max_failed.is_some_and(|share| failed as f64 > share * n as f64)
@@ -523,7 +525,7 @@ pub(crate) fn reached<M: Method + ?Sized>(method: &M, round: &Round, limits: &Li
     over.then(|| limited(method, round, Termination::MaxIterations))
 }
 
-/// What it means that a limit ends a run: nothing where the tests have passed for the best point already.
+/// Termination where a limit ends a run: the limit, unless the tests have passed for the best point already.
 pub(crate) fn limited<M: Method + ?Sized>(method: &M, round: &Round, limit: Termination) -> Termination {
     let Details { settled, tests, .. } = method.details();
     let best = round.ledger.best.cost();
@@ -531,7 +533,7 @@ pub(crate) fn limited<M: Method + ?Sized>(method: &M, round: &Round, limit: Term
     if settled && tested { meaning(Termination::Converged, round) } else { limit }
 }
 
-/// What it means that a method came to its own end.
+/// Termination where a method has ended by itself: `Unbounded` or `ConstantCost` where the costs show it.
 fn meaning(termination: Termination, round: &Round) -> Termination {
     let Ledger { trace, best, .. } = &round.ledger;
     let first = trace.iter().find_map(|entry| entry.outcome.value());
@@ -542,7 +544,8 @@ fn meaning(termination: Termination, round: &Round) -> Termination {
     }
 }
 
-/// Whether a run is over after a batch, and why; `Some(None)`: the method had nothing to start from.
+/// Termination of a run that is over after a batch; `None` if it goes on; `Some(None)`: the method had
+/// nothing to start from.
 pub(crate) fn end<M: Method + ?Sized>(
     method: &M,
     round: &Round,

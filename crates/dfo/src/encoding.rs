@@ -16,7 +16,7 @@ pub(crate) fn encode<T: Serialize>(value: &T) -> Result<Vec<u8>, String> {
 /// A value from bytes.
 ///
 /// # Errors
-/// What does not fit, as text.
+/// The reason, as text, if the bytes do not fit the type.
 pub(crate) fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
     ciborium::from_reader(bytes).map_err(|e| match e {
         ciborium::de::Error::Semantic(_, what) => what,

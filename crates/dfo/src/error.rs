@@ -1,4 +1,4 @@
-//! What can be wrong before or instead of a result: one typed error, with indices and values.
+//! Errors before or instead of a result: one typed error, with indices and values.
 
 use crate::choices::Kind;
 use crate::number::{Bytes, Number};
@@ -23,7 +23,7 @@ pub enum Error {
     /// A list does not have one entry per parameter.
     #[error("{what}: {got} values given for {expected} parameters")]
     Length {
-        /// Which list.
+        /// Name of the list.
         what: &'static str,
         /// Entries needed.
         expected: usize,
@@ -89,7 +89,7 @@ pub enum Error {
         index: usize,
         /// The value given.
         value: f64,
-        /// What it must be.
+        /// Condition that it must meet.
         range: &'static str,
     },
     /// A discrete parameter has no value to take.
@@ -111,7 +111,7 @@ pub enum Error {
         name: &'static str,
         /// The value given.
         value: f64,
-        /// What it must be.
+        /// Condition that it must meet.
         range: &'static str,
     },
     /// A value that does not fit the option that it is given to, or an option that there is not.
@@ -120,7 +120,7 @@ pub enum Error {
     /// There is no method of this name or number.
     #[error("there is no method '{name}'{hint}; known are {known}")]
     UnknownMethod {
-        /// What was asked for.
+        /// The name or number given.
         name: String,
         /// The one that may be meant.
         hint: String,
@@ -214,9 +214,9 @@ pub enum Error {
     CheckpointFile {
         /// The file.
         path: String,
-        /// What kind of error it was; `NotFound` if a checkpoint was required and there is none.
+        /// Kind of the error; `NotFound` if a checkpoint was required and there is none.
         kind: std::io::ErrorKind,
-        /// What the system said.
+        /// Message of the system.
         message: String,
     },
     /// A file is no checkpoint that can be used.
@@ -224,7 +224,7 @@ pub enum Error {
     Checkpoint {
         /// The file.
         path: String,
-        /// What is wrong.
+        /// Reason why it cannot be used.
         message: String,
     },
     /// A checkpoint belongs to another run.
@@ -232,7 +232,7 @@ pub enum Error {
     CheckpointMismatch {
         /// The file, which is left as it is.
         path: String,
-        /// What differs.
+        /// Name of the entry that differs.
         what: String,
         /// In the file.
         stored: String,
@@ -262,10 +262,10 @@ pub enum Error {
         /// Outcomes given.
         told: usize,
     },
-    /// What a method has to keep does not fit into memory.
+    /// State that a method has to keep does not fit into memory.
     #[error("not enough memory for {what}: {} are needed", Bytes(*.bytes))]
     Memory {
-        /// What it is.
+        /// Description of the state.
         what: &'static str,
         /// Its size in bytes.
         bytes: f64,
@@ -278,7 +278,7 @@ pub enum Error {
     EndedWithoutPoint {
         /// Why the run ended.
         termination: Termination,
-        /// What was seen until then.
+        /// Evaluations up to then.
         found: Box<NothingFound>,
     },
 }
@@ -311,7 +311,7 @@ impl Error {
     }
 }
 
-/// What a run that found no finite cost had seen.
+/// Evaluations of a run that found no finite cost.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NothingFound {
     /// Evaluations made.

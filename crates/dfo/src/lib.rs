@@ -25,7 +25,7 @@
 //! [`AnyMethod`] has them by name; [`Optimizer`] (ask/tell) leaves the evaluations to the caller, an [`Evaluator`] of one's own
 //! ([`minimize_by`]) to a cluster, for example.
 //!
-//! What holds for every method:
+//! Properties of every method:
 //!
 //! - **The same bits for any number of workers.** Outcomes are taken in request order, random numbers come from one
 //!   stream per generation and individual. How many points are evaluated ahead of need is an option of the method

@@ -1,5 +1,5 @@
-//! What least squares knows around its best point: the Jacobian of the residuals in the user's units, and the covariance of
-//! the parameters that follows from it.
+//! Linear model of least squares around its best point: the Jacobian of the residuals in the user's units,
+//! and the covariance of the parameters that follows from it.
 
 use crate::choices::Transform;
 use crate::space::Space;
@@ -123,7 +123,7 @@ impl LinearModel {
     }
 }
 
-/// How uncertain the parameters of a fit are, see [`Report::covariance`](crate::Report::covariance).
+/// Uncertainty of the parameters of a fit, see [`Report::covariance`](crate::Report::covariance).
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Covariance {
@@ -185,7 +185,7 @@ impl Covariance {
         Self { matrix, variance, degrees_of_freedom, undetermined, held }
     }
 
-    /// What is to be said of it, with these names for the parameters; empty if nothing is.
+    /// Remarks on the covariance, with these names for the parameters; empty if there are none.
     pub fn message(&self, name: impl Fn(usize) -> String) -> String {
         let names =
             |indices: &[usize]| indices.iter().map(|index| name(*index)).collect::<Vec<_>>().join(", ");

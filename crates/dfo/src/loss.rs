@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::SQRT_2;
 use std::fmt;
 
-/// What a residual counts: `rho((r / scale)^2) scale^2`, with the functions rho of SciPy's `least_squares`.
+/// Contribution of a residual to the cost: `rho((r / scale)^2) scale^2`, with the functions rho of SciPy's
+/// `least_squares`.
 ///
 /// For small residuals every one of them is the square of the residual.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]

@@ -1,4 +1,4 @@
-//! Whether the memory that a method needs can be had: asked before anything large is allocated.
+//! Check that the memory that a method needs is available, before anything large is allocated.
 
 use crate::error::Error;
 

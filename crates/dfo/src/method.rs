@@ -67,7 +67,7 @@ impl Batch {
         self.want = want;
     }
 
-    /// What is wanted of all points.
+    /// Kind of values that is requested of all points.
     pub fn want(&self) -> Want {
         self.want
     }
@@ -91,7 +91,7 @@ impl Batch {
         self.ids.iter_mut().for_each(|id| *id += first_id);
     }
 
-    /// Whether its lists fit together and to points of this length: what comes from a file may not.
+    /// True if its lists fit together and to points of this length: what comes from a file may not.
     pub(crate) fn is_sound(&self, n: usize) -> bool {
         let len = self.cutoffs.len();
         (len == 0 || self.n == n)
@@ -115,7 +115,7 @@ impl Batch {
         self.cutoffs.len()
     }
 
-    /// Whether there is nothing to evaluate: the method has ended.
+    /// True if there is nothing to evaluate: the method has ended.
     pub fn is_empty(&self) -> bool {
         self.cutoffs.is_empty()
     }
@@ -155,19 +155,19 @@ impl Batch {
         (0..self.len()).map(|k| self.point(k))
     }
 
-    /// What to ask the objective at point `k`.
+    /// Query to the objective for point `k`.
     pub fn query(&self, k: usize) -> Query<'static> {
         let cutoff = if self.want == Want::Residuals { f64::INFINITY } else { self.cutoffs[k] };
         Query::new(self.id(k), self.index, cutoff).want(self.want)
     }
 }
 
-/// How many points a run evaluates at once where the path of its method needs fewer; the others are those of
-/// [`Method::speculate`].
+/// Number of points that a run evaluates at once where the path of its method needs fewer; the others are
+/// those of [`Method::speculate`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Lookahead {
-    /// What the path needs, no more.
+    /// The points that the path needs, no more.
     #[default]
     None,
     /// Up to so many, whatever they cost.
@@ -178,7 +178,7 @@ pub enum Lookahead {
     Measured,
 }
 
-/// What one iteration of a method did.
+/// Operation of one iteration of a method.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Operation {
@@ -242,7 +242,7 @@ pub enum Status {
     NoStart,
 }
 
-/// What a method is given to start from.
+/// Problem, tolerances and seed that a method starts with.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Setup {
     /// Start point, box, scales.
@@ -253,7 +253,7 @@ pub struct Setup {
     pub seed: Option<u64>,
     /// The budget, for methods that plan ahead with it.
     pub max_evaluations: Option<usize>,
-    /// Whether the start point of the space is the user's; else it is only the middle of the box.
+    /// True if the start point of the space is the user's; else it is only the middle of the box.
     pub start_given: bool,
     /// Points of an earlier run, best first; all lie in the box.
     pub prior: Vec<Vec<f64>>,
@@ -273,7 +273,7 @@ impl Setup {
     }
 }
 
-/// What is known of a problem when a method is chosen for it.
+/// Properties of a problem from which a method is chosen for it.
 #[derive(Debug, Clone, Copy)]
 pub struct ProblemClass<'a> {
     /// Lower bounds; infinite where there is none.
@@ -282,9 +282,9 @@ pub struct ProblemClass<'a> {
     pub upper: &'a [f64],
     /// Kinds of the parameters; empty: all continuous.
     pub kinds: &'a [Kind],
-    /// Whether the objective gives residuals.
+    /// True if the objective gives residuals.
     pub residuals: bool,
-    /// What is looked for.
+    /// Goal of the search.
     pub search: Search,
 }
 
@@ -328,17 +328,18 @@ pub trait MethodOptions {
         Ok(None)
     }
 
-    /// Whether the method needs a start point; one that does not takes the middle of the box where none is given.
+    /// True if the method needs a start point; one that does not takes the middle of the box where none is
+    /// given.
     fn needs_start(&self) -> bool {
         true
     }
 
-    /// Whether the method asks for residuals: then the objective must have them.
+    /// True if the method requests residuals: then the objective must have them.
     fn needs_residuals(&self) -> bool {
         false
     }
 
-    /// Whether a start must lie strictly inside of the bounds.
+    /// True if a start must lie strictly inside of the bounds.
     fn starts_inside(&self) -> bool {
         false
     }
@@ -349,7 +350,7 @@ pub trait MethodOptions {
         Vec::new()
     }
 
-    /// Whether the path depends on the limit of evaluations.
+    /// True if the path depends on the limit of evaluations.
     fn plans_with_budget(&self) -> bool {
         false
     }
@@ -359,8 +360,8 @@ pub trait MethodOptions {
         (Some(5000usize.saturating_mul(n + 1)), Some(1000usize.saturating_mul(n + 1)))
     }
 
-    /// How many evaluations to remember by default, so that exact repeats cost nothing; 0 for methods that repeat
-    /// themselves rarely.
+    /// Number of evaluations to remember by default, so that exact repeats cost nothing; 0 for methods that
+    /// repeat themselves rarely.
     fn default_cache(&self) -> usize {
         0
     }
@@ -435,7 +436,7 @@ pub trait Method {
     }
 }
 
-/// How a model shows that the cost is not smooth.
+/// Evidence in a model that the cost is not smooth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -464,19 +465,20 @@ impl fmt::Display for Roughness {
 pub struct Details<'a> {
     /// Number of complete iterations.
     pub n_iterations: usize,
-    /// What the last complete iteration did; `None` before the starting points are known.
+    /// Operation of the last complete iteration; `None` before the starting points are known.
     pub operation: Option<Operation>,
     /// The tolerance tests after the last complete iteration.
     pub tests: Option<Tests>,
-    /// Whether these have passed, and the method goes on all the same for what may lie beside: an end by a limit is a success.
+    /// True if these have passed, and the method goes on all the same for what may lie beside: an end by a
+    /// limit is a success.
     pub settled: bool,
     /// The batch plan in use.
     pub plan: &'static str,
-    /// How far to evaluate ahead of need.
+    /// Number of points to evaluate ahead of need.
     pub lookahead: Lookahead,
     /// The seed in use, for methods that draw random numbers.
     pub seed: Option<u64>,
-    /// How the model of the cost shows noise or kinks, for methods that have one.
+    /// Evidence of noise or kinks in the model of the cost, for methods that have one.
     pub roughness: Option<Roughness>,
     /// The number of points after which another method took over because of that.
     pub handed_over: Option<u64>,
@@ -500,7 +502,7 @@ pub struct Optimum {
     pub x: Vec<f64>,
     /// Its cost.
     pub cost: f64,
-    /// How many starts led there.
+    /// Number of starts whose search ended there.
     pub n_starts: usize,
 }
 
@@ -534,7 +536,7 @@ pub(crate) fn saved<S: Serialize>(state: &S) -> Option<Vec<u8>> {
     encode(state).ok()
 }
 
-/// Whether no field that counts (`n_...`, `idle`) has a number that no run comes to.
+/// True if no field that counts (`n_...`, `idle`) has a number that no run comes to.
 fn counts_are_possible(state: &ciborium::Value) -> bool {
     use ciborium::Value;
     match state {
@@ -567,7 +569,7 @@ impl<'a> SimplexView<'a> {
         self.order.len()
     }
 
-    /// Whether there are none.
+    /// True if there are no vertices.
     pub fn is_empty(&self) -> bool {
         self.order.is_empty()
     }

@@ -192,7 +192,8 @@ impl<'a, M, D> Minimize<'a, M, D> {
         Minimize { description: description.with_method(method), driver, life }
     }
 
-    /// What is looked for; the run chooses the method for it ([`AnyMethod::chosen_for`]), and its report says which and why.
+    /// Sets the goal of the search; the run chooses the method for it ([`AnyMethod::chosen_for`]), and its
+    /// report says which and why.
     ///
     /// ```
     /// use dfo::{Search, minimize};
@@ -292,13 +293,13 @@ impl<'a, M, D> Minimize<'a, M, D> {
         self
     }
 
-    /// Whether tolerances are relative (default) or absolute.
+    /// Sets relative (default) or absolute tolerances.
     pub fn measure(mut self, measure: Measure) -> Self {
         self.description.options.tolerances.measure = measure;
         self
     }
 
-    /// Whether both tests must pass (default) or either.
+    /// Sets the number of tests that must pass: both (default) or either.
     pub fn stop(mut self, stop: Stop) -> Self {
         self.description.options.tolerances.stop = stop;
         self
@@ -324,9 +325,10 @@ impl<'a, M, D> Minimize<'a, M, D> {
         self
     }
 
-    /// What the objective computes, in a word or a hash that the caller vouches for: everything that a cost depends on but
-    /// the point (model, data, settings), neither bounds nor start. Costs that are known from elsewhere are only used
-    /// where they belong to the same problem; a checkpoint of another one is refused.
+    /// Sets the identity of the problem, a word or a hash that the caller vouches for: it stands for
+    /// everything that a cost depends on but the point (model, data, settings), neither bounds nor start.
+    /// Costs that are known from elsewhere are only used where they belong to the same problem; a checkpoint
+    /// of another one is refused.
     pub fn problem(mut self, identity: impl Into<String>) -> Self {
         self.description.options.problem = Some(identity.into());
         self
@@ -353,8 +355,8 @@ impl<'a, M, D> Minimize<'a, M, D> {
         self
     }
 
-    /// How many evaluations to remember, so that exact repeats cost nothing; 0 for none. Default: the method's
-    /// ([`MethodOptions::default_cache`]), with discrete parameters at least 10 000.
+    /// Sets the number of evaluations to remember, so that exact repeats cost nothing; 0 for none. Default:
+    /// the method's ([`MethodOptions::default_cache`]), with discrete parameters at least 10 000.
     pub fn cache(mut self, evaluations: usize) -> Self {
         self.description.options.cache = Some(evaluations);
         self
@@ -427,8 +429,8 @@ impl<'a, M> Minimize<'a, M> {
         self
     }
 
-    /// How much of the limit of wall-clock time ([`max_time`](Self::max_time)) is over before the run begins: what was done
-    /// for it elsewhere. The message of a run that ends by time names the whole limit.
+    /// Sets the part of the limit of wall-clock time ([`max_time`](Self::max_time)) that was used before the
+    /// run begins. The message of a run that ends by time names the whole limit.
     pub fn spent(mut self, time: Duration) -> Self {
         self.driver.spent = time;
         self

@@ -10,7 +10,7 @@ use std::time::Instant;
 /// A flag that nobody raises.
 pub(crate) static NEVER: AtomicBool = AtomicBool::new(false);
 
-/// What may end an evaluation that is under way. Each flag is raised and lowered by its owner alone.
+/// Signals that end an evaluation that is under way. Each flag is raised and lowered by its owner alone.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CancelSignals<'a> {
     /// The user's.
@@ -33,21 +33,21 @@ impl<'a> CancelSignals<'a> {
         CancelSignals { over, ..self }
     }
 
-    /// Whether the user's flag is up.
+    /// True if the user's flag is up.
     pub(crate) fn is_cancelled(&self) -> bool {
         self.cancel.load(Ordering::Relaxed)
     }
 
-    /// Whether the deadline has come.
+    /// True if the deadline has come.
     pub(crate) fn is_late(&self) -> bool {
         self.deadline.is_some_and(|d| Instant::now() >= d)
     }
 }
 
-/// What an objective is told besides the point.
+/// Request to an objective besides the point.
 #[derive(Debug, Clone, Copy)]
 pub struct Query<'a> {
-    /// What is to be known of the point.
+    /// Kind of values that is requested of the point.
     pub want: Want,
     /// The objective may stop as soon as its partial cost is strictly greater than this, and answer
     /// [`Outcome::Above`] with it. `f64::INFINITY`: no cutoff.
@@ -84,8 +84,8 @@ impl Query<'_> {
         Query { want: self.want, cutoff: self.cutoff, id: self.id, batch: self.batch, signals }
     }
 
-    /// Whether the run is being ended (interrupt or time limit): a long evaluation should look now and then, give
-    /// up and answer [`Outcome::cancelled`].
+    /// True if the run is being ended (interrupt or time limit): a long evaluation should check this now and
+    /// then, give up and answer [`Outcome::cancelled`].
     pub fn cancelled(&self) -> bool {
         self.signals.is_cancelled() || self.signals.over.load(Ordering::Relaxed) || self.signals.is_late()
     }
@@ -107,18 +107,19 @@ pub trait Objective: Sync {
         answer
     }
 
-    /// Whether the cost is made from residuals that can be asked for; the default is no.
+    /// True if the cost is made from residuals that can be requested; the default is false.
     fn has_residuals(&self) -> bool {
         false
     }
 
-    /// What the residuals that it gives have gone through already; a [`Report`](crate::Report) gives back the plain ones.
+    /// Loss that has been applied already to the residuals that it gives; a [`Report`](crate::Report) gives
+    /// back the plain ones.
     fn residual_loss(&self) -> RobustLoss {
         RobustLoss::default()
     }
 
-    /// Whether evaluations are given up above their cutoff; the default is yes. One that says no is never evaluated anew
-    /// because the cutoff was another before.
+    /// True if evaluations are given up above their cutoff; the default is true. An objective that returns
+    /// false is never evaluated anew because the cutoff was another before.
     fn uses_cutoff(&self) -> bool {
         true
     }

@@ -1,4 +1,4 @@
-//! What a run tells while it goes: one report per iteration, on the calling thread. The listener may say "stop".
+//! Progress of a run: one report per iteration, on the calling thread. The callback may stop the run.
 
 use crate::method::{Operation, SimplexView};
 use crate::tolerances::Tests;
@@ -19,7 +19,7 @@ pub struct Progress<'a> {
     pub x: &'a [f64],
     /// Its cost.
     pub fun: f64,
-    /// What this iteration did.
+    /// Operation of this iteration.
     pub operation: Operation,
     /// The simplex, for methods that have one.
     pub simplex: Option<SimplexView<'a>>,

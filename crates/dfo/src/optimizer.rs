@@ -27,12 +27,12 @@ pub struct Point {
     pub x: Vec<f64>,
     /// Above this cost the outcome may be [`Outcome::Above`]; infinite if there is no cutoff.
     pub cutoff: f64,
-    /// What is to be known of it.
+    /// Kind of values that is requested.
     pub want: Want,
 }
 
 impl Point {
-    /// What to tell an [`Objective`](crate::Objective) with the point.
+    /// Query to give to an [`Objective`](crate::Objective) with the point.
     pub fn query(&self) -> Query<'static> {
         Query::new(self.id, self.batch, self.cutoff).want(self.want)
     }

@@ -89,16 +89,16 @@ pub struct Report {
     pub jacobian: Option<Vec<f64>>,
     /// With a Jacobian: -1 where a parameter lies at its lower bound (a fixed one, too), 1 at its upper, else 0. Else empty.
     pub active: Vec<i8>,
-    /// What the residuals counted in [`fun`](Self::fun).
+    /// Loss that was applied to the residuals in [`fun`](Self::fun).
     pub loss: RobustLoss,
-    /// What the run was continued from; `None`: it began anew.
+    /// Checkpoint that the run was continued from; `None`: it began anew.
     #[serde(default)]
     pub resumed: Option<Resumed>,
 }
 
 impl Report {
-    /// Whether the tolerance tests passed, or the x test alone where nothing but noise was left, or the target was reached, or there
-    /// was nothing to search.
+    /// True if the tolerance tests passed, or the x test alone where nothing but noise was left, or the
+    /// target was reached, or there was nothing to search.
     pub fn is_success(&self) -> bool {
         match self.termination {
             Termination::Noise => self.tests.is_some_and(|tests| tests.x_passed),
@@ -140,7 +140,7 @@ impl Report {
         }
     }
 
-    /// Whether the lengths of its parts fit together: what comes from a file may not.
+    /// True if the lengths of its parts fit together: what comes from a file may not.
     pub fn is_sound(&self) -> bool {
         let n = self.x.len();
         let simplexes = self.final_simplex.iter().chain(&self.final_population);
@@ -155,8 +155,9 @@ impl Report {
             && self.optima.iter().all(|optimum| optimum.x.len() == n)
     }
 
-    /// How uncertain the parameters are, as far as the linear model of the residuals at the end tells it: `s^2 (J' J)^-1` with
-    /// `s^2 = r' r / (m - n)`, over the free parameters that lie at no bound. `None` without residuals or Jacobian.
+    /// Covariance of the parameters by the linear model of the residuals at the end: `s^2 (J' J)^-1` with
+    /// `s^2 = r' r / (m - n)`, over the free parameters that lie at no bound. `None` without residuals or
+    /// Jacobian.
     ///
     /// With a loss, r and J are those of the residuals as they counted (see [`RobustLoss`]), so that an outlier adds as
     /// little to s as it did to the cost.

@@ -7,16 +7,16 @@
 use std::f64::consts::{PI, TAU};
 use std::hash::{BuildHasher, Hasher, RandomState};
 
-/// What a stream is for. Two purposes never share a stream.
+/// Purpose of a stream. Two purposes never share a stream.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Purpose {
     /// Starting points.
     Sampling = 0,
-    /// What an individual draws in a generation.
+    /// Random numbers of an individual in a generation.
     Individual = 1,
-    /// What a generation draws once.
+    /// Random numbers of a generation, drawn once.
     Generation = 2,
-    /// What a restart draws.
+    /// Random numbers of a restart.
     Restart = 3,
 }
 

@@ -1,4 +1,4 @@
-//! What may be chosen about a run, whoever chooses it: one record for Rust, Python, fits and files.
+//! Options of a run: one record for Rust, Python, fits and files.
 
 use crate::checkpoint::{Checkpoint, Code, Resume};
 use crate::choices::{Kind, Search, Transform};
@@ -22,7 +22,7 @@ pub struct Known {
     pub cost: f64,
     /// Its residuals; empty where they are not known.
     pub residuals: Vec<f64>,
-    /// What the cost belongs to; of another problem, or of none in particular, it only says where to start.
+    /// Problem that the cost belongs to; if it is not that of the run, or `None`, the point is only a start.
     pub problem: Option<String>,
 }
 
@@ -36,7 +36,8 @@ pub struct RunOptions<M = NelderMead> {
     pub method_reason: Option<String>,
     /// When the tests pass that end a run.
     pub tolerances: Tolerances,
-    /// What else ends it. Without a limit of evaluations, iterations or time the method's own hold.
+    /// Further limits that end the run. Without a limit of evaluations, iterations or time the method's own
+    /// hold.
     pub limits: Limits,
     /// Where no limit is set, none holds: not even the method's own.
     pub unlimited: bool,
@@ -44,7 +45,7 @@ pub struct RunOptions<M = NelderMead> {
     pub workers: Option<usize>,
     /// Seed of the random numbers, for methods that draw them; default: drawn, and reported.
     pub seed: Option<u64>,
-    /// How many evaluations to remember, so that exact repeats cost nothing; default: the method's.
+    /// Number of evaluations to remember, so that exact repeats cost nothing; default: the method's.
     pub cache: Option<usize>,
     /// Keeps only the last so many evaluations in the trace; default all.
     pub trace_limit: Option<usize>,
@@ -52,9 +53,10 @@ pub struct RunOptions<M = NelderMead> {
     pub trace_residuals: bool,
     /// Where the state of the run is written, and continued from.
     pub checkpoint: Option<Checkpoint>,
-    /// What the objective computes, in a word or a hash that the caller vouches for: everything that a cost depends on but
-    /// the point (model, data, settings), neither bounds nor start. Costs that are known from elsewhere are only used
-    /// where they belong to the same problem; a checkpoint of another one is refused.
+    /// Identity of the problem, a word or a hash that the caller vouches for: it stands for everything that a
+    /// cost depends on but the point (model, data, settings), neither bounds nor start. Costs that are known
+    /// from elsewhere are only used where they belong to the same problem; a checkpoint of another one is
+    /// refused.
     pub problem: Option<String>,
     /// Points that are known from earlier runs.
     pub known: Vec<Known>,

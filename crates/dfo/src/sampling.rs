@@ -5,7 +5,7 @@ use crate::rng::{Purpose, Stream};
 use crate::space::Space;
 use serde::{Deserialize, Serialize};
 
-/// How starting points are spread over a box.
+/// Distribution of starting points over a box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]

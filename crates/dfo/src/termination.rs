@@ -9,7 +9,7 @@ use std::fmt;
 pub enum Termination {
     /// The tolerance tests passed.
     Converged,
-    /// What could still be gained is less than the noise of the residuals makes of it: the f test cannot pass.
+    /// The predicted decrease is less than the effect of the noise of the residuals: the f test cannot pass.
     Noise,
     /// The target value was reached.
     Target,
@@ -49,8 +49,9 @@ pub enum Termination {
 pub(crate) const UNBOUNDED: f64 = -1e300;
 
 impl Termination {
-    /// Whether the tolerance tests passed, or the target was reached, or there was nothing to search. The end in noise is a success
-    /// where the x test passed, which [`Report::is_success`](crate::Report::is_success) knows.
+    /// True if the tolerance tests passed, or the target was reached, or there was nothing to search. The end
+    /// in noise is a success where the x test passed, which [`Report::is_success`](crate::Report::is_success)
+    /// checks.
     pub fn is_success(&self) -> bool {
         matches!(self, Self::Converged | Self::Target | Self::AllFixed)
     }

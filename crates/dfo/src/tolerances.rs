@@ -1,4 +1,4 @@
-//! What ends a run: limits from outside, and the tolerance tests that all methods share.
+//! Limits of a run from outside, and the tolerance tests that all methods share.
 
 use crate::choices::{Measure, Stop};
 use crate::error::Error;
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::time::Duration;
 
-/// What ends a run from outside of the method; `None` means no limit.
+/// Limits that end a run from outside of the method; `None` means no limit.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Limits {
     /// Evaluations of the path of the method: those of a run with one point at a time.
@@ -115,7 +115,7 @@ impl Tolerances {
     }
 }
 
-/// How large costs are at the start: the upper median of the absolute ones.
+/// Typical size of the costs at the start: the upper median of the absolute ones.
 pub(crate) fn typical(costs: &[Option<f64>]) -> f64 {
     let mut costs: Vec<f64> = costs.iter().flatten().map(|cost| cost.abs()).collect();
     costs.sort_by(f64::total_cmp);
@@ -158,21 +158,21 @@ impl Extent {
 /// The last values of the tolerance tests.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Tests {
-    /// What is measured.
+    /// Set of points, or region, that the tests measure.
     pub extent: Extent,
     /// Size of the simplex (or population) as the x test measures it.
     pub x_size: f64,
     /// Largest minus smallest cost; `None` while a vertex has failed.
     pub f_spread: Option<f64>,
-    /// What the spread is compared with.
+    /// Bound of the spread in the f test.
     pub f_limit: f64,
     /// Best cost.
     pub f_best: f64,
-    /// Whether the x test passes.
+    /// True if the x test passes.
     pub x_passed: bool,
-    /// Whether the f test passes.
+    /// True if the f test passes.
     pub f_passed: bool,
-    /// Whether the run is over: either one or both, as [`Tolerances::stop`] says.
+    /// True if the run is over: either one or both, as [`Tolerances::stop`] says.
     pub passed: bool,
     /// The tolerances used.
     pub tolerances: Tolerances,

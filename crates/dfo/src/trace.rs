@@ -95,7 +95,7 @@ pub(crate) struct SpeculativeEntry {
 pub struct TraceEntry<'a> {
     /// The point, in the user's units.
     pub x: &'a [f64],
-    /// What came out.
+    /// Outcome of the evaluation.
     pub outcome: &'a Outcome,
     /// Number of the point in the run; from 2^63 on if it was evaluated ahead of need.
     pub id: u64,
@@ -103,8 +103,8 @@ pub struct TraceEntry<'a> {
     pub batch: u64,
     /// The cutoff that the objective was told; infinite if none.
     pub cutoff: f64,
-    /// Whether the method was told of this point. False for evaluations that the end of the run cut short, and for
-    /// speculative ones ([`Trace::speculative`]): they are never returned as best.
+    /// True if the method was given this outcome. False for evaluations that the end of the run cut short,
+    /// and for speculative ones ([`Trace::speculative`]): they are never returned as best.
     pub used: bool,
     /// Wall-clock seconds of the evaluation.
     pub seconds: f64,
@@ -173,7 +173,7 @@ impl Trace {
         self.speculative.drain(..self.speculative.len().saturating_sub(limit));
     }
 
-    /// Whether its parts fit together: what comes from a file may not.
+    /// True if its parts fit together: what comes from a file may not.
     pub(crate) fn is_sound(&self, n: usize) -> bool {
         self.n == n
             && self.points.len() == self.records.len() * n
@@ -190,7 +190,7 @@ impl Trace {
         self.records.len()
     }
 
-    /// Whether nothing was evaluated.
+    /// True if nothing was evaluated.
     pub fn is_empty(&self) -> bool {
         self.records.is_empty()
     }

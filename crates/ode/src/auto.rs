@@ -31,8 +31,8 @@ const CLEAN_STEPS: u32 = 6;
 /// they advance. Trials after the first come after as many of the explicit method; each one that is lost makes the next one wait
 /// twice as long.
 const WASTE: f64 = 30.0;
-/// How many times what a trial wastes the right-hand sides before the next one are, at first. Of DOP853 once: its interpolant makes errors
-/// inside of steps where a fast component follows a slow one.
+/// Right-hand sides before the next trial, at first, as a multiple of those that a trial wastes. For DOP853
+/// once: its interpolant makes errors inside of steps where a fast component follows a slow one.
 const PATIENCE: f64 = 2.5;
 /// Right-hand sides of a Jacobian up to which the first trial does not wait: it bounds what a system that is not stiff can lose.
 const AFFORDABLE: f64 = 100.0;
@@ -256,8 +256,8 @@ impl Auto {
         }
     }
 
-    /// How many times longer the steps of the explicit method are than those of Radau5 where only the error test bounds either: what the
-    /// non-stiff problems of `benches/auto.rs` and an oscillator show.
+    /// Ratio of the steps of the explicit method to those of Radau5 where only the error test bounds either,
+    /// from the non-stiff problems of `benches/auto.rs` and an oscillator.
     fn reach(&self) -> f64 {
         if self.explicit == Active::Tsit5 { 1.5 } else { 3.0 }
     }

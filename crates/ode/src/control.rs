@@ -91,7 +91,8 @@ impl Weights {
         (sum / x.len().max(1) as f64).sqrt()
     }
 
-    /// Whether `a` and `b` differ by less than this multiple of its weight in each state at `x`; not if either is NaN.
+    /// True if `a` and `b` differ by less than this multiple of its weight in each state at `x`; not if
+    /// either is NaN.
     pub(crate) fn are_close(&self, x: &[f64], a: &[f64], b: &[f64], multiple: f64) -> bool {
         (0..x.len()).all(|i| (a[i] - b[i]).abs() < multiple * self.weight(i, x[i], x[i]))
     }

@@ -1,4 +1,4 @@
-//! How a run ends: normally ([`Termination`]) or with a [`SimulationError`].
+//! End of a run: normally ([`Termination`]) or with a [`SimulationError`].
 
 use crate::number::Number;
 use crate::stats::Stats;
@@ -17,14 +17,14 @@ pub enum Termination {
     StoppedByObserver,
 }
 
-/// What a run reports when it ends normally.
+/// Report of a run that ends normally.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Report {
-    /// How it ended.
+    /// Reason of the end.
     pub termination: Termination,
     /// Time at which it ended.
     pub time: f64,
-    /// What it cost.
+    /// Cost of the run.
     pub stats: Stats,
 }
 
@@ -97,7 +97,7 @@ pub enum ErrorKind {
     Inconsistent {
         /// The equation with the largest residual, seen against the tolerances of the states.
         equation: usize,
-        /// What is left there of zero.
+        /// Its residual, not zero.
         residual: f64,
     },
     /// A residual is not zero at the start or after an event, and no slopes (and values of what has no slope) were found from
@@ -127,7 +127,7 @@ pub enum ErrorKind {
     Cancelled,
     /// State events follow each other without time advancing.
     Chattering {
-        /// How many in a row.
+        /// Number of events in a row.
         events: u64,
         /// The span of time in which they happened.
         within: f64,
@@ -189,7 +189,7 @@ impl ErrorKind {
     }
 }
 
-/// What was evaluated.
+/// Kind of values that were evaluated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Evaluated {
@@ -214,7 +214,7 @@ pub struct NotFinite {
     pub value: f64,
     /// The time it was evaluated at.
     pub time: f64,
-    /// What the model calls it, where somebody who knows has filled that in.
+    /// Name in the model, where it was filled in by a caller that has the names.
     pub name: Option<String>,
 }
 
@@ -310,9 +310,9 @@ pub struct SimulationError {
     /// Where steps or consistent states of a differential-algebraic system failed: states that its equations do not
     /// determine, which is so in systems of index 2 or higher.
     pub undetermined: Option<Undetermined>,
-    /// What the system says about the point that it refused, filled in by who makes the system.
+    /// Message of the system about the point that it refused, filled in by the maker of the system.
     pub refusal: Option<String>,
-    /// What it had cost.
+    /// Cost up to then.
     pub stats: Stats,
 }
 

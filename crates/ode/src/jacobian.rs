@@ -35,7 +35,8 @@ pub(crate) struct Jacobian {
     /// `values[i + n * k]` is the derivative of `f_i` with respect to `x_k`; where they are sparse only the places of the
     /// pattern and of the diagonal are kept, one after the other: the entries that a sparse decomposition takes.
     pub(crate) values: Vec<f64>,
-    /// What the system fills in, where its layout is not that of the values: the entries of the pattern, or a whole matrix.
+    /// Buffer for the system to fill in, where its layout is not that of the values: the entries of the
+    /// pattern, or a whole matrix.
     given: Vec<f64>,
     point: Vec<f64>,
     column: Vec<f64>,
@@ -82,7 +83,7 @@ impl Jacobian {
         self.pattern.as_ref()
     }
 
-    /// Whether only the values at the places of the pattern, and of the diagonal, are kept.
+    /// True if only the values at the places of the pattern, and of the diagonal, are kept.
     pub(crate) fn is_sparse(&self) -> bool {
         self.is_sparse
     }
@@ -116,7 +117,7 @@ impl Jacobian {
         }
     }
 
-    /// How many evaluations it takes.
+    /// Number of evaluations of the Jacobian.
     pub(crate) fn cost(&self) -> usize {
         match self.source {
             Source::Entries | Source::Whole => 1,

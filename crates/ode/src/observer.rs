@@ -1,4 +1,4 @@
-//! What the driver tells the outside while it runs: samples and events. The outside may say "stop".
+//! Reports of the driver while it runs: samples and events. The observer may stop the run.
 
 use crate::system::EventCause;
 use serde::{Deserialize, Serialize};
@@ -34,7 +34,7 @@ pub struct Sample<'a> {
 pub struct EventRecord {
     /// Time of the event.
     pub time: f64,
-    /// What made it.
+    /// Causes of the event.
     pub cause: EventCause,
 }
 
@@ -72,8 +72,8 @@ pub trait Observer {
     /// A sample; `Break` ends the run (a normal end: [`Termination::StoppedByObserver`](crate::Termination)).
     fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()>;
 
-    /// Whether [`step`](Self::step) is to be told of accepted steps. Methods whose interpolation costs extra evaluations
-    /// (DOP853) make them for every step then.
+    /// True if [`step`](Self::step) is to be called with accepted steps. Methods whose interpolation costs
+    /// extra evaluations (DOP853) make them for every step then.
     fn wants_steps(&self) -> bool {
         false
     }

@@ -1,4 +1,4 @@
-//! What a run may be told: method, tolerances, limits. Checked once, when a driver is made.
+//! Options of a run: method, tolerances, limits. Checked once, when a driver is made.
 
 use crate::number::Number;
 use serde::{Deserialize, Serialize};
@@ -50,12 +50,12 @@ impl Method {
         }
     }
 
-    /// Whether the step size is given by the user instead of by an error estimate.
+    /// True if the step size is given by the user instead of by an error estimate.
     pub fn is_fixed_step(self) -> bool {
         matches!(self, Self::Rk4 | Self::Euler)
     }
 
-    /// Whether it may take Jacobians.
+    /// True if it may take Jacobians.
     pub fn is_implicit(self) -> bool {
         matches!(self, Self::Auto | Self::Radau5 | Self::Bdf)
     }
@@ -70,7 +70,8 @@ impl FromStr for Method {
     }
 }
 
-/// What ends a run before its time; `None` means no limit. Counts are looked at before each trial step.
+/// Limits that end a run before its final time; `None` means no limit. Counts are checked before each trial
+/// step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Limits {
     /// Accepted and rejected steps together.
@@ -85,8 +86,9 @@ pub struct Limits {
     pub timeout: Option<Duration>,
 }
 
-/// What to do when state events follow each other so closely that time hardly advances: a hundred of them within 1e-6 of
-/// the span; in spans above 1000 units of time, within a thousandth of one (or as close as times can be told apart).
+/// Policy where state events follow each other so closely that time hardly advances: a hundred of them within
+/// 1e-6 of the span; in spans above 1000 units of time, within a thousandth of one (or as close as times can
+/// be told apart).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
@@ -275,7 +277,7 @@ pub enum OptionsError {
         name: &'static str,
         /// The value given.
         value: f64,
-        /// What it must be.
+        /// Condition that it must meet.
         range: &'static str,
     },
     /// No method has this name.

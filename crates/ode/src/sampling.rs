@@ -1,4 +1,4 @@
-//! Which requested times are due, and their delivery to the observer.
+//! Requested times that are due, and their delivery to the observer.
 
 use crate::observer::{Observer, Sample, Side};
 use crate::system::{CallResult, HybridSystem};
@@ -52,7 +52,7 @@ impl Sampler {
         times.get(self.cursor).copied().filter(|t| *t < limit)
     }
 
-    /// Whether the next requested time is listed once more after it.
+    /// True if the next requested time is listed once more after it.
     fn twice(&self, times: &[f64]) -> bool {
         self.cursor + 1 < times.len() && times[self.cursor + 1] - times[self.cursor] <= self.time_tolerance
     }

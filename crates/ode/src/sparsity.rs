@@ -1,6 +1,7 @@
 //! Sparsity patterns of Jacobians, and their colouring.
 
-/// Which derivatives depend on which states: the places of a Jacobian that may differ from zero.
+/// Pattern of the derivatives and the states that they depend on: the places of a Jacobian that may differ
+/// from zero.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct JacobianPattern {
     /// Column `k` has the rows `rows[starts[k]..starts[k + 1]]`, ascending.
@@ -85,7 +86,7 @@ impl JacobianPattern {
         self.starts.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap_or(0)
     }
 
-    /// How many evaluations a Jacobian of this pattern takes.
+    /// Number of evaluations that a Jacobian of this pattern takes.
     pub fn n_colours(&self) -> usize {
         Groups::new(self).len()
     }

@@ -1,4 +1,4 @@
-//! What a run cost.
+//! Cost of a run.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -114,7 +114,7 @@ pub struct Stats {
     pub events: u64,
     /// Restarts of the method after an event that changed something.
     pub restarts: u64,
-    /// How often state events were found to follow each other while time hardly advanced, where the
+    /// Number of times that state events followed each other while time hardly advanced, where the
     /// [policy](crate::ChatteringPolicy) is to go on.
     pub chattering: u64,
     /// Runs made besides, which no other count has; their time is in `seconds`.

@@ -1,4 +1,4 @@
-//! What a method offers the driver: try a step, look inside it, go on from its end, or start anew.
+//! Interface of a method to the driver: try a step, look inside it, go on from its end, or start anew.
 
 use crate::control::Weights;
 use crate::error::Undetermined;
@@ -30,7 +30,7 @@ pub(crate) struct Trial<'a> {
     pub(crate) x: &'a [f64],
 }
 
-/// What became of a trial step.
+/// Result of a trial step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Attempt {
     /// It meets the tolerance.
@@ -41,7 +41,7 @@ pub(crate) enum Attempt {
     NotSolved { h: f64 },
 }
 
-/// Whether the equations without derivatives hold at a point.
+/// Result of the check that the equations without derivatives hold at a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Consistency {
     /// They do, within the tolerances of the states.
@@ -57,7 +57,7 @@ pub(crate) enum Consistency {
     NoSlopes { equation: usize, residual: f64, is_singular: bool },
 }
 
-/// What is done with a step inside of which an event was located.
+/// Treatment of a step inside of which an event was located.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum StepWithEvent {
     /// The state at the event is that of the interpolant.
@@ -69,7 +69,7 @@ pub(crate) enum StepWithEvent {
     RepeatedToBefore,
 }
 
-/// What the driver must know of a method.
+/// Properties of a method that the driver needs.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Properties {
     /// The order that decides how a first step is guessed: that of the solution whose error is estimated.
@@ -81,7 +81,7 @@ pub(crate) struct Properties {
     pub(crate) takes_residual: bool,
     /// There is no right-hand side to be evaluated in this run: [`Stepper::derivative`] is what there is of slopes.
     pub(crate) only_own_slopes: bool,
-    /// What is done with a step inside of which an event was located.
+    /// Treatment of a step inside of which an event was located.
     pub(crate) step_with_event: StepWithEvent,
     /// At how many points inside its steps event indicators are looked at by default: more where steps are longer, as seen
     /// against the curvature of the solution.
@@ -120,7 +120,7 @@ impl Default for Properties {
 /// looked into and is then accepted; after an event [`evaluate`](Self::evaluate), [`make_consistent`](Self::make_consistent),
 /// and [`forget`](Self::forget) if it changed something.
 pub(crate) trait Stepper {
-    /// What the driver must know of it.
+    /// Properties of the method that the driver needs.
     fn properties(&self) -> Properties;
 
     /// Starts a run: makes room, forgets everything. It fails where there is no room for its matrices.

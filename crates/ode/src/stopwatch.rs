@@ -1,4 +1,4 @@
-//! How long calls take, at next to no cost: slow calls are timed each, of fast ones some.
+//! Measurement of the time that calls take, at little cost: each slow call is timed, of fast ones some.
 
 use std::time::{Duration, Instant};
 
@@ -18,9 +18,9 @@ const LONGEST: f64 = 1e-4;
 #[derive(Debug, Clone, Copy, Default)]
 struct Tally {
     seconds: f64,
-    /// What the last fast one took.
+    /// Seconds of the last fast call that was timed.
     usual: f64,
-    /// How many in a row were fast.
+    /// Number of fast calls in a row.
     fast: u32,
     /// So many of the next are not timed.
     left: u32,

@@ -1,4 +1,4 @@
-//! What the stepper needs to know of a model: a hybrid ODE as a trait.
+//! Interface between the stepper and a model: a hybrid ODE as a trait.
 
 use crate::sparsity::JacobianPattern;
 use serde::{Deserialize, Serialize};
@@ -25,7 +25,7 @@ impl CallError {
 /// Result of a call into the model.
 pub type CallResult<T> = Result<T, CallError>;
 
-/// Which changes of the domain of an event indicator are events.
+/// Changes of the domain of an event indicator that are events.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 pub enum Direction {
     /// All: the rule of FMI.
@@ -40,7 +40,7 @@ pub enum Direction {
     Down,
 }
 
-/// What made an event; several causes at one instant are one visit.
+/// Causes of an event; several at one instant are one visit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct EventCause {
     /// An event indicator changed its domain.
@@ -58,14 +58,14 @@ pub struct EventCause {
 pub struct EventVisit<'a> {
     /// Time of the event.
     pub time: f64,
-    /// What made it.
+    /// Causes of the event.
     pub cause: EventCause,
     /// Per event indicator: +1 it became positive, -1 it left the positive domain, 0 it stayed, or it crossed in a
     /// [direction](HybridSystem::event_direction) that is no event.
     pub crossings: &'a [i8],
 }
 
-/// What a visit of event mode (or the start) changed.
+/// Changes made by a visit of event mode (or by the start).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct EventOutcome {
     /// The continuous states were changed; the driver takes the new ones.
@@ -142,8 +142,9 @@ pub trait HybridSystem {
         Ok(())
     }
 
-    /// Whether a state may grow far beyond its nominal value without its error growing with it, such as an angle that turns
-    /// on and on (FMI's `unbounded`): then its absolute tolerance alone counts. Read once a run and after changes of nominals.
+    /// True if a state may grow far beyond its nominal value without its error growing with it, such as an
+    /// angle that turns on and on (FMI's `unbounded`): then its absolute tolerance alone counts. Read once a
+    /// run and after changes of nominals.
     fn is_unbounded(&self, state: usize) -> bool {
         let _ = state;
         false
@@ -155,7 +156,8 @@ pub trait HybridSystem {
     /// The right-hand side: fills in `dx = f(t, x)`.
     fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()>;
 
-    /// Which derivatives depend on which states, if the model knows; `None`: any may depend on any. Read once per run.
+    /// Sparsity pattern of the Jacobian, if the model has it; `None`: any derivative may depend on any state.
+    /// Read once per run.
     fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
         None
     }
@@ -168,7 +170,8 @@ pub trait HybridSystem {
         Ok(false)
     }
 
-    /// Whether [`jacobian`](Self::jacobian) is to be asked, for which room for a dense matrix is made. Read once per run.
+    /// True if [`jacobian`](Self::jacobian) is to be called, for which a dense matrix is allocated. Read once
+    /// per run.
     fn has_jacobian(&self) -> bool {
         false
     }
@@ -206,8 +209,8 @@ pub trait HybridSystem {
         None
     }
 
-    /// Whether the equations are `F(t, x, x') = 0`, given by [`residual`](Self::residual) (index 0 or 1), instead of
-    /// `x' = f(t, x)`. Only [`Method::Bdf`](crate::Method) takes them. Read once a run.
+    /// True if the equations are `F(t, x, x') = 0`, given by [`residual`](Self::residual) (index 0 or 1),
+    /// instead of `x' = f(t, x)`. Only [`Method::Bdf`](crate::Method) takes them. Read once a run.
     fn has_residual(&self) -> bool {
         false
     }
@@ -233,7 +236,7 @@ pub trait HybridSystem {
         Ok(false)
     }
 
-    /// Whether a run may lead backward in time, from a start after its end. Read once a run.
+    /// True if a run may lead backward in time, from a start after its end. Read once a run.
     fn can_run_backward(&self) -> bool {
         false
     }
@@ -282,8 +285,8 @@ pub trait HybridSystem {
     }
 }
 
-/// What a wrapper of a system hands on: all calls of the trait. `$around!(self, Call, answer)` makes those that run the
-/// model.
+/// Calls of the trait that a wrapper of a system forwards: all of them. `$around!(self, Call, answer)` makes
+/// those that run the model.
 macro_rules! hand_on {
     ($self:ident, $inner:expr, $around:ident) => {
         fn n_states(&$self) -> usize {

@@ -15,13 +15,13 @@ pub(crate) struct Tableau<const S: usize> {
     pub(crate) c: [f64; S],
     /// Stage weights; each row uses stages before it. Row `end` is the solution itself.
     pub(crate) a: [Weights; S],
-    /// What the step-size controller looks at.
+    /// Error estimate for the step-size controller.
     pub(crate) error: Estimate,
     /// The solution inside a step.
     pub(crate) dense: Dense<S>,
 }
 
-/// How the error of a step is estimated.
+/// Form of the error estimate of a step.
 #[derive(Debug)]
 pub(crate) enum Estimate {
     /// It is not: the step size is fixed.

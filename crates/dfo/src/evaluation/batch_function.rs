@@ -18,7 +18,7 @@ pub struct BatchView<'a> {
     details: &'a [Details],
 }
 
-/// What the function says of a point besides its outcome.
+/// Values that the function gives for a point besides its outcome.
 #[derive(Debug, Default)]
 struct Details {
     seconds: Cell<Option<f64>>,
@@ -32,7 +32,7 @@ impl<'a> BatchView<'a> {
         self.queries.len()
     }
 
-    /// Whether there are none.
+    /// True if there are no points.
     pub fn is_empty(&self) -> bool {
         self.queries.is_empty()
     }
@@ -52,7 +52,7 @@ impl<'a> BatchView<'a> {
         self.points
     }
 
-    /// What is wanted of point `k`, its cutoff, ids and cancel flag.
+    /// Query for point `k`: the kind of values, its cutoff, ids and cancel flag.
     pub fn query(&self, k: usize) -> Query<'a> {
         self.queries[k].ended_by(self.signals)
     }
@@ -86,7 +86,7 @@ pub(crate) struct Batches<'a> {
     function: &'a mut BatchFunction<'a>,
     workers: usize,
     gives_up: GivesUp,
-    /// How much faster the points of the last calls were together than one by one, as the function told.
+    /// Speed-up of the points of the last calls together against one by one, as reported by the function.
     gain: Option<f64>,
     points: Vec<f64>,
     queries: Vec<Query<'static>>,

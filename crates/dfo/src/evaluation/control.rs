@@ -1,4 +1,4 @@
-//! What may end a run from outside while evaluations are under way.
+//! Signals that end a run from outside while evaluations are under way.
 
 use super::evaluator::Wait;
 use crate::objective::{CancelSignals, NEVER};
@@ -52,8 +52,8 @@ impl<'a> RunControl<'a> {
         self.context.end().filter(|d| now >= *d).map(|_| StopCause::OutOfTime)
     }
 
-    /// How long the calling thread may wait for an answer before it must look up. `halted`: whether it knows of the
-    /// deadline already.
+    /// Time up to which the calling thread may wait for an answer before it checks the signals again.
+    /// `halted`: true if it has seen the deadline already.
     pub(crate) fn wait(&self, halted: bool) -> Wait<'a> {
         let soon = Instant::now() + POLL_INTERVAL;
         let until = self.context.end().filter(|_| !halted).map_or(soon, |deadline| deadline.min(soon));

@@ -1,4 +1,5 @@
-//! How points are handed to whoever evaluates them and taken back, and the one place where an objective is called.
+//! Evaluation of points: the interface by which they are submitted and answered, and the one place where an
+//! objective is called.
 
 use crate::answer::{Answer, Failure, FailureKind, Outcome};
 use crate::objective::{CancelSignals, Objective, Query};
@@ -57,25 +58,25 @@ pub trait Evaluator {
     /// The answer to this point is not needed any more: it need not begin, and may give up.
     fn cancel(&mut self, id: u64);
 
-    /// How many points can be under way at once.
+    /// Number of points that can be under way at once.
     fn width(&self) -> usize;
 
-    /// How many points a plan of so many may have under way at once.
+    /// Number of points that a plan of so many may have under way at once.
     fn room(&self, plan: usize) -> usize {
         plan.min(self.width())
     }
 
-    /// Whether to evaluate ahead of need pays, as far as can be told by now.
+    /// True if evaluations ahead of need pay, as far as measured by now.
     fn pays_ahead(&self) -> bool {
         self.width() > 1
     }
 
-    /// Whether the next answer is there already: then it is taken before anything else is handed in.
+    /// True if the next answer is there already: then it is taken before anything else is handed in.
     fn is_ready(&self) -> bool {
         false
     }
 
-    /// Whether evaluations are given up above their cutoff.
+    /// Use of the cutoff: whether evaluations are given up above it.
     fn gives_up(&self) -> GivesUp {
         GivesUp::Unknown
     }
@@ -116,7 +117,8 @@ impl<E: Evaluator + ?Sized> Evaluator for Box<E> {
     }
 }
 
-/// Whether evaluations are given up above their cutoff; what is known elsewhere than below it depends on the cutoff then.
+/// Use of cutoffs: whether evaluations are given up above them. If so, every outcome but a cost below
+/// the cutoff depends on it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum GivesUp {
     /// They are.
@@ -127,12 +129,12 @@ pub enum GivesUp {
     Unknown,
 }
 
-/// How long to wait for an answer.
+/// Limit of the time to wait for an answer.
 #[derive(Debug, Clone, Copy)]
 pub struct Wait<'a> {
     /// Not longer than this.
     pub until: Instant,
-    /// What ends evaluations that poll itself makes.
+    /// Signals that end evaluations that poll itself makes.
     pub(crate) signals: CancelSignals<'a>,
 }
 
@@ -143,7 +145,7 @@ impl Wait<'_> {
     }
 }
 
-/// What polling gave.
+/// Result of polling.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Polled {
     /// The answer to the query with this number.
@@ -171,7 +173,7 @@ pub(super) fn call(objective: &dyn Objective, x: &[f64], query: &Query<'_>, answ
     };
 }
 
-/// Whether the objective gives up above its cutoff.
+/// Use of the cutoff by the objective.
 pub(super) fn gives_up(objective: &dyn Objective) -> GivesUp {
     if objective.uses_cutoff() { GivesUp::Yes } else { GivesUp::No }
 }

@@ -40,7 +40,7 @@ pub(crate) struct Guesses {
     hashes: Vec<u64>,
 }
 
-/// What became of an answer to a guess.
+/// Use of an answer to a guess.
 pub(crate) enum Reached {
     /// It answers what the path asks at this place.
     Answer(usize, Answer),
@@ -50,7 +50,7 @@ pub(crate) enum Reached {
     Kept,
 }
 
-/// How many evaluations ahead of need may be for nothing in a run of so many.
+/// Number of evaluations ahead of need that may be for nothing in a run of so many.
 fn allowed_waste(n_evaluations: usize, workers: usize) -> usize {
     let many = (workers as f64 / FEW_WORKERS).max(1.0).ln() / (1000.0 / FEW_WORKERS).ln();
     let share = WASTE + (WASTE_OF_THOUSAND - WASTE) * many.min(1.0);
@@ -65,7 +65,7 @@ fn hash(x: &[f64]) -> u64 {
 }
 
 impl Guesses {
-    /// Whether a point of the path is under way already; place `k` of the round's work waits for it then.
+    /// True if a point of the path is under way already; place `k` of the round's work waits for it then.
     pub(crate) fn adopt(&mut self, x: &[f64], k: usize) -> bool {
         let same = |y: &[f64]| x.iter().zip(y).all(|(x, y)| x.to_bits() == y.to_bits());
         let free = |guess: &&mut Guess| guess.place.is_none() && !guess.is_cancelled && same(&guess.x);

@@ -1,4 +1,4 @@
-//! What a run has seen: every count, the failures, the best point so far, the trace.
+//! Record of a run: every count, the failures, the best point so far, the trace.
 
 use crate::answer::{Answer, Best, Failure, Outcome, Want};
 use crate::error::NothingFound;
@@ -29,7 +29,7 @@ pub(crate) enum Source {
 }
 
 impl Source {
-    /// Whether the point is evaluated in this batch, or was begun before it.
+    /// True if the point is evaluated in this batch, or was begun before it.
     pub(crate) fn is_work(self) -> bool {
         matches!(self, Self::Run | Self::Begun | Self::Again)
     }
@@ -39,7 +39,7 @@ impl Source {
 pub(crate) struct Ledger {
     pub(crate) trace: Trace,
     trace_limit: Option<usize>,
-    /// Whether the trace keeps residuals.
+    /// True if the trace keeps residuals.
     keeps_residuals: bool,
     /// Evaluations begun ahead of need, and those of them that the path came to while they were under way.
     pub(crate) n_guessed: u64,
@@ -54,7 +54,7 @@ pub(crate) struct Ledger {
     pub(crate) n_evaluations: usize,
     pub(crate) n_failed: usize,
     pub(crate) n_cached: usize,
-    /// How often evaluations were asked for.
+    /// Number of batches requested.
     pub(crate) n_batches: usize,
     /// Number of residuals of each point, once one has some.
     pub(crate) n_residuals: Option<usize>,
@@ -188,7 +188,7 @@ impl Ledger {
         })
     }
 
-    /// Whether its parts fit together: what comes from a file may not.
+    /// True if its parts fit together: what comes from a file may not.
     pub(crate) fn is_sound(&self, n: usize) -> bool {
         self.trace.is_sound(n)
             && self.best.is_sound(n)

@@ -22,7 +22,7 @@ pub(crate) struct Round {
     pub(crate) ledger: Ledger,
     pub(crate) store: Store,
     pub(crate) stale: usize,
-    /// What is to be evaluated for it.
+    /// Points of the batch that are to be evaluated.
     pub(crate) work: Batch,
     pub(crate) gives_up: GivesUp,
     /// The place of the batch that each point of `work` has.
@@ -117,8 +117,8 @@ impl Round {
         }
     }
 
-    /// What becomes of a point that is known to lie above a lower cutoff. Without cutoffs it would be known altogether, so
-    /// that it must not count.
+    /// Source of a point that is known to lie above a lower cutoff; enters the point into the work if that is
+    /// its only source. Without cutoffs it would be known altogether, so that it must not count.
     fn again(&mut self, batch: &Batch, k: usize) -> Source {
         if let Some(twin) = self.twin(batch, k) {
             return Source::Copy(twin);
@@ -192,7 +192,7 @@ impl Round {
         self.left(limits).saturating_sub(self.sources.iter().filter(counts).count())
     }
 
-    /// Whether an answer ends the run. What lies above its cutoff might as well have been given up.
+    /// True if an answer ends the run. What lies above its cutoff might as well have been given up.
     fn is_target(&self, answer: &Answer, cutoff: f64) -> bool {
         let value = answer.outcome.value().filter(|value| *value <= cutoff);
         matches!((value, self.target), (Some(value), Some(target)) if value <= target)
@@ -200,7 +200,7 @@ impl Round {
                 && answer.residuals_failure(&mut self.ledger.n_residuals.clone()).is_some())
     }
 
-    /// Whether the answer to point `k` of `work` is one after which nothing more is of the path.
+    /// True if the answer to point `k` of `work` is one after which nothing more is of the path.
     pub(crate) fn is_last(&self, k: usize, answer: &Answer) -> bool {
         matches!(answer.outcome, Outcome::Abort(_)) || self.is_target(answer, self.work.cutoff(k))
     }
@@ -223,7 +223,7 @@ impl Round {
         })
     }
 
-    /// How many points of `work` lie before this place of the batch.
+    /// Number of points of `work` before this place of the batch.
     pub(crate) fn n_before(&self, place: usize) -> usize {
         self.work_places.partition_point(|&other| other < place)
     }
@@ -237,7 +237,7 @@ impl Round {
         }
     }
 
-    /// What of this batch is known for good, should the run end here.
+    /// Evaluations of this batch that remain valid should the run end here.
     pub(crate) fn known(&self, batch: &Batch, answers: &[Answer]) -> Vec<Early> {
         let mut known = Vec::new();
         let mut new = answers.iter();

@@ -1,5 +1,6 @@
-//! What is known of points, by their bits: evaluations that the run has counted (bounded, the oldest go first), and early ones,
-//! made ahead of need or before the run was resumed, which count when the path comes to them.
+//! Evaluations of points, stored by the bits of the point: those that the run has counted (bounded, the
+//! oldest go first), and early ones, made ahead of need or before the run was resumed, which count when the
+//! path comes to them.
 
 use super::evaluator::GivesUp;
 use crate::answer::{Answer, Outcome, Want};
@@ -21,7 +22,7 @@ type Key = Box<[u64]>;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Early {
     pub(crate) entry: SpeculativeEntry,
-    /// Whether the path was there before the run was resumed.
+    /// True if the path was at this point before the run was resumed.
     pub(crate) is_of_path: bool,
 }
 
@@ -114,12 +115,12 @@ impl Store {
         self.key.extend(x.iter().map(|v| v.to_bits()));
     }
 
-    /// Whether something is known of a point that the run has counted.
+    /// True if an evaluation of a point is stored that the run has counted.
     pub(crate) fn remembers(&self, x: &[f64]) -> bool {
         !self.known.is_empty() && self.known.contains_key(&bits(x))
     }
 
-    /// Whether something is known of a point.
+    /// True if an evaluation of a point is stored.
     pub(crate) fn contains(&self, x: &[f64]) -> bool {
         !(self.known.is_empty() && self.places.is_empty()) && {
             let key = bits(x);
@@ -127,8 +128,8 @@ impl Store {
         }
     }
 
-    /// What is known of a point, if that answers the question: "above c" does only up to the cutoff c, a cost only where
-    /// no residuals are wanted.
+    /// Stored answer for a point, if it answers the query: "above c" does only up to the cutoff c, a cost
+    /// only where no residuals are requested.
     pub(crate) fn get(&mut self, x: &[f64], query: Query<'_>) -> Option<&Answer> {
         if self.known.is_empty() {
             return None;
@@ -140,7 +141,7 @@ impl Store {
         self.known.get(&self.key[..]).filter(answers)
     }
 
-    /// Whether no more is known of a point than that it lies above some cutoff.
+    /// True if no more is known of a point than that it lies above some cutoff.
     pub(crate) fn is_above(&mut self, x: &[f64]) -> bool {
         self.key(x);
         matches!(self.known.get(&self.key[..]), Some(Answer { outcome: Outcome::Above(_), .. }))
@@ -197,7 +198,8 @@ impl Store {
         Some(early)
     }
 
-    /// What an early evaluation says of a point that the path has come to: its answer, or one that does not answer this query.
+    /// Takes the early evaluation of a point that the path has come to: its answer, or the evaluation itself
+    /// if that does not answer this query.
     pub(crate) fn take(
         &mut self,
         x: &[f64],
@@ -234,12 +236,13 @@ impl Store {
         std::mem::take(&mut self.early).into_values()
     }
 
-    /// Whether evaluations of the path are known from before the run was resumed.
+    /// True if evaluations of the path are known from before the run was resumed.
     pub(crate) fn has_replays(&self) -> bool {
         self.n_replays > 0
     }
 
-    /// What was made for the batch at which a run was resumed, and was not needed for it after all.
+    /// Removes the evaluations made for the batch at which a run was resumed that were not needed for it
+    /// after all.
     pub(crate) fn forget_replays(&mut self) {
         let replays: Vec<u64> =
             self.early.iter().filter(|(_, early)| early.is_of_path).map(|(number, _)| *number).collect();
@@ -254,7 +257,7 @@ impl Store {
         aborts.into_iter().for_each(|number| drop(self.remove(number)));
     }
 
-    /// Whether its points have this length: what comes from a file may not.
+    /// True if its points have this length: what comes from a file may not.
     pub(crate) fn is_sound(&self, n: usize) -> bool {
         self.early.values().all(|early| early.entry.x.len() == n)
             && self.known.keys().all(|key| key.len() == n)
@@ -262,7 +265,8 @@ impl Store {
 }
 
 impl SpeculativeEntry {
-    /// What is kept of an answer that the path has not counted. `m`: the number of residuals that it must have, where that is known.
+    /// Entry for an answer that the path has not counted. `m`: the number of residuals that it must have,
+    /// where that is known.
     pub(crate) fn new(
         (id, batch): (u64, u64),
         (x, query): (Vec<f64>, Query<'_>),
@@ -276,7 +280,7 @@ impl SpeculativeEntry {
         Self { id, batch, x, cutoff: query.cutoff, answer }
     }
 
-    /// What the objective would have said had it been asked this, as far as that is known.
+    /// Answer that the objective would have given to this query, as far as that is known.
     pub(crate) fn answer_to(&self, query: &Query<'_>, gives_up: GivesUp) -> Option<Answer> {
         let cutoff = query.cutoff;
         let above = || Some(Answer { outcome: Outcome::Above(cutoff), ..self.answer.only(Want::Cost) });

@@ -32,7 +32,7 @@ struct Job {
     /// Raised where its answer is not needed any more.
     over: Arc<AtomicBool>,
     handed_in: Instant,
-    /// Whether a thread was free when it was handed in.
+    /// True if a thread was free when it was handed in.
     at_once: bool,
 }
 
@@ -46,12 +46,12 @@ struct Queue {
     n_starting: usize,
     /// Threads that wait for a job.
     n_idle: usize,
-    /// Whether the calling thread evaluates, too.
+    /// True if the calling thread evaluates, too.
     is_joined: bool,
     is_closed: bool,
 }
 
-/// What the threads of a run see.
+/// State that the threads of a run share.
 pub(crate) struct Shared<'a> {
     objective: &'a dyn Objective,
     signals: CancelSignals<'a>,
@@ -229,7 +229,7 @@ impl<'s, 'e> Threads<'s, 'e> {
         Polled::Answered(id)
     }
 
-    /// Whether the calling thread takes the next point that waits.
+    /// True if the calling thread takes the next point that waits.
     fn stays(&self) -> bool {
         let stays = self.timing.stays(self.waiting.len(), self.shared.workers);
         match self.here {

@@ -1,4 +1,4 @@
-//! How long evaluations take, and what it takes to hand them to other threads: whether that pays.
+//! Measured times of evaluations, and of handing them to other threads: they decide if that pays.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -10,7 +10,7 @@ const HANDOVER_SECONDS: f64 = 100e-6;
 const LEAST_HANDOVER_SECONDS: f64 = 20e-6;
 /// Evaluations whose median says how long one takes, and jobs whose median says how long handing over takes.
 const N_RECENT: usize = 9;
-/// How much a new measurement counts beside the longest of all before.
+/// Weight of a new measurement beside the longest of all before.
 const WEIGHT: f64 = 0.25;
 /// An evaluation that takes no longer does not keep the calling thread from looking for interrupts.
 const SHORT: Duration = Duration::from_millis(20);
@@ -71,18 +71,19 @@ impl Timing {
         2.0 * self.handovers.median().unwrap_or(HANDOVER_SECONDS)
     }
 
-    /// Whether a point more at once is worth handing over; `None` while nothing is known.
+    /// True if handing over one more point at once pays; `None` while nothing is measured.
     pub(super) fn is_long(&self) -> Option<bool> {
         self.evaluations.median().map(|seconds| seconds >= self.worthwhile())
     }
 
-    /// Whether so many points are better evaluated on the calling thread than by so many workers; `None` while nothing is known.
+    /// True if so many points are better evaluated on the calling thread than by so many workers; `None`
+    /// while nothing is measured.
     pub(super) fn stays(&self, points: usize, workers: usize) -> Option<bool> {
         let saved = (points - points.div_ceil(workers.max(1))) as f64;
         self.evaluations.median().map(|seconds| saved * seconds <= self.worthwhile())
     }
 
-    /// Whether no evaluation keeps the calling thread from other things.
+    /// True if no evaluation keeps the calling thread from other things.
     pub(super) fn is_short(&self) -> bool {
         self.longest <= SHORT.as_secs_f64()
     }

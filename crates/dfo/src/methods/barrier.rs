@@ -23,7 +23,7 @@ use crate::termination::Termination;
 use crate::tolerances::Tolerances;
 use serde::{Deserialize, Serialize};
 
-/// How near to a bound the search may come, in units of the width of the box (else of the size of the parameter).
+/// Least distance from a bound, in units of the width of the box (else of the size of the parameter).
 const MARGIN: f64 = 1e-10;
 /// Largest term of `B`, however near to the bound, and largest barrier parameter: their product is a number.
 const MAX_TERM: f64 = 1e100;
@@ -48,7 +48,7 @@ const MAX_STAGES: usize = 40;
 pub struct Barrier {
     /// The first barrier parameter, positive and at most 1e200; default: a tenth of the cost at the start is barrier.
     pub mu: Option<f64>,
-    /// What the barrier parameter is multiplied with from stage to stage; default 0.1.
+    /// Factor of the barrier parameter from stage to stage; default 0.1.
     pub factor: f64,
     /// Batch plan of Nelder-Mead.
     pub batch: BatchPlan,
@@ -203,7 +203,7 @@ pub struct BarrierState {
     /// Barrier parameter of the present stage; `None` until the first cost is known.
     mu: Option<f64>,
     inner: NelderMeadState,
-    /// What was asked last, with the cutoffs of the inner method.
+    /// The last batch requested, with the cutoffs of the inner method.
     asked: Batch,
     /// The cutoffs that the objective was told.
     cutoffs: Vec<f64>,

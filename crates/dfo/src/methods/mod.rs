@@ -335,7 +335,7 @@ macro_rules! each {
 #[serde(default)]
 #[non_exhaustive]
 pub struct Auto {
-    /// What is looked for: the minimum next to the start (default), or the best in the box.
+    /// Goal of the search: the minimum next to the start (default), or the best in the box.
     pub search: Search,
     /// Options for the method that will be chosen, by name; those of Nelder-Mead alone choose Nelder-Mead.
     pub options: Record,

@@ -46,7 +46,7 @@ impl Bounds {
         self.lower.len()
     }
 
-    /// Whether there are no parameters.
+    /// True if there are no parameters.
     pub fn is_empty(&self) -> bool {
         self.lower.is_empty()
     }
@@ -61,12 +61,12 @@ impl Bounds {
         &self.upper
     }
 
-    /// Whether parameter `i` has only one value.
+    /// True if parameter `i` has only one value.
     pub fn is_fixed(&self, i: usize) -> bool {
         self.lower[i] == self.upper[i]
     }
 
-    /// Whether the point lies in the box; false for another length.
+    /// True if the point lies in the box; false for another length.
     pub fn contains(&self, x: &[f64]) -> bool {
         x.len() == self.len()
             && x.iter().zip(&self.lower).zip(&self.upper).all(|((&x, &lo), &hi)| lo <= x && x <= hi)

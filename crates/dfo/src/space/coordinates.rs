@@ -18,23 +18,25 @@ pub struct Space {
     pub(super) upper: Vec<f64>,
     pub(super) sizes: Vec<f64>,
     pub(super) size_given: Vec<bool>,
-    /// Whether nothing is known of the size: it was taken for 1.
+    /// True if nothing is known of the size: it was taken for 1.
     pub(super) size_unknown: Vec<bool>,
-    /// Whether working coordinates are angles and the like, see [`BoundsHandling::Sine`].
+    /// True if working coordinates are angles and the like, see [`BoundsHandling::Sine`].
     pub(super) sine: bool,
     /// With it: the sizes of the parameters themselves, also the unit of the hyperbola at a single bound.
     pub(super) units: Vec<f64>,
-    /// Whether the user's bounds are finite on both sides (in working coordinates).
+    /// True if the user's bounds are finite on both sides (in working coordinates).
     pub(super) boxed: Vec<bool>,
-    /// Whether this is the space of a search that starts from a point, see [`without_far_bounds`](Self::without_far_bounds).
+    /// True if this is the space of a search that starts from a point, see
+    /// [`without_far_bounds`](Self::without_far_bounds).
     #[serde(default)]
     pub(super) is_local: Local,
-    /// Whether the lower and the upper bound count as none, see [`without_far_bounds`](Self::without_far_bounds).
+    /// True if the lower and the upper bound count as none, see
+    /// [`without_far_bounds`](Self::without_far_bounds).
     pub(super) far: Vec<[bool; 2]>,
 }
 
-/// Whether a space is that of a search that starts from a point. It follows from the method: no two spaces differ by it, and files
-/// from before there was one are read.
+/// True if a space is that of a search that starts from a point. It follows from the method: no two spaces
+/// differ by it, and files from before there was one are read.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub(super) struct Local(bool);
 
@@ -204,14 +206,14 @@ impl Space {
         space
     }
 
-    /// Whether the box is too wide to tell the size of coordinate `k`, see [`typical_size`].
+    /// True if the box is too wide to show the size of coordinate `k`, see [`typical_size`].
     fn is_wide(&self, k: usize) -> bool {
         let known = self.size_given[k].then(|| self.sizes[k]);
         let magnitude = known.unwrap_or(self.x0[self.free[k]].abs());
         self.upper[k] - self.lower[k] > widest(self.transforms[k], magnitude)
     }
 
-    /// Whether coordinate `k` has no bound that counts.
+    /// True if coordinate `k` has no bound that counts.
     pub(crate) fn is_open(&self, k: usize) -> bool {
         let (lower, upper) = self.working_bounds(k);
         (lower == f64::NEG_INFINITY || self.far[k][0]) && (upper == f64::INFINITY || self.far[k][1])
@@ -254,7 +256,7 @@ impl Space {
         Ok(self)
     }
 
-    /// Whether two points of the working space are one up to rounding.
+    /// True if two points of the working space are one up to rounding.
     pub(crate) fn is_same(&self, u: &[f64], v: &[f64]) -> bool {
         u.iter().zip(v).enumerate().all(|(k, (u, v))| {
             // Rounding of ln x is absolute, that of x relative; zero is what is tiny against the size.
@@ -314,7 +316,7 @@ impl Space {
         .into()
     }
 
-    /// Whether a point lies strictly between the bounds of all free parameters.
+    /// True if a point lies strictly between the bounds of all free parameters.
     pub(crate) fn is_inside(&self, x: &[f64]) -> bool {
         let (lower, upper) = (self.bounds.lower(), self.bounds.upper());
         self.free.iter().all(|&i| lower[i] < x[i] && x[i] < upper[i])
@@ -365,12 +367,13 @@ impl Space {
         self.sizes[k]
     }
 
-    /// Whether the user gave the size of working coordinate `k`.
+    /// True if the user gave the size of working coordinate `k`.
     pub fn size_given(&self, k: usize) -> bool {
         self.size_given[k]
     }
 
-    /// Whether nothing is known of the size of parameter `k`: it starts at zero, without a nominal size and without a box.
+    /// True if nothing is known of the size of parameter `k`: it starts at zero, without a nominal size and
+    /// without a box.
     pub(crate) fn size_is_unknown(&self, k: usize) -> bool {
         self.size_unknown[k]
     }
@@ -391,7 +394,7 @@ impl Space {
         }
     }
 
-    /// Whether two spaces are the same but for sizes that were found while the search went on.
+    /// True if two spaces are the same but for sizes that were found while the search went on.
     pub(crate) fn is_same_space(&self, other: &Self) -> bool {
         let mut own = self.clone();
         let unknown = (0..self.n_free()).filter(|&k| self.size_unknown[k]);

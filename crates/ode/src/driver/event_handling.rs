@@ -175,8 +175,8 @@ where
         or_change(equations.derivatives(before, x_mid, slope), slope)
     }
 
-    /// Whether the right-hand side right behind the event is that at the event, or comes from it as the solution moves on. One
-    /// that switches there may do so behind it; then that is the one to go on with.
+    /// True if the right-hand side right behind the event is that at the event, or comes from it as the
+    /// solution moves on. One that switches there may do so behind it; then that is the one to go on with.
     fn goes_on_as_here(&mut self, h: f64) -> Step<bool> {
         let (behind, beyond) = (self.t + self.time_tolerance, self.t + 2.0 * self.time_tolerance);
         if self.space.x.is_empty() || beyond > self.end || self.stepper.properties().only_own_slopes {

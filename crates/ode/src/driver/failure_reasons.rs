@@ -1,4 +1,4 @@
-//! What a run that fails can say of the reason: values that are not finite, and a system of a higher index.
+//! Reasons of a failed run: values that are not finite, and a system of a higher index.
 
 use super::run::{Exit, Run, Space, no_retreat};
 use crate::error::{ErrorKind, Evaluated, NotFinite};

@@ -1,4 +1,5 @@
-//! What is done where events follow each other while time hardly advances.
+//! Detection of events that follow each other while time hardly advances (chattering), and the steps of
+//! sliding.
 
 use crate::options::ChatteringPolicy;
 

@@ -1,4 +1,4 @@
-//! What becomes of trial steps.
+//! Outcomes of trial steps.
 
 /// Outcome of one trial step.
 pub(super) enum Tried {
@@ -21,7 +21,7 @@ pub(super) enum Shrink {
     Returned,
 }
 
-/// What there was inside a step.
+/// Event, or reason for a smaller step, inside of a step.
 pub(super) enum Inside {
     Nothing,
     Crossing(Found),
@@ -44,7 +44,8 @@ pub(super) struct Found {
     pub(super) before: Option<f64>,
 }
 
-/// Whether an indicator next to zero at the start of a step leaves its domain and comes back within it.
+/// Excursion of an indicator next to zero at the start of a step: it leaves its domain and comes back within
+/// the step.
 pub(super) enum Return {
     Nothing,
     /// At this time it is in the other domain.

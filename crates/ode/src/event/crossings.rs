@@ -1,4 +1,4 @@
-//! What has crossed up to the end of a step, and which indicators slide.
+//! Indicators that have crossed up to the end of a step, and those that slide.
 
 use super::domains::{CLEAN_STEPS, Domains, crosses, flipped, is_behind};
 use super::returns::SMALL;
@@ -50,7 +50,7 @@ impl Domains {
         }
     }
 
-    /// Whether an indicator that was marked is zero: the crossing is there, or yet to come.
+    /// True if an indicator that was marked is zero: the crossing is there, or yet to come.
     pub(crate) fn crossed_on_zero(&self) -> bool {
         self.end.iter().zip(&self.crossings).any(|(end, crossing)| *end == 0.0 && *crossing != 0)
     }
@@ -63,7 +63,8 @@ impl Domains {
         self.sliding.iter().any(|left| *left > 0)
     }
 
-    /// Whether the event at the end of the step has left the indicators as they were, `base` being those after it.
+    /// True if the event at the end of the step has left the indicators as they were, `base` being those
+    /// after it.
     pub(crate) fn unmoved(&self) -> bool {
         self.base.iter().zip(&self.end).all(|(after, before)| (after - before).abs() <= 1e-3 * before.abs())
     }
@@ -73,8 +74,8 @@ impl Domains {
         self.crossings.fill(0);
     }
 
-    /// Whether an indicator that goes on as in the step before, from `began` to `now`, may change its domain within the time
-    /// `time_tolerance`.
+    /// True if an indicator that goes on as in the step before, from `began` to `now`, may change its domain
+    /// within the time `time_tolerance`.
     pub(crate) fn is_about_to_cross(&self, began: f64, now: f64, time_tolerance: f64) -> bool {
         let reach = 2.0 * time_tolerance / (now - began);
         self.base.iter().zip(&self.before).any(|(z, last)| z.abs() < reach * (z - last).abs())
@@ -90,7 +91,8 @@ impl Domains {
         }
     }
 
-    /// Whether indicator `i`, which is held, leaves the domain it came from in the step, or goes further away from it.
+    /// True if indicator `i`, which is held, leaves the domain it came from in the step, or goes further away
+    /// from it.
     pub(super) fn falls(&self, i: usize) -> bool {
         let (base, end) = (self.base[i], self.end[i]);
         self.is_beyond(i, end) && (!self.is_beyond(i, base) || end.abs() > base.abs())

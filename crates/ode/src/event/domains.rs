@@ -5,8 +5,8 @@ use crate::system::Direction;
 /// After so many steps without a crossing the sliding of an indicator has ended.
 pub(super) const CLEAN_STEPS: u32 = 100;
 
-/// What is known of an indicator since its last event. Its `depth` is a value in the domain that it crossed into, with
-/// the sign of that domain, up to which the location of the event explains its values.
+/// State of an indicator since its last event. Its `depth` is a value in the domain that it crossed into,
+/// with the sign of that domain, up to which the location of the event explains its values.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) enum SinceEvent {
     /// It is in the domain that its value says.
@@ -28,7 +28,7 @@ impl SinceEvent {
     }
 }
 
-/// Whether a value is in the domain of this depth.
+/// True if a value is in the domain of this depth.
 pub(super) fn is_behind(depth: f64, z: f64) -> bool {
     (z > 0.0) == depth.is_sign_positive()
 }
@@ -37,7 +37,7 @@ pub(super) fn flipped(from: f64, to: f64) -> bool {
     (from > 0.0) != (to > 0.0)
 }
 
-/// Whether a change of an indicator is an event.
+/// True if a change of an indicator is an event.
 pub(super) fn crosses(direction: Direction, from: f64, to: f64) -> bool {
     flipped(from, to)
         && match direction {
@@ -47,7 +47,7 @@ pub(super) fn crosses(direction: Direction, from: f64, to: f64) -> bool {
         }
 }
 
-/// Which indicators are positive, and the values they were read from.
+/// Domains of the indicators, and the values they were read from.
 #[derive(Debug, Default)]
 pub(crate) struct Domains {
     /// Indicators at the start of the step (after all events there).
@@ -70,7 +70,7 @@ pub(crate) struct Domains {
     pub(super) before_time: Option<f64>,
     /// +1, -1 or 0 per indicator, once [`crossings`](Self::mark) has been called.
     pub(crate) crossings: Vec<i8>,
-    /// How far from zero an indicator may be where its last event was located.
+    /// Bound on the distance of an indicator from zero where its last event was located.
     pub(super) near_zero: Vec<f64>,
     pub(super) since_event: Vec<SinceEvent>,
     /// The largest absolute values so far.
@@ -145,12 +145,12 @@ impl Domains {
         if self.counts_since.is_some() { &self.from } else { &self.base }
     }
 
-    /// Whether the change of an indicator is an event that is to be located.
+    /// True if the change of an indicator is an event that is to be located.
     pub(super) fn is_located(&self, i: usize, from: f64, to: f64) -> bool {
         !self.slides(i) && crosses(self.direction(i), from, to)
     }
 
-    /// Whether any indicator has an event between two points.
+    /// True if any indicator has an event between two points.
     pub(super) fn any_crosses(&self, from: &[f64], to: &[f64]) -> bool {
         from.iter()
             .zip(to)
@@ -158,7 +158,7 @@ impl Domains {
             .any(|(i, (from, to))| flipped(*from, *to) && self.is_located(i, *from, *to))
     }
 
-    /// Whether any indicator has left the domain it was in, so that it is an event.
+    /// True if any indicator has left the domain it was in, so that it is an event.
     pub(crate) fn changed(&self) -> bool {
         self.any_crosses(self.reference(), &self.end)
     }
@@ -174,7 +174,7 @@ impl Domains {
         self.since_event[i] = SinceEvent::Settled;
     }
 
-    /// Whether this indicator slides.
+    /// True if this indicator slides.
     pub(crate) fn slides(&self, i: usize) -> bool {
         self.sliding[i] > 0
     }
@@ -191,24 +191,25 @@ impl Domains {
         self.before_time = None;
     }
 
-    /// Whether indicator `i` is held at zero: it slides, and its events put it back by changing states.
+    /// True if indicator `i` is held at zero: it slides, and its events put it back by changing states.
     pub(crate) fn is_held(&self, i: usize) -> bool {
         self.slides(i) && self.resets[i]
     }
 
-    /// Whether the last event of indicator `i` has changed states.
+    /// True if the last event of indicator `i` has changed states.
     pub(crate) fn resets(&self, i: usize) -> bool {
         self.resets[i]
     }
 
-    /// Whether indicator `i` ends the trial where an event that has turned it back, or has stopped it, does not explain it.
+    /// True if indicator `i` ends the trial where an event that has turned it back, or has stopped it, does
+    /// not explain it.
     pub(crate) fn is_lost(&self, i: usize) -> bool {
         let is_beyond = |depth: f64| is_behind(depth, self.end[i]) && self.end[i].abs() > depth.abs();
         self.since_event[i].depth().is_some_and(is_beyond)
     }
 
-    /// Whether a change of indicator `i` is an event: where going from next to zero back to the domain that it came from is
-    /// none, the other direction alone counts until it has gone there.
+    /// Direction in which a change of indicator `i` is an event: where going from next to zero back to the
+    /// domain that it came from is none, the other direction alone counts until it has gone there.
     pub(super) fn direction(&self, i: usize) -> Direction {
         match (self.directions[i], self.since_event[i].depth()) {
             (Direction::Either, Some(depth)) if self.resets[i] => {
@@ -222,7 +223,7 @@ impl Domains {
         }
     }
 
-    /// Whether indicator `i`, of this value, is in the other domain than the one it came from.
+    /// True if indicator `i`, of this value, is in the other domain than the one it came from.
     pub(super) fn is_beyond(&self, i: usize, z: f64) -> bool {
         (z > 0.0) != self.from_above[i]
     }

@@ -72,12 +72,13 @@ impl Domains {
         }
     }
 
-    /// Whether indicator `i` crosses up to the end, and has been next to zero since an event has turned it back.
+    /// True if indicator `i` crosses up to the end, and has been next to zero since an event has turned it
+    /// back.
     pub(crate) fn crosses_in_bounces(&self, i: usize) -> bool {
         self.bounces[i] && self.is_located(i, self.reference()[i], self.end[i])
     }
 
-    /// Whether this slope of indicator `i` is against its crossing.
+    /// True if this slope of indicator `i` is against its crossing.
     pub(crate) fn contradicts(&self, i: usize, slope: f64) -> bool {
         if self.end[i] > 0.0 { slope < 0.0 } else { slope > 0.0 }
     }
@@ -107,8 +108,8 @@ impl Domains {
         Ok(0.0)
     }
 
-    /// Whether indicator `i` may have left its domain and come back in the trial: after its event, or, where nothing is known
-    /// of the time before the step, from next to zero.
+    /// True if indicator `i` may have left its domain and come back in the trial: after its event, or, where
+    /// nothing is known of the time before the step, from next to zero.
     fn may_return(&self, i: usize) -> bool {
         let (z0, z2) = (self.base[i], self.end[i]);
         let may = match self.since_event[i].depth() {
@@ -118,7 +119,7 @@ impl Domains {
         may && z0 != z2 && !flipped(z0, z2) && !self.is_held(i)
     }
 
-    /// Whether any indicator [may have returned](Self::may_return).
+    /// True if any indicator [may have returned](Self::may_return).
     pub(crate) fn any_may_return(&self) -> bool {
         (0..self.len()).any(|i| self.may_return(i))
     }
@@ -176,8 +177,9 @@ impl Domains {
         Ok(())
     }
 
-    /// Whether the flow at the start leads indicator `i` on into its domain all the way through the step of size `h`, and explains
-    /// where the step ends: it needs no slope at zero for that (`v^3` has none, `sqrt(v)` no finite one).
+    /// True if the flow at the start leads indicator `i` on into its domain all the way through the step of
+    /// size `h`, and explains where the step ends: it needs no slope at zero for that (`v^3` has none,
+    /// `sqrt(v)` no finite one).
     fn flows_on(
         &mut self,
         i: usize,
@@ -237,7 +239,7 @@ impl Domains {
         Ok(self.mid[i])
     }
 
-    /// Whether indicator `i` is in the other domain at this value.
+    /// True if indicator `i` is in the other domain at this value.
     pub(crate) fn leaves(&self, i: usize, z: f64) -> bool {
         flipped(self.base[i], z)
     }
@@ -249,13 +251,13 @@ impl Domains {
         if is_event { 1e-3 * z } else { 0.0 }
     }
 
-    /// Whether indicator `i` has just crossed, is held, and is still beyond zero after its event.
+    /// True if indicator `i` has just crossed, is held, and is still beyond zero after its event.
     pub(crate) fn is_behind(&self, i: usize) -> bool {
         self.is_held(i) && self.crossings[i] != 0 && self.base[i] != 0.0 && self.is_beyond(i, self.base[i])
     }
 
-    /// Whether the event of indicator `i` has let it pass: it leads on away from the domain it came from, with this slope after the event and
-    /// that before it.
+    /// True if the event of indicator `i` has let it pass: it leads on away from the domain it came from,
+    /// with this slope after the event and that before it.
     pub(crate) fn passes(&self, i: usize, after: f64, before: f64) -> bool {
         let outwards = if self.from_above[i] { -1.0 } else { 1.0 };
         after * outwards > 0.0 && after * outwards > 0.5 * before * outwards

@@ -44,8 +44,9 @@ impl<const S: usize> ExplicitRk<S> {
         }
     }
 
-    /// How strongly the right-hand side answers to a change of the state, from the last two stages, which lie at the end
-    /// of the step both: an estimate of the largest eigenvalue. For methods whose last but one abscissa is 1.
+    /// Estimate of the largest eigenvalue: the change of the right-hand side per change of the state between
+    /// the last two stages, which lie at the end of the step both. For methods whose last but one abscissa is
+    /// 1.
     pub(crate) fn response(&self, x: &[f64], x_new: &[f64], weights: &Weights) -> f64 {
         let end = self.tableau.end;
         weights.ratio(x, (&self.k[end], &self.k[end - 1]), (x_new, &self.stage))

@@ -75,7 +75,7 @@ impl Algebraic {
         Ok(true)
     }
 
-    /// How many equations and states the algebraic part has.
+    /// Number of equations, and of states, of the algebraic part.
     pub(super) fn count(&self) -> usize {
         self.names.len()
     }
@@ -90,9 +90,9 @@ impl Algebraic {
         }
     }
 
-    /// What is added to the entry of the mass matrix at place `p`, by columns, so that it can be decomposed, where it has no
-    /// pivot: solutions of its equations without a residual in their algebraic part are as with the matrix itself, and zero
-    /// in the states that the algebraic part is named after.
+    /// Addition to the entry of the mass matrix at place `p`, by columns, so that it can be decomposed, where
+    /// it has no pivot: solutions of its equations without a residual in their algebraic part are as with the
+    /// matrix itself, and zero in the states that the algebraic part is named after.
     pub(super) fn completion(&self, p: usize) -> f64 {
         if self.partner.get(p / self.n) == Some(&(p % self.n)) { self.largest } else { 0.0 }
     }

@@ -28,7 +28,7 @@ pub(super) struct Rules {
     pub(super) only_after_events: bool,
 }
 
-/// What the decomposed matrix is after [`prepare`](Freshness::prepare).
+/// State of the decomposed matrix after [`prepare`](Freshness::prepare).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Matrix {
     Kept,
@@ -81,7 +81,7 @@ impl Freshness {
         &self.jacobian
     }
 
-    /// Whether there is a Jacobian of the current point.
+    /// True if there is a Jacobian of the current point.
     pub(super) fn is_here(&self) -> bool {
         self.has_jacobian && self.age == 0
     }
@@ -188,7 +188,7 @@ impl Freshness {
         self.wants_jacobian = true;
     }
 
-    /// Whether a new Jacobian is wanted for the next step.
+    /// True if a new Jacobian is needed for the next step.
     pub(super) fn wants_jacobian(&self) -> bool {
         self.wants_jacobian
     }

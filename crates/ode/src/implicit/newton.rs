@@ -24,7 +24,7 @@ pub(super) trait Iteration {
     fn advance(&mut self);
 }
 
-/// How the iterations ended.
+/// Result of the iterations.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Newton {
     Converged,
@@ -32,7 +32,7 @@ pub(super) enum Newton {
     Failed(f64),
 }
 
-/// What is known of the convergence.
+/// Convergence of the iterations, as observed.
 #[derive(Debug)]
 pub(super) struct Convergence {
     /// Iterations of a step, at most one less than this (radau5's NIT).

@@ -19,7 +19,7 @@ pub(crate) use dense::make_room;
 const SPARSE_ROWS: usize = 100;
 const SPARSE_SHARE: f64 = 0.05;
 
-/// Whether matrices of this pattern are kept and decomposed as sparse ones.
+/// True if matrices of this pattern are kept and decomposed as sparse ones.
 pub(crate) fn is_sparse(pattern: &JacobianPattern) -> bool {
     let n = pattern.n_states();
     n >= SPARSE_ROWS && (pattern.n_entries() as f64) <= SPARSE_SHARE * (n as f64) * (n as f64)

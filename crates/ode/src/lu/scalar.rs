@@ -2,7 +2,7 @@
 
 use nalgebra::ComplexField;
 
-/// What both sorts of decompositions take.
+/// Number type of both kinds of decompositions, real or complex.
 pub(crate) trait Scalar: ComplexField<RealField = f64> + faer::traits::ComplexField + Copy {}
 
 impl<T: ComplexField<RealField = f64> + faer::traits::ComplexField + Copy> Scalar for T {}

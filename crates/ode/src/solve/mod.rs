@@ -108,7 +108,7 @@ pub enum SolveError {
     /// An argument has not one value per state.
     #[error("{name} has {given} values instead of {wanted}")]
     Length {
-        /// Which one.
+        /// Name of the argument.
         name: &'static str,
         /// Values given.
         given: usize,
@@ -120,7 +120,7 @@ pub enum SolveError {
     Simulation(#[from] Box<SimulationError>),
 }
 
-/// What an integration gave.
+/// Result of an integration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Solution {
     /// The times asked for, or the ends of the steps. Where an event changed the states both sides of it are listed.
@@ -129,7 +129,7 @@ pub struct Solution {
     pub states: Vec<Vec<f64>>,
     /// Of each event function the times at which it occurred, and the states before.
     pub events: Vec<Vec<(f64, Vec<f64>)>>,
-    /// How it ended, and what it cost.
+    /// Reason of its end, and its cost.
     pub report: Report,
     /// The solution as a function of time, if [asked for](Solve::dense_output).
     pub dense: Option<DenseOutput>,
@@ -196,8 +196,8 @@ impl<'a> Solve<'a> {
         self
     }
 
-    /// What happens at events: `change(t, x, which)` may change the states `x`; `which` are the positions of the
-    /// event functions that have crossed.
+    /// Sets the function that is called at events: `change(t, x, which)` may change the states `x`; `which`
+    /// are the positions of the event functions that have crossed.
     pub fn on_event(mut self, change: impl FnMut(f64, &mut [f64], &[usize]) + 'a) -> Self {
         self.system.on_event = Some(Box::new(change));
         self
@@ -259,7 +259,7 @@ impl<'a> Solve<'a> {
     }
 }
 
-/// What the driver shows.
+/// Record of the samples and steps that the driver reports.
 struct Kept {
     rows: Rows,
     dense: Option<DenseOutput>,
@@ -291,7 +291,7 @@ impl<'a> Event<'a> {
         }
     }
 
-    /// Which crossings are events, as seen along the integration.
+    /// Sets the crossings that are events, as seen along the integration.
     pub fn direction(mut self, direction: Direction) -> Self {
         self.direction = direction;
         self

@@ -1,10 +1,11 @@
-//! What the user may choose about CMA-ES.
+//! Options of CMA-ES.
 
 use crate::error::Error;
 use crate::methods::shared::population::MAX_MEMBERS;
 use serde::{Deserialize, Serialize};
 
-/// Whether the search begins anew, from another mean with another population, when it has come to an end.
+/// Restart policy: the search may begin anew, from another mean with another population, when it has come to
+/// an end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -19,7 +20,7 @@ pub enum Restarts {
     Bipop,
 }
 
-/// How points that are drawn are brought into the bounds.
+/// Treatment of points that are drawn outside of the bounds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -56,10 +57,10 @@ pub struct CmaEs {
     /// width of the box, else |x0|, else 1. One unit for all, so that it is a pure number and the unit of `x_tol`. Default
     /// 0.3, as the tutorial (section B.2) advises for the width of a box, and as Nelder-Mead takes it for its first simplex.
     pub sigma: f64,
-    /// Whether the search begins anew when it has come to an end; default [`Restarts::None`]: where a simulation is a matter
-    /// of minutes, a run that has converged must end, and who wants another minimum says so.
+    /// Restarts of the search when it has come to an end; default [`Restarts::None`]: where a simulation
+    /// takes minutes, a run that has converged must end, and other minima are searched for on request only.
     pub restarts: Restarts,
-    /// How bounds are kept to; default [`CmaBounds::Smooth`].
+    /// Treatment of bounds; default [`CmaBounds::Smooth`].
     pub bounds_handling: CmaBounds,
 }
 

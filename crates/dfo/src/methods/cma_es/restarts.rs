@@ -17,7 +17,7 @@ pub(super) struct Schedule {
     members: usize,
     sigma: f64,
     n_doubled: u32,
-    /// Whether the run under way is one with a small population.
+    /// True if the run under way is one with a small population.
     is_small: bool,
     /// Evaluations of the runs with large and with small populations, and of the last one with a large population.
     n_large: usize,
@@ -41,8 +41,9 @@ impl Schedule {
         }
     }
 
-    /// Whether a run of so many generations must make way for the next: `100 + 50 (n + 3)^2 / sqrt(population)` (Hansen 2009,
-    /// MaxIter), and half of the evaluations of the last run with a large population for one with a small population.
+    /// True if a run of so many generations must end before the next: `100 + 50 (n + 3)^2 / sqrt(population)`
+    /// (Hansen 2009, MaxIter), and half of the evaluations of the last run with a large population for one
+    /// with a small population.
     pub(super) fn is_over(&self, n: usize, members: usize, n_generations: usize) -> bool {
         let most = 100.0 + 50.0 * (n as f64 + 3.0).powi(2) / (members as f64).sqrt();
         let spent = self.is_small && n_generations * members >= self.n_last_large / 2;

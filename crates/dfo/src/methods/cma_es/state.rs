@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 /// So many generations in a row without any cost end a run.
 const MOST_BARREN: usize = 50;
 
-/// What CMA-ES keeps besides its population, which is the last generation.
+/// State of CMA-ES besides its population, which is the last generation.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct CmaRules {
     handling: CmaBounds,
@@ -34,7 +34,7 @@ pub struct CmaRules {
     n_generations: usize,
     idle: usize,
     barren: usize,
-    /// Whether the distribution has no extent any more that numbers could resolve.
+    /// True if the distribution has no extent any more that floating-point numbers could resolve.
     degenerate: bool,
     schedule: Schedule,
 }

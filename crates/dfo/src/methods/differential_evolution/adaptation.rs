@@ -1,4 +1,5 @@
-//! What L-SHADE learns: memories of the factors that succeeded, the archive of replaced targets, the shrinking plan.
+//! Adaptation of L-SHADE: memories of the factors that succeeded, the archive of replaced targets, the
+//! shrinking plan.
 
 use super::options::Adaptive;
 use crate::methods::shared::ranked_points::RankedPoints;
@@ -153,7 +154,7 @@ impl Adaptation {
         }
     }
 
-    /// Whether it fits to so many parameters and members.
+    /// True if it fits to so many parameters and members.
     pub(super) fn is_sound(&self, n: usize, members: usize) -> bool {
         // Without parameters there is one member.
         let is_whole = n == 0 || self.options.final_population <= members;

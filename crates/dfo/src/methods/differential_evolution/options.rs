@@ -1,10 +1,10 @@
-//! What the user may choose about differential evolution.
+//! Options of differential evolution.
 
 use crate::error::Error;
 use crate::sampling::Sampling;
 use serde::{Deserialize, Serialize};
 
-/// How donor vectors are made. `r1`, `r2`, ... are different members, drawn for each target `i`.
+/// Strategy for donor vectors. `r1`, `r2`, ... are different members, drawn for each target `i`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -21,7 +21,7 @@ pub enum Strategy {
 }
 
 impl Strategy {
-    /// How many members are drawn besides the target.
+    /// Number of members drawn besides the target.
     pub(super) fn n_drawn(self) -> usize {
         match self {
             Self::Best1 | Self::CurrentToBest1 => 2,
@@ -31,7 +31,7 @@ impl Strategy {
     }
 }
 
-/// How the trial vector is mixed from target and donor. At least one coordinate always comes from the donor.
+/// Crossover of target and donor into the trial vector. At least one coordinate always comes from the donor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -54,7 +54,7 @@ pub enum Weight {
     Dither(f64, f64),
 }
 
-/// How coordinates outside of the box are brought back.
+/// Repair of coordinates outside of the box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -70,7 +70,7 @@ pub enum Repair {
     Resample,
 }
 
-/// What L-SHADE can be told. The defaults are those of its authors, but for a memory of five.
+/// Options of L-SHADE. The defaults are those of its authors, but for a memory of five.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Adaptive {
@@ -90,16 +90,16 @@ impl Default for Adaptive {
     }
 }
 
-/// How trial vectors are made.
+/// Scheme for trial vectors.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Scheme {
     /// With constants.
     Classic {
-        /// How donors are made.
+        /// Strategy for donors.
         strategy: Strategy,
-        /// How trials are mixed.
+        /// Crossover of target and donor.
         crossover: Crossover,
         /// The differential weight, from 0 to 2.
         weight: Weight,
@@ -132,16 +132,16 @@ pub enum Scheme {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct DifferentialEvolution {
-    /// How trial vectors are made; default L-SHADE.
+    /// Scheme for trial vectors; default L-SHADE.
     pub scheme: Scheme,
     /// Members of the (first) population; default 18 n for L-SHADE, else 10 n, but at least 20.
     pub population: Option<usize>,
-    /// How the first population is spread; default Latin hypercube, for [`classic`](Self::classic) uniform.
+    /// Sampling of the first population; default Latin hypercube, for [`classic`](Self::classic) uniform.
     pub sampling: Sampling,
-    /// How coordinates outside of the box are brought back; default [`Repair::Midpoint`].
+    /// Repair of coordinates outside of the box; default [`Repair::Midpoint`].
     pub repair: Repair,
-    /// Whether the start point, if one was given, is a member of the first population; default yes, for
-    /// [`classic`](Self::classic) no.
+    /// True if the start point, if one was given, is a member of the first population; default true, for
+    /// [`classic`](Self::classic) false.
     pub include_start: bool,
     /// Evaluations over which L-SHADE shrinks its population; default the limit of the run, without one `2000 (n + 1)`. A
     /// plan, not a limit: after it the run goes on with the last members.

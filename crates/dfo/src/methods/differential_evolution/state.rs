@@ -1,4 +1,4 @@
-//! How differential evolution breeds and selects: trial vectors against their targets.
+//! Breeding and selection of differential evolution: trial vectors against their targets.
 
 use super::adaptation::Adaptation;
 use super::operators::{cross, different, donor, repair};
@@ -18,7 +18,7 @@ use std::collections::VecDeque;
 /// A running differential evolution; made by [`DifferentialEvolution`].
 pub type DifferentialEvolutionState = Generations<DifferentialRules>;
 
-/// What differential evolution keeps besides its population.
+/// State of differential evolution besides its population.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct DifferentialRules {
     options: DifferentialEvolution,

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 /// Bits of a continuous parameter whose resolution was not given.
 const DEFAULT_BITS: u32 = 16;
-/// What a number of 53 bits can tell apart.
+/// Largest number of bits of a parameter: floating-point numbers have 53.
 const MAX_BITS: u32 = 52;
 
 /// The field of one free parameter.
@@ -21,7 +21,7 @@ struct Field {
     first: f64,
 }
 
-/// How points are written as bits, most significant first.
+/// Representation of points as bits, most significant first.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Coding {
     fields: Vec<Field>,

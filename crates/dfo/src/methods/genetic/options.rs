@@ -1,11 +1,11 @@
-//! What the user may choose about the genetic algorithm.
+//! Options of the genetic algorithm.
 
 use crate::error::Error;
 use crate::methods::shared::population::MAX_MEMBERS;
 use crate::sampling::Sampling;
 use serde::{Deserialize, Serialize};
 
-/// How parents are chosen.
+/// Selection of parents.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -46,7 +46,7 @@ pub enum Selection {
 pub struct Genetic {
     /// Members; default 10 n, but at least 50.
     pub population: Option<usize>,
-    /// How parents are chosen; default by fitness.
+    /// Selection of parents; default by fitness.
     pub selection: Selection,
     /// Probability that a pair is crossed; default 0.7.
     pub crossover_rate: f64,
@@ -54,15 +54,15 @@ pub struct Genetic {
     pub mutation_rate: Option<f64>,
     /// The best members that stay as they are; default 1.
     pub elite: usize,
-    /// Whether numbers are in Gray code; default yes.
+    /// True if numbers are in Gray code; default true.
     pub gray: bool,
     /// Steps wanted per parameter (user's order; of `ln x` on a logarithmic scale): bits are taken until neighbouring
     /// values are no farther apart. Empty (the default): 16 bits each. Discrete parameters have as many bits as their
     /// values need.
     pub resolution: Vec<f64>,
-    /// How the first population is spread; default uniform.
+    /// Sampling of the first population; default uniform.
     pub sampling: Sampling,
-    /// Whether the start point, if one was given, is a member of the first population, exactly; default yes.
+    /// True if the start point, if one was given, is a member of the first population, exactly; default true.
     pub include_start: bool,
     /// Generations without a better point after which the run ends; default 100.
     pub stall: Option<usize>,

@@ -1,4 +1,4 @@
-//! How the genetic algorithm breeds and selects: pairs of bit strings, and an elite that stays.
+//! Breeding and selection of the genetic algorithm: pairs of bit strings, and an elite that stays.
 
 use super::coding::Coding;
 use super::operators::{cross, fitness_sums, mutate, spin, tournament};
@@ -13,7 +13,8 @@ use crate::termination::Termination;
 use crate::tolerances::{Extent, Tests};
 use serde::{Deserialize, Serialize};
 
-/// How many of the best points are compared: an eighth of the population, at least as many as a simplex has, at most 100.
+/// Number of the best points that are compared: an eighth of the population, at least as many as a simplex
+/// has, at most 100.
 fn n_seen(members: usize, n: usize) -> usize {
     members.div_ceil(8).max(n + 1).min(100)
 }
@@ -26,7 +27,7 @@ fn mutation_rate(options: &Genetic, length: usize) -> f64 {
 /// A running genetic algorithm; made by [`Genetic`].
 pub type GeneticState = Generations<GeneticRules>;
 
-/// What the genetic algorithm keeps besides its population. The elite is not among the candidates.
+/// State of the genetic algorithm besides its population. The elite is not among the candidates.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct GeneticRules {
     options: Genetic,
@@ -47,7 +48,7 @@ pub struct GeneticRules {
 }
 
 impl GeneticRules {
-    /// Whether it was made with these options.
+    /// True if it was made with these options.
     pub(super) fn is_of(&self, options: &Genetic) -> bool {
         self.options == *options && self.mutation_rate == mutation_rate(options, self.coding.length())
     }

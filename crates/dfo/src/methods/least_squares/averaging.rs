@@ -15,7 +15,7 @@ const SMALLEST_SHARE: f64 = 1e-9;
 /// F statistics of the terms of second degree from which on the radius is made smaller, and below which it may grow.
 const BENT: f64 = 4.0;
 const STRAIGHT: f64 = 1.5;
-/// What may still be predicted to be gained where the run ends, in units of the best cost.
+/// Predicted decrease up to which the run may end, in units of the best cost.
 const LITTLE: f64 = 0.05;
 /// Points asked for since noise was found before the run may end: so many times n + 1.
 const FEWEST: usize = 5;
@@ -127,7 +127,7 @@ impl LeastSquaresState {
         self.phase = Phase::Averaging(averaging);
     }
 
-    /// What follows from a round.
+    /// Updates the state after a round.
     pub(super) fn averaged(&mut self, round: &[Candidate]) {
         self.n_iterations += 1;
         self.operation = Some(Operation::TrustRegionStep);
@@ -140,7 +140,7 @@ impl LeastSquaresState {
     }
 }
 
-/// How the points around a centre are spread.
+/// Moments of the distribution of the points around a centre.
 struct Coverage {
     spread: DMatrix<f64>,
     mean: DVector<f64>,

@@ -206,7 +206,7 @@ impl Interpolation {
         finite && (!is_triangle || self.drift(&slope) <= DRIFT * norm(of_base))
     }
 
-    /// How far the gradient by the factors is off, in units of the Jacobian.
+    /// Error of the gradient computed from the factors, in units of the Jacobian.
     fn drift(&self, slope: &[f64]) -> f64 {
         let own = times_transposed(&self.linear.factor, self.linear.reached.as_slice());
         distance(&own, slope) / diagonal(&self.linear.factor).1

@@ -9,17 +9,17 @@ const MOST_INNER: usize = 30;
 
 /// Regression around a centre, the points weighted by their distances: linear, with squares, or quadratic, as the points allow.
 pub(super) struct Regression {
-    /// What multiplies 1, the coordinates, their squares, their products; turned so that as few numbers as possible are left
-    /// of the residuals. One column for each.
+    /// Coefficients of 1, the coordinates, their squares, their products; turned so that as few numbers as
+    /// possible are left of the residuals. One column for each.
     coefficients: DMatrix<f64>,
     /// The unit of the coordinates.
     length: f64,
     /// The variance of the residuals about the model that the terms of second degree explain, per term, in units of what
     /// they leave: near 1 for noise alone (the F statistic). `None`: too few points to tell.
     pub(super) bent: Option<f64>,
-    /// Whether all products of coordinates are part of the model.
+    /// True if all products of coordinates are part of the model.
     pub(super) is_quadratic: bool,
-    /// What noise in the coefficients adds to the cost at the model's minimum, as expected.
+    /// Expected increase of the cost at the model's minimum by noise in the coefficients.
     pub(super) excess: f64,
 }
 
@@ -101,8 +101,8 @@ impl Regression {
         Linear::turned(self.residuals(w), jacobian / self.length)
     }
 
-    /// How far the minimum of the cost may lie from that of the model, which is at this displacement: where noise hides the rise of
-    /// the cost along the direction of least curvature.
+    /// Bound on the distance between the minimum of the cost and that of the model, which is at this
+    /// displacement, where noise hides the rise of the cost along the direction of least curvature.
     pub(super) fn uncertainty(&self, w: &[f64]) -> f64 {
         let smallest = smallest_singular_value(&self.linear(w).factor);
         if smallest > 0.0 { self.excess.sqrt() / smallest } else { f64::INFINITY }

@@ -1,4 +1,4 @@
-//! What the user may choose about least squares.
+//! Options of least squares.
 
 use crate::error::Error;
 use serde::{Deserialize, Serialize};

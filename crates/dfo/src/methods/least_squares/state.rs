@@ -17,9 +17,9 @@ use crate::tolerances::{Extent, Tests};
 use base::RunContext;
 use serde::{Deserialize, Serialize};
 
-/// How often a starting point that failed is tried nearer to the start.
+/// Number of times that a starting point that failed is tried nearer to the start.
 const MOST_RETRIES: u32 = 12;
-/// How often sizes that nothing tells are looked at.
+/// Number of searches for unknown sizes of parameters.
 const MOST_RESIZED: u32 = 8;
 /// Points that are kept: so many times n + 1.
 const MOST_KEPT: usize = 20;
@@ -85,7 +85,7 @@ pub(super) enum Role {
     Probe { misfit: f64 },
 }
 
-/// What is known of a point that was asked for.
+/// Result for a point that was requested.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) enum Known {
     Pending,
@@ -132,7 +132,7 @@ pub struct LeastSquaresState {
     pub(super) n_iterations: usize,
     pub(super) operation: Option<Operation>,
     pub(super) tests: Option<Tests>,
-    /// How often sizes that nothing tells were looked at.
+    /// Number of searches so far for unknown sizes of parameters.
     n_resized: u32,
     /// The cost of the start.
     pub(super) f_0: f64,
@@ -147,7 +147,7 @@ pub struct LeastSquaresState {
     pub(super) n_geometry: usize,
     /// Signs of noise in a row.
     pub(super) n_noisy: usize,
-    /// How far the last step that succeeded was from its model: the change of the Jacobian per length.
+    /// Error of the model at the last step that succeeded: the change of the Jacobian per length.
     pub(super) curvature: Option<f64>,
     /// A point of the set that is to be replaced by one that tells more.
     pub(super) improving: Option<usize>,
@@ -304,7 +304,7 @@ impl LeastSquaresState {
         Tests { extent: Extent::Model, ..tests }
     }
 
-    /// How far a step from a point may go along each coordinate.
+    /// Bounds on a step from a point along each coordinate, below and above.
     pub(super) fn space_around(&self, z: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let ends = |(k, z): (usize, &f64)| {
             let (lower, upper) = self.setup.space.working_bounds(k);

@@ -16,7 +16,7 @@ const SMALLEST: f64 = 1e-15;
 const ZERO: f64 = 1e-20;
 /// Turns without a point to ask for: the resolution has come to its end long before.
 const MOST_TURNS: usize = 200;
-/// How often a direction that the set lacks is asked for around one point.
+/// Number of times that a direction that the set lacks is requested around one point.
 const MOST_TRIES: u32 = 8;
 /// A radius that failures have made smaller than this is not made smaller any more: a simplex goes on.
 const STUCK: f64 = 1e-4;
@@ -206,7 +206,7 @@ impl LeastSquaresState {
         Ok(())
     }
 
-    /// How far the minimum may lie from the base, and what may be gained there.
+    /// Bound on the distance of the minimum from the base, and on the decrease of the cost up to it.
     fn uncertainty(&self, base: usize, linear: &Linear, length: f64, predicted: f64) -> (f64, f64) {
         let coarse = (self.rho, predicted);
         let Some(curvature) = self.curvature.filter(|_| self.set.len() == self.n() + 1) else {
@@ -271,7 +271,8 @@ impl LeastSquaresState {
         self.completed = (base, tries + 1);
     }
 
-    /// Whether the cost differs by no more than its rounding over all the resolution, and the model promises no more farther away.
+    /// True if the cost differs by no more than its rounding over all the resolution, and the model promises
+    /// no more farther away.
     fn is_flat(&self, z: &[f64], linear: &Linear, rounding: f64, (lower, upper): (&[f64], &[f64])) -> bool {
         linear.factor.norm_squared() * self.rho * self.rho <= rounding
             && self.best_step(z, linear, self.options.radius.max(self.delta), (lower, upper)).1 <= rounding
@@ -295,7 +296,7 @@ impl LeastSquaresState {
         self.ask_for(sum(&z, &step), Role::Geometry { instead: point });
     }
 
-    /// What follows from a round.
+    /// Updates the state after a round.
     pub(super) fn descended(&mut self, round: &[Candidate]) {
         match (&round[0].role, round[0].known) {
             (Role::Geometry { instead }, Known::Point(new)) => {
@@ -334,7 +335,7 @@ impl LeastSquaresState {
         }
     }
 
-    /// What follows from trial points.
+    /// Updates the state after trial points.
     fn tried(&mut self, round: &[Candidate]) {
         self.n_iterations += 1;
         self.operation = Some(Operation::TrustRegionStep);
@@ -432,7 +433,7 @@ impl LeastSquaresState {
         self.ask_for(sum(&z, &step), Role::Probe { misfit });
     }
 
-    /// How far the residuals at a new point are off the model.
+    /// Differences between the residuals at a new point and those of the model.
     fn misfit(&self, base: usize, new: usize, lagrange: &[f64]) -> Vec<f64> {
         let base = &self.points[base].residuals;
         let mut rest = difference(&self.points[new].residuals, base);

@@ -1,4 +1,5 @@
-//! Which points of a sample start a search, and which searches ended at one minimum.
+//! Selection of the points of a sample that start a search, and clustering of the ends of the searches into
+//! minima.
 
 use crate::method::Optimum;
 use crate::methods::shared::ranked_points::RankedPoints;
@@ -11,7 +12,7 @@ const SIGMA: f64 = 4.0;
 /// Ends that differ by less than this share of the box in every parameter are one minimum.
 const SAME: f64 = 5e-3;
 
-/// How many points of a sample are looked at.
+/// Number of points of a sample that are considered.
 pub(super) fn n_looked_at(sample: usize) -> usize {
     ((LOOKED_AT * sample as f64).ceil() as usize).clamp(1, sample.max(1))
 }
@@ -72,7 +73,7 @@ pub(super) fn enter(space: &Space, minima: &mut Vec<Optimum>, found: Optimum) {
     minima.sort_by(|a, b| a.cost.total_cmp(&b.cost));
 }
 
-/// Whether less than half a minimum is missing after so many trials, see the [module](super).
+/// True if less than half a minimum is missing after so many trials, see the [module](super).
 pub(super) fn are_probably_all(minima: usize, trials: usize) -> bool {
     let (w, t) = (minima as f64, trials as f64);
     t > w + 2.0 && w * (t - 1.0) / (t - w - 2.0) < w + 0.5

@@ -1,4 +1,4 @@
-//! What the user may choose about a search from several starts.
+//! Options of a search from several starts.
 
 use crate::error::Error;
 use crate::method::{Method, MethodOptions, Setup};
@@ -48,7 +48,8 @@ const FEW: usize = 5;
 pub struct Multistart {
     /// Points of a sample (`N`); default 10 per parameter, at least 20.
     pub sample: Option<usize>,
-    /// How they are spread over the box; default a Sobol sequence, a Latin hypercube above 40 parameters.
+    /// Distribution of the sample over the box; default a Sobol sequence, a Latin hypercube above 40
+    /// parameters.
     pub sampling: Option<Sampling>,
     /// The method of the local searches.
     pub polish: Polish,

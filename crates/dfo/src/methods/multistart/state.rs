@@ -289,7 +289,8 @@ impl MultistartState {
         self.core.n_starts > self.searches.len()
     }
 
-    /// How many searches run at once: after an exploration the first runs alone, for what is left of the budget is its.
+    /// Number of searches that run at once: after an exploration the first runs alone, on what is left of the
+    /// budget.
     fn at_once(&self) -> usize {
         self.options.side_by_side.unwrap_or(if self.needs_the_rest() { 1 } else { SIDE_BY_SIDE })
     }

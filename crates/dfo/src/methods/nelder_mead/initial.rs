@@ -39,7 +39,7 @@ pub(super) fn simplex(space: &Space, initial: &InitialSimplex) -> Result<RankedP
     }
 }
 
-/// Whether no coordinate has a bound of any kind.
+/// True if no coordinate has a bound of any kind.
 fn is_open(space: &Space) -> bool {
     (0..space.n_free()).all(|k| space.is_open(k))
 }

@@ -146,8 +146,9 @@ impl NelderMeadState {
         }
     }
 
-    /// Whether the simplex is built anew although the tests passed: it is flat, not because of a bound, and
-    /// the last restart, if there was one, lowered the cost by more than the f test allows.
+    /// Counts a restart and returns true if the simplex is to be built anew although the tests passed: it is
+    /// flat, not because of a bound, and the last restart, if there was one, lowered the cost by more than
+    /// the f test allows.
     fn may_restart(&mut self, tests: &Tests) -> bool {
         let useless = self.f_restart.is_some_and(|f| f - tests.f_best <= tests.f_limit);
         if self.restarts == 0 || useless || !restart::is_flat(&self.simplex, &self.setup.space) {

@@ -25,7 +25,7 @@ struct Move {
     /// Cost of the vertex one rank better when the iteration began.
     ahead: Cost,
     reflected: TrialPoint,
-    /// What follows the reflection, if something does.
+    /// Trial after the reflection, if there is one.
     follow: Option<Trial>,
     second: TrialPoint,
 }
@@ -33,17 +33,17 @@ struct Move {
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct LeeWiswall {
     moves: Vec<Move>,
-    /// How many of them are in use: vertices that move at once.
+    /// Number of moves in use: vertices that move at once.
     degree: usize,
     centroid: Vec<f64>,
     placed: bool,
-    /// Whether the reflections are known and what follows is placed.
+    /// True if the reflections are known and the second points are placed.
     second_round: bool,
     best: f64,
     idle: usize,
 }
 
-/// What an iteration came to.
+/// Result of an iteration.
 pub(super) enum Verdict {
     /// Some points are not known yet.
     Unfinished,
@@ -70,7 +70,7 @@ impl LeeWiswall {
         }
     }
 
-    /// Whether several vertices move at once; false once it has come down to the serial method.
+    /// True if several vertices move at once; false once it has come down to the serial method.
     pub(super) fn is_parallel(&self) -> bool {
         self.degree > 1
     }

@@ -1,12 +1,13 @@
-//! What the user may choose about Nelder-Mead.
+//! Options of Nelder-Mead.
 
 use crate::choices::BoundsHandling;
 use crate::error::Error;
 use crate::method::{Lookahead, Setup};
 use serde::{Deserialize, Serialize};
 
-/// How many points are evaluated at once. All plans take the same path but [`LeeWiswall`](Self::LeeWiswall): points
-/// beyond the one that the path needs are the most probable of those that it may need next.
+/// Number of points that are evaluated at once. All plans take the same path but
+/// [`LeeWiswall`](Self::LeeWiswall): points beyond the one that the path needs are the most probable of those
+/// that it may need next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -168,21 +169,22 @@ pub enum InitialSimplex {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct NelderMead {
-    /// How many points are evaluated at once; default [`BatchPlan::Auto`].
+    /// Number of points that are evaluated at once; default [`BatchPlan::Auto`].
     pub batch: BatchPlan,
     /// Coefficients; default standard below five parameters, adaptive from there on.
     pub coefficients: Coefficients,
-    /// How the search is kept in the box; default [`BoundsHandling::Sine`].
+    /// Treatment of bounds; default [`BoundsHandling::Sine`].
     #[serde(rename = "bounds_handling")]
     pub bounds: BoundsHandling,
     /// The starting simplex.
     #[serde(rename = "initial_simplex")]
     pub initial: InitialSimplex,
-    /// How often a simplex that is flat when the tests pass is built anew around its best vertex, at the size it has then
-    /// (at least 1e-3 of the sizes); default 2. A simplex is flat if its vertices (nearly) lie in a plane: then it may have
-    /// stopped where the cost still falls across that plane. A sound simplex is not restarted, one that lies on a bound
-    /// is not flat, and after a restart that found nothing better there is none. This is no search for other minima: for
-    /// those start from several points, or use differential evolution.
+    /// Number of times that a simplex that is flat when the tests pass is built anew around its best vertex,
+    /// at the size it has then (at least 1e-3 of the sizes); default 2. A simplex is flat if its vertices
+    /// (nearly) lie in a plane: then it may have stopped where the cost still falls across that plane. A
+    /// sound simplex is not restarted, one that lies on a bound is not flat, and after a restart that found
+    /// nothing better there is none. This is no search for other minima: for those start from several points,
+    /// or use differential evolution.
     pub restarts: usize,
 }
 

@@ -11,7 +11,7 @@ const TOUCHING: f64 = 1e-6;
 /// Side of the new simplex in units of the sizes, if it is not already larger.
 const SIDE: f64 = 1e-3;
 
-/// Whether the simplex is flat in the coordinates along which it does not lie on a bound.
+/// True if the simplex is flat in the coordinates along which it does not lie on a bound.
 pub(super) fn is_flat(simplex: &RankedPoints, space: &Space) -> bool {
     let n = space.n_free();
     let best = simplex.best();

@@ -73,7 +73,7 @@ impl RankedPoints {
         self.set_cost(slot, Cost::Value(value));
     }
 
-    /// Whether a vertex other than the worst lies exactly here.
+    /// True if a vertex other than the worst lies exactly here.
     pub(super) fn has_vertex(&self, u: &[f64]) -> bool {
         self.order[..self.n].iter().any(|&slot| self.u(slot) == u)
     }

@@ -10,14 +10,15 @@ use crate::choices::BoundsHandling;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::space::Space;
 
-/// How often a reflection is accepted as it is, asks for an expansion, for an inside and for an outside contraction, and
-/// how often an expansion is accepted: counted over the 53 problems of Moré and Wild (SIAM J. Optim. 20, 2009).
+/// Frequency of reflections that are accepted as they are, that are followed by an expansion, by an inside
+/// and by an outside contraction, and of expansions that are accepted: counted over the 53 problems of Moré
+/// and Wild (SIAM J. Optim. 20, 2009).
 const ACCEPTED: f64 = 0.50;
 const EXPANDING: f64 = 0.23;
 const INSIDE: f64 = 0.24;
 const OUTSIDE: f64 = 0.04;
 const EXPANDED: f64 = 0.11 / 0.23;
-/// How often a contracted point is not the worst vertex of the new simplex.
+/// Frequency of contracted points that are not the worst vertex of the new simplex.
 const BETTER_THAN_WORST: f64 = 0.8;
 
 /// The simplex and what its trial points are made with.
@@ -28,7 +29,7 @@ pub(super) struct Problem<'a> {
     pub(super) simplex: &'a RankedPoints,
 }
 
-/// Which points need no evaluation any more.
+/// Predicate of points that need no evaluation any more.
 type Known<'a> = &'a dyn Fn(&[f64]) -> bool;
 
 /// A simplex that may come to be: that of its parent with one vertex replaced.
@@ -179,7 +180,7 @@ impl Speculation {
         number
     }
 
-    /// What the path may need after a point.
+    /// Adds the points that the path may need after a point.
     fn expand(&mut self, problem: &Problem<'_>, guess: Guess, point: usize) {
         let n = problem.space.n_free();
         let Guess { node, trial, probability } = guess;

@@ -18,7 +18,7 @@ use crate::termination::Termination;
 use crate::tolerances::Tests;
 use serde::{Deserialize, Serialize};
 
-/// What a point of the last batch stands for.
+/// Role of a point of the last batch.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub(super) enum Role {
     Vertex(usize),
@@ -88,7 +88,7 @@ pub struct NelderMeadState {
     pub(super) parallel: Option<LeeWiswall>,
     pub(super) restarts: usize,
     pub(super) f_restart: Option<f64>,
-    /// Whether there are parameters of unknown size, and the user gave no simplex.
+    /// True if there are parameters of unknown size, and the user gave no simplex.
     pub(super) sizing: bool,
     /// The last search for sizes.
     pub(super) sizes: Option<SizeSearch>,
@@ -156,7 +156,7 @@ impl NelderMeadState {
         self.simplex.set_cost(0, Cost::Value(cost));
     }
 
-    /// Whether this state fits to a problem and to itself.
+    /// True if this state fits to a problem and to itself.
     pub(crate) fn is_sound(&self, setup: &Setup) -> bool {
         let space = &setup.space;
         space.is_same_space(&self.setup.space)

@@ -16,7 +16,7 @@ pub(super) enum Trial {
 }
 
 impl Trial {
-    /// How far from the centroid, in units of the way from the worst vertex to it.
+    /// Distance from the centroid, in units of that from the worst vertex to it.
     pub(super) fn factor(self, numbers: &CoefficientValues) -> f64 {
         match self {
             Self::Reflection => numbers.reflection,
@@ -26,7 +26,7 @@ impl Trial {
         }
     }
 
-    /// What an iteration has done that accepted it.
+    /// Operation of an iteration that accepted it.
     pub(super) fn operation(self) -> Operation {
         match self {
             Self::Reflection => Operation::Reflection,
@@ -37,7 +37,7 @@ impl Trial {
     }
 }
 
-/// What is known about a trial point.
+/// Result at a trial point, as far as it is known.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) enum Seen {
     Unknown,
@@ -97,9 +97,9 @@ impl Frame<'_> {
     }
 }
 
-/// Whether the bounds took a coordinate (nearly) back to the centroid: a simplex that accepts the point is flat ever after.
-/// Mirroring does that with starts and steps on a grid of tenths of the box, clamping where a side of the simplex lies on a
-/// bound.
+/// True if the bounds took a coordinate (nearly) back to the centroid: a simplex that accepts the point is
+/// flat ever after. Mirroring does that with starts and steps on a grid of tenths of the box, clamping where
+/// a side of the simplex lies on a bound.
 fn brought_onto(u: f64, raw: f64, centroid: f64) -> bool {
     u != raw && (u - centroid).abs() <= 1e-3 * (raw - centroid).abs()
 }

@@ -1,10 +1,10 @@
-//! What the user may choose about pattern search.
+//! Options of pattern search.
 
 use crate::error::Error;
 use crate::method::Lookahead;
 use serde::{Deserialize, Serialize};
 
-/// How many points are evaluated at once. All plans take the same path.
+/// Number of points that are evaluated at once. All plans take the same path.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -56,7 +56,7 @@ impl PollPlan {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct PatternSearch {
-    /// How many points are evaluated at once; default [`PollPlan::Auto`].
+    /// Number of points that are evaluated at once; default [`PollPlan::Auto`].
     pub batch: PollPlan,
     /// The first distance of the poll points from the best point along each parameter, in units of its size: the nominal value
     /// where one was given, else the width of the box, else |x0|, else 1. Default 0.3.

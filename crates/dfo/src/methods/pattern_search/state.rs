@@ -104,7 +104,7 @@ impl Polling {
         }
     }
 
-    /// Whether this state fits to a problem and to itself.
+    /// True if this state fits to a problem and to itself.
     pub(super) fn is_sound(&self, setup: &Setup) -> bool {
         let n = setup.space.n_free();
         // The frame is a length, at most the first one or the largest that it grows to.

@@ -13,7 +13,7 @@ const RESOLUTIONS: usize = 2;
 /// The least power of 1/rho with which it grows at a kink (there it is 1, at noise 2, where the cost is smooth 0). Like the number of
 /// resolutions chosen with `benches/choice.rs` at seed 0, and looked at with seeds 1 and 2.
 const GROWTH: f64 = 0.5;
-/// What the curvature changes in the cost within rho is seen only from so many times the rounding of the cost on.
+/// Least change of the cost by the curvature within rho that counts, as a share of the cost.
 const VISIBLE: f64 = 1e3 * f64::EPSILON;
 
 impl QuadraticModelState {

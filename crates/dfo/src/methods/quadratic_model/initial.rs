@@ -2,7 +2,7 @@
 
 use crate::space::Space;
 
-/// How far points may be from `u` along coordinate `k`, below and above.
+/// Distances that points may have from `u` along coordinate `k`, below and above.
 fn margins(space: &Space, u: &[f64], k: usize) -> (f64, f64) {
     let (lower, upper) = space.working_bounds(k);
     ((u[k] - lower).max(0.0), (upper - u[k]).max(0.0))

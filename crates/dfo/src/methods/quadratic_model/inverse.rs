@@ -121,7 +121,7 @@ impl Inverse {
         &self.y[place * self.n..(place + 1) * self.n]
     }
 
-    /// How far a point is from the origin.
+    /// Distance of a point from the origin.
     pub(super) fn distance(&self, place: usize) -> f64 {
         dot(self.point(place), self.point(place)).sqrt() * self.scale
     }
@@ -151,7 +151,7 @@ impl Inverse {
         step.hw[self.n + 1..].iter().enumerate().map(of).collect()
     }
 
-    /// Whether the accuracy is to be looked at.
+    /// True if the accuracy is to be checked.
     pub(super) fn is_due(&self) -> bool {
         self.n_exchanged > 0 && self.n_exchanged.is_multiple_of(self.interval())
     }
@@ -160,7 +160,7 @@ impl Inverse {
         ((LOOKED_AFTER * self.slots.len() as f64) as usize).max(1)
     }
 
-    /// Whether the values of the Lagrange polynomials at a point are still 0 and 1.
+    /// True if the values of the Lagrange polynomials at a point are still 0 and 1.
     pub(super) fn is_accurate(&self, from: usize, tolerance: f64) -> bool {
         let at = self.n_exchanged / self.interval() % self.slots.len().max(1);
         let d = self.point(from).iter().zip(self.point(at)).map(|(base, y)| (y - base) * self.scale);

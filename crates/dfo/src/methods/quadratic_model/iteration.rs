@@ -13,8 +13,8 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 /// A resolution below this cannot be seen.
 const SMALLEST: f64 = 1e-14;
-/// What the resolution is multiplied with when it is exhausted. Like the following constants chosen with the even halves of the fits,
-/// boxes and smooth instances of `benches/quadratic.rs`, which judges with the odd halves.
+/// Factor of the resolution when it is exhausted. Like the following constants chosen with the even halves of
+/// the fits, boxes and smooth instances of `benches/quadratic.rs`, which judges with the odd halves.
 const REDUCTION: f64 = 0.2;
 /// Points that lie farther off than so many radii and so many resolutions leave the model.
 const FAR: f64 = 10.0;
@@ -115,7 +115,7 @@ impl QuadraticModelState {
         }
     }
 
-    /// Whether the slope of the model is much more than that of another, bounds left out.
+    /// True if the slope of the model is much more than that of another, bounds left out.
     pub(super) fn is_much_steeper_than(&self, other: &[f64]) -> bool {
         let (lower, upper) = self.margins();
         let slope = |gradient: &[f64]| {
@@ -143,7 +143,7 @@ impl QuadraticModelState {
         self.points.rank();
     }
 
-    /// How far a step from the base point may go along each coordinate, in units of the sizes.
+    /// Bounds on a step from the base point along each coordinate, below and above, in units of the sizes.
     pub(super) fn margins(&self) -> (Vec<f64>, Vec<f64>) {
         let (space, u) = (&self.setup.space, self.points.u(self.base()));
         let ends = |k: usize| {
@@ -329,7 +329,7 @@ impl QuadraticModelState {
         false
     }
 
-    /// What follows from the cost of a point that was to make the model better.
+    /// Updates the state after the cost of a point that was to make the model better.
     pub(super) fn geometry_known(&mut self) {
         let base = self.base();
         let from = self.points.u(base).to_vec();
@@ -353,7 +353,7 @@ impl QuadraticModelState {
         self.refit(from);
     }
 
-    /// What follows from the cost of the model's best point.
+    /// Updates the state after the cost of the model's best point.
     pub(super) fn trial_known(&mut self, predicted: f64) {
         let base = self.base();
         let from = self.points.u(base).to_vec();

@@ -1,5 +1,6 @@
-//! What is done otherwise for many parameters, so that an evaluation takes O(n^2) operations: the inverse of the interpolation conditions is
-//! kept from step to step, and points that lie far off are replaced one by one (NEWUOA: Powell, report DAMTP 2004/NA08; BOBYQA: 2009/NA06).
+//! Quadratic models of many parameters with O(n^2) operations per evaluation: the inverse of the
+//! interpolation conditions is kept from step to step, and points that lie far off are replaced one by one
+//! (NEWUOA: Powell, report DAMTP 2004/NA08; BOBYQA: 2009/NA06).
 
 use super::inverse::{Inverse, median};
 use super::iteration::norm;
@@ -76,7 +77,7 @@ impl QuadraticModelState {
         product
     }
 
-    /// What the model has more at a displacement from the base point.
+    /// Value of the model at a displacement from the base point, less that at the base point.
     pub(super) fn value(&self, s: &[f64]) -> f64 {
         if !self.has_many() {
             return self.model.value(s);

@@ -4,7 +4,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-/// What a change of the gradient weighs against one of the Hessian, see [`Interpolation`].
+/// Weight of a change of the gradient against one of the Hessian, see [`Interpolation`].
 pub(super) const GRADIENT_WEIGHT: f64 = 1e3;
 /// Shares of the diagonal that are added to it where the points are too close to a degenerate set for their values.
 pub(super) const SHIFTS: [f64; 5] = [0.0, 1e-14, 1e-12, 1e-10, 1e-8];

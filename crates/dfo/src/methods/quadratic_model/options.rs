@@ -1,4 +1,4 @@
-//! What the user may choose about quadratic models.
+//! Options of quadratic models.
 
 use crate::error::Error;
 use crate::space::Space;
@@ -28,13 +28,14 @@ pub struct QuadraticModel {
     /// at most 2n + 1 and keeps later ones as long as there is room. Default 4n + 1, but not more than there may be, and 2n + 1 for more than
     /// 20 parameters.
     pub points: Option<usize>,
-    /// How often in a row the search starts anew around its best point, with the first trust region, where steps that the model
-    /// takes for good do not lower the cost (noise, kinks), before it gives up; a start that finds a lower cost begins the count anew.
-    /// Default 3.
+    /// Number of times in a row that the search starts anew around its best point, with the first trust
+    /// region, where steps that the model takes for good do not lower the cost (noise, kinks), before it
+    /// gives up; a start that finds a lower cost begins the count anew. Default 3.
     pub restarts: usize,
-    /// Whether the search goes on as [`NelderMead`](crate::NelderMead), from its best point, where the model shows noise or kinks: its
-    /// curvature grows as its region shrinks, or its steps fail at several resolutions. Then the message of the result says so, and its
-    /// tests are those of the simplex. Where nothing tells the size of a parameter, Nelder-Mead searches from the start. Default false;
+    /// True if the search goes on as [`NelderMead`](crate::NelderMead), from its best point, where the model
+    /// shows noise or kinks: its curvature grows as its region shrinks, or its steps fail at several
+    /// resolutions. Then the message of the result says so, and its tests are those of the simplex. Where
+    /// nothing tells the size of a parameter, Nelder-Mead searches from the start. Default false;
     /// [`Auto`](crate::Auto) sets it.
     #[serde(default)]
     pub hand_over: bool,

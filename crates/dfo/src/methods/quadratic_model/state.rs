@@ -15,12 +15,12 @@ use crate::termination::Termination;
 use crate::tolerances::Tests;
 use serde::{Deserialize, Serialize};
 
-/// How often a first point that failed is tried nearer to the start.
+/// Number of times that a first point that failed is tried nearer to the start.
 const MOST_RETRIES: u32 = 12;
-/// How many failed points are remembered.
+/// Number of failed points that are remembered.
 const MOST_FAILED: usize = 64;
 
-/// What the points asked for are.
+/// Phase of the search: the purpose of the points requested.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) enum Phase {
     /// The first points, or those of a restart.
@@ -62,11 +62,12 @@ pub struct QuadraticModelState {
     pub(super) delta: f64,
     pub(super) rho: f64,
     pub(super) phase: Phase,
-    /// How often each of the first points has failed.
+    /// Number of failures of each of the first points.
     pub(super) retries: Vec<u32>,
     /// Working coordinates of points that failed, the last ones.
     pub(super) failed: Vec<Vec<f64>>,
-    /// Whether a step of this resolution has failed; how many resolutions were given up for that in a row.
+    /// True if a step of this resolution has failed; and the number of resolutions given up for that in a
+    /// row.
     pub(super) is_refused: bool,
     pub(super) n_refused: usize,
     /// The radius of the last start; restarts in a row that brought nothing; the best cost when the last began.
@@ -77,7 +78,7 @@ pub struct QuadraticModelState {
     pub(super) operation: Option<Operation>,
     pub(super) tests: Option<Tests>,
     pub(super) f_0: f64,
-    /// Whether a simplex search may take over, and the one that has.
+    /// True if a simplex search may take over; and the one that has.
     #[serde(default)]
     pub(super) hand_over: bool,
     #[serde(default)]
@@ -85,7 +86,7 @@ pub struct QuadraticModelState {
     /// The resolutions since the last start, and the size of the curvature of the model when they were exhausted.
     #[serde(default)]
     pub(super) curvatures: Vec<(f64, f64)>,
-    /// How noise or kinks showed when the last resolution was exhausted.
+    /// Evidence of noise or kinks when the last resolution was exhausted.
     #[serde(default)]
     pub(super) roughness: Option<Roughness>,
 }

@@ -16,7 +16,7 @@ pub(super) struct Region<'a> {
     pub(super) upper: &'a [f64],
 }
 
-/// What the ball alone would have it be.
+/// Solution for the free coordinates in the ball alone, and its Lagrange multiplier.
 struct Part {
     p: DVector<f64>,
     multiplier: f64,

@@ -1,4 +1,4 @@
-//! What is known about the cost of a point that a method keeps, and how two of them compare.
+//! Cost of a point that a method keeps, as far as it is known, and the comparison of two of them.
 
 use crate::answer::Outcome;
 use serde::{Deserialize, Serialize};

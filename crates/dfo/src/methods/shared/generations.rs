@@ -1,5 +1,5 @@
-//! What the methods with generations have in common: a first population, candidates that are bred and tried, selection,
-//! and how it all ends.
+//! Common part of the methods with generations: a first population, candidates that are bred and tried,
+//! selection, and the end of the run.
 
 use crate::answer::Answers;
 use crate::error::Error;
@@ -17,7 +17,7 @@ use crate::tolerances::{Extent, Tests};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-/// What one such method does its own way.
+/// Rules in which such methods differ.
 pub trait GenerationRules: Serialize + DeserializeOwned {
     /// Name of the method.
     fn name(&self) -> &'static str;
@@ -54,7 +54,7 @@ pub trait GenerationRules: Serialize + DeserializeOwned {
     /// Why the run is over after a generation whose tests did not pass, if it is. `best`: the smallest cost so far.
     fn ended(&mut self, pool: &Populations, best: f64) -> Option<Termination>;
 
-    /// How much of the population the tolerance tests measure.
+    /// Part of the population that the tolerance tests measure.
     fn extent(&self) -> Extent {
         Extent::Population
     }
@@ -65,7 +65,8 @@ pub trait GenerationRules: Serialize + DeserializeOwned {
         None
     }
 
-    /// Whether the search goes on where all members are one point of whole numbers: until nothing new comes for long.
+    /// True if the search goes on where all members are one point of whole numbers: until nothing new comes
+    /// for long.
     fn tries_neighbours(&self, space: &Space) -> bool {
         let _ = space;
         false
@@ -77,7 +78,7 @@ pub trait GenerationRules: Serialize + DeserializeOwned {
         false
     }
 
-    /// Whether this fits to a problem and to its pool: what comes from a file may not.
+    /// True if this fits to a problem and to its pool: what comes from a file may not.
     fn is_sound(&self, pool: &Populations) -> bool;
 }
 
@@ -137,7 +138,7 @@ impl<B: GenerationRules> Generations<B> {
         restored(state, |s: &Self| s.is_sound(setup))
     }
 
-    /// Whether this fits to a problem and to itself: what comes from a file may not.
+    /// True if this fits to a problem and to itself: what comes from a file may not.
     pub(crate) fn is_sound(&self, setup: &Setup) -> bool {
         let (Populations { setup: own, population, candidates, .. }, space) = (&self.pool, &setup.space);
         own.space == *space
@@ -147,7 +148,7 @@ impl<B: GenerationRules> Generations<B> {
             && self.rules.is_sound(&self.pool)
     }
 
-    /// What the method keeps besides its population.
+    /// State of the method besides its population.
     pub(crate) fn rules(&self) -> &B {
         &self.rules
     }

@@ -1,5 +1,5 @@
-//! What several methods have: the rank of a cost, populations, generations, planes beside points that failed, products of
-//! long vectors.
+//! Parts that several methods share: the rank of a cost, populations, generations, planes beside points that
+//! failed, products of long vectors.
 
 pub(crate) mod cost;
 pub(crate) mod dot;

@@ -131,7 +131,7 @@ impl RankedPoints {
         Tests { extent, ..tolerances.judge(size, self.f_spread(counted), f_best, f_0) }
     }
 
-    /// How large costs are.
+    /// Typical size of the costs.
     pub(crate) fn typical_cost(&self) -> f64 {
         typical(&self.values)
     }

@@ -107,7 +107,7 @@ impl RankedPoints {
         self.values.iter().flatten().count()
     }
 
-    /// Whether all points are the best one up to rounding.
+    /// True if all points are the best one up to rounding.
     pub(crate) fn is_collapsed(&self, space: &Space) -> bool {
         let best = self.u(self.best());
         (0..self.len()).all(|slot| space.is_same(self.u(slot), best))
@@ -125,7 +125,8 @@ impl RankedPoints {
         SimplexView { n: self.n_user, x: &self.x, costs: &self.values, order: &self.order }
     }
 
-    /// Whether all lists have the lengths that belong together, and all points lie in the box: what comes from a file may not.
+    /// True if all lists have the lengths that belong together, and all points lie in the box: what comes
+    /// from a file may not.
     pub(crate) fn is_sound(&self, space: &Space) -> bool {
         let len = self.costs.len();
         let mut slots = self.order.clone();

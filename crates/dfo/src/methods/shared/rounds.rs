@@ -84,7 +84,7 @@ impl Rounds {
         self.best.get()
     }
 
-    /// Whether this fits to these candidates: what comes from a file may not.
+    /// True if this fits to these candidates: what comes from a file may not.
     pub(crate) fn is_sound(&self, n_user: usize) -> bool {
         self.best.is_sound(n_user)
     }

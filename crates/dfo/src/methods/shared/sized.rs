@@ -21,7 +21,7 @@ pub trait NeedsSizes: Clone + Serialize + DeserializeOwned {
     /// Those of the method.
     fn search(&self, setup: Setup) -> Result<Self::Search, Error>;
 
-    /// Whether a search fits to a problem and to itself: what comes from a file may not.
+    /// True if a search fits to a problem and to itself: what comes from a file may not.
     fn is_sound(search: &Self::Search, setup: &Setup) -> bool;
 }
 

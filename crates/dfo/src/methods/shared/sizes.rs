@@ -11,15 +11,15 @@ use serde::{Deserialize, Serialize};
 
 /// Ratio of two steps that follow one another.
 const RATIO: f64 = 10.0;
-/// How many steps larger or smaller than the first are tried: parameters in SI units lie between a capacitance of 1e-12 F
-/// and a modulus of elasticity of 1e11 Pa.
+/// Number of steps larger or smaller than the first that are tried: parameters in SI units lie between a
+/// capacitance of 1e-12 F and a modulus of elasticity of 1e11 Pa.
 const LARGEST: i32 = 12;
-/// How many smaller ones where the simplex has shrunk to a point, and has seen small steps itself.
+/// Number of smaller ones where the simplex has shrunk to a point, and has seen small steps itself.
 const SMALLEST_BESIDE: i32 = -2;
 /// A change of the cost below this share of it counts as none: simulations at usual tolerances change it by as much.
 const NO_CHANGE: f64 = 1e-6;
 
-/// What a step does to the cost, compared with the least seen along the parameter.
+/// Effect of a step on the cost, compared with the least seen along the parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 enum Change {
     Lower,
@@ -45,14 +45,14 @@ struct Line {
     smallest: i32,
     exponent: i32,
     side: f64,
-    /// What the step of the same length to the other side does, once that is known.
+    /// Effect of the step of the same length to the other side, once that is known.
     opposite: Option<Change>,
     /// 1 while steps grow, -1 while they shrink, 0 before either.
     trend: i32,
     best: Option<Step>,
     /// The largest step that raises the cost by no more than its own size.
     moderate: Option<Step>,
-    /// Whether any step has changed the cost.
+    /// True if any step has changed the cost.
     has_effect: bool,
     is_over: bool,
 }
@@ -69,7 +69,7 @@ pub(crate) struct SizeSearch {
     x: Vec<f64>,
 }
 
-/// What a search has found along one parameter.
+/// Result of a search along one parameter.
 pub(crate) struct Found {
     pub(crate) k: usize,
     pub(crate) size: f64,
@@ -129,7 +129,7 @@ impl SizeSearch {
         self.best.as_ref().map(|(x, cost)| (&x[..], *cost))
     }
 
-    /// Whether a step lowers the cost by more than the threshold.
+    /// True if a step lowers the cost by more than the threshold.
     pub(crate) fn is_lower(&self) -> bool {
         self.lines.iter().any(|line| line.best.is_some())
     }

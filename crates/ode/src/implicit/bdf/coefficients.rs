@@ -5,7 +5,7 @@ pub(super) const MAX_ORDER: usize = 5;
 /// Coefficients of one step: they follow from its size, its order and the sizes of the steps before.
 #[derive(Debug, Default, Clone, Copy)]
 pub(super) struct Coefficients {
-    /// What the corrector adds to each row of the array.
+    /// Factors of the correction that is added to each row of the array.
     pub(super) l: [f64; MAX_ORDER + 1],
     /// Error constants: of the order below (times `z_q`), of this order (times `e`), of the order above.
     pub(super) below: f64,

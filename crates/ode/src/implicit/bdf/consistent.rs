@@ -93,8 +93,9 @@ impl LeftSide {
         Ok(matrix)
     }
 
-    /// Whether `dF/dx'` has a larger rank near this point, at other slopes (and states, where `moves_states`); at other slopes
-    /// alone only if it acts there on how the states differ from the guess.
+    /// True if `dF/dx'` has a larger rank near this point, at other slopes (and states, where
+    /// `moves_states`); at other slopes alone only if it acts there on the difference between the states and
+    /// the guess.
     fn is_singular_only_here<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,

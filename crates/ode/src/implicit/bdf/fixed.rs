@@ -3,7 +3,7 @@
 use crate::sparsity::JacobianPattern;
 use crate::system::{Argument, CallError, CallResult, EventOutcome, HybridSystem};
 
-/// How the equations are given.
+/// Form of the equations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) enum Kind {
     #[default]

@@ -1,4 +1,4 @@
-//! What stands on the left of the equations: `x'`, `M x'`, or `F(t, x, x') = 0` as a whole.
+//! Left side of the equations: `x'`, `M x'`, or `F(t, x, x') = 0` as a whole.
 //!
 //! Near a point all three are `M x' = f(t, x)`, with `M = dF/dx'`, and a Jacobian `-dF/dx` of the right-hand side. The two
 //! are kept apart, so that a change of the step size takes no evaluation: a new `M` is made where one evaluation along a
@@ -43,7 +43,7 @@ pub(super) struct LeftSide {
     pub(super) has_factors: bool,
     /// States that `M` has no part in are not to be in the error test.
     exclude: bool,
-    /// Which states `M` has a part in.
+    /// True for states that `M` has a part in.
     pub(super) has_slope: Vec<bool>,
     weights: Weights,
     nominals: Vec<f64>,
@@ -123,7 +123,7 @@ impl LeftSide {
         AtSlopes { system, kind: self.kind, mass: &self.mass, slopes }
     }
 
-    /// What is left of zero at a point; without slopes of its own (`x'` alone) the right-hand side.
+    /// Residual of the equations at a point; without slopes of its own (`x'` alone) the right-hand side.
     pub(super) fn defect<S: HybridSystem + ?Sized>(
         &self,
         equations: &mut Equations<'_, S>,
@@ -217,7 +217,7 @@ impl LeftSide {
         }
     }
 
-    /// Whether the residual is an affine function of the slopes, as far as three points on a line can tell.
+    /// True if the residual is an affine function of the slopes, as far as three points on a line can show.
     fn look_for_curvature<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
@@ -240,7 +240,7 @@ impl LeftSide {
         Ok(is_there? && affine)
     }
 
-    /// Whether one evaluation shows `dF/dx'` to be as it was.
+    /// True if one evaluation shows `dF/dx'` to be as it was.
     fn is_as_before<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,

@@ -1,4 +1,4 @@
-//! What a step of Radau5 knows about its inside.
+//! Dense output of a step of Radau5, and its error.
 //!
 //! The collocation polynomial `p` of degree 3 passes the stages, and so can its own error be written down. With
 //! `M(theta)`, the product of the distances to the abscissae, and stages that are off by `e_i` it is
