@@ -143,7 +143,7 @@ pub(crate) struct ExperimentFields {
     hold_inputs: bool,
 }
 
-/// What the residuals of an output are multiplied with.
+/// Weight of the residuals of an output.
 #[derive(FromPyObject)]
 enum WeightFields {
     #[pyo3(transparent)]
@@ -157,7 +157,7 @@ enum WeightFields {
     Rows(Vec<f64>),
 }
 
-/// What drives an input.
+/// Source of the values of an input.
 #[derive(FromPyObject)]
 enum InputFields {
     #[pyo3(transparent)]
@@ -168,7 +168,7 @@ enum InputFields {
     Function(Py<PyAny>),
 }
 
-/// What a state is at the start.
+/// Initial value of a state.
 // It lives as long as it is read.
 #[allow(clippy::large_enum_variant)]
 #[derive(FromPyObject)]
@@ -218,7 +218,7 @@ impl SettingsFields {
     }
 }
 
-/// What an experiment has of Python objects, looked at with the interpreter lock.
+/// Parts of an experiment that come from Python objects, read with the interpreter lock held.
 pub(crate) struct Resolved {
     start_values: Vec<(String, fmi::Value)>,
     initial_states: Vec<(String, InitialState)>,

@@ -1,4 +1,4 @@
-//! What the user chose about a run, checked and in the words of the optimiser.
+//! Options of a run as the user gave them, checked and converted to those of the optimiser.
 
 use crate::methods;
 use crate::words::{word, words};
@@ -56,7 +56,7 @@ pub(crate) struct Settings {
     kinds: Vec<Kind>,
 }
 
-/// How it is found out what a fit is worth, by the name of the estimator; none: it is not.
+/// Options of the covariance estimate, by the name of the estimator; none: there is no estimate.
 pub(crate) fn worth(covariance: Option<&str>) -> PyResult<Option<WorthOptions>> {
     let options = |estimator| WorthOptions { estimator, ..WorthOptions::default() };
     covariance.map(|name| word::<Estimator>("covariance", name).map(options)).transpose()
@@ -134,7 +134,7 @@ impl Settings {
 /// Name and scale of a loss.
 pub(crate) type LossFields = (String, f64);
 
-/// What the residuals count; `None`: there are none.
+/// Loss function of the residuals; `None`: there are none.
 pub(crate) fn loss(given: Option<LossFields>) -> PyResult<Option<RobustLoss>> {
     let Some((name, scale)) = given else { return Ok(None) };
     RobustLoss::new(word("loss", &name)?, scale).map(Some).map_err(|_| {
