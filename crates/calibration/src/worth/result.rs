@@ -83,8 +83,8 @@ pub struct Worth {
     pub names: Vec<String>,
     /// The point, in the user's units.
     pub x: Vec<f64>,
-    /// True for each parameter that is searched by its logarithm: its [confidence
-    /// interval](Self::confidence_intervals) is symmetric there.
+    /// True for each parameter that is searched by its logarithm: its
+    /// [confidence interval](Self::confidence_intervals) is symmetric there.
     pub is_log: Vec<bool>,
     /// Covariance of the parameters, n x n, row by row, in the user's units, with the residuals of outputs that are autocorrelated taken
     /// for a first-order autoregression (see [`autocorrelations`](Self::autocorrelations)). Zero for parameters that are [held](Self::held); infinite on
