@@ -1,8 +1,8 @@
-//! How simulations are more accurate than those of a fit, to be compared with them.
+//! Settings of simulations that are more accurate than those of a fit, for comparison with them.
 
 use serde::{Deserialize, Serialize};
 
-/// How simulations are made that are more accurate than those of a fit.
+/// Setting by which a simulation is more accurate than those of a fit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) enum Accuracy {
     /// With this relative tolerance.
@@ -12,7 +12,7 @@ pub(crate) enum Accuracy {
 }
 
 impl Accuracy {
-    /// What it has instead of the simulations of a fit.
+    /// Name of the setting, for messages.
     pub(crate) fn words(is_step_halved: bool) -> &'static str {
         if is_step_halved { "half the step" } else { "a hundredth of the relative tolerance" }
     }

@@ -1,4 +1,4 @@
-//! Which entries of `x` set what in the simulation of an experiment: variables, delays, offsets.
+//! Assignment of the entries of `x` to variables, delays and offsets in the simulation of an experiment.
 
 use crate::column_units::declared;
 use crate::data::UnitConversion;
@@ -46,7 +46,7 @@ impl Affine {
         Self { entry: None, factor: 0.0, offset: value, unit: UnitConversion::IDENTITY }
     }
 
-    /// Whether it is the entry itself.
+    /// True if the value is the entry itself.
     fn is_plain(&self) -> bool {
         self.entry.is_some()
             && (self.factor, self.offset) == (1.0, 0.0)
@@ -74,7 +74,7 @@ impl Affine {
     }
 }
 
-/// What the entries of `x` set in the simulation of one experiment.
+/// Quantities that the entries of `x` set in the simulation of one experiment.
 #[derive(Debug)]
 pub(crate) struct Assignments {
     /// Variables of the model.
@@ -141,7 +141,7 @@ impl Assignments {
         outputs.chain(inputs).filter(move |(name, _)| *name == variable).map(|(_, shift)| shift)
     }
 
-    /// How far each input is shifted at `x`.
+    /// Delay and offset of each input at `x`.
     pub(crate) fn input_shifts(&self, x: &[f64]) -> impl Iterator<Item = Shift> {
         self.inputs
             .iter()

@@ -35,7 +35,7 @@ const SOLVER: &str = "solver";
 pub struct Calibration {
     evaluator: Evaluator,
     choice: Choice,
-    /// What a fit is made from, by name and in words or as a hash.
+    /// Everything that a fit is made from, by name and in words or as a hash.
     identity: Vec<(String, String)>,
 }
 
@@ -78,7 +78,7 @@ impl CalibrationBuilder {
         self
     }
 
-    /// How simulations are made.
+    /// Settings of the simulations.
     #[must_use]
     pub fn settings(mut self, settings: SimulationSettings) -> Self {
         self.settings = settings;
@@ -156,12 +156,12 @@ impl Calibration {
         &self.evaluator
     }
 
-    /// What a fit is made from, by name and in words or as a hash.
+    /// Everything that a fit is made from, by name and in words or as a hash.
     pub(crate) fn identity(&self) -> &[(String, String)] {
         &self.identity
     }
 
-    /// What it is made from, as plain data.
+    /// Problem of the calibration, as plain data.
     pub fn problem(&self) -> &Problem {
         &self.evaluator.problem
     }
@@ -171,8 +171,8 @@ impl Calibration {
         &self.evaluator.fmu
     }
 
-    /// What may not be meant as it was given: columns without use, units that were read from names. Each was logged once, when
-    /// the calibration was built.
+    /// Warnings about the setup: columns without use, units that were read from names. Each was logged once,
+    /// when the calibration was built.
     pub fn warnings(&self) -> &[SetupWarning] {
         &self.evaluator.warnings
     }
@@ -188,12 +188,12 @@ impl Calibration {
         self.evaluator.n_residuals
     }
 
-    /// What each entry of the residual vector stands for, with what was measured, when, and its weight.
+    /// Meaning of each entry of the residual vector, with the measurement, its time, and its weight.
     pub fn residual_layout(&self) -> &ResidualLayout {
         &self.evaluator.layout
     }
 
-    /// How many measurements count: the length of the residual vector without the priors at its end.
+    /// Number of measurements that count: the length of the residual vector without the priors at its end.
     pub fn n_measurements(&self) -> usize {
         self.evaluator.layout.n_measurements()
     }
@@ -229,8 +229,8 @@ impl Calibration {
         self.evaluator.tied.iter().map(|(name, of)| (name.clone(), of.value(x))).collect()
     }
 
-    /// What is set in the model at `x` in the simulation of an experiment, counted from 0: variables and their values, in the units
-    /// of the model; values that are tied are there, delays and offsets are not.
+    /// Variables that are set in the model at `x` in the simulation of an experiment, counted from 0, and
+    /// their values in the units of the model; values that are tied are included, delays and offsets are not.
     ///
     /// # Panics
     /// There is no such experiment, or `x` has another length than there are parameters.
@@ -479,14 +479,14 @@ impl Calibration {
         }
     }
 
-    /// What identifies a fit with this solver.
+    /// Names and values that identify a fit with this solver.
     fn tags<'a>(&'a self, solver: &Solver) -> impl Iterator<Item = (&'a str, &'a str)> {
         let own = self.identity.iter().map(|(name, value)| (name.as_str(), value.as_str()));
         own.chain([(SOLVER, solver.method.name())])
     }
 
-    /// What a cost depends on but the parameters' values, as a hash: model, data, settings, solver, and what each parameter
-    /// sets; neither bounds nor starts.
+    /// Hash of everything that a cost depends on except the parameters' values: model, data, settings,
+    /// solver, and the targets of the parameters; neither bounds nor starts.
     pub(crate) fn problem_hash(&self, solver: &Solver) -> String {
         hash(self.tags(solver))
     }

@@ -14,18 +14,20 @@ use std::fmt;
 use std::thread::available_parallelism;
 use std::time::Duration;
 
-/// How a cross-validation is made.
+/// Options of a cross-validation.
 #[derive(Debug, Clone)]
 pub struct CrossValidationOptions {
     /// Number of folds: at each turn one of them is held out, which has every k-th recording; default: as many as there are
     /// recordings, so that one is held out at a time.
     pub folds: Option<usize>,
-    /// How each fit is made. `workers` (default: all cores) are shared by the fits, which run at once; `max_time` holds for all of them
-    /// together, and folds that it cuts short are left out; there are no checkpoints.
+    /// Options of each fit. `workers` (default: all cores) are shared by the fits, which run at once;
+    /// `max_time` holds for all of them together, and folds that it cuts short are left out; there are no
+    /// checkpoints.
     pub run: RunOptions<AnyMethod>,
-    /// What a residual counts.
+    /// Loss function: the contribution of a residual to the cost.
     pub loss: RobustLoss,
-    /// What is minimised; a cost with a name, where local parameters are fitted to recordings that are held out.
+    /// Cost that is minimised; one with a name, where local parameters are fitted to recordings that are held
+    /// out.
     pub objective: CostKind,
     /// Where the noise of the measurements is taken from, see [`FitOptions::noise`]; estimated in each fold.
     pub noise: NoiseRule,
@@ -61,7 +63,7 @@ pub struct Fold {
     /// Root of the mean squared weighted residual of those that it was fitted to: of plain residuals, as that of the validation, whatever
     /// the loss.
     pub fit_rms: f64,
-    /// How well it reproduces those that were held out.
+    /// Validation of the fit on the recordings that were held out.
     pub validation: Validation,
 }
 
@@ -77,7 +79,7 @@ pub struct CrossValidation {
     pub rms: f64,
     /// The shared parameters: name, mean over the folds, standard deviation between them.
     pub parameters: Vec<(String, f64, f64)>,
-    /// What all simulations took.
+    /// Statistics of all simulations.
     pub stats: Stats,
 }
 

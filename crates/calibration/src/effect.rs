@@ -37,7 +37,7 @@ impl BoundSide {
     }
 }
 
-/// What the parameters of a fit turned out to be.
+/// Parameters of a fit that ended at a bound or did not change the cost.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Findings {
     /// Parameters that ended at a bound, by number.
@@ -193,7 +193,7 @@ impl Calibration {
         suspects
     }
 
-    /// Whether two costs differ by no more than the integration leaves uncertain.
+    /// True if two costs differ by no more than the uncertainty of the integration.
     fn is_equal_cost(&self, kind: &CostKind, a: f64, b: f64) -> bool {
         let tolerance = self.relative_tolerance();
         (a - b).abs() <= tolerance * kind.size(a, self.n_measurements())
@@ -212,7 +212,8 @@ impl Calibration {
     }
 }
 
-/// Whether there may be simulations after a run that ended so: neither time nor an interrupt ended it, and the model still works.
+/// True if simulations may follow a run with this termination: neither time nor an interrupt ended it, and
+/// the model still works.
 pub(crate) fn is_over(termination: &Termination) -> bool {
     matches!(
         termination,

@@ -1,4 +1,4 @@
-//! What can be wrong with data, parameters or a fit: one typed error with names and numbers.
+//! Errors of data, parameters or a fit: one typed error with names and numbers.
 
 use std::io;
 use std::path::PathBuf;
@@ -28,7 +28,7 @@ pub enum CalibrationError {
     Data {
         /// File, or where the table comes from.
         source_name: String,
-        /// What is wrong, and where.
+        /// Description of the fault and its place.
         message: String,
     },
     /// A parameter whose numbers do not fit together.
@@ -36,7 +36,7 @@ pub enum CalibrationError {
     Parameter {
         /// Name of the parameter.
         name: String,
-        /// What is wrong.
+        /// Description of the fault.
         message: String,
     },
     /// A value that does not fit what it is given to.
@@ -45,12 +45,12 @@ pub enum CalibrationError {
     /// Experiments, outputs or parameters are missing or contradict each other.
     #[error("{0}")]
     Setup(String),
-    /// What is wrong with one of several experiments.
+    /// Error of one of several experiments.
     #[error("{name}: {source}")]
     Experiment {
         /// Its name.
         name: String,
-        /// What is wrong.
+        /// Error of this experiment.
         source: Box<CalibrationError>,
     },
     /// A file that should hold a fit, and does not, or not one of this version.
@@ -58,15 +58,15 @@ pub enum CalibrationError {
     SavedFit {
         /// The file.
         name: String,
-        /// What is wrong with it.
+        /// Description of the fault.
         message: String,
     },
-    /// What is wrong with one of the stages of a fit.
+    /// Error of one of the stages of a fit.
     #[error("stage {number}: {source}")]
     Stage {
         /// Its number, from 1.
         number: usize,
-        /// What is wrong.
+        /// Error of this stage.
         source: Box<CalibrationError>,
     },
     /// The model of a stored problem is another one now.
@@ -116,7 +116,7 @@ pub enum CalibrationError {
         index: usize,
         /// Its name.
         name: String,
-        /// What the optimiser says.
+        /// Error of the optimiser.
         source: Box<dfo::Error>,
     },
 }

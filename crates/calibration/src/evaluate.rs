@@ -159,7 +159,7 @@ impl Evaluator {
     }
 }
 
-/// What the residual vector is made of.
+/// Layout of the residual vector.
 fn layout(problem: &Problem, simulations: &[Simulation], elements: &[Element]) -> ResidualLayout {
     let mut layout = ResidualLayout::default();
     for (k, (experiment, simulation)) in problem.experiments.iter().zip(simulations).enumerate() {

@@ -36,7 +36,7 @@ pub struct Experiment {
     pub(crate) delays: Vec<(String, f64)>,
 }
 
-/// What a state is at the start of an experiment.
+/// Initial value of a state in an experiment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum InitialState {
     /// This value, in the unit of the model.
@@ -60,7 +60,7 @@ impl From<Parameter> for InitialState {
     }
 }
 
-/// What the residuals of an output are multiplied with; 0: the measurement does not count.
+/// Weight of the residuals of an output; 0: the measurement does not count.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Weight {
     /// All with this number.
@@ -75,7 +75,7 @@ pub enum Weight {
 }
 
 impl Weight {
-    /// Whether it can be taken for 1 over the standard deviation of the noise.
+    /// True if the weight can be taken for 1 over the standard deviation of the noise.
     pub(crate) fn states_noise(&self) -> bool {
         match self {
             Self::Constant(weight) => *weight != 1.0,
@@ -85,7 +85,7 @@ impl Weight {
     }
 }
 
-/// How large the measurements of an output are.
+/// Scale of the measurements of an output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum OutputScale {
@@ -218,7 +218,7 @@ impl Experiment {
             .collect()
     }
 
-    /// Whether a start value is that of a local parameter.
+    /// True if a start value is that of a local parameter.
     pub(crate) fn is_start_of_local(name: &str, parameters: &[Parameter]) -> bool {
         parameters.iter().any(|p| p.is_local() && p.is_called(name))
     }
@@ -287,8 +287,8 @@ impl Experiment {
         self.inputs.iter().filter(move |(_, source)| *source == lost).map(|(name, _)| name.as_str())
     }
 
-    /// Whether the recording of an input is held where the simulation goes on beyond it, by its first and last values. Else more than
-    /// one sampling interval without it is an error.
+    /// Holds the recordings of inputs at their first and last values where the simulation goes on beyond
+    /// them, if `hold` is true. Else more than one sampling interval without a recording is an error.
     #[must_use]
     pub fn hold_inputs(mut self, hold: bool) -> Self {
         self.hold_inputs = hold;
@@ -303,7 +303,8 @@ impl Experiment {
         self
     }
 
-    /// What a state of the model is at the start: a value, the first measurement, or a parameter of this experiment alone.
+    /// Sets the initial value of a state of the model: a value, the first measurement, or a parameter of this
+    /// experiment alone.
     #[must_use]
     pub fn initial_state(mut self, state: impl Into<String>, initial: impl Into<InitialState>) -> Self {
         self.initial_states.push((state.into(), initial.into()));
@@ -425,10 +426,10 @@ impl Experiment {
     }
 }
 
-/// How the simulations of a fit are made.
+/// Settings of the simulations of a fit.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct SimulationSettings {
-    /// How the model is run; default: by model exchange where it offers that, else by co-simulation.
+    /// Interface of the model; default: model exchange where it offers that, else co-simulation.
     pub kind: fmi::Kind,
     /// Integration method. Default [`ode::Method::Auto`]: the winner of a race between the methods, see
     /// [`Calibration::solver`](crate::Calibration::solver).
@@ -440,11 +441,11 @@ pub struct SimulationSettings {
     pub step_size: Option<f64>,
     /// Largest step of an adaptive method.
     pub max_step: Option<f64>,
-    /// Whether a co-simulation is told the derivatives of its inputs, see
-    /// [`SimulateOptions::input_derivatives`](fmi::SimulateOptions::input_derivatives); default: yes.
+    /// True to give a co-simulation the derivatives of its inputs, see
+    /// [`SimulateOptions::input_derivatives`](fmi::SimulateOptions::input_derivatives); default: true.
     pub input_derivatives: Option<bool>,
-    /// What happens when state events follow each other so closely that time hardly advances; default: the simulation
-    /// counts as failed.
+    /// Policy for state events that follow each other so closely that time hardly advances; default: the
+    /// simulation counts as failed.
     pub chattering: ode::ChatteringPolicy,
     /// Wall-clock limit of one simulation; one that reaches it counts as failed.
     pub timeout: Option<Duration>,

@@ -1,10 +1,10 @@
-//! What is to be said of a setup or of a fit: sentences with a subject, how grave they are, and what to do.
+//! Findings about a setup or a fit: sentences with a subject, a severity, and a remedy.
 
 use crate::visible::visible;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// How grave a finding is.
+/// Severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Severity {
@@ -31,13 +31,13 @@ impl Severity {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Finding {
-    /// How grave it is.
+    /// Severity of the finding.
     pub severity: Severity,
-    /// What it is about: a recording, a column, a variable, a parameter.
+    /// Subject of the finding: a recording, a column, a variable, a parameter.
     pub subject: String,
-    /// What was found, with its numbers.
+    /// Statement of the finding, with its numbers.
     pub sentence: String,
-    /// What to do about it; may be empty.
+    /// Remedy; may be empty.
     pub remedy: String,
 }
 

@@ -1,4 +1,5 @@
-//! What a fit is made from, by name and in words: what a checkpoint belongs to, and what a refusal of one can name.
+//! Identity of the problem of a fit, by name and in words: a checkpoint belongs to one, and a refusal of it
+//! can name the difference.
 
 use crate::experiment::{Experiment, InitialState, Measured, Weight};
 use crate::input::{InputSource, Signal};
@@ -54,7 +55,8 @@ pub(crate) fn identity(problem: &Problem, parameters: &[Parameter]) -> Vec<(Stri
     all
 }
 
-/// What a parameter sets, in which unit, and what is known of it; `None`: it sets the variable of its name.
+/// Target of a parameter, its unit, its prior and its tie, in words; `None`: it sets the variable of its
+/// name.
 fn what_it_sets(parameter: &Parameter) -> Option<String> {
     let bare = Parameter::new(parameter.name(), 0.0);
     let mut words = Vec::new();
@@ -71,7 +73,7 @@ fn what_it_sets(parameter: &Parameter) -> Option<String> {
     (!words.is_empty()).then(|| words.join("; "))
 }
 
-/// What the costs of an experiment depend on, by name and in words.
+/// Data and settings that the costs of an experiment depend on, by name and in words.
 fn of(experiment: &Experiment, parameters: &[Parameter]) -> Vec<(&'static str, String)> {
     let Experiment {
         name: _,

@@ -1,4 +1,4 @@
-//! What drives an input of the model: a column of the recording, a constant, a function of time.
+//! Sources of the inputs of the model: a column of the recording, a constant, a function of time.
 
 use crate::data::{Data, sampling_interval};
 use crate::error::CalibrationError;
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::sync::Arc;
 
-/// What drives an input.
+/// Source of the values of an input.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) enum InputSource {
     /// A column of the recording.

@@ -1,11 +1,11 @@
-//! What each entry of the residual vector stands for.
+//! Layout of the residual vector.
 
 use crate::data::Series;
 use crate::prior::Prior;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
-/// What the residual vector is made of: the measurements, output by output, then the priors.
+/// Layout of the residual vector: the measurements, output by output, then the priors.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct ResidualLayout {
     /// The residuals of the measurements: experiment by experiment, output by output.
@@ -29,9 +29,9 @@ pub struct OutputResiduals {
     pub range: Range<usize>,
     /// Times of the measurements, in s.
     pub times: Series,
-    /// What was measured.
+    /// Measured values.
     pub measured: Series,
-    /// What the differences are multiplied with.
+    /// Weights of the differences.
     pub weights: Series,
 }
 
@@ -40,14 +40,14 @@ pub struct OutputResiduals {
 pub struct PriorResidual {
     /// The parameter: an entry of `x`, counted from 0.
     pub parameter: usize,
-    /// What is known of it.
+    /// Prior of the parameter.
     pub prior: Prior,
     /// Where it stands in the residual vector.
     pub index: usize,
 }
 
 impl ResidualLayout {
-    /// How many residuals belong to measurements; those of the priors follow.
+    /// Number of residuals that belong to measurements; those of the priors follow.
     pub fn n_measurements(&self) -> usize {
         self.outputs.last().map_or(0, |output| output.range.end)
     }

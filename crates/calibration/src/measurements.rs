@@ -1,4 +1,4 @@
-//! Which measurements of an experiment count, with which weights, and when its simulation starts.
+//! Measurements of an experiment that count, their weights, and the start of its simulation.
 
 use crate::data::Series;
 use crate::error::CalibrationError;
@@ -29,7 +29,7 @@ impl Counted {
     }
 }
 
-/// What the simulation of an experiment is compared with.
+/// Measurements that the simulation of an experiment is compared with, and its start.
 #[derive(Debug)]
 pub(crate) struct Measurements {
     /// Where the simulation starts.

@@ -7,14 +7,14 @@ use crate::parameter::{Parameter, Target};
 use fmi::ModelDescription;
 use ode::Number;
 
-/// Whether two names are one variable.
+/// True if two names refer to the same variable.
 fn is_same(description: &ModelDescription, one: &str, other: &str) -> bool {
     let reference = |name: &str| description.variable(name).map(|v| (v.kind, v.value_reference));
     one == other || reference(one).is_some_and(|of| reference(other) == Some(of))
 }
 
 impl Experiment {
-    /// Whether a variable is an output that is compared, or an input that is driven.
+    /// True if a variable is an output that is compared, or an input that is driven.
     fn shifts(&self, variable: &str) -> bool {
         let mut outputs = self.outputs.iter().map(|output| &output.variable);
         outputs.any(|name| name == variable) || self.inputs.iter().any(|(name, _)| name == variable)

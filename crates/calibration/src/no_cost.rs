@@ -54,7 +54,7 @@ pub(crate) enum ToldNoCost {
 }
 
 impl ToldNoCost {
-    /// Whether it tells of the process or its files rather than of the point.
+    /// True if it concerns the process or its files rather than the point.
     pub(crate) fn is_of_process(&self) -> bool {
         match self {
             Self::Over(told) => told.is_of_process(),

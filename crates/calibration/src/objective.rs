@@ -1,4 +1,4 @@
-//! What a fit minimises: the sum of the squared residuals, or another number that they make.
+//! Cost that a fit minimises: the sum of the squared residuals, or another function of them.
 
 use crate::error::CalibrationError;
 use crate::layout::{OutputResiduals, ResidualLayout};
@@ -7,8 +7,9 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::sync::Arc;
 
-/// What a fit minimises. Residuals are simulated minus measured, times weight: with weights of 1/sigma, the inverse of the standard
-/// deviation of the noise, the sum of squares is twice the negative logarithm of the likelihood, up to a constant.
+/// Cost that a fit minimises. Residuals are simulated minus measured, times weight: with weights of 1/sigma,
+/// the inverse of the standard deviation of the noise, the sum of squares is twice the negative logarithm of
+/// the likelihood, up to a constant.
 ///
 /// Sums of squares (a [custom](Self::Custom) one, too) give their residuals to least squares; only the one of the residuals themselves
 /// can be given up early and has a robust loss. All others go to methods that see the cost alone.
@@ -62,9 +63,9 @@ pub struct Compared<'a> {
     pub variable: &'a str,
     /// Times of the measurements, in s.
     pub times: &'a [f64],
-    /// What was measured.
+    /// Measured values.
     pub measured: &'a [f64],
-    /// What was simulated, to rounding.
+    /// Simulated values, to rounding.
     pub simulated: &'a [f64],
 }
 
@@ -130,12 +131,13 @@ impl CostKind {
         }
     }
 
-    /// Whether it is the sum of the squares of the residuals themselves.
+    /// True if the cost is the sum of the squares of the residuals themselves.
     pub fn is_sum_of_squares(&self) -> bool {
         matches!(self, Self::SumOfSquares)
     }
 
-    /// Whether a fit of it has a [worth](crate::Fit::worth): the sum of squares, with a loss too, and the likelihood.
+    /// True if the [uncertainty](crate::Fit::worth) of a fit can be estimated with this cost: the sum of
+    /// squares, with a loss too, and the likelihood.
     pub fn has_worth(&self) -> bool {
         self.is_sum_of_squares() || self.is_likelihood()
     }
@@ -150,7 +152,7 @@ impl CostKind {
         if self.is_likelihood() { 0.5 * n_measurements as f64 } else { cost.abs() }
     }
 
-    /// Whether it is a sum of squares, of which least squares can have the residuals.
+    /// True if the cost is a sum of squares whose residuals are available to least squares.
     pub fn has_residuals(&self) -> bool {
         match self {
             Self::SumOfSquares => true,

@@ -1,4 +1,4 @@
-//! How well each output is reproduced.
+//! Quality of fit of each output.
 
 use crate::calibration::Calibration;
 use crate::layout::{OutputResiduals, ResidualLayout};
@@ -8,7 +8,7 @@ use dfo::RobustLoss;
 use ode::Stats;
 use serde::{Deserialize, Serialize};
 
-/// How well a fit reproduces one output of one experiment.
+/// Quality of fit of one output of one experiment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct OutputFit {
@@ -20,7 +20,7 @@ pub struct OutputFit {
     pub column: String,
     /// The unit of the variable, where the model states it.
     pub unit: Option<String>,
-    /// How many measurements count.
+    /// Number of measurements that count.
     pub n: usize,
     /// Root of the mean squared difference between simulation and measurement, without weights, in the unit of the variable.
     pub rms: f64,
@@ -122,7 +122,8 @@ impl Calibration {
         (at_start.or_else(|| simulated(start)), Some(at_end))
     }
 
-    /// How well each output is reproduced, and was at the start of a fit, from the plain residuals.
+    /// Quality of fit of each output at the end, with the RMS at the start of a fit, from the plain
+    /// residuals.
     pub(crate) fn output_fits_of(&self, at_end: &[f64], at_start: Option<&[f64]>) -> Vec<OutputFit> {
         let of_output = |series: &OutputResiduals| {
             let rms = |residuals: &[f64]| {

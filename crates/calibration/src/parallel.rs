@@ -9,12 +9,12 @@ use std::time::Duration;
 /// Stack of a thread: compiled models put large arrays there.
 const STACK_SIZE: usize = 16 << 20;
 
-/// How often the calling thread asks whether all is to end.
+/// Interval between two checks of the context by the calling thread.
 const POLL: Duration = Duration::from_millis(20);
 
-/// What `task` makes of the numbers below `n`, in their order, on up to `workers` threads; on the calling thread where one is enough
-/// or none can be started. The calling thread looks at the context; a task has one of its own that ends with it, and is not begun
-/// after that. `None`: not begun, or it panicked.
+/// Results of `task` for the numbers below `n`, in their order, on up to `workers` threads; on the calling
+/// thread where one is enough or none can be started. The calling thread looks at the context; a task has one
+/// of its own that ends with it, and is not begun after that. `None`: not begun, or it panicked.
 pub(crate) fn map<T: Send>(
     (n, workers): (usize, usize),
     context: &RunContext<'_>,

@@ -1,4 +1,4 @@
-//! What is fitted: a value with start, bounds and scale, and what it sets in the model.
+//! Parameters of a fit: a value with start, bounds and scale, and its target in the model.
 
 use crate::error::CalibrationError;
 use crate::prior::Prior;
@@ -8,14 +8,14 @@ use fmi::ModelDescription;
 use ode::Number;
 use serde::{Deserialize, Serialize};
 
-/// What a parameter sets.
+/// Target of a parameter.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Target {
     /// These variables of the model, all to the same value: parameters, or start values of variables, of states by their names.
     Variables(Vec<String>),
     /// The delay of an output that is compared, or of an input, in s: `y(t - delay)`.
     Delay(String),
-    /// What is added to an output that is compared, or to an input.
+    /// An offset that is added to an output that is compared, or to an input.
     Offset(String),
 }
 
@@ -28,7 +28,7 @@ pub struct Tie {
     pub factor: f64,
     /// Offset, in the unit of the parameter that is tied.
     pub offset: f64,
-    /// Whether the factor has a unit, so that both may have unlike ones.
+    /// True if the factor has a unit, so that the units of the two parameters may differ.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub across_units: bool,
 }
@@ -134,14 +134,14 @@ impl Parameter {
         self
     }
 
-    /// What reports and figures call it.
+    /// Sets the name in reports and figures.
     #[must_use]
     pub fn display_name(mut self, name: impl Into<String>) -> Self {
         self.display_name = Some(name.into());
         self
     }
 
-    /// What is known of it before the fit.
+    /// Sets the prior: the knowledge of the parameter before the fit.
     #[must_use]
     pub fn prior(mut self, prior: Prior) -> Self {
         self.prior = Some(prior);
@@ -171,8 +171,9 @@ impl Parameter {
         self
     }
 
-    /// What values it takes: any (the default), whole numbers, or whole numbers that stand for choices. Not every method
-    /// searches over the latter two: [`dfo::DifferentialEvolution`] takes integers, [`dfo::Genetic`] both.
+    /// Sets the kind of values: any (the default), whole numbers, or whole numbers that stand for choices.
+    /// Not every method searches over the latter two: [`dfo::DifferentialEvolution`] takes integers,
+    /// [`dfo::Genetic`] both.
     #[must_use]
     pub fn kind(mut self, kind: Kind) -> Self {
         self.kind = kind;
@@ -214,7 +215,7 @@ impl Parameter {
         &self.name
     }
 
-    /// What it sets.
+    /// Target of the parameter.
     pub fn target(&self) -> &Target {
         &self.target
     }
@@ -237,7 +238,7 @@ impl Parameter {
         }
     }
 
-    /// Whether a start value of this name is one of it.
+    /// True if a start value of this name is one of this parameter.
     pub(crate) fn is_called(&self, name: &str) -> bool {
         self.name == name || self.variable_names().iter().any(|variable| variable == name)
     }
@@ -256,12 +257,12 @@ impl Parameter {
         self.unit.as_deref().or_else(of_model)
     }
 
-    /// What reports and figures call it: the display name, or else its name.
+    /// Name in reports and figures: the display name, or else the name of the parameter.
     pub fn shown_name(&self) -> &str {
         self.display_name.as_deref().unwrap_or(&self.name)
     }
 
-    /// What is known of it before the fit.
+    /// Prior of the parameter, if it has one.
     pub fn known_prior(&self) -> Option<&Prior> {
         self.prior.as_ref()
     }
@@ -271,12 +272,12 @@ impl Parameter {
         self.tie.as_ref()
     }
 
-    /// Whether it is tied to another one, and no entry of the vectors of values.
+    /// True if the parameter is tied to another one, and no entry of the vectors of values.
     pub fn is_tied(&self) -> bool {
         self.tie.is_some()
     }
 
-    /// Whether each experiment has a value of its own.
+    /// True if each experiment has a value of its own.
     pub fn is_local(&self) -> bool {
         self.local
     }
@@ -311,12 +312,12 @@ impl Parameter {
         self.nominal
     }
 
-    /// What values it takes.
+    /// Kind of values.
     pub fn value_kind(&self) -> Kind {
         self.kind
     }
 
-    /// Whether it is held.
+    /// True if the parameter is held.
     pub fn is_fixed(&self) -> bool {
         self.fixed
     }

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicU8, Ordering};
 
-/// What a fit does.
+/// Phase of a fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum FitPhase {
@@ -24,7 +24,7 @@ impl FitPhase {
     const ALL: [Self; 6] =
         [Self::Solver, Self::ModelTest, Self::Preflight, Self::Search, Self::Checks, Self::Worth];
 
-    /// What is said of it while it lasts.
+    /// Name of the phase, for messages while it lasts.
     pub fn name(self) -> &'static str {
         match self {
             Self::Solver => "choosing a solver",

@@ -23,14 +23,14 @@ const TOO_NARROW: f64 = 0.25;
 /// A principal axis with less than this part of the largest variance is rounding.
 const ROUNDING: f64 = 1e-12;
 
-/// How a prediction band is made.
+/// Options of a prediction band.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BandOptions {
     /// Times of the predictions in s, ascending; default: those of the measurements.
     pub times: Option<Vec<f64>>,
     /// The probability that an interval shall hold; default 0.95.
     pub level: f64,
-    /// Whether autocorrelated residuals are taken account of, as [`Worth::covariance`] does; default yes.
+    /// True to correct for autocorrelated residuals, as [`Worth::covariance`] does; default: true.
     pub is_corrected: bool,
     /// Only these outputs; default: all that are compared.
     pub outputs: Option<Vec<String>>,

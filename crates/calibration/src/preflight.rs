@@ -30,7 +30,7 @@ const CONFOUNDED: f64 = 0.95;
 /// of the Furuta pendulum and the quadruple tank take.
 const EVALUATIONS: usize = 12;
 
-/// How a [preflight](Calibration::preflight) is made.
+/// Options of a [preflight](Calibration::preflight).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct PreflightOptions {
@@ -38,11 +38,11 @@ pub struct PreflightOptions {
     pub start: Option<Vec<f64>>,
     /// Simulations that run at once; default: all cores.
     pub workers: Option<usize>,
-    /// What a residual counts.
+    /// Loss function: the contribution of a residual to the cost.
     pub loss: RobustLoss,
 }
 
-/// What was found before a fit. `Display` prints a table.
+/// Result of a preflight. `Display` prints a table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Preflight {
@@ -67,13 +67,13 @@ pub struct Preflight {
     pub expected_seconds: f64,
     /// Evaluations that may run at once.
     pub workers: usize,
-    /// What is to be said, in sentences; empty if nothing is.
+    /// Findings in sentences; empty if there are none.
     pub messages: Vec<String>,
     /// Points that were simulated.
     pub n_simulations: usize,
 }
 
-/// What moving one parameter did.
+/// Effect of moving one parameter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct ParameterCheck {
@@ -86,7 +86,7 @@ pub struct ParameterCheck {
     /// Root of the mean squared change of the residuals for a step of the parameter's size (see [`Parameter::nominal`]), relative to the
     /// root of the mean squared range of the measurements; `None` where nothing was moved or the simulation failed.
     pub sensitivity: Option<f64>,
-    /// Whether it moves an output by more than the error of the simulations.
+    /// True if the parameter moves an output by more than the error of the simulations.
     pub has_effect: bool,
     /// Why the simulation failed.
     pub failure: Option<String>,

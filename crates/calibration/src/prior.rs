@@ -1,9 +1,9 @@
-//! What is known of a parameter before the fit: one more residual, beside those of the measurements.
+//! Priors: knowledge of a parameter before the fit, as one more residual, beside those of the measurements.
 
 use ode::Number;
 use serde::{Deserialize, Serialize};
 
-/// What is known of a parameter before the fit.
+/// Knowledge of a parameter before the fit.
 ///
 /// It adds one residual, in units of its own standard deviation, so that the sum of squares is twice the negative logarithm of the
 /// posterior density (but for a constant) where the residuals of the measurements are in units of theirs: by weights of
@@ -45,7 +45,7 @@ impl Prior {
         }
     }
 
-    /// What is wrong with its numbers.
+    /// Description of the fault of its numbers; `None`: there is none.
     pub(crate) fn problem(&self) -> Option<String> {
         let is_positive = |value: f64| value.is_finite() && value > 0.0;
         match *self {

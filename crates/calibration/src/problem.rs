@@ -1,4 +1,4 @@
-//! What is fitted to what, as plain data: it can be stored, and sent to other processes.
+//! Problem of a fit as plain data: it can be stored, and sent to other processes.
 
 use crate::data::{UnitConversion, UnitError};
 use crate::error::CalibrationError;
@@ -26,11 +26,11 @@ pub struct ModelFile {
 pub struct Problem {
     /// The model.
     pub model: ModelFile,
-    /// What is fitted, as the user named it: a [local](Parameter::local) parameter stands here once.
+    /// Parameters of the fit, as the user named them: a [local](Parameter::local) parameter stands here once.
     pub parameters: Vec<Parameter>,
     /// The terms of the cost, in the order of their residuals.
     pub experiments: Vec<Experiment>,
-    /// How simulations are made.
+    /// Settings of the simulations.
     pub settings: SimulationSettings,
 }
 

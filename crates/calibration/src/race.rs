@@ -24,7 +24,7 @@ const MOST_WORK: f64 = 20.0;
 /// Who competes with [`Method::Auto`] where the system is stiff.
 const STIFF: [Method; 2] = [Method::Bdf, Method::Radau5];
 
-/// What is to be simulated in a race.
+/// Simulation to be made in a comparison of methods.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct RaceTask {
@@ -36,14 +36,14 @@ pub struct RaceTask {
     pub max_work: Option<f64>,
 }
 
-/// How a simulation of a race ended.
+/// Outcome of a simulation in a comparison of methods.
 #[derive(Debug, Clone, PartialEq)]
 pub enum RaceOutcome {
     /// Well.
     Finished {
         /// The samples, row by row, all of their outputs one after the other.
         samples: Vec<f64>,
-        /// What it took. (Of several simulations: the sum.)
+        /// Statistics of the simulation. (Of several simulations: the sum.)
         stats: Stats,
     },
     /// It was given up at the limit of its work.
@@ -55,7 +55,7 @@ pub enum RaceOutcome {
 /// A simulation of a race, with its residuals and the seconds that they took where it is an evaluation as well.
 pub(crate) type RaceRun = (RaceOutcome, Option<(Vec<f64>, f64)>);
 
-/// What became of a method in a race.
+/// Outcome of a method in a comparison.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Verdict {
@@ -79,7 +79,7 @@ pub struct Entry {
     /// Its work in equivalents of a right-hand side; of one that was given up: what it had done then, at least. `None`: it
     /// failed.
     pub work: Option<f64>,
-    /// What became of it.
+    /// Outcome of the method in the comparison.
     pub verdict: Verdict,
 }
 
@@ -133,7 +133,7 @@ impl Tolerance<'_> {
 /// ```
 ///
 /// # Errors
-/// What `run` returns as one: when the race is to be given up altogether.
+/// Errors of `run`, which end the race.
 pub fn race<E>(
     relative_tolerance: f64,
     absolute: &[f64],

@@ -18,14 +18,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// What a worker has to know of a calibration.
+/// Data of a calibration that a worker loads.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Loaded {
     pub(crate) problem: Problem,
     pub(crate) options: OpenOptions,
 }
 
-/// What a worker is asked for.
+/// Request to a worker.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) enum Job {
     /// To load a problem and its model, which the other jobs are of.
@@ -68,7 +68,7 @@ pub(crate) struct Evaluated {
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Raced {
     pub(crate) outcome: RacedOutcome,
-    /// What all its simulations have taken.
+    /// Statistics of all its simulations.
     pub(crate) stats: Stats,
     /// Number of residuals, and the seconds that they took.
     pub(crate) at_start: Option<(usize, f64)>,
@@ -82,7 +82,7 @@ pub(crate) enum RacedOutcome {
     Failed(String),
 }
 
-/// Which process answers a question.
+/// Process that answers a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Asked {
     /// Any that has loaded the problem.
@@ -93,7 +93,7 @@ pub(crate) enum Asked {
     Fresh,
 }
 
-/// What is said where the answers depend on what a process was asked before.
+/// Message where the answers depend on earlier requests to a process.
 pub(crate) const HIDDEN_STATE: &str = "a cost depends on what ran before it in the same process (a state that the model keeps and no variable shows): each \
                                        evaluation has a process of its own";
 
@@ -108,7 +108,7 @@ struct Processes {
     load: Arc<Load>,
     /// Each question has a process of its own.
     is_always_fresh: AtomicBool,
-    /// Whether answers depend on earlier questions has been looked at.
+    /// True after the test for answers that depend on earlier requests.
     is_checked: AtomicBool,
     /// The first question that was to be checked, and the numbers of its answer.
     first: Mutex<Option<(Frame, Vec<f64>)>>,
@@ -271,7 +271,7 @@ impl Remote {
         self.processes.is_always_fresh.store(true, Ordering::Relaxed);
     }
 
-    /// Whether each point is evaluated in a process of its own.
+    /// True if each point is evaluated in a process of its own.
     pub(crate) fn is_always_fresh(&self) -> bool {
         self.processes.is_always_fresh.load(Ordering::Relaxed)
     }

@@ -8,8 +8,8 @@ use dfo::RobustLoss;
 use ode::{Observer, Sample};
 use std::ops::ControlFlow;
 
-/// What the simulation of an experiment is compared with, in the order of its residuals: output by output, each in the order of
-/// time.
+/// Measurements that the simulation of an experiment is compared with, in the order of its residuals: output
+/// by output, each in the order of time.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Comparison {
     outputs: Vec<Counted>,
@@ -35,7 +35,7 @@ impl Comparison {
         Self { begins: std::iter::once(0).chain(begins).collect(), outputs: outputs.to_vec() }
     }
 
-    /// How many residuals there are.
+    /// Number of residuals.
     pub(crate) fn n_residuals(&self) -> usize {
         self.begins[self.outputs.len()]
     }
@@ -90,7 +90,7 @@ impl Comparison {
         self.outputs.iter().enumerate().map(of_output).collect()
     }
 
-    /// What stands in the residual vector, output by output, from position `offset` on.
+    /// Layout of the residual vector, output by output, from position `offset` on.
     pub(crate) fn layout(&self, offset: usize) -> Vec<OutputResiduals> {
         let of_output = |(output, counted): (usize, &Counted)| OutputResiduals {
             experiment: 0,
@@ -113,7 +113,7 @@ impl Schedule {
     }
 }
 
-/// What a residual counts, and when an evaluation is given up.
+/// Loss function of the residuals, and the conditions that end an evaluation.
 #[derive(Clone, Copy)]
 pub(crate) struct CostRule<'a> {
     /// Residuals are what it makes of the plain ones.
@@ -142,7 +142,7 @@ pub(crate) fn sum_of_squares(residuals: &[f64]) -> f64 {
 pub(crate) struct Accumulator<'a> {
     comparison: &'a Comparison,
     schedule: &'a Schedule,
-    /// What is added to each output.
+    /// Offset that is added to each output.
     offsets: &'a [f64],
     rule: CostRule<'a>,
     /// The sum so far; starts with what earlier experiments have left.
@@ -178,7 +178,7 @@ impl<'a> Accumulator<'a> {
         Self { comparison, schedule, offsets, rule, sum, seen: 0, next, out, stop: None }
     }
 
-    /// Whether every requested time has been delivered.
+    /// True if every requested time has been delivered.
     pub(crate) fn is_complete(&self) -> bool {
         self.seen == self.schedule.times.len()
     }

@@ -1,4 +1,5 @@
-//! How an experiment is simulated: its plan, what the entries of `x` set in it, and what it is compared with.
+//! Simulation of an experiment: its plan, the assignment of the entries of `x`, and the comparison with
+//! measurements.
 
 use crate::assignment::{Affine, Assignments, initial_values};
 use crate::data::Series;
@@ -17,7 +18,7 @@ use std::cmp::Ordering;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-/// How an experiment is simulated and compared.
+/// Simulation of an experiment and its comparison with measurements.
 #[derive(Debug)]
 pub(crate) struct Simulation {
     /// The name of the experiment.
@@ -142,7 +143,7 @@ impl Simulation {
         }
     }
 
-    /// What is added to each output at `x`.
+    /// Offset that is added to each output at `x`.
     pub(crate) fn output_offsets(&self, x: &[f64]) -> Vec<f64> {
         self.assigned.outputs.iter().map(|(_, offset)| offset.in_model(x)).collect()
     }
@@ -191,8 +192,8 @@ impl Simulation {
         simulator.run(&self.values(x), observer)
     }
 
-    /// How these variables of the model are recorded at `x`, as they are, at the measured times or those given; without the values of
-    /// [`named_values`](Self::named_values).
+    /// Options to record these variables of the model at `x`, as they are, at the measured times or those
+    /// given; without the values of [`named_values`](Self::named_values).
     pub(crate) fn recording(
         &self,
         (x, method): (&[f64], Method),

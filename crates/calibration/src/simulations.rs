@@ -48,7 +48,7 @@ pub(crate) type Found = Result<Vec<f64>, String>;
 pub(crate) struct Simulations<'a> {
     pub(crate) calibration: &'a Calibration,
     pub(crate) loss: RobustLoss,
-    /// How many run at once.
+    /// Number of simulations that run at once.
     pub(crate) workers: usize,
     /// Asked on the calling thread.
     pub(crate) context: RunContext<'a>,
@@ -106,8 +106,8 @@ impl<'a> Simulations<'a> {
 }
 
 impl Calibration {
-    /// Whether a cost is that of residuals within ten relative tolerances of the measurements: all error of the simulations, or nearly
-    /// so.
+    /// True if a cost is that of residuals within ten relative tolerances of the measurements: all error of
+    /// the simulations, or nearly so.
     pub(crate) fn is_within_tolerance(&self, cost: f64) -> bool {
         let weighted = self.residual_layout().outputs.iter().flat_map(|o| o.measured.iter().zip(&o.weights));
         let measured: f64 = weighted.map(|(y, w)| (y * w) * (y * w)).sum();
@@ -120,7 +120,7 @@ impl Calibration {
         self.evaluator().simulations[0].pool.plan().relative_tolerance()
     }
 
-    /// Whether its simulations have a fixed step.
+    /// True if the simulations of the calibration have a fixed step.
     pub(crate) fn has_fixed_step(&self) -> bool {
         let plan = self.evaluator().simulations[0].pool.plan();
         plan.kind() == InterfaceKind::ModelExchange && self.problem().settings.method.is_fixed_step()

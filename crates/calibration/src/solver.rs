@@ -1,4 +1,5 @@
-//! Which method integrates the simulations of a calibration: the one that was named, or the winner of a race.
+//! Choice of the method that integrates the simulations of a calibration: the one that was named, or the best
+//! of a comparison.
 
 use crate::error::CalibrationError;
 use crate::evaluate::Evaluator;
@@ -40,7 +41,7 @@ pub(crate) struct Chosen {
     pools: Vec<Pool>,
 }
 
-/// What the evaluation at the parameters' start values gave that was part of a race.
+/// Evaluation at the parameters' start values that was part of a comparison of methods.
 #[derive(Debug, Clone)]
 pub(crate) struct AtStart {
     /// The residuals, without a loss.

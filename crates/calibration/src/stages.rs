@@ -445,7 +445,7 @@ impl Calibration {
     }
 }
 
-/// Whether this is what the name of a local parameter ends with in an experiment.
+/// True for the suffix of the name of a local parameter in an experiment.
 fn is_in_experiment(rest: &str) -> bool {
     rest.starts_with('[') && rest.ends_with(']')
 }

@@ -1,4 +1,5 @@
-//! How well fitted parameters reproduce what they were not fitted to: other parts of the recordings, or other recordings.
+//! Validation of fitted parameters on data that they were not fitted to: other parts of the recordings, or
+//! other recordings.
 
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
@@ -18,7 +19,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 use std::fmt;
 
-/// What a fit is validated on.
+/// Data that a fit is validated on.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ValidationSet {
     /// The measurements of the calibration in these windows, each from and to a time in s. Simulations start where they always do, so
@@ -28,7 +29,7 @@ pub enum ValidationSet {
     Experiments(Vec<Experiment>),
 }
 
-/// How well parameters reproduce measurements that they were not fitted to. `Display` prints a table.
+/// Validation of parameters on measurements that they were not fitted to. `Display` prints a table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Validation {
@@ -38,7 +39,7 @@ pub struct Validation {
     pub x: Vec<f64>,
     /// Each output of each experiment, in the order of the residual vector.
     pub outputs: Vec<ValidatedOutput>,
-    /// How many measurements count.
+    /// Number of measurements that count.
     pub n: usize,
     /// Root of the mean squared weighted residual, plain ones with a loss, too.
     pub rms: f64,
@@ -49,7 +50,7 @@ pub struct Validation {
     pub findings: Vec<Finding>,
     /// Simulations that were made.
     pub n_simulations: usize,
-    /// What they took; not stored.
+    /// Statistics of the simulations; not stored.
     #[serde(skip)]
     pub stats: Stats,
 }
@@ -58,11 +59,11 @@ pub struct Validation {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct ValidatedOutput {
-    /// How well it is reproduced.
+    /// Quality of fit of the output.
     pub fit: OutputFit,
     /// Times of the measurements, in s.
     pub times: Vec<f64>,
-    /// What was measured.
+    /// Measured values.
     pub measured: Vec<f64>,
     /// Simulated minus measured, without weights.
     pub residuals: Vec<f64>,
@@ -71,7 +72,7 @@ pub struct ValidatedOutput {
 }
 
 impl ValidatedOutput {
-    /// What was simulated at the times of the measurements.
+    /// Simulated values at the times of the measurements.
     pub fn simulated(&self) -> Vec<f64> {
         self.measured.iter().zip(&self.residuals).map(|(m, r)| m + r).collect()
     }

@@ -2,8 +2,8 @@
 
 use std::borrow::Cow;
 
-/// Whether a character is not shown, but changes what is: control characters but the line break and the tabulator, and those that set
-/// the direction of text (Unicode Standard Annex 9, section 2).
+/// True for a character that is not shown, but changes those that are: control characters but the line break
+/// and the tabulator, and those that set the direction of text (Unicode Standard Annex 9, section 2).
 fn is_hidden(c: char) -> bool {
     (c.is_control() && c != '\n' && c != '\t')
         || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')

@@ -1,4 +1,4 @@
-//! What a setup leaves in doubt: it can be evaluated, but perhaps it is not what was meant.
+//! Warnings about a setup: it can be evaluated, but perhaps it is not what was meant.
 
 use crate::data::{ClockChange, UnitError, parts};
 use crate::experiment::{Experiment, Weight};
@@ -52,17 +52,17 @@ pub enum SetupWarning {
     },
     /// A setting that is ignored; the sentence says which, and why.
     NoEffect(String),
-    /// What is in doubt about one of several experiments.
+    /// Warning about one of several experiments.
     Experiment {
         /// Its name.
         name: String,
-        /// What is in doubt.
+        /// Warning about this experiment.
         warning: Box<SetupWarning>,
     },
 }
 
 impl SetupWarning {
-    /// How grave it is.
+    /// Severity of the warning.
     pub fn severity(&self) -> Severity {
         match self {
             Self::Converted { .. } => Severity::Note,

@@ -105,7 +105,7 @@ fn not_loaded() -> FmiError {
     FmiError::BadSetting { problem }
 }
 
-/// What a job gives.
+/// Result of a job.
 fn done(
     calibration: &Calibration,
     job: Job,

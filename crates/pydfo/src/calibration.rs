@@ -34,7 +34,7 @@ use std::time::{Duration, Instant};
 #[pyclass(frozen, module = "pydfo._core", name = "Calibration")]
 pub(crate) struct PyCalibration {
     pub(crate) inner: Arc<calibration::Calibration>,
-    /// How long the last evaluation took, in ns; 0: there was none.
+    /// Duration of the last evaluation in ns; 0 before the first one.
     last: Arc<AtomicU64>,
     /// The functions of time that drive inputs.
     callbacks: Callbacks,
@@ -156,7 +156,7 @@ pub(crate) fn give_functions(problem: &mut Problem, functions: SignalFunctions) 
     callbacks
 }
 
-/// What a fit is asked for beside the options of its run.
+/// Options of a fit beside those of its run.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 struct FitFields {
@@ -292,7 +292,7 @@ impl PyCalibration {
         self.inner.tied_values(&x)
     }
 
-    /// What is set in the model, by variable, in the simulation of an experiment.
+    /// Variables that are set in the model at `x` in the simulation of an experiment, and their values.
     fn model_values(&self, experiment: usize, x: Vec<f64>) -> Vec<(String, f64)> {
         self.inner.model_values(experiment, &x)
     }
@@ -307,7 +307,7 @@ impl PyCalibration {
         self.inner.problem().experiment_names()
     }
 
-    /// What may not be meant as it was given, without notes.
+    /// Warnings about the setup, without notes.
     fn warnings(&self) -> Vec<String> {
         let warnings = self.inner.warnings().iter();
         warnings
@@ -491,7 +491,8 @@ impl PyCalibration {
     }
 }
 
-/// Whether it was estimated; per variable its standard deviation and whether that is known from residuals; rounds; whether it settled.
+/// True if the noise was estimated; per variable its standard deviation, and true if that is known from
+/// residuals; number of rounds; true if the estimates settled.
 type NoiseFields = (bool, Vec<(String, f64, bool)>, usize, bool);
 
 fn noise_fields(noise: &FitNoise) -> NoiseFields {

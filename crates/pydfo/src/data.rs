@@ -44,7 +44,8 @@ pub(crate) fn date_seconds<'py>(
     }
 }
 
-/// What is said about an hour that is missing in times without a zone, in s, of which the first is `start` in s since 1970.
+/// Change of clocks (an hour that is missing or doubled) in times without a zone, in s, of which the first is
+/// `start` in s since 1970; `None` if there is none.
 #[pyfunction]
 pub(crate) fn clock_change(start: f64, times: PyReadonlyArray1<'_, f64>) -> PyResult<Option<Change>> {
     match calibration::clock_change(start, times.as_slice()?) {

@@ -120,7 +120,7 @@ impl Fmu {
         Ok(Self { fmu: fmu.map_err(|e| fmu_error::raise(py, &e))? })
     }
 
-    /// How instances are brought back to their beginning between simulations; None before it was tried.
+    /// Way in which instances are reset between simulations; None before it was tried.
     fn reuse(&self, kind: &str) -> Option<&'static str> {
         Some(match self.fmu.reuse_of(interface(kind))? {
             Reuse::Restore => "restore",
@@ -195,7 +195,7 @@ impl Fmu {
         variables.filter(|v| v.causality.to_string() == causality).map(|v| v.name.as_str()).collect()
     }
 
-    /// Whether there is a variable of this name.
+    /// True if there is a variable of this name.
     fn has(&self, name: &str) -> bool {
         self.description().variable_index(name).is_some()
     }

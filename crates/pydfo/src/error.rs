@@ -131,7 +131,8 @@ pub(crate) fn interrupted(py: Python<'_>, result: Option<&Bound<'_, PyAny>>, cau
     }
 }
 
-/// How a run ends for the user: an interrupt outranks an exception, an exception a result; both carry the result.
+/// Result of a run, or the exception that ends it: an interrupt takes precedence over an exception, an
+/// exception over a result; both carry the result.
 pub(crate) fn ended<'py>(
     py: Python<'py>,
     stop: &EndRequest,

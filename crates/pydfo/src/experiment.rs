@@ -65,7 +65,7 @@ pub(crate) struct ExperimentFields {
     hold_inputs: bool,
 }
 
-/// What the residuals of an output are multiplied with.
+/// Weight of the residuals of an output.
 #[derive(FromPyObject)]
 enum WeightFields {
     #[pyo3(transparent)]
@@ -79,7 +79,7 @@ enum WeightFields {
     Rows(Vec<f64>),
 }
 
-/// What drives an input.
+/// Source of the values of an input.
 #[derive(FromPyObject)]
 enum InputFields {
     #[pyo3(transparent)]
@@ -90,7 +90,7 @@ enum InputFields {
     Function(Py<PyAny>),
 }
 
-/// What a state is at the start.
+/// Initial value of a state.
 // It lives as long as it is read.
 #[allow(clippy::large_enum_variant)]
 #[derive(FromPyObject)]

@@ -18,7 +18,7 @@ impl PyFit {
         self.inner.start.clone()
     }
 
-    /// What reports and figures call the parameters.
+    /// Names of the parameters in reports and figures.
     #[getter]
     fn shown_names(&self) -> Vec<String> {
         self.inner.shown_names().to_vec()

@@ -1,4 +1,4 @@
-//! What a fit found, for people: as text, as a part of a notebook, and as a page.
+//! Results of a fit for display: as text, as a part of a notebook, and as a page.
 
 use crate::error;
 use crate::findings::{self, FindingFields};
@@ -19,7 +19,7 @@ pub(crate) fn fit_text(fit: &PyFit) -> String {
     fit.inner.to_string()
 }
 
-/// What is to be said of a fit, the gravest first.
+/// Findings about a fit, the most severe first.
 #[pyfunction]
 pub(crate) fn fit_findings(fit: &PyFit) -> Vec<FindingFields> {
     findings::fields(fit.inner.findings())
@@ -67,7 +67,7 @@ fn signal<'py>(py: Python<'py>, signal: Signal) -> PyResult<Bound<'py, PyDict>> 
     Ok(fields)
 }
 
-/// What is to be drawn of a fit, per experiment.
+/// Curves of a fit to be drawn, per experiment.
 #[pyfunction]
 pub(crate) fn fit_curves<'py>(py: Python<'py>, fit: &PyFit) -> PyResult<Vec<Bound<'py, PyDict>>> {
     let experiments = simulated(py, fit, Calibration::curves)?;
@@ -91,8 +91,8 @@ pub(crate) fn fit_curves<'py>(py: Python<'py>, fit: &PyFit) -> PyResult<Vec<Boun
     experiments.into_iter().map(experiment).collect()
 }
 
-/// What a relative change of each parameter makes of each output: per output its name, its times, and a row per parameter. Empty:
-/// not known.
+/// Changes of each output for a relative change of each parameter: per output its name, its times, and a row
+/// per parameter. Empty: not known.
 #[pyfunction]
 pub(crate) fn fit_sensitivities<'py>(py: Python<'py>, fit: &PyFit) -> PyResult<Vec<Bound<'py, PyDict>>> {
     let names = fit.calibration.problem().experiment_names();
@@ -111,10 +111,10 @@ pub(crate) fn fit_sensitivities<'py>(py: Python<'py>, fit: &PyFit) -> PyResult<V
     layout.iter().zip(all).map(output).collect()
 }
 
-/// How well an output is reproduced: experiment, variable, column, unit, n, RMS, RMS at the start, fit percentage.
+/// Quality of fit of an output: experiment, variable, column, unit, n, RMS, RMS at the start, fit percentage.
 type Output = (String, String, String, Option<String>, usize, f64, Option<f64>, f64);
 
-/// How well each output is reproduced.
+/// Quality of fit of each output.
 #[pyfunction]
 pub(crate) fn fit_outputs(fit: &PyFit) -> Vec<Output> {
     let output = |o: &calibration::OutputFit| {

@@ -26,11 +26,11 @@ pub(crate) fn state(calibration: &Calibration) -> PyResult<Vec<u8>> {
     encoded(&(calibration.problem(), calibration.known_solver()))
 }
 
-/// What `_evaluate.Futures` gives: the point's number, the seconds that it took, what came of it, and what is wrong with the
-/// executor instead: "", "lost" (this point), "broken".
+/// Answer of `_evaluate.Futures`: number of the point, time of the evaluation in s, its outcome, and the
+/// fault of the executor: "" (none), "lost" (this point), "broken".
 type Ended = (u64, f64, Py<PyAny>, String);
 
-/// What polling gave.
+/// Result of polling.
 enum Taken {
     Value {
         id: u64,
@@ -59,7 +59,7 @@ struct Futures {
     stop: Arc<EndRequest>,
     width: usize,
     under_way: HashMap<u64, Vec<f64>>,
-    /// What the executor did not take.
+    /// Points that the executor refused, and the exceptions.
     refused: VecDeque<(u64, PyErr)>,
 }
 
@@ -188,7 +188,7 @@ impl Evaluator for PyEvaluator<'_> {
         self.objective.gives_up()
     }
 
-    /// What an executor has begun it ends without us.
+    /// Always true: an executor finishes without this evaluator what it has begun.
     fn leave(&mut self) -> bool {
         true
     }

@@ -58,12 +58,12 @@ impl Callbacks {
         callback
     }
 
-    /// Whether there is none.
+    /// True if there is no callback.
     pub(crate) fn is_empty(&self) -> bool {
         self.all.is_empty()
     }
 
-    /// Whether one of them has raised an exception.
+    /// True if a callback has raised an exception.
     pub(crate) fn has_raised(&self) -> bool {
         self.all.iter().any(|callback| lock(&callback.raised).is_some())
     }

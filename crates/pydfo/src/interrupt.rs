@@ -20,10 +20,10 @@ use std::sync::mpsc::{RecvTimeoutError, Sender, TryRecvError, channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// How long the calling thread waits at most before it looks for signals.
+/// Longest time that the calling thread waits before it checks for signals.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// How often the calling thread may show how far the work is.
+/// Shortest time between two reports of progress on the calling thread.
 const TICK: Duration = Duration::from_millis(250);
 
 /// Work that took less than this the last time is done on the calling thread: handing it to another one takes up to 0.5 ms.
@@ -33,7 +33,8 @@ const SHORT: Duration = Duration::from_millis(50);
 /// interpreter has used some.
 const LEAST_STACK: usize = 7 << 20;
 
-/// Whether work that took this long the last time (`None`: it was never done) can be done on the calling thread.
+/// True if work that took this long the last time (`None`: it was never done) can be done on the calling
+/// thread.
 pub(crate) fn fits_here(last: Option<Duration>) -> bool {
     last.is_some_and(|took| took < SHORT)
         && stacker::remaining_stack().is_some_and(|left| left >= LEAST_STACK)
@@ -45,7 +46,7 @@ const POLLS_PER_READING: u32 = 16;
 /// ... unless so many take longer than this: then the clock is read at each.
 const SLOW: Duration = Duration::from_millis(1);
 
-/// Whether [`POLL_INTERVAL`] is over, asked before every step.
+/// Timer of [`POLL_INTERVAL`], checked before every step.
 struct PollClock {
     start: Instant,
     polls: Cell<u32>,
@@ -90,7 +91,7 @@ pub(crate) struct EndRequest {
     asked: AtomicU32,
     /// The work that this one is part of.
     parent: Option<Arc<EndRequest>>,
-    /// What a signal handler of the user's raised.
+    /// Exception raised by a signal handler of the user.
     raised: Mutex<Option<PyErr>>,
 }
 
@@ -101,7 +102,7 @@ impl EndRequest {
         Arc::clone(&self.flag)
     }
 
-    /// Whether the user, or the work around this one, wants it to end.
+    /// True if the user, or the work around this one, has requested its end.
     pub(crate) fn is_asked(&self) -> bool {
         if self.asked.load(Ordering::Relaxed) > 0 {
             return true;
@@ -113,7 +114,7 @@ impl EndRequest {
         by_parent
     }
 
-    /// Whether this is part of other work, whose end must be looked for.
+    /// True if this is part of other work, whose end must be checked for.
     pub(crate) fn has_parent(&self) -> bool {
         self.parent.is_some()
     }
@@ -202,13 +203,13 @@ impl Signals {
         self.module.bind(py).call_method1(intern!(py, "signal"), (&self.sigint, handler)).map(drop)
     }
 
-    /// Whether it is Python's own handler, which raises KeyboardInterrupt.
+    /// True if `handler` is Python's own, which raises KeyboardInterrupt.
     fn is_raising(&self, handler: &Bound<'_, PyAny>) -> bool {
         handler.is(&self.raising)
     }
 }
 
-/// What we install for SIGINT.
+/// Signal handler that is installed for SIGINT.
 #[pyclass(frozen, module = "pydfo._core", name = "_SigintHandler")]
 pub(crate) struct SigintHandler {
     active: Mutex<Vec<Arc<EndRequest>>>,
@@ -284,7 +285,8 @@ impl<'py> Watch<'py> {
         &self.stop
     }
 
-    /// What is raised where the work was ended: what a handler of signals has raised, else KeyboardInterrupt.
+    /// Exception to raise where the work was ended: the one raised by a signal handler, else
+    /// KeyboardInterrupt.
     pub(crate) fn interrupted(&self) -> PyErr {
         self.stop.take_raised().unwrap_or_else(|| PyKeyboardInterrupt::new_err(()))
     }

@@ -12,11 +12,11 @@ use std::sync::{Arc, Mutex};
 /// A Python function `f(x) -> float`, or `f(x, *, cutoff) -> float | Above`, or one that returns a vector of residuals.
 pub(crate) struct PyObjective {
     function: Py<PyAny>,
-    /// Whether an exception counts as a failed evaluation instead of ending the run.
+    /// True if an exception counts as a failed evaluation instead of ending the run.
     tolerant: bool,
-    /// Whether it is told the cutoff, and may return `Above`.
+    /// True if the function receives the cutoff, and may return `Above`.
     takes_cutoff: bool,
-    /// What the residuals count; `None`: the function returns a cost.
+    /// Loss function of the residuals; `None`: the function returns a cost.
     loss: Option<RobustLoss>,
     stop: Arc<EndRequest>,
     /// Exceptions, by the points at which they were raised: the run ends with that of the first point of its path.
@@ -33,7 +33,7 @@ impl PyObjective {
         Self { function, tolerant, takes_cutoff, loss, stop, raised: Mutex::default() }
     }
 
-    /// Whether costs above the cutoff count as given up.
+    /// `GivesUp::Yes` if costs above the cutoff count as given up.
     pub(crate) fn gives_up(&self) -> GivesUp {
         if self.takes_cutoff { GivesUp::Yes } else { GivesUp::No }
     }
@@ -59,7 +59,7 @@ impl PyObjective {
         Outcome::Abort(message)
     }
 
-    /// What a call of the user's function means; residuals, if it returns such, go to `out`.
+    /// Outcome of a call of the user's function; residuals, if it returns such, go to `out`.
     fn outcome(
         &self,
         py: Python<'_>,
@@ -95,7 +95,7 @@ impl PyObjective {
         }
     }
 
-    /// What an answer means that came as a value: a cost, residuals, or the exception that was raised.
+    /// Fills `answer` from a returned value: a cost, residuals, or the exception that was raised.
     pub(crate) fn answer_from<'py>(
         &self,
         py: Python<'py>,
@@ -195,7 +195,7 @@ fn bits(x: &[f64]) -> Vec<u64> {
     x.iter().map(|v| v.to_bits()).collect()
 }
 
-/// Whether a function returned `pydfo.Above`.
+/// True if a function returned `pydfo.Above`.
 fn is_above(value: &Bound<'_, PyAny>) -> bool {
     let class = || value.py().import("pydfo._optimizer")?.getattr("Above");
     !value.is_instance_of::<PyFloat>() && class().and_then(|class| value.is_instance(&class)).unwrap_or(false)

@@ -17,7 +17,7 @@ use std::sync::Mutex;
 pub(crate) struct PyOptimizer {
     inner: Mutex<dfo::Optimizer>,
     n: usize,
-    /// Whether the method wants residuals.
+    /// True if the method needs residuals.
     of_residuals: bool,
 }
 

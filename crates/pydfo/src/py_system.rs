@@ -35,7 +35,7 @@ pub(crate) enum JacobianSource<'py> {
 
 /// A Jacobian that is a sparse matrix.
 pub(crate) struct SparseJacobian<'py> {
-    /// What gives it; None: it is constant.
+    /// Function that returns the Jacobian; None: it is constant.
     pub(crate) function: Option<Bound<'py, PyAny>>,
     /// Row, column and value, if it is constant.
     pub(crate) entries: Vec<(usize, usize, f64)>,
@@ -104,7 +104,7 @@ impl<'py> PySystem<'py> {
         })
     }
 
-    /// What the user knows the equations by.
+    /// Name of the user's function of the equations: "residual" or "rhs".
     pub(crate) fn rhs_name(&self) -> &'static str {
         if self.slopes.is_some() { "residual" } else { "rhs" }
     }
@@ -335,7 +335,7 @@ fn vector(value: &Bound<'_, PyAny>, into: &mut [f64], who: &str) -> PyResult<()>
     Ok(())
 }
 
-/// Whether this is a sparse matrix.
+/// True if the value is a sparse matrix.
 pub(crate) fn is_sparse(value: &Bound<'_, PyAny>) -> bool {
     value.hasattr("tocoo").unwrap_or(false)
 }

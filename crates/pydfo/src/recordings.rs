@@ -1,4 +1,4 @@
-//! What a calibration's recordings hold, and what does not fit about them.
+//! Recordings of a calibration, and the check of model, recordings and parameters.
 
 use crate::calibration::PyCalibration;
 use crate::data::PyTable;

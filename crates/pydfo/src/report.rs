@@ -153,7 +153,7 @@ impl LastProgress {
     }
 }
 
-/// Which result a user is given.
+/// Class of the result that is returned to the user.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum ResultKind {
     /// `pydfo.OptimizeResult`: `fun` is the cost.

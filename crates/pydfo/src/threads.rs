@@ -70,7 +70,7 @@ fn start(work: Work) -> io::Result<()> {
     thread::Builder::new().name("pydfo-run".to_owned()).stack_size(STACK_SIZE).spawn(body).map(|_| ())
 }
 
-/// What arrives within a moment; the thread stays awake for it.
+/// Value that arrives within `AWAKE`; the thread polls until then instead of sleeping.
 pub(crate) fn soon<T>(queue: &Receiver<T>) -> Result<T, TryRecvError> {
     let asleep_from = Instant::now() + AWAKE;
     loop {

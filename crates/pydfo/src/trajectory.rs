@@ -40,8 +40,9 @@ impl<'py> IntoPyObject<'py> for Counts {
     }
 }
 
-/// What `pydfo._trajectory.SimulationResult` is made of: of each variable its type, its unit, its columns (arrays have one for
-/// each element) and its extents; of each row whether it is the limit from the left; of each tick of a clock when and which.
+/// Fields of `pydfo._trajectory.SimulationResult`: of each variable its type, its unit, its columns (arrays
+/// have one for each element) and its extents; of each row a flag for the limit from the left; of each tick
+/// of a clock its time and its clock.
 pub(crate) fn record<'py>(
     py: Python<'py>,
     description: &ModelDescription,

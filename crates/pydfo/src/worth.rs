@@ -12,19 +12,19 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use std::sync::Arc;
 
-/// What a point is worth as the result of a fit.
+/// Uncertainty of the parameters at a point, as the result of a fit.
 #[pyclass(frozen, module = "pydfo._core", name = "Worth")]
 pub(crate) struct PyWorth {
     inner: Arc<Worth>,
 }
 
-/// What a fit is worth, if that was found out.
+/// Uncertainty of the parameters of a fit, if it was estimated.
 #[pyfunction]
 pub(crate) fn worth_of_fit(fit: &PyFit) -> Option<PyWorth> {
     fit.inner.worth.clone().map(|worth| PyWorth { inner: Arc::new(worth) })
 }
 
-/// What a point is worth; all parameters but those of the numbers `held` are free.
+/// Uncertainty of the parameters at a point; all but those of the numbers `held` are free.
 #[pyfunction]
 pub(crate) fn worth_at(
     py: Python<'_>,
@@ -176,7 +176,7 @@ impl PyWorth {
         matrix(py, &ends.iter().flat_map(|(low, high)| [*low, *high]).collect::<Vec<_>>(), 2)
     }
 
-    /// What is to be said of the covariance; empty if nothing is.
+    /// Findings about the covariance in words; empty if there are none.
     fn message(&self) -> String {
         self.inner.message()
     }

@@ -1,4 +1,5 @@
-//! What the values of a recording show by themselves: columns that are constant, clipped, frozen, missing, or hold placeholders.
+//! Checks of the values of a recording: columns that are constant, clipped, frozen, missing, or hold
+//! placeholders.
 
 use super::series::{range, rounded};
 use super::subject::Subject;
@@ -147,8 +148,8 @@ pub(super) fn longest_run(values: &[f64]) -> Range<usize> {
     longest
 }
 
-/// How many values in a row are the same in a signal that is noisy elsewhere. A machine that stands still at zero, before or after it
-/// runs, is none.
+/// Number of consecutive equal values in a signal that is noisy elsewhere; `None` if it is not frozen. A
+/// machine that stands still at zero, before or after it runs, does not count.
 fn frozen(values: &[f64]) -> Option<usize> {
     let (least, times) = FROZEN;
     let run = longest_run(values);
@@ -189,7 +190,7 @@ fn placeholder(values: &[f64], is_measured: bool) -> Option<(f64, usize, (f64, f
     })
 }
 
-/// How many values lie at a limit, if it looks as if they were clipped there.
+/// Number of values at a limit, if they look clipped there.
 fn clipped(values: &[f64], limit: f64, range: f64) -> Option<usize> {
     let (share, shortest, slope) = CLIPPED;
     let mut n = 0;

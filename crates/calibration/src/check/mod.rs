@@ -1,4 +1,4 @@
-//! What does not fit between model, recordings and parameters, said before anything is fitted.
+//! Check before a fit: contradictions between model, recordings and parameters.
 
 mod columns;
 mod model;
@@ -71,7 +71,7 @@ impl Calibration {
         Ok(Check { findings, n_evaluations: evaluations.n })
     }
 
-    /// What simulations at the start values show, as far as the time goes.
+    /// Adds the findings from simulations at the start values, as far as the time goes.
     fn findings_of_simulations(
         &self,
         subjects: &[Subject<'_>],
@@ -101,8 +101,9 @@ impl Calibration {
         Ok(())
     }
 
-    /// What a check finds beyond notes, judged again at the result of a fit: a doubt that the fitted values have removed is none any
-    /// more. Residuals, without a loss, and values at the start and at the result; empty where it is cancelled.
+    /// Findings of a check beyond notes, evaluated again at the result of a fit: a doubt that the fitted
+    /// values have removed is left out. The arguments are residuals, without a loss, and values at the start
+    /// and at the result; empty where it is cancelled.
     pub(crate) fn check_after_fit(
         &self,
         (start, at_start): (&[f64], Option<&[f64]>),
@@ -161,7 +162,7 @@ impl Calibration {
         names.into_iter().enumerate().map(subject).collect()
     }
 
-    /// What is found without a simulation.
+    /// Findings that need no simulation.
     fn findings_of_description_and_data(&self, subjects: &[Subject<'_>], x: &[f64]) -> Vec<Finding> {
         let (parameters, description) = (self.parameters(), self.fmu().description());
         let mut findings = parameters::ranges(parameters, description);

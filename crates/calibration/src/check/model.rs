@@ -1,4 +1,4 @@
-//! What the description of the model says about inputs and units, and what was in doubt before.
+//! Checks of the inputs and units in the description of the model, and the warnings of the setup.
 
 use super::subject::Subject;
 use crate::column_units::declared;
@@ -8,7 +8,7 @@ use crate::problem::Problem;
 use crate::warning::SetupWarning;
 use fmi::description::{Causality, Variable};
 
-/// What was in doubt when the calibration was built.
+/// Warnings from the construction of the calibration, as findings.
 pub(super) fn construction_warnings(warnings: &[SetupWarning]) -> Vec<Finding> {
     let finding = |warning: &SetupWarning| Finding::new(warning.severity(), "setup", warning.to_string(), "");
     warnings.iter().map(finding).collect()

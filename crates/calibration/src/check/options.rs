@@ -1,13 +1,13 @@
-//! What a check is asked for.
+//! Options of a check.
 
 use crate::finding::{Finding, Severity};
 use ode::Number;
 use std::time::Duration;
 
-/// How a check is made.
+/// Options of a check.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CheckOptions {
-    /// Whether to simulate at the start values; default: yes.
+    /// True to simulate at the start values; default: true.
     pub simulate: bool,
     /// Wall-clock limit of the whole check, as of a fit; what was found until then is the result, with a finding that says so. Default:
     /// 30 s.
@@ -21,7 +21,7 @@ impl Default for CheckOptions {
 }
 
 impl CheckOptions {
-    /// What is said where the time was up.
+    /// Finding that says that the time limit has ended the check.
     pub(super) fn out_of_time(&self, is_start_known: bool) -> Finding {
         let limit = Number(self.max_time.unwrap_or_default().as_secs_f64());
         let until = match is_start_known {

@@ -21,7 +21,7 @@ const BOUNDS_UNLIKE: f64 = 50.0;
 /// A temperature in K above the first, beside one below the second, is one beside degC.
 const KELVIN: (f64, f64) = (200.0, 150.0);
 
-/// What the model states as the start value of a variable, where it says something of its size.
+/// Start value that the model states for a variable, where it indicates its size: finite and not zero.
 fn own_start(variable: &Variable) -> Option<f64> {
     match variable.start {
         Some(Value::Real(start)) if start != 0.0 && start.is_finite() => Some(start),
@@ -29,7 +29,7 @@ fn own_start(variable: &Variable) -> Option<f64> {
     }
 }
 
-/// How many times the larger of two numbers is the smaller; infinite for numbers of unlike sign.
+/// Ratio of the larger of two numbers to the smaller, by magnitude; infinite for numbers of unlike sign.
 fn factor(a: f64, b: f64) -> f64 {
     if a * b > 0.0 { (a / b).abs().max((b / a).abs()) } else { f64::INFINITY }
 }

@@ -1,10 +1,10 @@
-//! What a check has found.
+//! Result of a check.
 
 use crate::finding::{Finding, Severity, counts, table};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// What a check has found, the gravest first. Its `Display` is a table.
+/// Findings of a check, the most severe first. Its `Display` is a table.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Check {
@@ -15,7 +15,7 @@ pub struct Check {
 }
 
 impl Check {
-    /// Whether there are no errors and no warnings.
+    /// True if there are no errors and no warnings.
     pub fn is_ok(&self) -> bool {
         self.findings.iter().all(|finding| finding.severity == Severity::Note)
     }

@@ -11,7 +11,7 @@ use ode::Number;
 /// Outputs that differ by this factor have 99 % and 1 % of the squares.
 const UNLIKE: f64 = 10.0;
 
-/// What an output of the model has in all experiments.
+/// Sums over the measurements and residuals of an output of the model, in all experiments.
 struct Output<'a> {
     variable: &'a str,
     n: f64,

@@ -68,8 +68,8 @@ impl<'a> Outputs<'a> {
         if self.fitted.is_some() { Place::Fitted } else { Place::Start }
     }
 
-    /// Whether a fit, if there is one, has moved a parameter as far as a factor in the data or in time takes, by half of it on a
-    /// logarithmic scale, or from zero or through it.
+    /// True without a fit, or if the fit has moved a parameter as far as a factor in the data or in time
+    /// requires: by half of it on a logarithmic scale, or from zero or through it.
     pub(super) fn may_have_taken(&self, factor: f64) -> bool {
         let (start, Some(x)) = self.x else { return true };
         let has = |(from, to): (&f64, &f64)| {
@@ -119,7 +119,7 @@ pub(super) fn rounded(value: f64) -> f64 {
     if ten.is_finite() && ten > 0.0 { (value * ten).round() / ten } else { value }
 }
 
-/// How much of the variance of the measurements is left, on average over the outputs.
+/// Share of the variance of the measurements that is left in the residuals, averaged over the outputs.
 pub(super) fn unexplained(series: &[Series<'_>]) -> f64 {
     let of_one = |s: &Series<'_>| {
         let n = s.of.measured.len() as f64;

@@ -1,4 +1,4 @@
-//! What the settings of the simulations leave inaccurate: a loose tolerance, a step that is too large.
+//! Checks of the accuracy of the simulation settings: a loose tolerance, a step that is too large.
 
 use super::series::{Evaluated, Evaluations, Place, all_series, rounded, size_of_difference};
 use crate::accuracy::Accuracy;

@@ -1,4 +1,5 @@
-//! How the simulated course of an output differs from the measured one: wrong sign, worse than a constant, frozen, wrapped at a full turn.
+//! Checks of the simulated course of an output against the measured one: wrong sign, worse than a constant,
+//! frozen, wrapped at a full turn.
 
 use super::columns::longest_run;
 use super::series::{Outputs, Place, Series, range, rounded, size_of_difference};

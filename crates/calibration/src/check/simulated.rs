@@ -1,4 +1,5 @@
-//! What an evaluation at the start values shows: measurements in another unit, swapped, or far from the simulation from the start.
+//! Checks of an evaluation at the start values: measurements in another unit, swapped, or far from the
+//! simulation from the start.
 
 use super::series::{Outputs, Place, Series, range, rounded, size, size_of_difference};
 use super::subject::Subject;

@@ -7,7 +7,7 @@ use fmi::ModelDescription;
 
 /// An experiment that is looked at.
 pub(super) struct Subject<'a> {
-    /// What its findings begin with: its name and a colon, where there are several.
+    /// Prefix of its findings: its name and a colon, where there are several.
     pub(super) prefix: String,
     pub(super) experiment: &'a Experiment,
     pub(super) description: &'a ModelDescription,
@@ -20,7 +20,7 @@ const EXAMPLES: [&str; 16] =
     ["mm", "degC", "K", "deg", "rpm", "bar", "km/h", "ms", "g", "cm2", "l", "l/min", "kg/h", "kW", "%", "Hz"];
 
 impl Subject<'_> {
-    /// How long the recording lasts, and the experiment that the model suggests; in s.
+    /// Durations of the recording and of the experiment that the model suggests, in s.
     pub(super) fn durations(&self) -> Option<(f64, f64)> {
         let suggested = &self.description.default_experiment;
         let asked = suggested.stop_time? - suggested.start_time.unwrap_or(0.0);

@@ -1,4 +1,4 @@
-//! What the times of a recording show: gaps, rows that stand twice, another unit, months taken for days.
+//! Checks of the times of a recording: gaps, duplicate rows, another unit, months taken for days.
 
 use super::subject::Subject;
 use crate::data::sampling_interval;

@@ -18,7 +18,8 @@ const HOURS: std::ops::RangeInclusive<i64> = 0..=3;
 /// Clocks change to summer time once a year; in s.
 const LEAST_APART: f64 = 200.0 * DAY;
 
-/// How far a distance may be from the usual one and an hour: half the usual one, between these, in s.
+/// Largest deviation of a distance from the usual one plus or minus an hour: half the usual one, within these
+/// limits, in s.
 const TOLERANCE: (f64, f64) = (2.0, 300.0);
 
 /// Between two rows the clock was moved by an hour, as it seems.
@@ -44,8 +45,8 @@ impl fmt::Display for ClockChange {
     }
 }
 
-/// Whether an hour is missing or doubled in times without a zone, in s, of which the first is `start` in s since 1970: one distance
-/// is by an hour longer or shorter than the usual one, in the first hours of a day.
+/// Finds an hour that is missing or doubled in times without a zone, in s, of which the first is `start` in s
+/// since 1970: one distance is by an hour longer or shorter than the usual one, in the first hours of a day.
 ///
 /// # Errors
 /// The row that comes before the one above it, because an hour is doubled.

@@ -23,7 +23,7 @@ const LONGEST_NAME: usize = 1000;
 /// After so many rows it is asked whether reading is to end.
 const ROWS_PER_LOOK: usize = 4096;
 
-/// What of a CSV file is read, and until when.
+/// Columns of a CSV file to read, and the context that ends the reading.
 #[derive(Clone, Copy)]
 pub struct CsvRequest<'a> {
     /// Name of the column of times; `None`: `time`, in any case.
@@ -259,7 +259,7 @@ impl<'t> Records<'t> {
         &self.text[self.at..]
     }
 
-    /// How many lines are left.
+    /// Number of lines that are left.
     fn n_lines(&self) -> usize {
         self.rest().bytes().filter(|byte| matches!(byte, b'\n' | b'\r')).count() + 1
     }

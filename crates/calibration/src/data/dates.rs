@@ -25,7 +25,7 @@ fn pair_of(cells: &[impl AsRef<str>]) -> Option<PairUnit> {
     (is_no_hour || cells().any(|cell| cell.contains(['.', ',']))).then_some(PairUnit::MinutesSeconds)
 }
 
-/// How the times of a column are written.
+/// Notation of the times of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Form {
     /// With a zone: an instant.
@@ -40,7 +40,7 @@ enum Form {
 /// Why there are no times.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum DateError {
-    /// What is wrong with a cell, counted from 0.
+    /// Index of a cell, counted from 0, and what is wrong with it.
     Cell(usize, String),
     /// Reading was ended.
     Cancelled,

@@ -27,7 +27,7 @@ fn lost(values: &[f64], means: &[f64]) -> f64 {
 }
 
 impl Data {
-    /// What means have taken away, if its rows are such.
+    /// Variance that means over intervals have removed, if the rows are such means.
     pub(crate) fn resampling(&self) -> Option<&Resampling> {
         self.resampling.as_ref()
     }

@@ -24,7 +24,7 @@ pub struct Data {
     /// An hour that is missing in times without a zone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     clock_change: Option<ClockChange>,
-    /// What means have taken away.
+    /// Variance that means over intervals have removed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) resampling: Option<Resampling>,
 }
@@ -42,7 +42,7 @@ pub(super) struct Column {
     pub(super) point: Option<Cell>,
 }
 
-/// What means over intervals have taken away.
+/// Variance that means over intervals have removed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Resampling {
     /// In s.

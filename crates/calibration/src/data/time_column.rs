@@ -1,4 +1,4 @@
-//! Which column of a table holds the times, and in which unit.
+//! Selection of the column of a table that holds the times, and its unit.
 
 use super::text::shortened;
 use super::units::Unit;
@@ -64,7 +64,7 @@ impl TimeColumn {
     }
 }
 
-/// What the two numbers of `00:01` are, as it stands behind the name of the column: `time [mm:ss]`.
+/// Units of the two numbers of `00:01`, as stated behind the name of the column: `time [mm:ss]`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PairUnit {
     /// Hours and minutes.

@@ -20,7 +20,7 @@ pub struct Unit {
     offset: f64,
 }
 
-/// How values in one unit become values in another: `value * factor.0 / factor.1 + offset`.
+/// Conversion of values in one unit to another: `value * factor.0 / factor.1 + offset`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct UnitConversion {
     /// Numerator and denominator of the factor.
@@ -38,7 +38,7 @@ pub enum UnitError {
     Unknown {
         /// The name.
         name: String,
-        /// How it may be meant; empty, or beginning with a semicolon.
+        /// Hint at the intended unit; empty, or beginning with a semicolon.
         hint: String,
     },
     /// Units of different quantities.
@@ -46,13 +46,13 @@ pub enum UnitError {
     Dimension {
         /// The unit that is given.
         from: String,
-        /// What it consists of.
+        /// Base units that it consists of.
         from_dimension: String,
         /// The unit that is wanted.
         to: String,
-        /// What it consists of.
+        /// Base units that it consists of.
         to_dimension: String,
-        /// How it may be meant; empty, or beginning with a semicolon.
+        /// Hint at the intended unit; empty, or beginning with a semicolon.
         hint: String,
     },
     /// The model states no unit for the variable.
@@ -82,7 +82,7 @@ impl UnitConversion {
         difference * self.factor.0 / self.factor.1
     }
 
-    /// Whether it changes nothing.
+    /// True if the conversion changes nothing.
     pub fn is_identity(&self) -> bool {
         *self == Self::IDENTITY
     }
@@ -161,12 +161,12 @@ impl Unit {
         }
     }
 
-    /// Whether it is one of time, and not of anything else.
+    /// Length in s, as numerator and denominator, if it is a unit of time and of nothing else.
     pub(crate) fn time_factor(&self) -> Option<(f64, f64)> {
         (self.exponents == TIME && self.offset == 0.0).then_some((self.numerator, self.denominator))
     }
 
-    /// Whether it is a product of base units, without a factor.
+    /// True if the unit is a product of base units, without a factor.
     pub(crate) fn is_coherent(&self) -> bool {
         self.numerator == self.denominator && self.offset == 0.0
     }
@@ -290,7 +290,7 @@ const PRODUCT: [char; 5] = ['.', '*', '\u{b7}', '\u{22c5}', '\u{d7}'];
 /// expression in parentheses.
 struct Parser<'a> {
     rest: &'a str,
-    /// How many parentheses are open; beyond `DEEPEST` once that was exceeded.
+    /// Number of open parentheses; beyond `DEEPEST` once that was exceeded.
     depth: usize,
 }
 

@@ -1,4 +1,5 @@
-//! What all files have in common that a fit is handed on by: whose they are, and how they are written.
+//! Functions of all files that a fit is exported to: the check that it belongs to the calibration, and the
+//! writing.
 
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;

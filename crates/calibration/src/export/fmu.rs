@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 /// an output: it is the same library with the same values, which are only set in another way.
 const CLOSE: f64 = 10.0;
 
-/// What [`Fit::export_fmu`] has written.
+/// Result of [`Fit::export_fmu`]: the files that it has written.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct FmuExport {
@@ -118,7 +118,8 @@ impl Fit {
         Ok(FmuExport { fmu, ssv: Some(ssv), warning: Some(warning) })
     }
 
-    /// How the copy, simulated as it is, differs from the fit in an experiment.
+    /// Difference between the copy, simulated as it is, and the fit in an experiment, in words; `None` if
+    /// there is none.
     fn difference(
         &self,
         calibration: &Calibration,

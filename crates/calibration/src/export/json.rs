@@ -9,9 +9,9 @@ use crate::worth::Worth;
 use serde_json::{Value as Json, json};
 
 impl Fit {
-    /// What the fit found, as JSON: parameters with errors, start, bounds and units, those that are tied last; cost and RMS; how well each output is reproduced; what the
-    /// fit is worth; how it was made. Neither the trace nor the recordings: [`Fit::save`] keeps all. Numbers that are not finite
-    /// are null.
+    /// Results of the fit as JSON: parameters with errors, start, bounds and units, those that are tied last;
+    /// cost and RMS; quality of fit of each output; uncertainty of the fit; its method and settings. Neither
+    /// the trace nor the recordings: [`Fit::save`] keeps all. Numbers that are not finite are null.
     ///
     /// # Errors
     /// [`CalibrationError::Setup`] if it is no fit of this calibration.

@@ -1,4 +1,4 @@
-//! Whether the parts of a fit that comes from a file have the lengths that belong together.
+//! Checks of the lengths of the parts of a fit that comes from a file against each other.
 
 use crate::fit::Fit;
 use crate::preflight::Preflight;

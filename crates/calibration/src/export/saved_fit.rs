@@ -17,7 +17,7 @@ use std::path::Path;
 use zip::write::{SimpleFileOptions, ZipWriter};
 use zip::{CompressionMethod, ZipArchive};
 
-/// What the file says that it is.
+/// Format name in the file.
 const FORMAT: &str = "fmufit fit";
 
 /// The format that this version reads and writes. It changes with everything that a file holds.
@@ -26,7 +26,8 @@ const FORMAT_VERSION: u64 = 2;
 const TEXT: &str = "fit.json";
 const DESCRIPTION: &str = "modelDescription.xml";
 
-/// What a file holds may be so many times as large as the file itself, or [`LEAST_BYTES`]; what compresses better is stored as it is.
+/// Largest ratio of the content of a file to its size, where it is more than [`LEAST_BYTES`]; content that
+/// compresses better is stored as it is.
 const MOST_COMPRESSED: u64 = 8;
 
 /// So many bytes may every file hold.
@@ -61,11 +62,11 @@ const BYTES_PER_VALUE: u64 = 4;
 pub struct SavedFit {
     /// The result.
     pub fit: Fit,
-    /// What was fitted to what.
+    /// Problem that was fitted: model, recordings and parameters.
     pub problem: Problem,
     /// The version of the code that wrote the file.
     pub written_by: String,
-    /// How the model was opened.
+    /// Options that the model was opened with.
     pub open_options: OpenOptions,
     description: Vec<u8>,
 }

@@ -116,7 +116,7 @@ fn escape(text: &str) -> String {
     escape::escape(&held).replace('\t', "&#9;").replace('\n', "&#10;").replace('\r', "&#13;")
 }
 
-/// What a unit is made of, as attributes; those by default left out.
+/// Base units, factor and offset of a unit, as attributes; defaults are left out.
 fn attributes(base: &BaseUnit) -> String {
     let BaseUnit { kg, m, s, a, k, mol, cd, rad, factor, offset } = *base;
     let exponents =

@@ -10,8 +10,9 @@ use base::RunContext;
 use dfo::Outcome;
 use std::path::Path;
 
-/// Which table of a fit. Names of the model and of the recordings stand as they are: a spreadsheet takes a cell that begins with `=`,
-/// `+`, `-` or `@` for a formula, so import tables of models that you do not trust as text. All numbers have the digits that stand for the same number when they are read again; missing ones
+/// Kind of table of a fit. Names of the model and of the recordings stand as they are: a spreadsheet takes a
+/// cell that begins with `=`, `+`, `-` or `@` for a formula, so import tables of models that you do not trust
+/// as text. All numbers have the digits that stand for the same number when they are read again; missing ones
 /// are empty.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]

@@ -1,4 +1,5 @@
-//! What the parameters set in the model, and what the model does then: all of its variables, not only those that are compared.
+//! Variables that the parameters set in the model, and simulations of all of its variables, not only of those
+//! that are compared.
 
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;

@@ -11,13 +11,13 @@ pub trait Engine: Evaluator {
     /// tolerances. What is robust counts by this loss.
     fn begin(&mut self, calibration: &Calibration, loss: RobustLoss);
 
-    /// What the simulations took whose answers have come since this was called last.
+    /// Statistics of the simulations whose answers have come since the last call.
     fn take_stats(&mut self) -> Stats;
 }
 
 impl Calibration {
-    /// What an [`Engine`] has to answer to a query: outcome, residuals as they count by this loss, and what the simulations took,
-    /// added to `stats`. The residuals of a query for costs are left out.
+    /// Answer of an [`Engine`] to a query: outcome, and residuals as they count by this loss; the statistics
+    /// of the simulations are added to `stats`. The residuals of a query for costs are left out.
     pub fn answer_counted(
         &self,
         x: &[f64],

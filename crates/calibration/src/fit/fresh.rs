@@ -10,7 +10,7 @@ use dfo::RobustLoss;
 use ode::Stats;
 use std::convert::Infallible;
 
-/// What a fresh process gave.
+/// Result of the comparison with a fresh process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Fresh {
     /// The same bits, or nothing that says anything.

@@ -204,8 +204,8 @@ impl Calibration {
         Some((outcome.value()?, residuals))
     }
 
-    /// What the result of a run is worth, from the residuals there, without a loss, where they are known; `None` where it cannot be found
-    /// out, or shall not.
+    /// Uncertainty of the result of a run, from the residuals there, without a loss, where they are known;
+    /// `None` where it cannot be estimated, or is not requested.
     pub(crate) fn worth_of_fit(
         &self,
         (report, found, residuals): (&Report, &Findings, Option<&[f64]>),

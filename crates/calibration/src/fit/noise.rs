@@ -1,4 +1,4 @@
-//! How large the noise of the measurements is taken to be: stated by their weights, or estimated with the parameters.
+//! Noise of the measurements: stated by their weights, or estimated with the parameters.
 //!
 //! A prior counts in units of its own standard deviation, so the measurements have to count in units of theirs. Where their weights do
 //! not say so, fits take turns with estimates of the noise.
@@ -82,9 +82,9 @@ pub struct EstimatedNoise {
     pub outputs: Vec<OutputNoise>,
     /// Fits that were made.
     pub n_rounds: usize,
-    /// Whether the residuals of the last one confirm its noise to 1 %.
+    /// True if the residuals of the last fit confirm its noise to 1 %.
     pub is_settled: bool,
-    /// Whether that of all outputs; else of those whose weights state none.
+    /// True if the noise of all outputs is estimated; else of those whose weights state none.
     pub is_of_all: bool,
 }
 
@@ -96,8 +96,8 @@ pub struct OutputNoise {
     pub variable: String,
     /// The standard deviation of a measurement, in the unit of the variable; where its weights state something, times the weight.
     pub sd: f64,
-    /// Whether it is that of the residuals; else of the differences between neighbouring measurements: there are too few residuals, or
-    /// the search was ended.
+    /// True if the noise is that of the residuals; else it is that of the differences between neighbouring
+    /// measurements: there are too few residuals, or the search was ended.
     pub is_of_residuals: bool,
 }
 
@@ -170,13 +170,14 @@ impl EstimatedNoise {
         next
     }
 
-    /// Whether this differs from another one of the same outputs by no more than what ends the estimates.
+    /// True if this differs from another estimate of the same outputs by no more than the tolerance that ends
+    /// the rounds.
     pub(super) fn is_close(&self, other: &Self) -> bool {
         let mut pairs = self.outputs.iter().zip(&other.outputs);
         pairs.all(|(a, b)| (a.sd / b.sd).ln().abs() <= SETTLED)
     }
 
-    /// Whether it holds for an output.
+    /// True if the estimate applies to an output.
     fn is_of(&self, problem: &Problem, output: &OutputResiduals) -> bool {
         self.is_of_all || !weight(problem, output).states_noise()
     }
@@ -229,7 +230,7 @@ impl EstimatedNoise {
         }
     }
 
-    /// What is to be said of it, beyond the numbers.
+    /// Findings about the estimate, beyond the numbers.
     pub(super) fn findings(&self) -> Vec<Finding> {
         let open = self.outputs.iter().filter(|noise| !noise.is_of_residuals);
         let mut found: Vec<Finding> = open
@@ -261,7 +262,8 @@ impl EstimatedNoise {
 /// Residuals this many times as large or as small as the stated noise contradict it, of so many or more.
 const CONTRADICTS_STATED: (f64, usize) = (2.0, 10);
 
-/// What the residuals of a fit say of the noise that its weights state, on which the weight of the priors depends.
+/// Contradictions of the residuals of a fit to the noise that its weights state, on which the weight of the
+/// priors depends.
 pub(super) fn contradictions_of_stated(calibration: &Calibration, residuals: &[f64]) -> Vec<Finding> {
     let (problem, layout) = (calibration.problem(), calibration.residual_layout());
     let (factor, fewest) = CONTRADICTS_STATED;
@@ -288,8 +290,8 @@ pub(super) fn contradictions_of_stated(calibration: &Calibration, residuals: &[f
     layout.outputs.iter().filter_map(of).collect()
 }
 
-/// How much each residual is fitted: the diagonal of the projection onto the changes that the parameters make, from the m x n Jacobian
-/// of all residuals.
+/// Leverage of each residual: the diagonal of the projection onto the changes that the parameters make, from
+/// the m x n Jacobian of all residuals.
 pub(super) fn leverages(jacobian: &[f64], n: usize) -> Vec<f64> {
     if jacobian.is_empty() {
         return Vec::new();

@@ -1,4 +1,4 @@
-//! What a fit is asked for.
+//! Options of a fit.
 
 use super::engine::Engine;
 use super::noise::NoiseRule;
@@ -16,7 +16,7 @@ use std::sync::Arc;
 /// Called after each iteration; `Break` ends the fit.
 pub type FitObserver<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
 
-/// How a fit is made.
+/// Options of a fit.
 pub struct FitOptions<'a> {
     /// The method, tolerances, limits, workers (default: all cores), checkpoint and so on. The time limit holds for the whole fit, from
     /// the choice of a solver to the standard errors: where it is over before any evaluation has ended, the result is the start,
@@ -28,13 +28,14 @@ pub struct FitOptions<'a> {
     pub start: Option<Vec<f64>>,
     /// Parameters, by number, that stay at the start as if they were fixed; default: none.
     pub held: Vec<usize>,
-    /// Whether a simulation is given up when its cost can no longer matter; default yes. Changes no decision, only the
-    /// work.
+    /// True to give up a simulation when its cost can no longer matter; default: true. Changes no decision,
+    /// only the work.
     pub cutoffs: bool,
-    /// What is minimised; default: the sum of the squared residuals.
+    /// Cost that is minimised; default: the sum of the squared residuals.
     pub objective: CostKind,
-    /// What a residual counts; default: its square. With another loss [`Fit::cost`](crate::Fit::cost) is the sum of what they count, also where
-    /// the method sees costs alone.
+    /// Loss function: the contribution of a residual to the cost; default: its square. With another loss
+    /// [`Fit::cost`](crate::Fit::cost) is the sum of these contributions, also where the method sees costs
+    /// alone.
     pub loss: RobustLoss,
     /// Where the noise of the measurements is taken from, beside which [priors](crate::Prior) count; default: it is estimated with the
     /// parameters where there are priors and the weights do not state it. See [`EstimatedNoise`](crate::EstimatedNoise) for how: the search
@@ -44,9 +45,10 @@ pub struct FitOptions<'a> {
     /// The start is looked at first, see [`Calibration::preflight`](crate::Calibration::preflight); `f_tol` below the noise of the simulations is raised to it, with
     /// a word in the message. Default: no.
     pub preflight: bool,
-    /// What the fit is worth is found out after the run: standard errors, correlation, what the data cannot tell. Takes at least two
-    /// simulations for each parameter and one that is more accurate, in parallel; they are none of the run's evaluations, are not
-    /// made after an interrupt or when the time is up, and are part of `stats`. `None`: it is not. Its loss is that of the fit.
+    /// Options of the uncertainty, which is estimated after the run: standard errors, correlation, parameters
+    /// that the data do not determine. Takes at least two simulations for each parameter and one that is more
+    /// accurate, in parallel; they are none of the run's evaluations, are not made after an interrupt or when
+    /// the time is up, and are part of `stats`. `None`: it is not estimated. Its loss is that of the fit.
     pub worth: Option<WorthOptions>,
     /// Called after each iteration, on the calling thread.
     pub observer: Option<Box<FitObserver<'a>>>,

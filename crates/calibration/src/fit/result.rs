@@ -1,4 +1,4 @@
-//! What a fit has found.
+//! Result of a fit.
 
 use super::noise::FitNoise;
 use super::tolerance::ChosenTolerance;
@@ -22,7 +22,8 @@ pub struct Fit {
     pub x: Vec<f64>,
     /// Names of the parameters, in the same order.
     pub names: Vec<String>,
-    /// What reports and figures call them, in the same order (see [`Parameter::display_name`](crate::Parameter::display_name)); empty: all as they are named.
+    /// Names of the parameters in reports and figures, in the same order (see
+    /// [`Parameter::display_name`](crate::Parameter::display_name)); empty: the same as `names`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub shown_names: Vec<String>,
     /// Values of the parameters that are tied to others, by name.
@@ -38,7 +39,7 @@ pub struct Fit {
     /// Why the FMU ran in this process, where one of its own was asked for (see [`Calibration::isolation`](crate::Calibration::isolation)).
     #[serde(default)]
     pub in_this_process: Option<String>,
-    /// How many measurements count.
+    /// Number of measurements that count.
     pub n_measurements: usize,
     /// Cost there: the sum of the squared weighted residuals, by the weights of the [noise](Self::noise) where that was estimated; with a
     /// loss, of what they count.
@@ -71,28 +72,30 @@ pub struct Fit {
     /// show it, because they differ in one parameter alone). They are none of the run's evaluations, which its budget
     /// counts, are not made after an interrupt or when the time is up, and are part of `stats`.
     pub n_checks: usize,
-    /// How well each output is reproduced, in the order of the residual vector; empty where the run was ended from outside.
+    /// Quality of fit of each output, in the order of the residual vector; empty where the run was ended from
+    /// outside.
     pub outputs: Vec<OutputFit>,
-    /// What was found before the fit, where it was asked for.
+    /// Result of the preflight, where it was requested.
     pub preflight: Option<Preflight>,
-    /// What a [check](crate::Calibration::check) says of the problem beyond notes, judged again with the fitted values (not where the fit is not
-    /// asked what it is worth), and what is to be said of the run. [`Fit::findings`] has all.
+    /// Findings of a [check](crate::Calibration::check) of the problem beyond notes, evaluated again with the
+    /// fitted values (only where the uncertainty is requested), and findings about the run. [`Fit::findings`]
+    /// has all.
     pub setup_findings: Vec<Finding>,
-    /// What the fit is worth; `None` where it was not asked for, or the run was ended from outside.
+    /// Uncertainty of the fit; `None` where it was not requested, or the run was ended from outside.
     pub worth: Option<Worth>,
-    /// What the simulations of the fit took in all: right-hand sides, steps, events, seconds (added up over all workers), from the
-    /// choice of a solver, where this fit made it, to the standard errors.
-    /// Those that failed or were given up count, those of a resumed fit from before do not.
+    /// Statistics of all simulations of the fit: right-hand sides, steps, events, seconds (added up over all
+    /// workers), from the choice of a solver, where this fit made it, to the standard errors. Those that
+    /// failed or were given up count, those of a resumed fit from before do not.
     pub stats: Stats,
     /// The integration method of all simulations, and how it was found.
     pub solver: Solver,
-    /// How the optimiser got there: counts, reason to end, trace.
+    /// Report of the optimiser: counts, reason to end, trace.
     pub report: Report,
 }
 
 impl Fit {
-    /// What each entry of the residual vector of this fit stands for, with the weights that the fit had: those of the calibration, or
-    /// those over the [noise](Fit::noise) that was estimated.
+    /// Meaning of each entry of the residual vector of this fit, with the weights that the fit had: those of
+    /// the calibration, or those over the [noise](Fit::noise) that was estimated.
     pub fn residual_layout(&self, calibration: &Calibration) -> ResidualLayout {
         let mut layout = calibration.residual_layout().clone();
         if let Some(noise) = self.noise.as_ref().and_then(FitNoise::estimated) {
@@ -101,13 +104,13 @@ impl Fit {
         layout
     }
 
-    /// What reports and figures call the parameters.
+    /// Names of the parameters in reports and figures.
     pub fn shown_names(&self) -> &[String] {
         if self.shown_names.is_empty() { &self.names } else { &self.shown_names }
     }
 
-    /// What is to be said of the fit, the gravest first: parameters at a bound or without effect, what a check finds, what the data
-    /// cannot tell, what the residuals look like.
+    /// Findings about the fit, the most severe first: parameters at a bound or without effect, findings of a
+    /// check, parameters that the data do not determine, properties of the residuals.
     pub fn findings(&self) -> Vec<Finding> {
         self.findings_with(&self.names)
     }

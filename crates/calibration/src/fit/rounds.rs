@@ -42,7 +42,7 @@ pub(crate) fn checkpoint_of(fit: &Checkpoint, part: &str, is_first: bool) -> Che
     own
 }
 
-/// How a fit ends whose last part has found nothing; `None`: it is an error.
+/// Termination of a fit whose last part has found nothing; `None`: it is an error.
 pub(crate) fn ended_by(error: &CalibrationError) -> Option<Termination> {
     match error {
         CalibrationError::Cancelled => Some(Termination::Interrupted),
@@ -343,7 +343,8 @@ impl Calibration {
         Ok(Some(jacobian))
     }
 
-    /// What is to be said where priors count beside measurements whose noise nothing states, and which the fit does not estimate.
+    /// Finding for priors that count beside measurements whose noise nothing states, and which the fit does
+    /// not estimate.
     pub(super) fn unstated_noise(&self, job: &Job<'_>, noise: Option<&FitNoise>) -> Option<Finding> {
         let is_unknown = job.noise == NoiseRule::Auto && noise == Some(&FitNoise::Stated);
         let unstated = crate::check::unstated_noise(self.problem()).filter(|_| is_unknown)?;
@@ -355,7 +356,7 @@ impl Calibration {
     }
 }
 
-/// Whether the search has come to its end: nothing from outside ended it.
+/// True if the search has come to its end: nothing from outside ended it.
 fn is_at_end(termination: &Termination) -> bool {
     matches!(
         termination,

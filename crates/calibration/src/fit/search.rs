@@ -164,7 +164,7 @@ impl Evaluator for OnEngine<'_, '_> {
     }
 }
 
-/// What the searches before this one have spent of the limits.
+/// Part of the limits that earlier searches have used.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Spent {
     pub(super) n_evaluations: usize,
@@ -172,7 +172,7 @@ pub(super) struct Spent {
     pub(super) seconds: f64,
 }
 
-/// What a fit is asked for, checked, with its clock.
+/// Options of a fit, checked, with its clock.
 pub(super) struct Job<'a> {
     pub(super) run: RunOptions<AnyMethod>,
     pub(super) start: Vec<f64>,
@@ -188,7 +188,7 @@ pub(super) struct Job<'a> {
     pub(super) phase: Arc<CurrentPhase>,
     /// Who may end it, and its time.
     pub(super) context: RunContext<'a>,
-    /// Whether it is a part of a fit, which has chosen the tolerance.
+    /// True if it is a part of a fit, which has chosen the tolerance.
     pub(super) is_part: bool,
     /// Of the limits, by searches before.
     pub(super) spent: Spent,
@@ -245,7 +245,7 @@ impl<'a> Job<'a> {
     }
 }
 
-/// What the search of a fit gave.
+/// Result of the search of a fit.
 pub(super) struct Searched {
     pub(super) report: Report,
     pub(super) found: Findings,
@@ -254,7 +254,7 @@ pub(super) struct Searched {
     pub(super) solver: Solver,
     /// Those that held.
     pub(super) tolerances: Tolerances,
-    /// What is to be said of them.
+    /// Findings of the search, about its tolerances and the noise.
     pub(super) raised: Vec<Finding>,
 }
 

@@ -28,8 +28,8 @@ pub struct ChosenTolerance {
     pub used: f64,
     /// That of the model, or the default.
     pub stated: f64,
-    /// How uncertain the cost would be near the best values with T, as part of it; `None`: it was not looked at, or the start cannot be
-    /// simulated.
+    /// Relative uncertainty of the cost near the best values with T; `None`: it was not estimated, or the
+    /// start cannot be simulated.
     pub noise: Option<f64>,
     /// Simulations of the start that were made for it, and that the search could not use. They are part of the fit's `stats`.
     pub n_simulations: usize,
@@ -47,11 +47,12 @@ const SMALLEST: f64 = 1e-9;
 /// Measurements are supposed to have noise of this part of their size, or more.
 const LEAST_NOISE: f64 = 1e-4;
 
-/// What a choice has made known of the start: its residuals as they count, with the chosen tolerance, and the seconds they took.
+/// Evaluation of the start during a choice: its residuals as they count, with the chosen tolerance, and the
+/// seconds they took.
 pub(crate) type AtStart = Option<(Vec<f64>, f64)>;
 
 impl ChosenTolerance {
-    /// What is said of it where it is smaller than that of the model.
+    /// Finding about the tolerance where it is smaller than that of the model.
     pub(crate) fn finding(&self) -> Option<Finding> {
         let [used, stated] = [self.used, self.stated].map(Number);
         let sentence = format!(

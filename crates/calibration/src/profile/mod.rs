@@ -25,14 +25,14 @@ use std::sync::Mutex;
 use std::thread::available_parallelism;
 use walk::{Origin, walk};
 
-/// How [`Calibration::profile`] is made.
+/// Options of [`Calibration::profile`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct ProfileOptions {
     /// The parameters, by number; default: all that were fitted.
     pub parameters: Option<Vec<usize>>,
     /// The level of the intervals; default 0.95.
     pub level: f64,
-    /// Whether autocorrelated residuals are taken account of, as [`Worth::covariance`] does; default yes.
+    /// True to correct for autocorrelated residuals, as [`Worth::covariance`] does; default: true.
     pub is_corrected: bool,
     /// Points on each side of the optimum before a side that has not crossed the threshold is said to be open; default 20. Refits that
     /// find the crossing come on top.
@@ -273,7 +273,7 @@ impl Calibration {
         self.parameters().iter().enumerate().filter(is_held).map(|(i, _)| i).collect()
     }
 
-    /// What the sides of profiles depend on but their parameter, as a hash.
+    /// Hash of everything that the sides of profiles depend on except their parameter.
     fn profile_hash(&self, fit: &Fit, statistic: &str, options: &ProfileOptions) -> String {
         let bounds: Vec<_> =
             self.parameters().iter().map(|p| (p.lower(), p.upper(), p.scale_kind())).collect();
@@ -291,7 +291,8 @@ fn step_of(worth: Option<&Worth>, i: usize) -> Option<f64> {
     (error > 0.0 && error.is_finite()).then_some(error)
 }
 
-/// How the best values of all parameters change with one of them, in the coordinates of the search: the covariances over its variance.
+/// Direction in which the best values of all parameters change with one of them, in the coordinates of the
+/// search: the covariances over its variance.
 fn direction(worth: &Worth, i: usize) -> Vec<f64> {
     let n = worth.x.len();
     let scale = |k: usize| if worth.is_log[k] { worth.x[k] } else { 1.0 };

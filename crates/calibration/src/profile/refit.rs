@@ -25,7 +25,7 @@ const EVALUATIONS: usize = 60;
 /// Makes refits of a calibration.
 pub(super) struct Refits<'a> {
     pub(super) calibration: &'a Calibration,
-    /// What a residual counts.
+    /// Loss function: the contribution of a residual to the cost.
     pub(super) loss: RobustLoss,
     /// Parameters that are never fitted.
     pub(super) held: &'a [usize],

@@ -18,7 +18,7 @@ pub struct ProfilePoint {
     pub x: Vec<f64>,
 }
 
-/// How a profile ends on one side.
+/// End of a profile on one side.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum ProfileEnd {
@@ -76,7 +76,7 @@ impl ProfileEnd {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct ParameterProfile {
-    /// Which one.
+    /// Index of the parameter, counted from 0.
     pub parameter: usize,
     /// Its name.
     pub name: String,
@@ -84,9 +84,9 @@ pub struct ParameterProfile {
     pub optimum: f64,
     /// The points, by ascending value, the optimum among them.
     pub points: Vec<ProfilePoint>,
-    /// How it ends below the optimum.
+    /// End of the profile below the optimum.
     pub lower: ProfileEnd,
-    /// How it ends above.
+    /// End of the profile above the optimum.
     pub upper: ProfileEnd,
 }
 
@@ -119,14 +119,14 @@ pub struct Profile {
     pub cost: f64,
     /// The profiles, in the order in which they were asked for.
     pub parameters: Vec<ParameterProfile>,
-    /// Whether it was interrupted: some sides are not complete.
+    /// True if the computation was interrupted: some sides are not complete.
     pub is_interrupted: bool,
-    /// Whether residuals of an output are autocorrelated: the intervals are corrected for that, as those of
+    /// True if residuals of an output are autocorrelated: the intervals are corrected for that, as those of
     /// [`Worth`](crate::Worth).
     pub is_autocorrelated: bool,
     /// Points that were simulated, those of a file that was continued included.
     pub n_simulations: usize,
-    /// What the simulations took, without those of a file that was continued.
+    /// Statistics of the simulations, without those of a file that was continued.
     pub stats: Stats,
 }
 

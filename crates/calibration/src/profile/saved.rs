@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
-/// What such a file begins with.
+/// Format name in such a file.
 const FORMAT: &str = "fmufit profile 1";
 
 /// One side of a profile.

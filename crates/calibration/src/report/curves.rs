@@ -1,4 +1,5 @@
-//! What figures of a fit show: measurements, responses at the start and at the fitted values, residuals, inputs, sensitivities.
+//! Data of the figures of a fit: measurements, responses at the start and at the fitted values, residuals,
+//! inputs, sensitivities.
 
 use crate::calibration::Calibration;
 use crate::error::CalibrationError;
@@ -13,7 +14,7 @@ use std::thread::available_parallelism;
 /// Points of a response.
 const CURVE_POINTS: usize = 2001;
 
-/// What is to be drawn of one experiment of a fit.
+/// Curves of one experiment of a fit.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct ExperimentCurves {
@@ -27,7 +28,7 @@ pub struct ExperimentCurves {
     pub inputs: Vec<Signal>,
 }
 
-/// What is to be drawn of one output of an experiment.
+/// Curves of one output of an experiment.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct OutputCurves {
@@ -56,8 +57,8 @@ pub struct Signal {
 }
 
 impl Calibration {
-    /// What is to be drawn of a fit, experiment by experiment: each is simulated at the start of the fit and at the fitted values.
-    /// The context is looked at before every step of the simulations.
+    /// Curves of a fit, experiment by experiment: each is simulated at the start of the fit and at the fitted
+    /// values. The context is looked at before every step of the simulations.
     ///
     /// # Errors
     /// The fit has another number of parameters, or its simulation fails now; [`CalibrationError::Cancelled`].
@@ -143,9 +144,10 @@ impl Calibration {
         }
     }
 
-    /// How much each parameter moves each output, without weights, in the order of the residual vector: the derivative times the size
-    /// of the parameter's value (of one that is zero: its nominal size), so what a relative change of one makes. Per output one column
-    /// per parameter. Empty where the fit has no [`Worth`](crate::Worth).
+    /// Sensitivity of each output to each parameter, without weights, in the order of the residual vector:
+    /// the derivative times the size of the parameter's value (of one that is zero: its nominal size), so the
+    /// effect of a relative change of one. Per output one column per parameter. Empty where the fit has no
+    /// [`Worth`](crate::Worth).
     pub fn sensitivities(&self, fit: &Fit) -> Vec<Vec<Vec<f64>>> {
         let (layout, n) = (fit.residual_layout(self), fit.x.len());
         let jacobian = fit.worth.as_ref().map(|worth| worth.jacobian.as_slice());

@@ -8,8 +8,9 @@ use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use std::ops::Range;
 
-/// What is drawn from a recording, at the start of a fit, and at its end; text; lines of the grid. Blue, vermillion and greys
-/// are told apart by colour-blind readers (Okabe and Ito, Color universal design, 2008), and lines also by their dashes.
+/// Colours of recordings, of the start of a fit, and of its end; of text; of lines of the grid. Colour-blind
+/// readers can distinguish blue, vermillion and greys (Okabe and Ito, Color universal design, 2008), and
+/// lines also by their dashes.
 const MEASURED: RGBColor = RGBColor(0x76, 0x76, 0x76);
 const START: RGBColor = RGBColor(0xD5, 0x5E, 0x00);
 const FITTED: RGBColor = RGBColor(0x00, 0x72, 0xB2);
@@ -56,9 +57,9 @@ pub(super) struct Panel {
     pub(super) height: u32,
     pub(super) y_label: String,
     pub(super) series: Vec<Series>,
-    /// Whether the values are logarithms, to base 10, of what the labels say.
+    /// True if the values are logarithms, to base 10, of the labelled quantity.
     pub(super) is_logarithm: bool,
-    /// Whether a line at zero is drawn.
+    /// True if a line at zero is drawn.
     pub(super) has_zero: bool,
 }
 
@@ -95,7 +96,7 @@ pub(super) fn draw(panels: &[Panel], x_label: &str) -> Option<String> {
     Some(svg.replace(" opacity=\"1\"", "").replace(" stroke=\"none\" stroke-width=\"1\"", ""))
 }
 
-/// What is to be said of so many marks.
+/// Note on so many marks; empty if all of them are drawn.
 pub(super) fn note(n: usize) -> String {
     match n.div_ceil(MOST) {
         0 | 1 => String::new(),

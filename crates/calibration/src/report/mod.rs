@@ -1,4 +1,4 @@
-//! What a fit found, for people: as text, as a part of a notebook, and as a page with figures.
+//! Reports of a fit: as text, as a part of a notebook, and as a page with figures.
 
 mod curves;
 mod figure;
@@ -19,8 +19,8 @@ use std::io::Write;
 use std::path::Path;
 
 impl Fit {
-    /// What [`Display`](std::fmt::Display) shows, as an HTML element for a notebook: it takes the colours of the page around it,
-    /// light or dark.
+    /// Content of [`Display`](std::fmt::Display) as an HTML element for a notebook: it takes the colours of
+    /// the page around it, light or dark.
     pub fn to_html(&self) -> String {
         template::notebook(&summary::Summary::new(self))
     }

@@ -49,7 +49,7 @@ struct Cell {
     strength: f64,
 }
 
-/// What an experiment is made of.
+/// Parts of an experiment.
 #[derive(Serialize)]
 struct Setup {
     name: String,
@@ -192,7 +192,7 @@ fn residual_checks(fit: &Fit) -> Vec<[String; 8]> {
     checks.map(row).collect()
 }
 
-/// How it was simulated and searched.
+/// Settings of the simulations and of the search.
 fn settings(calibration: &Calibration, fit: &Fit) -> Vec<Fact> {
     let report = &fit.report;
     let settings = &calibration.problem().settings;
@@ -216,7 +216,7 @@ fn settings(calibration: &Calibration, fit: &Fit) -> Vec<Fact> {
     facts.into_iter().map(|(name, value)| Fact { name, value }).collect()
 }
 
-/// What each experiment is made of, with the hash of its data.
+/// Parts of each experiment, with the hash of its data.
 fn experiments(calibration: &Calibration) -> Vec<Setup> {
     let problem = calibration.problem();
     let setup = |(k, name): (usize, String)| {
@@ -232,7 +232,7 @@ fn experiments(calibration: &Calibration) -> Vec<Setup> {
     problem.experiment_names().into_iter().enumerate().map(setup).collect()
 }
 
-/// What the model is, and with what the fit was made.
+/// Origin of the fit: the model, and the version of this program.
 fn origin(calibration: &Calibration) -> Vec<Fact> {
     let (problem, description) = (calibration.problem(), calibration.fmu().description());
     let facts = [

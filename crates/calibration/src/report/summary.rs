@@ -1,4 +1,4 @@
-//! What a fit found, as tables and sentences: what `Display`, the notebook and the report show.
+//! Summary of a fit as tables and sentences: the content of `Display`, the notebook and the report.
 
 use super::number::{rounded, with_error};
 use crate::effect::BoundSide;
@@ -24,22 +24,22 @@ const LEVEL: f64 = 0.95;
 /// A fit as tables and sentences.
 #[derive(Debug, Serialize)]
 pub(super) struct Summary {
-    /// What it is: the model.
+    /// Title: the name of the model.
     pub(super) title: String,
-    /// Whether the run ended as it should.
+    /// True if the run ended as it should.
     pub(super) is_success: bool,
-    /// How it ended and how good it is, in a sentence.
+    /// Sentence on the termination and the quality of the fit.
     pub(super) sentence: String,
-    /// What is to be said of it, the gravest first.
+    /// Findings about the fit, the most severe first.
     pub(super) findings: Vec<Finding>,
     pub(super) parameters: Vec<ParameterRow>,
     pub(super) outputs: Vec<OutputRow>,
-    /// Whether the fit has standard errors, and whether they are corrected for autocorrelated residuals.
+    /// True if the fit has standard errors, and if they are corrected for autocorrelated residuals.
     pub(super) has_errors: bool,
     pub(super) has_uncorrected_errors: bool,
-    /// Whether outputs belong to several experiments.
+    /// True if outputs belong to several experiments.
     pub(super) has_several_experiments: bool,
-    /// How it was found: names and values.
+    /// Facts about the run: names and values.
     pub(super) facts: Vec<Fact>,
 }
 
@@ -99,7 +99,7 @@ impl Summary {
     }
 }
 
-/// How the fit ended and how good it is.
+/// Sentence on the termination and the quality of the fit.
 fn sentence(fit: &Fit) -> String {
     let ended = match &fit.report.termination {
         Termination::Converged => "The fit converged",
@@ -279,7 +279,7 @@ fn facts(fit: &Fit) -> Vec<Fact> {
     facts.into_iter().map(|(name, value)| Fact { name, value }).collect()
 }
 
-/// How the standard errors were estimated.
+/// Description of the estimate of the standard errors.
 fn errors(fit: &Fit) -> String {
     let Some(worth) = &fit.worth else { return "none were estimated".to_owned() };
     let corrected =

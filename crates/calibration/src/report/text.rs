@@ -34,7 +34,7 @@ fn write(f: &mut String, summary: &Summary) -> fmt::Result {
     Ok(())
 }
 
-/// Whether the columns of the parameters stand at the right of theirs: name, start, value, error, unit, remark.
+/// True for columns of the parameters that are aligned to the right: name, start, value, error, unit, remark.
 const PARAMETER_SIDES: [bool; 6] = [false, true, false, false, false, false];
 
 fn parameters(summary: &Summary) -> Vec<[String; 6]> {

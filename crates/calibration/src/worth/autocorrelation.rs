@@ -9,9 +9,9 @@ pub(crate) struct Group {
     pub(crate) series: Vec<Range<usize>>,
     /// Variance of each of them if they are independent.
     pub(crate) variance: f64,
-    /// What a variance is multiplied with, see [`Working`](super::scores::Working).
+    /// Factor of a variance, see [`Working`](super::scores::Working).
     pub(crate) correction: f64,
-    /// Whether nothing is to be read from them: they are rounding.
+    /// True if the residuals are rounding: they give no information.
     pub(crate) is_rounding: bool,
 }
 
@@ -29,7 +29,7 @@ const DIFFERENCE: f64 = 0.05;
 /// Fewer degrees of freedom are no approximation any more.
 const FEWEST: f64 = 2.0;
 
-/// What was found of the residuals, where any of them are autocorrelated.
+/// Estimated autocorrelation of the residuals, where any of them are autocorrelated.
 pub(crate) struct Dependence<'a> {
     base: &'a DMatrix<f64>,
     groups: &'a [Group],

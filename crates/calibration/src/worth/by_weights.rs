@@ -6,8 +6,8 @@ use nalgebra::{DMatrix, DVector};
 /// An output takes part that has at least so many residuals for each parameter: of fewer the parameters explain too much.
 const RESIDUALS_PER_PARAMETER: usize = 4;
 
-/// What the squares of other outputs, over their variance, may rise by, in standard deviations of a chi-squared number: as many
-/// parameters as they were fitted with have moved.
+/// Largest rise of the squares of other outputs, over their variance, in standard deviations of a chi-squared
+/// number: as many parameters as they were fitted with have moved.
 const BY_CHANCE: f64 = 4.0;
 
 /// Marks the outputs with systematic residuals that one step of least squares, with the residuals of each output in units of their

@@ -16,7 +16,7 @@ const SHARE: f64 = 0.03;
 /// A variance without bias that is below this part of the mean square is that of chance: a group says nothing of its own.
 const LEAST: f64 = 0.05;
 
-/// What is supposed of the residuals.
+/// Assumptions on the noise of the residuals.
 pub(crate) struct Noise {
     /// Variance of each residual, if they are independent.
     pub(crate) variances: Vec<f64>,
@@ -32,7 +32,7 @@ pub(crate) struct Factors {
     pub(crate) inverse: DMatrix<f64>,
     /// U, m x q: an orthonormal base of the changes that are no noise.
     pub(crate) base: DMatrix<f64>,
-    /// Which of the p parameters the residuals do not determine.
+    /// True for those of the p parameters that the residuals do not determine.
     pub(crate) is_undetermined: Vec<bool>,
 }
 

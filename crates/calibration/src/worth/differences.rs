@@ -54,7 +54,8 @@ pub(crate) struct Center<'a> {
     pub(crate) simulation_error: f64,
 }
 
-/// What was found around a point: over the step `B z` in the coordinates of the search the residuals change by `E z`.
+/// Differences around a point: over the step `B z` in the coordinates of the search the residuals change by
+/// `E z`.
 pub(crate) struct Differences {
     /// E, m x p.
     pub(crate) changes: DMatrix<f64>,
@@ -84,8 +85,8 @@ impl Center<'_> {
         self.parameters[self.free[k]].scale_kind() == crate::parameter::Scale::Log
     }
 
-    /// What parts of steps refer to: the parameter itself, on a log scale a factor e; not less than a step by which the
-    /// residuals change by `deviation`, as far as the typical size goes.
+    /// Sizes that steps are relative to: the parameter itself, on a log scale a factor e; not less than a
+    /// step by which the residuals change by `deviation`, as far as the typical size goes.
     fn references(&self, jacobian: &DMatrix<f64>, deviation: f64) -> DVector<f64> {
         DVector::from_fn(self.free.len(), |k, _| {
             if self.is_log(k) {
@@ -109,7 +110,7 @@ impl Center<'_> {
         x
     }
 
-    /// How far the bounds let a step go, backward and forward.
+    /// Longest steps that the bounds allow in a direction, backward and forward.
     fn room(&self, step: &Step) -> (f64, f64) {
         let (mut backward, mut forward) = (f64::INFINITY, f64::INFINITY);
         for (k, d) in step.direction.iter().enumerate().filter(|(_, d)| **d != 0.0) {

@@ -1,4 +1,5 @@
-//! What a fit is worth: how uncertain its parameters are, which of them the data can tell apart, and what the residuals look like.
+//! Uncertainty of a fit: standard errors of its parameters, parameters that the data can determine, and
+//! checks of the residuals.
 
 mod autocorrelation;
 mod by_weights;
@@ -37,7 +38,7 @@ use std::thread::available_parallelism;
 pub use unmodelled::{Unmodelled, UnmodelledKind};
 pub(crate) use verdict::SEARCH;
 
-/// What is known before it is asked what a point is worth.
+/// Data at a point that are known before its uncertainty is estimated.
 #[derive(Default)]
 pub(crate) struct KnownPoint<'a> {
     /// Plain residuals.
@@ -49,17 +50,18 @@ pub(crate) struct KnownPoint<'a> {
     pub(crate) held: Vec<usize>,
     /// Parameters that were seen to have no effect: not held, even at a bound, where they say nothing.
     pub(crate) inert: &'a [usize],
-    /// What differences of the cost count as none, relative to it.
+    /// Differences of the cost that count as none, relative to it.
     pub(crate) f_tol: f64,
-    /// How the residuals make the cost.
+    /// Form of the cost as a function of the residuals.
     pub(crate) criterion: Criterion,
 }
 
 impl Calibration {
-    /// How much a point is worth as the result of a fit: covariance and correlation of the parameters, what the data cannot tell, what
-    /// the residuals look like, and the cost with a hundredth of the relative tolerance (of a fixed-step method: half the step). Takes one simulation for that, and two for
-    /// each parameter that is not held, at least twice (steps of about one standard error are found by a first round). Simulations run
-    /// in parallel. The context is looked at on the calling thread.
+    /// Uncertainty of a point as the result of a fit: covariance and correlation of the parameters,
+    /// parameters that the data do not determine, checks of the residuals, and the cost with a hundredth of
+    /// the relative tolerance (of a fixed-step method: half the step). Takes one simulation for that, and two
+    /// for each parameter that is not held, at least twice (steps of about one standard error are found by a
+    /// first round). Simulations run in parallel. The context is looked at on the calling thread.
     ///
     /// # Errors
     /// The wrong number of values; the simulation fails there, or on all sides around it; [`CalibrationError::Cancelled`].
@@ -265,7 +267,7 @@ impl Calibration {
         Ok((worth, (0..n).map(|i| curvature[i * n + i]).collect()))
     }
 
-    /// Whether a parameter lies at one of its bounds.
+    /// True if a parameter lies at one of its bounds.
     fn is_at_bound(&self, p: &Parameter, x: f64) -> bool {
         let (lower, upper, at) = (inner(p, p.lower()), inner(p, p.upper()), inner(p, x));
         (at - lower).min(upper - at) <= AT * self.size_of(p, x)

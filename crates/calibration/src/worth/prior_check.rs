@@ -18,11 +18,12 @@ const CONTRADICTS: f64 = 4.0;
 pub struct PriorConflict {
     /// The parameter, by number.
     pub parameter: usize,
-    /// What was known of it.
+    /// Prior of the parameter.
     pub prior: Prior,
     /// The value that the measurements alone give, by one step of least squares from the result.
     pub without_prior: f64,
-    /// How many standard deviations this is from the prior: those of both, added as independent ones.
+    /// Distance of this value from the prior in standard deviations: those of both, added as independent
+    /// ones.
     pub deviations: f64,
 }
 

@@ -1,4 +1,4 @@
-//! What the residuals of each output look like: mean, autocorrelation, outliers, runs.
+//! Checks of the residuals of each output: mean, autocorrelation, outliers, runs.
 
 use super::digits::digits;
 use super::unmodelled::Unmodelled;
@@ -33,7 +33,7 @@ pub struct ResidualCheck {
     pub experiment: String,
     /// The variable of the model.
     pub variable: String,
-    /// How many residuals it has.
+    /// Number of residuals of the output.
     pub n: usize,
     /// Their mean.
     pub mean: f64,
@@ -41,17 +41,20 @@ pub struct ResidualCheck {
     pub deviation: f64,
     /// Their autocorrelation at lag one; NaN for fewer than three, and where all are the same.
     pub autocorrelation: f64,
-    /// How many lie beyond four robust standard deviations (by the median absolute deviation) from the median; ten where there are
-    /// fewer than 20 residuals, none where there are fewer than 8: few of them tell their deviation badly.
+    /// Number of residuals beyond four robust standard deviations (by the median absolute deviation) from the
+    /// median; ten where there are fewer than 20 residuals, none where there are fewer than 8: few of them
+    /// determine their deviation badly.
     pub n_outliers: usize,
-    /// How many standard deviations the number of runs of one sign is above (below: negative) that of independent residuals (Wald
-    /// and Wolfowitz, Ann. Math. Statist. 11, 1940); NaN where all have one sign.
+    /// Number of standard deviations by which the number of runs of one sign is above (below: negative) that
+    /// of independent residuals (Wald and Wolfowitz, Ann. Math. Statist. 11, 1940); NaN where all have one
+    /// sign.
     pub runs: f64,
-    /// Whether they are rounding, below 1e-10 of the size of the measurements: nothing is said of them.
+    /// True if the residuals are rounding, below 1e-10 of the size of the measurements: there are no findings
+    /// about them.
     #[serde(default)]
     pub is_rounding: bool,
-    /// Whether they are autocorrelated, or have an offset, because the weights of other outputs keep the parameters from values that
-    /// would leave none of that.
+    /// True if the residuals are autocorrelated, or have an offset, because the weights of other outputs keep
+    /// the parameters from values that would leave none of that.
     #[serde(default)]
     pub is_by_weights: bool,
     /// One number of the measurements that would explain most of them, where they show something that lasts.
@@ -81,7 +84,7 @@ impl ResidualCheck {
         layout.outputs.iter().map(check).collect()
     }
 
-    /// What is to be said of them; `name`: of the output.
+    /// Findings about the residuals; `name`: of the output.
     pub(crate) fn findings(&self, name: &str, has_loss: bool) -> Vec<Finding> {
         let mut said = Vec::new();
         if self.is_rounding {
@@ -154,7 +157,7 @@ impl ResidualCheck {
         self.mean.abs() > BY_CHANCE * of_mean && self.mean.abs() > 0.1 * self.deviation && self.n > 2
     }
 
-    /// Whether they show something that lasts.
+    /// True if the residuals are systematic: autocorrelated, with long runs of one sign, or with an offset.
     pub(super) fn is_systematic(&self) -> bool {
         !self.is_rounding && (self.is_autocorrelated() || self.keeps_sign() || self.has_offset())
     }
@@ -179,7 +182,7 @@ impl ResidualCheck {
     }
 }
 
-/// Whether the residuals `r` of an output are rounding of its measurements.
+/// True if the residuals `r` of an output are rounding of its measurements.
 pub(crate) fn is_rounding(output: &OutputResiduals, r: &[f64]) -> bool {
     r.iter().map(|r| r * r).sum::<f64>() <= square_of_rounding(output)
 }

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 use std::fmt;
 
-/// How the covariance of the parameters is estimated.
+/// Estimator of the covariance of the parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Estimator {
@@ -44,22 +44,23 @@ impl fmt::Display for Estimator {
     }
 }
 
-/// How [`Calibration::worth`](crate::Calibration::worth) is found out.
+/// Options of [`Calibration::worth`](crate::Calibration::worth).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct WorthOptions {
-    /// How the covariance is estimated.
+    /// Estimator of the covariance.
     pub estimator: Estimator,
     /// Simulations that run at once; default: all cores, in a fit: as many as its evaluations. The result does not depend on it.
     pub workers: Option<usize>,
     /// Parameters that are taken as known, by number, besides those that are fixed or lie at a bound: the standard errors of the others
     /// are conditional then. In a fit: those that it [holds](crate::FitOptions::held), too.
     pub held: Vec<usize>,
-    /// What a residual counts; in a fit: as there. With a robust loss the covariance is that of an M-estimator, `mean psi^2 / (mean psi')^2
-    /// (J'J)^-1` for each output (Huber, Robust Statistics, 1981, section 7.6).
+    /// Loss function: the contribution of a residual to the cost; in a fit: as there. With a robust loss the
+    /// covariance is that of an M-estimator, `mean psi^2 / (mean psi')^2 (J'J)^-1` for each output (Huber,
+    /// Robust Statistics, 1981, section 7.6).
     pub loss: RobustLoss,
-    /// Whether the cost is the [likelihood](crate::NamedCost::Likelihood), whose information weighs each output by the inverse of its
-    /// variance; in a fit: as there.
+    /// True if the cost is the [likelihood](crate::NamedCost::Likelihood), whose information weighs each
+    /// output by the inverse of its variance; in a fit: as there.
     pub is_likelihood: bool,
 }
 
@@ -69,20 +70,21 @@ impl WorthOptions {
     }
 }
 
-/// What a fit is worth.
+/// Uncertainty of a fit, with checks of its residuals.
 ///
 /// From central differences over steps of about one standard error (see the source of `differences`); never from second
 /// derivatives. Residuals of priors count, with the variance 1.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Worth {
-    /// How the covariance was estimated.
+    /// Estimator of the covariance.
     pub estimator: Estimator,
     /// Names of the parameters.
     pub names: Vec<String>,
     /// The point, in the user's units.
     pub x: Vec<f64>,
-    /// Whether a parameter is searched by its logarithm: its [confidence interval](Self::confidence_intervals) is symmetric there.
+    /// True for each parameter that is searched by its logarithm: its
+    /// [confidence interval](Self::confidence_intervals) is symmetric there.
     pub is_log: Vec<bool>,
     /// Covariance of the parameters, n x n, row by row, in the user's units, with the residuals of outputs that are autocorrelated taken
     /// for a first-order autoregression (see [`autocorrelations`](Self::autocorrelations)). Zero for parameters that are [held](Self::held); infinite on
@@ -119,7 +121,7 @@ pub struct Worth {
     /// most independent (QR with column pivoting; Burth, Verghese and Velez-Reyes, IEEE Trans. Power Systems 14, 1999) that has relative
     /// standard errors below 50 % and no correlation of 0.9 or more, the others held.
     pub identifiable: Vec<usize>,
-    /// What is to be said of all this.
+    /// Findings about the uncertainty, the residuals and the cost.
     pub findings: Vec<Finding>,
     /// The cost, as the fit has it.
     pub cost: f64,
@@ -128,8 +130,8 @@ pub struct Worth {
     /// The method has a fixed step: the accurate cost is that with half of it.
     #[serde(default)]
     pub is_step_halved: bool,
-    /// Whether the residuals are within ten relative tolerances of the measurements: the data hold no noise, and how accurate the cost
-    /// is does not matter.
+    /// True if the residuals are within ten relative tolerances of the measurements: the data hold no noise,
+    /// and the accuracy of the cost does not matter.
     pub is_exact: bool,
     /// The part of the cost that one more step of least squares would take away: 0 at a minimum. 0 too where that step is within the
     /// standard errors, and where the measurements are reproduced [exactly](Self::is_exact).
@@ -194,7 +196,8 @@ impl Worth {
         own.map(|((error, x), is_log)| if *is_log { error / x } else { *error })
     }
 
-    /// What is to be said of the covariance: who is not determined, who is taken as known; empty if nothing is.
+    /// Findings about the covariance in words: parameters that are not determined, or taken as known; empty
+    /// if there are none.
     pub fn message(&self) -> String {
         let mut said: Vec<String> = self.undetermined_findings().iter().map(Finding::advice).collect();
         if !self.held.is_empty() {
@@ -204,7 +207,7 @@ impl Worth {
         said.join("; ")
     }
 
-    /// What is to be said of all this, in sentences; empty if nothing is.
+    /// All findings in sentences; empty if there are none.
     pub fn verdict(&self) -> Vec<String> {
         self.findings.iter().map(Finding::advice).collect()
     }

@@ -1,12 +1,12 @@
-//! What residuals count in the equations that a fit solves, for least squares, robust losses and the likelihood: near its solution all
-//! of them are linear least squares with other residuals and rows.
+//! Scores of the residuals in the equations that a fit solves, for least squares, robust losses and the
+//! likelihood: near its solution all of them are linear least squares with other residuals and rows.
 
 use super::residual_check::{MEDIAN_DEVIATION, median};
 use crate::layout::ResidualLayout;
 use crate::objective::NamedCost;
 use dfo::RobustLoss;
 
-/// How the residuals make the cost that a fit minimises.
+/// Form of the cost that a fit minimises, as a function of the residuals.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Criterion {
     /// The sum of what they count.
@@ -38,7 +38,7 @@ pub(crate) struct Working {
     pub(crate) residuals: Vec<f64>,
     /// `sqrt(l)` of each residual.
     pub(crate) roots: Vec<f64>,
-    /// What the variance of each residual is multiplied with: Huber's correction for samples that are small.
+    /// Factor of the variance of each residual: Huber's correction for small samples.
     pub(crate) corrections: Vec<f64>,
 }
 

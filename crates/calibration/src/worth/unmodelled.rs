@@ -1,4 +1,5 @@
-//! What the model leaves out of an output, where one number says it: an offset, a factor, a delay, a drift of the measurements.
+//! Effects that the model leaves out of an output, where one number describes them: an offset, a factor, a
+//! delay, a drift of the measurements.
 
 use super::digits::digits;
 use crate::layout::OutputResiduals;
@@ -14,7 +15,7 @@ const LEFT: (f64, f64) = (0.1, 0.5);
 /// A change that the parameters make, too, but for this part of its squares, is no other one.
 const OWN: f64 = 1e-3;
 
-/// What measurements have beside what was simulated.
+/// Kind of effect in the measurements that the simulation does not have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum UnmodelledKind {
@@ -32,7 +33,7 @@ pub enum UnmodelledKind {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Unmodelled {
-    /// What it is.
+    /// Kind of the effect.
     pub kind: UnmodelledKind,
     /// The offset in the unit of the variable, the factor, the delay in s, the drift per s.
     pub size: f64,
@@ -84,7 +85,7 @@ impl Unmodelled {
         [Offset, Factor, Delay, Drift].into_iter().filter_map(of).min_by(|a, b| a.left.total_cmp(&b.left))
     }
 
-    /// What it is, with its number, and what to do.
+    /// Description of the effect with its number, and the remedy.
     pub(super) fn words(&self) -> (String, &'static str) {
         let size = digits(self.size);
         match self.kind {

@@ -1,4 +1,5 @@
-//! What the numbers say, in words: parameters that the data cannot tell, alone, in pairs or in combinations of more.
+//! Findings about the uncertainty, in words: parameters that the data do not determine, alone, in pairs or in
+//! combinations of more.
 
 use super::covariance::{Factors, Noise};
 use super::differences::Differences;
@@ -27,7 +28,7 @@ const MOVES: f64 = 1e-8;
 /// The data do not move a parameter off its prior whose derivatives are below this part of that of the prior.
 const PRIOR_ALONE: f64 = 1e-3;
 
-/// What a finding is about that says that a search ended early.
+/// Subject of a finding that says that a search ended early.
 pub(crate) const SEARCH: &str = "search";
 
 impl Worth {
