@@ -3,7 +3,7 @@
 //!     cargo bench --bench evaluations -- furuta tsit5 20
 #![allow(clippy::unwrap_used, clippy::print_stdout, clippy::panic)]
 
-use fmufit::calibration::{Calibration, Data, Experiment, Parameter, SimulationSettings};
+use fmufit::calibration::{Calibration, Data, Experiment, Parameter, RunContext, SimulationSettings};
 use fmufit::example_models::{ExampleKind, example_fmu_as};
 use fmufit::fmi::worker::Isolation;
 use fmufit::fmi::{Fmu, Kind};
@@ -100,6 +100,7 @@ fn main() {
             })
             .build()
             .unwrap();
-    let cost = (0..evaluations.parse().unwrap()).fold(0.0, |_, _| calibration.cost(&[start]).unwrap());
+    let cost = (0..evaluations.parse().unwrap())
+        .fold(0.0, |_, _| calibration.cost(&[start], &RunContext::new()).unwrap());
     println!("{cost:e} {:016x}", cost.to_bits());
 }

@@ -77,7 +77,8 @@ fn flowing() -> Vec<(&'static str, AnyMethod)> {
     let searches = Multistart::default().exploration(0.0).sample(30);
     vec![
         ("de", named("de")),
-        ("three members ahead", DifferentialEvolution::default().lag(3.0).into()),
+        ("one generation ahead", DifferentialEvolution::default().lag(1.0).into()),
+        ("three generations ahead", DifferentialEvolution::default().lag(3.0).into()),
         ("de-classic", DifferentialEvolution::classic().lag(0.4).into()),
         ("multistart", named("multistart")),
         ("searches", searches.clone().into()),
@@ -144,9 +145,15 @@ fn whoever_drives_the_path_is_the_same() {
 
 #[test]
 fn workers_are_busy_although_some_evaluations_take_long() {
-    for (name, least, before) in [("de", 0.45, 0.36), ("de-classic", 0.6, 0.5), ("multistart", 0.25, 0.2)] {
-        let (_, serial) = run(&named(name), (5, 5000), 1, 10);
-        let (report, seen) = run(&named(name), (5, 5000), 16, 10);
+    let methods: [(&str, AnyMethod, f64, f64); 4] = [
+        ("de, lag 1", DifferentialEvolution::default().lag(1.0).into(), 0.45, 0.36),
+        ("de, lag 2", DifferentialEvolution::default().lag(2.0).into(), 0.62, 0.36),
+        ("de-classic, lag 2", DifferentialEvolution::classic().lag(2.0).into(), 0.85, 0.5),
+        ("multistart", named("multistart"), 0.25, 0.2),
+    ];
+    for (name, method, least, before) in methods {
+        let (_, serial) = run(&method, (5, 5000), 1, 10);
+        let (report, seen) = run(&method, (5, 5000), 16, 10);
         let (useful, all) =
             (serial.now.get() / (16.0 * seen.now.get()), seen.busy.get() / (16.0 * seen.now.get()));
         println!("{name}: {useful:.3} of 16 workers for the path, {all:.3} in all; {before} with barriers");
@@ -154,8 +161,8 @@ fn workers_are_busy_although_some_evaluations_take_long() {
         assert!(name == "multistart" || seen.begun.get() < report.n_evaluations + 200, "{name}");
     }
     // A generation at a time.
-    let (_, serial) = run(&DifferentialEvolution::default().lag(0.0).into(), (5, 5000), 1, 10);
-    let (_, seen) = run(&DifferentialEvolution::default().lag(0.0).into(), (5, 5000), 16, 10);
+    let (_, serial) = run(&DifferentialEvolution::default().into(), (5, 5000), 1, 10);
+    let (_, seen) = run(&DifferentialEvolution::default().into(), (5, 5000), 16, 10);
     assert!(serial.now.get() < 0.4 * 16.0 * seen.now.get());
 }
 

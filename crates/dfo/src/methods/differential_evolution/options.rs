@@ -146,8 +146,9 @@ pub struct DifferentialEvolution {
     /// Evaluations over which L-SHADE shrinks its population; default the limit of the run, without one `2000 (n + 1)`. A
     /// plan, not a limit: after it the run goes on with the last members.
     pub budget: Option<usize>,
-    /// So many trials are made ahead of selection at any time, in units of the members; default 1. With 0 a generation is made when the one
-    /// before it is known whole.
+    /// So many trials are made ahead of selection at any time, in units of the members; default 0: a generation is made when the one
+    /// before it is known whole. With 1 and more, workers are busy although some evaluations take long, and a run takes some 5 % more
+    /// evaluations (docs/scaling.md).
     pub lag: f64,
 }
 
@@ -160,7 +161,7 @@ impl Default for DifferentialEvolution {
             repair: Repair::Midpoint,
             include_start: true,
             budget: None,
-            lag: 1.0,
+            lag: 0.0,
         }
     }
 }
