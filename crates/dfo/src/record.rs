@@ -92,7 +92,9 @@ impl Value {
     /// # Errors
     /// No positive number, or another type.
     pub fn read_time(&self, name: &str) -> Result<Option<Duration>, RecordError> {
-        let Some(seconds) = self.read::<Option<f64>>(name)?.filter(|seconds| !(*seconds > ENDLESS)) else {
+        let Some(seconds) =
+            self.read::<Option<f64>>(name)?.filter(|seconds| seconds.is_nan() || *seconds <= ENDLESS)
+        else {
             return Ok(None);
         };
         match Duration::try_from_secs_f64(seconds) {
