@@ -99,7 +99,7 @@ impl Value {
         };
         match Duration::try_from_secs_f64(seconds) {
             Ok(time) if seconds > 0.0 => Ok(Some(time)),
-            _ => Err(RecordError::range("a positive number of seconds").of(name, self)),
+            _ => Err(RecordError::message(format!("{name} = {self} must be a positive number of seconds"))),
         }
     }
 
@@ -218,13 +218,11 @@ impl RecordError {
         self
     }
 
-    /// Says what an option of several shapes must be, where it is not a word of a set.
+    /// Says what an option of several shapes must be.
     pub(crate) fn must_be(&mut self, expected: &str) {
         match &mut self.problem {
             Problem::Expected { what, .. } => expected.clone_into(what),
-            Problem::Word(_) if !matches!(self.given, Value::Text(_)) => {
-                self.problem = Problem::Expected { what: expected.to_owned(), is_type: true };
-            }
+            Problem::Word(_) => self.problem = Problem::Expected { what: expected.to_owned(), is_type: true },
             _ => {}
         }
     }
@@ -254,7 +252,7 @@ impl RecordError {
                 Some(method) => format!("option '{name}' of {method} must be {what}, not {given}"),
                 None => format!("{name} must be {what}, not {given}"),
             },
-            Problem::Range(range) => format!("{name} = {} must be {range}", self.given),
+            Problem::Range(range) => format!("{name} = {given} must be {range}"),
             Problem::Word(known) => {
                 let listed: Vec<String> = known.iter().map(|word| format!("'{word}'")).collect();
                 let text = if let Value::Text(text) = &self.given { text } else { "" };
