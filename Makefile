@@ -14,19 +14,24 @@ define suite
 printf -- '--- %s: %s s\n' "$(1)" "$$(( $$(date +%s) - start ))"
 endef
 
+# $(call develop,options): builds the Python module and installs it into .venv.
+develop = @$(BIN)/maturin develop --quiet --manifest-path crates/pydfo/Cargo.toml $(1)
+
 .PHONY: help demo test test-rust test-python test-packaging test-long lint bench bench-dfo doc build fuzz sanitize nightly clean
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 18
 
-demo: build  ## calibrate the Furuta pendulum against measurements, draw furuta.png
+demo: $(VENV)/.demo  ## calibrate the Furuta pendulum against measurements, draw furuta.png
+	$(call develop,--profile quick --no-default-features)
 	$(BIN)/python examples/furuta.py
 
 test: lint test-rust test-python test-packaging  ## everything that must pass before a commit
 	@echo; echo "all suites passed"
 
-lint: $(VENV)/.tools  ## formatting, clippy, docs with warnings denied, the gate
+lint: $(VENV)/.tools  ## formatting, ruff, clippy, docs with warnings denied, the gate
 	$(call suite,format,cargo fmt --all --check)
 	$(call suite,gate,$(BIN)/python tools/gate.py)
+	$(call suite,ruff,$(BIN)/ruff check --quiet)
 	$(call suite,clippy,cargo clippy --workspace --all-targets --quiet -- -D warnings)
 	$(call suite,rustdoc,RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --quiet)
 
@@ -35,7 +40,8 @@ test-rust:  ## unit tests, black-box tests, doctests, examples
 	$(call suite,rust examples,for e in $(basename $(notdir $(wildcard examples/*.rs))); do \
 		cargo run --quiet --example $$e >/dev/null || exit 1; done)
 
-test-python: build  ## pytest, stub check, examples
+test-python: $(VENV)/.tools  ## pytest, stub check, examples
+	$(call develop,--profile quick)
 	$(call suite,pytest,$(BIN)/python -m pytest -q crates/pydfo/tests)
 	$(call suite,stubs,$(BIN)/python -m mypy.stubtest pydfo && $(BIN)/python -m mypy --strict crates/pydfo/python/pydfo)
 	$(call suite,python examples,for e in $(wildcard examples/*.py); do MPLBACKEND=Agg $(BIN)/python $$e >/dev/null || exit 1; done)
@@ -43,7 +49,7 @@ test-python: build  ## pytest, stub check, examples
 test-packaging: $(VENV)/.tools  ## the source distribution builds and works in an empty environment elsewhere
 	$(call suite,packaging,bash tools/packaging.sh $(BIN))
 
-test-long: build  ## what takes long: many runs, memory
+test-long: $(VENV)/.tools build  ## what takes long: many runs, memory
 	$(call suite,long rust tests,cargo test --workspace --release --quiet -- --ignored)
 	$(call suite,long python tests,$(BIN)/python -m pytest -q -m long crates/pydfo/tests)
 
@@ -89,12 +95,16 @@ nightly:
 doc:  ## the Rust documentation, in target/doc
 	cargo doc --workspace --no-deps
 
-build: $(VENV)/.tools  ## the Python module, installed into .venv
-	@$(BIN)/maturin develop --release --quiet --manifest-path crates/pydfo/Cargo.toml
+build: $(VENV)/.demo  ## the Python module, installed into .venv
+	$(call develop,--release)
 
-$(VENV)/.tools: crates/pydfo/requirements-dev.txt
+$(VENV)/.demo: crates/pydfo/requirements-demo.txt
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(0 if v >= (3, 10) else f"Python 3.10 or newer is needed, this is {v[0]}.{v[1]}")'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r $<
+	@touch $@
+
+$(VENV)/.tools: crates/pydfo/requirements-dev.txt $(VENV)/.demo
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r $<
 	@touch $@
 

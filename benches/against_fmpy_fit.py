@@ -9,7 +9,8 @@ by SciPy's `least_squares` with forward differences of several relative steps, o
 
 The time runs from the path of the FMU to the first evaluation whose cost is within 1e-6 of the best that simulations of the same
 tool reach in any of their runs: every tool is judged by its own simulations. Modules are imported before. A run that ends without
-having come so far counts with its whole time, marked ">". `--cpu` takes the time of the processor, of all threads, where other work shares the machine.
+having come so far counts with its whole time, marked ">". `--cpu` takes the time of the processor, of all threads, where other
+work shares the machine.
 """
 
 import argparse

@@ -1,8 +1,8 @@
 """Refuses what must not stand in library code: unfinished work, unchecked unwraps, unsafe outside `sys`, imports from
-higher layers.
+higher layers, and tests that are never compiled.
 
 Looks at every Rust source below crates/*/src and src. Test modules (from `#[cfg(test)]` to the end of the file) may
-unwrap; `unsafe` may stand only in crates/fmi/src/sys.
+unwrap; `unsafe` may stand only in crates/fmi/src/sys. A file in a folder tests/all is compiled only if its main.rs names it.
 """
 
 from __future__ import annotations
@@ -49,10 +49,20 @@ def findings(path: Path) -> list[str]:
     return found
 
 
+def tests_left_out() -> list[str]:
+    """The files of tests/all that main.rs does not name."""
+    found = []
+    for main in [ROOT / "tests" / "all" / "main.rs", *ROOT.glob("crates/*/tests/all/main.rs")]:
+        named = re.findall(r"^mod (\w+);", main.read_text(encoding="utf-8"), re.M)
+        files = sorted(path for path in main.parent.glob("*.rs") if path != main and path.stem not in named)
+        found += [f"{path.relative_to(ROOT)}: not named in main.rs" for path in files]
+    return found
+
+
 def main() -> int:
     """Prints every finding; the exit status says whether there was one."""
     sources = sorted([*ROOT.glob("src/**/*.rs"), *ROOT.glob("crates/*/src/**/*.rs")])
-    found = [line for path in sources for line in findings(path)] + layers.findings()
+    found = [line for path in sources for line in findings(path)] + layers.findings() + tests_left_out()
     print("\n".join(found) if found else f"gate: {len(sources)} files are clean")
     return 1 if found else 0
 

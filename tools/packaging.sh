@@ -8,6 +8,7 @@ out=$(mktemp -d)
 trap 'rm -rf "$out"' EXIT
 # What comes from the registry need not be compiled twice.
 export CARGO_TARGET_DIR="$root/target"
+export MATURIN_PEP517_ARGS="--profile quick"
 "$bin/maturin" sdist --manifest-path "$root/crates/pydfo/Cargo.toml" --out "$out/dist" >/dev/null 2>"$out/log" || { cat "$out/log"; exit 1; }
 "$bin/python" -m venv "$out/venv"
 cd "$out"

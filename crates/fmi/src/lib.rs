@@ -22,6 +22,10 @@
 //! (`simulation/model_exchange.rs`), `Current::call` (`simulation/running.rs`: what a refused call means for the run),
 //! `right_hand_side` of the raw instance (`sys/raw_instance/component.rs`: lengths, floating-point mode), the C function, whose
 //! pointer stands in a table that is the same for all versions of FMI: none of the calls between is dynamic.
+//!
+//! # Features
+//!
+//! Both are on by default: `sandbox` confines worker processes with Landlock where that is asked for (Linux), `sparse` is that of `ode`.
 #![deny(unsafe_code)]
 
 pub mod archive;

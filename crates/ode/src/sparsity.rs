@@ -52,6 +52,7 @@ impl JacobianPattern {
     }
 
     /// Where columns begin, and the rows of all of them.
+    #[cfg(feature = "sparse")]
     pub(crate) fn into_columns(self) -> (Vec<usize>, Vec<usize>) {
         (self.starts, self.rows)
     }

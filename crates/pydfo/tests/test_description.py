@@ -9,7 +9,6 @@ from collections.abc import Mapping
 import fmus
 import pytest
 
-import pydfo
 from pydfo import FMUModel, example_fmu, read_description
 
 

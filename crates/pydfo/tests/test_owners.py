@@ -38,7 +38,7 @@ def test_a_model_that_was_simulated_can_be_calibrated_whatever_the_flag_says(tmp
 def test_what_one_model_sets_does_not_reach_another():
     models = [load_fmu(example_fmu("dahlquist")) for _ in range(3)]
     truth = [None] * 3
-    for round_ in range(3):
+    for _ in range(3):
         for i, model in enumerate(models):
             model.set("k", 1.0 + i)
             res = model.simulate(final_time=1.0)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from conftest import Recorder, rosenbrock
 
-import pydfo
 from pydfo import fmin
 
 QUIET = {"disp": False}

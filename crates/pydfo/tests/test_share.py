@@ -91,7 +91,7 @@ def test_copies_after_a_plot(fit):
 
 
 def test_without_its_model_a_fit_shows_its_numbers(fit, place, tmp_path):
-    path, moved, content = tmp_path / "decay.fit", place.with_name("moved.fmu"), FMUModel(place).description
+    path, moved = tmp_path / "decay.fit", place.with_name("moved.fmu")
     fit.save(path)
     dump = pickle.dumps(fit)
     place.rename(moved)

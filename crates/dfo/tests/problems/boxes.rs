@@ -1,7 +1,7 @@
 //! Problems whose minimum lies on a bound, and some where it does not: quadratics on boxes, the problems of Hock and
 //! Schittkowski (Test Examples for Nonlinear Programming Codes, Springer, 1981) that have bounds and no other
 //! constraints, Rosenbrock's function in boxes. Even seeds tune (`benches/simplex.rs`), odd ones judge
-//! (`tests/simplex_quality.rs`).
+//! (`tests/all/simplex_quality.rs`).
 
 use super::solve::least_squares;
 use super::{residuals, start};

@@ -1,6 +1,6 @@
 //! Fits of models of one engineering field or another, without bounds and without noise: closed curves and ordinary
 //! differential equations, parameters of sizes from 1e-6 to 1e6, three starts each. Even numbers tune the constants of
-//! the simplex (`benches/simplex.rs`), odd ones judge them (`tests/simplex_quality.rs`).
+//! the simplex (`benches/simplex.rs`), odd ones judge them (`tests/all/simplex_quality.rs`).
 
 type Model = Box<dyn Fn(&[f64]) -> Vec<f64> + Send + Sync>;
 

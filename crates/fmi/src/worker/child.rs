@@ -157,7 +157,7 @@ fn limit_self(limits: &WorkerLimits) -> io::Result<()> {
 }
 
 /// Lets this thread, and all that it starts, write below this folder only, and make no TCP connections (from Linux 6.7 on).
-#[cfg(target_os = "linux")]
+#[cfg(all(target_os = "linux", feature = "sandbox"))]
 fn confine(folder: Option<&Path>) -> io::Result<()> {
     use landlock::{
         ABI, Access, AccessFs, AccessNet, CompatLevel, Compatible, PathBeneath, PathFd, Ruleset, RulesetAttr,
@@ -182,7 +182,11 @@ fn confine(folder: Option<&Path>) -> io::Result<()> {
         .map_err(|error| io::Error::other(format!("a sandbox needs Landlock (Linux 5.13 or newer): {error}")))
 }
 
-#[cfg(not(target_os = "linux"))]
+#[cfg(not(all(target_os = "linux", feature = "sandbox")))]
 fn confine(_: Option<&Path>) -> io::Result<()> {
-    Err(io::Error::new(io::ErrorKind::Unsupported, "there is a sandbox on Linux only"))
+    let why = match cfg!(target_os = "linux") {
+        true => "this build has no sandbox (feature `sandbox`)",
+        false => "there is a sandbox on Linux only",
+    };
+    Err(io::Error::new(io::ErrorKind::Unsupported, why))
 }

@@ -54,10 +54,10 @@ impl<T: Scalar> DenseLu<T> {
         for k in 0..n {
             let column = &a[k * n..(k + 1) * n];
             let mut pivot = k;
-            let mut largest = column[k].norm1();
+            let mut largest = column[k].l1_norm();
             for (i, v) in column.iter().enumerate().skip(k + 1) {
-                if v.norm1() > largest {
-                    (pivot, largest) = (i, v.norm1());
+                if v.l1_norm() > largest {
+                    (pivot, largest) = (i, v.l1_norm());
                 }
             }
             // Also false for a NaN.

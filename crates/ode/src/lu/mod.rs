@@ -9,6 +9,7 @@ use sparse::SparseLu;
 
 mod dense;
 mod scalar;
+#[cfg_attr(not(feature = "sparse"), path = "dense_only.rs")]
 mod sparse;
 
 pub(crate) use dense::make_room;
@@ -19,10 +20,12 @@ pub(crate) use dense::make_room;
 const SPARSE_ROWS: usize = 100;
 const SPARSE_SHARE: f64 = 0.05;
 
-/// True if matrices of this pattern are kept and decomposed as sparse ones.
+/// True if matrices of this pattern are kept and decomposed as sparse ones: none without the feature `sparse`.
 pub(crate) fn is_sparse(pattern: &JacobianPattern) -> bool {
     let n = pattern.n_states();
-    n >= SPARSE_ROWS && (pattern.n_entries() as f64) <= SPARSE_SHARE * (n as f64) * (n as f64)
+    cfg!(feature = "sparse")
+        && n >= SPARSE_ROWS
+        && (pattern.n_entries() as f64) <= SPARSE_SHARE * (n as f64) * (n as f64)
 }
 
 /// The factors of a square matrix.
@@ -146,6 +149,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg(feature = "sparse")]
     fn sparse_matrices_are_solved_like_dense_ones() {
         let mut seed = 3;
         for m in [10, 17] {
@@ -204,6 +208,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg(feature = "sparse")]
     fn operations_follow_from_sizes() {
         let (mut real, mut complex) = (Lu::<f64>::default(), Lu::<Complex<f64>>::default());
         assert_eq!(real.operations(), (0, 0));

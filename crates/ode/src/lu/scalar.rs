@@ -1,8 +1,22 @@
 //! The numbers of matrices: real or complex.
 
-use nalgebra::ComplexField;
+use num_complex::ComplexFloat;
+use num_traits::NumAssignOps;
+use std::fmt::Debug;
 
-/// Number type of both kinds of decompositions, real or complex.
-pub(crate) trait Scalar: ComplexField<RealField = f64> + faer::traits::ComplexField + Copy {}
+/// A real or complex number, as both sorts of decompositions take it.
+#[cfg(feature = "sparse")]
+pub(crate) trait Scalar:
+    ComplexFloat<Real = f64> + NumAssignOps + Debug + faer::traits::ComplexField
+{
+}
 
-impl<T: ComplexField<RealField = f64> + faer::traits::ComplexField + Copy> Scalar for T {}
+#[cfg(feature = "sparse")]
+impl<T: ComplexFloat<Real = f64> + NumAssignOps + Debug + faer::traits::ComplexField> Scalar for T {}
+
+/// A real or complex number.
+#[cfg(not(feature = "sparse"))]
+pub(crate) trait Scalar: ComplexFloat<Real = f64> + NumAssignOps + Debug {}
+
+#[cfg(not(feature = "sparse"))]
+impl<T: ComplexFloat<Real = f64> + NumAssignOps + Debug> Scalar for T {}

@@ -9,6 +9,7 @@ use faer::linalg::solvers::Solve;
 use faer::mat::MatMut;
 use faer::sparse::linalg::solvers::{Lu, SymbolicLu};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
+use num_complex::ComplexFloat;
 
 /// The factors of a sparse matrix.
 #[derive(Debug)]
@@ -34,7 +35,7 @@ impl<T: Scalar> SparseLu<T> {
         let (starts, rows) = whole.into_columns();
         let places = SymbolicSparseColMat::new_checked(n, n, starts, None, rows);
         let analysis = SymbolicLu::try_new(places.as_ref()).ok()?;
-        let values = vec![<T as nalgebra::ComplexField>::from_real(0.0); on_diagonal.len()];
+        let values = vec![T::zero(); on_diagonal.len()];
         Some(Self { pattern: pattern.clone(), places, analysis, on_diagonal, values, factors: None })
     }
 
@@ -47,15 +48,15 @@ impl<T: Scalar> SparseLu<T> {
     pub(crate) fn decompose(&mut self, mut entry: impl FnMut(usize, bool) -> T) -> bool {
         for (p, (value, on_diagonal)) in self.values.iter_mut().zip(&self.on_diagonal).enumerate() {
             *value = entry(p, *on_diagonal);
-            if !nalgebra::ComplexField::is_finite(value) {
+            if !ComplexFloat::is_finite(*value) {
                 return false;
             }
         }
         let matrix = SparseColMatRef::new(self.places.as_ref(), &self.values[..]);
         self.factors = Lu::try_new_with_symbolic(self.analysis.clone(), matrix).ok();
-        let mut probe = vec![<T as nalgebra::ComplexField>::from_real(1.0); self.pattern.n_states()];
+        let mut probe = vec![T::one(); self.pattern.n_states()];
         self.solve(&mut probe);
-        self.factors.is_some() && probe.iter().all(nalgebra::ComplexField::is_finite)
+        self.factors.is_some() && probe.into_iter().all(ComplexFloat::is_finite)
     }
 
     /// Solves `A x = b` in place of `b`.

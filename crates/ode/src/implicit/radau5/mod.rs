@@ -13,7 +13,7 @@ use crate::control::scaled_norm;
 use crate::error::Undetermined;
 use crate::stepper::{Attempt, Consistency, Equations, Properties, StepWithEvent, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
-use nalgebra::Complex;
+use num_complex::Complex;
 
 mod coefficients;
 mod dense;

@@ -10,7 +10,7 @@ use crate::lu::Lu;
 use crate::stats::Stats;
 use crate::stepper::{Equations, Trial};
 use crate::system::{CallResult, HybridSystem};
-use nalgebra::Complex;
+use num_complex::Complex;
 
 /// The increments of the stages, and their matrices.
 #[derive(Debug, Default)]

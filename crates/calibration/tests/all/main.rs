@@ -1,0 +1,29 @@
+//! The tests of calibrations that may share a process. Programs of their own are those that start worker processes and
+//! those whose models use up a resource of the process.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+#[path = "../support/mod.rs"]
+mod support;
+
+mod check;
+mod co_simulation;
+mod coverage;
+mod initial_states;
+mod mistakes;
+mod noise;
+mod objective;
+mod parameters;
+mod phases;
+mod prediction;
+mod problem;
+mod profile;
+mod saved_fit;
+mod setups;
+mod solver;
+mod stages;
+mod tolerance;
+mod totals;
+mod units;
+mod validation;
+mod wide_bounds;
+mod worth;

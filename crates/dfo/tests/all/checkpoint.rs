@@ -1,0 +1,437 @@
+//! A resumed run is the uninterrupted one, bit for bit; files that do not belong are refused and left alone.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use crate::common;
+
+use common::{methods_for_costs, probe, rosenbrock, timeless};
+use dfo::{
+    AnyMethod, BatchPlan, Checkpoint, Error, MethodOptions, Minimize, NelderMead, Outcome, Query, Report,
+    Resume, Termination, minimize, with_query,
+};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Self {
+        let folder = std::env::temp_dir().join(format!("dfo-checkpoint-{}-{name}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        Self(folder)
+    }
+    fn file(&self) -> PathBuf {
+        self.0.join("run.checkpoint")
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+fn methods() -> Vec<AnyMethod> {
+    let mut all: Vec<AnyMethod> = methods_for_costs();
+    all.push(NelderMead::default().batch(BatchPlan::TwoAhead).into());
+    all
+}
+
+fn set_up<'a>(m: Minimize<'a, NelderMead>, method: &AnyMethod) -> Minimize<'a, AnyMethod> {
+    m.start(&[-0.5, 1.0])
+        .bounds(&[-2.0; 2], &[2.0; 2])
+        .unwrap()
+        .method(method.clone())
+        .seed(5)
+        .max_evaluations(500)
+}
+
+fn at(path: &Path) -> Checkpoint {
+    Checkpoint::new(path).interval(Duration::ZERO)
+}
+
+fn same(a: &Report, b: &Report, what: &str) {
+    assert_eq!(timeless(&a.trace), timeless(&b.trace), "{what}");
+    assert_eq!(
+        (&a.x, a.fun, &a.termination, &a.message),
+        (&b.x, b.fun, &b.termination, &b.message),
+        "{what}"
+    );
+    assert_eq!(
+        (a.n_evaluations, a.n_iterations, a.n_failed, a.n_cached),
+        (b.n_evaluations, b.n_iterations, b.n_failed, b.n_cached),
+        "{what}"
+    );
+    assert_eq!(
+        (&a.final_simplex, &a.final_population, &a.schedule),
+        (&b.final_simplex, &b.final_population, &b.schedule)
+    );
+    assert_eq!((&a.failures, &a.tests, a.seed), (&b.failures, &b.tests, b.seed), "{what}");
+}
+
+#[test]
+fn interrupted_and_resumed_is_uninterrupted() {
+    let folder = Folder::new("interrupted");
+    for (number, method) in methods().iter().enumerate() {
+        let whole = with_query(|x: &[f64], _: &Query<'_>| Outcome::Value(probe(x)));
+        let whole = set_up(minimize(whole), method).run().unwrap();
+        for stride in [7, 60, 210] {
+            let path = folder.0.join(format!("{number}-{stride}"));
+            let total = AtomicUsize::new(0);
+            let mut sessions = 0;
+            let report = loop {
+                sessions += 1;
+                assert!(sessions < 1200, "{method:?} does not end");
+                // Each session is aborted after so many calls of the objective.
+                let calls = AtomicUsize::new(0);
+                let cost = with_query(|x: &[f64], _: &Query<'_>| {
+                    if calls.fetch_add(1, Ordering::Relaxed) == stride {
+                        return Outcome::Abort("power cut".to_owned());
+                    }
+                    total.fetch_add(1, Ordering::Relaxed);
+                    Outcome::Value(probe(x))
+                });
+                let workers = if stride > 50 { 3 } else { 1 };
+                // The plan that the first session chose is kept, whatever the workers of the next are.
+                let run = set_up(minimize(cost), method).workers(if sessions == 1 { 1 } else { workers });
+                match run.checkpoint(at(&path)).run() {
+                    Ok(report) if matches!(report.termination, Termination::Aborted(_)) => continue,
+                    Ok(report) => break report,
+                    Err(Error::EndedWithoutPoint { termination: Termination::Aborted(_), .. }) => continue,
+                    Err(e) => panic!("{method:?}: {e}"),
+                }
+            };
+            same(&report, &whole, &format!("{method:?} {stride}"));
+            // Nothing that was known is evaluated again (several workers may be cut off in the middle of some).
+            if stride < 50 && whole.n_speculative == 0 {
+                assert_eq!(total.into_inner(), whole.n_evaluations, "{method:?} {stride}");
+            }
+            // A finished run is its stored result.
+            let never = |_: &[f64]| -> f64 { panic!("nothing is left to evaluate") };
+            let stored = set_up(minimize(never), method).checkpoint(at(&path)).run().unwrap();
+            same(&stored, &whole, &format!("{method:?} {stride} stored"));
+        }
+    }
+}
+
+#[test]
+fn a_kill_between_two_writes_loses_only_time() {
+    // The file of a moment in the middle is put aside and resumed from later.
+    let folder = Folder::new("killed");
+    for method in methods() {
+        let (path, aside) = (folder.file(), folder.0.join("aside"));
+        let _ = std::fs::remove_file(&path);
+        let mut copied = false;
+        let whole = set_up(minimize(probe), &method)
+            .checkpoint(at(&path))
+            .observer(|p| {
+                if !copied && p.n_evaluations > 230 {
+                    std::fs::copy(&path, &aside).unwrap();
+                    copied = true;
+                }
+                std::ops::ControlFlow::Continue(())
+            })
+            .run()
+            .unwrap();
+        if copied {
+            let resumed = set_up(minimize(probe), &method)
+                .checkpoint(at(&aside).resume(Resume::Require))
+                .run()
+                .unwrap();
+            same(&resumed, &whole, &format!("{method:?}"));
+        }
+        assert!(copied || whole.n_evaluations < 300, "{method:?}");
+    }
+}
+
+#[test]
+fn a_larger_budget_continues() {
+    let folder = Folder::new("budget");
+    for method in methods() {
+        if method.plans_with_budget() {
+            continue; // L-SHADE plans with its budget: another one is another run.
+        }
+        let _ = std::fs::remove_file(folder.file());
+        let whole = set_up(minimize(probe), &method).run().unwrap();
+        for budget in [7, 100, 101, 500] {
+            let run = set_up(minimize(probe), &method).max_evaluations(budget).checkpoint(at(&folder.file()));
+            match run.run() {
+                Ok(report) if budget == 500 => same(&report, &whole, &format!("{method:?}")),
+                Ok(report) => assert!(report.n_evaluations <= budget),
+                Err(Error::EndedWithoutPoint { .. }) => assert_eq!(budget, 7),
+                Err(e) => panic!("{e}"),
+            }
+        }
+    }
+    let lshade: AnyMethod = "de".parse().unwrap();
+    let _ = std::fs::remove_file(folder.file());
+    set_up(minimize(probe), &lshade).checkpoint(at(&folder.file())).run().unwrap();
+    let other = set_up(minimize(probe), &lshade).max_evaluations(501).checkpoint(at(&folder.file())).run();
+    assert!(
+        matches!(other, Err(Error::CheckpointMismatch { ref what, .. }) if what == "max_evaluations"),
+        "{other:?}"
+    );
+}
+
+#[test]
+fn files_of_other_runs_are_refused_and_left_alone() {
+    let folder = Folder::new("refused");
+    let path = folder.file();
+    let run = |seed, upper: f64, x_tol, name: &str, checkpoint: Checkpoint| {
+        minimize(probe)
+            .start(&[-0.5, 1.0])
+            .bounds(&[-2.0; 2], &[2.0, upper])
+            .unwrap()
+            .method(name.parse::<AnyMethod>().unwrap())
+            .seed(seed)
+            .x_tol(x_tol)
+            .max_evaluations(60)
+            .checkpoint(checkpoint)
+            .run()
+    };
+    let tagged = || at(&path).tag("model", "abc");
+    let missing = run(1, 2.0, 1e-6, "ga", tagged().resume(Resume::Require));
+    assert!(matches!(missing, Err(Error::CheckpointFile { .. })));
+    run(1, 2.0, 1e-6, "ga", tagged()).unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    for (what, refused) in [
+        ("seed", run(2, 2.0, 1e-6, "ga", tagged())),
+        ("upper bounds", run(1, 2.5, 1e-6, "ga", tagged())),
+        ("x_tol", run(1, 2.0, 1e-5, "ga", tagged())),
+        ("method", run(1, 2.0, 1e-6, "nelder-mead", tagged())),
+        ("model", run(1, 2.0, 1e-6, "ga", at(&path).tag("model", "abd"))),
+        ("model", run(1, 2.0, 1e-6, "ga", at(&path))),
+    ] {
+        match refused {
+            Err(Error::CheckpointMismatch { what: named, .. }) => assert_eq!(named, what),
+            other => panic!("{what}: {other:?}"),
+        }
+        assert_eq!(std::fs::read(&path).unwrap(), bytes);
+    }
+    // In words, not as in a program.
+    let other = run(1, 2.0, 1e-6, "de", tagged()).unwrap_err().to_string();
+    assert!(other.ends_with("belongs to another run: method: ga in the file, de here"), "{other}");
+    let other = run(1, 2.5, 1e-6, "ga", tagged()).unwrap_err().to_string();
+    assert!(other.ends_with("upper bounds: [2.0, 2.0] in the file, [2.0, 2.5] here"), "{other}");
+    // Damaged in any byte, or cut anywhere: an error, never a panic, never another result.
+    for k in (0..bytes.len()).step_by(11) {
+        let mut damaged = bytes.clone();
+        damaged[k] ^= 0x40;
+        for broken in [damaged, bytes[..k].to_vec()] {
+            std::fs::write(&path, broken).unwrap();
+            assert!(matches!(run(1, 2.0, 1e-6, "ga", tagged()), Err(Error::Checkpoint { .. })), "{k}");
+        }
+    }
+    let anew = run(2, 2.0, 1e-6, "ga", tagged().resume(Resume::Never)).unwrap();
+    assert_eq!(anew.seed, Some(2));
+    let nowhere = run(1, 2.0, 1e-6, "ga", at(&folder.0.join("no/such/folder")));
+    assert!(matches!(nowhere, Err(Error::CheckpointFile { .. })));
+}
+
+#[test]
+fn a_drawn_seed_is_stored() {
+    let folder = Folder::new("seed");
+    let run = |budget| {
+        minimize(probe)
+            .bounds(&[-2.0; 2], &[2.0; 2])
+            .unwrap()
+            .method("de-classic".parse::<AnyMethod>().unwrap())
+            .max_evaluations(budget)
+            .checkpoint(at(&folder.file()))
+            .run()
+            .unwrap()
+    };
+    let (first, second) = (run(100), run(200));
+    assert!(first.seed.is_some() && first.seed == second.seed);
+    assert_eq!(timeless(&second.trace)[..100], timeless(&first.trace)[..]);
+}
+
+#[test]
+fn time_already_spent_counts() {
+    let folder = Folder::new("time");
+    // Sleeping takes at least as long as it is told: the first run spends more than the limit of the second one.
+    let slow = |x: &[f64]| {
+        std::thread::sleep(Duration::from_millis(2));
+        probe(x)
+    };
+    let set_up = || {
+        let run = set_up(minimize(slow), &"nelder-mead".parse().unwrap());
+        run.checkpoint(at(&folder.file()))
+    };
+    set_up().max_evaluations(20).run().unwrap();
+    let stored = set_up().max_time(Duration::from_millis(40)).run().unwrap();
+    assert_eq!((stored.termination, stored.n_evaluations), (Termination::MaxTime, 20));
+    let longer = set_up().max_time(Duration::from_secs(3600)).max_evaluations(30).run().unwrap();
+    assert_eq!((longer.termination, longer.n_evaluations), (Termination::MaxEvaluations, 30));
+}
+
+#[test]
+fn a_file_that_could_not_be_written_for_a_while_is_written_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let (place, away) = (folder.path().join("place"), folder.path().join("away"));
+    std::fs::create_dir(&place).unwrap();
+    let calls = AtomicUsize::new(0);
+    let cost = |x: &[f64]| {
+        match calls.fetch_add(1, Ordering::Relaxed) {
+            20 => std::fs::rename(&place, &away).unwrap(),
+            40 => std::fs::rename(&away, &place).unwrap(),
+            _ => {}
+        }
+        rosenbrock(x)
+    };
+    let run = |resume| {
+        minimize(cost)
+            .start(&[-0.5, 1.0])
+            .bounds(&[-2.0; 2], &[2.0; 2])
+            .unwrap()
+            .method(NelderMead::default())
+            .checkpoint(Checkpoint::new(place.join("run")).interval(Duration::ZERO).resume(resume))
+            .max_evaluations(60)
+            .run()
+            .unwrap()
+    };
+    let report = run(Resume::Auto);
+    assert_eq!((&report.termination, report.n_evaluations), (&Termination::MaxEvaluations, 60));
+    assert_eq!(run(Resume::Require).x, report.x);
+    assert_eq!(calls.load(Ordering::Relaxed), 60);
+}
+
+#[test]
+fn a_file_of_somebody_else_is_left_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("data.csv");
+    for content in ["time,y\n0,1\n", "x"] {
+        std::fs::write(&path, content).unwrap();
+        for resume in [Resume::Auto, Resume::Never, Resume::Require] {
+            let run = minimize(rosenbrock)
+                .start(&[-0.5, 1.0])
+                .checkpoint(Checkpoint::new(&path).resume(resume))
+                .max_evaluations(20)
+                .run();
+            let message = run.unwrap_err().to_string();
+            assert!(message.contains("data.csv") && message.contains("this is no checkpoint"), "{message}");
+            assert_eq!(std::fs::read_to_string(&path).unwrap(), content);
+        }
+    }
+}
+
+#[test]
+fn a_file_that_cannot_be_written_any_more_costs_no_result() {
+    for name in methods_for_costs().iter().map(AnyMethod::name) {
+        let folder = tempfile::tempdir().unwrap();
+        let place = folder.path().join("place");
+        std::fs::create_dir(&place).unwrap();
+        let calls = AtomicUsize::new(0);
+        let cost = |x: &[f64]| {
+            // The folder goes in the middle of the run.
+            if calls.fetch_add(1, Ordering::Relaxed) == 150 {
+                std::fs::remove_dir_all(&place).unwrap();
+            }
+            rosenbrock(x)
+        };
+        let run = |cost: &(dyn Fn(&[f64]) -> f64 + Sync)| {
+            minimize(|x: &[f64]| cost(x))
+                .start(&[-0.5, 1.0])
+                .bounds(&[-2.0; 2], &[2.0; 2])
+                .unwrap()
+                .method(name.parse::<AnyMethod>().unwrap())
+                .seed(1)
+                .x_tol(0.0)
+                .checkpoint(Checkpoint::new(place.join("run")).interval(Duration::ZERO))
+                .max_evaluations(400)
+                .run()
+        };
+        let report = run(&cost).unwrap();
+        // The run goes on, and says at its end that nothing of it is stored.
+        assert!(report.n_evaluations > 151, "{report}");
+        assert!(matches!(&report.termination, Termination::NotSaved(why) if why.contains("run")), "{report}");
+        assert!(
+            report.message.starts_with("ended, and its last state could not be saved: checkpoint"),
+            "{}",
+            report.message
+        );
+        assert!(!report.is_success() && report.n_evaluations > 150);
+        assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)));
+        // Where there is no place from the start on, nothing is evaluated.
+        let before = calls.load(Ordering::Relaxed);
+        assert!(matches!(run(&cost), Err(Error::CheckpointFile { kind: std::io::ErrorKind::NotFound, .. })));
+        assert_eq!(calls.load(Ordering::Relaxed), before);
+    }
+}
+
+/// A file that an earlier version wrote: Nelder-Mead on Rosenbrock's function, stopped after 8 evaluations.
+#[test]
+fn a_file_of_an_earlier_format_is_refused_and_left_alone() {
+    let folder = Folder::new("format");
+    let golden = include_bytes!("../data/format_2.checkpoint");
+    std::fs::write(folder.file(), golden).unwrap();
+    let run = |resume| {
+        let checkpoint = at(&folder.file()).resume(resume);
+        minimize(rosenbrock).start(&[-1.2, 1.0]).max_evaluations(20).checkpoint(checkpoint).run()
+    };
+    for resume in [Resume::Auto, Resume::Require] {
+        let message = run(resume).unwrap_err().to_string();
+        assert!(message.contains("format 2 of an earlier version"), "{message}");
+        assert!(message.contains("resume"), "{message}");
+        assert_eq!(std::fs::read(folder.file()).unwrap(), golden);
+    }
+    assert_eq!(run(Resume::Never).unwrap().n_evaluations, 20);
+    assert_eq!(run(Resume::Require).unwrap().n_evaluations, 20);
+}
+
+/// Files of the present format stay readable: one of each method, written after 60 evaluations,
+/// is continued to the end of the uninterrupted run. `DFO_WRITE_CHECKPOINTS=1` writes them anew, with a new format only.
+#[test]
+fn files_of_the_present_format_are_continued() {
+    let folder = Folder::new("present");
+    for name in methods_for_costs().iter().map(AnyMethod::name) {
+        let golden =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/data/format_8_{name}.checkpoint"));
+        let method: AnyMethod = name.parse().unwrap();
+        let calls = AtomicUsize::new(0);
+        let limited = |limit: usize| {
+            let calls = &calls;
+            with_query(move |x: &[f64], _: &Query<'_>| match calls.fetch_add(1, Ordering::Relaxed) {
+                k if k >= limit => Outcome::Abort("stopped".to_owned()),
+                _ => Outcome::Value(rosenbrock(x)),
+            })
+        };
+        let whole = set_up(minimize(limited(usize::MAX)), &method).max_evaluations(120).run().unwrap();
+        if std::env::var_os("DFO_WRITE_CHECKPOINTS").is_some() {
+            let _ = std::fs::remove_file(&golden);
+            calls.store(0, Ordering::Relaxed);
+            set_up(minimize(limited(60)), &method)
+                .max_evaluations(120)
+                .checkpoint(at(&golden))
+                .run()
+                .unwrap();
+        }
+        let path = folder.0.join(name);
+        std::fs::copy(&golden, &path).unwrap();
+        calls.store(0, Ordering::Relaxed);
+        let continued = set_up(minimize(limited(usize::MAX)), &method)
+            .max_evaluations(120)
+            .checkpoint(at(&path).resume(Resume::Require))
+            .run()
+            .unwrap();
+        same(&continued, &whole, name);
+        assert!(calls.into_inner() <= 60, "{name}");
+    }
+}
+
+#[test]
+fn what_a_file_belongs_to_can_be_read() {
+    let folder = Folder::new("identity");
+    let file = folder.file();
+    let checkpoint = || at(&file).tag("solver", "radau5");
+    assert_eq!(checkpoint().stored_identity().unwrap(), None);
+    assert!(checkpoint().resume(Resume::Require).stored_identity().is_err());
+    let method: AnyMethod = NelderMead::default().into();
+    set_up(minimize(rosenbrock), &method).checkpoint(checkpoint()).run().unwrap();
+    let stored = checkpoint().stored_identity().unwrap().unwrap();
+    assert!(stored.contains(&("solver".to_owned(), "radau5".to_owned())), "{stored:?}");
+    assert_eq!(checkpoint().resume(Resume::Never).stored_identity().unwrap(), None);
+    std::fs::write(&file, b"something else").unwrap();
+    let message = checkpoint().stored_identity().unwrap_err().to_string();
+    assert!(message.contains("no checkpoint"), "{message}");
+}

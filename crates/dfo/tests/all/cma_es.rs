@@ -1,0 +1,127 @@
+//! CMA-ES: evaluations beside those of pycma, bounds, restarts, ends.
+#![allow(clippy::unwrap_used)]
+
+use crate::common;
+
+use common::rosenbrock;
+use dfo::{AnyMethod, CmaBounds, CmaEs, Minimize, PatternSearch, Report, Restarts, Termination, minimize};
+
+/// A quadratic with condition number 1e6 whose axes are those of a reflection.
+fn ellipsoid(x: &[f64]) -> f64 {
+    let n = x.len() as f64;
+    let along: f64 = x.iter().enumerate().map(|(k, x)| (k as f64 + 1.0) * x).sum();
+    let squared = n * (n + 1.0) * (2.0 * n + 1.0) / 6.0;
+    let turned = x.iter().enumerate().map(|(k, x)| x - 2.0 * (k as f64 + 1.0) * along / squared);
+    turned.enumerate().map(|(k, z)| 10f64.powf(6.0 * k as f64 / (n - 1.0)) * z * z).sum()
+}
+
+fn rastrigin(x: &[f64]) -> f64 {
+    x.iter().map(|x| 10.0 + (x - 0.7).powi(2) - 10.0 * (std::f64::consts::TAU * (x - 0.7)).cos()).sum()
+}
+
+/// Evaluations until the cost is 1e-6, the median of 25 seeds.
+fn median(f: fn(&[f64]) -> f64, x0: &[f64]) -> usize {
+    let run = |seed| {
+        let search = minimize(f).start(x0).scales(&vec![1.0; x0.len()]).method(CmaEs::default().sigma(0.5));
+        search.seed(seed).x_tol(0.0).f_tol(0.0).target(1e-6).max_evaluations(50_000).run().unwrap()
+    };
+    let mut counts: Vec<usize> = (0..25).map(|seed| run(seed).n_evaluations).collect();
+    counts.sort_unstable();
+    counts[12]
+}
+
+/// The medians of pycma 4.5 with the same starts, step size, population and number of seeds (`benches/dfo/cma_es.py`).
+#[test]
+fn as_many_evaluations_as_pycma() {
+    for (name, f, x0, n, theirs) in [
+        ("ellipsoid", ellipsoid as fn(&[f64]) -> f64, 1.0, 5, PYCMA[0]),
+        ("ellipsoid", ellipsoid, 1.0, 10, PYCMA[1]),
+        ("rosenbrock", rosenbrock, 0.0, 5, PYCMA[2]),
+        ("rosenbrock", rosenbrock, 0.0, 10, PYCMA[3]),
+    ] {
+        let ours = median(f, &vec![x0; n]);
+        assert!(10 * ours <= 11 * theirs, "{name} {n}: {ours}, pycma {theirs}");
+    }
+}
+
+const PYCMA: [usize; 4] = [1214, 3523, 1506, 4710];
+
+fn boxed<'a>(f: fn(&[f64]) -> f64, n: usize, options: CmaEs) -> Minimize<'a, CmaEs> {
+    minimize(f).bounds(&vec![-5.0; n], &vec![5.0; n]).unwrap().method(options)
+}
+
+#[test]
+fn minima_at_bounds_are_found() {
+    // Half of the parameters have their minimum at the upper bound, where the cost goes down towards it.
+    let f = |x: &[f64]| {
+        let shifted: Vec<f64> = x.iter().map(|x| x - 1.0).collect();
+        ellipsoid(&shifted) + x.iter().step_by(2).map(|x| 1.0 - x).sum::<f64>()
+    };
+    let upper = [1.0, 4.0, 1.0, 4.0];
+    for handling in [CmaBounds::Smooth, CmaBounds::Mirror] {
+        let run = minimize(f).start(&[-2.0; 4]).bounds(&[-4.0; 4], &upper).unwrap();
+        let report = run.method(CmaEs::default().bounds_handling(handling)).seed(4).run().unwrap();
+        assert!(report.is_success() && report.fun < 1e-6, "{handling:?}: {report}");
+        assert!(report.trace.iter().all(|e| (0..4).all(|k| -4.0 <= e.x[k] && e.x[k] <= upper[k])));
+    }
+}
+
+#[test]
+fn restarts_find_the_lowest_of_many_minima() {
+    let run = |restarts, seed| {
+        let search = boxed(rastrigin, 3, CmaEs::default().restarts(restarts));
+        search.seed(seed).target(1e-6).max_evaluations(20_000).run().unwrap()
+    };
+    let found = |restarts| (0..10).filter(|seed| run(restarts, *seed).fun <= 1e-6).count();
+    let counts = [Restarts::None, Restarts::Ipop, Restarts::Bipop].map(found);
+    assert!(counts[0] <= 3 && counts[1] >= 9 && counts[2] >= 9, "{counts:?}");
+    // Without restarts the first minimum ends the run.
+    assert_eq!(run(Restarts::None, 1).termination, Termination::Converged);
+    // What had converged before a limit ended the run is a success.
+    let report = boxed(rosenbrock, 3, CmaEs::default().restarts(Restarts::Ipop));
+    let report = report.seed(2).max_evaluations(6000).run().unwrap();
+    assert!(report.n_evaluations == 6000 && report.fun < 1e-9, "{report}");
+    assert_eq!(report.termination, Termination::Converged, "{report}");
+}
+
+#[test]
+fn units_of_the_parameters_change_nothing() {
+    let run = |unit: [f64; 2]| -> Report {
+        let cost = move |x: &[f64]| rosenbrock(&[x[0] / unit[0], x[1] / unit[1]]);
+        minimize(cost).start(&[-1.5 * unit[0], unit[1]]).method(CmaEs::default()).seed(3).run().unwrap()
+    };
+    // Powers of two are exact.
+    let (one, other) = (run([1.0, 1.0]), run([2f64.powi(-20), 2f64.powi(20)]));
+    assert!(one.is_success() && one.fun < 1e-10, "{one}");
+    assert_eq!((one.fun, one.n_evaluations, &one.message), (other.fun, other.n_evaluations, &other.message));
+}
+
+#[test]
+fn runs_that_learn_nothing_end() {
+    let flat = boxed(|_| 1.0, 3, CmaEs::default()).seed(1).run().unwrap();
+    assert!(!flat.is_success() && flat.n_evaluations < 500, "{flat}");
+    let unbounded = minimize(|x: &[f64]| x[0]).start(&[1.0]).method(CmaEs::default()).seed(1).run().unwrap();
+    assert_eq!(unbounded.termination, Termination::Unbounded, "{unbounded}");
+    let noise = |x: &[f64]| {
+        let bits =
+            x.iter().fold(1u64, |h, v| (h ^ v.to_bits()).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (h >> 29));
+        x.iter().map(|x| x * x).sum::<f64>() + 1e-3 * (bits >> 40) as f64 / 16_777_216.0
+    };
+    let noisy = minimize(noise).start(&[1.0, 2.0, 3.0]).method(CmaEs::default()).seed(1).run().unwrap();
+    assert!(noisy.termination == Termination::Stalled && noisy.n_evaluations < 4000, "{noisy}");
+    assert!(noisy.fun < 2e-3, "{noisy}");
+}
+
+/// Nothing tells that the parameters are as small as 1e-7: both methods look for it before they search.
+#[test]
+fn starts_at_zero_find_the_sizes_of_parameters() {
+    for size in [1e-9, 1e-7, 1e-5, 1e-2, 1e3] {
+        let cost = move |x: &[f64]| rosenbrock(&[x[0] / size, x[1] / size]) + (x[2] - 4.0).powi(2);
+        let run =
+            |method: AnyMethod| minimize(cost).start(&[0.0, 0.0, 1.0]).method(method).seed(2).run().unwrap();
+        for (method, least) in [(CmaEs::default().into(), 1e-9), (PatternSearch::default().into(), 1e-2)] {
+            let report = run(method);
+            assert!(report.is_success() && report.fun < least, "{size:e}: {report}");
+        }
+    }
+}

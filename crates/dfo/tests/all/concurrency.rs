@@ -1,0 +1,309 @@
+//! Evaluations really run at once, the calling thread stays in charge, and interrupts get through.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use crate::common;
+
+use common::{plan, rosenbrock};
+use dfo::{BatchPlan, Error, Outcome, Query, Report, RunContext, Termination, minimize, with_query};
+use std::cell::Cell;
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::channel;
+use std::sync::{Arc, Barrier};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Runs something that would hang if evaluations did not overlap.
+fn within_ten_seconds<T: Send + 'static>(f: impl FnOnce() -> T + Send + 'static) -> T {
+    let (sender, receiver) = channel();
+    thread::spawn(move || sender.send(f()));
+    receiver.recv_timeout(Duration::from_secs(10)).expect("evaluations do not overlap")
+}
+
+#[test]
+fn all_starting_vertices_are_evaluated_at_once() {
+    for n in [1, 3, 6] {
+        let report = within_ten_seconds(move || {
+            let barrier = Barrier::new(n + 1);
+            let cost = with_query(|x: &[f64], e: &Query<'_>| {
+                if e.batch == 0 {
+                    barrier.wait();
+                }
+                Outcome::Value(x.iter().map(|v| v * v).sum())
+            });
+            minimize(cost).start(&vec![1.0; n]).workers(n + 1).max_iterations(5).run().unwrap()
+        });
+        assert_eq!(report.n_iterations, 5);
+    }
+}
+
+#[test]
+fn four_points_are_evaluated_at_once_where_that_is_worth_it() {
+    let report = within_ten_seconds(|| {
+        let (barrier, ahead) = (Barrier::new(4), AtomicUsize::new(0));
+        let cost = with_query(|x: &[f64], e: &Query<'_>| {
+            thread::sleep(Duration::from_millis(2));
+            // The first four points after the starting ones: one that is needed, three that may be.
+            if e.id >= 3 && ahead.fetch_add(1, Ordering::Relaxed) < 4 {
+                barrier.wait();
+            }
+            Outcome::Value(rosenbrock(x))
+        });
+        minimize(cost)
+            .start(&[-1.2, 1.0])
+            .method(plan(BatchPlan::Four))
+            .workers(4)
+            .max_iterations(5)
+            .run()
+            .unwrap()
+    });
+    assert_eq!(report.n_iterations, 5);
+}
+
+#[test]
+fn a_shrink_is_evaluated_at_once() {
+    // Four parameters; everything but the starting vertices and the shrunken ones is bad, so iteration 1 shrinks.
+    let report = within_ten_seconds(|| {
+        let barrier = Barrier::new(4);
+        let cost = with_query(|x: &[f64], e: &Query<'_>| {
+            thread::sleep(Duration::from_millis(2));
+            if e.batch == 3 {
+                barrier.wait();
+            }
+            let sum: f64 = x.iter().map(|v| v * v).sum();
+            Outcome::Value(if e.batch == 1 || e.batch == 2 { 1e6 } else { sum })
+        });
+        minimize(cost)
+            .start(&[1.0; 4])
+            .method(plan(BatchPlan::Serial))
+            .workers(4)
+            .max_iterations(1)
+            .run()
+            .unwrap()
+    });
+    assert_eq!((report.n_iterations, report.n_batches), (1, 4));
+}
+
+#[test]
+fn callbacks_run_on_the_calling_thread_and_the_context_is_asked_again_and_again() {
+    let caller = thread::current().id();
+    let (last, longest, polls) = (Cell::new(Instant::now()), Cell::new(Duration::ZERO), Cell::new(0));
+    let ask = || {
+        assert_eq!(thread::current().id(), caller);
+        longest.set(longest.get().max(last.get().elapsed()));
+        last.set(Instant::now());
+        polls.set(polls.get() + 1);
+        false
+    };
+    let report = minimize(|x: &[f64]| {
+        assert_ne!(thread::current().id(), caller);
+        thread::sleep(Duration::from_millis(400));
+        rosenbrock(x)
+    })
+    .start(&[-1.2, 1.0])
+    .workers(3)
+    .max_iterations(1)
+    .observer(|_| {
+        assert_eq!(thread::current().id(), caller);
+        ControlFlow::Continue(())
+    })
+    .context(RunContext::new().asking(&ask))
+    .run()
+    .unwrap();
+    assert_eq!(report.n_failed, 0);
+    // 50 ms is promised; the margin is for a machine that is busy with other tests.
+    assert!(
+        polls.get() >= 10 && longest.get() < Duration::from_millis(390),
+        "{polls:?} calls, longest pause {longest:?}"
+    );
+}
+
+fn interrupted(workers: usize, ready_after: u64) -> (Result<Report, Error>, Duration, usize) {
+    let started = AtomicUsize::new(0);
+    let hanging = AtomicBool::new(false);
+    let cost = with_query(|x: &[f64], e: &Query<'_>| {
+        started.fetch_add(1, Ordering::Relaxed);
+        if e.id < ready_after {
+            // Long enough not to stay on the calling thread.
+            thread::sleep(Duration::from_millis(25));
+            return Outcome::Value(rosenbrock(x));
+        }
+        hanging.store(true, Ordering::Release);
+        while !e.cancelled() {
+            thread::sleep(Duration::from_millis(1));
+        }
+        Outcome::cancelled()
+    });
+    let begin = Instant::now();
+    let result = minimize(cost)
+        .start(&[-1.2, 1.0])
+        .workers(workers)
+        .context(RunContext::new().asking(&|| hanging.load(Ordering::Acquire)))
+        .run();
+    (result, begin.elapsed(), started.load(Ordering::Relaxed))
+}
+
+#[test]
+fn an_interrupt_ends_running_evaluations_and_keeps_the_best() {
+    for workers in [2, 4] {
+        for ready_after in [2, 3, 20] {
+            let (result, time, started) = interrupted(workers, ready_after);
+            let report = result.unwrap();
+            assert_eq!(report.termination, Termination::Interrupted);
+            assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)));
+            assert_eq!(report.n_evaluations + report.n_speculative, started);
+            assert_eq!(report.n_evaluations, report.trace.len());
+            assert!(started <= ready_after as usize + workers && time < Duration::from_secs(5), "{time:?}");
+        }
+        let (result, ..) = interrupted(workers, 0);
+        let Err(Error::EndedWithoutPoint { termination, found }) = result else { panic!("{result:?}") };
+        assert_eq!(termination, Termination::Interrupted);
+        assert!(found.trace.len() <= workers);
+    }
+}
+
+#[test]
+fn a_cancel_flag_from_outside_interrupts_and_is_left_as_it_is() {
+    let flag = Arc::new(AtomicBool::new(false));
+    let report = minimize(|x: &[f64]| rosenbrock(x))
+        .start(&[-1.2, 1.0])
+        .context(RunContext::new().flagged(&flag))
+        .observer(|p| {
+            flag.store(p.n_iterations >= 4, Ordering::Relaxed);
+            ControlFlow::Continue(())
+        })
+        .run()
+        .unwrap();
+    assert_eq!((report.termination, report.n_iterations), (Termination::Interrupted, 4));
+    assert!(flag.load(Ordering::Relaxed));
+
+    // Nor is it raised where the run itself ends evaluations.
+    let shared = Arc::new(AtomicBool::new(false));
+    let (hanging, seen_raised) = (AtomicBool::new(false), AtomicBool::new(false));
+    let error = minimize(with_query(|_: &[f64], e: &Query<'_>| {
+        hanging.store(true, Ordering::Release);
+        while !e.cancelled() {
+            thread::sleep(Duration::from_millis(1));
+        }
+        seen_raised.fetch_or(shared.load(Ordering::Relaxed), Ordering::Relaxed);
+        Outcome::cancelled()
+    }))
+    .start(&[-1.2, 1.0])
+    .workers(2)
+    .context(RunContext::new().flagged(&shared).asking(&|| hanging.load(Ordering::Acquire)))
+    .run()
+    .unwrap_err();
+    assert!(
+        matches!(error, Error::EndedWithoutPoint { termination: Termination::Interrupted, .. }),
+        "{error}"
+    );
+    assert!(!shared.load(Ordering::Relaxed) && !seen_raised.load(Ordering::Relaxed));
+}
+
+#[test]
+fn a_cancel_flag_set_while_a_run_ends_its_evaluations_is_not_lost() {
+    let (flag, hanging) = (Arc::new(AtomicBool::new(false)), AtomicBool::new(false));
+    let run = || {
+        let cost = with_query(|x: &[f64], e: &Query<'_>| {
+            if e.id == 0 {
+                return Outcome::Value(rosenbrock(x));
+            }
+            hanging.store(true, Ordering::Release);
+            while !e.cancelled() {
+                thread::sleep(Duration::from_millis(1));
+            }
+            // Ctrl-C, after the run has ended this evaluation.
+            flag.store(true, Ordering::Relaxed);
+            Outcome::cancelled()
+        });
+        minimize(cost)
+            .start(&[-1.2, 1.0])
+            .workers(2)
+            .context(RunContext::new().flagged(&flag).asking(&|| hanging.load(Ordering::Acquire)))
+            .run()
+    };
+    let report = run().unwrap();
+    assert_eq!((report.termination, report.fun), (Termination::Interrupted, rosenbrock(&[-1.2, 1.0])));
+    assert!(flag.load(Ordering::Relaxed));
+    // What shares the flag ends, too: nothing hangs any more, only the flag is up.
+    hanging.store(false, Ordering::Relaxed);
+    let Err(Error::EndedWithoutPoint { termination, found }) = run() else {
+        panic!("it ran with the flag up")
+    };
+    assert_eq!((termination, found.trace.len()), (Termination::Interrupted, 0));
+}
+
+#[test]
+fn a_function_of_the_context_that_panics_ends_running_evaluations_and_leaves_the_flag_alone() {
+    let (flag, hanging) = (Arc::new(AtomicBool::new(false)), AtomicBool::new(false));
+    let cost = with_query(|_: &[f64], e: &Query<'_>| {
+        hanging.store(true, Ordering::Release);
+        while !e.cancelled() {
+            thread::sleep(Duration::from_millis(1));
+        }
+        Outcome::cancelled()
+    });
+    let unwound = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+        minimize(cost)
+            .start(&[-1.2, 1.0])
+            .workers(2)
+            .context(RunContext::new().flagged(&flag).asking(&|| {
+                if hanging.load(Ordering::Acquire) {
+                    std::panic::resume_unwind(Box::new("asked"))
+                } else {
+                    false
+                }
+            }))
+            .run()
+    }));
+    assert_eq!(unwound.unwrap_err().downcast_ref::<&str>(), Some(&"asked"));
+    assert!(!flag.load(Ordering::Relaxed));
+}
+
+#[test]
+fn an_abort_starts_nothing_more_and_loses_nothing_before_it() {
+    let (started, aborted) = (AtomicUsize::new(0), AtomicBool::new(false));
+    let cost = with_query(|x: &[f64], e: &Query<'_>| {
+        started.fetch_add(1, Ordering::Relaxed);
+        if e.id == 2 {
+            aborted.store(true, Ordering::Release);
+            return Outcome::Abort("third".to_owned());
+        }
+        if e.id > 2 {
+            while !aborted.load(Ordering::Acquire) {
+                thread::yield_now();
+            }
+            thread::sleep(Duration::from_millis(100));
+        }
+        Outcome::Value(x.iter().sum())
+    });
+    let report = minimize(cost).start(&[1.0; 7]).workers(2).run().unwrap();
+    assert_eq!(report.termination, Termination::Aborted("third".to_owned()));
+    // One point at a time nothing would have been evaluated after the third.
+    assert_eq!(report.n_evaluations + report.n_speculative, started.load(Ordering::Relaxed));
+    assert!(report.n_evaluations == 3 && report.n_speculative <= 1);
+    assert_eq!(report.trace.iter().map(|e| e.id).collect::<Vec<_>>(), [0, 1, 2]);
+    assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)));
+}
+
+#[test]
+fn workers_have_deep_stacks() {
+    fn deep(level: u32) -> f64 {
+        let room = std::hint::black_box([f64::from(level); 1024]);
+        if level == 0 { 0.0 } else { room[7] * 0.0 + deep(level - 1) }
+    }
+    // 1000 levels of 8 KiB: more than the 2 MiB that threads usually get.
+    let cost = |x: &[f64]| {
+        // Long enough not to stay on the calling thread.
+        thread::sleep(Duration::from_millis(25));
+        x[0] * x[0] + deep(1000)
+    };
+    let report = minimize(cost)
+        .start(&[1.0])
+        .workers(2)
+        .context(RunContext::new().asking(&|| false))
+        .max_evaluations(8)
+        .run()
+        .unwrap();
+    assert!(report.n_failed == 0 && report.fun < 1.0);
+}

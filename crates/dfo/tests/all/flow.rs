@@ -1,0 +1,256 @@
+//! Evaluations flow: an evaluator with a clock of its own, whose points take as long as it likes.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+#[path = "../common/clocked.rs"]
+#[allow(unreachable_pub)]
+mod clocked;
+use crate::common;
+
+use clocked::{Clocked, Seen, hash, one_in, rosenbrock};
+use common::timeless;
+use dfo::{
+    Answer, AnyMethod, BatchPlan, BatchView, Checkpoint, DifferentialEvolution, Evaluator, GivesUp, Minimize,
+    Multistart, NelderMead, Outcome, PatternSearch, Polish, PollPlan, Polled, Query, Report, Resume,
+    Termination, Wait, Want, by_hand, minimize, minimize_batches, minimize_by,
+};
+use std::cell::Cell;
+use std::rc::Rc;
+use std::time::Duration;
+
+/// A cost that fails in places, given up above the cutoff, and its residuals where they are wanted.
+fn answer_at(x: &[f64], query: &Query<'_>) -> Answer {
+    let cost = rosenbrock(x);
+    if hash(x).is_multiple_of(13) {
+        return Outcome::failed("no").into();
+    }
+    if query.want == Want::Residuals {
+        let pairs = x.windows(2).flat_map(|w| [10.0 * (w[1] - w[0] * w[0]), 1.0 - w[0]]);
+        return Answer { residuals: pairs.collect(), ..Outcome::Value(cost).into() };
+    }
+    if cost > query.cutoff { Outcome::Above(query.cutoff) } else { Outcome::Value(cost) }.into()
+}
+
+fn described<'a, D>(
+    run: Minimize<'a, NelderMead, D>,
+    method: &AnyMethod,
+    (n, evaluations): (usize, usize),
+) -> Minimize<'a, AnyMethod, D> {
+    let run = run.start(&vec![-1.2; n]).bounds(&vec![-5.0; n], &vec![5.0; n]).unwrap();
+    run.method(method.clone()).seed(1).max_evaluations(evaluations)
+}
+
+fn run(method: &AnyMethod, size: (usize, usize), width: usize, every: u64) -> (Report, Rc<Seen>) {
+    let (clocked, seen) = Clocked::new(width, one_in(every));
+    (described(minimize_by(clocked), method, size).run().unwrap(), seen)
+}
+
+fn named(name: &str) -> AnyMethod {
+    name.parse().unwrap()
+}
+
+#[test]
+fn whoever_answers_first_the_path_is_the_same() {
+    for name in ["nelder-mead", "pattern-search", "de", "cma-es", "multistart", "quadratic-model", "ga"] {
+        let method = named(name);
+        let serial = described(minimize(rosenbrock), &method, (4, 300)).run().unwrap();
+        for width in [1, 2, 7, 64] {
+            let (report, _) = run(&method, (4, 300), width, 10);
+            assert_eq!(timeless(&report.trace), timeless(&serial.trace), "{name} {width}");
+            assert_eq!((&report.x, report.fun, &report.message), (&serial.x, serial.fun, &serial.message));
+            assert_eq!(
+                (report.n_evaluations, report.n_iterations),
+                (serial.n_evaluations, serial.n_iterations)
+            );
+        }
+    }
+}
+
+fn same(report: &Report, serial: &Report, what: &str) {
+    assert_eq!(timeless(&report.trace), timeless(&serial.trace), "{what}");
+    assert_eq!((&report.x, report.fun, &report.message), (&serial.x, serial.fun, &serial.message), "{what}");
+    let counts = |r: &Report| (r.n_evaluations, r.n_iterations, r.n_failed, r.n_cached);
+    assert_eq!(counts(report), counts(serial), "{what}");
+}
+
+/// Methods that look ahead over what is certain.
+fn flowing() -> Vec<(&'static str, AnyMethod)> {
+    let searches = Multistart::default().exploration(0.0).sample(30);
+    vec![
+        ("de", named("de")),
+        ("one generation ahead", DifferentialEvolution::default().lag(1.0).into()),
+        ("three generations ahead", DifferentialEvolution::default().lag(3.0).into()),
+        ("de-classic", DifferentialEvolution::classic().lag(0.4).into()),
+        ("multistart", named("multistart")),
+        ("searches", searches.clone().into()),
+        ("residuals", searches.polish(Polish::LeastSquares).into()),
+    ]
+}
+
+#[test]
+fn failures_and_cutoffs_flow_too() {
+    for (name, method) in flowing() {
+        for gives_up in [GivesUp::No, GivesUp::Yes] {
+            let run = |width: usize| {
+                let (mut clocked, seen) = Clocked::new(width, one_in(10));
+                (clocked.answer, clocked.gives_up) = (answer_at, gives_up);
+                if gives_up == GivesUp::No {
+                    clocked.answer =
+                        |x, q| answer_at(x, &Query::new(q.id, q.batch, f64::INFINITY).want(q.want));
+                }
+                let run = described(minimize_by(clocked).with_residuals(true), &method, (4, 1500));
+                (run.workers(width).run().unwrap(), seen)
+            };
+            let (serial, _) = run(1);
+            for width in [2, 7, 64] {
+                let (report, seen) = run(width);
+                same(&report, &serial, &format!("{name} {gives_up:?} {width}"));
+                println!(
+                    "{name} {gives_up:?} {width}: {} of {} in vain",
+                    seen.begun.get() - report.n_evaluations,
+                    seen.begun.get()
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn whoever_drives_the_path_is_the_same() {
+    for (name, method) in flowing() {
+        let costs = |x: &[f64]| Outcome::Value(rosenbrock(x));
+        if name == "residuals" {
+            continue;
+        }
+        let serial = described(minimize(rosenbrock), &method, (4, 900)).run().unwrap();
+        let batches = |view: &BatchView<'_>| {
+            (0..view.len()).map(|k| view.set_seconds(k, 1.0)).count();
+            (0..view.len()).map(|k| costs(view.point(k))).collect()
+        };
+        let report = described(minimize_batches(batches).workers(7), &method, (4, 900)).run().unwrap();
+        same(&report, &serial, name);
+        for workers in [1, 7, 64] {
+            let mut optimizer = described(by_hand().workers(workers), &method, (4, 900)).optimizer().unwrap();
+            let mut pending = Vec::new();
+            while optimizer.termination().is_none() {
+                pending.extend(optimizer.ask(workers - pending.len()));
+                let next = pending.swap_remove(
+                    hash(&[pending.len() as f64, optimizer.trace().len() as f64]) as usize % pending.len(),
+                );
+                optimizer.tell(next.id, costs(&next.x)).unwrap();
+            }
+            same(&optimizer.report().unwrap(), &serial, &format!("{name} by hand, {workers}"));
+        }
+    }
+}
+
+#[test]
+fn workers_are_busy_although_some_evaluations_take_long() {
+    let methods: [(&str, AnyMethod, f64, f64); 4] = [
+        ("de, lag 1", DifferentialEvolution::default().lag(1.0).into(), 0.45, 0.36),
+        ("de, lag 2", DifferentialEvolution::default().lag(2.0).into(), 0.62, 0.36),
+        ("de-classic, lag 2", DifferentialEvolution::classic().lag(2.0).into(), 0.85, 0.5),
+        ("multistart", named("multistart"), 0.25, 0.2),
+    ];
+    for (name, method, least, before) in methods {
+        let (_, serial) = run(&method, (5, 5000), 1, 10);
+        let (report, seen) = run(&method, (5, 5000), 16, 10);
+        let (useful, all) =
+            (serial.now.get() / (16.0 * seen.now.get()), seen.busy.get() / (16.0 * seen.now.get()));
+        println!("{name}: {useful:.3} of 16 workers for the path, {all:.3} in all; {before} with barriers");
+        assert!(useful >= least, "{name}: {useful}");
+        assert!(name == "multistart" || seen.begun.get() < report.n_evaluations + 200, "{name}");
+    }
+    // A generation at a time.
+    let (_, serial) = run(&DifferentialEvolution::default().into(), (5, 5000), 1, 10);
+    let (_, seen) = run(&DifferentialEvolution::default().into(), (5, 5000), 16, 10);
+    assert!(serial.now.get() < 0.4 * 16.0 * seen.now.get());
+}
+
+#[test]
+fn stragglers_hold_up_only_those_who_need_them() {
+    for (every, least) in [(10, 1.6), (20, 1.6)] {
+        let method = named("nelder-mead");
+        let (_, serial) = run(&method, (5, 600), 1, every);
+        let (report, seen) = run(&method, (5, 600), 16, every);
+        let gain = serial.now.get() / seen.now.get();
+        println!("one in {every}: {gain:.2} times as fast, {} ahead in vain", report.n_speculative);
+        assert!(gain >= least, "{gain}");
+    }
+}
+
+#[test]
+fn evaluations_in_vain_are_bounded() {
+    let ahead: AnyMethod = NelderMead::default().batch(BatchPlan::Ahead).into();
+    let poll: AnyMethod = PatternSearch::default().batch(PollPlan::Poll).into();
+    for (width, most) in [(16, 2), (64, 2), (300, 4), (1000, 4)] {
+        for (method, n) in [(&ahead, 5), (&poll, 5), (&poll, 200)] {
+            let (report, seen) = run(method, (n, 400), width, 10);
+            let in_vain = seen.begun.get() - report.n_evaluations;
+            println!("{width} workers, n = {n}, {}: {in_vain} in vain", report.method);
+            assert!(in_vain <= most * report.n_evaluations, "{} {width} {n}: {in_vain}", report.method);
+        }
+    }
+}
+
+#[test]
+fn what_was_answered_is_kept_from_the_first_evaluation_on() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["de", "cma-es", "nelder-mead", "quadratic-model", "multistart"] {
+        let whole = described(minimize(rosenbrock), &named(name), (6, 120)).run().unwrap();
+        for (killed_at, width) in [(1usize, 1), (5, 1), (37, 1), (90, 7)] {
+            let path = folder.path().join(format!("{name}-{killed_at}"));
+            let checkpoint = || Checkpoint::new(&path).interval(Duration::ZERO);
+            // The program dies in an evaluation: nothing is written any more.
+            let calls = Cell::new(0);
+            let dies = |x: &[f64]| {
+                calls.set(calls.get() + 1);
+                if calls.get() > killed_at {
+                    std::panic::resume_unwind(Box::new("killed"));
+                }
+                rosenbrock(x)
+            };
+            let (mut inner, _) = Clocked::new(width, |_| 1.0);
+            let dying = Dying { inner: &mut inner, dies: &dies };
+            let run = described(minimize_by(dying), &named(name), (6, 120)).checkpoint(checkpoint());
+            assert!(std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| run.run())).is_err());
+
+            // One worker: nothing is begun ahead of need.
+            let (clocked, seen) = Clocked::new(1, |_| 1.0);
+            let run = described(minimize_by(clocked), &named(name), (6, 120));
+            let report = run.checkpoint(checkpoint().resume(Resume::Require)).run().unwrap();
+            assert_eq!(timeless(&report.trace), timeless(&whole.trace), "{name} {killed_at}");
+            assert_eq!(report.termination, Termination::MaxEvaluations);
+            let again = seen.begun.get() + killed_at;
+            // The first answer is written at once, others when writing has taken no more than a tenth of the time.
+            assert!(width > 1 || again < 120 + killed_at, "{name} {killed_at}: {again} evaluations in all");
+        }
+    }
+}
+
+/// Calls a function before each answer.
+struct Dying<'a, L> {
+    inner: &'a mut Clocked<L>,
+    dies: &'a dyn Fn(&[f64]) -> f64,
+}
+
+impl<L: Fn(&[f64]) -> f64> Evaluator for Dying<'_, L> {
+    fn submit(&mut self, x: &[f64], query: Query<'static>) {
+        self.inner.submit(x, query);
+    }
+    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
+        let polled = self.inner.poll(wait, answer);
+        if let (Polled::Answered(_), Outcome::Value(_)) = (polled, &answer.outcome) {
+            (self.dies)(&[0.0, 0.0]);
+        }
+        polled
+    }
+    fn cancel(&mut self, id: u64) {
+        self.inner.cancel(id);
+    }
+    fn width(&self) -> usize {
+        self.inner.width()
+    }
+    fn gives_up(&self) -> GivesUp {
+        GivesUp::No
+    }
+}

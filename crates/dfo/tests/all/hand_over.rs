@@ -1,0 +1,116 @@
+//! What `auto` does with costs: quadratic models where they are smooth, Nelder-Mead where kinks or noise show.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use crate::common;
+use crate::problems;
+
+use common::{rosenbrock, timeless};
+use dfo::{
+    AnyMethod, Checkpoint, Minimize, NelderMead, Outcome, QuadraticModel, Query, Report, Resume, Search,
+    Termination, minimize, with_query,
+};
+use problems::{instances, residuals};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+fn auto() -> AnyMethod {
+    AnyMethod::auto(Search::Local)
+}
+
+/// Two kinks that cross at the minimum.
+fn kinked(x: &[f64]) -> f64 {
+    (x[0] - 1.0).abs() + 10.0 * (x[1] - x[0]).abs()
+}
+
+#[test]
+fn smooth_costs_take_the_path_of_the_model() {
+    let run = |method: AnyMethod| minimize(rosenbrock).start(&[-1.2, 1.0]).method(method).run().unwrap();
+    let (own, model) = (run(auto()), run(QuadraticModel::default().into()));
+    assert_eq!(timeless(&own.trace), timeless(&model.trace));
+    assert!(own.is_success() && own.method == "quadratic-model", "{own}");
+    assert!(own.method_reason.unwrap().contains("Nelder-Mead where noise or kinks show"));
+    assert!(!own.message.contains("took over"), "{}", own.message);
+}
+
+#[test]
+fn kinks_are_handed_over_and_no_success_of_the_model() {
+    let run = |method: AnyMethod| minimize(kinked).start(&[-1.0, 2.0]).method(method).run().unwrap();
+    let own = run(auto());
+    assert!(own.is_success() && own.fun < 1e-5, "{own}");
+    assert!(own.message.contains("; nelder-mead took over after "), "{}", own.message);
+    assert!(own.final_simplex.is_some());
+    let model = run(QuadraticModel::default().into());
+    assert!(model.fun < 1e-5 || !model.is_success() && model.message.contains("kinks"), "{model}");
+}
+
+/// A parameter that starts at zero tells no size: Nelder-Mead looks for it, and there is nothing to hand over.
+#[test]
+fn unknown_sizes_are_looked_for() {
+    let cost = |x: &[f64]| (x[0] / 300.0 - 1.0).powi(2) + (x[1] - 1.0).powi(2);
+    let run = |method: AnyMethod| minimize(cost).start(&[0.0, 2.0]).method(method).run().unwrap();
+    let (own, simplex) = (run(auto()), run(NelderMead::default().into()));
+    assert_eq!(timeless(&own.trace), timeless(&simplex.trace));
+    assert_eq!(own.message, simplex.message);
+}
+
+/// Not fewer of the problems of Moré and Wild with absolute residuals than Nelder-Mead, up to two, with at most 1.2 times
+/// its evaluations.
+#[test]
+fn problems_with_kinks_are_solved_as_by_nelder_mead() {
+    let histories = |method: &AnyMethod, p: &problems::Instance| {
+        let cost = |x: &[f64]| residuals(p.number, p.m, x).iter().map(|r| r.abs()).sum::<f64>();
+        let run = minimize(cost).start(&p.start()).method(method.clone()).x_tol(0.0).f_tol(0.0);
+        let report = run.max_evaluations(100 * (p.n + 1)).run().unwrap();
+        let costs: Vec<f64> = report.trace.iter().filter_map(|e| e.outcome.value()).collect();
+        (report.fun, costs)
+    };
+    let mut units = [Vec::new(), Vec::new()];
+    for p in instances() {
+        let runs = [auto(), NelderMead::default().into()].map(|method| histories(&method, &p));
+        let best = runs[0].0.min(runs[1].0);
+        let goal = best + 1e-2 * (runs[0].1[0] - best);
+        for (units, (_, costs)) in units.iter_mut().zip(runs) {
+            let place = costs.iter().position(|cost| *cost <= goal);
+            units.push(place.map_or(f64::INFINITY, |place| (place + 1) as f64 / (p.n + 1) as f64));
+        }
+    }
+    let [(own, median), (simplex, other)] = units.map(|mut units| {
+        units.sort_by(f64::total_cmp);
+        (units.iter().filter(|u| u.is_finite()).count(), units[units.len() / 2])
+    });
+    println!("auto {own} of 53, median {median:.1} (n + 1); nelder-mead {simplex}, {other:.1}");
+    assert!(own + 2 >= simplex && median <= 1.2 * other, "{own} {median} {simplex} {other}");
+}
+
+/// A run that is aborted after so many evaluations.
+fn set_up(limit: usize) -> Minimize<'static, AnyMethod> {
+    let calls = AtomicUsize::new(0);
+    let cost = move |x: &[f64], _: &Query<'_>| match calls.fetch_add(1, Ordering::Relaxed) {
+        k if k >= limit => Outcome::Abort("stopped".to_owned()),
+        _ => Outcome::Value(kinked(x)),
+    };
+    minimize(with_query(cost)).start(&[-1.0, 2.0]).method(auto()).max_evaluations(150)
+}
+
+fn same(a: &Report, b: &Report) {
+    assert!(timeless(&a.trace) == timeless(&b.trace));
+    assert_eq!((&a.x, a.fun.to_bits(), &a.message), (&b.x, b.fun.to_bits(), &b.message));
+}
+
+#[test]
+fn workers_and_interruptions_change_nothing() {
+    let whole = set_up(usize::MAX).run().unwrap();
+    assert!(whole.message.contains("took over"), "{}", whole.message);
+    for workers in [2, 5] {
+        same(&set_up(usize::MAX).workers(workers).run().unwrap(), &whole);
+    }
+    let folder = tempfile::tempdir().unwrap();
+    for limit in (1..150).step_by(7) {
+        let file = folder.path().join(format!("{limit}"));
+        let checkpoint = || Checkpoint::new(&file).interval(Duration::ZERO);
+        let stopped = set_up(limit).checkpoint(checkpoint()).run().unwrap();
+        assert_eq!(stopped.termination, Termination::Aborted("stopped".to_owned()));
+        let run = set_up(usize::MAX).checkpoint(checkpoint().resume(Resume::Require)).run().unwrap();
+        same(&run, &whole);
+    }
+}

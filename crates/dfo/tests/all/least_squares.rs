@@ -1,0 +1,379 @@
+//! Least squares: the contracts with residuals, and evaluations on problems of the literature.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use crate::common;
+use crate::problems;
+
+use common::{probe_fails, rosenbrock, timeless};
+use dfo::{
+    Answers, Batch, Bounds, Checkpoint, Error, LeastSquares, Method, MethodOptions, Minimize, Objective,
+    Outcome, Report, RunContext, Setup, Space, Termination, by_hand, minimize, residuals,
+};
+use problems::{instances, residuals as more_wild};
+use std::cell::Cell;
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Duration;
+
+/// Rosenbrock's function as residuals, with the failing regions.
+fn probe(x: &[f64], out: &mut Vec<f64>) {
+    if probe_fails(x) {
+        out.push(f64::NAN);
+    }
+    out.extend([10.0 * (x[1] - x[0] * x[0]), 1.0 - x[0]]);
+}
+
+fn boxed<M, D>(run: Minimize<'_, M, D>, batch: usize) -> Minimize<'_, LeastSquares, D> {
+    let run = run.start(&[-0.5, 1.0]).bounds(&[-2.0; 2], &[2.0; 2]).unwrap();
+    run.method(LeastSquares::default().batch(batch))
+}
+
+const BATCHES: [usize; 4] = [1, 2, 4, 7];
+
+#[test]
+fn failing_regions() {
+    for batch in 1..9 {
+        for start in [[-0.5, 1.0], [-0.7, 1.2], [0.1, 0.9], [-1.0, 1.5], [-1.1, 1.1], [0.0, 0.3]] {
+            let run = boxed(minimize(residuals(probe)), batch).start(&start).max_evaluations(2000);
+            let report = run.run().unwrap();
+            assert!(report.fun < 1e-6 && report.n_evaluations < 500, "{batch}, {start:?}: {report}");
+        }
+    }
+}
+
+type Told = (Vec<(Vec<u64>, Outcome, u64, u64, u64, bool)>, Vec<f64>, u64, Termination, String);
+
+fn told(report: &Report) -> Told {
+    let Report { trace, x, fun, termination, message, .. } = report;
+    (timeless(trace), x.clone(), fun.to_bits(), termination.clone(), message.clone())
+}
+
+#[test]
+fn budgets_are_exact_inside_of_rounds() {
+    for batch in BATCHES {
+        for budget in 1..=60 {
+            let calls = AtomicUsize::new(0);
+            let counted = |x: &[f64], out: &mut Vec<f64>| {
+                calls.fetch_add(1, Ordering::Relaxed);
+                probe(x, out);
+            };
+            let report = boxed(minimize(residuals(counted)), batch).max_evaluations(budget).run().unwrap();
+            assert_eq!(calls.into_inner(), report.n_evaluations);
+            let by_budget = report.termination == Termination::MaxEvaluations;
+            assert!(
+                report.n_evaluations == budget || !by_budget && report.n_evaluations < budget,
+                "{report}"
+            );
+            assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)), "{batch} {budget}");
+        }
+        for iterations in [0, 1, 5] {
+            let report = boxed(minimize(residuals(probe)), batch).max_iterations(iterations).run().unwrap();
+            assert_eq!((report.n_iterations, &report.termination), (iterations, &Termination::MaxIterations));
+        }
+        let report = boxed(minimize(residuals(probe)), batch).target(0.2).run().unwrap();
+        assert!(report.termination == Termination::Target && report.fun <= 0.2, "{report}");
+    }
+}
+
+#[test]
+fn the_same_bits_with_workers_by_hand_and_resumed_anywhere() {
+    let folder = tempfile::tempdir().unwrap();
+    let noisy = |x: &[f64], out: &mut Vec<f64>| {
+        probe(x, out);
+        let shake = (1e4 * x[0] + 3e4 * x[1]).sin();
+        out.iter_mut().for_each(|r| *r += 1e-3 * shake);
+    };
+    for batch in BATCHES {
+        let run = || boxed(minimize(residuals(noisy)), batch).max_evaluations(150);
+        let plain = run().run().unwrap();
+        for workers in [2, 5] {
+            assert_eq!(told(&run().workers(workers).run().unwrap()), told(&plain), "{batch} {workers}");
+        }
+        let mut optimizer = boxed(by_hand(), batch).max_evaluations(150).optimizer().unwrap();
+        let objective = residuals(noisy);
+        while optimizer.termination().is_none() {
+            for point in optimizer.ask(3).into_iter().rev() {
+                optimizer.tell(point.id, objective.answer(&point.x, &point.query())).unwrap();
+            }
+        }
+        let by_hand = optimizer.report().unwrap();
+        assert_eq!(
+            (timeless(&by_hand.trace), by_hand.x),
+            (timeless(&plain.trace), plain.x.clone()),
+            "{batch}"
+        );
+        for budget in 1..plain.n_evaluations {
+            let place = folder.path().join(format!("{batch} {budget}"));
+            let at = || Checkpoint::new(&place).interval(Duration::ZERO);
+            drop(run().max_evaluations(budget).checkpoint(at()).run());
+            assert_eq!(told(&run().checkpoint(at()).run().unwrap()), told(&plain), "{batch} {budget}");
+        }
+    }
+}
+
+#[test]
+fn what_has_no_residuals_is_refused_before_anything_is_evaluated() {
+    let calls = AtomicUsize::new(0);
+    let cost = |x: &[f64]| {
+        calls.fetch_add(1, Ordering::Relaxed);
+        rosenbrock(x)
+    };
+    let refused = minimize(cost).start(&[1.0, 2.0]).method(LeastSquares::default()).run();
+    let Err(error @ Error::NeedsResiduals { .. }) = refused else { panic!("{refused:?}") };
+    assert!(error.to_string().starts_with("least-squares needs residuals"), "{error}");
+    assert_eq!(calls.into_inner(), 0);
+}
+
+#[test]
+fn a_failing_start_and_failing_directions_are_no_end() {
+    // Only three of the five points of the first round have residuals; one direction has none on either side.
+    let wall = |x: &[f64], out: &mut Vec<f64>| {
+        if x[2] == 0.5 && (x[3] == 0.5 || x[0] != 0.5) {
+            out.extend([x[0] - 0.7, x[1] - 0.2, 0.0]);
+        } else {
+            out.push(f64::NAN);
+        }
+    };
+    let run = |start: &[f64]| {
+        let run = minimize(residuals(wall)).start(start).bounds(&[0.0; 4], &[1.0; 4]).unwrap();
+        run.method(LeastSquares::default()).max_evaluations(200).run()
+    };
+    let report = run(&[0.5; 4]).unwrap();
+    assert!((report.x[1] - 0.2).abs() < 1e-4 && (report.x[0] - 0.7).abs() < 1e-4, "{report}");
+    let from_outside = |x: &[f64], out: &mut Vec<f64>| {
+        if x[0] < 0.55 {
+            out.push(f64::INFINITY);
+        }
+        out.extend([x[0] - 0.7, x[1] - 0.2]);
+    };
+    let run = minimize(residuals(from_outside)).start(&[0.5; 2]).bounds(&[0.0; 2], &[1.0; 2]).unwrap();
+    let report = run.method(LeastSquares::default()).run().unwrap();
+    assert!(report.is_success() && report.fun < 1e-10, "{report}");
+}
+
+/// Shares solved within 25 and within 100 (n + 1), and the median, both of the units of `measure`.
+fn profile(mut units: Vec<f64>) -> (f64, f64, f64) {
+    units.sort_by(f64::total_cmp);
+    let share = |most: f64| 100.0 * units.iter().filter(|u| **u <= most).count() as f64 / units.len() as f64;
+    (share(25.0), share(f64::MAX), units[units.len() / 2])
+}
+
+/// Evaluations in units of n + 1, or rounds, until the cost without noise is near the best known.
+fn units(tau: f64, batch: fn(usize) -> usize, in_rounds: bool, noise: Option<u64>) -> Vec<f64> {
+    let instances = instances();
+    let solve = |p: &problems::Instance| {
+        let f = |x: &[f64], out: &mut Vec<f64>| {
+            out.extend(more_wild(p.number, p.m, x));
+            if let Some(seed) = noise {
+                let mut dice = x
+                    .iter()
+                    .fold(seed, |h, v| (h ^ v.to_bits()).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (h >> 29));
+                out.iter_mut().for_each(|r| *r *= 1.0 + 1e-3 * normal(&mut dice));
+            }
+        };
+        let run = minimize(residuals(f)).start(&p.start()).x_tol(0.0).f_tol(0.0);
+        let method = LeastSquares::default().batch(batch(p.n));
+        let report = run.method(method).max_evaluations(100 * (p.n + 1)).run().unwrap();
+        let first = p.cost(&p.start());
+        let goal = first - (1.0 - tau) * (first - p.best);
+        let solved = report.trace.iter().enumerate().find(|(_, e)| p.cost(e.x) <= goal);
+        solved.map_or(f64::INFINITY, |(k, e)| {
+            if in_rounds { (e.batch + 1) as f64 } else { (k + 1) as f64 / (p.n + 1) as f64 }
+        })
+    };
+    instances.iter().map(solve).collect()
+}
+
+/// Nearly normal: the sum of twelve uniform numbers.
+fn normal(dice: &mut u64) -> f64 {
+    let mut next = || {
+        *dice = dice.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (*dice >> 33) as f64 / (1u64 << 31) as f64
+    };
+    (0..12).map(|_| next()).sum::<f64>() - 6.0
+}
+
+#[test]
+fn smooth_problems_take_few_evaluations() {
+    for (tau, soon, in_all, most) in [(1e-5, 89.0, 92.0, 4.2), (1e-7, 0.0, 87.0, 8.0)] {
+        let (within_25, within_100, median) = profile(units(tau, |_| 1, false, None));
+        println!("tau {tau:e}: {within_25:.0} % within 25, {within_100:.0} % within 100, median {median:.1}");
+        assert!(within_25 >= soon && within_100 >= in_all && median <= most);
+    }
+}
+
+#[test]
+fn rounds_of_many_points_are_few() {
+    type Width = fn(usize) -> usize;
+    let widths: [(&str, Width, f64); 3] =
+        [("n + 1", |n| n + 1, 12.0), ("n + 4", |n| n + 4, 10.0), ("4 (n + 1)", |n| 4 * n + 4, 8.0)];
+    for (name, width, most) in widths {
+        let (_, solved, median) = profile(units(1e-5, width, true, None));
+        println!("rounds of {name}: {solved:.0} % solved, median {median}");
+        assert!(solved >= 90.0 && median <= most);
+    }
+}
+
+#[test]
+fn noise_of_a_thousandth_is_averaged() {
+    let (_, solved, median) = profile(units(1e-5, |_| 1, false, Some(1)));
+    println!("noise 1e-3: {solved:.0} % solved, median {median:.1}");
+    assert!(solved >= 86.0);
+}
+
+/// Parameters of sizes from 1e-6 to 1e6 that start at zero: decays that saturate, and linear ones.
+#[test]
+fn sizes_that_nothing_tells_are_found() {
+    let mut evaluations = Vec::new();
+    for case in 0..60i32 {
+        let dice = |k: i32| f64::from((case * 7919 + k * 104_729) % 1000) / 1000.0;
+        let sizes: Vec<f64> = (0..3).map(|k| 10f64.powf(12.0 * dice(k) - 6.0)).collect();
+        let truth: Vec<f64> = (0..3).map(|k| sizes[k as usize] * (0.5 + dice(k + 3))).collect();
+        let model = |x: &[f64], t: f64| {
+            x[0] / sizes[0] * t + 1.0 - (-x[1] / sizes[1] * t).exp() - (x[2] / sizes[2]).tanh()
+        };
+        let f = |x: &[f64], out: &mut Vec<f64>| {
+            out.extend((0..9).map(|i| 0.2 * f64::from(i)).map(|t| model(x, t) - model(&truth, t)));
+        };
+        let report = minimize(residuals(f)).start(&[0.0; 3]).method(LeastSquares::default()).run().unwrap();
+        assert!(report.is_success() && report.fun < 1e-9, "{case}: {sizes:?} {report}");
+        evaluations.push(report.n_evaluations);
+    }
+    evaluations.sort_unstable();
+    println!("unknown sizes: median {} evaluations, at most {}", evaluations[30], evaluations[59]);
+    assert!(evaluations[59] < 150);
+}
+
+/// One parameter does nothing.
+#[test]
+fn a_parameter_without_effect_costs_little() {
+    let model = |x: &[f64], out: &mut Vec<f64>| {
+        out.extend(
+            (0..30)
+                .map(|i| 4.0 / 29.0 * f64::from(i))
+                .map(|t| x[0] * (-x[1] * t).exp() - 2.0 * (-0.7 * t).exp() - 0.01 * (9.0 * t).sin()),
+        );
+    };
+    let report =
+        minimize(residuals(model)).start(&[1.0, 1.0, 5.0]).method(LeastSquares::default()).run().unwrap();
+    assert!(report.is_success() && report.n_evaluations < 80, "{report}");
+}
+
+/// Many residuals of few parameters.
+fn large(x: &[f64], out: &mut Vec<f64>) {
+    out.extend((0..300_000).map(|i| {
+        let t = f64::from(i) / 300_000.0;
+        x[0] * (-x[1] * t).exp() + x[2] * (9.0 * t).sin() - 2.0 * (-0.7 * t).exp() - 0.1 * (40.0 * t).cos()
+    }));
+}
+
+/// What the method computes itself can be interrupted, and goes on as if it had not been.
+#[test]
+fn own_computations_can_be_interrupted() {
+    let bounds = Bounds::unbounded(3);
+    let setup = Setup::new(Space::new(&[1.0, 1.0, 1.0], bounds, &[], &[]).unwrap());
+    let [mut plain, mut interrupted] = [0, 1].map(|_| LeastSquares::default().begin(&setup).unwrap());
+    let (mut batch, mut other, mut answers) = (Batch::new(), Batch::new(), Answers::default());
+    let mut n_interrupted = 0;
+    for _ in 0..12 {
+        plain.ask(&mut batch);
+        for most in 0.. {
+            let looks = Cell::new(0);
+            let ask = || {
+                looks.set(looks.get() + 1);
+                looks.get() > most
+            };
+            interrupted.ask_unless(&RunContext::new().asking(&ask), &mut other);
+            if !other.is_empty() {
+                break;
+            }
+            n_interrupted += 1;
+        }
+        assert_eq!(batch, other);
+        answers.clear();
+        for x in batch.points() {
+            let mut residuals = Vec::new();
+            large(x, &mut residuals);
+            answers.push(Outcome::Value(residuals.iter().map(|r| r * r).sum()), &residuals);
+        }
+        plain.tell(&answers).unwrap();
+        interrupted.tell(&answers).unwrap();
+    }
+    assert!(n_interrupted >= 8, "{n_interrupted}");
+    let n_looks = Cell::new(0);
+    let count = || {
+        n_looks.set(n_looks.get() + 1);
+        false
+    };
+    assert!(
+        plain.linear_model(&RunContext::new().asking(&count)).is_some() && n_looks.get() >= 4,
+        "{n_looks:?}"
+    );
+    assert!(plain.linear_model(&RunContext::new().asking(&|| true)).is_none());
+}
+
+/// A run that is interrupted while its method computes ends at once, and goes on from there.
+#[test]
+fn an_interrupt_between_rounds_ends_the_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |name: &str| {
+        let at = Checkpoint::new(folder.path().join(name)).interval(Duration::ZERO);
+        let run = minimize(residuals(large)).start(&[1.0; 3]).method(LeastSquares::default());
+        run.max_evaluations(12).checkpoint(at)
+    };
+    let whole = run("whole").run().unwrap();
+    let stop = AtomicBool::new(false);
+    let stopped = run("stopped").context(RunContext::new().flagged(&stop)).observer(|progress| {
+        stop.store(progress.n_evaluations >= 7, Ordering::Relaxed);
+        ControlFlow::Continue(())
+    });
+    let stopped = stopped.run().unwrap();
+    assert_eq!((&stopped.termination, stopped.n_evaluations), (&Termination::Interrupted, 7));
+    assert!(stopped.jacobian.is_none());
+    assert_eq!(told(&run("stopped").run().unwrap()), told(&whole));
+}
+
+/// Chained Rosenbrock functions as residuals.
+fn chained(x: &[f64], out: &mut Vec<f64>) {
+    out.extend(x.windows(2).flat_map(|x| [10.0 * (x[1] - x[0] * x[0]), 1.0 - x[0]]));
+}
+
+/// Many parameters are no reason to stop: the cost falls with the first steps.
+#[test]
+fn hundreds_of_parameters() {
+    let n = 610;
+    let start: Vec<f64> = (0..n).map(|k| if k % 2 == 0 { -1.2 } else { 1.0 }).collect();
+    let run = minimize(residuals(chained)).start(&start).method(LeastSquares::default());
+    let report = run.max_evaluations(n + 81).run().unwrap();
+    assert!(report.fun < 0.02 * report.trace.iter().next().unwrap().outcome.value().unwrap(), "{report}");
+}
+
+/// The search goes on beside a region that fails, from the best point and not from the start.
+#[test]
+fn a_wall_is_followed() {
+    let wall = |x: &[f64], out: &mut Vec<f64>| {
+        out.extend([10.0 * (x[1] - x[0] * x[0]), if x[0] > 0.9 { f64::NAN } else { 1.0 - x[0] }]);
+    };
+    for start in [[-1.2, 1.0], [0.3, -0.5], [-0.7, 2.0]] {
+        let report = minimize(residuals(wall)).start(&start).method(LeastSquares::default()).run().unwrap();
+        assert!(report.fun < 0.01001 && report.n_evaluations < 260, "{start:?} {report}");
+        let costs: Vec<f64> = report.trace.iter().filter_map(|e| e.outcome.value()).collect();
+        let near = costs.iter().position(|f| *f < 0.02).unwrap();
+        assert!(costs[near..].iter().all(|f| *f < 0.5 * costs[0]), "{start:?} {costs:?}");
+    }
+}
+
+/// What no memory holds is refused once the number of residuals is known: after the start alone, not after all n + 1 points.
+#[test]
+fn residuals_that_do_not_fit_into_memory_are_refused() {
+    let setup = Setup::new(Space::new(&vec![1.0; 3000], Bounds::unbounded(3000), &[], &[]).unwrap());
+    let mut method = match LeastSquares::default().begin(&setup) {
+        Ok(method) => method,
+        Err(error) => return assert!(matches!(error, Error::Memory { .. }), "{error}"),
+    };
+    let (mut batch, mut answers) = (Batch::new(), Answers::default());
+    method.ask(&mut batch);
+    assert_eq!(batch.len(), 1);
+    answers.push(Outcome::Value(1.0), &vec![1e-4; 10_000_000]);
+    assert!(matches!(method.tell(&answers), Err(Error::Memory { .. })));
+}

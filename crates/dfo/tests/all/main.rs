@@ -1,0 +1,42 @@
+//! The tests of the optimisers that may share a process. Those that count allocations are programs of their own.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+#[path = "../common/mod.rs"]
+mod common;
+#[path = "../problems/mod.rs"]
+mod problems;
+
+mod any_problem;
+mod asked;
+mod bad_input;
+mod barrier;
+mod budgets;
+mod checkpoint;
+mod checkpoint_file;
+mod cma_es;
+mod concurrency;
+mod cutoffs;
+mod differential_evolution;
+mod far_bounds;
+mod flow;
+mod forged_states;
+mod genetic;
+mod hand_over;
+mod least_squares;
+mod least_squares_results;
+mod lee_wiswall;
+mod more_wild;
+mod multistart;
+mod names;
+mod nelder_mead;
+mod pattern_search;
+mod plans;
+mod quadratic_model;
+mod regressions;
+mod residuals;
+mod simplex_quality;
+mod speculation;
+mod target;
+mod uninformative_ends;
+mod wide_bounds;
+mod workers;

@@ -1,0 +1,106 @@
+//! Pattern search: beside a compass search, where costs have kinks, and its plans.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use crate::common;
+use crate::problems;
+
+use common::rosenbrock;
+use dfo::{PatternSearch, PollPlan, Report, minimize};
+
+/// The best cost of a compass search (both ways along each axis, the first better point is taken, else half the step) after so
+/// many evaluations, and how many it takes to come to a cost.
+fn compass(f: &dyn Fn(&[f64]) -> f64, x0: &[f64], budget: usize, goal: f64) -> (f64, Option<usize>) {
+    let (mut x, mut best) = (x0.to_vec(), f(x0));
+    let sizes: Vec<f64> = x0.iter().map(|x| if *x != 0.0 { x.abs() } else { 1.0 }).collect();
+    let (mut count, mut step) = (1, 0.3);
+    while count < budget && step > 1e-12 {
+        let before = best;
+        'poll: for k in 0..x.len() {
+            for sign in [1.0, -1.0] {
+                let here = x[k];
+                x[k] += sign * step * sizes[k];
+                let cost = f(&x);
+                count += 1;
+                if cost < best {
+                    best = cost;
+                    break 'poll;
+                }
+                x[k] = here;
+                if count == budget {
+                    break 'poll;
+                }
+            }
+        }
+        if best <= goal {
+            return (best, Some(count));
+        }
+        if best >= before {
+            step *= 0.5;
+        }
+    }
+    (best, None)
+}
+
+#[test]
+fn valleys_take_fewer_evaluations_than_with_a_compass_search() {
+    for n in [2, 5] {
+        let x0 = vec![-1.2; n];
+        let ours = minimize(rosenbrock).start(&x0).method(PatternSearch::default());
+        let ours = ours.target(1e-4).max_evaluations(50_000).run().unwrap();
+        let (_, theirs) = compass(&rosenbrock, &x0, 50_000, 1e-4);
+        println!("{n}: {} and {theirs:?}", ours.n_evaluations);
+        assert!(
+            ours.fun <= 1e-4 && theirs.is_none_or(|theirs| 3 * ours.n_evaluations < theirs),
+            "{theirs:?} {ours}"
+        );
+    }
+}
+
+/// Sums of absolute residuals of the instances of Moré and Wild, judged on the odd ones (the even ones served for tuning).
+#[test]
+fn costs_with_kinks_come_lower_than_with_a_compass_search() {
+    let (mut lower, mut total) = (0, 0);
+    for instance in problems::instances().iter().filter(|i| i.number % 2 == 1) {
+        let cost = |x: &[f64]| -> f64 {
+            problems::residuals(instance.number, instance.m, x).iter().map(|r| r.abs()).sum()
+        };
+        let budget = 100 * (instance.n + 1);
+        let ours = minimize(cost).start(&instance.start()).method(PatternSearch::default());
+        let ours = ours.max_evaluations(budget).run().unwrap();
+        let (theirs, _) = compass(&cost, &instance.start(), budget, f64::NEG_INFINITY);
+        lower += usize::from(ours.fun <= theirs);
+        total += 1;
+    }
+    println!("{lower} of {total}");
+    assert!(4 * lower >= 3 * total, "{lower} of {total}");
+}
+
+#[test]
+fn plans_keep_the_path_and_save_rounds() {
+    let run = |plan, workers| -> Report {
+        let search =
+            minimize(rosenbrock).start(&[-1.2, 1.0, 0.5]).bounds(&[-2.0; 3], &[0.9, 2.0, 2.0]).unwrap();
+        search.method(PatternSearch::default().batch(plan)).workers(workers).run().unwrap()
+    };
+    let serial = run(PollPlan::Serial, 1);
+    assert!(serial.is_success() && serial.n_speculative == 0 && serial.batch == "serial", "{serial}");
+    for (plan, workers) in
+        [(PollPlan::Poll, 1), (PollPlan::Ahead, 4), (PollPlan::Ahead, 16), (PollPlan::Auto, 3)]
+    {
+        let other = run(plan, workers);
+        assert_eq!((&other.x, other.fun, &other.message), (&serial.x, serial.fun, &serial.message));
+        assert_eq!((other.n_evaluations, other.n_iterations), (serial.n_evaluations, serial.n_iterations));
+    }
+    let ahead = run(PollPlan::Poll, 6);
+    println!("{} rounds, {} serial", ahead.n_batches, serial.n_batches);
+    assert!(ahead.n_speculative > 0);
+}
+
+#[test]
+fn narrow_cones_of_descent_are_met() {
+    let kinks = |x: &[f64]| (x[0] - 1.0).abs() + 10.0 * (x[1] - x[0]).abs();
+    for x0 in [[-1.0, 2.0], [3.0, 1.0], [-2.0, -2.0], [0.5, 7.0]] {
+        let report = minimize(kinks).start(&x0).method(PatternSearch::default()).run().unwrap();
+        assert!(report.is_success() && report.fun < 1e-3, "{report}");
+    }
+}

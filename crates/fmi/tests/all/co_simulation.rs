@@ -1,0 +1,350 @@
+//! Co-simulation: the same samples as by model exchange, whatever steps an FMU takes.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use crate::support;
+
+use example_models::ExampleKind;
+use fmi::ode::{ErrorKind, Ignore, Side, Termination};
+use fmi::{
+    FmiError, Fmu, Inputs, InstanceOptions, InterfaceKind, Kind, Pool, Reuse, SimulateOptions,
+    SimulationPlan, Simulator, Status, Trajectory,
+};
+use std::sync::Arc;
+use std::time::Duration;
+use support::{Folder, MODELS, evil_with, model_as, settle};
+
+/// FMI 2.0 co-simulation, steps of any length.
+fn slave(name: &str) -> Fmu {
+    Fmu::open(example_models::example_fmu_as(name, ExampleKind::Fmi2CoSimulation).unwrap()).unwrap()
+}
+
+/// The same with steps of one length only.
+fn fixed_step(name: &str, step: &str) -> Folder {
+    model_as(name, ExampleKind::Fmi2CoSimulation, &[&format!("FIXED_STEP={step}")], |xml| {
+        xml.replace("canHandleVariableCommunicationStepSize=\"true\"", "")
+    })
+}
+
+fn evil(faults: &[&str]) -> Folder {
+    evil_with(faults, |xml| {
+        xml.replace(
+            "<ModelExchange modelIdentifier=\"evil\"/>",
+            "<CoSimulation modelIdentifier=\"evil\" canHandleVariableCommunicationStepSize=\"true\"/>",
+        )
+    })
+}
+
+fn close(a: f64, b: f64, tolerance: f64) {
+    assert!((a - b).abs() <= tolerance, "{a} is not {b} within {tolerance:e}");
+}
+
+fn bits(t: &Trajectory) -> Vec<u64> {
+    t.columns.iter().flatten().chain(&t.time).map(|v| v.to_bits()).collect()
+}
+
+#[test]
+fn all_examples_agree_with_model_exchange() {
+    for (name, end) in MODELS {
+        let options = SimulateOptions::new().final_time(end).ncp(97).relative_tolerance(1e-9);
+        let truth =
+            Fmu::open(example_models::example_fmu(name).unwrap()).unwrap().simulate(&options).unwrap();
+        let found = slave(name).simulate(&options).unwrap();
+        assert_eq!((&found.names, &found.time), (&truth.names, &truth.time), "{name}");
+        assert!(found.events.is_empty() && found.sides == truth.sides);
+        for (column, (a, b)) in truth.columns.iter().zip(&found.columns).enumerate() {
+            for (row, (a, b)) in a.iter().zip(b).enumerate() {
+                let message = || format!("{name}: {} in row {row}: {a} and {b}", truth.names[column]);
+                assert!((a - b).abs() <= 1e-6 * (1.0 + a.abs()), "{}", message());
+            }
+        }
+    }
+}
+
+#[test]
+fn the_loop_makes_the_steps_that_a_user_would_make() {
+    let fmu = slave("furuta");
+    let options = SimulateOptions::new().final_time(2.0).output_interval(0.05).outputs(["armJoint.phi"]);
+    let plan = SimulationPlan::new(&fmu, &options).unwrap();
+    assert_eq!(plan.kind(), InterfaceKind::CoSimulation);
+    let result = fmu.simulate(&options).unwrap();
+    assert_eq!(result.stats.accepted_steps, 40);
+    let instance = fmu.instantiate_co_simulation(&InstanceOptions::default()).unwrap();
+    let instance = instance.enter_initialization(0.0, Some(2.0), Some(1e-6)).unwrap();
+    let mut instance = instance.exit_initialization().unwrap();
+    for (k, value) in result.get("armJoint.phi").unwrap().iter().enumerate() {
+        assert_eq!(instance.get("armJoint.phi").unwrap(), fmi::Value::Real(*value), "row {k}");
+        if k < 40 {
+            assert!(instance.do_step(k as f64 * 0.05, 0.05).unwrap().complete);
+        }
+    }
+    instance.terminate().unwrap();
+}
+
+#[test]
+fn rows_anywhere_are_points_where_steps_may_vary() {
+    let fmu = slave("dahlquist");
+    let times = [0.0, 0.013, 0.5, 0.5, 1.7, 2.0];
+    let options = SimulateOptions::new().times(times).final_time(2.0).step_size(0.25);
+    let result = fmu.simulate(&options).unwrap();
+    for (t, x) in times.iter().zip(result.get("x").unwrap()) {
+        close(*x, (-t).exp(), 1e-9);
+    }
+    assert_eq!(result.sides[2..4], [Side::Left, Side::Right]);
+    assert_eq!(result.stats.accepted_steps, 10);
+}
+
+#[test]
+fn rows_between_fixed_steps_are_interpolated_and_the_end_is_reached() {
+    let folder = fixed_step("dahlquist", "0.1");
+    let times = [0.0, 0.05, 0.1, 0.12, 0.12, 0.95, 0.97];
+    let options = SimulateOptions::new().times(times).final_time(0.97).step_size(0.1);
+    let result = folder.open().simulate(&options).unwrap();
+    let x = result.get("x").unwrap();
+    let exact = |k: f64| (-0.1 * k).exp();
+    for (row, expected) in [
+        (0, 1.0),
+        (1, 0.5 * (1.0 + exact(1.0))),
+        (2, exact(1.0)),
+        (3, 0.8 * exact(1.0) + 0.2 * exact(2.0)),
+        (5, 0.5 * (exact(9.0) + exact(10.0))),
+        (6, 0.3 * exact(9.0) + 0.7 * exact(10.0)),
+    ] {
+        close(x[row], expected, 1e-9);
+    }
+    assert_eq!(x[3], x[4]);
+    assert_eq!(result.sides[3..5], [Side::Left, Side::Right]);
+    assert_eq!(
+        (result.stats.accepted_steps, result.termination, result.end_time),
+        (10, Termination::Finished, 0.97)
+    );
+    assert_eq!(result.time, times);
+    // 0.1 * k, not a sum of steps: the model refuses steps that are not exactly 0.1.
+    let long = SimulateOptions::new().final_time(100.0).step_size(0.1).ncp(7);
+    assert_eq!(folder.open().simulate(&long).unwrap().stats.accepted_steps, 1000);
+    // Another step is the model's to refuse.
+    let error = folder.open().simulate(&options.step_size(0.2)).unwrap_err();
+    assert_eq!(error.call_failure().unwrap().call, "fmi2DoStep");
+}
+
+#[test]
+fn discrete_outputs_are_held_between_fixed_steps() {
+    let folder = fixed_step("stair", "0.4");
+    let options = SimulateOptions::new().final_time(4.0).step_size(0.4).output_interval(0.1);
+    let result = folder.open().simulate(&options).unwrap();
+    for (t, counter) in result.time.iter().zip(result.get("counter").unwrap()) {
+        let point = 0.4 * ((t + 1e-9) / 0.4).floor();
+        assert_eq!(*counter, 1.0 + (point + 1e-9).floor(), "t = {t}");
+    }
+}
+
+#[test]
+fn a_model_may_end_the_simulation() {
+    let options = SimulateOptions::new().final_time(20.0).output_interval(0.5);
+    let result = slave("stair").simulate(&options).unwrap();
+    assert_eq!((result.termination, result.end_time), (Termination::StoppedByModel, 9.0));
+    assert_eq!(result.time.last(), Some(&9.0));
+    // In the middle of a step.
+    let folder = evil(&["ENDS_ITSELF"]);
+    let mut simulator = Simulator::new(Arc::new(
+        SimulationPlan::new(&folder.open(), &SimulateOptions::new().ncp(10)).unwrap(),
+    ))
+    .unwrap();
+    let first = simulator.trajectory(&[]).unwrap();
+    assert_eq!((first.termination, first.end_time), (Termination::StoppedByModel, 0.25));
+    assert_eq!(first.time, [0.0, 0.1, 0.2]);
+    assert_eq!(simulator.trajectory(&[]).unwrap(), first);
+}
+
+#[test]
+fn inputs_jump_at_communication_points_and_follow_their_slopes() {
+    let fmu = slave("switched_input");
+    let inputs = Inputs::new()
+        .table(vec![0.0, 10.0], [("u", vec![1.0, 1.0])])
+        .series("gear", vec![0.0, 1.0], vec![1.0, 2.0])
+        .series("enabled", vec![0.0, 2.0], vec![1.0, 0.0]);
+    let options = SimulateOptions::new()
+        .times([0.0, 0.5, 1.0, 1.0, 2.0, 2.0, 3.0])
+        .final_time(3.0)
+        .step_size(0.3)
+        .inputs(inputs)
+        .outputs(["x", "target", "gear", "limit", "enabled", "time"]);
+    let result = fmu.simulate(&options).unwrap();
+    let x = result.get("x").unwrap();
+    close(x[1], 2.0 * (1.0 - (-1f64).exp()), 1e-9);
+    close(x[3], 1.7293294335267746, 1e-9);
+    close(x[5], 3.6926981557493064, 1e-9);
+    close(x[6], 3.6926981557493064 * (-2f64).exp(), 1e-9);
+    // Rows are read before inputs are set: where these jump, both rows are the limit from the left.
+    assert_eq!(result.get("target").unwrap(), [2.0, 2.0, 2.0, 2.0, 4.0, 4.0, 0.0]);
+    assert_eq!(result.get("gear").unwrap(), [1.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0]);
+    assert_eq!(result.get("enabled").unwrap(), [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0]);
+
+    // A ramp is followed exactly where the FMU takes derivatives, and held over a step where it does not.
+    let ramp = |t: f64| 2.0 * 0.3 * (t - 0.5 * (1.0 - (-t / 0.5).exp()));
+    let ramps = [
+        Inputs::new().series("u", vec![0.0, 0.7, 2.0], vec![0.0, 0.21, 0.6]),
+        Inputs::new().function("u", |t| 0.3 * t),
+    ];
+    let options = SimulateOptions::new().final_time(2.0).ncp(8).outputs(["y"]);
+    for inputs in ramps {
+        let result = fmu.simulate(&options.clone().inputs(inputs.clone())).unwrap();
+        for (t, y) in result.time.iter().zip(result.get("y").unwrap()) {
+            close(*y, ramp(*t), 1e-9);
+        }
+        let folder = model_as("switched_input", ExampleKind::Fmi2CoSimulation, &[], |xml| {
+            xml.replace("canInterpolateInputs=\"true\"", "")
+        });
+        let held = folder.open().simulate(&options.clone().inputs(inputs)).unwrap();
+        let error = ramp(2.0) - held.final_value("y").unwrap().unwrap();
+        assert!(error > 0.01 && error < 0.1, "{error}");
+    }
+}
+
+#[test]
+fn a_second_run_has_the_same_bits_on_every_worker() {
+    let fmu = slave("furuta");
+    let options = SimulateOptions::new()
+        .final_time(2.0)
+        .output_interval(0.1)
+        .parameters(["armFriction", "pendulumFriction"])
+        .outputs(["armJoint.phi", "pendulumJoint.phi"]);
+    let pool = Pool::new(Arc::new(SimulationPlan::new(&fmu, &options).unwrap()));
+    let run = |values: [f64; 2]| {
+        pool.with_simulator(&base::RunContext::new(), |simulator| simulator.trajectory(&values))
+    };
+    let truth = bits(&run([0.011, 0.0015]).unwrap());
+    let settled =
+        pool.with_simulator(&base::RunContext::new(), |simulator| Ok(settle(simulator, &[0.011, 0.0015])));
+    assert_eq!(settled.unwrap(), Reuse::Reset);
+    std::thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| {
+                for other in [0.012, 0.013] {
+                    run([other, 0.002]).unwrap();
+                    assert_eq!(bits(&run([0.011, 0.0015]).unwrap()), truth);
+                }
+            });
+        }
+    });
+}
+
+#[test]
+fn steps_computed_in_part_or_refused_are_gone_on_from() {
+    let options = SimulateOptions::new().ncp(10);
+    for (fault, rejected) in [("PARTIAL_STEPS", false), ("REFUSES_LONG_STEPS", true), ("PENDING", false)] {
+        let folder = evil(&[fault]);
+        let result = folder.open().simulate(&options).unwrap();
+        for (t, y) in result.time.iter().zip(result.get("y").unwrap()) {
+            close(*y, (-t).exp(), 1e-12);
+        }
+        assert_eq!(result.stats.rejected_steps > 0, rejected, "{fault}: {:?}", result.stats);
+    }
+}
+
+#[test]
+fn steps_that_fail_say_where_and_why() {
+    let run = |fault: &str| {
+        let folder = evil(&[fault]);
+        let plan = Arc::new(SimulationPlan::new(&folder.open(), &SimulateOptions::new().ncp(10)).unwrap());
+        let mut simulator = Simulator::new(plan).unwrap();
+        let first = simulator.run(&[], &mut Ignore).unwrap_err();
+        assert_eq!(simulator.run(&[], &mut Ignore).unwrap_err().to_string(), first.to_string());
+        first
+    };
+    let error = run("STEP_ERROR");
+    let failure = error.call_failure().unwrap();
+    assert_eq!((failure.call, failure.status), ("fmi2DoStep", Status::Error));
+    assert!(failure.time.unwrap() > 0.5 && failure.log[0].text == "no step beyond t = 0.5", "{error}");
+    let error = run("REFUSES_ALL_STEPS");
+    assert_eq!(error.call_failure().unwrap().status, Status::Discard, "{error}");
+}
+
+#[test]
+fn a_step_that_does_not_end_is_cancelled() {
+    let folder = evil(&["STUCK"]);
+    let options = SimulateOptions::new().timeout(Duration::from_millis(50));
+    let plan = Arc::new(SimulationPlan::new(&folder.open(), &options).unwrap());
+    let mut simulator = Simulator::new(plan).unwrap();
+    for _ in 0..2 {
+        let FmiError::Simulation(error) = simulator.run(&[], &mut Ignore).unwrap_err() else { panic!() };
+        assert!(matches!(error.kind, ErrorKind::TimedOut(_)), "{error}");
+    }
+}
+
+#[test]
+fn the_kind_is_chosen_or_asked_for() {
+    let both = evil_with(&[], |xml| {
+        xml.replace(
+            "<ModelExchange modelIdentifier=\"evil\"/>",
+            "<ModelExchange modelIdentifier=\"evil\"/><CoSimulation modelIdentifier=\"evil\"/>",
+        )
+    });
+    let fmu = both.open();
+    for (kind, expected) in [
+        (Kind::Auto, InterfaceKind::ModelExchange),
+        (Kind::ModelExchange, InterfaceKind::ModelExchange),
+        (Kind::CoSimulation, InterfaceKind::CoSimulation),
+    ] {
+        let options = SimulateOptions::new().kind(kind).relative_tolerance(1e-9);
+        assert_eq!(SimulationPlan::new(&fmu, &options).unwrap().kind(), expected);
+        close(fmu.simulate(&options).unwrap().final_value("y").unwrap().unwrap(), (-1f64).exp(), 1e-8);
+    }
+    let error = SimulationPlan::new(&slave("dahlquist"), &SimulateOptions::new().kind(Kind::ModelExchange));
+    assert!(matches!(error.unwrap_err(), FmiError::NotOffered { .. }));
+    assert_eq!(fmi::Session::new(slave("dahlquist")).get("der(x)").unwrap(), fmi::Value::Real(-1.0));
+}
+
+#[test]
+fn an_observer_ends_a_run_at_any_sample() {
+    struct Stop(usize);
+    impl fmi::ode::Observer for Stop {
+        fn sample(&mut self, sample: &fmi::ode::Sample<'_>) -> std::ops::ControlFlow<()> {
+            match sample.index == Some(self.0) {
+                true => std::ops::ControlFlow::Break(()),
+                false => std::ops::ControlFlow::Continue(()),
+            }
+        }
+    }
+    let options = SimulateOptions::new().final_time(2.0).ncp(20);
+    let mut simulator =
+        Simulator::new(Arc::new(SimulationPlan::new(&slave("furuta"), &options).unwrap())).unwrap();
+    let whole = bits(&simulator.trajectory(&[]).unwrap());
+    for sample in [0, 1, 13] {
+        let report = simulator.run(&[], &mut Stop(sample)).unwrap();
+        assert_eq!(report.termination, Termination::StoppedByObserver);
+    }
+    assert_eq!(bits(&simulator.trajectory(&[]).unwrap()), whole);
+}
+
+#[test]
+fn after_an_error_an_instance_can_only_be_brought_back() {
+    let folder = support::evil_with(&["STEP_ERROR"], |xml| {
+        let slave = "<CoSimulation modelIdentifier=\"evil\" canHandleVariableCommunicationStepSize=\"true\" \
+                     canGetAndSetFMUstate=\"true\"/>";
+        xml.replace("<ModelExchange modelIdentifier=\"evil\"/>", slave)
+    });
+    let fmu = folder.open();
+    let instance = fmu.instantiate_co_simulation(&InstanceOptions::default()).unwrap();
+    let mut instance = instance.enter_initialization(0.0, None, None).unwrap().exit_initialization().unwrap();
+    let saved = instance.save_state();
+    assert!(instance.do_step(0.0, 0.25).unwrap().complete);
+    let y = instance.get("y").unwrap();
+    assert!(matches!(instance.do_step(0.75, 0.25).unwrap_err(), FmiError::Call(_)));
+    let refused =
+        |error: FmiError| assert!(matches!(error, FmiError::AfterError { call: "fmi2DoStep" }), "{error}");
+    refused(instance.do_step(0.25, 0.25).unwrap_err());
+    refused(instance.get("y").unwrap_err());
+    refused(instance.set("n", 2).unwrap_err());
+    refused(instance.save_state().map(|_| ()).unwrap_err());
+    if let Ok(saved) = saved {
+        instance.restore_state(&saved).unwrap();
+        assert!(instance.do_step(0.0, 0.25).unwrap().complete);
+        assert_eq!(instance.get("y").unwrap(), y);
+        instance.do_step(0.75, 0.25).unwrap_err();
+    }
+    let instance = instance.reset().unwrap().enter_initialization(0.0, None, None).unwrap();
+    let mut instance = instance.exit_initialization().unwrap();
+    assert!(instance.do_step(0.0, 0.25).unwrap().complete);
+    assert_eq!(instance.get("y").unwrap(), y);
+}

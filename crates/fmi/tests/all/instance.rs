@@ -1,0 +1,284 @@
+//! Instances by hand: phases, values, saved states, directional derivatives.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use crate::support;
+
+use fmi::{FmiError, Fmu, FmuCache, MAX_EVENT_ITERATIONS, OpenOptions, Session, SimulateOptions, Value};
+use support::{evil, model};
+
+/// Send, but not Sync: the latter would let two threads call into one instance.
+#[test]
+fn instances_move_between_threads() {
+    fn is_send<T: Send>() {}
+    is_send::<fmi::Instance<fmi::Instantiated>>();
+    is_send::<fmi::Simulator>();
+    is_send::<Session>();
+    fn is_shared<T: Send + Sync>() {}
+    is_shared::<Fmu>();
+    is_shared::<fmi::Pool>();
+    is_shared::<fmi::SimulationPlan>();
+    is_shared::<FmuCache>();
+    is_shared::<FmiError>();
+}
+
+#[test]
+fn explicit_euler_by_hand() {
+    let folder = model("dahlquist");
+    let fmu = folder.open();
+    let mut instance = fmu.instantiate().unwrap();
+    instance.set("k", 2.0).unwrap();
+    let instance = instance.enter_initialization(0.0, Some(1.0), Some(1e-6)).unwrap();
+    let mut instance = instance.exit_initialization().unwrap();
+    let outcome = instance.update_discrete_states(MAX_EVENT_ITERATIONS).unwrap();
+    assert!(!outcome.terminate && outcome.next_time.is_none());
+    let mut instance = instance.enter_continuous_time().unwrap();
+    let (mut x, mut dx) = ([0.0], [0.0]);
+    instance.get_continuous_states(&mut x).unwrap();
+    for k in 1..=10 {
+        instance.get_derivatives(&mut dx).unwrap();
+        x[0] += 0.1 * dx[0];
+        instance.set_time(0.1 * f64::from(k)).unwrap();
+        instance.set_continuous_states(&x).unwrap();
+        assert_eq!(instance.completed_integrator_step().unwrap(), (false, false));
+    }
+    assert!((x[0] - 0.8f64.powi(10)).abs() < 1e-15);
+    assert_eq!(instance.get("x").unwrap(), Value::Real(x[0]));
+    assert!(matches!(instance.get("z"), Err(FmiError::UnknownVariable { .. })));
+    let mut ended = instance.terminate().unwrap();
+    assert!(matches!(ended.set("k", 1.0), Err(FmiError::NotSettable { .. })));
+    let mut again = ended.reset().unwrap().enter_initialization(0.0, None, None).unwrap();
+    assert_eq!(again.get("k").unwrap(), Value::Real(1.0));
+}
+
+#[test]
+fn values_can_be_set_where_the_standard_lets_them() {
+    let folder = model("switched_input");
+    let mut instance = folder.open().instantiate().unwrap();
+    instance.set("T", 0.25).unwrap();
+    instance.set("gear", 3).unwrap();
+    assert!(matches!(instance.set("y", 1.0), Err(FmiError::NotSettable { .. })));
+    assert!(matches!(instance.set("gear", 1.5), Err(FmiError::WrongType { .. })));
+    assert!(matches!(instance.set("u", f64::NAN), Err(FmiError::NotFinite { .. })));
+    let mut instance = instance.enter_initialization(0.0, None, None).unwrap();
+    instance.set("u", 2.0).unwrap();
+    let mut instance = instance.exit_initialization().unwrap();
+    instance.set("K", 4.0).unwrap();
+    instance.set("enabled", false).unwrap();
+    assert!(matches!(instance.set("T", 1.0), Err(FmiError::NotSettable { .. })));
+    instance.update_discrete_states(MAX_EVENT_ITERATIONS).unwrap();
+    let mut instance = instance.enter_continuous_time().unwrap();
+    instance.set("u", 3.0).unwrap();
+    assert!(matches!(instance.set("gear", 1), Err(FmiError::NotSettable { .. })));
+    assert!(matches!(instance.set("K", 1.0), Err(FmiError::NotSettable { .. })));
+    assert_eq!(instance.get("gear").unwrap(), Value::Integer(3));
+    assert_eq!(instance.get("enabled").unwrap(), Value::Boolean(false));
+}
+
+#[test]
+fn wrong_lengths_never_reach_the_fmu() {
+    let folder = model("van_der_pol");
+    let instance = folder.open().instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
+    let mut instance = instance.exit_initialization().unwrap();
+    assert!(matches!(
+        instance.get_nominals(&mut [0.0; 3]),
+        Err(FmiError::Length { expected: 2, found: 3, .. })
+    ));
+    instance.update_discrete_states(1).unwrap();
+    let mut instance = instance.enter_continuous_time().unwrap();
+    assert!(matches!(instance.get_derivatives(&mut [0.0]), Err(FmiError::Length { .. })));
+    assert!(matches!(instance.set_continuous_states(&[]), Err(FmiError::Length { .. })));
+    assert!(matches!(instance.get_event_indicators(&mut [0.0]), Err(FmiError::Length { .. })));
+    assert!(matches!(instance.get_reals(&[0, 1], &mut [0.0]), Err(FmiError::Length { .. })));
+    assert!(matches!(
+        instance.directional_derivative(&[0], &[1], &[1.0, 2.0], &mut [0.0]),
+        Err(FmiError::Length { .. })
+    ));
+    // And the instance is as good as before.
+    instance.get_derivatives(&mut [0.0; 2]).unwrap();
+}
+
+#[test]
+fn states_are_saved_and_restored() {
+    let folder = model("dahlquist");
+    let fmu = folder.open();
+    let running = || {
+        let instance = fmu.instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
+        let mut instance = instance.exit_initialization().unwrap();
+        instance.update_discrete_states(1).unwrap();
+        instance.enter_continuous_time().unwrap()
+    };
+    let (mut a, mut b) = (running(), running());
+    let mut x = [0.0];
+    a.set_continuous_states(&[0.25]).unwrap();
+    let saved = a.save_state().unwrap();
+    a.set_continuous_states(&[0.5]).unwrap();
+    a.restore_state(&saved).unwrap();
+    a.get_continuous_states(&mut x).unwrap();
+    assert_eq!(x, [0.25]);
+
+    // Of another instance.
+    assert!(matches!(b.restore_state(&saved), Err(FmiError::ForeignState)));
+    b.set_continuous_states(&[0.125]).unwrap();
+    let first = b.save_state().unwrap();
+
+    // Tokens outlive their instance without harm, and the memory of dropped ones is used again.
+    drop(a);
+    assert!(matches!(b.restore_state(&saved), Err(FmiError::ForeignState)));
+    for k in 0..100 {
+        b.set_continuous_states(&[f64::from(k)]).unwrap();
+        let saved = b.save_state().unwrap();
+        b.restore_state(&saved).unwrap();
+    }
+    b.restore_state(&first).unwrap();
+    b.get_continuous_states(&mut x).unwrap();
+    assert_eq!(x, [0.125]);
+}
+
+#[test]
+fn a_state_goes_back_to_the_phase_it_was_saved_in() {
+    let folder = model("dahlquist");
+    let instance = folder.open().instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
+    let mut instance = instance.exit_initialization().unwrap().enter_continuous_time().unwrap();
+    let saved = instance.save_state().unwrap();
+    let mut instance = instance.reset().unwrap();
+    let error = instance.restore_state(&saved).unwrap_err().to_string();
+    assert_eq!(error, "the state was saved in ContinuousTime, the instance is in Instantiated");
+    instance.set("k", 2.0).unwrap();
+    instance.enter_initialization(0.0, None, None).unwrap();
+}
+
+#[test]
+fn directional_derivatives_where_offered() {
+    let folder = model("dahlquist");
+    let fmu = folder.open();
+    let description = fmu.description();
+    let derivative = &description.variables[description.structure.derivatives[0].index];
+    let state = &description.variables[derivative.derivative.unwrap()];
+    let mut instance = fmu.instantiate().unwrap();
+    instance.set("k", 3.0).unwrap();
+    let instance = instance.enter_initialization(0.0, None, None).unwrap();
+    let mut instance = instance.exit_initialization().unwrap();
+    instance.update_discrete_states(1).unwrap();
+    let mut instance = instance.enter_continuous_time().unwrap();
+    let mut out = [0.0];
+    instance
+        .directional_derivative(&[derivative.value_reference], &[state.value_reference], &[2.0], &mut out)
+        .unwrap();
+    assert_eq!(out, [-6.0]);
+}
+
+#[test]
+fn a_session_keeps_values_until_reset() {
+    let folder = model("furuta");
+    let fmu = folder.open();
+    let mut session = Session::new(fmu.clone());
+    assert_eq!(session.get("armFriction").unwrap(), Value::Real(0.012));
+    session.set("armFriction", 0.01).unwrap();
+    assert_eq!(session.get("armFriction").unwrap(), Value::Real(0.01));
+    let options = SimulateOptions::new().final_time(2.0).outputs(["armJoint.phi"]);
+    let first = session.simulate(&options).unwrap();
+    assert_eq!(
+        session.get("armJoint.phi").unwrap(),
+        Value::Real(first.final_value("armJoint.phi").unwrap().unwrap())
+    );
+    assert_eq!(session.get("armFriction").unwrap(), Value::Real(0.01));
+    assert_eq!(session.simulate(&options).unwrap(), first);
+    session.set("armFriction", 0.02).unwrap();
+    assert_eq!(session.get("armFriction").unwrap(), Value::Real(0.02));
+    assert_ne!(session.simulate(&options).unwrap(), first);
+    // Values of one simulation only.
+    let once = options.clone().start_value("armFriction", 0.01);
+    assert_eq!(session.simulate(&once).unwrap(), first);
+    assert_eq!(session.get("armFriction").unwrap(), Value::Real(0.01));
+    session.reset();
+    assert_eq!(session.get("armFriction").unwrap(), Value::Real(0.012));
+    let nominal = session.simulate(&options).unwrap();
+    assert_eq!(Session::new(fmu).simulate(&options).unwrap(), nominal);
+    assert!(matches!(session.set("armFriktion", 1.0), Err(FmiError::UnknownVariable { .. })));
+}
+
+#[test]
+fn before_a_simulation_calculated_values_come_from_the_initialization() {
+    let folder = evil(&[]);
+    let mut session = Session::new(folder.open());
+    assert_eq!(session.get("twice_k").unwrap(), Value::Real(2.0));
+    session.set("k", 4.0).unwrap();
+    assert_eq!(session.get("twice_k").unwrap(), Value::Real(8.0));
+    assert_eq!(session.get("x").unwrap(), Value::Real(1.0));
+    assert_eq!(session.get("der(x)").unwrap(), Value::Real(-4.0));
+    assert_eq!(session.get("label").unwrap(), Value::String("none".into()));
+}
+
+#[test]
+fn an_unchanged_file_is_opened_once() {
+    let path = example_models::example_fmu("dahlquist").unwrap();
+    let cache = FmuCache::new(2);
+    let first = cache.open(&path).unwrap();
+    let second = cache.open(&path).unwrap();
+    assert!(first.is_same(&second));
+
+    // A copy has the same content, and a changed one is opened anew.
+    let folder = tempfile::tempdir().unwrap();
+    let copy = folder.path().join("copy.fmu");
+    std::fs::copy(&path, &copy).unwrap();
+    let before = cache.open(&copy).unwrap();
+    assert!(before.is_same(&first) && before.path() == copy && first.path() == path);
+    std::fs::copy(example_models::example_fmu("stair").unwrap(), &copy).unwrap();
+    let after = cache.open(&copy).unwrap();
+    assert_eq!(after.description().model_name, "Stair");
+    // The old one stays usable.
+    before.simulate(&SimulateOptions::new().final_time(1.0)).unwrap();
+    assert!(matches!(cache.open(folder.path().join("none.fmu")), Err(FmiError::Io { .. })));
+    // Other options are another FMU, and both are kept.
+    let options = OpenOptions { tool_is_present: true, ..OpenOptions::default() };
+    let plain = cache.open(&path).unwrap();
+    let other = cache.open_with(&path, &options).unwrap();
+    assert!(!other.is_same(&plain));
+    assert!(cache.open_with(&path, &options).unwrap().is_same(&other));
+    assert!(cache.open(&path).unwrap().is_same(&plain));
+    cache.clear();
+    assert!(!cache.open(&path).unwrap().is_same(&first));
+}
+
+#[test]
+fn all_examples_open_and_run() {
+    for name in example_models::example_names() {
+        let fmu = Fmu::open(example_models::example_fmu(name).unwrap()).unwrap();
+        fmu.simulate(&SimulateOptions::new().final_time(0.5)).unwrap();
+    }
+    assert!(example_models::example_fmu("furutta").unwrap_err().to_string().contains("furuta"));
+}
+
+#[test]
+fn many_simulations_leave_nothing_behind() {
+    let folder = model("bouncing_ball");
+    let fmu = folder.open();
+    let options = SimulateOptions::new().final_time(1.0).ncp(2);
+    for _ in 0..2000 {
+        fmu.simulate(&options).unwrap();
+    }
+}
+
+#[test]
+fn an_fmu_without_a_binary_is_compiled_from_its_sources() {
+    let folder = tempfile::tempdir().unwrap();
+    let models = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../example-models/models");
+    let sources = folder.path().join("sources");
+    std::fs::create_dir(&sources).unwrap();
+    std::fs::copy(models.join("dahlquist/modelDescription.xml"), folder.path().join("modelDescription.xml"))
+        .unwrap();
+    for file in [
+        "dahlquist/model.c",
+        "frontend/model.h",
+        "frontend/instance.h",
+        "frontend/fmi2.h",
+        "frontend/fmi2_common.h",
+        "frontend/fmi2_me.c",
+    ] {
+        let from = models.join(file);
+        std::fs::copy(&from, sources.join(from.file_name().unwrap())).unwrap();
+    }
+    let result = Fmu::open(folder.path()).unwrap().simulate(&SimulateOptions::new().final_time(1.0)).unwrap();
+    assert!((result.final_value("x").unwrap().unwrap() - (-1f64).exp()).abs() < 1e-5);
+}

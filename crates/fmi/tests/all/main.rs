@@ -1,0 +1,33 @@
+//! The tests of the importer that may share a process. Programs of their own are those that count allocations, run
+//! themselves again, look at the libraries of the process, or change its threads.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+#[path = "../promises/mod.rs"]
+mod promises;
+#[path = "../support/mod.rs"]
+mod support;
+
+mod arrays;
+mod clocks;
+mod co_simulation;
+mod description;
+mod early_return;
+mod fault_matrix;
+mod faults;
+mod history;
+mod instance;
+mod introspection;
+mod jacobian;
+mod misuse;
+mod quirks;
+mod reference_results;
+mod reset_methods;
+mod seeds;
+mod session;
+mod simulate;
+mod standard;
+mod start_values;
+mod stopping;
+mod tanks_and_pipes;
+mod times;
+mod versions;

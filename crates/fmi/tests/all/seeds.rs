@@ -1,0 +1,44 @@
+//! The kept inputs of the fuzz targets, among them all that ever made one fail, keep their promises.
+
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+use crate::promises;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+fn kept(target: &str) -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/seeds").join(target);
+    let mut files: Vec<PathBuf> = fs::read_dir(&folder)
+        .expect("the seeds stand beside the fuzz targets")
+        .map(|entry| entry.unwrap().path())
+        .collect();
+    files.sort();
+    assert!(files.len() >= 3, "{}: {} seeds", folder.display(), files.len());
+    files
+}
+
+#[test]
+fn kept_archives() {
+    for path in kept("archive") {
+        promises::hold_for_archive(&path);
+    }
+}
+
+#[test]
+fn kept_descriptions() {
+    for path in kept("description") {
+        promises::hold_for_document(&fs::read(path).unwrap());
+    }
+}
+
+/// The seeds start the fuzzer inside of all three versions: they must be read, not merely refused.
+#[test]
+fn each_version_has_a_seed_that_is_read() {
+    for version in 1..=3 {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join(format!("../../fuzz/seeds/description/fmi{version}.xml"));
+        let model = fmi::ModelDescription::parse(&fs::read(path).unwrap()).unwrap();
+        assert!(model.variables.len() >= 8, "{version}: {}", model.variables.len());
+    }
+}

@@ -1,0 +1,151 @@
+//! `auto` takes about as many right-hand sides as the best method, and nothing large where nothing large is needed.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use crate::common;
+use crate::problems;
+
+use common::Smooth;
+use ode::*;
+use problems::{Problem, large, nonstiff, stiff};
+
+/// The right-hand sides that it may take, those for Jacobians included, and the digits that it must have: the best method's at equal
+/// digits times 1.3 or less (the table is in `benches/work_precision.md`).
+#[test]
+fn auto_takes_about_as_many_right_hand_sides_as_the_best_method() {
+    let bars: [(Problem, f64, u64, f64); 14] = [
+        (stiff::vdpol(), 1e-4, 2900, 5.0),
+        (stiff::hires(), 1e-6, 1900, 6.5),
+        (stiff::rober(), 1e-8, 6500, 9.0),
+        (stiff::e5_1e3(), 1e-6, 450, 7.4),
+        (stiff::pollu(), 1e-6, 1100, 5.3),
+        (large::medical_akzo(), 1e-6, 1800, 3.9),
+        (large::brusselator_line(), 1e-6, 400, 5.5),
+        (large::heat(), 1e-6, 460, 6.5),
+        (large::beam(), 1e-6, 5400, 4.0),
+        (nonstiff::brusselator(), 1e-6, 920, 5.6),
+        (nonstiff::pleiades(), 1e-8, 2750, 5.2),
+        (nonstiff::two_body(), 1e-8, 1350, 5.4),
+        (nonstiff::lorenz(), 1e-8, 3500, 7.0),
+        (nonstiff::van_der_pol(), 1e-8, 2200, 7.0),
+    ];
+    for (problem, rtol, most, least_digits) in bars {
+        let (digits, stats) = problem.run(Method::Auto, rtol);
+        let what = format!("{} at {rtol:e}: {digits:.2} digits, {stats:?}", problem.name);
+        assert!(stats.right_hand_sides <= most && digits >= least_digits, "{what}");
+    }
+}
+
+/// What the explicit method leaves of fast oscillations Radau5 would have to follow.
+#[test]
+fn a_stiff_oscillator_is_left_to_radau5_before_its_oscillations_are_excited() {
+    for rtol in [1e-3, 1e-4, 1e-6] {
+        let beam = Problem { end: 1.0, ..large::beam() };
+        let work = |method| beam.run(method, rtol).1.right_hand_sides;
+        let (auto, radau5) = (work(Method::Auto), work(Method::Radau5));
+        assert!(10 * auto <= 13 * radau5, "{rtol:e}: {auto} and {radau5}");
+    }
+}
+
+/// Slow phases that are a little stiff, and fast ones that are not.
+#[test]
+fn an_oscillator_costs_little_more_than_by_the_explicit_method_alone() {
+    let work = |method, mu: f64, rtol, end| {
+        let f = move |_: f64, x: &[f64], dx: &mut [f64]| {
+            (dx[0], dx[1]) = (x[1], mu * (1.0 - x[0] * x[0]) * x[1] - x[0]);
+        };
+        let run = ode::solve(f, 0.0..end, &[2.0, 0.0]).method(method).relative_tolerance(rtol).run();
+        run.unwrap().report.stats.right_hand_sides as f64
+    };
+    for mu in [3.0, 5.0, 7.0, 10.0] {
+        for rtol in [1e-4, 1e-5, 1e-6, 1e-8] {
+            for end in [50.0, 200.0] {
+                let ratio = work(Method::Auto, mu, rtol, end) / work(Method::Tsit5, mu, rtol, end);
+                assert!(ratio <= 1.15, "mu = {mu}, {rtol:e}, to {end}: {ratio}");
+            }
+        }
+    }
+    // Where all but the jumps is stiff, both methods in turn beat either.
+    for rtol in [1e-4, 1e-6, 1e-8] {
+        let [auto, explicit, implicit] =
+            [Method::Auto, Method::Dop853, Method::Radau5].map(|m| work(m, 20.0, rtol, 50.0));
+        assert!(auto < 0.9 * explicit.min(implicit), "{rtol:e}: {auto}, {explicit}, {implicit}");
+    }
+}
+
+fn run(method: Method, system: &mut dyn HybridSystem, end: f64) -> Result<Report, Box<SimulationError>> {
+    Driver::new(Options { method, ..Options::default() }).unwrap().run(system, 0.0, end, &[end], &mut Ignore)
+}
+
+const MANY: usize = 100_000;
+
+#[test]
+fn many_states_take_no_matrix_while_they_are_not_stiff() {
+    let decay = |_: f64, x: &[f64], dx: &mut [f64]| x.iter().zip(dx).for_each(|(x, dx)| *dx = -x);
+    for method in [Method::Auto, Method::Tsit5] {
+        let report = run(method, &mut Smooth { x0: vec![1.0; MANY], f: decay }, 1.0).unwrap();
+        assert_eq!(report.stats.jacobians, 0);
+    }
+    for method in [Method::Radau5, Method::Bdf] {
+        let error = run(method, &mut Smooth { x0: vec![1.0; MANY], f: decay }, 1.0).unwrap_err();
+        assert!(matches!(error.kind, ErrorKind::TooLargeForDense { states: MANY }), "{error}");
+        let message = error.to_string();
+        assert!(message.contains("80.0 GB") && message.contains("sparsity pattern"), "{message}");
+    }
+}
+
+#[test]
+fn many_states_with_a_pattern_take_room_for_their_places_only() {
+    const N: usize = 30_000;
+    let near = |i: usize| (i.saturating_sub(1)..(i + 2).min(N)).map(move |k| (i, k));
+    let chain = Problem {
+        name: "chain",
+        x0: (0..N).map(|i| (0.001 * i as f64).sin()).collect(),
+        end: 1.0,
+        f: |_, y, d| {
+            for i in 0..N {
+                let left = if i > 0 { y[i - 1] } else { 0.0 };
+                let right = if i + 1 < N { y[i + 1] } else { 0.0 };
+                d[i] = 1e4 * (left - 2.0 * y[i] + right);
+            }
+        },
+        pattern: JacobianPattern::new(N, (0..N).flat_map(near)),
+        ..Problem::default()
+    };
+    for method in [Method::Auto, Method::Radau5, Method::Bdf] {
+        let report = run(method, &mut chain.clone(), 1.0).unwrap();
+        assert!(report.stats.jacobians > 0 && report.stats.right_hand_sides < 2000, "{:?}", report.stats);
+    }
+}
+
+/// A right-hand side that refuses every point but those of a smooth path: no Jacobian can be had there.
+#[test]
+fn a_trial_that_cannot_be_made_ends_no_run() {
+    struct Refusing(u64);
+    impl HybridSystem for Refusing {
+        fn n_states(&self) -> usize {
+            1
+        }
+        fn start(&mut self, _: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+            x[0] = 1.0;
+            Ok(EventOutcome::default())
+        }
+        fn derivatives(&mut self, _: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+            dx[0] = -1000.0 * (x[0] - 1.0) - x[0];
+            Ok(())
+        }
+        fn directional_derivative(
+            &mut self,
+            _: f64,
+            _: &[f64],
+            _: &[f64],
+            _: &mut [f64],
+        ) -> CallResult<bool> {
+            self.0 += 1;
+            Err(CallError::Discard)
+        }
+    }
+    let mut system = Refusing(0);
+    let report = run(Method::Auto, &mut system, 10.0).unwrap();
+    assert!(system.0 > 0 && report.stats.newton_iterations == 0, "{:?}", report.stats);
+}

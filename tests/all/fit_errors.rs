@@ -1,0 +1,108 @@
+//! Setting up a fit wrongly: every mistake is named.
+
+#![allow(clippy::unwrap_used)]
+
+use crate::common;
+
+use calibration::RunContext;
+use common::*;
+use fmufit::calibration::{Calibration, CalibrationBuilder, Data, Experiment, FitOptions, Parameter};
+
+fn data(columns: &[(&str, &[f64])]) -> Data {
+    let time = (0..columns[0].1.len()).map(|k| k as f64 * 0.1).collect();
+    Data::from_columns(time, columns.iter().map(|(n, v)| ((*n).to_owned(), v.to_vec()))).unwrap()
+}
+
+fn builder() -> CalibrationBuilder {
+    Calibration::builder(example("dahlquist"))
+}
+
+fn error(builder: CalibrationBuilder) -> String {
+    builder.build().unwrap_err().to_string()
+}
+
+#[test]
+fn what_is_missing_or_unknown_is_named() {
+    let d = data(&[("x", &[1.0, 0.9, 0.8]), ("gaps", &[f64::NAN; 3])]);
+    let e = || Experiment::new(d.clone());
+    let k = || Parameter::new("k", 1.0).bounds(0.1, 10.0);
+    for (b, expected) in [
+        (builder().experiment(e().output("x", "x")), "no parameter"),
+        (builder().parameter(k()), "no experiment"),
+        (builder().parameter(k()).experiment(e()), "no output"),
+        (builder().parameter(k()).experiment(e().output("x", "y")), "no column 'y'"),
+        (builder().parameter(k()).experiment(e().output("x", "gaps")), "missing"),
+        (builder().parameter(k()).experiment(e().output("y", "x")), "y"),
+        (builder().parameter(Parameter::new("kk", 1.0)).experiment(e().output("x", "x")), "kk"),
+        (builder().parameter(k()).parameter(k()).experiment(e().output("x", "x")), "twice"),
+        (builder().parameter(k().bounds(2.0, 1.0)).experiment(e().output("x", "x")), "above upper bound"),
+        (builder().parameter(Parameter::new("k", f64::NAN)).experiment(e().output("x", "x")), "NaN"),
+        (builder().parameter(k()).experiment(e().output("x", "x").window(5.0, 6.0)), "window from 5 to 6"),
+        (
+            builder().parameter(k()).experiment(e().output("x", "x").start_time(0.05)),
+            "before the simulation starts",
+        ),
+        (builder().parameter(k()).experiment(e().weighted_output("x", "x", -1.0)), "weight -1"),
+    ] {
+        let message = error(b);
+        assert!(message.contains(expected), "expected '{expected}' in: {message}");
+    }
+}
+
+#[test]
+fn a_wrong_number_of_values_is_an_error_with_both_numbers() {
+    let d = data(&[("x", &[1.0, 0.9, 0.8])]);
+    let c = builder()
+        .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
+        .experiment(Experiment::new(d).output("x", "x"))
+        .build()
+        .unwrap();
+    let e = c.cost(&[1.0, 2.0], &RunContext::new()).unwrap_err().to_string();
+    assert!(e.contains("2 values given for 1 parameters (k)"), "{e}");
+    assert!(c.cost(&[f64::NAN], &RunContext::new()).is_err());
+    let e = c.fit(FitOptions { start: Some(vec![20.0]), ..FitOptions::default() }).unwrap_err().to_string();
+    assert!(e.contains("'k'") && e.contains("start 20 is outside of the bounds 0.1 and 10"), "{e}");
+    // Trajectories at times beyond the model's default experiment, which ends at 10.
+    let times = [0.0, 5.0, 50.0];
+    assert_eq!(c.simulate(&[0.1], Some(&times), &RunContext::new()).unwrap()[0].time, times);
+}
+
+#[test]
+fn a_simulation_that_fails_at_every_start_is_a_named_error_with_counts() {
+    let d = data(&[("x", &[1.0, 0.9, 0.8])]);
+    let c = builder()
+        .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
+        .experiment(Experiment::new(d).output("x", "x"))
+        .settings(fmufit::calibration::SimulationSettings {
+            timeout: Some(std::time::Duration::ZERO),
+            ..Default::default()
+        })
+        .build()
+        .unwrap();
+    let e = c.fit(FitOptions::default()).unwrap_err().to_string();
+    assert!(e.contains("at every starting point") && e.contains("2 x the time limit"), "{e}");
+}
+
+#[test]
+fn a_time_limit_that_is_too_short_says_nothing_about_the_model() {
+    let fmu = example("dahlquist");
+    let calibration = |timeout: Option<std::time::Duration>| {
+        Calibration::builder(fmu.clone())
+            .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
+            .experiment(Experiment::new(data(&[("x", &[1.0, 0.9, 0.8])])).output("x", "x"))
+            .settings(fmufit::calibration::SimulationSettings { timeout, ..Default::default() })
+            .build()
+            .unwrap()
+    };
+    assert!(calibration(Some(std::time::Duration::ZERO)).cost(&[1.0], &RunContext::new()).is_err());
+    assert_eq!(fmu.reuse(), None);
+    // The ways of bringing instances back are checked when the runs so far have taken long enough for that.
+    let unlimited = calibration(None);
+    for _ in 0..10_000 {
+        assert!(unlimited.cost(&[1.0], &RunContext::new()).is_ok());
+        if fmu.reuse().is_some() {
+            break;
+        }
+    }
+    assert_eq!(fmu.reuse(), Some(fmufit::fmi::Reuse::Restore));
+}

@@ -1,0 +1,11 @@
+//! Simulations and fits from the measurements on, through the public interface. The memory of a process is measured in one of
+//! its own.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod fit_errors;
+mod fit_furuta;
+mod fit_quad_tank;
+mod simulate_furuta;

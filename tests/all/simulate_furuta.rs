@@ -1,0 +1,79 @@
+//! The Furuta pendulum against reference trajectories and event sequences.
+
+#![allow(clippy::unwrap_used)]
+
+use crate::common;
+
+use common::*;
+use fmufit::calibration::Data;
+use fmufit::fmi::SimulateOptions;
+use fmufit::ode::Method;
+
+fn options(friction: (f64, f64)) -> SimulateOptions {
+    SimulateOptions {
+        start_values: vec![
+            ("armFriction".to_owned(), friction.0.into()),
+            ("pendulumFriction".to_owned(), friction.1.into()),
+        ],
+        outputs: Some(vec!["armJoint.phi".to_owned(), "pendulumJoint.phi".to_owned()]),
+        relative_tolerance: Some(1e-8),
+        final_time: Some(40.0),
+        ..SimulateOptions::default()
+    }
+}
+
+#[test]
+fn trajectories_agree_with_the_reference_to_1e_6() {
+    let fmu = example("furuta");
+    for (file, friction) in
+        [("furuta_reference_nominal.csv", (0.012, 0.002)), ("furuta_reference_optimal.csv", (0.010, 0.001))]
+    {
+        let times: Vec<f64> = (0..=400).map(|k| 0.1 * f64::from(k)).collect();
+        // Without the data, an implicit method of another family at a tolerance a thousand times tighter.
+        let reference = shared_data(file).map(|path| Data::from_csv(path).unwrap());
+        let own = SimulateOptions {
+            times: Some(times.clone()),
+            method: Method::Radau5,
+            relative_tolerance: Some(1e-11),
+            ..options(friction)
+        };
+        let own = reference.is_none().then(|| fmu.simulate(&own).unwrap());
+        let times = reference.as_ref().map_or(times, |reference| reference.time().to_vec());
+        let result = fmu.simulate(&SimulateOptions { times: Some(times), ..options(friction) }).unwrap();
+        for name in ["armJoint.phi", "pendulumJoint.phi"] {
+            let published = reference.as_ref().map(|reference| reference.column(name).unwrap());
+            let computed = own.as_ref().map(|own| own.get(name).unwrap());
+            let (simulated, expected) = (result.get(name).unwrap(), published.or(computed).unwrap());
+            assert_eq!(simulated.len(), 401);
+            let worst = simulated.iter().zip(expected).map(|(s, e)| (s - e).abs()).fold(0.0, f64::max);
+            assert!(worst < 1e-6, "{name} of {file}: off by {worst:e}");
+        }
+    }
+}
+
+#[test]
+fn rest_positions_and_event_counts() {
+    let fmu = example("furuta");
+    // Values at t = 40 and event counts of the original model.
+    for (friction, phi, theta, events) in
+        [((0.012, 0.002), -0.301_083_5, 3.142_224_8, 49), ((0.010, 0.001), -0.314_328_3, 3.131_115_9, 74)]
+    {
+        let result = fmu.simulate(&SimulateOptions { times: Some(vec![40.0]), ..options(friction) }).unwrap();
+        assert!((result.final_value("armJoint.phi").unwrap().unwrap() - phi).abs() < 1e-6);
+        assert!((result.final_value("pendulumJoint.phi").unwrap().unwrap() - theta).abs() < 1e-6);
+        assert_eq!(result.stats.state_events, events, "{friction:?}");
+        let expected_first = if friction.0 > 0.011 { 0.418_602 } else { 0.205_273 };
+        assert!((result.events[0].time - expected_first).abs() < 1e-6, "{}", result.events[0].time);
+    }
+}
+
+#[test]
+fn without_friction_it_swings_on() {
+    let fmu = example("furuta");
+    let result = fmu.simulate(&SimulateOptions { ncp: Some(400), ..options((0.0, 0.0)) }).unwrap();
+    assert_eq!(result.time.len(), 401);
+    let theta = result.get("pendulumJoint.phi").unwrap();
+    let late = &theta[300..];
+    let swing = late.iter().fold(f64::MIN, |a, b| a.max(*b)) - late.iter().fold(f64::MAX, |a, b| a.min(*b));
+    assert!(swing > 1.0, "{swing}");
+}
