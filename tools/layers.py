@@ -16,47 +16,22 @@ ROOT = Path(__file__).resolve().parent.parent
 # The modules at the top of each crate, lowest layers first; a line is one layer, and its modules import none of each other.
 LAYERS = {
     "calibration": """
-        accuracy error parallel phase prior race visible
-        finding
-        data no_cost parameter
-        input layout
-        experiment parameter_record
-        measurements names
-        objective residual warning
+        error findings
+        data
         problem
-        column_units identity remote
-        assignment
-        simulation
-        evaluate
-        solver
-        calibration
-        check effect simulations output_fit
-        worth
-        preflight
+        cost
+        check uncertainty
         fit
-        stages prediction profile
-        validation
-        cross_validation
+        intervals validation
         report export
-        worker
     """,
     "dfo": """
-        number option_texts choices rng answer encoding
-        record
-        termination trace
+        values outcome
         error
-        loss
-        objective
-        memory tolerances space
-        linear_model sampling
+        problem
         method
         evaluation methods
-        observe report checkpoint
-        run_options
-        description
-        drive
-        optimizer
-        minimize
+        run
     """,
     "fmi": """
         value

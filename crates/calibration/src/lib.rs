@@ -13,89 +13,59 @@
 //! `export` (files, tables, other programs).
 #![forbid(unsafe_code)]
 
-mod accuracy;
-mod assignment;
-mod calibration;
 mod check;
-mod column_units;
-mod cross_validation;
+mod cost;
 mod data;
-mod effect;
 mod error;
-mod evaluate;
-mod experiment;
 mod export;
-mod finding;
+mod findings;
 mod fit;
-mod identity;
-mod input;
-mod layout;
-mod measurements;
-mod names;
-mod no_cost;
-mod objective;
-mod output_fit;
-mod parallel;
-mod parameter;
-mod parameter_record;
-mod phase;
-mod prediction;
-mod preflight;
-mod prior;
+mod intervals;
 mod problem;
-mod profile;
-mod race;
-mod remote;
 mod report;
-mod residual;
-mod simulation;
-mod simulations;
-mod solver;
-mod stages;
+mod uncertainty;
 mod validation;
-mod visible;
-mod warning;
-mod worker;
-mod worth;
 
 pub use base::RunContext;
-pub use calibration::{Calibration, CalibrationBuilder};
 pub use check::{Check, CheckOptions};
-pub use column_units::{InputColumn, recorded_inputs};
-pub use cross_validation::{CrossValidation, CrossValidationOptions, Fold};
+pub use cost::calibration::{Calibration, CalibrationBuilder};
+pub use cost::process::ModelProcess;
+pub use cost::race::{Entry, Race, RaceOutcome, RaceTask, Verdict, race};
+pub use cost::residual::quad_err;
+pub use cost::solver::Solver;
+pub use cost::worker::serve_if_asked;
 pub use data::{
     ClockChange, CsvRequest, Data, DateError, PairUnit, Series, TimeColumn, Unit, UnitConversion, UnitError,
     clock_change, date_seconds, find_column,
 };
 pub use dfo;
 pub use dfo::Kind;
-pub use effect::BoundSide;
 pub use error::CalibrationError;
-pub use experiment::{Experiment, InitialState, OutputScale, SimulationSettings, Weight};
 pub use export::{FmuExport, SavedFit, Table};
-pub use finding::{Finding, Severity};
-pub use fit::{
+pub use findings::finding::{Finding, Severity};
+pub use findings::visible::visible;
+pub use fit::output_fit::OutputFit;
+pub use fit::phase::{CurrentPhase, FitPhase};
+pub use fit::stage::{
     ChosenTolerance, Engine, EstimatedNoise, Fit, FitNoise, FitObserver, FitOptions, NoiseRule, OutputNoise,
 };
+pub use fit::stages::Stage;
 pub use fmi;
-pub use layout::{OutputResiduals, PriorResidual, ResidualLayout};
-pub use objective::{Compared, CostKind, CustomCost, CustomFailure, NamedCost};
-pub use output_fit::OutputFit;
-pub use parameter::{Parameter, Scale, Target, Tie};
-pub use phase::{CurrentPhase, FitPhase};
-pub use prediction::{BandOptions, PredictionBand};
-pub use preflight::{ParameterCheck, Preflight, PreflightOptions};
-pub use prior::Prior;
-pub use problem::{ModelFile, Problem};
-pub use profile::{ParameterProfile, Profile, ProfileEnd, ProfileOptions, ProfilePoint};
-pub use race::{Entry, Race, RaceOutcome, RaceTask, Verdict, race};
-pub use remote::ModelProcess;
+pub use intervals::bands::{BandOptions, PredictionBand};
+pub use intervals::profile::{ParameterProfile, Profile, ProfileEnd, ProfileOptions, ProfilePoint};
+pub use problem::column_units::{InputColumn, recorded_inputs};
+pub use problem::definition::{ModelFile, Problem};
+pub use problem::experiment::{Experiment, InitialState, OutputScale, SimulationSettings, Weight};
+pub use problem::objective::{Compared, CostKind, CustomCost, CustomFailure, NamedCost};
+pub use problem::parameter::{Parameter, Scale, Target, Tie};
+pub use problem::prior::Prior;
+pub use problem::residual_layout::{OutputResiduals, PriorResidual, ResidualLayout};
+pub use problem::warning::{SETUP_LOG_TARGET, SetupWarning};
 pub use report::{ExperimentCurves, OutputCurves, Signal};
-pub use residual::quad_err;
-pub use solver::Solver;
-pub use stages::Stage;
-pub use validation::{ValidatedOutput, Validation, ValidationSet};
-pub use visible::visible;
-pub use warning::{SETUP_LOG_TARGET, SetupWarning};
-pub use worker::serve_if_asked;
-pub use worth::{Estimator, PriorConflict, ResidualCheck, Unmodelled, UnmodelledKind, Worth, WorthOptions};
+pub use uncertainty::bounds::BoundSide;
+pub use uncertainty::estimate::{
+    Estimator, PriorConflict, ResidualCheck, Unmodelled, UnmodelledKind, Worth, WorthOptions,
+};
+pub use uncertainty::preflight::{ParameterCheck, Preflight, PreflightOptions};
+pub use validation::cross_validation::{CrossValidation, CrossValidationOptions, Fold};
+pub use validation::held_out::{ValidatedOutput, Validation, ValidationSet};

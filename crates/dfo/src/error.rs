@@ -1,10 +1,10 @@
 //! Errors before or instead of a result: one typed error, with indices and values.
 
-use crate::choices::Kind;
-use crate::number::{Bytes, Number};
-use crate::record::RecordError;
-use crate::termination::Termination;
-use crate::trace::Trace;
+use crate::outcome::termination::Termination;
+use crate::outcome::trace::Trace;
+use crate::values::choices::Kind;
+use crate::values::number::{Bytes, Number};
+use crate::values::record::RecordError;
 use std::fmt;
 
 /// Why a minimisation could not start, or ended with nothing in hand.

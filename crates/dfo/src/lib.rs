@@ -43,47 +43,25 @@
 //!   positive parameters can be searched by their logarithm ([`Transform`]).
 #![forbid(unsafe_code)]
 
-mod answer;
-mod checkpoint;
-mod choices;
-mod description;
-mod drive;
-mod encoding;
 mod error;
 mod evaluation;
-mod linear_model;
-mod loss;
-mod memory;
 mod method;
 mod methods;
-mod minimize;
-mod number;
-mod objective;
-mod observe;
-mod optimizer;
-mod option_texts;
-mod record;
-mod report;
-mod rng;
-mod run_options;
-mod sampling;
-mod space;
-mod termination;
-mod tolerances;
-mod trace;
+mod outcome;
+mod problem;
+mod run;
+mod values;
 
-pub use answer::{Answer, Answers, Failure, FailureKind, Outcome, Want};
 pub use base::RunContext;
-pub use checkpoint::{Checkpoint, Code, Resume};
-pub use choices::{BoundsHandling, Kind, Measure, Search, Stop, Transform};
 pub use error::{Error, NothingFound};
 pub use evaluation::{BatchView, Evaluator, GivesUp, Polled, Wait};
-pub use linear_model::{Covariance, LinearModel};
-pub use loss::{Loss, RobustLoss};
-pub use method::{
+pub use method::interface::{
     AnswersSoFar, BarrierStage, Batch, Details, Lookahead, Method, MethodOptions, Operation, Optimum,
     ProblemClass, Roughness, Setup, Simplex, SimplexView, Status,
 };
+pub use method::linear_model::{Covariance, LinearModel};
+pub use method::sampling::Sampling;
+pub use method::tolerances::{Extent, Limits, Tests, Tolerances};
 pub use methods::{
     Adaptive, AnyMethod, Auto, Barrier, BarrierState, BatchPlan, BoxedMethod, CmaBounds, CmaEs, CmaEsState,
     Coefficients, Crossover, DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState,
@@ -91,20 +69,22 @@ pub use methods::{
     NelderMeadState, PatternSearch, PatternSearchState, Polish, PollPlan, QuadraticModel,
     QuadraticModelState, Repair, Restarts, Scheme, Selection, Strategy, Weight,
 };
-pub use minimize::{
-    ByHand, Driven, Minimize, by_hand, least_squares, minimize, minimize_batches, minimize_by,
-};
-pub use objective::{
+pub use outcome::answer::{Answer, Answers, Failure, FailureKind, Outcome, Want};
+pub use outcome::termination::Termination;
+pub use outcome::trace::{Trace, TraceEntry};
+pub use problem::loss::{Loss, RobustLoss};
+pub use problem::objective::{
     ByRef, Fallible, Objective, Query, ResidualFunction, Residuals, WithQuery, fallible, residuals,
     with_query,
 };
-pub use observe::Progress;
-pub use optimizer::{Optimizer, Point};
-pub use record::{Record, RecordError, Value};
-pub use report::{Report, Resumed};
-pub use run_options::{AskedRun, Known, RunOptions};
-pub use sampling::Sampling;
-pub use space::{Bounds, Space, typical_size};
-pub use termination::Termination;
-pub use tolerances::{Extent, Limits, Tests, Tolerances};
-pub use trace::{Trace, TraceEntry};
+pub use problem::space::{Bounds, Space, typical_size};
+pub use run::checkpoint::{Checkpoint, Code, Resume};
+pub use run::minimize::{
+    ByHand, Driven, Minimize, by_hand, least_squares, minimize, minimize_batches, minimize_by,
+};
+pub use run::optimizer::{Optimizer, Point};
+pub use run::options::{AskedRun, Known, RunOptions};
+pub use run::progress::Progress;
+pub use run::report::{Report, Resumed};
+pub use values::choices::{BoundsHandling, Kind, Measure, Search, Stop, Transform};
+pub use values::record::{Record, RecordError, Value};

@@ -3,7 +3,7 @@
 
 use super::series::{range, rounded};
 use super::subject::Subject;
-use crate::finding::{Finding, Severity};
+use crate::findings::finding::{Finding, Severity};
 use ode::Number;
 use std::ops::Range;
 

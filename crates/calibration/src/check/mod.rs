@@ -19,9 +19,9 @@ pub(crate) use model::unstated_noise;
 pub use options::CheckOptions;
 pub use result::Check;
 
-use crate::calibration::Calibration;
+use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
-use crate::finding::{Finding, Severity};
+use crate::findings::finding::{Finding, Severity};
 use base::RunContext;
 use ode::Stats;
 use series::{Evaluated, Evaluations, Outputs, Place};

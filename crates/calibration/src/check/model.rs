@@ -1,11 +1,11 @@
 //! Checks of the inputs and units in the description of the model, and the warnings of the setup.
 
 use super::subject::Subject;
-use crate::column_units::declared;
-use crate::experiment::InitialState;
-use crate::finding::{Finding, Severity};
-use crate::problem::Problem;
-use crate::warning::SetupWarning;
+use crate::findings::finding::{Finding, Severity};
+use crate::problem::column_units::declared;
+use crate::problem::definition::Problem;
+use crate::problem::experiment::InitialState;
+use crate::problem::warning::SetupWarning;
 use fmi::description::{Causality, Variable};
 
 /// Warnings from the construction of the calibration, as findings.

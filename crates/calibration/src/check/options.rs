@@ -1,6 +1,6 @@
 //! Options of a check.
 
-use crate::finding::{Finding, Severity};
+use crate::findings::finding::{Finding, Severity};
 use ode::Number;
 use std::time::Duration;
 

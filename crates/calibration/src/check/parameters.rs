@@ -2,12 +2,12 @@
 
 use super::series::rounded;
 use super::subject::Subject;
-use crate::column_units::declared;
 use crate::data::UnitConversion;
-use crate::experiment::Experiment;
-use crate::finding::{Finding, Severity};
-use crate::input::InputSource;
-use crate::parameter::Parameter;
+use crate::findings::finding::{Finding, Severity};
+use crate::problem::column_units::declared;
+use crate::problem::experiment::Experiment;
+use crate::problem::input::InputSource;
+use crate::problem::parameter::Parameter;
 use fmi::description::Variable;
 use fmi::{ModelDescription, Value};
 use ode::Number;

@@ -1,9 +1,9 @@
 //! Measurements that are there more than once: a recording given twice, a column for two outputs.
 
 use super::subject::Subject;
-use crate::calibration::Calibration;
-use crate::finding::{Finding, Severity};
-use crate::layout::OutputResiduals;
+use crate::cost::calibration::Calibration;
+use crate::findings::finding::{Finding, Severity};
+use crate::problem::residual_layout::OutputResiduals;
 
 /// Fewer equal measurements may be chance.
 const FEWEST: usize = 3;

@@ -1,6 +1,6 @@
 //! Result of a check.
 
-use crate::finding::{Finding, Severity, counts, table};
+use crate::findings::finding::{Finding, Severity, counts, table};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 

@@ -1,11 +1,11 @@
 //! Outputs that are measured on unlike scales and have the same weight: the largest decides the fit.
 
 use super::series::{Place, rounded};
-use crate::calibration::Calibration;
-use crate::column_units::declared;
-use crate::experiment::Weight;
-use crate::finding::{Finding, Severity};
-use crate::layout::OutputResiduals;
+use crate::cost::calibration::Calibration;
+use crate::findings::finding::{Finding, Severity};
+use crate::problem::column_units::declared;
+use crate::problem::experiment::Weight;
+use crate::problem::residual_layout::OutputResiduals;
 use ode::Number;
 
 /// Outputs that differ by this factor have 99 % and 1 % of the squares.

@@ -1,8 +1,8 @@
 //! The outputs of a calibration as they were measured and simulated at some values of the parameters.
 
 use super::subject::Subject;
-use crate::calibration::Calibration;
-use crate::layout::OutputResiduals;
+use crate::cost::calibration::Calibration;
+use crate::problem::residual_layout::OutputResiduals;
 use base::RunContext;
 use ode::Stats;
 use std::fmt;

@@ -1,12 +1,12 @@
 //! Checks of the accuracy of the simulation settings: a loose tolerance, a step that is too large.
 
 use super::series::{Evaluated, Evaluations, Place, all_series, rounded, size_of_difference};
-use crate::accuracy::Accuracy;
-use crate::calibration::Calibration;
+use crate::cost::accuracy::Accuracy;
+use crate::cost::calibration::Calibration;
+use crate::cost::failure::NoCost;
+use crate::cost::residual::CostRule;
 use crate::error::CalibrationError;
-use crate::finding::{Finding, Severity};
-use crate::no_cost::NoCost;
-use crate::residual::CostRule;
+use crate::findings::finding::{Finding, Severity};
 use dfo::RobustLoss;
 use ode::Number;
 

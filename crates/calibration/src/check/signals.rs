@@ -4,8 +4,8 @@
 use super::columns::longest_run;
 use super::series::{Outputs, Place, Series, range, rounded, size_of_difference};
 use super::subject::Subject;
-use crate::column_units::declared;
-use crate::finding::{Finding, Severity};
+use crate::findings::finding::{Finding, Severity};
+use crate::problem::column_units::declared;
 use ode::Number;
 use std::f64::consts::TAU;
 use std::ops::Range;

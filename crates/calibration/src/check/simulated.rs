@@ -3,9 +3,9 @@
 
 use super::series::{Outputs, Place, Series, range, rounded, size, size_of_difference};
 use super::subject::Subject;
-use crate::column_units::declared;
 use crate::data::{UnitConversion, parts, sampling_interval};
-use crate::finding::{Finding, Severity};
+use crate::findings::finding::{Finding, Severity};
+use crate::problem::column_units::declared;
 use ode::Number;
 use std::f64::consts::PI;
 

@@ -1,8 +1,8 @@
 //! An experiment as a check looks at it.
 
-use crate::column_units::declared;
 use crate::data::UnitConversion;
-use crate::experiment::Experiment;
+use crate::problem::column_units::declared;
+use crate::problem::experiment::Experiment;
 use fmi::ModelDescription;
 
 /// An experiment that is looked at.

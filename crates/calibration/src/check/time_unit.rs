@@ -2,11 +2,11 @@
 
 use super::series::{Evaluations, Outputs, Series, all_series, rounded, unexplained};
 use super::subject::Subject;
-use crate::calibration::Calibration;
+use crate::cost::calibration::Calibration;
+use crate::cost::failure::NoCost;
+use crate::cost::residual::CostRule;
 use crate::error::CalibrationError;
-use crate::finding::{Finding, Severity};
-use crate::no_cost::NoCost;
-use crate::residual::CostRule;
+use crate::findings::finding::{Finding, Severity};
 use dfo::RobustLoss;
 use ode::Number;
 

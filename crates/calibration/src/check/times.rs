@@ -2,7 +2,7 @@
 
 use super::subject::Subject;
 use crate::data::sampling_interval;
-use crate::finding::{Finding, Severity};
+use crate::findings::finding::{Finding, Severity};
 use ode::Number;
 
 /// A distance of times so many times the usual one is a gap.

@@ -1,9 +1,9 @@
 //! Functions of all files that a fit is exported to: the check that it belongs to the calibration, and the
 //! writing.
 
-use crate::calibration::Calibration;
+use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
-use crate::fit::Fit;
+use crate::fit::stage::Fit;
 use fmi::FmiError;
 use fmi::platform::write_whole;
 use std::io::Write;

@@ -1,9 +1,9 @@
 //! A copy of the FMU that starts with the fitted values.
 
 use super::files::{check_belongs, check_path, check_suffix};
-use crate::calibration::Calibration;
+use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
-use crate::fit::Fit;
+use crate::fit::stage::Fit;
 use base::RunContext;
 use fmi::platform::write_whole;
 use fmi::{FmiError, Fmu, Trajectory};

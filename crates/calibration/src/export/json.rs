@@ -2,10 +2,10 @@
 
 use super::files::check_belongs;
 use super::tables::unit_of;
-use crate::calibration::Calibration;
+use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
-use crate::fit::Fit;
-use crate::worth::Worth;
+use crate::fit::stage::Fit;
+use crate::uncertainty::estimate::Worth;
 use serde_json::{Value as Json, json};
 
 impl Fit {

@@ -1,8 +1,8 @@
 //! Checks of the lengths of the parts of a fit that comes from a file against each other.
 
-use crate::fit::Fit;
-use crate::preflight::Preflight;
-use crate::worth::Worth;
+use crate::fit::stage::Fit;
+use crate::uncertainty::estimate::Worth;
+use crate::uncertainty::preflight::Preflight;
 
 /// Refuses a fit of which parts have other lengths than its parameters and residuals ask for; the message names the first one.
 pub(super) fn check_lengths(fit: &Fit) -> Result<(), String> {

@@ -8,7 +8,6 @@ mod lengths;
 mod saved_fit;
 mod ssv;
 mod tables;
-mod variables;
 
 pub use fmu::FmuExport;
 pub use saved_fit::SavedFit;

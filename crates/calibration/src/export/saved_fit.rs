@@ -6,10 +6,10 @@
 use super::document::{Document, from_npy, to_npy};
 use super::files::{check_belongs, write};
 use super::lengths::check_lengths;
-use crate::calibration::Calibration;
+use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
-use crate::fit::Fit;
-use crate::problem::{ModelFile, Problem};
+use crate::fit::stage::Fit;
+use crate::problem::definition::{ModelFile, Problem};
 use fmi::{FmiError, Fmu, OpenOptions};
 use serde_json::Value as Json;
 use std::io::{Cursor, Read, Seek, Write};

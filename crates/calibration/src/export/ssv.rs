@@ -1,9 +1,9 @@
 //! Parameter values for other tools: System Structure Parameter Values 1.0 (SSP standard 1.0, section 6).
 
 use super::files::{check_belongs, check_suffix, write};
-use crate::calibration::Calibration;
+use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
-use crate::fit::Fit;
+use crate::fit::stage::Fit;
 use fmi::description::VariableKind;
 use fmi::description::{BaseUnit, Unit};
 use quick_xml::escape;

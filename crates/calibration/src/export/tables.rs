@@ -1,11 +1,11 @@
 //! A fit as tables: comma-separated values (RFC 4180) for spreadsheets and other programs.
 
 use super::files::{check_belongs, write};
-use crate::assignment::Affine;
-use crate::calibration::Calibration;
+use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
-use crate::fit::Fit;
-use crate::parameter::Parameter;
+use crate::fit::stage::Fit;
+use crate::problem::assignment::Affine;
+use crate::problem::parameter::Parameter;
 use base::RunContext;
 use dfo::Outcome;
 use std::path::Path;
@@ -84,7 +84,9 @@ impl Fit {
         let row = |(k, p): (usize, &Parameter)| {
             let worth = self.worth.as_ref();
             let error = worth.map(|worth| worth.standard_errors[k]);
-            let uncorrected = worth.and_then(crate::worth::Worth::uncorrected_errors).map(|errors| errors[k]);
+            let uncorrected = worth
+                .and_then(crate::uncertainty::estimate::Worth::uncorrected_errors)
+                .map(|errors| errors[k]);
             let side = self.at_bound.iter().find(|(index, _)| *index == k).map(|(_, side)| side.name());
             vec![
                 p.name().to_owned(),

@@ -1,12 +1,12 @@
 //! Data of the figures of a fit: measurements, responses at the start and at the fitted values, residuals,
 //! inputs, sensitivities.
 
-use crate::calibration::Calibration;
+use crate::cost::calibration::Calibration;
+use crate::cost::parallel;
 use crate::error::CalibrationError;
-use crate::fit::Fit;
-use crate::input::InputSource;
-use crate::layout::OutputResiduals;
-use crate::parallel;
+use crate::fit::stage::Fit;
+use crate::problem::input::InputSource;
+use crate::problem::residual_layout::OutputResiduals;
 use base::RunContext;
 use fmi::Trajectory;
 use std::thread::available_parallelism;

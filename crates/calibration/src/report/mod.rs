@@ -10,9 +10,9 @@ mod text;
 
 pub use curves::{ExperimentCurves, OutputCurves, Signal};
 
-use crate::calibration::Calibration;
+use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
-use crate::fit::Fit;
+use crate::fit::stage::Fit;
 use base::RunContext;
 use base::files::Unfinished;
 use std::io::Write;

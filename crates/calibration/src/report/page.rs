@@ -5,9 +5,9 @@ use super::figure::{self, Panel, Point, Series};
 use super::number::rounded;
 use super::summary::{Fact, Summary};
 use super::template;
-use crate::calibration::Calibration;
+use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
-use crate::fit::Fit;
+use crate::fit::stage::Fit;
 use base::RunContext;
 use ode::Number;
 use serde::Serialize;
@@ -183,7 +183,7 @@ fn correlation(fit: &Fit) -> Option<Correlation> {
 fn residual_checks(fit: &Fit) -> Vec<[String; 8]> {
     let checks = fit.worth.iter().flat_map(|worth| &worth.residual_checks);
     let number = |value: f64| if value.is_nan() { "\u{2013}".to_owned() } else { rounded(value, 3) };
-    let row = |check: &crate::worth::ResidualCheck| {
+    let row = |check: &crate::uncertainty::estimate::ResidualCheck| {
         let numbers = [check.mean, check.deviation, check.autocorrelation, check.runs];
         let [mean, deviation, lag, runs] = numbers.map(number);
         let [n, outliers] = [check.n, check.n_outliers].map(|n| n.to_string());

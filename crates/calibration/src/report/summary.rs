@@ -1,10 +1,10 @@
 //! Summary of a fit as tables and sentences: the content of `Display`, the notebook and the report.
 
 use super::number::{rounded, with_error};
-use crate::effect::BoundSide;
-use crate::finding::{Finding, counts};
-use crate::fit::Fit;
-use crate::worth::Worth;
+use crate::findings::finding::{Finding, counts};
+use crate::fit::stage::Fit;
+use crate::uncertainty::bounds::BoundSide;
+use crate::uncertainty::estimate::Worth;
 use dfo::Termination;
 use ode::Number;
 use serde::Serialize;
@@ -215,7 +215,7 @@ fn parameter(fit: &Fit, i: usize) -> ParameterRow {
 }
 
 fn outputs(fit: &Fit) -> Vec<OutputRow> {
-    let row = |output: &crate::output_fit::OutputFit| OutputRow {
+    let row = |output: &crate::fit::output_fit::OutputFit| OutputRow {
         experiment: output.experiment.clone(),
         variable: output.variable.clone(),
         column: output.column.clone(),

@@ -1,7 +1,7 @@
 //! The templates of the report and of the part for notebooks. What they are given is escaped: names in an FMU are anybody's.
 
 use super::summary::Summary;
-use crate::visible::visible;
+use crate::findings::visible::visible;
 use minijinja::value::Serde;
 use minijinja::{Environment, Value, context};
 use serde::Serialize;

@@ -1,9 +1,9 @@
 //! The summary of a fit as plain text.
 
 use super::summary::{OutputRow, ParameterRow, Summary};
-use crate::finding::table;
-use crate::fit::Fit;
-use crate::visible::visible;
+use crate::findings::finding::table;
+use crate::findings::visible::visible;
+use crate::fit::stage::Fit;
 use std::fmt::{self, Write};
 
 /// Longer names are cut in their middle, so that a line stays one.

@@ -1,8 +1,8 @@
 //! A function of the user's that evaluates whole batches on the calling thread.
 
 use super::evaluator::{Evaluator, GivesUp, Polled, Wait, panicked};
-use crate::answer::{Answer, Failure, Outcome};
-use crate::objective::{CancelSignals, Query};
+use crate::outcome::answer::{Answer, Failure, Outcome};
+use crate::problem::objective::{CancelSignals, Query};
 use std::cell::{Cell, RefCell};
 use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};

@@ -1,8 +1,8 @@
 //! The user evaluates: points wait until they are asked for, and are answered when the user tells them.
 
 use super::evaluator::{Evaluator, Polled, Wait};
-use crate::answer::Answer;
-use crate::objective::Query;
+use crate::outcome::answer::Answer;
+use crate::problem::objective::Query;
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Instant;
 

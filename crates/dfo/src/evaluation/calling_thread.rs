@@ -1,8 +1,8 @@
 //! One point after the other on the calling thread, each when it is polled.
 
 use super::evaluator::{Evaluator, GivesUp, Polled, Wait, call, gives_up};
-use crate::answer::Answer;
-use crate::objective::{Objective, Query};
+use crate::outcome::answer::Answer;
+use crate::problem::objective::{Objective, Query};
 use std::collections::VecDeque;
 
 /// A point that waits.

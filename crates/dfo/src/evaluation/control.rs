@@ -1,7 +1,7 @@
 //! Signals that end a run from outside while evaluations are under way.
 
 use super::evaluator::Wait;
-use crate::objective::{CancelSignals, NEVER};
+use crate::problem::objective::{CancelSignals, NEVER};
 use base::RunContext;
 use std::cell::Cell;
 use std::time::{Duration, Instant};

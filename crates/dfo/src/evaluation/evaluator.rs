@@ -1,8 +1,8 @@
 //! Evaluation of points: the interface by which they are submitted and answered, and the one place where an
 //! objective is called.
 
-use crate::answer::{Answer, Failure, FailureKind, Outcome};
-use crate::objective::{CancelSignals, Objective, Query};
+use crate::outcome::answer::{Answer, Failure, FailureKind, Outcome};
+use crate::problem::objective::{CancelSignals, Objective, Query};
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Instant;

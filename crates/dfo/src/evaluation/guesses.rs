@@ -4,10 +4,10 @@
 use super::evaluator::{Evaluator, GivesUp};
 use super::round::{Round, UnderWay};
 use super::store::FIRST_ID;
-use crate::answer::{Answer, Outcome};
-use crate::method::{Batch, Lookahead, Method};
-use crate::objective::Query;
-use crate::trace::SpeculativeEntry;
+use crate::method::interface::{Batch, Lookahead, Method};
+use crate::outcome::answer::{Answer, Outcome};
+use crate::outcome::trace::SpeculativeEntry;
+use crate::problem::objective::Query;
 use std::collections::hash_map::DefaultHasher;
 use std::hash::Hasher;
 

@@ -1,9 +1,9 @@
 //! Record of a run: every count, the failures, the best point so far, the trace.
 
-use crate::answer::{Answer, Best, Failure, Outcome, Want};
 use crate::error::NothingFound;
-use crate::method::Batch;
-use crate::trace::{Record, SpeculativeEntry, Trace};
+use crate::method::interface::Batch;
+use crate::outcome::answer::{Answer, Best, Failure, Outcome, Want};
+use crate::outcome::trace::{Record, SpeculativeEntry, Trace};
 use serde::{Deserialize, Serialize};
 
 /// Reasons counted one by one; what comes beyond is counted together.

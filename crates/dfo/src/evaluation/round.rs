@@ -3,12 +3,12 @@
 use super::evaluator::GivesUp;
 use super::ledger::{Ledger, Source};
 use super::store::{Early, Store};
-use crate::answer::{Answer, Answers, Outcome, Want};
-use crate::method::{AnswersSoFar, Batch};
-use crate::objective::Query;
-use crate::termination::Termination;
-use crate::tolerances::Limits;
-use crate::trace::SpeculativeEntry;
+use crate::method::interface::{AnswersSoFar, Batch};
+use crate::method::tolerances::Limits;
+use crate::outcome::answer::{Answer, Answers, Outcome, Want};
+use crate::outcome::termination::Termination;
+use crate::outcome::trace::SpeculativeEntry;
+use crate::problem::objective::Query;
 use std::collections::HashMap;
 use std::collections::hash_map::{DefaultHasher, Entry};
 use std::hash::Hasher;

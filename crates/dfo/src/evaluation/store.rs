@@ -3,9 +3,9 @@
 //! path comes to them.
 
 use super::evaluator::GivesUp;
-use crate::answer::{Answer, Outcome, Want};
-use crate::objective::Query;
-use crate::trace::SpeculativeEntry;
+use crate::outcome::answer::{Answer, Outcome, Want};
+use crate::outcome::trace::SpeculativeEntry;
+use crate::problem::objective::Query;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap, VecDeque};
 
@@ -307,7 +307,7 @@ impl SpeculativeEntry {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::encoding::{decode, encode};
+    use crate::method::encoding::{decode, encode};
 
     fn get(store: &mut Store, x: f64, cutoff: f64) -> Option<Outcome> {
         store.get(&[x], Query::new(0, 0, cutoff)).map(|known| known.outcome.clone())

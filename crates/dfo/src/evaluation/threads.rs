@@ -2,8 +2,8 @@
 
 use super::evaluator::{Evaluator, GivesUp, Polled, Wait, call, gives_up};
 use super::timing::Timing;
-use crate::answer::Answer;
-use crate::objective::{CancelSignals, Objective, Query};
+use crate::outcome::answer::Answer;
+use crate::problem::objective::{CancelSignals, Objective, Query};
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};

@@ -8,19 +8,19 @@
 //! Nelder-Mead pass at the user's tolerances, the stage has moved the point by at most `x_tol`, and `mu B` is at most
 //! `f_tol` of the cost (of the first cost, if that is larger).
 
-use crate::answer::{Answers, Best, Outcome};
-use crate::choices::Measure;
 use crate::error::Error;
-use crate::method::{
+use crate::method::interface::{
     AnswersSoFar, BarrierStage, Batch, Details, Method, MethodOptions, Operation, Setup, Status, restored,
     saved,
 };
+use crate::method::tolerances::Tolerances;
 use crate::methods::nelder_mead::{BatchPlan, Coefficients, NelderMead, NelderMeadState};
-use crate::option_texts;
-use crate::space::Bounds;
-use crate::space::Space;
-use crate::termination::Termination;
-use crate::tolerances::Tolerances;
+use crate::outcome::answer::{Answers, Best, Outcome};
+use crate::outcome::termination::Termination;
+use crate::problem::option_texts;
+use crate::problem::space::Bounds;
+use crate::problem::space::Space;
+use crate::values::choices::Measure;
 use serde::{Deserialize, Serialize};
 
 /// Least distance from a bound, in units of the width of the box (else of the size of the parameter).

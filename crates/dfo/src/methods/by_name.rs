@@ -1,6 +1,6 @@
 //! Options of methods by their names, and where they stand in the serialised defaults of a method.
 
-use crate::record::{Record, RecordError, Value};
+use crate::values::record::{Record, RecordError, Value};
 use std::collections::BTreeSet;
 
 /// The options that every method has, by the names that users know.

@@ -24,13 +24,15 @@ pub use nelder_mead::{BatchPlan, Coefficients, InitialSimplex, NelderMead, Nelde
 pub use pattern_search::{PatternSearch, PatternSearchState, PollPlan};
 pub use quadratic_model::{QuadraticModel, QuadraticModelState};
 
-use crate::answer::Answers;
-use crate::choices::{Kind, Search};
 use crate::error::Error;
-use crate::linear_model::LinearModel;
-use crate::method::{AnswersSoFar, Batch, Details, Method, MethodOptions, ProblemClass, Setup, Status};
-use crate::option_texts;
-use crate::record::{Record, Value};
+use crate::method::interface::{
+    AnswersSoFar, Batch, Details, Method, MethodOptions, ProblemClass, Setup, Status,
+};
+use crate::method::linear_model::LinearModel;
+use crate::outcome::answer::Answers;
+use crate::problem::option_texts;
+use crate::values::choices::{Kind, Search};
+use crate::values::record::{Record, Value};
 use base::RunContext;
 use by_name::{COMMON, collect, described, edits, folded, place, tagged, unknown};
 use serde::{Deserialize, Serialize};

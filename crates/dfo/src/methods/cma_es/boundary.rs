@@ -5,7 +5,7 @@
 //! a smooth minimum there, and a valley inside is not bent, as it would be by a sine over the whole box.
 
 use super::options::CmaBounds;
-use crate::space::{Space, fold};
+use crate::problem::space::{Space, fold};
 
 /// The margin as a fraction of the size of the parameter or of the width of the box, whichever is smaller. Tuned on turned
 /// ellipsoids and Rosenbrock's function with 5 and 10 parameters, half of them at a bound in the minimum (`benches/dfo/cma_es.py`
@@ -64,7 +64,7 @@ impl Boundary {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::space::Bounds;
+    use crate::problem::space::Bounds;
 
     #[test]
     fn the_map_is_smooth_and_stays_inside() {

@@ -1,8 +1,8 @@
 //! The normal distribution that points are drawn from, and how it follows the ranked steps of a generation.
 
 use super::weights::{Weights, effective};
+use crate::method::rng::Stream;
 use crate::methods::shared::dot::dot;
-use crate::rng::Stream;
 use nalgebra::{DMatrix, SymmetricEigen};
 use serde::{Deserialize, Serialize};
 

@@ -27,12 +27,12 @@ mod weights;
 pub use options::{CmaBounds, CmaEs, Restarts};
 
 use crate::error::Error;
-use crate::memory;
-use crate::method::{MethodOptions, Setup};
+use crate::method::interface::{MethodOptions, Setup};
+use crate::method::rng::draw_seed;
 use crate::methods::shared::generations::Generations;
 use crate::methods::shared::sized::{NeedsSizes, WithSizes};
-use crate::option_texts;
-use crate::rng::draw_seed;
+use crate::problem::memory;
+use crate::problem::option_texts;
 use state::CmaRules;
 
 /// A running CMA-ES; made by [`CmaEs`].

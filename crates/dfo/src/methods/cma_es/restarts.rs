@@ -1,9 +1,9 @@
 //! With which population and step size the search begins anew, and where.
 
 use super::options::{CmaEs, Restarts};
+use crate::method::rng::Stream;
 use crate::methods::shared::population::MAX_MEMBERS;
-use crate::rng::Stream;
-use crate::space::Space;
+use crate::problem::space::Space;
 use serde::{Deserialize, Serialize};
 
 /// The population is doubled at most so often (Auger and Hansen 2005, Hansen 2009).

@@ -5,12 +5,12 @@ use super::distribution::Distribution;
 use super::options::{CmaBounds, CmaEs};
 use super::restarts::{Schedule, draw_start};
 use super::weights::Weights;
-use crate::method::Setup;
+use crate::method::interface::Setup;
+use crate::method::rng::{Purpose, Stream};
 use crate::methods::shared::generations::{GenerationRules, Generations, Populations};
 use crate::methods::shared::ranked_points::RankedPoints;
-use crate::rng::{Purpose, Stream};
-use crate::space::Space;
-use crate::termination::Termination;
+use crate::outcome::termination::Termination;
+use crate::problem::space::Space;
 use serde::{Deserialize, Serialize};
 
 /// So many generations in a row without any cost end a run.

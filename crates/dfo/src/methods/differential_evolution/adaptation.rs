@@ -2,8 +2,8 @@
 //! shrinking plan.
 
 use super::options::Adaptive;
+use crate::method::rng::Stream;
 use crate::methods::shared::ranked_points::RankedPoints;
-use crate::rng::Stream;
 use serde::{Deserialize, Serialize};
 
 /// Numbers in the archive for which there is room from the beginning.
@@ -176,7 +176,7 @@ impl Adaptation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rng::Purpose;
+    use crate::method::rng::Purpose;
 
     fn adaptation() -> Adaptation {
         Adaptation::new(Adaptive::default(), 36, 1000, 1)

@@ -29,13 +29,13 @@ mod state;
 pub use options::{Adaptive, Crossover, DifferentialEvolution, Repair, Scheme, Strategy, Weight};
 pub use state::DifferentialEvolutionState;
 
-use crate::choices::Kind;
 use crate::error::Error;
-use crate::method::{MethodOptions, Setup};
+use crate::method::interface::{MethodOptions, Setup};
+use crate::method::rng::draw_seed;
 use crate::methods::shared::generations::Generations;
 use crate::methods::shared::population::MAX_MEMBERS;
-use crate::option_texts;
-use crate::rng::draw_seed;
+use crate::problem::option_texts;
+use crate::values::choices::Kind;
 use options::planned;
 use state::DifferentialRules;
 

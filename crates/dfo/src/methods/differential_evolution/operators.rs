@@ -1,10 +1,10 @@
 //! Mutation, crossover and repair, one function each, from given indices and draws.
 
 use super::options::{Crossover, Repair, Strategy};
+use crate::method::rng::Stream;
 use crate::methods::shared::ranked_points::RankedPoints;
-use crate::rng::Stream;
-use crate::space::Space;
-use crate::space::fold;
+use crate::problem::space::Space;
+use crate::problem::space::fold;
 
 /// `count` different numbers from `0..n`, none of them `target`.
 pub(super) fn different(stream: &mut Stream, n: usize, target: usize, out: &mut [usize]) {
@@ -96,8 +96,8 @@ pub(super) fn repair(repair: Repair, stream: &mut Stream, space: &Space, target:
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rng::Purpose;
-    use crate::space::Bounds;
+    use crate::method::rng::Purpose;
+    use crate::problem::space::Bounds;
 
     fn space() -> Space {
         Space::new(&[0.5; 2], Bounds::new(&[0.0; 2], &[10.0; 2]).unwrap(), &[], &[]).unwrap()

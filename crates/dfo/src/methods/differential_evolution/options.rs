@@ -1,7 +1,7 @@
 //! Options of differential evolution.
 
 use crate::error::Error;
-use crate::sampling::Sampling;
+use crate::method::sampling::Sampling;
 use serde::{Deserialize, Serialize};
 
 /// Strategy for donor vectors. `r1`, `r2`, ... are different members, drawn for each target `i`.

@@ -3,15 +3,15 @@
 use super::adaptation::Adaptation;
 use super::operators::{cross, different, donor, repair};
 use super::options::{Crossover, DifferentialEvolution, Scheme, Weight, planned};
-use crate::choices::Kind;
 use crate::error::Error;
-use crate::method::{Lookahead, Setup};
+use crate::method::interface::{Lookahead, Setup};
+use crate::method::rng::{Purpose, Stream};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::generations::{GenerationRules, Generations, Populations};
 use crate::methods::shared::ranked_points::RankedPoints;
-use crate::rng::{Purpose, Stream};
-use crate::space::Space;
-use crate::termination::Termination;
+use crate::outcome::termination::Termination;
+use crate::problem::space::Space;
+use crate::values::choices::Kind;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 

@@ -1,8 +1,8 @@
 //! Bit strings and the numbers that they stand for.
 
-use crate::choices::Kind;
 use crate::error::Error;
-use crate::space::Space;
+use crate::problem::space::Space;
+use crate::values::choices::Kind;
 use serde::{Deserialize, Serialize};
 
 /// Bits of a continuous parameter whose resolution was not given.
@@ -83,8 +83,8 @@ impl Coding {
                 Some(values) => {
                     let value = field.first + field.value_of(code, values) as f64;
                     match space.transform(k) {
-                        crate::choices::Transform::Linear => value,
-                        crate::choices::Transform::Log => value.ln().clamp(field.lower, field.upper),
+                        crate::values::choices::Transform::Linear => value,
+                        crate::values::choices::Transform::Log => value.ln().clamp(field.lower, field.upper),
                     }
                 }
                 None => {
@@ -131,8 +131,8 @@ impl Field {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::choices::Transform;
-    use crate::space::Bounds;
+    use crate::problem::space::Bounds;
+    use crate::values::choices::Transform;
 
     fn space() -> Space {
         let bounds = Bounds::new(&[-1.0, 2.0, 0.0, 1e-3], &[3.0, 8.0, 3.0, 1e3]).unwrap();

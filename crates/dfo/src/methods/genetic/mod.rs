@@ -18,10 +18,10 @@ pub use options::{Genetic, Selection};
 pub use state::GeneticState;
 
 use crate::error::Error;
-use crate::method::{MethodOptions, Setup};
+use crate::method::interface::{MethodOptions, Setup};
+use crate::method::rng::draw_seed;
 use crate::methods::shared::generations::Generations;
-use crate::option_texts;
-use crate::rng::draw_seed;
+use crate::problem::option_texts;
 use coding::Coding;
 use state::GeneticRules;
 

@@ -1,8 +1,8 @@
 //! Selection, crossover and mutation, one function each.
 
+use crate::method::rng::Stream;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
-use crate::rng::Stream;
 
 /// The share of the fitness of the best that members without any fitness of their own keep.
 const FLOOR: f64 = 1e-3;
@@ -76,9 +76,9 @@ pub(super) fn mutate(stream: &mut Stream, rate: f64, bits: &mut [bool]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rng::Purpose;
-    use crate::space::Bounds;
-    use crate::space::Space;
+    use crate::method::rng::Purpose;
+    use crate::problem::space::Bounds;
+    use crate::problem::space::Space;
 
     fn population(costs: &[Cost]) -> RankedPoints {
         let space = Space::new(&[0.5], Bounds::new(&[0.0], &[1.0]).unwrap(), &[], &[]).unwrap();

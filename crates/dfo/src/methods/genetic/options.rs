@@ -1,8 +1,8 @@
 //! Options of the genetic algorithm.
 
 use crate::error::Error;
+use crate::method::sampling::Sampling;
 use crate::methods::shared::population::MAX_MEMBERS;
-use crate::sampling::Sampling;
 use serde::{Deserialize, Serialize};
 
 /// Selection of parents.

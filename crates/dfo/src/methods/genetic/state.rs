@@ -3,14 +3,14 @@
 use super::coding::Coding;
 use super::operators::{cross, fitness_sums, mutate, spin, tournament};
 use super::options::{Genetic, Selection};
-use crate::choices::Kind;
 use crate::error::Error;
-use crate::method::Setup;
+use crate::method::interface::Setup;
+use crate::method::rng::{Purpose, Stream};
+use crate::method::tolerances::{Extent, Tests};
 use crate::methods::shared::generations::{GenerationRules, Generations, Populations};
 use crate::methods::shared::ranked_points::RankedPoints;
-use crate::rng::{Purpose, Stream};
-use crate::termination::Termination;
-use crate::tolerances::{Extent, Tests};
+use crate::outcome::termination::Termination;
+use crate::values::choices::Kind;
 use serde::{Deserialize, Serialize};
 
 /// Number of the best points that are compared: an eighth of the population, at least as many as a simplex

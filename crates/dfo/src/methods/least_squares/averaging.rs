@@ -3,8 +3,8 @@
 use super::model::Regression;
 use super::points::{difference, distance, norm, sum};
 use super::state::{Averaging, Candidate, Known, LeastSquaresState, Phase, Role};
-use crate::method::Operation;
-use crate::termination::Termination;
+use crate::method::interface::Operation;
+use crate::outcome::termination::Termination;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 /// The largest radius in units of the first one, and the smallest.

@@ -22,9 +22,9 @@ pub use options::LeastSquares;
 pub use state::LeastSquaresState;
 
 use crate::error::Error;
-use crate::memory;
-use crate::method::{MethodOptions, Setup, restored};
-use crate::option_texts;
+use crate::method::interface::{MethodOptions, Setup, restored};
+use crate::problem::memory;
+use crate::problem::option_texts;
 
 impl MethodOptions for LeastSquares {
     type Method = LeastSquaresState;

@@ -2,11 +2,11 @@
 
 use super::points::{Evaluated, distance};
 use super::state::{LeastSquaresState, Phase, simplex_method};
-use crate::answer::Answers;
 use crate::error::Error;
-use crate::method::{Method, Status};
+use crate::method::interface::{Method, Status};
 use crate::methods::nelder_mead::SimplexSearch;
-use crate::termination::Termination;
+use crate::outcome::answer::Answers;
+use crate::outcome::termination::Termination;
 
 /// A simplex that ends at a cost larger than the best one by more than this share of it has not found the way.
 const WORSE: f64 = 1e-3;

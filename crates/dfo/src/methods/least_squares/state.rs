@@ -4,16 +4,16 @@
 use super::interpolation::Interpolation;
 use super::options::LeastSquares;
 use super::points::{Evaluated, distance};
-use crate::answer::{Answers, Best, Want};
-use crate::choices::Measure;
 use crate::error::Error;
-use crate::linear_model::LinearModel;
-use crate::memory;
-use crate::method::{Batch, Details, Method, Operation, Setup, Status, saved};
+use crate::method::interface::{Batch, Details, Method, Operation, Setup, Status, saved};
+use crate::method::linear_model::LinearModel;
+use crate::method::tolerances::{Extent, Tests};
 use crate::methods::nelder_mead::{BatchPlan, NelderMead, SimplexSearch};
-use crate::space::clamp;
-use crate::termination::Termination;
-use crate::tolerances::{Extent, Tests};
+use crate::outcome::answer::{Answers, Best, Want};
+use crate::outcome::termination::Termination;
+use crate::problem::memory;
+use crate::problem::space::clamp;
+use crate::values::choices::Measure;
 use base::RunContext;
 use serde::{Deserialize, Serialize};
 

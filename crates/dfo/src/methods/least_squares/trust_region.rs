@@ -4,9 +4,9 @@ use super::interpolation::{Interpolation, Place, combine};
 use super::points::{Selection, difference, distance, dot, norm, sum};
 use super::state::{Candidate, Known, LeastSquaresState, Phase, Role};
 use super::subproblem::{Cancelled, Linear, Subproblem, longest, smallest_singular_value};
-use crate::method::Operation;
+use crate::method::interface::Operation;
 use crate::methods::shared::failures::{Plane, plane};
-use crate::termination::Termination;
+use crate::outcome::termination::Termination;
 use base::RunContext;
 
 /// A radius below this cannot be resolved.

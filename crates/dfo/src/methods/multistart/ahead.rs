@@ -1,8 +1,8 @@
 //! Searches that run ahead of the path. The path goes through all searches in turn, a batch of each at a time; a search whose answers
 //! have come need not wait for the others: a copy of it asks for what the path will come to.
 
-use crate::answer::{Answer, Answers};
-use crate::method::{Batch, Method, Status};
+use crate::method::interface::{Batch, Method, Status};
+use crate::outcome::answer::{Answer, Answers};
 use std::collections::VecDeque;
 
 /// Batches that a search may be ahead of the path.

@@ -1,9 +1,9 @@
 //! Selection of the points of a sample that start a search, and clustering of the ends of the searches into
 //! minima.
 
-use crate::method::Optimum;
+use crate::method::interface::Optimum;
 use crate::methods::shared::ranked_points::RankedPoints;
-use crate::space::Space;
+use crate::problem::space::Space;
 
 /// The share of the sample that is looked at (gamma), and sigma of the critical distance: Rinnooy Kan and Timmer's.
 const LOOKED_AT: f64 = 0.2;

@@ -31,10 +31,10 @@ pub use options::{Multistart, Polish};
 pub use state::MultistartState;
 
 use crate::error::Error;
-use crate::memory;
-use crate::method::{MethodOptions, Setup};
+use crate::method::interface::{MethodOptions, Setup};
 use crate::methods::shared::population::MAX_MEMBERS;
-use crate::option_texts;
+use crate::problem::memory;
+use crate::problem::option_texts;
 
 impl MethodOptions for Multistart {
     type Method = MultistartState;

@@ -1,12 +1,12 @@
 //! Options of a search from several starts.
 
 use crate::error::Error;
-use crate::method::{Method, MethodOptions, Setup};
+use crate::method::interface::{Method, MethodOptions, Setup};
+use crate::method::sampling::Sampling;
 use crate::methods::cma_es::CmaEs;
 use crate::methods::differential_evolution::DifferentialEvolution;
 use crate::methods::least_squares::LeastSquares;
 use crate::methods::nelder_mead::NelderMead;
-use crate::sampling::Sampling;
 use serde::{Deserialize, Serialize};
 
 /// The method of the local searches.

@@ -3,22 +3,22 @@
 use super::ahead::Ahead;
 use super::clusters;
 use super::options::Multistart;
-use crate::answer::{Answers, Best, Want};
 use crate::error::Error;
-use crate::linear_model::LinearModel;
-use crate::method::{
+use crate::method::interface::{
     AnswersSoFar, Batch, Details, Lookahead, Method, MethodOptions, Operation, Optimum, Setup, Status,
     restored, saved,
 };
+use crate::method::linear_model::LinearModel;
+use crate::method::rng::draw_seed;
+use crate::method::sampling::Sampling;
+use crate::method::tolerances::Tests;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::population::MAX_MEMBERS;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::methods::shared::rounds::Rounds;
-use crate::objective::Query;
-use crate::rng::draw_seed;
-use crate::sampling::Sampling;
-use crate::termination::Termination;
-use crate::tolerances::Tests;
+use crate::outcome::answer::{Answers, Best, Want};
+use crate::outcome::termination::Termination;
+use crate::problem::objective::Query;
 use base::RunContext;
 use serde::{Deserialize, Serialize};
 use std::fmt;

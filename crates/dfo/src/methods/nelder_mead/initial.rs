@@ -1,12 +1,12 @@
 //! The starting simplex: never flat, never outside of the box, wherever in the box the start point lies.
 
 use super::options::InitialSimplex;
-use crate::choices::Transform;
 use crate::error::Error;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::methods::shared::sizes::{Found, SizeSearch};
-use crate::space::Space;
+use crate::problem::space::Space;
+use crate::values::choices::Transform;
 
 /// Side of the simplex as a fraction of the width of the box. With sides from 0.03 to 0.3 of it 124 to 126 of the 126 runs in
 /// boxes that tune (`benches/simplex.rs`) are solved, in 474 to 526 evaluations (median).
@@ -230,7 +230,7 @@ fn rank(space: &Space, simplex: &RankedPoints) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::space::Bounds;
+    use crate::problem::space::Bounds;
 
     fn vertices(space: &Space) -> Vec<Vec<f64>> {
         let simplex = simplex(space, &InitialSimplex::Auto).unwrap();

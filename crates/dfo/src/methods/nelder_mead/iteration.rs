@@ -4,11 +4,11 @@ use super::initial;
 use super::restart;
 use super::state::{NelderMeadState, Phase, Role};
 use super::trial::{Frame, Seen, Trial};
-use crate::method::{Batch, Operation};
+use crate::method::interface::{Batch, Operation};
+use crate::method::tolerances::Tests;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::sizes::SizeSearch;
-use crate::termination::Termination;
-use crate::tolerances::Tests;
+use crate::outcome::termination::Termination;
 
 /// A simplex of this size cannot become much smaller but on one point.
 const RESOLVED: f64 = 1e-12;

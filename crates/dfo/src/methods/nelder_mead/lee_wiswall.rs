@@ -8,11 +8,11 @@
 
 use super::options::CoefficientValues;
 use super::trial::{Frame, Seen, Trial, TrialPoint};
-use crate::choices::BoundsHandling;
-use crate::method::Batch;
+use crate::method::interface::Batch;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
-use crate::space::Space;
+use crate::problem::space::Space;
+use crate::values::choices::BoundsHandling;
 use serde::{Deserialize, Serialize};
 
 /// Iterations without a better best vertex after which fewer vertices move.

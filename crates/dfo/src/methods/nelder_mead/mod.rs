@@ -50,9 +50,9 @@ pub(crate) use simplex_search::SimplexSearch;
 pub use state::NelderMeadState;
 
 use crate::error::Error;
-use crate::memory;
-use crate::method::{MethodOptions, Setup, restored};
-use crate::option_texts;
+use crate::method::interface::{MethodOptions, Setup, restored};
+use crate::problem::memory;
+use crate::problem::option_texts;
 
 impl MethodOptions for NelderMead {
     type Method = NelderMeadState;

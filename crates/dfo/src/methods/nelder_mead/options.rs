@@ -1,8 +1,8 @@
 //! Options of Nelder-Mead.
 
-use crate::choices::BoundsHandling;
 use crate::error::Error;
-use crate::method::{Lookahead, Setup};
+use crate::method::interface::{Lookahead, Setup};
+use crate::values::choices::BoundsHandling;
 use serde::{Deserialize, Serialize};
 
 /// Number of points that are evaluated at once. All plans take the same path but

@@ -2,7 +2,7 @@
 
 use super::initial::stepped;
 use crate::methods::shared::ranked_points::RankedPoints;
-use crate::space::Space;
+use crate::problem::space::Space;
 
 /// Smallest thickness of a simplex, in units of its largest edge, that still is a body.
 const FLAT: f64 = 1e-7;

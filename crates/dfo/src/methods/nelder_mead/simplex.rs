@@ -1,9 +1,9 @@
 //! Ranked points as a simplex: centroid, replacement, shrink, size. Knows nothing of batches.
 
-use crate::choices::Measure;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
-use crate::space::Space;
+use crate::problem::space::Space;
+use crate::values::choices::Measure;
 
 impl RankedPoints {
     /// The same vertices in the working coordinates of another space.
@@ -128,7 +128,7 @@ impl RankedPoints {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::space::Bounds;
+    use crate::problem::space::Bounds;
 
     fn simplex(costs: [Cost; 3]) -> RankedPoints {
         let space = Space::new(&[0.0, 0.0], Bounds::unbounded(2), &[], &[]).unwrap();

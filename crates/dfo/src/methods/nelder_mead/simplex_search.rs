@@ -2,7 +2,7 @@
 
 use super::{NelderMead, NelderMeadState};
 use crate::error::Error;
-use crate::method::{Batch, Details, Method, MethodOptions, Setup};
+use crate::method::interface::{Batch, Details, Method, MethodOptions, Setup};
 use serde::{Deserialize, Serialize};
 
 /// The simplex search that has taken over.

@@ -6,9 +6,9 @@
 
 use super::options::CoefficientValues;
 use super::trial::{Frame, Trial, TrialPoint};
-use crate::choices::BoundsHandling;
 use crate::methods::shared::ranked_points::RankedPoints;
-use crate::space::Space;
+use crate::problem::space::Space;
+use crate::values::choices::BoundsHandling;
 
 /// Frequency of reflections that are accepted as they are, that are followed by an expansion, by an inside
 /// and by an outside contraction, and of expansions that are accepted: counted over the 53 problems of Moré

@@ -7,15 +7,15 @@ use super::lee_wiswall::{LeeWiswall, Verdict};
 use super::options::{BatchPlan, CoefficientValues};
 use super::speculation::{Problem, Speculation};
 use super::trial::{Seen, Trial, TrialPoint};
-use crate::answer::{Answers, Outcome};
-use crate::choices::BoundsHandling;
 use crate::error::Error;
-use crate::method::{AnswersSoFar, Batch, Details, Method, Operation, Setup, Status, saved};
+use crate::method::interface::{AnswersSoFar, Batch, Details, Method, Operation, Setup, Status, saved};
+use crate::method::tolerances::Tests;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::methods::shared::sizes::SizeSearch;
-use crate::termination::Termination;
-use crate::tolerances::Tests;
+use crate::outcome::answer::{Answers, Outcome};
+use crate::outcome::termination::Termination;
+use crate::values::choices::BoundsHandling;
 use serde::{Deserialize, Serialize};
 
 /// Role of a point of the last batch.
@@ -50,7 +50,7 @@ pub(super) enum Phase {
 
 /// A running Nelder-Mead search; made by [`NelderMead`](super::NelderMead).
 ///
-/// Driven by hand it takes the path that [`minimize`](crate::minimize) takes:
+/// Driven by hand it takes the path that [`minimize`](crate::run::minimize) takes:
 ///
 /// ```
 /// use dfo::{Answers, Batch, Bounds, Method, MethodOptions, NelderMead, Outcome, Setup, Space};

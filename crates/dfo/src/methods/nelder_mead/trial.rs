@@ -1,9 +1,9 @@
 //! The four trial points of an iteration: where they lie, and what is known about them.
 
 use super::options::CoefficientValues;
-use crate::choices::BoundsHandling;
-use crate::method::Operation;
-use crate::space::Space;
+use crate::method::interface::Operation;
+use crate::problem::space::Space;
+use crate::values::choices::BoundsHandling;
 use serde::{Deserialize, Serialize};
 
 /// The four trial points of an iteration; the number is the position in tables.

@@ -38,10 +38,10 @@ mod state;
 pub use options::{PatternSearch, PollPlan};
 
 use crate::error::Error;
-use crate::memory;
-use crate::method::{MethodOptions, Setup};
+use crate::method::interface::{MethodOptions, Setup};
 use crate::methods::shared::sized::{NeedsSizes, WithSizes};
-use crate::option_texts;
+use crate::problem::memory;
+use crate::problem::option_texts;
 use state::Polling;
 
 /// A running pattern search; made by [`PatternSearch`].

@@ -1,7 +1,7 @@
 //! Options of pattern search.
 
 use crate::error::Error;
-use crate::method::Lookahead;
+use crate::method::interface::Lookahead;
 use serde::{Deserialize, Serialize};
 
 /// Number of points that are evaluated at once. All plans take the same path.

@@ -2,14 +2,14 @@
 
 use super::options::{PatternSearch, PollPlan};
 use super::poll::Poll;
-use crate::answer::Answers;
-use crate::choices::{BoundsHandling, Measure, Transform};
 use crate::error::Error;
-use crate::method::{AnswersSoFar, Batch, Details, Method, Operation, Setup, Status, saved};
+use crate::method::interface::{AnswersSoFar, Batch, Details, Method, Operation, Setup, Status, saved};
+use crate::method::tolerances::{Extent, Tests};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
-use crate::termination::Termination;
-use crate::tolerances::{Extent, Tests};
+use crate::outcome::answer::Answers;
+use crate::outcome::termination::Termination;
+use crate::values::choices::{BoundsHandling, Measure, Transform};
 use serde::{Deserialize, Serialize};
 
 /// The f test measures what so many frames have gained.

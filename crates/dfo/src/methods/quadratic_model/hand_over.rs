@@ -2,7 +2,7 @@
 
 use super::state::{Phase, QuadraticModelState};
 use crate::error::Error;
-use crate::method::Roughness;
+use crate::method::interface::Roughness;
 use crate::methods::nelder_mead::{NelderMead, SimplexSearch};
 use crate::methods::shared::cost::Cost;
 

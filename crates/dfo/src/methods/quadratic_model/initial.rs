@@ -1,6 +1,6 @@
 //! Where the first points lie: the start, two along each axis, and more in the planes between axes where they are wanted.
 
-use crate::space::Space;
+use crate::problem::space::Space;
 
 /// Distances that points may have from `u` along coordinate `k`, below and above.
 fn margins(space: &Space, u: &[f64], k: usize) -> (f64, f64) {

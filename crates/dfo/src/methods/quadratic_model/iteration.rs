@@ -5,10 +5,10 @@ use super::model::{Interpolation, Quadratic};
 use super::state::{Phase, QuadraticModelState};
 use super::subproblem::{Region, minimize};
 use super::truncated;
-use crate::choices::Measure;
+use crate::method::tolerances::{Extent, Tests};
 use crate::methods::shared::failures::{Plane, plane};
-use crate::termination::Termination;
-use crate::tolerances::{Extent, Tests};
+use crate::outcome::termination::Termination;
+use crate::values::choices::Measure;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 /// A resolution below this cannot be seen.

@@ -42,9 +42,9 @@ pub use options::QuadraticModel;
 pub use state::QuadraticModelState;
 
 use crate::error::Error;
-use crate::memory;
-use crate::method::{MethodOptions, Setup, restored};
-use crate::option_texts;
+use crate::method::interface::{MethodOptions, Setup, restored};
+use crate::problem::memory;
+use crate::problem::option_texts;
 
 impl QuadraticModel {
     /// The problem as the search sees it: without bounds that stand for "none".

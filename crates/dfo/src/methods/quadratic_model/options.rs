@@ -1,7 +1,7 @@
 //! Options of quadratic models.
 
 use crate::error::Error;
-use crate::space::Space;
+use crate::problem::space::Space;
 use serde::{Deserialize, Serialize};
 
 /// Up to so many parameters the interpolation conditions are solved anew at each step, which costs little, and loses no digits.

@@ -4,15 +4,17 @@ use super::initial;
 use super::inverse::Inverse;
 use super::model::{Interpolation, Quadratic};
 use super::options::QuadraticModel;
-use crate::answer::Answers;
 use crate::error::Error;
-use crate::method::{AnswersSoFar, Batch, Details, Method, Operation, Roughness, Setup, Status, saved};
+use crate::method::interface::{
+    AnswersSoFar, Batch, Details, Method, Operation, Roughness, Setup, Status, saved,
+};
+use crate::method::tolerances::Tests;
 use crate::methods::nelder_mead::{NelderMead, SimplexSearch};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::methods::shared::rounds::Rounds;
-use crate::termination::Termination;
-use crate::tolerances::Tests;
+use crate::outcome::answer::Answers;
+use crate::outcome::termination::Termination;
 use serde::{Deserialize, Serialize};
 
 /// Number of times that a first point that failed is tried nearer to the start.

@@ -1,6 +1,6 @@
 //! Cost of a point that a method keeps, as far as it is known, and the comparison of two of them.
 
-use crate::answer::Outcome;
+use crate::outcome::answer::Outcome;
 use serde::{Deserialize, Serialize};
 
 /// The cost of a vertex or of a member of a population. The order of the variants is the order of rank.

@@ -1,19 +1,19 @@
 //! Common part of the methods with generations: a first population, candidates that are bred and tried,
 //! selection, and the end of the run.
 
-use crate::answer::Answers;
 use crate::error::Error;
-use crate::memory;
-use crate::method::{
+use crate::method::interface::{
     AnswersSoFar, Batch, Details, Lookahead, Method, Operation, Setup, Status, restored, saved,
 };
+use crate::method::sampling::Sampling;
+use crate::method::tolerances::{Extent, Tests};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::methods::shared::rounds::Rounds;
-use crate::sampling::Sampling;
-use crate::space::Space;
-use crate::termination::Termination;
-use crate::tolerances::{Extent, Tests};
+use crate::outcome::answer::Answers;
+use crate::outcome::termination::Termination;
+use crate::problem::memory;
+use crate::problem::space::Space;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 

@@ -1,12 +1,12 @@
 //! Ranked points as the population of an evolutionary method: how members are placed, ranked, judged and replaced.
 
-use crate::choices::Kind;
-use crate::choices::Measure;
-use crate::method::Setup;
+use crate::method::interface::Setup;
+use crate::method::tolerances::{Extent, Tests, Tolerances, typical};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
-use crate::space::Space;
-use crate::tolerances::{Extent, Tests, Tolerances, typical};
+use crate::problem::space::Space;
+use crate::values::choices::Kind;
+use crate::values::choices::Measure;
 use std::cmp::Ordering;
 
 /// More members than this are a mistake, not a wish.
@@ -151,7 +151,7 @@ fn in_rank(costs: &[Cost], a: usize, b: usize) -> Ordering {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::space::Bounds;
+    use crate::problem::space::Bounds;
 
     fn population(costs: &[Cost]) -> (Space, RankedPoints) {
         let space = Space::new(&[0.5], Bounds::new(&[0.0], &[10.0]).unwrap(), &[], &[]).unwrap();

@@ -1,10 +1,10 @@
 //! Asking and telling whole generations: which candidates still wait for an answer, what was best.
 
-use crate::answer::{Answers, Best};
 use crate::error::Error;
-use crate::method::Batch;
+use crate::method::interface::Batch;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
+use crate::outcome::answer::{Answers, Best};
 use serde::{Deserialize, Serialize};
 
 /// The bookkeeping of a method whose batches are the candidates that have no cost yet.

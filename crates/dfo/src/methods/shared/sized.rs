@@ -1,9 +1,9 @@
 //! A search that begins with a look for the sizes that nothing tells (`sizes.rs`), for methods that start from a point.
 
 use super::sizes::{Found, SizeSearch};
-use crate::answer::{Answers, Best};
 use crate::error::Error;
-use crate::method::{AnswersSoFar, Batch, Details, Method, Setup, Status, restored, saved};
+use crate::method::interface::{AnswersSoFar, Batch, Details, Method, Setup, Status, restored, saved};
+use crate::outcome::answer::{Answers, Best};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 

@@ -5,8 +5,8 @@
 //! no step lowers the cost, to where it changes by no more than its own size. What such a search has found is looked at once
 //! more from the point where the tests pass: a parameter that did not matter at the start may matter there.
 
-use crate::method::Batch;
-use crate::space::Space;
+use crate::method::interface::Batch;
+use crate::problem::space::Space;
 use serde::{Deserialize, Serialize};
 
 /// Ratio of two steps that follow one another.

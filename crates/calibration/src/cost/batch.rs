@@ -1,0 +1,176 @@
+//! Simulations around a point, in parallel: what a fit is worth is found from them, and they are counted apart from its evaluations.
+
+use crate::cost::accuracy::Accuracy;
+use crate::cost::calibration::Calibration;
+use crate::cost::failure::NoCost;
+use crate::cost::parallel;
+use crate::cost::process::Asked;
+use crate::cost::residual::CostRule;
+use crate::error::CalibrationError;
+use base::RunContext;
+use dfo::RobustLoss;
+use fmi::{InterfaceKind, SimulateOptions, SimulationPlan, Simulator};
+use ode::Stats;
+use std::sync::Arc;
+
+/// By what the relative tolerance is divided in accurate simulations.
+pub(crate) const ACCURATE: f64 = 100.0;
+
+/// Integration is not more accurate than this.
+const SMALLEST_TOLERANCE: f64 = 1e-13;
+
+/// A fixed-step method takes so many steps where none is asked for (see [`ode::Options::step_size`]).
+const DEFAULT_STEPS: f64 = 500.0;
+
+/// With a looser relative tolerance residuals may be noise, and their size says nothing of the error of the simulations.
+const LOOSEST_OF_EXACT: f64 = 1e-5;
+
+/// A point to be simulated.
+#[derive(Debug, Clone)]
+pub(crate) struct Point {
+    /// In the user's units.
+    pub(crate) x: Vec<f64>,
+    /// With a hundredth of the relative tolerance; with a fixed-step method, with half the step.
+    pub(crate) is_accurate: bool,
+}
+
+impl Point {
+    /// As the evaluations of a fit are made.
+    pub(crate) fn new(x: Vec<f64>) -> Self {
+        Self { x, is_accurate: false }
+    }
+}
+
+/// The residuals as they count in the cost, or why there are none.
+pub(crate) type Found = Result<Vec<f64>, String>;
+
+/// Makes simulations, and adds up what they take.
+pub(crate) struct Simulations<'a> {
+    pub(crate) calibration: &'a Calibration,
+    pub(crate) loss: RobustLoss,
+    /// Number of simulations that run at once.
+    pub(crate) workers: usize,
+    /// Asked on the calling thread.
+    pub(crate) context: RunContext<'a>,
+    /// Points that were simulated.
+    pub(crate) n: usize,
+    pub(crate) stats: Stats,
+}
+
+impl<'a> Simulations<'a> {
+    /// Chooses the solver and has the model tested, where that is not done yet.
+    pub(crate) fn new(
+        calibration: &'a Calibration,
+        (loss, workers): (RobustLoss, usize),
+        context: &RunContext<'a>,
+    ) -> Result<Self, CalibrationError> {
+        calibration.solver(context)?;
+        calibration.prepare()?;
+        Ok(Self { calibration, loss, workers, context: *context, n: 0, stats: Stats::default() })
+    }
+
+    /// The residuals at these points, in their order.
+    ///
+    /// # Errors
+    /// [`CalibrationError::Cancelled`]; no simulation can be made any more.
+    pub(crate) fn residuals(&mut self, points: &[Point]) -> Result<Vec<Found>, CalibrationError> {
+        if self.context.is_over() {
+            return Err(CalibrationError::Cancelled);
+        }
+        let (calibration, loss) = (self.calibration, self.loss);
+        let task = |k: usize, context: &RunContext<'_>| {
+            let mut residuals = vec![0.0; calibration.n_residuals()];
+            let (mut stats, rule) = (Stats::default(), CostRule::whole(loss, context));
+            let Point { x, is_accurate } = &points[k];
+            let cost = match is_accurate {
+                true => calibration.evaluate_accurately(x, rule, &mut residuals, &mut stats),
+                false => calibration.evaluate_into(x, rule, &mut residuals, &mut stats),
+            };
+            (cost.map(|_| residuals), stats)
+        };
+        let answers = parallel::map((points.len(), self.workers), &self.context, &task);
+        let mut found = Vec::with_capacity(points.len());
+        for answer in answers {
+            let Some((residuals, stats)) = answer else { return Err(CalibrationError::Cancelled) };
+            self.n += 1;
+            self.stats += stats;
+            found.push(match residuals {
+                Ok(residuals) => Ok(residuals),
+                Err(NoCost::Failed { message, .. }) => Err(message),
+                Err(NoCost::Over(error)) => return Err(CalibrationError::Model(*error)),
+                Err(NoCost::Cancelled | NoCost::Above) => return Err(CalibrationError::Cancelled),
+            });
+        }
+        Ok(found)
+    }
+}
+
+impl Calibration {
+    /// True if a cost is that of residuals within ten relative tolerances of the measurements: all error of
+    /// the simulations, or nearly so.
+    pub(crate) fn is_within_tolerance(&self, cost: f64) -> bool {
+        let weighted = self.residual_layout().outputs.iter().flat_map(|o| o.measured.iter().zip(&o.weights));
+        let measured: f64 = weighted.map(|(y, w)| (y * w) * (y * w)).sum();
+        let tolerance = self.relative_tolerance().min(LOOSEST_OF_EXACT);
+        cost <= (10.0 * tolerance).powi(2) * measured
+    }
+
+    /// The relative tolerance of its simulations.
+    pub(crate) fn relative_tolerance(&self) -> f64 {
+        self.evaluator().simulations[0].pool.plan().relative_tolerance()
+    }
+
+    /// True if the simulations of the calibration have a fixed step.
+    pub(crate) fn has_fixed_step(&self) -> bool {
+        let plan = self.evaluator().simulations[0].pool.plan();
+        plan.kind() == InterfaceKind::ModelExchange && self.problem().settings.method.is_fixed_step()
+    }
+
+    /// As [`evaluate_into`](Self::evaluate_into), with a hundredth of the relative tolerance or half the step.
+    fn evaluate_accurately(
+        &self,
+        x: &[f64],
+        rule: CostRule<'_>,
+        out: &mut [f64],
+        stats: &mut Stats,
+    ) -> Result<f64, NoCost> {
+        let tolerance = self.relative_tolerance();
+        let accuracy = match self.has_fixed_step() {
+            true => Accuracy::HalfStep,
+            false => Accuracy::Tolerance((tolerance / ACCURATE).max(SMALLEST_TOLERANCE).min(tolerance)),
+        };
+        self.evaluate_with(accuracy, x, rule, out, stats)
+    }
+
+    /// As [`evaluate_into`](Self::evaluate_into), with this accuracy.
+    pub(crate) fn evaluate_with(
+        &self,
+        accuracy: Accuracy,
+        x: &[f64],
+        rule: CostRule<'_>,
+        out: &mut [f64],
+        stats: &mut Stats,
+    ) -> Result<f64, NoCost> {
+        if let Ok(remote) = &self.evaluator().remote {
+            let method = self.method(&rule.context)?;
+            return remote.evaluate((x, method), rule, (Some(accuracy), Asked::Any), out, stats);
+        }
+        self.evaluator().evaluate(x, rule, out, stats, |k, run| {
+            let asked = self.evaluator().simulations[k].options_at_start();
+            let mut options = SimulateOptions {
+                method: self.known_solver().map_or(asked.method, |solver| solver.method),
+                ..asked
+            };
+            match accuracy {
+                Accuracy::Tolerance(tolerance) => options.relative_tolerance = Some(tolerance),
+                Accuracy::HalfStep => {
+                    let span = options.start_time.zip(options.final_time).map(|(from, to)| to - from);
+                    let step = options.step_size.or(span.map(|span| span / DEFAULT_STEPS));
+                    options.step_size = step.map(|step| 0.5 * step);
+                }
+            }
+            Ok(SimulationPlan::new(self.fmu(), &options)
+                .and_then(|plan| run(&mut Simulator::new(Arc::new(plan))?)))
+        })
+    }
+}

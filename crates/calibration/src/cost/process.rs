@@ -1,0 +1,424 @@
+//! Simulations in worker processes: what a worker is asked for, and its answers.
+
+use crate::cost::accuracy::Accuracy;
+use crate::cost::failure::{NoCost, ToldNoCost};
+use crate::cost::parallel::beside;
+use crate::cost::race::{RaceOutcome, RaceRun, RaceTask};
+use crate::cost::residual::CostRule;
+use crate::error::CalibrationError;
+use crate::problem::definition::{ModelFile, Problem};
+use crate::problem::experiment::SimulationSettings;
+use base::RunContext;
+use dfo::RobustLoss;
+use fmi::worker::{Frame, Isolation, Load, WorkerLimits, Workers};
+use fmi::{FmiError, Fmu, OpenOptions, SimulateOptions, Trajectory};
+use ode::{Method, Stats};
+use serde::{Deserialize, Serialize};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Data of a calibration that a worker loads.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Loaded {
+    pub(crate) problem: Problem,
+    pub(crate) options: OpenOptions,
+}
+
+/// Request to a worker.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) enum Job {
+    /// To load a problem and its model, which the other jobs are of.
+    Load(Box<Loaded>),
+    /// To open a model, of which [`Simulate`](Self::Simulate) is.
+    Open(ModelFile, Box<OpenOptions>),
+    /// A simulation of the model.
+    Simulate(Box<SimulateOptions>),
+    /// The cost and the residuals at a point.
+    Evaluate {
+        x: Vec<f64>,
+        method: Method,
+        loss: RobustLoss,
+        cutoff: f64,
+        /// Where it is not that of the problem.
+        accuracy: Option<Accuracy>,
+    },
+    /// A simulation of a race between methods.
+    Race(RaceTask),
+    /// The compared outputs of an experiment.
+    Experiment { experiment: usize, x: Vec<f64>, method: Method, times: Option<Vec<f64>> },
+    /// Variables of the model in an experiment.
+    Variables {
+        experiment: usize,
+        x: Vec<f64>,
+        method: Method,
+        times: Option<Vec<f64>>,
+        variables: Vec<String>,
+    },
+}
+
+/// An evaluation; its residuals are the numbers of the frame.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Evaluated {
+    pub(crate) cost: Result<f64, ToldNoCost>,
+    pub(crate) stats: Stats,
+}
+
+/// A simulation of a race; its samples and then its residuals are the numbers of the frame.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Raced {
+    pub(crate) outcome: RacedOutcome,
+    /// Statistics of all its simulations.
+    pub(crate) stats: Stats,
+    /// Number of residuals, and the seconds that they took.
+    pub(crate) at_start: Option<(usize, f64)>,
+}
+
+/// A [`RaceOutcome`] without its samples.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) enum RacedOutcome {
+    Finished(Stats),
+    GivenUp,
+    Failed(String),
+}
+
+/// Process that answers a request.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Asked {
+    /// Any that has loaded the problem.
+    Any,
+    /// The same, but the second question of this kind is asked in a new process, too, to see whether the answer is the same.
+    Checked,
+    /// A new one.
+    Fresh,
+}
+
+/// Message where the answers depend on earlier requests to a process.
+pub(crate) const HIDDEN_STATE: &str = "a cost depends on what ran before it in the same process (a state that the model keeps and no variable shows): each \
+                                       evaluation has a process of its own";
+
+/// The start of a process takes about so long.
+const START: Duration = Duration::from_millis(20);
+
+/// Worker processes that have loaded the same.
+#[derive(Debug)]
+struct Processes {
+    fmu: Fmu,
+    workers: Arc<Workers>,
+    load: Arc<Load>,
+    /// Each question has a process of its own.
+    is_always_fresh: AtomicBool,
+    /// True after the test for answers that depend on earlier requests.
+    is_checked: AtomicBool,
+    /// The first question that was to be checked, and the numbers of its answer.
+    first: Mutex<Option<(Frame, Vec<f64>)>>,
+    /// Frames that were used before.
+    frames: Mutex<Vec<(Frame, Frame)>>,
+}
+
+impl Processes {
+    /// Nothing is loaded yet.
+    fn new(fmu: &Fmu, limits: WorkerLimits, load: &Job) -> Result<Self, FmiError> {
+        let workers =
+            fmu.workers(limits).ok_or_else(|| FmiError::NoWorker { reason: NO_LAUNCHER.to_owned() })?;
+        let load = Arc::new(Load::new(Frame::of(load).map_err(unsaid)?));
+        workers.start_ahead(&load, 1, 0);
+        Ok(Self {
+            fmu: fmu.clone(),
+            workers,
+            load,
+            is_always_fresh: AtomicBool::new(false),
+            is_checked: AtomicBool::new(false),
+            first: Mutex::default(),
+            frames: Mutex::default(),
+        })
+    }
+
+    /// Asks a worker, and hands its answer to `use_answer`. `limit`: of a single simulation.
+    fn ask<T>(
+        &self,
+        job: &Job,
+        (process, limit): (Asked, Option<Duration>),
+        context: &RunContext<'_>,
+        use_answer: impl FnOnce(&mut Frame) -> std::io::Result<T>,
+    ) -> Result<T, FmiError> {
+        let frames = || self.frames.lock().unwrap_or_else(PoisonError::into_inner);
+        let (mut asked, mut answer) = frames().pop().unwrap_or_default();
+        asked.set_head(job).map_err(unsaid)?;
+        let is_fresh = process == Asked::Fresh || self.is_always_fresh.load(Ordering::Relaxed);
+        let is_checked = || self.is_checked.load(Ordering::Relaxed);
+        if process != Asked::Checked || is_fresh || is_checked() {
+            self.call(&asked, &mut answer, (is_fresh, limit), context)?;
+        } else {
+            self.ask_checked(&asked, &mut answer, limit, context)?;
+        }
+        if process == Asked::Checked && !is_checked() || self.is_always_fresh.load(Ordering::Relaxed) {
+            self.workers.start_ahead(&self.load, 0, 1);
+        }
+        let used = use_answer(&mut answer).map_err(unsaid);
+        frames().push((asked, answer));
+        used
+    }
+
+    fn call(
+        &self,
+        asked: &Frame,
+        answer: &mut Frame,
+        (is_fresh, limit): (bool, Option<Duration>),
+        context: &RunContext<'_>,
+    ) -> Result<(), FmiError> {
+        let quirks = self.workers.call(&self.load, asked, answer, context, limit, is_fresh)?;
+        self.fmu.add_quirks(quirks);
+        Ok(())
+    }
+
+    /// Asks a worker; the second question also asks a fresh one, at the same time, and the first question again where that takes no
+    /// longer than the start of a process. Where numbers differ, and two fresh processes agree, each question has one of its own from now on.
+    fn ask_checked(
+        &self,
+        asked: &Frame,
+        answer: &mut Frame,
+        limit: Option<Duration>,
+        context: &RunContext<'_>,
+    ) -> Result<(), FmiError> {
+        let known = || self.first.lock().unwrap_or_else(PoisonError::into_inner);
+        let first = known().clone();
+        let Some((first, numbers)) = first.filter(|(first, _)| first != asked) else {
+            self.call(asked, answer, (false, limit), context)?;
+            known().get_or_insert_with(|| (asked.clone(), answer.numbers.clone()));
+            return Ok(());
+        };
+        if self.is_checked.swap(true, Ordering::Relaxed) {
+            return self.call(asked, answer, (false, limit), context);
+        }
+        let (began, mut again) = (Instant::now(), Frame::default());
+        let in_fresh = |context: &RunContext<'_>| {
+            let mut answer = Frame::default();
+            self.call(asked, &mut answer, (true, limit), context).map(|()| answer)
+        };
+        let (own, fresh) = beside(context, in_fresh, || {
+            self.call(asked, answer, (false, limit), context)?;
+            match began.elapsed() < START {
+                true => self.call(&first, &mut again, (false, limit), context),
+                false => Ok(()),
+            }
+        });
+        own?;
+        let Some(Ok(fresh)) = fresh else { return Ok(()) };
+        let is_first_same = again == Frame::default() || has_same_bits(&again.numbers, &numbers);
+        if is_first_same && has_same_bits(&fresh.numbers, &answer.numbers) {
+            return Ok(());
+        }
+        self.call(asked, answer, (true, limit), context)?;
+        let model = &self.fmu.description().model_name;
+        if has_same_bits(&fresh.numbers, &answer.numbers) {
+            log::warn!("{model}: {HIDDEN_STATE}");
+            self.is_always_fresh.store(true, Ordering::Relaxed);
+        } else {
+            log::warn!(
+                "{model}: the same simulation in two fresh processes differs: nothing can be reproduced"
+            );
+        }
+        Ok(())
+    }
+}
+
+fn has_same_bits(one: &[f64], other: &[f64]) -> bool {
+    one.iter().map(|x| x.to_bits()).eq(other.iter().map(|x| x.to_bits()))
+}
+
+/// The worker processes of a calibration.
+#[derive(Debug)]
+pub(crate) struct Remote {
+    processes: Processes,
+    /// The limit of a single simulation.
+    run_limit: Option<Duration>,
+}
+
+impl Remote {
+    /// The processes for a problem, or why its model runs in this one; `None`: that was asked for.
+    pub(crate) fn of(fmu: &Fmu, problem: &Problem) -> Result<Self, Option<String>> {
+        let settings = &problem.settings;
+        if settings.isolation == Isolation::None || fmu.is_absent() {
+            return Err(None);
+        }
+        if let Some(input) = problem.experiments.iter().find_map(|experiment| experiment.driven_by_function())
+        {
+            return Err(Some(format!("the input {input} is a function of this program")));
+        }
+        let limits = settings.worker_limits();
+        // Where it is now, in this process no further process is started.
+        let model = ModelFile::of(fmu).map_err(|error| Some(error.to_string()))?;
+        let settings = SimulationSettings { isolation: Isolation::None, ..settings.clone() };
+        let problem = Problem { model, settings, ..problem.clone() };
+        let run_limit = problem.settings.timeout;
+        let load = Job::Load(Box::new(Loaded { problem, options: fmu.options().clone() }));
+        let processes = Processes::new(fmu, limits, &load).map_err(|error| match error {
+            FmiError::NoWorker { reason } => Some(reason),
+            error => Some(error.to_string()),
+        })?;
+        Ok(Self { processes, run_limit })
+    }
+
+    /// Starts the processes of a fit in the background: for its threads, and the one in which its result is evaluated again.
+    pub(crate) fn start_ahead(&self, n_threads: usize) {
+        self.processes.is_checked.store(true, Ordering::Relaxed);
+        self.processes.workers.start_ahead(&self.processes.load, n_threads, 1);
+    }
+
+    /// Evaluates each point in a process of its own from now on.
+    pub(crate) fn set_always_fresh(&self) {
+        self.processes.is_always_fresh.store(true, Ordering::Relaxed);
+    }
+
+    /// True if each point is evaluated in a process of its own.
+    pub(crate) fn is_always_fresh(&self) -> bool {
+        self.processes.is_always_fresh.load(Ordering::Relaxed)
+    }
+
+    fn ask<T>(
+        &self,
+        job: &Job,
+        process: Asked,
+        context: &RunContext<'_>,
+        use_answer: impl FnOnce(&mut Frame) -> std::io::Result<T>,
+    ) -> Result<T, FmiError> {
+        self.processes.ask(job, (process, self.run_limit), context, use_answer)
+    }
+
+    /// The cost at a point, its residuals into `out`; see [`Evaluator::evaluate`](crate::cost::evaluator::Evaluator::evaluate).
+    pub(crate) fn evaluate(
+        &self,
+        (x, method): (&[f64], Method),
+        rule: CostRule<'_>,
+        (accuracy, process): (Option<Accuracy>, Asked),
+        out: &mut [f64],
+        stats: &mut Stats,
+    ) -> Result<f64, NoCost> {
+        let CostRule { loss, cutoff, context } = rule;
+        let job = Job::Evaluate { x: x.to_vec(), method, loss, cutoff, accuracy };
+        let mut use_answer = |answer: &mut Frame| {
+            let Evaluated { cost, stats } = answer.head()?;
+            if cost.is_ok() {
+                if answer.numbers.len() != out.len() {
+                    let message = format!("{} residuals instead of {}", answer.numbers.len(), out.len());
+                    return Err(std::io::Error::new(std::io::ErrorKind::InvalidData, message));
+                }
+                out.copy_from_slice(&answer.numbers);
+            }
+            Ok((cost, stats))
+        };
+        let mut evaluated = self.ask(&job, process, &context, &mut use_answer);
+        if process != Asked::Fresh && matches!(&evaluated, Ok((Err(told), _)) if told.is_of_process()) {
+            // A process that was used before may have lost what it needs.
+            evaluated = self.ask(&job, Asked::Fresh, &context, &mut use_answer);
+        }
+        let (cost, taken) = evaluated.map_err(NoCost::of_worker)?;
+        *stats += taken;
+        cost.map_err(NoCost::from)
+    }
+
+    /// A simulation of a race, and the residuals at the start with the seconds that they took.
+    pub(crate) fn race(
+        &self,
+        task: RaceTask,
+        context: &RunContext<'_>,
+        stats: &mut Stats,
+    ) -> Result<RaceRun, CalibrationError> {
+        let raced = self.ask(&Job::Race(task), Asked::Any, context, |answer| {
+            let raced: Raced = answer.head()?;
+            Ok((raced, std::mem::take(&mut answer.numbers)))
+        });
+        let (Raced { outcome, stats: taken, at_start }, mut samples) = match raced {
+            Ok(raced) => raced,
+            Err(error) => {
+                return match NoCost::of_worker(error) {
+                    NoCost::Failed { reason, .. } => Ok((RaceOutcome::Failed(reason), None)),
+                    NoCost::Over(error) => Err(CalibrationError::Model(*error)),
+                    NoCost::Above | NoCost::Cancelled => Err(CalibrationError::Cancelled),
+                };
+            }
+        };
+        *stats += taken;
+        let at_start =
+            at_start.map(|(n, seconds)| (samples.split_off(samples.len().saturating_sub(n)), seconds));
+        let outcome = match outcome {
+            RacedOutcome::Finished(stats) => RaceOutcome::Finished { samples, stats },
+            RacedOutcome::GivenUp => RaceOutcome::GivenUp,
+            RacedOutcome::Failed(reason) => RaceOutcome::Failed(reason),
+        };
+        Ok((outcome, at_start))
+    }
+
+    /// A recorded simulation.
+    pub(crate) fn trajectory(
+        &self,
+        job: &Job,
+        context: &RunContext<'_>,
+    ) -> Result<Trajectory, CalibrationError> {
+        let trajectory = self.ask(job, Asked::Checked, context, trajectory_of);
+        trajectory.map_err(|error| match error {
+            FmiError::Cancelled => CalibrationError::Cancelled,
+            error => error.into(),
+        })
+    }
+}
+
+/// A model that is simulated in processes of its own.
+#[derive(Debug)]
+pub struct ModelProcess {
+    processes: Processes,
+}
+
+impl ModelProcess {
+    /// Nothing is loaded yet.
+    ///
+    /// # Errors
+    /// The file of the model cannot be read any more; [`FmiError::NoWorker`]: this program cannot start processes for it.
+    pub fn new(fmu: &Fmu, limits: WorkerLimits) -> Result<Self, FmiError> {
+        let open = Job::Open(ModelFile::of(fmu)?, Box::new(fmu.options().clone()));
+        Ok(Self { processes: Processes::new(fmu, limits, &open)? })
+    }
+
+    /// As [`Fmu::simulate_with`], with the same bits. The context ends it. The second simulation is also made in a new process, at the
+    /// same time; where that gives others, each one has a new process from then on.
+    ///
+    /// # Errors
+    /// As [`Fmu::simulate`]; [`FmiError::WorkerEnded`]; [`FmiError::Cancelled`]; inputs that are functions.
+    pub fn simulate(
+        &self,
+        options: &SimulateOptions,
+        context: &RunContext<'_>,
+    ) -> Result<Trajectory, FmiError> {
+        if let Some(input) = options.inputs.as_ref().and_then(|inputs| inputs.driven_by_function()) {
+            let problem =
+                format!("the input {input} is a function of this program, which no other process can call");
+            return Err(FmiError::BadSetting { problem });
+        }
+        let job = Job::Simulate(Box::new(options.clone()));
+        self.processes.ask(&job, (Asked::Checked, options.timeout), context, trajectory_of)
+    }
+}
+
+const NO_LAUNCHER: &str = "this program cannot start processes for it (worker::serve_if_asked)";
+
+fn unsaid(error: std::io::Error) -> FmiError {
+    FmiError::BadSetting { problem: error.to_string() }
+}
+
+/// Puts a trajectory into a frame: its rows are the numbers.
+pub(crate) fn put_trajectory(mut trajectory: Trajectory, answer: &mut Frame) -> std::io::Result<()> {
+    answer.numbers.append(&mut trajectory.time);
+    trajectory.columns.iter_mut().for_each(|column| answer.numbers.append(column));
+    answer.set_head(&trajectory)
+}
+
+fn trajectory_of(answer: &mut Frame) -> std::io::Result<Trajectory> {
+    let mut trajectory: Trajectory = answer.head()?;
+    let rows = answer.numbers.len() / (trajectory.columns.len() + 1);
+    let mut columns = answer.numbers.chunks(rows.max(1));
+    let mut column = || columns.next().map(<[f64]>::to_vec).unwrap_or_default();
+    trajectory.time = column();
+    trajectory.columns.iter_mut().for_each(|values| *values = column());
+    Ok(trajectory)
+}

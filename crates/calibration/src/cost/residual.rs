@@ -1,0 +1,382 @@
+//! Simulated against measured, sample by sample while the simulation runs; no trajectory is stored.
+
+use crate::data::Series;
+use crate::problem::measurements::Counted;
+use crate::problem::residual_layout::OutputResiduals;
+use base::RunContext;
+use dfo::RobustLoss;
+use ode::{Observer, Sample};
+use std::ops::ControlFlow;
+
+/// Measurements that the simulation of an experiment is compared with, in the order of its residuals: output
+/// by output, each in the order of time.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Comparison {
+    outputs: Vec<Counted>,
+    /// Where the residuals of each output begin, and where those of the last end.
+    begins: Vec<usize>,
+}
+
+/// At which times the simulation is sampled, and which measurements each sample is compared with.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct Schedule {
+    /// Ascending, each once.
+    pub(crate) times: Series,
+    /// Per output, the sample that each of its measurements is compared with, ascending; none: each has its own.
+    samples: Vec<Vec<u32>>,
+}
+
+impl Comparison {
+    pub(crate) fn new(outputs: &[Counted]) -> Self {
+        let begins = outputs.iter().scan(0, |end, output| {
+            *end += output.times.len();
+            Some(*end)
+        });
+        Self { begins: std::iter::once(0).chain(begins).collect(), outputs: outputs.to_vec() }
+    }
+
+    /// Number of residuals.
+    pub(crate) fn n_residuals(&self) -> usize {
+        self.begins[self.outputs.len()]
+    }
+
+    /// The samples of outputs that are late by these delays, of which none is before the start of the simulation; times within
+    /// rounding are one.
+    pub(crate) fn schedule(&self, delays: impl Fn(usize) -> f64, start: f64) -> Schedule {
+        let delays: Vec<f64> = (0..self.outputs.len()).map(delays).collect();
+        let time = |output: usize, time: f64| (time - delays[output]).max(start);
+        let ends = self.outputs.iter().enumerate().filter_map(|(k, o)| Some(time(k, *o.times.last()?)));
+        let last = ends.fold(start, f64::max);
+        let rounding = 100.0 * f64::EPSILON / 2.0 * start.abs().max(last.abs()).max(last - start);
+        let is_apart = |times: &[f64]| times.windows(2).all(|pair| pair[1] - pair[0] > rounding);
+        if let Some((first, others)) = self.outputs.split_first()
+            && delays.iter().all(|delay| *delay == 0.0)
+            && others.iter().all(|other| other.times == first.times)
+            && first.times.first().is_some_and(|first| *first >= start)
+            && is_apart(&first.times)
+        {
+            return Schedule { times: first.times.clone(), samples: Vec::new() };
+        }
+        let mut next = vec![0; self.outputs.len()];
+        let mut samples: Vec<Vec<u32>> =
+            self.outputs.iter().map(|o| Vec::with_capacity(o.times.len())).collect();
+        let mut times: Vec<f64> = Vec::new();
+        // The earliest of the measurements that are left.
+        while let Some((now, output)) = (self.outputs.iter().enumerate())
+            .filter_map(|(k, o)| Some((time(k, *o.times.get(next[k])?), k)))
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+        {
+            next[output] += 1;
+            if !times.last().is_some_and(|known| now - known <= rounding) {
+                times.push(now);
+            }
+            samples[output].push(u32::try_from(times.len() - 1).unwrap_or(u32::MAX));
+        }
+        Schedule { times: times.into(), samples }
+    }
+
+    /// Outputs that are only sampled, all at these times.
+    pub(crate) fn at_times(times: &[f64], n_outputs: usize) -> Self {
+        let none: Series = vec![f64::NAN; times.len()].into();
+        let output = Counted { times: times.to_vec().into(), values: none.clone(), weights: none };
+        Self::new(&vec![output; n_outputs])
+    }
+
+    /// Per output, its values where it is compared, from columns of samples.
+    pub(crate) fn gather(&self, schedule: &Schedule, columns: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        let of_output = |(k, output): (usize, &Counted)| {
+            (0..output.times.len()).map(|row| columns[k][schedule.sample_of(k, row)]).collect()
+        };
+        self.outputs.iter().enumerate().map(of_output).collect()
+    }
+
+    /// Layout of the residual vector, output by output, from position `offset` on.
+    pub(crate) fn layout(&self, offset: usize) -> Vec<OutputResiduals> {
+        let of_output = |(output, counted): (usize, &Counted)| OutputResiduals {
+            experiment: 0,
+            output,
+            variable: String::new(),
+            column: String::new(),
+            range: offset + self.begins[output]..offset + self.begins[output + 1],
+            times: counted.times.clone(),
+            measured: counted.values.clone(),
+            weights: counted.weights.clone(),
+        };
+        self.outputs.iter().enumerate().map(of_output).collect()
+    }
+}
+
+impl Schedule {
+    /// The sample that a measurement of an output is compared with.
+    fn sample_of(&self, output: usize, row: usize) -> usize {
+        self.samples.get(output).map_or(row, |samples| samples[row] as usize)
+    }
+}
+
+/// Loss function of the residuals, and the conditions that end an evaluation.
+#[derive(Clone, Copy)]
+pub(crate) struct CostRule<'a> {
+    /// Residuals are what it makes of the plain ones.
+    pub(crate) loss: RobustLoss,
+    /// The simulation ends when the sum is strictly above this.
+    pub(crate) cutoff: f64,
+    /// Asked before every step.
+    pub(crate) context: RunContext<'a>,
+}
+
+impl<'a> CostRule<'a> {
+    /// The whole cost.
+    pub(crate) fn whole(loss: RobustLoss, context: &RunContext<'a>) -> Self {
+        Self { loss, cutoff: f64::INFINITY, context: *context }
+    }
+}
+
+/// The cost that residuals make: the sum of their squares from the first to the last, by which it has the same bits wherever it
+/// is computed.
+pub(crate) fn sum_of_squares(residuals: &[f64]) -> f64 {
+    residuals.iter().fold(0.0, |sum, residual| sum + residual * residual)
+}
+
+/// Takes the residuals from a simulation as it delivers the samples, and adds up their squares (time by time, output by output
+/// within a time), which says when the cost is sure to be above a cutoff.
+pub(crate) struct Accumulator<'a> {
+    comparison: &'a Comparison,
+    schedule: &'a Schedule,
+    /// Offset that is added to each output.
+    offsets: &'a [f64],
+    rule: CostRule<'a>,
+    /// The sum so far; starts with what earlier experiments have left.
+    pub(crate) sum: f64,
+    /// Samples seen.
+    seen: usize,
+    /// Per output, the first measurement that is not compared yet.
+    next: Vec<usize>,
+    /// Where the residuals go.
+    out: &'a mut [f64],
+    pub(crate) stop: Option<Stop>,
+}
+
+/// Why the accumulator ended the simulation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Stop {
+    /// The partial sum is strictly above the cutoff.
+    AboveCutoff,
+    /// A simulated value, or the sum, is not finite; the output counted from 0.
+    NotFinite(usize),
+    /// The run is being ended from outside.
+    Cancelled,
+}
+
+impl<'a> Accumulator<'a> {
+    pub(crate) fn new(
+        (comparison, schedule): (&'a Comparison, &'a Schedule),
+        offsets: &'a [f64],
+        rule: CostRule<'a>,
+        (sum, out): (f64, &'a mut [f64]),
+    ) -> Self {
+        let next = vec![0; comparison.outputs.len()];
+        Self { comparison, schedule, offsets, rule, sum, seen: 0, next, out, stop: None }
+    }
+
+    /// True if every requested time has been delivered.
+    pub(crate) fn is_complete(&self) -> bool {
+        self.seen == self.schedule.times.len()
+    }
+
+    fn end(&mut self, why: Stop) -> ControlFlow<()> {
+        self.stop = Some(why);
+        ControlFlow::Break(())
+    }
+}
+
+impl Observer for Accumulator<'_> {
+    fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()> {
+        let Some(index) = sample.index else { return ControlFlow::Continue(()) };
+        for (k, output) in self.comparison.outputs.iter().enumerate() {
+            while self.next[k] < output.times.len() && self.schedule.sample_of(k, self.next[k]) == index {
+                let row = self.next[k];
+                self.next[k] += 1;
+                let simulated = sample.outputs[k] + self.offsets[k];
+                let residual =
+                    self.rule.loss.transform(output.weights[row] * (simulated - output.values[row]));
+                self.out[self.comparison.begins[k] + row] = residual;
+                self.sum += residual * residual;
+                if !self.sum.is_finite() {
+                    return self.end(Stop::NotFinite(k));
+                }
+            }
+        }
+        self.seen = index + 1;
+        if self.sum > self.rule.cutoff { self.end(Stop::AboveCutoff) } else { ControlFlow::Continue(()) }
+    }
+
+    fn poll(&mut self) -> ControlFlow<()> {
+        if self.rule.context.is_over() { self.end(Stop::Cancelled) } else { ControlFlow::Continue(()) }
+    }
+}
+
+/// Weighted sum of squared errors between measured and simulated series, as the paper's tool computes it: the
+/// simulation has its own time grid and is interpolated linearly to the measured times; where a time stands there
+/// twice (an event), the mean of both values counts. `y_*` hold one row per quantity; `w` (one per quantity, default 1)
+/// multiplies the squared errors. Times outside of the simulated span take its end values.
+///
+/// # Errors
+/// Lengths that do not fit, simulated times that do not ascend, nothing simulated; the message names the numbers.
+pub fn quad_err(
+    t_meas: &[f64],
+    y_meas: &[&[f64]],
+    t_sim: &[f64],
+    y_sim: &[&[f64]],
+    w: Option<&[f64]>,
+) -> Result<f64, String> {
+    if y_meas.len() != y_sim.len() {
+        return Err(format!("{} measured quantities against {} simulated ones", y_meas.len(), y_sim.len()));
+    }
+    if let Some(w) = w
+        && w.len() != y_meas.len()
+    {
+        return Err(format!("{} weights for {} quantities", w.len(), y_meas.len()));
+    }
+    for (name, t, rows) in [("measured", t_meas, y_meas), ("simulated", t_sim, y_sim)] {
+        if let Some((i, row)) = rows.iter().enumerate().find(|(_, row)| row.len() != t.len()) {
+            return Err(format!("{name} quantity {i} has {} values for {} times", row.len(), t.len()));
+        }
+    }
+    if t_sim.is_empty() {
+        return Err("there are no simulated times".to_owned());
+    }
+    if let Some(i) = (1..t_sim.len()).find(|&i| t_sim[i].is_nan() || t_sim[i] < t_sim[i - 1]) {
+        return Err(format!("simulated time {} at position {i} comes after {}", t_sim[i], t_sim[i - 1]));
+    }
+    let mut total = 0.0;
+    for (q, (measured, simulated)) in y_meas.iter().zip(y_sim).enumerate() {
+        let weight = w.map_or(1.0, |w| w[q]);
+        let mut sum = 0.0;
+        for (t, m) in t_meas.iter().zip(*measured) {
+            let error = interpolate(t_sim, simulated, *t) - m;
+            sum += error * error;
+        }
+        total += weight * sum;
+    }
+    Ok(total)
+}
+
+/// Linear interpolation; the mean of all values where `t` stands in `times`; end values outside.
+fn interpolate(times: &[f64], values: &[f64], t: f64) -> f64 {
+    let first = times.partition_point(|s| *s < t);
+    let after = first + times[first..].partition_point(|s| *s <= t);
+    if after > first {
+        return values[first..after].iter().sum::<f64>() / (after - first) as f64;
+    }
+    if t.is_nan() {
+        return f64::NAN;
+    }
+    if first == 0 {
+        return values[0];
+    }
+    if first == times.len() {
+        return values[first - 1];
+    }
+    let (t0, t1) = (times[first - 1], times[first]);
+    values[first - 1] + (values[first] - values[first - 1]) * ((t - t0) / (t1 - t0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ode::Side;
+
+    fn measured(rows: &[(f64, f64)]) -> Counted {
+        Counted {
+            times: rows.iter().map(|row| row.0).collect(),
+            values: rows.iter().map(|row| row.1).collect(),
+            weights: vec![1.0; rows.len()].into(),
+        }
+    }
+
+    fn sample<'a>(index: usize, outputs: &'a [f64]) -> Sample<'a> {
+        Sample { time: 0.0, index: Some(index), side: Side::Right, states: &[], outputs }
+    }
+
+    #[test]
+    fn the_vector_is_ordered_output_by_output() {
+        let mut second = measured(&[(0.0, 10.0), (1.0, 20.0)]);
+        second.weights = vec![2.0; 2].into();
+        let c = Comparison::new(&[measured(&[(0.0, 1.0), (1.0, 2.0), (3.0, 3.0)]), second]);
+        let schedule = c.schedule(|_| 0.0, 0.0);
+        assert_eq!(schedule.times[..], [0.0, 1.0, 3.0]);
+        assert_eq!(c.n_residuals(), 5);
+        let mut out = [f64::NAN; 5];
+        let rule = CostRule::whole(RobustLoss::default(), &RunContext::new());
+        let mut a = Accumulator::new((&c, &schedule), &[0.0, 0.5], rule, (100.0, &mut out));
+        for i in 0..schedule.times.len() {
+            assert!(!a.is_complete());
+            assert!(a.sample(&sample(i, &[0.0, -0.5])).is_continue());
+        }
+        assert!(a.is_complete());
+        assert_eq!(a.sum, 100.0 + 1.0 + 400.0 + 4.0 + 1600.0 + 9.0);
+        assert_eq!(out, [-1.0, -2.0, -3.0, -20.0, -40.0]);
+    }
+
+    #[test]
+    fn late_outputs_are_sampled_earlier_but_not_before_the_start() {
+        let c = Comparison::new(&[
+            measured(&[(0.0, 1.0), (1.0, 2.0), (3.0, 3.0)]),
+            measured(&[(0.7, 4.0), (1.0, 5.0)]),
+        ]);
+        let schedule = c.schedule(|output| [0.4, 0.1][output], 0.0);
+        // 1 - 0.4 and 0.7 - 0.1 are one up to rounding.
+        assert_eq!(schedule.times.len(), 4);
+        assert_eq!(schedule.samples, [vec![0, 1, 3], vec![1, 2]], "{:?}", schedule.times);
+    }
+
+    #[test]
+    fn stops_strictly_above_the_cutoff_and_at_nan() {
+        let c = Comparison::new(&[measured(&[(0.0, 0.0), (1.0, 0.0)])]);
+        let schedule = c.schedule(|_| 0.0, 0.0);
+        let [mut first, mut second] = [[0.0; 2]; 2];
+        let rule = CostRule { cutoff: 4.0, ..CostRule::whole(RobustLoss::default(), &RunContext::new()) };
+        let mut a = Accumulator::new((&c, &schedule), &[0.0], rule, (0.0, &mut first));
+        assert!(a.sample(&sample(0, &[2.0])).is_continue());
+        assert!(a.sample(&sample(1, &[1e-3])).is_break());
+        assert_eq!(a.stop, Some(Stop::AboveCutoff));
+        let mut a = Accumulator::new((&c, &schedule), &[0.0], rule, (0.0, &mut second));
+        assert!(a.sample(&sample(0, &[f64::NAN])).is_break());
+        assert_eq!(a.stop, Some(Stop::NotFinite(0)));
+        assert!(!a.is_complete());
+    }
+
+    #[test]
+    fn quad_err_interpolates_linearly_and_weights_the_squares() {
+        let (t_sim, y) = ([0.0, 1.0, 3.0], [0.0, 2.0, 6.0]);
+        let e = quad_err(&[0.5, 2.0, 3.0], &[&[0.0, 4.0, 7.0]], &t_sim, &[&y], None).unwrap();
+        assert_eq!(e, 1.0 + 0.0 + 1.0);
+        let e = quad_err(&[0.5], &[&[0.0], &[0.0]], &t_sim, &[&y, &y], Some(&[2.0, 3.0])).unwrap();
+        assert_eq!(e, 2.0 + 3.0);
+        // beyond the ends: the end values; at an event: the mean of both sides
+        let e = quad_err(&[-1.0, 4.0], &[&[1.0, 1.0]], &[0.0, 1.0], &[&[0.0, 3.0]], None).unwrap();
+        assert_eq!(e, 1.0 + 4.0);
+        let e = quad_err(&[1.0], &[&[0.0]], &[0.0, 1.0, 1.0, 2.0], &[&[0.0, 2.0, 4.0, 4.0]], None).unwrap();
+        assert_eq!(e, 9.0);
+    }
+
+    #[test]
+    fn quad_err_names_what_does_not_fit() {
+        for (e, expected) in [
+            (quad_err(&[0.0], &[&[0.0]], &[0.0], &[], None), "1 measured quantities against 0"),
+            (quad_err(&[0.0], &[&[0.0]], &[], &[&[]], None), "no simulated times"),
+            (
+                quad_err(&[0.0, 1.0], &[&[0.0]], &[0.0], &[&[0.0]], None),
+                "measured quantity 0 has 1 values for 2",
+            ),
+            (
+                quad_err(&[0.0], &[&[0.0]], &[1.0, 0.0], &[&[0.0, 0.0]], None),
+                "simulated time 0 at position 1",
+            ),
+            (quad_err(&[0.0], &[&[0.0]], &[0.0], &[&[0.0]], Some(&[])), "0 weights for 1"),
+        ] {
+            let e = e.unwrap_err();
+            assert!(e.contains(expected), "{e}");
+        }
+    }
+}

@@ -1,0 +1,314 @@
+//! Simulation of an experiment: its plan, the assignment of the entries of `x`, and the comparison with
+//! measurements.
+
+use crate::cost::residual::{Comparison, Schedule};
+use crate::data::Series;
+use crate::error::CalibrationError;
+use crate::problem::assignment::{Affine, Assignments, initial_values};
+use crate::problem::definition::{Element, Problem};
+use crate::problem::experiment::{Experiment, InitialState};
+use crate::problem::input::{Shift, Signal};
+use crate::problem::measurements::Measurements;
+use crate::problem::parameter::Parameter;
+use crate::problem::warning::SetupWarning;
+use fmi::{FmiError, Fmu, Inputs, Pool, SimulateOptions, SimulationPlan, Simulator, Trajectory, Value};
+use ode::{Method, Number, Observer, Report};
+use std::borrow::Cow;
+use std::cmp::Ordering;
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+/// Simulation of an experiment and its comparison with measurements.
+#[derive(Debug)]
+pub(crate) struct Simulation {
+    /// The name of the experiment.
+    pub(crate) name: String,
+    /// Simulators with the method that the settings name.
+    pub(crate) pool: Pool,
+    /// The same at the parameters' start values, without the times of the rows.
+    pub(crate) options: SimulateOptions,
+    pub(crate) comparison: Comparison,
+    /// That of the start values.
+    schedule: Schedule,
+    /// At which something was measured.
+    times: Series,
+    signals: Vec<Signal>,
+    assigned: Assignments,
+    /// Delays of outputs, or delays or offsets of inputs, follow `x`.
+    is_shifted_by_x: bool,
+}
+
+impl Simulation {
+    /// The simulation of an experiment, and what is in doubt about it.
+    pub(crate) fn new(
+        fmu: &Fmu,
+        (name, experiment): (String, &Experiment),
+        (problem, elements): (&Problem, &[Element]),
+        mut assigned: Assignments,
+    ) -> Result<(Self, Vec<SetupWarning>), CalibrationError> {
+        let (description, settings) = (fmu.description(), &problem.settings);
+        let measurements =
+            Measurements::new(experiment, description.default_experiment.start_time.unwrap_or(0.0))?;
+        let start_time = measurements.start_time;
+        let comparison = Comparison::new(&measurements.outputs);
+        let signals =
+            experiment.inputs.iter().map(|(input, source)| Signal::new(input, source, &experiment.data));
+        let signals = signals.collect::<Result<Vec<_>, _>>()?;
+        let final_time = final_time(&measurements, &assigned, elements)?;
+        if !experiment.hold_inputs {
+            for (signal, (delay, _)) in signals.iter().zip(&assigned.inputs) {
+                let (lowest, highest) = range(delay, elements);
+                let span = (start_time - highest.min(0.0), final_time - lowest);
+                signal.check_covers(&experiment.data, span)?;
+            }
+        }
+        let start: Vec<f64> = elements.iter().map(|e| e.parameter.start()).collect();
+        let is_constant =
+            |(name, _): &&(String, _)| !Experiment::is_start_of_local(name, &problem.parameters);
+        let mut start_values: Vec<_> = experiment.start_values.iter().filter(is_constant).cloned().collect();
+        start_values.extend(initial_values(experiment, start_time, &mut assigned)?);
+        let names: Vec<String> = assigned.variables.iter().map(|(name, _)| name.clone()).collect();
+        let times = comparison.schedule(|_| 0.0, start_time).times;
+        let options = SimulateOptions {
+            start_time: Some(start_time),
+            final_time: Some(final_time),
+            start_values,
+            parameters: names.clone(),
+            outputs: Some(experiment.outputs.iter().map(|o| o.variable.clone()).collect()),
+            inputs: inputs(&signals, assigned.input_shifts(&start)),
+            relative_tolerance: settings.tolerance_of_fits(description),
+            kind: settings.kind,
+            method: settings.method,
+            step_size: settings.step_size,
+            max_step: settings.max_step,
+            timeout: settings.timeout,
+            chattering: settings.chattering,
+            input_derivatives: settings.input_derivatives,
+            ..SimulateOptions::default()
+        };
+        let schedule = comparison.schedule(|output| assigned.outputs[output].0.in_model(&start), start_time);
+        let is_late = schedule.times != times;
+        // What follows from the distance of the rows follows from that of the measurements.
+        let mut plan = SimulationPlan::new(
+            fmu,
+            &SimulateOptions {
+                final_time: Some(final_time.max(measurements.last_time())),
+                times: Some(times.to_vec()),
+                ..options.clone()
+            },
+        )?;
+        if is_late {
+            plan =
+                plan.with_rows(&SimulateOptions { times: Some(schedule.times.to_vec()), ..options.clone() })?;
+        }
+        plan.require_single_numbers()?;
+        experiment.check_outputs(description, &names)?;
+        let warnings = options.without_effect(plan.kind()).into_iter().map(SetupWarning::NoEffect).collect();
+        let is_shifted_by_x = assigned.outputs.iter().any(|(delay, _)| !delay.is_constant())
+            || assigned.inputs.iter().any(|(delay, offset)| !delay.is_constant() || !offset.is_constant());
+        let simulation = Self {
+            name,
+            pool: Pool::new(Arc::new(plan)),
+            options,
+            comparison,
+            schedule,
+            times,
+            signals,
+            assigned,
+            is_shifted_by_x,
+        };
+        Ok((simulation, warnings))
+    }
+
+    /// The values of its parameters at `x`.
+    pub(crate) fn values<'x>(&self, x: &'x [f64]) -> Cow<'x, [f64]> {
+        values(&self.assigned, x)
+    }
+
+    /// The variables that it sets and their values at `x`, in the units of the model.
+    pub(crate) fn named_values(&self, x: &[f64]) -> impl Iterator<Item = (&str, f64)> {
+        self.assigned.variables.iter().map(|(name, of)| (name.as_str(), of.in_model(x)))
+    }
+
+    /// Lets an experiment that gets other windows start when and where this one does.
+    pub(crate) fn keep_start(&self, experiment: &mut Experiment) {
+        experiment.start_time = experiment.start_time.or(experiment.warm_up.and(self.options.start_time));
+        for (state, initial) in &mut experiment.initial_states {
+            if *initial == InitialState::Measured
+                && let Some((_, Value::Real(value))) =
+                    self.options.start_values.iter().find(|(name, _)| name == state)
+            {
+                *initial = InitialState::Value(*value);
+            }
+        }
+    }
+
+    /// Offset that is added to each output at `x`.
+    pub(crate) fn output_offsets(&self, x: &[f64]) -> Vec<f64> {
+        self.assigned.outputs.iter().map(|(_, offset)| offset.in_model(x)).collect()
+    }
+
+    /// When the outputs are sampled at `x`.
+    pub(crate) fn schedule(&self, x: &[f64]) -> Cow<'_, Schedule> {
+        match self.is_shifted_by_x {
+            false => Cow::Borrowed(&self.schedule),
+            true => Cow::Owned(self.scheduled(&self.comparison, x)),
+        }
+    }
+
+    fn scheduled(&self, comparison: &Comparison, x: &[f64]) -> Schedule {
+        let start = self.options.start_time.unwrap_or_default();
+        comparison.schedule(|output| self.assigned.outputs[output].0.in_model(x), start)
+    }
+
+    /// The options at the parameters' start values, by which others are made with another method.
+    pub(crate) fn options_at_start(&self) -> SimulateOptions {
+        SimulateOptions { times: Some(self.schedule.times.to_vec()), ..self.options.clone() }
+    }
+
+    /// The options at `x`, with these rows.
+    fn options_at(&self, x: &[f64], times: &[f64]) -> SimulateOptions {
+        let last = times.last().copied();
+        SimulateOptions {
+            final_time: self.options.final_time.map(|end| last.map_or(end, |last| end.max(last))),
+            times: Some(times.to_vec()),
+            inputs: inputs(&self.signals, self.assigned.input_shifts(x)),
+            ..self.options.clone()
+        }
+    }
+
+    /// Simulates at `x` with one of its simulators.
+    pub(crate) fn run(
+        &self,
+        simulator: &mut Simulator,
+        x: &[f64],
+        schedule: &Schedule,
+        observer: &mut dyn Observer,
+    ) -> Result<Report, FmiError> {
+        if self.is_shifted_by_x {
+            let plan = simulator.plan().with_rows(&self.options_at(x, &schedule.times))?;
+            simulator.set_plan(Arc::new(plan))?;
+        }
+        simulator.run(&self.values(x), observer)
+    }
+
+    /// Options to record these variables of the model at `x`, as they are, at the measured times or those
+    /// given; without the values of [`named_values`](Self::named_values).
+    pub(crate) fn recording(
+        &self,
+        (x, method): (&[f64], Method),
+        times: Option<&[f64]>,
+        variables: &[String],
+    ) -> SimulateOptions {
+        let times = times.unwrap_or(&self.times);
+        SimulateOptions {
+            method,
+            parameters: Vec::new(),
+            outputs: Some(variables.to_vec()),
+            final_time: times.last().copied(),
+            ..self.options_at(x, times)
+        }
+    }
+
+    /// The compared outputs at `x` as they are compared, late and with their offsets, at the measured times or those given.
+    pub(crate) fn trajectory(
+        &self,
+        fmu: &Fmu,
+        (x, method): (&[f64], Method),
+        times: Option<&[f64]>,
+        poll: &mut dyn FnMut() -> ControlFlow<()>,
+    ) -> Result<Trajectory, FmiError> {
+        let given = times;
+        let times = times.unwrap_or(&self.times);
+        let is_late = self.assigned.outputs.iter().any(|(delay, _)| delay.in_model(x) != 0.0);
+        if is_late && let Some(given) = given {
+            // Those at which a late output is sampled are sorted, and begin at the start.
+            check_times(given, self.options.start_time.unwrap_or_default())?;
+        }
+        let rows = Comparison::at_times(times, self.assigned.outputs.len());
+        let schedule = is_late.then(|| self.scheduled(&rows, x));
+        let sampled = schedule.as_ref().map_or(times, |schedule| &schedule.times[..]);
+        let mut options = self.options_at(x, sampled);
+        options.method = method;
+        if schedule.is_none() {
+            options.final_time = times.last().copied();
+        }
+        options.parameters.clear();
+        options
+            .start_values
+            .extend(self.named_values(x).map(|(name, value)| (name.to_owned(), value.into())));
+        let mut trajectory = fmu.simulate_with(&options, poll)?;
+        if let Some(schedule) = schedule.filter(|schedule| trajectory.time.len() == schedule.times.len()) {
+            trajectory.columns = rows.gather(&schedule, &trajectory.columns);
+            trajectory.time = times.to_vec();
+        }
+        for (column, offset) in trajectory.columns.iter_mut().zip(self.output_offsets(x)) {
+            column.iter_mut().for_each(|value| *value += offset);
+        }
+        Ok(trajectory)
+    }
+}
+
+/// Refuses times of rows that no simulation has.
+fn check_times(times: &[f64], start: f64) -> Result<(), FmiError> {
+    let bad = |message: String| Err(FmiError::BadSetting { problem: message });
+    for (i, time) in times.iter().enumerate() {
+        let before = if i == 0 { start } else { times[i - 1] };
+        match time.partial_cmp(&before) {
+            Some(Ordering::Less) if i > 0 => {
+                let (time, before) = (Number(*time), Number(before));
+                return bad(format!("times must ascend: times[{i}] = {time} comes after {before}"));
+            }
+            Some(Ordering::Less) if start - time > 100.0 * f64::EPSILON * start.abs() => {
+                let (time, start) = (Number(*time), Number(start));
+                return bad(format!("times[{i}] = {time} is before the start of the simulation, {start}"));
+            }
+            Some(_) if time.is_finite() => {}
+            _ => return bad(format!("times[{i}] = {} is not a finite number", Number(*time))),
+        }
+    }
+    Ok(())
+}
+
+fn values<'x>(assigned: &Assignments, x: &'x [f64]) -> Cow<'x, [f64]> {
+    match assigned.is_identity {
+        true => Cow::Borrowed(x),
+        false => assigned.variables.iter().map(|(_, of)| of.in_model(x)).collect(),
+    }
+}
+
+fn inputs(signals: &[Signal], shifts: impl Iterator<Item = Shift>) -> Option<Inputs> {
+    let add = |inputs: Inputs, (signal, shift): (&Signal, Shift)| signal.add_to(inputs, shift);
+    (!signals.is_empty()).then(|| signals.iter().zip(shifts).fold(Inputs::new(), add))
+}
+
+/// The lowest and the highest value of a number within the bounds of its parameter.
+fn range(of: &Affine, elements: &[Element]) -> (f64, f64) {
+    let at = |bound: fn(&Parameter) -> f64| {
+        let value = of.entry.map_or(0.0, |entry| bound(&elements[entry].parameter));
+        Affine { entry: of.entry.map(|_| 0), ..*of }.in_model(&[value])
+    };
+    let (one, other) = (at(Parameter::lower), at(Parameter::upper));
+    (one.min(other), one.max(other))
+}
+
+/// Where a simulation ends: at the last measurement, or at its last sample where outputs may be early.
+fn final_time(
+    measurements: &Measurements,
+    assigned: &Assignments,
+    elements: &[Element],
+) -> Result<f64, CalibrationError> {
+    let mut end = measurements.start_time;
+    for (measured, (delay, _)) in measurements.outputs.iter().zip(&assigned.outputs) {
+        let (lowest, _) = range(delay, elements);
+        if !lowest.is_finite() {
+            let name =
+                delay.entry.map(|entry| elements[entry].parameter.name().to_owned()).unwrap_or_default();
+            let message =
+                format!("a delay follows it that may be {} s: give it finite bounds", Number(lowest));
+            return Err(CalibrationError::Parameter { name, message });
+        }
+        end = measured.times.iter().fold(end, |end, time| end.max(time - lowest.min(0.0)));
+    }
+    Ok(end)
+}

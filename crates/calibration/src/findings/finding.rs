@@ -1,0 +1,96 @@
+//! Findings about a setup or a fit: sentences with a subject, a severity, and a remedy.
+
+use crate::findings::visible::visible;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// Severity of a finding.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Severity {
+    /// Nothing can be fitted as it is.
+    Error,
+    /// It is likely not what is meant, or a value is not to be relied on.
+    Warning,
+    /// Worth knowing.
+    Note,
+}
+
+impl Severity {
+    /// In lower case.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Error => "error",
+            Self::Warning => "warning",
+            Self::Note => "note",
+        }
+    }
+}
+
+/// Something that a check has found, or that is to be said of the result of a fit.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Finding {
+    /// Severity of the finding.
+    pub severity: Severity,
+    /// Subject of the finding: a recording, a column, a variable, a parameter.
+    pub subject: String,
+    /// Statement of the finding, with its numbers.
+    pub sentence: String,
+    /// Remedy; may be empty.
+    pub remedy: String,
+}
+
+impl Finding {
+    pub(crate) fn new(
+        severity: Severity,
+        subject: impl Into<String>,
+        sentence: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
+        Self { severity, subject: subject.into(), sentence: sentence.into(), remedy: remedy.into() }
+    }
+
+    /// The sentence, after its subject where it does not name that itself.
+    pub fn text(&self) -> String {
+        match self.subject.is_empty() || self.sentence.contains(&self.subject) {
+            true => self.sentence.clone(),
+            false => format!("{}: {}", self.subject, self.sentence),
+        }
+    }
+
+    /// The same, and what to do about it.
+    pub fn advice(&self) -> String {
+        if self.remedy.is_empty() { self.text() } else { format!("{}; {}", self.text(), self.remedy) }
+    }
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.severity.name(), self.advice())
+    }
+}
+
+/// "1 error, 2 warnings"; empty if there are none.
+pub(crate) fn counts(findings: &[Finding]) -> String {
+    let n = |severity| findings.iter().filter(|finding| finding.severity == severity).count();
+    [Severity::Error, Severity::Warning, Severity::Note]
+        .map(|severity| (n(severity), severity.name()))
+        .into_iter()
+        .filter(|(n, _)| *n > 0)
+        .map(|(n, name)| format!("{n} {name}{}", if n == 1 { "" } else { "s" }))
+        .collect::<Vec<_>>()
+        .join(", ")
+}
+
+/// A line for each, and below it what to do; each begins with a line break.
+pub(crate) fn table(findings: &[Finding]) -> String {
+    let lines = |finding: &Finding| {
+        let remedy = match finding.remedy.as_str() {
+            "" => String::new(),
+            remedy => format!("\n         -> {remedy}"),
+        };
+        format!("\n{:<8} {}{remedy}", finding.severity.name(), finding.text())
+    };
+    visible(&findings.iter().map(lines).collect::<String>()).into_owned()
+}

@@ -1,0 +1,132 @@
+//! Options of a fit.
+
+use super::engine::Engine;
+use super::noise::NoiseRule;
+use crate::fit::phase::CurrentPhase;
+use crate::problem::objective::CostKind;
+use crate::uncertainty::estimate::{Estimator, WorthOptions};
+use base::RunContext;
+use dfo::{AnyMethod, AskedRun, Measure, Progress, Record, RobustLoss, RunOptions, Search, Stop, Tolerances};
+use std::cell::RefCell;
+use std::fmt;
+use std::ops::ControlFlow;
+use std::rc::Rc;
+use std::sync::Arc;
+
+/// Called after each iteration; `Break` ends the fit.
+pub type FitObserver<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
+
+/// Options of a fit.
+pub struct FitOptions<'a> {
+    /// The method, tolerances, limits, workers (default: all cores), checkpoint and so on. The time limit holds for the whole fit, from
+    /// the choice of a solver to the standard errors: where it is over before any evaluation has ended, the result is the start,
+    /// with a cost of NaN. Model, data, parameters and settings
+    /// of the calibration identify the fit's problem: a checkpoint of another one is refused, and points that are known
+    /// from another one are evaluated again.
+    pub run: RunOptions<AnyMethod>,
+    /// Where to start; default: the parameters' start values.
+    pub start: Option<Vec<f64>>,
+    /// Parameters, by number, that stay at the start as if they were fixed; default: none.
+    pub held: Vec<usize>,
+    /// True to give up a simulation when its cost can no longer matter; default: true. Changes no decision,
+    /// only the work.
+    pub cutoffs: bool,
+    /// Cost that is minimised; default: the sum of the squared residuals.
+    pub objective: CostKind,
+    /// Loss function: the contribution of a residual to the cost; default: its square. With another loss
+    /// [`Fit::cost`](crate::Fit::cost) is the sum of these contributions, also where the method sees costs
+    /// alone.
+    pub loss: RobustLoss,
+    /// Where the noise of the measurements is taken from, beside which [priors](crate::Prior) count; default: it is estimated with the
+    /// parameters where there are priors and the weights do not state it. See [`EstimatedNoise`](crate::EstimatedNoise) for how: the search
+    /// is made several times, each from where the last one ended, and the limits hold for all together. A checkpoint has a file for each:
+    /// `fit.ckpt`, `fit.ckpt.round2` and so on.
+    pub noise: NoiseRule,
+    /// The start is looked at first, see [`Calibration::preflight`](crate::Calibration::preflight); `f_tol` below the noise of the simulations is raised to it, with
+    /// a word in the message. Default: no.
+    pub preflight: bool,
+    /// Options of the uncertainty, which is estimated after the run: standard errors, correlation, parameters
+    /// that the data do not determine. Takes at least two simulations for each parameter and one that is more
+    /// accurate, in parallel; they are none of the run's evaluations, are not made after an interrupt or when
+    /// the time is up, and are part of `stats`. `None`: it is not estimated. Its loss is that of the fit.
+    pub worth: Option<WorthOptions>,
+    /// Called after each iteration, on the calling thread.
+    pub observer: Option<Box<FitObserver<'a>>>,
+    /// Who may interrupt the fit: within a step of the simulations that are running. Its function is called on the calling thread at least
+    /// every 50 ms. The time limit is that of [`run`](Self::run), or of the context, if that ends sooner.
+    pub context: RunContext<'a>,
+    /// Who makes the simulations of the search; default: workers of this machine, as many as [`run`](Self::run) says. What comes before
+    /// and after the search is simulated here.
+    pub engine: Option<Rc<RefCell<dyn Engine>>>,
+    /// Where the fit says what it does.
+    pub phase: Arc<CurrentPhase>,
+}
+
+impl FitOptions<'_> {
+    /// The run of a fit by default: the method for residuals that [`AnyMethod::chosen_for`] chooses, tolerances of 1e-4 each, `x_tol` in units of the parameters' sizes and `f_tol` as a
+    /// fraction of the cost, for a cost made of simulations is seldom smooth below that; all else as [`dfo::minimize`] has
+    /// it.
+    pub fn default_run() -> RunOptions<AnyMethod> {
+        let tolerances = Tolerances { x_tol: 1e-4, f_tol: 1e-4, measure: Measure::Relative, stop: Stop::All };
+        RunOptions { method: AnyMethod::auto(Search::Local), tolerances, ..RunOptions::default() }
+    }
+}
+
+impl FitOptions<'_> {
+    /// A fit of `n` parameters as a record asks for it: `loss`, `f_scale`, `noise`, `preflight`, `covariance`, and the options of its
+    /// run. What it does not say is as by default.
+    ///
+    /// # Errors
+    /// An option that there is not, or a value that it cannot have.
+    pub fn asked(mut record: Record, n: usize) -> Result<Self, dfo::Error> {
+        let mut options =
+            Self { loss: RobustLoss::asked(&mut record)?.unwrap_or_default(), ..Self::default() };
+        if let Some(noise) = record.remove("noise") {
+            options.noise = noise.read("noise")?;
+        }
+        if let Some(preflight) = record.remove("preflight") {
+            options.preflight = preflight.read("preflight")?;
+        }
+        if let Some(covariance) = record.remove("covariance") {
+            let estimator: Option<Estimator> = covariance.read("covariance")?;
+            options.worth = estimator.map(|estimator| WorthOptions { estimator, ..WorthOptions::default() });
+        }
+        options.run = AskedRun::new(options.run, &record, n)?.options;
+        Ok(options)
+    }
+}
+
+impl Default for FitOptions<'_> {
+    fn default() -> Self {
+        Self {
+            run: Self::default_run(),
+            start: None,
+            held: Vec::new(),
+            cutoffs: true,
+            objective: CostKind::default(),
+            loss: RobustLoss::default(),
+            noise: NoiseRule::default(),
+            preflight: false,
+            worth: Some(WorthOptions::default()),
+            observer: None,
+            context: RunContext::new(),
+            engine: None,
+            phase: Arc::default(),
+        }
+    }
+}
+
+impl<'a> From<RunOptions<AnyMethod>> for FitOptions<'a> {
+    fn from(run: RunOptions<AnyMethod>) -> Self {
+        Self { run, ..Self::default() }
+    }
+}
+
+impl fmt::Debug for FitOptions<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("FitOptions")
+            .field("run", &self.run)
+            .field("start", &self.start)
+            .finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,4 @@
+//! Profiles of the cost and bands of the predictions.
+
+pub(crate) mod bands;
+pub(crate) mod profile;

@@ -1,0 +1,301 @@
+//! Profile likelihood: how the cost rises as one parameter is held away from its best value and the others are fitted again.
+
+mod refit;
+mod result;
+mod saved;
+mod walk;
+
+use crate::cost::batch::Simulations;
+use crate::cost::calibration::Calibration;
+use crate::cost::parallel;
+use crate::error::CalibrationError;
+use crate::fit::stage::Fit;
+use crate::problem::objective::CostKind;
+use crate::problem::parameter::Parameter;
+use crate::uncertainty::bounds::{AT, BoundSide, inner};
+use crate::uncertainty::estimate::{Criterion, KnownPoint, Worth, check_level};
+use base::RunContext;
+use dfo::{Kind, RobustLoss};
+use refit::{NoFit, Refits};
+pub use result::{ParameterProfile, Profile, ProfileEnd, ProfilePoint};
+use saved::{SavedSides, Side};
+use sha2::{Digest, Sha256};
+use std::path::PathBuf;
+use std::sync::Mutex;
+use std::thread::available_parallelism;
+use walk::{Origin, walk};
+
+/// Options of [`Calibration::profile`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct ProfileOptions {
+    /// The parameters, by number; default: all that were fitted.
+    pub parameters: Option<Vec<usize>>,
+    /// The level of the intervals; default 0.95.
+    pub level: f64,
+    /// True to correct for autocorrelated residuals, as [`Worth::covariance`] does; default: true.
+    pub is_corrected: bool,
+    /// Points on each side of the optimum before a side that has not crossed the threshold is said to be open; default 20. Refits that
+    /// find the crossing come on top.
+    pub max_points: usize,
+    /// Sides that are walked at once; default: all cores. The result does not depend on it.
+    pub workers: Option<usize>,
+    /// A file that keeps the sides that are complete, and from which a profile is continued.
+    pub checkpoint: Option<PathBuf>,
+}
+
+impl Default for ProfileOptions {
+    fn default() -> Self {
+        Self {
+            parameters: None,
+            level: 0.95,
+            is_corrected: true,
+            max_points: 20,
+            workers: None,
+            checkpoint: None,
+        }
+    }
+}
+
+impl Calibration {
+    /// The profile likelihoods of parameters of a fit, and their confidence intervals: unlike those of
+    /// [`Worth::confidence_intervals`](crate::Worth::confidence_intervals) they need not be symmetric, and they are open where the data
+    /// do not bound a parameter.
+    ///
+    /// Each parameter is held at values farther and farther from the optimum, and the others are fitted again by least squares. The
+    /// statistic is the rise of the cost that the fit minimised, with its weights and loss, in units in which it is the square of the
+    /// distance in standard errors where the cost is quadratic: with one variance `s^2` for all residuals the rise over `s^2`; with
+    /// variances of each output, a robust loss, or autocorrelated residuals the rise times the parameter's entry of the inverse of half the
+    /// second derivatives over its variance in [`Worth::covariance`] (Rotnitzky and Jewell, Biometrika 77, 1990; Pace, Salvan and Sartori,
+    /// Statistica Sinica 21, 2011). An interval ends where the statistic is the quantile of F with 1 and N - p degrees of freedom, the
+    /// square of that of Student's t (Bates and Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1; Raue et al.,
+    /// Bioinformatics 25, 2009, with the quantile of chi-square, its limit for many measurements). It is about the optimum of the cost,
+    /// which is found more accurately first. For a linear model the interval is that of the covariance.
+    ///
+    /// The sides of the parameters run in parallel. The context is looked at on the calling thread; after the optimum is found, an
+    /// interrupt leaves what is there in hand ([`Profile::is_interrupted`]).
+    ///
+    /// # Errors
+    /// Parameters that there are not, or that were not fitted; a level that does not lie between 0 and 1; a fit of something else than
+    /// a sum of squares; residuals that are all zero, or no more of them than parameters; no optimum; a file of another problem,
+    /// or that cannot be read or written; [`CalibrationError::Cancelled`] before there is an optimum.
+    pub fn profile(
+        &self,
+        fit: &Fit,
+        options: &ProfileOptions,
+        context: &RunContext<'_>,
+    ) -> Result<Profile, CalibrationError> {
+        self.check_length(&fit.x)?;
+        if self.known_solver().is_none() {
+            self.set_solver(fit.solver.clone())?;
+        }
+        self.of_fit(fit)?.as_ref().unwrap_or(self).own_profile(fit, options, context)
+    }
+
+    /// The same with the weights and the tolerance of the fit.
+    fn own_profile(
+        &self,
+        fit: &Fit,
+        options: &ProfileOptions,
+        context: &RunContext<'_>,
+    ) -> Result<Profile, CalibrationError> {
+        let setup = |message: String| Err(CalibrationError::Setup(message));
+        if fit.objective != CostKind::default().name() {
+            let what = &fit.objective;
+            return setup(format!(
+                "a profile likelihood is that of a sum of squares, and the fit minimised another cost ({what})"
+            ));
+        }
+        let held = self.held_in(fit);
+        let (n, is_free) = (fit.x.len(), |i: &usize| !held.contains(i));
+        let asked = match &options.parameters {
+            None => (0..n).filter(is_free).collect(),
+            Some(asked) => asked.clone(),
+        };
+        if let Some(index) = asked.iter().find(|i| **i >= n) {
+            return setup(format!("there is no parameter {index}, there are only {n}"));
+        }
+        if let Some(index) = asked.iter().find(|i| !is_free(i)) {
+            return setup(format!(
+                "parameter '{}' was not fitted (it is fixed, held or no continuous number), and has no profile",
+                fit.names[*index]
+            ));
+        }
+        if let Some(k) = (1..asked.len()).find(|k| asked[..*k].contains(&asked[*k])) {
+            return setup(format!("parameter '{}' is named twice", fit.names[asked[k]]));
+        }
+        if asked.is_empty() {
+            return setup("no parameter is free, so there is no profile".to_owned());
+        }
+        if options.max_points == 0 {
+            return setup("a profile needs one point or more on each side of the optimum, not 0".to_owned());
+        }
+        let n_free = n - held.len();
+        let degrees_of_freedom = self.n_residuals().saturating_sub(n_free);
+        if degrees_of_freedom == 0 {
+            let n = self.n_residuals();
+            return setup(format!(
+                "{n} residuals say nothing of the noise of a fit of {n_free} parameters: there is no profile without more of them"
+            ));
+        }
+        let quantile = check_level(options.level, degrees_of_freedom as f64)?;
+        let threshold = quantile * quantile;
+        let estimator = fit.worth.as_ref().map(|worth| worth.estimator).unwrap_or_default();
+        let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
+        let size = |i: usize| self.size_of(&self.parameters()[i], fit.x[i]);
+        let mut refits = Refits {
+            calibration: self,
+            loss: fit.report.loss,
+            held: &held,
+            sizes: (0..n).map(|i| step_of(fit.worth.as_ref(), i).unwrap_or_else(|| 0.01 * size(i))).collect(),
+            f_tol: refit::F_TOL * threshold / (self.n_residuals() as f64).max(threshold),
+            stats: Mutex::default(),
+        };
+        let problem = self.profile_hash(
+            fit,
+            &format!("{held:?} {estimator:?} {} {}", fit.report.loss, options.is_corrected),
+            options,
+        );
+        let saved = SavedSides::open(options.checkpoint.as_deref(), problem, n)?;
+        let mut n_simulations = 0;
+        let (x, cost) = refits.refit(&fit.x, n, &mut n_simulations, context).map_err(|e| match e {
+            NoFit::Cancelled => CalibrationError::Cancelled,
+            NoFit::Failed(message) => {
+                CalibrationError::Setup(format!("the optimum of the cost is not found: {message}"))
+            }
+        })?;
+        if !(cost > 0.0 && cost.is_finite()) {
+            return setup(
+                "the residuals are all zero: without noise there is no profile likelihood".to_owned(),
+            );
+        }
+        let mut simulations = Simulations::new(self, (RobustLoss::default(), workers), context)?;
+        let criterion = Criterion::Loss(fit.report.loss);
+        let known = KnownPoint { held: held.clone(), f_tol: 1e-4, criterion, ..KnownPoint::default() };
+        let (worth, curvature) = self.worth_and_curvature(&x, estimator, &known, &mut simulations)?;
+        let worth = if options.is_corrected { worth } else { worth.uncorrected() };
+        n_simulations += simulations.n;
+        refits.sizes = (0..n).map(|i| step_of(Some(&worth), i).unwrap_or(refits.sizes[i])).collect();
+        let per_rise = |i: usize| -> Result<f64, CalibrationError> {
+            let own = check_level(options.level, worth.effective_degrees_of_freedom[i])?;
+            let found = curvature[i] / worth.covariance[i * n + i] * threshold / (own * own);
+            // Of one that is not determined, or at its bound, nothing else is known.
+            let is_known = found > 0.0 && found.is_finite();
+            Ok(if is_known { found } else { degrees_of_freedom as f64 / cost })
+        };
+        let origins = (asked.iter())
+            .map(|&i| {
+                Ok(Origin {
+                    x: &x,
+                    cost,
+                    threshold,
+                    per_rise: per_rise(i)?,
+                    max_points: options.max_points,
+                    standard_error: refits.sizes[i],
+                    direction: direction(&worth, i),
+                })
+            })
+            .collect::<Result<Vec<Origin<'_>>, CalibrationError>>()?;
+        let sides: Vec<(usize, BoundSide)> = (0..asked.len())
+            .flat_map(|k| [BoundSide::Lower, BoundSide::Upper].map(|side| (k, side)))
+            .collect();
+        let saved = Mutex::new(saved);
+        let task = |s: usize, context: &RunContext<'_>| {
+            let (k, side) = sides[s];
+            // A poisoned lock is no reason to fail: the list is whole at every instant.
+            let lock = || saved.lock().unwrap_or_else(|e| e.into_inner());
+            if let Some(side) = lock().of(asked[k], side) {
+                return side.clone();
+            }
+            let walked = walk(&refits, (asked[k], side), &origins[k], context);
+            if walked.end != ProfileEnd::Interrupted {
+                lock().add(walked.clone());
+            }
+            walked
+        };
+        let mut walked = parallel::map((sides.len(), workers), context, &task).into_iter();
+        let mut parameters = Vec::with_capacity(asked.len());
+        for &i in &asked {
+            let mut next = |side| {
+                let none = || Side {
+                    parameter: i,
+                    side,
+                    points: Vec::new(),
+                    end: ProfileEnd::Interrupted,
+                    n_simulations: 0,
+                };
+                walked.next().flatten().unwrap_or_else(none)
+            };
+            let (lower, upper) = (next(BoundSide::Lower), next(BoundSide::Upper));
+            n_simulations += lower.n_simulations + upper.n_simulations;
+            let optimum = ProfilePoint { value: x[i], statistic: 0.0, x: x.clone() };
+            let mut points: Vec<ProfilePoint> = lower.points.into_iter().rev().collect();
+            points.push(optimum);
+            points.extend(upper.points);
+            parameters.push(ParameterProfile {
+                parameter: i,
+                name: fit.names[i].clone(),
+                optimum: x[i],
+                points,
+                lower: lower.end,
+                upper: upper.end,
+            });
+        }
+        let is_cut = |p: &ParameterProfile| [&p.lower, &p.upper].contains(&&ProfileEnd::Interrupted);
+        let mut stats = simulations.stats;
+        drop(origins);
+        stats += refits.stats.into_inner().unwrap_or_else(|e| e.into_inner());
+        Ok(Profile {
+            level: options.level,
+            threshold,
+            degrees_of_freedom,
+            is_interrupted: parameters.iter().any(is_cut),
+            is_autocorrelated: worth.uncorrected_covariance.is_some(),
+            parameters,
+            n_simulations,
+            stats,
+            cost,
+            x,
+        })
+    }
+
+    /// Parameters that the fit took as known, by number: not those that it found at a bound.
+    fn held_in(&self, fit: &Fit) -> Vec<usize> {
+        let is_at_bound = |i: usize, p: &Parameter| {
+            let at = inner(p, fit.x[i]);
+            (at - inner(p, p.lower())).min(inner(p, p.upper()) - at) <= AT * self.size_of(p, fit.x[i])
+        };
+        let is_known = |i: usize| fit.worth.as_ref().is_some_and(|worth| worth.held.contains(&i));
+        let is_held = |(i, p): &(usize, &Parameter)| {
+            let is_found = fit.at_bound.iter().any(|(index, _)| index == i) || is_at_bound(*i, p);
+            let is_fixed = p.is_fixed() || p.lower() == p.upper() || p.value_kind() != Kind::Continuous;
+            is_fixed || (is_known(*i) && !is_found)
+        };
+        self.parameters().iter().enumerate().filter(is_held).map(|(i, _)| i).collect()
+    }
+
+    /// Hash of everything that the sides of profiles depend on except their parameter.
+    fn profile_hash(&self, fit: &Fit, statistic: &str, options: &ProfileOptions) -> String {
+        let bounds: Vec<_> =
+            self.parameters().iter().map(|p| (p.lower(), p.upper(), p.scale_kind())).collect();
+        let costs = self.problem_hash(&fit.solver);
+        let (level, points) = (options.level, options.max_points);
+        let words = format!("{costs} {:?} {bounds:?} {statistic} {level:?} {points}", fit.x);
+        Sha256::digest(words).iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+}
+
+/// The standard error of a parameter in the coordinate of the search, where it is known.
+fn step_of(worth: Option<&Worth>, i: usize) -> Option<f64> {
+    let worth = worth?;
+    let error = worth.standard_errors[i] / if worth.is_log[i] { worth.x[i] } else { 1.0 };
+    (error > 0.0 && error.is_finite()).then_some(error)
+}
+
+/// Direction in which the best values of all parameters change with one of them, in the coordinates of the
+/// search: the covariances over its variance.
+fn direction(worth: &Worth, i: usize) -> Vec<f64> {
+    let n = worth.x.len();
+    let scale = |k: usize| if worth.is_log[k] { worth.x[k] } else { 1.0 };
+    let of = |k: usize| worth.covariance[i * n + k] / worth.covariance[i * n + i] * scale(i) / scale(k);
+    (0..n).map(|k| if of(k).is_finite() { of(k) } else { 0.0 }).collect()
+}

@@ -1,0 +1,105 @@
+//! Fits of the other parameters, one parameter held.
+
+use crate::cost::calibration::Calibration;
+use crate::error::CalibrationError;
+use crate::problem::parameter::{Parameter, Scale};
+use base::RunContext;
+use dfo::{
+    Answer, ByRef, Kind, LeastSquares, Limits, Objective, Query, RobustLoss, RunOptions, Termination,
+    Tolerances,
+};
+use ode::Stats;
+use std::sync::Mutex;
+
+/// The first radius of a refit, and where it ends, in standard errors: the statistic is quadratic in them, so that the second leaves
+/// an error of 1e-4 in it.
+const RADIUS: f64 = 0.3;
+const X_TOL: f64 = 0.01;
+
+/// The cost is as accurate as this part of the threshold.
+pub(super) const F_TOL: f64 = 1e-4;
+
+/// Evaluations of a refit for each parameter: least squares needs about 5.
+const EVALUATIONS: usize = 60;
+
+/// Makes refits of a calibration.
+pub(super) struct Refits<'a> {
+    pub(super) calibration: &'a Calibration,
+    /// Loss function: the contribution of a residual to the cost.
+    pub(super) loss: RobustLoss,
+    /// Parameters that are never fitted.
+    pub(super) held: &'a [usize],
+    /// Steps that matter, in the coordinates of the search: standard errors, where they are known.
+    pub(super) sizes: Vec<f64>,
+    /// Differences of the cost that count as none, relative to it.
+    pub(super) f_tol: f64,
+    pub(super) stats: Mutex<Stats>,
+}
+
+/// Why there is no refit.
+pub(super) enum NoFit {
+    Cancelled,
+    Failed(String),
+}
+
+impl Objective for Refits<'_> {
+    fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
+        let mut stats = Stats::default();
+        self.calibration.evaluate_counted(x, (query, self.loss), answer, &mut stats);
+        *self.stats.lock().unwrap_or_else(|e| e.into_inner()) += stats;
+    }
+
+    fn has_residuals(&self) -> bool {
+        true
+    }
+
+    fn residual_loss(&self) -> RobustLoss {
+        self.loss
+    }
+}
+
+impl Refits<'_> {
+    /// The best values with `index` held where `start` has it, and the cost there; an `index` that there is not: none is held.
+    pub(super) fn refit(
+        &self,
+        start: &[f64],
+        index: usize,
+        n_simulations: &mut usize,
+        context: &RunContext<'_>,
+    ) -> Result<(Vec<f64>, f64), NoFit> {
+        let failed = |error: dfo::Error| match error {
+            dfo::Error::EndedWithoutPoint { termination: Termination::Interrupted, .. } => NoFit::Cancelled,
+            error => NoFit::Failed(CalibrationError::from(error).to_string()),
+        };
+        let parameters = self.calibration.parameters();
+        let is_held = |i: usize| i == index || self.held.contains(&i);
+        let bound = |side: fn(&Parameter) -> f64| -> Vec<f64> {
+            let own = parameters.iter().enumerate();
+            own.map(|(i, p)| if is_held(i) { start[i] } else { side(p) }).collect()
+        };
+        let transforms: Vec<Scale> = parameters.iter().map(Parameter::scale_kind).collect();
+        let sizes: Vec<Option<f64>> = self.sizes.iter().map(|size| Some(*size)).collect();
+        let tolerances = Tolerances { x_tol: X_TOL, f_tol: self.f_tol, ..Tolerances::default() };
+        let n_free = (0..start.len()).filter(|i| !is_held(*i)).count();
+        let limits = Limits { max_evaluations: Some(EVALUATIONS * (n_free + 1)), ..Limits::default() };
+        let method = LeastSquares::default().radius(RADIUS);
+        let options = RunOptions { method, tolerances, limits, workers: Some(1), ..RunOptions::default() };
+        let report = dfo::minimize(ByRef(self))
+            .start(start)
+            .bounds(&bound(Parameter::lower), &bound(Parameter::upper))
+            .map_err(failed)?
+            .transforms(&transforms)
+            .kinds(&vec![Kind::Continuous; start.len()])
+            .known_scales(&sizes)
+            .options(options)
+            .context(*context)
+            .run()
+            .map_err(failed)?;
+        *n_simulations += report.n_evaluations;
+        match report.termination {
+            Termination::Interrupted => Err(NoFit::Cancelled),
+            Termination::Aborted(message) => Err(NoFit::Failed(message)),
+            _ => Ok((report.x, report.fun)),
+        }
+    }
+}

@@ -1,0 +1,89 @@
+//! The file of a profile likelihood: the sides that are complete, and what they belong to.
+
+use super::result::{ProfileEnd, ProfilePoint};
+use crate::error::CalibrationError;
+use crate::uncertainty::bounds::BoundSide;
+use fmi::FmiError;
+use fmi::platform::write_whole;
+use serde::{Deserialize, Serialize};
+use std::io::{ErrorKind, Write};
+use std::path::{Path, PathBuf};
+
+/// Format name in such a file.
+const FORMAT: &str = "fmufit profile 1";
+
+/// One side of a profile.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Side {
+    pub(super) parameter: usize,
+    pub(super) side: BoundSide,
+    /// From the optimum outwards, without it.
+    pub(super) points: Vec<ProfilePoint>,
+    pub(super) end: ProfileEnd,
+    pub(super) n_simulations: usize,
+}
+
+/// Sides that are complete.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct SavedSides {
+    format: String,
+    /// Hash of all that they depend on.
+    problem: String,
+    pub(super) sides: Vec<Side>,
+    #[serde(skip)]
+    path: Option<PathBuf>,
+}
+
+impl SavedSides {
+    /// Those of the file, if there is one; it is written at once, so that a path that cannot be written is found before the work.
+    pub(super) fn open(path: Option<&Path>, problem: String, n: usize) -> Result<Self, CalibrationError> {
+        let mut own =
+            Self { format: FORMAT.to_owned(), problem, sides: Vec::new(), path: path.map(Path::to_owned) };
+        let Some(path) = path else { return Ok(own) };
+        let refused = |why: &str| {
+            let place = path.display();
+            Err(CalibrationError::Setup(format!("{place} {why}: give another file, or remove this one")))
+        };
+        match base::files::read_regular(path) {
+            Ok(bytes) => match serde_json::from_slice::<Self>(&bytes) {
+                Ok(found) if found.format == FORMAT && found.problem == own.problem => {
+                    let is_sound = |side: &Side| {
+                        side.parameter < n && side.points.iter().all(|point| point.x.len() == n)
+                    };
+                    if !found.sides.iter().all(is_sound) {
+                        return refused("is damaged");
+                    }
+                    own.sides = found.sides;
+                }
+                Ok(found) if found.format == FORMAT => {
+                    return refused(
+                        "holds profiles of another fit, problem, level or number of points per side",
+                    );
+                }
+                _ => return refused("is no file of profiles of this version"),
+            },
+            Err(source) if source.kind() == ErrorKind::NotFound => {}
+            Err(source) => return Err(CalibrationError::DataFile { path: path.to_owned(), source }),
+        }
+        own.write()?;
+        Ok(own)
+    }
+
+    pub(super) fn of(&self, parameter: usize, side: BoundSide) -> Option<&Side> {
+        self.sides.iter().find(|own| (own.parameter, own.side) == (parameter, side))
+    }
+
+    /// Adds one that is complete. A file that can no longer be written is no reason to lose the rest.
+    pub(super) fn add(&mut self, side: Side) {
+        self.sides.push(side);
+        if let Err(error) = self.write() {
+            log::warn!("the profile is not saved: {error}");
+        }
+    }
+
+    fn write(&self) -> Result<(), CalibrationError> {
+        let Some(path) = &self.path else { return Ok(()) };
+        let bytes = serde_json::to_vec(self).map_err(|e| CalibrationError::Setup(e.to_string()))?;
+        write_whole(path, |mut file, _| Ok(file.write_all(&bytes).map_err(FmiError::io("write", path))?))
+    }
+}

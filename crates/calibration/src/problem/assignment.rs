@@ -1,0 +1,262 @@
+//! Assignment of the entries of `x` to variables, delays and offsets in the simulation of an experiment.
+
+use crate::data::UnitConversion;
+use crate::error::CalibrationError;
+use crate::problem::column_units::declared;
+use crate::problem::definition::{Element, Problem};
+use crate::problem::experiment::{Experiment, InitialState};
+use crate::problem::input::Shift;
+use crate::problem::parameter::{Parameter, Target};
+use fmi::{ModelDescription, Value};
+use ode::Number;
+
+/// A number that follows an entry of `x`, or stays: `factor * x[entry] + offset`, converted to another unit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Affine {
+    pub(crate) entry: Option<usize>,
+    /// In the unit of the parameter.
+    pub(crate) factor: f64,
+    pub(crate) offset: f64,
+    pub(crate) unit: UnitConversion,
+}
+
+/// The conversion from the unit of a parameter to that of a variable, or to seconds.
+fn conversion(
+    parameter: &Parameter,
+    variable: Option<&str>,
+    description: &ModelDescription,
+) -> Result<UnitConversion, CalibrationError> {
+    let Some(unit) = parameter.given_unit() else { return Ok(UnitConversion::IDENTITY) };
+    let found = match variable {
+        None => UnitConversion::between(unit, "s"),
+        Some(name) => match declared(description, name) {
+            Some(variable) => UnitConversion::to_variable(unit, variable, description),
+            // An unknown name is refused with the nearest ones when the simulation is planned.
+            None => return Ok(UnitConversion::IDENTITY),
+        },
+    };
+    found.map_err(|reason| {
+        let message = format!("its unit '{unit}' cannot be used: {reason}; leave unit out to give values in the unit of the model");
+        CalibrationError::Parameter { name: parameter.name().to_owned(), message }
+    })
+}
+
+impl Affine {
+    fn constant(value: f64) -> Self {
+        Self { entry: None, factor: 0.0, offset: value, unit: UnitConversion::IDENTITY }
+    }
+
+    /// True if the value is the entry itself.
+    fn is_plain(&self) -> bool {
+        self.entry.is_some()
+            && (self.factor, self.offset) == (1.0, 0.0)
+            && self.unit == UnitConversion::IDENTITY
+    }
+
+    pub(crate) fn is_constant(&self) -> bool {
+        self.entry.is_none()
+    }
+
+    /// The number in the unit of the parameter.
+    pub(crate) fn value(&self, x: &[f64]) -> f64 {
+        match self.entry {
+            // Also where it is infinite.
+            Some(entry) if (self.factor, self.offset) == (1.0, 0.0) => x[entry],
+            Some(entry) => self.factor * x[entry] + self.offset,
+            None => self.offset,
+        }
+    }
+
+    /// The number in the unit of the model.
+    pub(crate) fn in_model(&self, x: &[f64]) -> f64 {
+        let value = self.value(x);
+        if self.unit.is_identity() { value } else { self.unit.apply(value) }
+    }
+}
+
+/// Quantities that the entries of `x` set in the simulation of one experiment.
+#[derive(Debug)]
+pub(crate) struct Assignments {
+    /// Variables of the model.
+    pub(crate) variables: Vec<(String, Affine)>,
+    /// Delay and offset of each output.
+    pub(crate) outputs: Vec<(Affine, Affine)>,
+    /// The same of each input.
+    pub(crate) inputs: Vec<(Affine, Affine)>,
+    /// The variables have the values of the entries, in their order.
+    pub(crate) is_identity: bool,
+}
+
+impl Assignments {
+    /// Those of an experiment, counted from 0.
+    pub(crate) fn new(
+        problem: &Problem,
+        k: usize,
+        elements: &[Element],
+        description: &ModelDescription,
+    ) -> Result<Self, CalibrationError> {
+        let experiment = &problem.experiments[k];
+        let constant = |variable: &str| {
+            let delay = experiment.delays.iter().find(|(delayed, _)| delayed == variable);
+            (Affine::constant(delay.map_or(0.0, |(_, delay)| *delay)), Affine::constant(0.0))
+        };
+        let mut all = Self {
+            variables: Vec::new(),
+            outputs: experiment.outputs.iter().map(|output| constant(&output.variable)).collect(),
+            inputs: experiment.inputs.iter().map(|(input, _)| constant(input)).collect(),
+            is_identity: false,
+        };
+        for (parameter, of) in follow(problem, k, elements)? {
+            match parameter.target() {
+                Target::Variables(variables) => {
+                    for variable in variables {
+                        let unit = conversion(parameter, Some(variable), description)?;
+                        all.variables.push((variable.clone(), Affine { unit, ..of }));
+                    }
+                }
+                Target::Delay(variable) => {
+                    let unit = conversion(parameter, None, description)?;
+                    all.shifts(experiment, variable).for_each(|(delay, _)| *delay = Affine { unit, ..of });
+                }
+                Target::Offset(variable) => {
+                    let unit = conversion(parameter, Some(variable), description)?;
+                    let unit = UnitConversion { offset: 0.0, ..unit };
+                    all.shifts(experiment, variable).for_each(|(_, offset)| *offset = Affine { unit, ..of });
+                }
+            }
+        }
+        all.is_identity = all.variables.len() == elements.len()
+            && all.variables.iter().enumerate().all(|(i, (_, of))| of.is_plain() && of.entry == Some(i));
+        Ok(all)
+    }
+
+    /// Delays and offsets of the outputs and inputs of this name.
+    fn shifts<'a>(
+        &'a mut self,
+        experiment: &'a Experiment,
+        variable: &'a str,
+    ) -> impl Iterator<Item = &'a mut (Affine, Affine)> {
+        let outputs = experiment.outputs.iter().map(|output| &output.variable).zip(&mut self.outputs);
+        let inputs = experiment.inputs.iter().map(|(input, _)| input).zip(&mut self.inputs);
+        outputs.chain(inputs).filter(move |(name, _)| *name == variable).map(|(_, shift)| shift)
+    }
+
+    /// Delay and offset of each input at `x`.
+    pub(crate) fn input_shifts(&self, x: &[f64]) -> impl Iterator<Item = Shift> {
+        self.inputs
+            .iter()
+            .map(|(delay, offset)| Shift { delay: delay.in_model(x), offset: offset.in_model(x) })
+    }
+}
+
+/// The parameters of an experiment and the entries of `x` that they follow, with the fitted initial states last.
+fn follow<'a>(
+    problem: &'a Problem,
+    k: usize,
+    elements: &'a [Element],
+) -> Result<Vec<(&'a Parameter, Affine)>, CalibrationError> {
+    let entry = |source: usize| {
+        elements.iter().position(|e| e.source == Some(source) && e.experiment.is_none_or(|only| only == k))
+    };
+    let mut all = Vec::with_capacity(elements.len());
+    for (i, parameter) in problem.parameters.iter().enumerate() {
+        let (of, factor, offset) = match parameter.tie() {
+            Some(tie) => (problem.tied_to(parameter, tie)?, tie.factor, tie.offset),
+            None => (i, 1.0, 0.0),
+        };
+        all.push((parameter, Affine { entry: entry(of), factor, offset, unit: UnitConversion::IDENTITY }));
+    }
+    for (i, element) in elements.iter().enumerate() {
+        if element.source.is_none() && element.experiment == Some(k) {
+            let of = Affine { entry: Some(i), factor: 1.0, offset: 0.0, unit: UnitConversion::IDENTITY };
+            all.push((&element.parameter, of));
+        }
+    }
+    Ok(all)
+}
+
+/// The values that are tied, by name: of such that follow a local parameter, one per experiment.
+pub(crate) fn tied_values(
+    problem: &Problem,
+    elements: &[Element],
+) -> Result<Vec<(String, Affine)>, CalibrationError> {
+    let mut all = Vec::new();
+    for parameter in &problem.parameters {
+        let Some(tie) = parameter.tie() else { continue };
+        let of = problem.tied_to(parameter, tie)?;
+        let entries = elements.iter().enumerate().filter(|(_, e)| e.source == Some(of));
+        for (entry, element) in entries {
+            let name = match element.experiment {
+                Some(k) => parameter.in_experiment(&problem.experiment_names()[k], None).name().to_owned(),
+                None => parameter.name().to_owned(),
+            };
+            let (factor, offset) = (tie.factor, tie.offset);
+            all.push((name, Affine { entry: Some(entry), factor, offset, unit: UnitConversion::IDENTITY }));
+        }
+    }
+    Ok(all)
+}
+
+/// The initial states of an experiment that do not vary, by name; those that follow a fitted offset of their output are added to the
+/// variables that `assigned` sets.
+pub(crate) fn initial_values(
+    experiment: &Experiment,
+    start_time: f64,
+    assigned: &mut Assignments,
+) -> Result<Vec<(String, Value)>, CalibrationError> {
+    let setup = |message: String| Err(CalibrationError::Setup(message));
+    let mut values = Vec::new();
+    for (state, initial) in &experiment.initial_states {
+        let value = match initial {
+            InitialState::Fitted(_) => continue,
+            InitialState::Value(value) if value.is_finite() => *value,
+            InitialState::Value(value) => {
+                return setup(format!("initial state '{state}' = {}: it must be finite", Number(*value)));
+            }
+            InitialState::Measured => {
+                let Some(output) = experiment.outputs.iter().position(|output| output.variable == *state)
+                else {
+                    return setup(format!(
+                        "initial state '{state}' is to be measured, but no column is compared with '{state}': name its column \
+                         among the outputs, or give a number or a parameter"
+                    ));
+                };
+                let (delay, offset) = assigned.outputs[output];
+                if !delay.is_constant() {
+                    return setup(format!(
+                        "initial state '{state}' is to be measured, but the delay of its output is fitted, so that the row of the \
+                         start is not known: give a number or a parameter"
+                    ));
+                }
+                let column = &experiment.outputs[output].column;
+                let measured = experiment.data.value_at(column, start_time + delay.in_model(&[]));
+                let measured = measured.map_err(|error| match error {
+                    CalibrationError::Data { source_name, message } => CalibrationError::Data {
+                        source_name,
+                        message: format!(
+                            "initial state '{state}' is to be measured, but {message}: start where there is a measurement \
+                             (start_time), or give a number or a parameter"
+                        ),
+                    },
+                    other => other,
+                })?;
+                // Compared is the output plus its offset.
+                if offset.entry.is_some() {
+                    let (n, d) = offset.unit.factor;
+                    let state_of = Affine {
+                        factor: -offset.factor * n / d,
+                        offset: measured - offset.offset * n / d,
+                        unit: UnitConversion::IDENTITY,
+                        ..offset
+                    };
+                    assigned.variables.push((state.clone(), state_of));
+                    assigned.is_identity = false;
+                    continue;
+                }
+                measured - offset.in_model(&[])
+            }
+        };
+        values.push((state.clone(), Value::Real(value)));
+    }
+    Ok(values)
+}

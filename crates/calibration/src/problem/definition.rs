@@ -1,0 +1,239 @@
+//! Problem of a fit as plain data: it can be stored, and sent to other processes.
+
+use crate::data::{UnitConversion, UnitError};
+use crate::error::CalibrationError;
+use crate::problem::experiment::{Experiment, InitialState, SimulationSettings};
+use crate::problem::parameter::{Parameter, Tie};
+use crate::problem::resolution::{check_names, check_targets};
+use crate::problem::warning::{SetupWarning, clock_change, ignored_nominals, unused_columns};
+use fmi::{FmiError, Fmu, ModelDescription};
+use ode::Number;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// The file of a model and what it contains.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ModelFile {
+    /// An absolute path: an `.fmu` file or an unpacked folder.
+    pub path: PathBuf,
+    /// SHA-256 of its content, in hexadecimal.
+    pub content_hash: String,
+}
+
+/// Parameters, and the terms of the cost that they are fitted to. It holds its recordings by value and its model by the name and
+/// the hash of a file; [`Calibration::from_problem`](crate::Calibration::from_problem) makes it one that can be evaluated.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Problem {
+    /// The model.
+    pub model: ModelFile,
+    /// Parameters of the fit, as the user named them: a [local](Parameter::local) parameter stands here once.
+    pub parameters: Vec<Parameter>,
+    /// The terms of the cost, in the order of their residuals.
+    pub experiments: Vec<Experiment>,
+    /// Settings of the simulations.
+    pub settings: SimulationSettings,
+}
+
+/// A value that a fit varies: an entry of `x`.
+#[derive(Debug, Clone)]
+pub(crate) struct Element {
+    pub(crate) parameter: Parameter,
+    /// The parameter of the problem that it is, by number; `None`: an initial state that is fitted.
+    pub(crate) source: Option<usize>,
+    /// The only experiment that it belongs to; `None`: all.
+    pub(crate) experiment: Option<usize>,
+}
+
+impl ModelFile {
+    /// The file of an opened model.
+    ///
+    /// # Errors
+    /// The file cannot be read any more.
+    pub fn of(fmu: &Fmu) -> Result<Self, FmiError> {
+        let path = std::path::absolute(fmu.path()).unwrap_or_else(|_| fmu.path().to_owned());
+        Ok(Self { path, content_hash: fmu.content_hash()?.to_owned() })
+    }
+
+    /// Checks that a model has this content.
+    ///
+    /// # Errors
+    /// [`CalibrationError::OtherModel`] names both hashes.
+    pub fn check(&self, fmu: &Fmu) -> Result<(), CalibrationError> {
+        let found = fmu.content_hash()?;
+        if found == self.content_hash {
+            return Ok(());
+        }
+        let (expected, found) = (self.content_hash.clone(), found.to_owned());
+        Err(CalibrationError::OtherModel { path: fmu.path().to_owned(), expected, found })
+    }
+}
+
+impl Problem {
+    /// The names of the experiments: as given, else `run1`, `run2` and so on.
+    pub fn experiment_names(&self) -> Vec<String> {
+        let name =
+            |(k, e): (usize, &Experiment)| e.name.clone().unwrap_or_else(|| Experiment::default_name(k));
+        self.experiments.iter().enumerate().map(name).collect()
+    }
+
+    /// The name of an experiment, where there are several.
+    fn name_of_several(&self, experiment: usize) -> Option<String> {
+        (self.experiments.len() > 1).then(|| self.experiment_names().swap_remove(experiment))
+    }
+
+    /// An error that names its experiment, where there are several.
+    pub(crate) fn error_in(&self, experiment: usize, error: CalibrationError) -> CalibrationError {
+        match self.name_of_several(experiment) {
+            Some(name) => CalibrationError::Experiment { name, source: Box::new(error) },
+            None => error,
+        }
+    }
+
+    /// A warning that names its experiment, where there are several; not one about the settings, which are those of all.
+    pub(crate) fn warning_in(&self, experiment: usize, warning: SetupWarning) -> SetupWarning {
+        match (self.name_of_several(experiment), warning) {
+            (Some(_), warning @ SetupWarning::NoEffect(_)) | (None, warning) => warning,
+            (Some(name), warning) => SetupWarning::Experiment { name, warning: Box::new(warning) },
+        }
+    }
+
+    /// The entries of `x`: the parameters in their order, without those that are tied, a local one once per experiment in its place;
+    /// then the initial states that are fitted, experiment by experiment.
+    pub(crate) fn elements(&self) -> Result<Vec<Element>, CalibrationError> {
+        let names = self.experiment_names();
+        let mut elements: Vec<Element> = Vec::with_capacity(self.parameters.len());
+        for (i, parameter) in self.parameters.iter().enumerate() {
+            parameter.check()?;
+            let source = Some(i);
+            if parameter.is_tied() {
+                continue;
+            }
+            if !parameter.is_local() {
+                elements.push(Element { parameter: parameter.clone(), source, experiment: None });
+                continue;
+            }
+            for (k, (name, experiment)) in names.iter().zip(&self.experiments).enumerate() {
+                let given = experiment.start_values.iter().find(|(given, _)| parameter.is_called(given));
+                let start = given.map(|(_, value)| {
+                    value.as_number().ok_or_else(|| CalibrationError::Parameter {
+                        name: parameter.name().to_owned(),
+                        message: format!("its start value in {name} is {value}, not a number"),
+                    })
+                });
+                let parameter = parameter.in_experiment(name, start.transpose()?);
+                elements.push(Element { parameter, source, experiment: Some(k) });
+            }
+        }
+        for (k, (name, experiment)) in names.iter().zip(&self.experiments).enumerate() {
+            for (state, initial) in &experiment.initial_states {
+                let InitialState::Fitted(parameter) = initial else { continue };
+                let parameter = parameter.for_state(state).in_experiment(name, None);
+                elements.push(Element { parameter, source: None, experiment: Some(k) });
+            }
+        }
+        elements.iter().try_for_each(|element| element.parameter.check())?;
+        Ok(elements)
+    }
+
+    /// The number of the parameter that one is tied to.
+    pub(crate) fn tied_to(&self, parameter: &Parameter, tie: &Tie) -> Result<usize, CalibrationError> {
+        let bad =
+            |message: String| Err(CalibrationError::Parameter { name: parameter.name().to_owned(), message });
+        let Tie { to, .. } = tie;
+        match self.parameters.iter().position(|p| p.name() == to) {
+            _ if to == parameter.name() => bad("it is tied to itself".to_owned()),
+            Some(number) => match self.parameters[number].tie() {
+                Some(next) => bad(format!(
+                    "it is tied to '{to}', which is tied to '{}': tie both to one that is not tied",
+                    next.to
+                )),
+                None => Ok(number),
+            },
+            None => {
+                let free = self.parameters.iter().filter(|p| !p.is_tied()).map(Parameter::name);
+                let free = free.collect::<Vec<_>>().join(", ");
+                bad(format!("it is tied to '{to}', and there is no such parameter; there are: {free}"))
+            }
+        }
+    }
+
+    /// Checks what can be checked with the description of the model; what is in doubt comes back.
+    pub(crate) fn check(
+        &self,
+        description: &ModelDescription,
+    ) -> Result<Vec<SetupWarning>, CalibrationError> {
+        if self.parameters.is_empty() {
+            return Err(CalibrationError::Setup("there is no parameter to fit".to_owned()));
+        }
+        if self.experiments.is_empty() {
+            return Err(CalibrationError::Setup("there is no experiment to fit to".to_owned()));
+        }
+        if self.parameters.iter().all(Parameter::is_tied) {
+            return Err(CalibrationError::Setup("all parameters are tied: there is none to fit".to_owned()));
+        }
+        for (i, parameter) in self.parameters.iter().enumerate() {
+            if self.parameters[..i].iter().any(|p| p.name() == parameter.name()) {
+                let name = parameter.name().to_owned();
+                return Err(CalibrationError::Parameter { name, message: "is given twice".to_owned() });
+            }
+        }
+        let names = self.experiment_names();
+        let is_bad = |name: &&String| {
+            name.is_empty() || name.contains(|c: char| matches!(c, '[' | ']') || c.is_control())
+        };
+        if let Some(name) = names.iter().find(is_bad) {
+            return Err(CalibrationError::Setup(format!(
+                "the name of an experiment must not be empty, nor hold brackets or line breaks: {name:?}"
+            )));
+        }
+        if let Some(twice) = (1..names.len()).find(|&k| names[..k].contains(&names[k])) {
+            return Err(CalibrationError::Setup(format!("two experiments are named '{}'", names[twice])));
+        }
+        check_targets(&self.parameters, &self.experiments, &names, description)?;
+        for parameter in &self.parameters {
+            if let Some(tie) = parameter.tie().filter(|tie| !tie.across_units) {
+                check_units_of_tie(
+                    (parameter, &self.parameters[self.tied_to(parameter, tie)?]),
+                    tie,
+                    description,
+                )?;
+            }
+        }
+        let mut warnings = Vec::new();
+        for (k, experiment) in self.experiments.iter().enumerate() {
+            let checked = check_names(experiment, &self.parameters, description)
+                .and_then(|()| experiment.check_start_values(description, &self.parameters));
+            checked.map_err(|error| self.error_in(k, error))?;
+            let doubts = unused_columns(description, experiment).into_iter().chain(clock_change(experiment));
+            warnings.extend(doubts.map(|warning| self.warning_in(k, warning)));
+        }
+        warnings.extend(ignored_nominals(&self.parameters));
+        Ok(warnings)
+    }
+}
+
+/// Refuses a tie between quantities of unlike kinds, and one of equal numbers in unlike units.
+fn check_units_of_tie(
+    (parameter, other): (&Parameter, &Parameter),
+    tie: &Tie,
+    description: &ModelDescription,
+) -> Result<(), CalibrationError> {
+    let (Some(own), Some(of_other)) = (parameter.unit(description), other.unit(description)) else {
+        return Ok(());
+    };
+    let is_equal = tie.factor == 1.0 && tie.offset == 0.0;
+    let is_like = own == of_other
+        || match UnitConversion::between(own, of_other) {
+            Ok(conversion) => conversion.is_identity() || !is_equal,
+            Err(reason) => !matches!(reason, UnitError::Dimension { .. }),
+        };
+    if is_like {
+        return Ok(());
+    }
+    let (name, to) = (parameter.name().to_owned(), &tie.to);
+    let message = format!(
+        "is in '{own}', and '{to}', which it is tied to, in '{of_other}': give across_units = true if the factor {} turns one into the other",
+        Number(tie.factor)
+    );
+    Err(CalibrationError::Parameter { name, message })
+}

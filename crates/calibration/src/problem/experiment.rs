@@ -1,0 +1,517 @@
+//! One recording: which column measures which output, which drives which input, and which part of it counts.
+
+use crate::data::{Data, Series};
+use crate::error::CalibrationError;
+use crate::problem::input::{InputSource, SignalFunction};
+use crate::problem::parameter::Parameter;
+use dfo::{Record, RecordError};
+use fmi::description::{Causality, Variability};
+use fmi::worker::{Isolation, WorkerLimits};
+use fmi::{ModelDescription, Value};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// A recording of the machine and how the model is to reproduce it.
+///
+/// ```
+/// use calibration::{Data, Experiment};
+/// let data = Data::from_columns(vec![0.0, 0.5, 1.0], [("phi".to_owned(), vec![0.0, 0.1, 0.3])])?;
+/// let experiment = Experiment::new(data).output("armJoint.phi", "phi").window(0.0, 0.5);
+/// # Ok::<(), calibration::CalibrationError>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Experiment {
+    pub(crate) name: Option<String>,
+    pub(crate) data: Data,
+    pub(crate) outputs: Vec<Measured>,
+    pub(crate) inputs: Vec<(String, InputSource)>,
+    pub(crate) start_values: Vec<(String, Value)>,
+    pub(crate) initial_states: Vec<(String, InitialState)>,
+    pub(crate) windows: Vec<(f64, f64)>,
+    pub(crate) warm_up: Option<f64>,
+    pub(crate) start_time: Option<f64>,
+    pub(crate) hold_inputs: bool,
+    /// Of outputs that are compared and inputs, in s.
+    pub(crate) delays: Vec<(String, f64)>,
+}
+
+/// Initial value of a state in an experiment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum InitialState {
+    /// This value, in the unit of the model.
+    Value(f64),
+    /// The recording of the column that is compared with the state, at the start of the simulation: linear between its rows, without the
+    /// offset and the delay of the output. An error where it begins later or has a gap there.
+    Measured,
+    /// Fitted in this experiment, from the start and within the bounds of this parameter, whose name plays no part.
+    Fitted(Box<Parameter>),
+}
+
+impl From<f64> for InitialState {
+    fn from(value: f64) -> Self {
+        Self::Value(value)
+    }
+}
+
+impl From<Parameter> for InitialState {
+    fn from(parameter: Parameter) -> Self {
+        Self::Fitted(Box::new(parameter))
+    }
+}
+
+/// Weight of the residuals of an output; 0: the measurement does not count.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum Weight {
+    /// All with this number.
+    Constant(f64),
+    /// Each with what stands in its row of this column.
+    Column(String),
+    /// Each with the number of its row of the recording.
+    Rows(Series),
+    /// All with the inverse of this scale of what was measured in the whole recording, whichever part of it counts: so that outputs of
+    /// different units count alike.
+    Inverse(OutputScale),
+}
+
+impl Weight {
+    /// True if the weight can be taken for 1 over the standard deviation of the noise.
+    pub(crate) fn states_noise(&self) -> bool {
+        match self {
+            Self::Constant(weight) => *weight != 1.0,
+            Self::Inverse(_) => false,
+            Self::Column(_) | Self::Rows(_) => true,
+        }
+    }
+}
+
+/// Scale of the measurements of an output.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum OutputScale {
+    /// The largest less the smallest.
+    Range,
+    /// The size of their mean.
+    Mean,
+    /// Their standard deviation.
+    Sd,
+}
+
+impl OutputScale {
+    /// The scale of a name.
+    ///
+    /// # Errors
+    /// A name that is none.
+    pub fn named(name: &str) -> Result<Self, CalibrationError> {
+        let known = [Self::Range, Self::Mean, Self::Sd];
+        known.into_iter().find(|scale| scale.name() == name).ok_or_else(|| {
+            let known = known.map(|scale| format!("'{}'", scale.name())).join(", ");
+            CalibrationError::Setup(format!(
+                "weights = '{name}' is none of {known}; give one of them, or numbers for the outputs"
+            ))
+        })
+    }
+
+    /// "range", "mean" or "sd".
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Range => "range",
+            Self::Mean => "mean",
+            Self::Sd => "sd",
+        }
+    }
+
+    /// That of these measurements, without those that are missing.
+    pub(crate) fn of(self, measured: &[f64]) -> f64 {
+        let counted = || measured.iter().copied().filter(|m| !m.is_nan());
+        let n = counted().count() as f64;
+        let mean = counted().sum::<f64>() / n;
+        match self {
+            Self::Range => {
+                counted().fold(f64::NEG_INFINITY, f64::max) - counted().fold(f64::INFINITY, f64::min)
+            }
+            Self::Mean => mean.abs(),
+            Self::Sd => (counted().map(|m| (m - mean) * (m - mean)).sum::<f64>() / (n - 1.0)).sqrt(),
+        }
+    }
+}
+
+impl From<f64> for Weight {
+    fn from(weight: f64) -> Self {
+        Self::Constant(weight)
+    }
+}
+
+/// An output of the model and the column that measured it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Measured {
+    pub(crate) variable: String,
+    pub(crate) column: String,
+    pub(crate) weight: Weight,
+}
+
+impl Experiment {
+    /// A recording; outputs are still to be named.
+    pub fn new(data: Data) -> Self {
+        Self {
+            name: None,
+            data,
+            outputs: Vec::new(),
+            inputs: Vec::new(),
+            start_values: Vec::new(),
+            initial_states: Vec::new(),
+            windows: Vec::new(),
+            warm_up: None,
+            start_time: None,
+            hold_inputs: false,
+            delays: Vec::new(),
+        }
+    }
+
+    /// Names it: in the names of [local](Parameter::local) parameters, in messages and reports; default: `run1`, `run2` and
+    /// so on, by its position. Not empty, without brackets and line breaks.
+    #[must_use]
+    pub fn named(mut self, name: impl Into<String>) -> Self {
+        self.name = Some(name.into());
+        self
+    }
+
+    /// The name of the experiment at a position, counted from 0, if it was given none.
+    pub fn default_name(position: usize) -> String {
+        format!("run{}", position + 1)
+    }
+
+    /// The recording.
+    pub fn data(&self) -> &Data {
+        &self.data
+    }
+
+    /// The outputs that are compared, each with its column, in the order of their residuals.
+    pub fn outputs(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.outputs.iter().map(|o| (o.variable.as_str(), o.column.as_str()))
+    }
+
+    /// Intervals in which measurements count; none: they count everywhere.
+    pub fn windows_of_measurements(&self) -> &[(f64, f64)] {
+        &self.windows
+    }
+
+    /// Inputs with the columns that drive them.
+    pub fn driving_columns(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.inputs.iter().filter_map(|(input, source)| match source {
+            InputSource::Column(column) => Some((input.as_str(), column.as_str())),
+            InputSource::Constant(_) | InputSource::Function(_) => None,
+        })
+    }
+
+    /// An input that a function of the user's drives.
+    pub(crate) fn driven_by_function(&self) -> Option<&str> {
+        let is_function = |source: &InputSource| matches!(source, InputSource::Function(signal) if signal.function.is_some());
+        self.inputs.iter().find(|(_, source)| is_function(source)).map(|(input, _)| input.as_str())
+    }
+
+    /// Variables with the columns that measure or drive them.
+    pub(crate) fn columns_in_use(&self) -> Vec<(String, String)> {
+        let outputs = self.outputs.iter().map(|o| (o.variable.clone(), o.column.clone()));
+        outputs
+            .chain(self.driving_columns().map(|(input, column)| (input.to_owned(), column.to_owned())))
+            .collect()
+    }
+
+    /// True if a start value is that of a local parameter.
+    pub(crate) fn is_start_of_local(name: &str, parameters: &[Parameter]) -> bool {
+        parameters.iter().any(|p| p.is_local() && p.is_called(name))
+    }
+
+    /// `column` of the data measured the model's `variable`. Residuals follow the order of these calls.
+    #[must_use]
+    pub fn output(self, variable: impl Into<String>, column: impl Into<String>) -> Self {
+        self.weighted_output(variable, column, 1.0)
+    }
+
+    /// As [`output`](Self::output); `weight` multiplies the residual (so its square multiplies the squared error): a number, or for
+    /// each measurement one of its own, see [`Weight`].
+    #[must_use]
+    pub fn weighted_output(
+        mut self,
+        variable: impl Into<String>,
+        column: impl Into<String>,
+        weight: impl Into<Weight>,
+    ) -> Self {
+        self.outputs.push(Measured {
+            variable: variable.into(),
+            column: column.into(),
+            weight: weight.into(),
+        });
+        self
+    }
+
+    /// `column` of the data drives the model's input `variable`: linear between the rows for a continuous input, held
+    /// for a discrete one; a time that stands twice is a jump. Rows where the value is missing are left out.
+    #[must_use]
+    pub fn input(mut self, variable: impl Into<String>, column: impl Into<String>) -> Self {
+        self.inputs.push((variable.into(), InputSource::Column(column.into())));
+        self
+    }
+
+    /// The model's input `variable` has this value at all times.
+    #[must_use]
+    pub fn constant_input(mut self, variable: impl Into<String>, value: f64) -> Self {
+        self.inputs.push((variable.into(), InputSource::Constant(value)));
+        self
+    }
+
+    /// The model's continuous input `variable` is this function of time, which is smooth, always gives the same, and may be called
+    /// from any thread. It is not stored with a [`Problem`](crate::Problem).
+    #[must_use]
+    pub fn function_input(
+        mut self,
+        variable: impl Into<String>,
+        function: impl Fn(f64) -> f64 + Send + Sync + 'static,
+    ) -> Self {
+        let function = SignalFunction { function: Some(Arc::new(function)) };
+        let variable = variable.into();
+        let source = InputSource::Function(function);
+        // That of a stored problem has lost its function.
+        let lost = InputSource::Function(SignalFunction::default());
+        match self.inputs.iter_mut().find(|(known, source)| *known == variable && *source == lost) {
+            Some((_, known)) => *known = source,
+            None => self.inputs.push((variable, source)),
+        }
+        self
+    }
+
+    /// The inputs that functions drove which were not stored: [`function_input`](Self::function_input) gives them again.
+    pub fn lost_functions(&self) -> impl Iterator<Item = &str> {
+        let lost = InputSource::Function(SignalFunction::default());
+        self.inputs.iter().filter(move |(_, source)| *source == lost).map(|(name, _)| name.as_str())
+    }
+
+    /// Holds the recordings of inputs at their first and last values where the simulation goes on beyond
+    /// them, if `hold` is true. Else more than one sampling interval without a recording is an error.
+    #[must_use]
+    pub fn hold_inputs(mut self, hold: bool) -> Self {
+        self.hold_inputs = hold;
+        self
+    }
+
+    /// A value set before the simulation starts, the same for all trial parameters; of a [local](Parameter::local) parameter,
+    /// where its search starts in this experiment.
+    #[must_use]
+    pub fn start_value(mut self, variable: impl Into<String>, value: impl Into<Value>) -> Self {
+        self.start_values.push((variable.into(), value.into()));
+        self
+    }
+
+    /// Sets the initial value of a state of the model: a value, the first measurement, or a parameter of this
+    /// experiment alone.
+    #[must_use]
+    pub fn initial_state(mut self, state: impl Into<String>, initial: impl Into<InitialState>) -> Self {
+        self.initial_states.push((state.into(), initial.into()));
+        self
+    }
+
+    /// Only measurements in `[from, to]` count, or in another window of this experiment; the simulation still starts at its start
+    /// time.
+    #[must_use]
+    pub fn window(mut self, from: f64, to: f64) -> Self {
+        self.windows.push((from, to));
+        self
+    }
+
+    /// Only measurements in one of these windows count, which take the place of those that were given before.
+    #[must_use]
+    pub fn windows(mut self, windows: impl IntoIterator<Item = (f64, f64)>) -> Self {
+        self.windows = windows.into_iter().collect();
+        self
+    }
+
+    /// For so many seconds from its start the simulation is not compared: it forgets its initial states. With windows and without a
+    /// [start time](Self::start_time) it starts so much before the first measurement in them; else where it does without warm-up, and
+    /// measurements before the end of the warm-up do not count.
+    #[must_use]
+    pub fn warm_up(mut self, seconds: f64) -> Self {
+        self.warm_up = Some(seconds);
+        self
+    }
+
+    /// An output that is compared, or an input, is late by so many seconds: `y(t - delay)` is compared with what was measured at t,
+    /// and the model is driven by `u(t - delay)`. A delay that is fitted is a [parameter](Parameter::delay_of).
+    #[must_use]
+    pub fn delay(mut self, variable: impl Into<String>, seconds: f64) -> Self {
+        self.delays.push((variable.into(), seconds));
+        self
+    }
+
+    /// Where the simulation starts; default: the model's default experiment, else 0.
+    #[must_use]
+    pub fn start_time(mut self, start_time: f64) -> Self {
+        self.start_time = Some(start_time);
+        self
+    }
+
+    /// Refuses a value for something that is fitted or driven.
+    pub(crate) fn check_start_values(
+        &self,
+        description: &ModelDescription,
+        parameters: &[Parameter],
+    ) -> Result<(), CalibrationError> {
+        let reference = |name: &str| description.variable(name).map(|v| (v.kind, v.value_reference));
+        for (given, value) in &self.start_values {
+            if Self::is_start_of_local(given, parameters) {
+                continue;
+            }
+            let is_it = |p: &&Parameter| {
+                let of = reference(given);
+                (p.variable_names().iter()).any(|v| v == given || (of.is_some() && reference(v) == of))
+            };
+            if let Some(parameter) = parameters.iter().find(is_it) {
+                let name = parameter.name().to_owned();
+                let alias = if *given == name { String::new() } else { format!(" (as '{given}')") };
+                let message = format!(
+                    "it is fitted, and start_values gives it the value {value}{alias}: one of both counts"
+                );
+                return Err(CalibrationError::Parameter { name, message });
+            }
+            let is_driven = |(input, _): &&(String, InputSource)| {
+                input == given || reference(given).is_some_and(|of| reference(input) == Some(of))
+            };
+            if let Some((input, source)) = self.inputs.iter().find(is_driven) {
+                return Err(CalibrationError::Setup(format!(
+                    "input '{input}' is driven by {source}, and start_values gives it the value {value}: one of both counts"
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    /// Refuses outputs that are no results of the simulation.
+    pub(crate) fn check_outputs(
+        &self,
+        description: &ModelDescription,
+        parameters: &[String],
+    ) -> Result<(), CalibrationError> {
+        let reference = |name: &str| description.variable(name).map(|v| (v.kind, v.value_reference));
+        for (index, Measured { variable, column, .. }) in self.outputs.iter().enumerate() {
+            if self.outputs[..index].iter().any(|o| (&o.variable, &o.column) == (variable, column)) {
+                return Err(CalibrationError::Setup(format!(
+                    "output '{variable}' is compared with column '{column}' twice; a weight makes it count more"
+                )));
+            }
+            let Some(declared) = description.variable(variable) else {
+                match variable.as_str() {
+                    "time" => return Err(no_result(variable, column, "the time")),
+                    // What else has no name of its own is an element of an array.
+                    name if name.contains(['*', '?']) => {
+                        return Err(CalibrationError::Setup(format!(
+                            "output '{name}': a measured column is compared with one variable; patterns name several"
+                        )));
+                    }
+                    _ => continue,
+                }
+            };
+            let own = Some((declared.kind, declared.value_reference));
+            let is_fitted = parameters.iter().any(|p| reference(p) == own);
+            let what = match declared.causality {
+                Causality::Parameter if is_fitted => "a parameter that is fitted",
+                Causality::Parameter | Causality::StructuralParameter => "a parameter",
+                Causality::Input => "an input",
+                Causality::Independent => "the time",
+                _ if declared.variability == Variability::Constant => "a constant",
+                _ => continue,
+            };
+            return Err(no_result(variable, column, what));
+        }
+        Ok(())
+    }
+}
+
+/// Settings of the simulations of a fit.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct SimulationSettings {
+    /// Interface of the model; default: model exchange where it offers that, else co-simulation.
+    pub kind: fmi::Kind,
+    /// Integration method. Default [`ode::Method::Auto`]: the winner of a race between the methods, see
+    /// [`Calibration::solver`](crate::Calibration::solver).
+    pub method: ode::Method,
+    /// Relative tolerance; default: the model's default experiment, but at most 1e-6, else 1e-6: a fit says where it is smaller than
+    /// the model's.
+    pub relative_tolerance: Option<f64>,
+    /// Step of a fixed-step method; the communication step of co-simulation.
+    pub step_size: Option<f64>,
+    /// Largest step of an adaptive method.
+    pub max_step: Option<f64>,
+    /// True to give a co-simulation the derivatives of its inputs, see
+    /// [`SimulateOptions::input_derivatives`](fmi::SimulateOptions::input_derivatives); default: true.
+    pub input_derivatives: Option<bool>,
+    /// Policy for state events that follow each other so closely that time hardly advances; default: the
+    /// simulation counts as failed.
+    pub chattering: ode::ChatteringPolicy,
+    /// Wall-clock limit of one simulation; one that reaches it counts as failed.
+    pub timeout: Option<Duration>,
+    /// Where the FMU runs. The costs do not depend on it.
+    #[serde(default)]
+    pub isolation: Isolation,
+    /// Bytes of memory that a process of the FMU may have; default: the memory of the machine.
+    #[serde(default)]
+    pub memory_limit: Option<u64>,
+    /// Processes of the FMU may write into their own folder only, and open no connections.
+    #[serde(default)]
+    pub sandbox: bool,
+}
+
+/// The largest relative tolerance that simulations of a fit have where none is asked for. With it a cost of residuals of usual noise is
+/// smooth far below 1e-4 of itself, the `f_tol` of a fit; at 1e-4, which many models state, it is not.
+const LOOSEST: f64 = 1e-6;
+
+impl SimulationSettings {
+    /// The settings of a record: `solver` is the method, `timeout` is in s, all else has the name of its field. What it does not say is
+    /// as by default.
+    ///
+    /// # Errors
+    /// A setting that there is not, or a value that it cannot have.
+    pub fn asked(record: &Record) -> Result<Self, RecordError> {
+        let mut settings = Self::default();
+        for (name, value) in record {
+            match name.as_str() {
+                "kind" => settings.kind = value.parse(name)?,
+                "solver" => settings.method = value.parse(name)?,
+                "relative_tolerance" => settings.relative_tolerance = value.read(name)?,
+                "step_size" => settings.step_size = value.read(name)?,
+                "max_step" => settings.max_step = value.read(name)?,
+                "input_derivatives" => settings.input_derivatives = value.read(name)?,
+                "chattering" => settings.chattering = value.parse(name)?,
+                "timeout" => settings.timeout = value.read_time(name)?,
+                "isolation" => settings.isolation = value.parse(name)?,
+                "memory_limit" => {
+                    settings.memory_limit = value.read_limit(name, 1)?.map(|bytes| bytes as u64)
+                }
+                "sandbox" => settings.sandbox = value.read(name)?,
+                _ => {
+                    return Err(RecordError::message(format!("there is no setting '{name}' of simulations")));
+                }
+            }
+        }
+        Ok(settings)
+    }
+
+    /// What processes of the FMU may take.
+    pub(crate) fn worker_limits(&self) -> WorkerLimits {
+        let usual = WorkerLimits::default();
+        WorkerLimits { memory: self.memory_limit.or(usual.memory), sandbox: self.sandbox, ..usual }
+    }
+
+    /// The relative tolerance that simulations are asked for: what is set, else [`LOOSEST`] where the model states a larger one; `None`: its
+    /// own, or the default.
+    pub(crate) fn tolerance_of_fits(&self, description: &fmi::ModelDescription) -> Option<f64> {
+        let stated = description.default_experiment.tolerance;
+        self.relative_tolerance
+            .or_else(|| stated.filter(|stated| *stated > LOOSEST && *stated < 1.0).map(|_| LOOSEST))
+    }
+}
+
+fn no_result(variable: &str, column: &str, what: &str) -> CalibrationError {
+    CalibrationError::Setup(format!(
+        "output '{variable}' is compared with column '{column}', but it is {what}, not a result of the simulation"
+    ))
+}

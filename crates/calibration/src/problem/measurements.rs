@@ -1,0 +1,199 @@
+//! Measurements of an experiment that count, their weights, and the start of its simulation.
+
+use crate::data::Series;
+use crate::error::CalibrationError;
+use crate::problem::experiment::{Experiment, Measured, Weight};
+use ode::Number;
+
+/// Where no start time is given, a recording may begin so many of its sampling intervals after the model's.
+const MOST_BEFORE: f64 = 10.0;
+
+/// The measurements of an output that count, in the order of time.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Counted {
+    pub(crate) times: Series,
+    pub(crate) values: Series,
+    pub(crate) weights: Series,
+}
+
+impl Counted {
+    /// Those of some rows, which are counted from 0.
+    fn rows(&self, keep: impl Fn(usize) -> bool) -> Self {
+        let n = self.times.len();
+        // What is whole is shared.
+        if (0..n).all(&keep) {
+            return self.clone();
+        }
+        let of = |series: &Series| (0..n).filter(|row| keep(*row)).map(|row| series[row]).collect();
+        Self { times: of(&self.times), values: of(&self.values), weights: of(&self.weights) }
+    }
+}
+
+/// Measurements that the simulation of an experiment is compared with, and its start.
+#[derive(Debug)]
+pub(crate) struct Measurements {
+    /// Where the simulation starts.
+    pub(crate) start_time: f64,
+    /// Per output, at least one.
+    pub(crate) outputs: Vec<Counted>,
+}
+
+impl Measurements {
+    /// Those of an experiment, whose simulation starts at `default_start` where nothing else is said.
+    pub(crate) fn new(experiment: &Experiment, default_start: f64) -> Result<Self, CalibrationError> {
+        let source = experiment.data.source();
+        if experiment.outputs.is_empty() {
+            return setup(format!("{source}: no output is compared with a column"));
+        }
+        let mut outputs = in_windows(experiment)?;
+        let first = |outputs: &[Counted]| outputs.iter().map(|o| o.times[0]).fold(f64::INFINITY, f64::min);
+        let last = outputs.iter().filter_map(|o| o.times.last()).copied().fold(f64::NEG_INFINITY, f64::max);
+        let warm_up = experiment.warm_up.unwrap_or(0.0);
+        if !(warm_up.is_finite() && warm_up >= 0.0) {
+            return setup(format!("warm_up = {} must be a number of seconds, not negative", Number(warm_up)));
+        }
+        let before_windows = experiment.warm_up.filter(|_| !experiment.windows.is_empty());
+        let before_windows = before_windows.map(|warm_up| first(&outputs) - warm_up);
+        let start_time = experiment.start_time.or(before_windows).unwrap_or(default_start);
+        let rounding = 100.0 * f64::EPSILON / 2.0 * start_time.abs().max(last.abs());
+        if experiment.warm_up.is_some() {
+            for (measured, Measured { variable, column, .. }) in outputs.iter_mut().zip(&experiment.outputs) {
+                *measured = measured.rows(|row| measured.times[row] >= start_time + warm_up - rounding);
+                if measured.times.is_empty() {
+                    let [start, warm_up, last] = [start_time, warm_up, last].map(Number);
+                    return setup(format!(
+                        "{source}: no measurement of '{variable}' (column '{column}') is left after the warm-up of {warm_up} s from \
+                         {start} s; the last one that would count is at {last} s: give a shorter warm_up"
+                    ));
+                }
+            }
+        }
+        let first = first(&outputs);
+        if first < start_time - rounding {
+            let [first, start] = [first, start_time].map(Number);
+            return setup(format!(
+                "{source}: the first measurement is at {first} s, before the simulation starts at {start} s; give \
+                 start_time = {first}, or a window that begins later"
+            ));
+        }
+        let measurements = Self { start_time, outputs };
+        if experiment.start_time.is_none() && before_windows.is_none() {
+            measurements.check_begin(experiment)?;
+        }
+        Ok(measurements)
+    }
+
+    /// Refuses to simulate a long time before the recording where the start time is only the model's default.
+    fn check_begin(&self, experiment: &Experiment) -> Result<(), CalibrationError> {
+        let (begin, start_time) = (experiment.data.time()[0], self.start_time);
+        match experiment.data.sampling_interval() {
+            Some(interval) if begin - start_time > MOST_BEFORE * interval => {
+                let [begin, start, before] = [begin, start_time, begin - start_time].map(Number);
+                setup(format!(
+                    "{}: the recording begins at {begin} s, the simulation at {start} s. Give start_time = {begin} to start \
+                     with the recording, or start_time = {start} to simulate the {before} s before it as well",
+                    experiment.data.source()
+                ))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The time of the last measurement.
+    pub(crate) fn last_time(&self) -> f64 {
+        self.outputs.iter().filter_map(|o| o.times.last()).copied().fold(self.start_time, f64::max)
+    }
+}
+
+/// The measurements in the windows that have a weight.
+fn in_windows(experiment: &Experiment) -> Result<Vec<Counted>, CalibrationError> {
+    let (data, time) = (&experiment.data, experiment.data.time());
+    for (from, to) in &experiment.windows {
+        if from.is_nan() || to.is_nan() || from > to {
+            let [from, to] = [*from, *to].map(Number);
+            return setup(format!("window from {from} to {to}: the end must not lie before the start"));
+        }
+    }
+    let counts = |t: &f64| {
+        experiment.windows.is_empty() || experiment.windows.iter().any(|(a, b)| (a..=b).contains(&t))
+    };
+    let Some(first) = time.iter().position(counts) else {
+        let list = |(from, to): &(f64, f64)| format!("{} to {}", Number(*from), Number(*to));
+        let windows = experiment.windows.iter().map(list).collect::<Vec<_>>().join(", ");
+        let several = if experiment.windows.len() > 1 { "windows" } else { "window" };
+        return setup(format!(
+            "no time of {} lies in the {several} from {windows}; the times run from {} to {}",
+            data.source(),
+            time[0],
+            time[time.len() - 1]
+        ));
+    };
+    let rows = first..time.iter().rposition(counts).unwrap_or(first) + 1;
+    let of_output = |Measured { variable, column, weight }: &Measured| {
+        let weights = weights(experiment, (variable, column), weight)?;
+        let measured = data.measured(column, rows.clone())?;
+        let all = Counted { times: data.time_series().clone(), values: measured.clone(), weights };
+        let counted = all.rows(|row| {
+            rows.contains(&row) && !measured[row].is_nan() && all.weights[row] != 0.0 && counts(&time[row])
+        });
+        if counted.times.is_empty() {
+            return setup(format!(
+                "{}: no measurement of '{variable}' (column '{column}') counts: all in the windows are missing, or have the weight 0",
+                data.source()
+            ));
+        }
+        Ok(counted)
+    };
+    experiment.outputs.iter().map(of_output).collect()
+}
+
+/// The weights of an output, one per row.
+fn weights(
+    experiment: &Experiment,
+    (variable, column): (&str, &str),
+    weight: &Weight,
+) -> Result<Series, CalibrationError> {
+    let (data, n) = (&experiment.data, experiment.data.time().len());
+    let (weights, place) = match weight {
+        Weight::Constant(weight) if !(weight.is_finite() && *weight > 0.0) => {
+            let hint = if *weight == 0.0 { ": leave the output out" } else { "" };
+            let weight = Number(*weight);
+            return setup(format!(
+                "weight {weight} of output '{variable}' must be positive and finite{hint}"
+            ));
+        }
+        Weight::Constant(weight) => return Ok(vec![*weight; n].into()),
+        Weight::Inverse(scale) => {
+            let weight = 1.0 / scale.of(data.measured(column, 0..n)?);
+            if weight.is_finite() && weight > 0.0 {
+                return Ok(vec![weight; n].into());
+            }
+            let (scale, value) = (scale.name(), Number(1.0 / weight));
+            return setup(format!(
+                "the measurements of '{variable}' (column '{column}') have the {scale} {value}, by which they cannot be weighed: give a \
+                 number"
+            ));
+        }
+        Weight::Column(column) => (data.series(column)?, format!(" in column '{column}'")),
+        Weight::Rows(weights) if weights.len() != n => {
+            return setup(format!(
+                "{} weights of output '{variable}' for {n} rows of {}: give a number, or one weight per row",
+                weights.len(),
+                data.source()
+            ));
+        }
+        Weight::Rows(weights) => (weights, String::new()),
+    };
+    match weights.iter().position(|w| !(w.is_finite() && *w >= 0.0)) {
+        Some(row) => setup(format!(
+            "the weight {} of output '{variable}'{place} at time {} must be finite and not negative; 0 leaves a measurement out",
+            Number(weights[row]),
+            Number(data.time()[row])
+        )),
+        None => Ok(weights.clone()),
+    }
+}
+
+fn setup<T>(message: String) -> Result<T, CalibrationError> {
+    Err(CalibrationError::Setup(message))
+}

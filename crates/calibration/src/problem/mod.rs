@@ -1,0 +1,16 @@
+//! The problem: parameters, experiments, priors, what is minimised, and the names that join them with the model.
+
+pub(crate) mod assignment;
+pub(crate) mod column_units;
+pub(crate) mod definition;
+pub(crate) mod experiment;
+pub(crate) mod fingerprint;
+pub(crate) mod input;
+pub(crate) mod measurements;
+pub(crate) mod objective;
+pub(crate) mod parameter;
+pub(crate) mod parameter_record;
+pub(crate) mod prior;
+pub(crate) mod residual_layout;
+pub(crate) mod resolution;
+pub(crate) mod warning;

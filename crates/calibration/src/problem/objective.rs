@@ -1,0 +1,331 @@
+//! Cost that a fit minimises: the sum of the squared residuals, or another function of them.
+
+use crate::error::CalibrationError;
+use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
+use dfo::Outcome;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::sync::Arc;
+
+/// Cost that a fit minimises. Residuals are simulated minus measured, times weight: with weights of 1/sigma,
+/// the inverse of the standard deviation of the noise, the sum of squares is twice the negative logarithm of
+/// the likelihood, up to a constant.
+///
+/// Sums of squares (a [custom](Self::Custom) one, too) give their residuals to least squares; only the one of the residuals themselves
+/// can be given up early and has a robust loss. All others go to methods that see the cost alone.
+#[derive(Debug, Clone, Default)]
+#[non_exhaustive]
+pub enum CostKind {
+    /// `sum r^2`: no 1/N, no 1/2.
+    #[default]
+    SumOfSquares,
+    /// One of the costs with a name.
+    Named(NamedCost),
+    /// A function of the user's.
+    Custom(CustomCost),
+}
+
+/// Costs that are no sums of squares. N counts the residuals.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum NamedCost {
+    /// The mean absolute error, `sum |r| / N`.
+    Mae,
+    /// The root of the mean squared error, `sqrt(sum r^2 / N)`.
+    Rmse,
+    /// The mean over the outputs of each experiment of `sqrt(sum r^2 / N)` of the output over the range of its measurements.
+    Nrmse,
+    /// The negative logarithm of the likelihood with an unknown standard deviation of the noise for each output, over its recordings, up
+    /// to a constant: `sum_o N_o / 2 ln(r_o' r_o / N_o)`, the likelihood with the best standard deviations (Bard, Nonlinear Parameter
+    /// Estimation, 1974, chapter IV: unknown diagonal covariance). Priors add half of their squares.
+    Likelihood,
+}
+
+impl NamedCost {
+    /// "mae", "rmse", "nrmse" or "likelihood".
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mae => "mae",
+            Self::Rmse => "rmse",
+            Self::Nrmse => "nrmse",
+            Self::Likelihood => "likelihood",
+        }
+    }
+}
+
+/// An output of an experiment, as a function of the user's sees it.
+#[derive(Debug, Clone, Copy)]
+pub struct Compared<'a> {
+    /// The experiment, counted from 0.
+    pub experiment: usize,
+    /// The variable of the model.
+    pub variable: &'a str,
+    /// Times of the measurements, in s.
+    pub times: &'a [f64],
+    /// Measured values.
+    pub measured: &'a [f64],
+    /// Simulated values, to rounding.
+    pub simulated: &'a [f64],
+}
+
+/// Why a function of the user's has no answer.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum CustomFailure {
+    /// There is no cost at this point; the fit goes on.
+    Failed(String),
+    /// The fit is to end.
+    Abort(String),
+}
+
+/// A function of measured and simulated values that returns a cost as the only number, or residuals.
+type CustomFunction = dyn Fn(&[Compared<'_>]) -> Result<Vec<f64>, CustomFailure> + Send + Sync;
+
+/// A function of the user's as the cost of a fit.
+#[derive(Clone)]
+pub struct CustomCost {
+    name: String,
+    gives_residuals: bool,
+    function: Arc<CustomFunction>,
+}
+
+impl fmt::Debug for CustomCost {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("CustomCost").field("name", &self.name).finish_non_exhaustive()
+    }
+}
+
+impl CustomCost {
+    /// A cost. The name identifies the function in checkpoints and reports.
+    pub fn cost(
+        name: impl Into<String>,
+        function: impl Fn(&[Compared<'_>]) -> Result<f64, CustomFailure> + Send + Sync + 'static,
+    ) -> Self {
+        let function = move |compared: &[Compared<'_>]| function(compared).map(|cost| vec![cost]);
+        Self { name: name.into(), gives_residuals: false, function: Arc::new(function) }
+    }
+
+    /// Residuals, always the same number in the same order, of which the sum of squares is minimised.
+    pub fn residuals(
+        name: impl Into<String>,
+        function: impl Fn(&[Compared<'_>]) -> Result<Vec<f64>, CustomFailure> + Send + Sync + 'static,
+    ) -> Self {
+        Self { name: name.into(), gives_residuals: true, function: Arc::new(function) }
+    }
+}
+
+impl CostKind {
+    /// The cost of this name, as [`name`](Self::name) gives it; `None`: it is a function of the user's.
+    pub fn of_name(name: &str) -> Option<Self> {
+        let named = [NamedCost::Mae, NamedCost::Rmse, NamedCost::Nrmse, NamedCost::Likelihood];
+        let named = named.into_iter().map(Self::Named);
+        std::iter::once(Self::SumOfSquares).chain(named).find(|kind| kind.name() == name)
+    }
+
+    /// "sum-of-squares", a name as of [`NamedCost::name`], or that of a function of the user's.
+    pub fn name(&self) -> &str {
+        match self {
+            Self::SumOfSquares => "sum-of-squares",
+            Self::Named(named) => named.name(),
+            Self::Custom(custom) => &custom.name,
+        }
+    }
+
+    /// True if the cost is the sum of the squares of the residuals themselves.
+    pub fn is_sum_of_squares(&self) -> bool {
+        matches!(self, Self::SumOfSquares)
+    }
+
+    /// True if the [uncertainty](crate::Fit::worth) of a fit can be estimated with this cost: the sum of
+    /// squares, with a loss too, and the likelihood.
+    pub fn has_worth(&self) -> bool {
+        self.is_sum_of_squares() || self.is_likelihood()
+    }
+
+    pub(crate) fn is_likelihood(&self) -> bool {
+        matches!(self, Self::Named(NamedCost::Likelihood))
+    }
+
+    /// The size of a cost that differences of it are compared with: the cost, where it cannot be negative or nothing is known of it. Of
+    /// the likelihood the part of it that goes with a relative change of the sums of squares: N / 2.
+    pub(crate) fn size(&self, cost: f64, n_measurements: usize) -> f64 {
+        if self.is_likelihood() { 0.5 * n_measurements as f64 } else { cost.abs() }
+    }
+
+    /// True if the cost is a sum of squares whose residuals are available to least squares.
+    pub fn has_residuals(&self) -> bool {
+        match self {
+            Self::SumOfSquares => true,
+            Self::Named(_) => false,
+            Self::Custom(custom) => custom.gives_residuals,
+        }
+    }
+
+    /// Refuses what makes no sense with these measurements.
+    pub(crate) fn check(&self, layout: &ResidualLayout, is_robust: bool) -> Result<(), CalibrationError> {
+        let setup = |message: String| Err(CalibrationError::Setup(message));
+        if self.is_sum_of_squares() {
+            return Ok(());
+        }
+        let name = self.name();
+        if is_robust {
+            return setup(format!(
+                "a robust loss belongs to the sum of squares: with the objective '{name}' leave it out"
+            ));
+        }
+        if !layout.priors.is_empty() && !matches!(self, Self::Named(NamedCost::Likelihood)) {
+            return setup(format!(
+                "priors belong to the sum of squares and the likelihood: with the objective '{name}' give bounds instead"
+            ));
+        }
+        let is_constant = |o: &&OutputResiduals| o.measured.iter().all(|m| *m == o.measured[0]);
+        match (self, layout.outputs.iter().find(is_constant)) {
+            (Self::Named(NamedCost::Nrmse), Some(output)) => setup(format!(
+                "the measurements of '{}' are all {}: there is no range for the objective 'nrmse'",
+                output.variable,
+                ode::Number(output.measured[0])
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    /// The outcome that residuals make, of which `sum` is the sum of squares. Residuals of the user's go to `own`.
+    pub(crate) fn outcome(
+        &self,
+        layout: &ResidualLayout,
+        (sum, residuals): (f64, &[f64]),
+        own: &mut Vec<f64>,
+    ) -> Outcome {
+        match self {
+            Self::SumOfSquares => Outcome::Value(sum),
+            Self::Named(named) => Outcome::Value(named.cost(layout, residuals)),
+            Self::Custom(custom) => custom.outcome(layout, residuals, own),
+        }
+    }
+}
+
+impl NamedCost {
+    pub(crate) fn cost(self, layout: &ResidualLayout, residuals: &[f64]) -> f64 {
+        let of_measurements = &residuals[..layout.n_measurements()];
+        let n = of_measurements.len() as f64;
+        let squares = |of: &[f64]| of.iter().map(|r| r * r).sum::<f64>();
+        match self {
+            Self::Mae => of_measurements.iter().map(|r| r.abs()).sum::<f64>() / n,
+            Self::Rmse => (squares(of_measurements) / n).sqrt(),
+            Self::Nrmse => {
+                let of_output = |o: &OutputResiduals| {
+                    let (low, high) = (o.measured.iter())
+                        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), m| {
+                            (low.min(*m), high.max(*m))
+                        });
+                    (squares(&residuals[o.range.clone()]) / o.measured.len() as f64).sqrt() / (high - low)
+                };
+                layout.outputs.iter().map(of_output).sum::<f64>() / layout.outputs.len() as f64
+            }
+            Self::Likelihood => {
+                let mut total = 0.5 * squares(&residuals[layout.n_measurements()..]);
+                for (k, first) in layout.outputs.iter().enumerate() {
+                    let is_same = |o: &&OutputResiduals| o.variable == first.variable;
+                    if layout.outputs[..k].iter().any(|o| is_same(&o)) {
+                        continue;
+                    }
+                    let (mut n, mut sum, mut measured) = (0, 0.0, 0.0);
+                    for output in layout.outputs.iter().filter(is_same) {
+                        n += output.measured.len();
+                        sum += squares(&residuals[output.range.clone()]);
+                        measured += output
+                            .measured
+                            .iter()
+                            .zip(&output.weights)
+                            .map(|(m, w)| (m * w) * (m * w))
+                            .sum::<f64>();
+                    }
+                    let n = n as f64;
+                    // An output that is reproduced to rounding has no likelihood: its variance counts as that of rounding.
+                    let least = (measured * f64::EPSILON * f64::EPSILON).max(f64::MIN_POSITIVE);
+                    total += 0.5 * n * (sum.max(least) / n).ln();
+                }
+                total
+            }
+        }
+    }
+}
+
+impl CustomCost {
+    fn outcome(&self, layout: &ResidualLayout, residuals: &[f64], own: &mut Vec<f64>) -> Outcome {
+        let simulated: Vec<Vec<f64>> = (layout.outputs.iter())
+            .map(|o| {
+                let own = residuals[o.range.clone()].iter().zip(&o.weights).zip(&o.measured);
+                own.map(|((r, w), m)| m + r / w).collect()
+            })
+            .collect();
+        let compared: Vec<Compared<'_>> = (layout.outputs.iter().zip(&simulated))
+            .map(|(o, simulated)| Compared {
+                experiment: o.experiment,
+                variable: &o.variable,
+                times: &o.times,
+                measured: &o.measured,
+                simulated,
+            })
+            .collect();
+        match (self.function)(&compared) {
+            Ok(returned) if self.gives_residuals => {
+                *own = returned;
+                dfo::RobustLoss::default().cost(own, f64::INFINITY)
+            }
+            Ok(returned) => Outcome::Value(returned.first().copied().unwrap_or(f64::NAN)),
+            Err(CustomFailure::Failed(message)) => Outcome::failed(message),
+            Err(CustomFailure::Abort(message)) => Outcome::Abort(message),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn layout() -> ResidualLayout {
+        let output =
+            |experiment, variable: &str, range: std::ops::Range<usize>, weight: f64| OutputResiduals {
+                experiment,
+                output: 0,
+                variable: variable.to_owned(),
+                column: variable.to_owned(),
+                times: vec![0.0; range.len()].into(),
+                measured: (0..range.len()).map(|i| i as f64).collect(),
+                weights: vec![weight; range.len()].into(),
+                range,
+            };
+        let outputs = vec![output(0, "x", 0..2, 1.0), output(0, "y", 2..5, 2.0), output(1, "x", 5..7, 1.0)];
+        ResidualLayout { outputs, ..ResidualLayout::default() }
+    }
+
+    #[test]
+    fn costs_are_their_formulas() {
+        let (layout, r) = (layout(), [1.0, -2.0, 3.0, 0.0, -1.0, 2.0, 4.0]);
+        let cost = |named: NamedCost| named.cost(&layout, &r);
+        assert_eq!(cost(NamedCost::Mae), 13.0 / 7.0);
+        assert_eq!(cost(NamedCost::Rmse), (35.0_f64 / 7.0).sqrt());
+        let nrmse = ((5.0_f64 / 2.0).sqrt() + (10.0_f64 / 3.0).sqrt() / 2.0 + 10.0_f64.sqrt()) / 3.0;
+        assert!((cost(NamedCost::Nrmse) - nrmse).abs() < 1e-15);
+        // Both recordings of x have one standard deviation.
+        let likelihood = 2.0 * (25.0_f64 / 4.0).ln() + 1.5 * (10.0_f64 / 3.0).ln();
+        assert!((cost(NamedCost::Likelihood) - likelihood).abs() < 1e-14);
+        assert!(NamedCost::Likelihood.cost(&layout, &[0.0; 7]).is_finite());
+    }
+
+    #[test]
+    fn a_function_sees_what_was_measured_and_simulated() {
+        let custom = CustomCost::residuals("ratios", |compared| {
+            assert_eq!(compared[1].simulated, [1.5, 1.0, 1.5]);
+            Ok(compared.iter().flat_map(|c| c.simulated.iter().zip(c.measured).map(|(s, m)| s + m)).collect())
+        });
+        let mut own = Vec::new();
+        let kind = CostKind::Custom(custom);
+        let r = [1.0, -2.0, 3.0, 0.0, -1.0, 2.0, 4.0];
+        let outcome = kind.outcome(&layout(), (35.0, &r), &mut own);
+        assert_eq!(own, [1.0, 0.0, 1.5, 2.0, 3.5, 2.0, 6.0]);
+        assert_eq!(outcome, Outcome::Value(1.0 + 2.25 + 4.0 + 12.25 + 4.0 + 36.0));
+        assert!(kind.has_residuals() && !kind.is_sum_of_squares());
+    }
+}

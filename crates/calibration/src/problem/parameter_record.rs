@@ -1,0 +1,158 @@
+//! Parameters as users ask for them by name: one record for Python, files and the command line.
+
+use crate::error::CalibrationError;
+use crate::problem::parameter::{Parameter, Scale, Target, Tie};
+use crate::problem::prior::Prior;
+use dfo::{Kind, Record, Value};
+use serde::{Deserialize, Serialize};
+
+/// What can be said of a parameter, see the methods of [`Parameter`] of the same names.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct ParameterRecord {
+    name: String,
+    start: Option<f64>,
+    lower: Option<f64>,
+    upper: Option<f64>,
+    scale: Scale,
+    nominal: Option<f64>,
+    kind: Kind,
+    fixed: bool,
+    local: bool,
+    variables: Option<Vec<String>>,
+    delay_of: Option<String>,
+    offset_of: Option<String>,
+    tied_to: Option<String>,
+    factor: f64,
+    offset: f64,
+    across_units: bool,
+    unit: Option<String>,
+    display_name: Option<String>,
+    prior: Option<Prior>,
+}
+
+impl Default for ParameterRecord {
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            start: None,
+            lower: None,
+            upper: None,
+            scale: Scale::Linear,
+            nominal: None,
+            kind: Kind::Continuous,
+            fixed: false,
+            local: false,
+            variables: None,
+            delay_of: None,
+            offset_of: None,
+            tied_to: None,
+            factor: 1.0,
+            offset: 0.0,
+            across_units: false,
+            unit: None,
+            display_name: None,
+            prior: None,
+        }
+    }
+}
+
+impl Parameter {
+    /// The parameter of a record: `name`, `start`, `lower`, `upper`, `scale`, `nominal`, `kind`, `fixed`, `local`, one of `variables`,
+    /// `delay_of` and `offset_of`, `tied_to` with `factor`, `offset` and `across_units` instead of a start, `unit`, `display_name`,
+    /// `prior`.
+    ///
+    /// # Errors
+    /// Values that such a field cannot have; numbers that do not fit together, as [`check`](Self::check).
+    pub fn asked(record: &Record) -> Result<Self, CalibrationError> {
+        let asked: ParameterRecord = Value::Record(record.clone()).read("parameter")?;
+        let name = asked.name;
+        let bad = |message: &str| {
+            Err(CalibrationError::Parameter { name: name.clone(), message: message.to_owned() })
+        };
+        let is_plain = (asked.factor, asked.offset, asked.across_units) == (1.0, 0.0, false);
+        let mut parameter = match (asked.tied_to, asked.start) {
+            (Some(to), None) => {
+                Self::tied(&name, to, asked.factor, asked.offset).across_units(asked.across_units)
+            }
+            (Some(_), Some(_)) => {
+                return bad("it is tied to another one, whose start counts: leave start out");
+            }
+            (None, None) => return bad("start is missing: give a number to start from"),
+            (None, Some(_)) if !is_plain => {
+                return bad(
+                    "factor, offset and across_units are those of tied_to: name the parameter that it follows",
+                );
+            }
+            (None, Some(start)) => Self::new(&name, start),
+        };
+        parameter = parameter
+            .bounds(asked.lower.unwrap_or(f64::NEG_INFINITY), asked.upper.unwrap_or(f64::INFINITY))
+            .scale(asked.scale)
+            .kind(asked.kind)
+            .fixed(asked.fixed)
+            .local(asked.local);
+        parameter = match (asked.variables, asked.delay_of, asked.offset_of) {
+            (None, None, None) => parameter,
+            (Some(variables), None, None) => parameter.variables(variables),
+            (None, Some(variable), None) => parameter.delay_of(variable),
+            (None, None, Some(variable)) => parameter.offset_of(variable),
+            _ => return bad("at most one of variables, delay_of and offset_of can be given"),
+        };
+        if let Some(nominal) = asked.nominal {
+            parameter = parameter.nominal(nominal);
+        }
+        if let Some(unit) = asked.unit {
+            parameter = parameter.in_unit(unit);
+        }
+        if let Some(shown) = asked.display_name {
+            parameter = parameter.display_name(shown);
+        }
+        if let Some(prior) = asked.prior {
+            parameter = parameter.prior(prior);
+        }
+        parameter.check()?;
+        Ok(parameter)
+    }
+
+    /// The record of the parameter, with all of its fields.
+    ///
+    /// # Errors
+    /// It cannot be serialised.
+    pub fn record(&self) -> Result<Record, CalibrationError> {
+        let is_given = |bound: &f64| bound.is_finite();
+        let (lower, upper) = self.given_bounds();
+        let mut record = ParameterRecord {
+            name: self.name().to_owned(),
+            scale: self.scale_kind(),
+            nominal: self.nominal_size(),
+            kind: self.value_kind(),
+            fixed: self.is_fixed(),
+            local: self.is_local(),
+            unit: self.given_unit().map(str::to_owned),
+            display_name: Some(self.shown_name().to_owned()).filter(|shown| shown != self.name()),
+            prior: self.known_prior().copied(),
+            ..ParameterRecord::default()
+        };
+        match self.target() {
+            Target::Variables(variables) if variables.as_slice() == [self.name()] => {}
+            Target::Variables(variables) => record.variables = Some(variables.clone()),
+            Target::Delay(variable) => record.delay_of = Some(variable.clone()),
+            Target::Offset(variable) => record.offset_of = Some(variable.clone()),
+        }
+        match self.tie() {
+            Some(Tie { to, factor, offset, across_units }) => {
+                record.tied_to = Some(to.clone());
+                (record.factor, record.offset, record.across_units) = (*factor, *offset, *across_units);
+            }
+            None => {
+                record.start = Some(self.start());
+                (record.lower, record.upper) = (Some(lower).filter(is_given), Some(upper).filter(is_given));
+            }
+        }
+        match Value::of(&record)? {
+            Value::Record(record) => Ok(record),
+            _ => Ok(Record::new()),
+        }
+    }
+}

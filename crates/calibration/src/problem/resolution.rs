@@ -1,0 +1,205 @@
+//! Checks what parameters, delays and initial states name: variables of the model, outputs and inputs of the experiments.
+
+use crate::data::find_column;
+use crate::error::CalibrationError;
+use crate::problem::experiment::{Experiment, InitialState, Measured};
+use crate::problem::parameter::{Parameter, Target};
+use fmi::ModelDescription;
+use ode::Number;
+
+/// True if two names refer to the same variable.
+fn is_same(description: &ModelDescription, one: &str, other: &str) -> bool {
+    let reference = |name: &str| description.variable(name).map(|v| (v.kind, v.value_reference));
+    one == other || reference(one).is_some_and(|of| reference(other) == Some(of))
+}
+
+impl Experiment {
+    /// True if a variable is an output that is compared, or an input that is driven.
+    fn shifts(&self, variable: &str) -> bool {
+        let mut outputs = self.outputs.iter().map(|output| &output.variable);
+        outputs.any(|name| name == variable) || self.inputs.iter().any(|(name, _)| name == variable)
+    }
+
+    /// The outputs that are compared and the inputs that are driven.
+    fn shifted_names(&self) -> impl Iterator<Item = &str> {
+        let outputs = self.outputs.iter().map(|output| output.variable.as_str());
+        outputs.chain(self.inputs.iter().map(|(name, _)| name.as_str()))
+    }
+}
+
+/// Checks the parameters against each other and the experiments.
+pub(crate) fn check_targets(
+    parameters: &[Parameter],
+    experiments: &[Experiment],
+    names: &[String],
+    description: &ModelDescription,
+) -> Result<(), CalibrationError> {
+    let bad = |parameter: &Parameter, message: String| {
+        Err(CalibrationError::Parameter { name: parameter.name().to_owned(), message })
+    };
+    for (i, parameter) in parameters.iter().enumerate() {
+        let earlier = &parameters[..i];
+        match parameter.target() {
+            Target::Variables(variables) => {
+                for (j, variable) in variables.iter().enumerate() {
+                    if let Some(twice) = variables[..j].iter().find(|v| is_same(description, v, variable)) {
+                        let alias =
+                            if twice == variable { String::new() } else { format!(", as '{twice}' too") };
+                        return bad(
+                            parameter,
+                            format!("names the variable '{variable}' twice{alias}: once is enough"),
+                        );
+                    }
+                    let sets =
+                        |p: &&Parameter| p.variable_names().iter().any(|v| is_same(description, v, variable));
+                    if let Some(other) = earlier.iter().find(sets) {
+                        let message = format!(
+                            "sets the variable '{variable}', which parameter '{}' sets too: leave one out",
+                            other.name()
+                        );
+                        return bad(parameter, message);
+                    }
+                }
+            }
+            Target::Delay(variable) | Target::Offset(variable) => {
+                let what = if matches!(parameter.target(), Target::Delay(_)) { "delay" } else { "offset" };
+                if let Some(other) = earlier.iter().find(|p| p.target() == parameter.target()) {
+                    return bad(
+                        parameter,
+                        format!(
+                            "is the {what} of '{variable}', as parameter '{}' is: leave one out",
+                            other.name()
+                        ),
+                    );
+                }
+                let missing = experiments.iter().position(|e| !e.shifts(variable));
+                let is_anywhere = experiments.iter().any(|e| e.shifts(variable));
+                if let Some(k) = missing.filter(|_| parameter.is_local() || !is_anywhere) {
+                    let of = if experiments.len() > 1 { format!(" of {}", names[k]) } else { String::new() };
+                    let known = experiments[k].shifted_names().collect::<Vec<_>>().join(", ");
+                    return bad(
+                        parameter,
+                        format!(
+                            "is the {what} of '{variable}', which is no output or input{of} that has a column; there are: {known}"
+                        ),
+                    );
+                }
+                let is_given =
+                    |e: &Experiment| what == "delay" && e.delays.iter().any(|(name, _)| name == variable);
+                if experiments.iter().any(is_given) {
+                    return bad(
+                        parameter,
+                        format!(
+                            "is the delay of '{variable}', and delays gives it a value: one of both counts"
+                        ),
+                    );
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Checks the delays and initial states of an experiment.
+pub(crate) fn check_names(
+    experiment: &Experiment,
+    parameters: &[Parameter],
+    description: &ModelDescription,
+) -> Result<(), CalibrationError> {
+    let setup = |message: String| Err(CalibrationError::Setup(message));
+    for (i, output) in experiment.outputs.iter().enumerate() {
+        let full = |column: &str| experiment.data.full_name(column).map(str::to_owned);
+        let column = full(&output.column);
+        let has = |name: &str| find_column(experiment.data.all_names(), name).is_ok();
+        let (variable, named) = (&output.variable, &output.column);
+        if !has(named)
+            && has(variable)
+            && description.variable(named).is_some()
+            && description.variable(variable).is_none()
+        {
+            return setup(format!(
+                "output '{variable}' with the column '{named}' is the wrong way round: '{named}' is a variable of the model and '{variable}' a \
+                 column; outputs map variables to columns, {{\"{named}\": \"{variable}\"}}"
+            ));
+        }
+        // A variable that there is not is named elsewhere.
+        let is_known = |name: &str| description.variable(name).is_some();
+        let same = |other: &&Measured| {
+            column.is_some()
+                && full(&other.column) == column
+                && other.variable != output.variable
+                && [&other.variable, variable].iter().all(|name| is_known(name))
+        };
+        if let Some(other) = experiment.outputs[..i].iter().find(same) {
+            return setup(format!(
+                "column '{}' is compared with two outputs, '{}' and '{}': give each the column that measured it",
+                output.column, other.variable, output.variable
+            ));
+        }
+    }
+    for (i, (variable, delay)) in experiment.delays.iter().enumerate() {
+        if !experiment.shifts(variable) {
+            let known = experiment.shifted_names().collect::<Vec<_>>().join(", ");
+            return setup(format!(
+                "delays: '{variable}' is no output or input that has a column; there are: {known}"
+            ));
+        }
+        if !delay.is_finite() {
+            return setup(format!(
+                "the delay {} of '{variable}' must be a finite number of seconds",
+                Number(*delay)
+            ));
+        }
+        if experiment.delays[..i].iter().any(|(name, _)| name == variable) {
+            return setup(format!("the delay of '{variable}' is given twice"));
+        }
+    }
+    for (i, (state, initial)) in experiment.initial_states.iter().enumerate() {
+        check_state(state, description)?;
+        let same = |name: &String| is_same(description, name, state);
+        if experiment.initial_states[..i].iter().any(|(name, _)| same(name)) {
+            return setup(format!("initial state '{state}' is given twice"));
+        }
+        if experiment.start_values.iter().any(|(name, _)| same(name)) {
+            return setup(format!(
+                "'{state}' is given among initial_states and among start_values: one of both counts"
+            ));
+        }
+        if let Some(parameter) = parameters.iter().find(|p| p.variable_names().iter().any(same)) {
+            return setup(format!(
+                "initial state '{state}' is given, and parameter '{}' sets it: one of both counts",
+                parameter.name()
+            ));
+        }
+        if let InitialState::Fitted(parameter) = initial
+            && (parameter.is_tied() || parameter.variable_names().is_empty())
+        {
+            return setup(format!(
+                "initial state '{state}' is fitted by a parameter that is tied, a delay or an offset: give one with a start and bounds"
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Refuses what is no state of the model, as far as the description says what is one.
+fn check_state(name: &str, description: &ModelDescription) -> Result<(), CalibrationError> {
+    let state = |index: usize| {
+        description.variables[index].derivative.map(|state| &description.variables[state].name)
+    };
+    let states: Vec<&String> =
+        description.structure.derivatives.iter().filter_map(|derivative| state(derivative.index)).collect();
+    let is_known = states.iter().any(|state| is_same(description, state, name))
+        || states
+            .iter()
+            .any(|state| name.strip_prefix(state.as_str()).is_some_and(|rest| rest.starts_with('[')));
+    if states.is_empty() || is_known || description.variable(name).is_none() {
+        // An unknown name is refused with the nearest ones when the simulation is planned.
+        return Ok(());
+    }
+    let shown = states.iter().take(10).map(|state| state.as_str()).collect::<Vec<_>>().join(", ");
+    let more = if states.len() > 10 { ", ..." } else { "" };
+    Err(CalibrationError::Setup(format!(
+        "initial state '{name}': it is no state of the model, give it among start_values; its states are: {shown}{more}"
+    )))
+}

@@ -1,0 +1,142 @@
+//! Warnings about a setup: it can be evaluated, but perhaps it is not what was meant.
+
+use crate::data::{ClockChange, UnitError, parts};
+use crate::findings::finding::Severity;
+use crate::problem::experiment::{Experiment, Weight};
+use crate::problem::input::InputSource;
+use crate::problem::parameter::{Parameter, Scale};
+use fmi::ModelDescription;
+use fmi::description::Causality;
+use std::fmt;
+
+/// Target of the log lines for each [`SetupWarning`].
+pub const SETUP_LOG_TARGET: &str = "calibration::setup";
+
+/// Something about a calibration that may not be what was meant; see [`Calibration::warnings`](crate::Calibration::warnings).
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum SetupWarning {
+    /// A column that is not used has the name of an input of the model that nothing drives.
+    UnusedColumn {
+        /// The recording.
+        data: String,
+        /// The column.
+        column: String,
+        /// The input.
+        input: String,
+    },
+    /// A column states a unit that was not converted to that of its variable.
+    NotConverted {
+        /// The recording.
+        data: String,
+        /// The column.
+        column: String,
+        /// The variable.
+        variable: String,
+        /// Why not.
+        reason: UnitError,
+    },
+    /// Columns were converted by the units that their names end with, in brackets. A note: brackets may mean something else.
+    Converted {
+        /// The recording.
+        data: String,
+        /// Column, unit in its name, unit of its variable.
+        columns: Vec<(String, String, String)>,
+    },
+    /// An hour is missing or doubled in times without a zone.
+    ClockChange {
+        /// The recording.
+        data: String,
+        /// Where.
+        change: ClockChange,
+    },
+    /// A setting that is ignored; the sentence says which, and why.
+    NoEffect(String),
+    /// Warning about one of several experiments.
+    Experiment {
+        /// Its name.
+        name: String,
+        /// Warning about this experiment.
+        warning: Box<SetupWarning>,
+    },
+}
+
+impl SetupWarning {
+    /// Severity of the warning.
+    pub fn severity(&self) -> Severity {
+        match self {
+            Self::Converted { .. } => Severity::Note,
+            Self::Experiment { warning, .. } => warning.severity(),
+            _ => Severity::Warning,
+        }
+    }
+}
+
+impl fmt::Display for SetupWarning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::UnusedColumn { data, column, input } => write!(
+                f,
+                "{data}: column '{column}' is not used, but the model has an input '{input}' that nothing drives; name it \
+                 among the inputs, if it is its recording"
+            ),
+            Self::NotConverted { data, column, variable, reason } => {
+                write!(
+                    f,
+                    "{data}: column '{column}' is taken in the unit of '{variable}', without conversion: {reason}"
+                )
+            }
+            Self::Converted { data, columns } => {
+                let one =
+                    |(column, from, to): &(String, String, String)| format!("'{column}' from {from} to {to}");
+                let all = columns.iter().map(one).collect::<Vec<_>>().join(", ");
+                write!(f, "{data}: converted by the units in the names of the columns: {all}")
+            }
+            Self::ClockChange { data, change } => write!(f, "{data}: {change}"),
+            Self::NoEffect(sentence) => f.write_str(sentence),
+            Self::Experiment { name, warning } => write!(f, "{name}: {warning}"),
+        }
+    }
+}
+
+/// Columns without use that have the names of inputs that nothing drives.
+pub(crate) fn unused_columns(description: &ModelDescription, experiment: &Experiment) -> Vec<SetupWarning> {
+    let Experiment { data, outputs, inputs, start_values, .. } = experiment;
+    let is_used = |column: &str| {
+        let weighs = |weight: &Weight| matches!(weight, Weight::Column(used) if used == column);
+        let drives = |source: &InputSource| matches!(source, InputSource::Column(used) if used == column);
+        outputs.iter().any(|o| o.column == column || weighs(&o.weight))
+            || inputs.iter().any(|(_, source)| drives(source))
+    };
+    let is_given = |input: &str| {
+        inputs.iter().any(|(name, _)| name == input) || start_values.iter().any(|(name, _)| name == input)
+    };
+    let input = |column: &str| {
+        let names = [column, parts(column).0];
+        let open =
+            || description.variables.iter().filter(|v| v.causality == Causality::Input && !is_given(&v.name));
+        let exact = open().find(|v| names.contains(&v.name.as_str()));
+        // Names in a model are case-sensitive, those in a recording often are not.
+        exact
+            .or_else(|| open().find(|v| names.iter().any(|name| name.eq_ignore_ascii_case(&v.name))))
+            .map(|v| v.name.clone())
+    };
+    let warning = |column: &str| {
+        let (data, input) = (data.source().to_owned(), input(column)?);
+        Some(SetupWarning::UnusedColumn { data, column: column.to_owned(), input })
+    };
+    data.all_names().filter(|column| !is_used(column)).filter_map(warning).collect()
+}
+
+/// An hour that is missing or doubled in the times of a recording.
+pub(crate) fn clock_change(experiment: &Experiment) -> Option<SetupWarning> {
+    let (data, change) = (&experiment.data, experiment.data.clock_change()?.clone());
+    Some(SetupWarning::ClockChange { data: data.source().to_owned(), change })
+}
+
+/// Typical sizes that are not used, because a logarithmic scale has sizes of its own.
+pub(crate) fn ignored_nominals(parameters: &[Parameter]) -> impl Iterator<Item = SetupWarning> {
+    let is_ignored = |p: &&Parameter| p.scale_kind() == Scale::Log && p.nominal_size().is_some();
+    let warning = |p: &Parameter| format!("nominal of parameter '{}' has no effect on a log scale", p.name());
+    parameters.iter().filter(is_ignored).map(move |p| SetupWarning::NoEffect(warning(p)))
+}

@@ -1,0 +1,295 @@
+//! Uncertainty of a fit: standard errors of its parameters, parameters that the data can determine, and
+//! checks of the residuals.
+
+mod autocorrelation;
+mod by_weights;
+mod covariance;
+mod differences;
+mod digits;
+mod prior_check;
+mod residual_check;
+mod result;
+mod scores;
+mod unmodelled;
+mod verdict;
+
+use crate::cost::batch::{Point, Simulations};
+use crate::cost::calibration::Calibration;
+use crate::cost::residual::sum_of_squares;
+use crate::error::CalibrationError;
+use crate::problem::parameter::{Parameter, Scale};
+use crate::uncertainty::bounds::{AT, inner};
+use autocorrelation::Dependence;
+use base::RunContext;
+use covariance::{Factors, Noise, groups};
+use dfo::{Kind, RobustLoss};
+use differences::{Center, Differences};
+pub(crate) use digits::digits;
+use nalgebra::{DMatrix, DVector};
+pub use prior_check::PriorConflict;
+pub use residual_check::ResidualCheck;
+pub(crate) use residual_check::{MEDIAN_DEVIATION, median};
+pub(crate) use result::check_level;
+use result::errors_and_correlation;
+pub use result::{Estimator, Worth, WorthOptions};
+pub(crate) use scores::Criterion;
+use scores::Working;
+use std::thread::available_parallelism;
+pub use unmodelled::{Unmodelled, UnmodelledKind};
+pub(crate) use verdict::SEARCH;
+
+/// Data at a point that are known before its uncertainty is estimated.
+#[derive(Default)]
+pub(crate) struct KnownPoint<'a> {
+    /// Plain residuals.
+    pub(crate) residuals: Option<&'a [f64]>,
+    /// Their derivatives in the user's units, m x n: where the differences begin. The derivatives of a search come from points as it
+    /// happened to try them, so they never replace differences.
+    pub(crate) jacobian: Option<&'a [f64]>,
+    /// Parameters that lie at a bound, or are held.
+    pub(crate) held: Vec<usize>,
+    /// Parameters that were seen to have no effect: not held, even at a bound, where they say nothing.
+    pub(crate) inert: &'a [usize],
+    /// Differences of the cost that count as none, relative to it.
+    pub(crate) f_tol: f64,
+    /// Form of the cost as a function of the residuals.
+    pub(crate) criterion: Criterion,
+}
+
+impl Calibration {
+    /// Uncertainty of a point as the result of a fit: covariance and correlation of the parameters,
+    /// parameters that the data do not determine, checks of the residuals, and the cost with a hundredth of
+    /// the relative tolerance (of a fixed-step method: half the step). Takes one simulation for that, and two
+    /// for each parameter that is not held, at least twice (steps of about one standard error are found by a
+    /// first round). Simulations run in parallel. The context is looked at on the calling thread.
+    ///
+    /// # Errors
+    /// The wrong number of values; the simulation fails there, or on all sides around it; [`CalibrationError::Cancelled`].
+    pub fn worth(
+        &self,
+        x: &[f64],
+        options: &WorthOptions,
+        context: &RunContext<'_>,
+    ) -> Result<Worth, CalibrationError> {
+        self.check_length(x)?;
+        let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
+        let mut simulations = Simulations::new(self, (RobustLoss::default(), workers), context)?;
+        if let Some(index) = options.held.iter().find(|i| **i >= x.len()) {
+            let n = x.len();
+            return Err(CalibrationError::Setup(format!(
+                "parameter {index} is held, but there are only {n}"
+            )));
+        }
+        let (held, criterion) = (options.held.clone(), options.criterion());
+        let known = KnownPoint { f_tol: 1e-4, held, criterion, ..KnownPoint::default() };
+        self.worth_of(x, options.estimator, &known, &mut simulations)
+    }
+
+    pub(crate) fn worth_of(
+        &self,
+        x: &[f64],
+        estimator: Estimator,
+        known: &KnownPoint<'_>,
+        simulations: &mut Simulations<'_>,
+    ) -> Result<Worth, CalibrationError> {
+        self.worth_and_curvature(x, estimator, known, simulations).map(|(worth, _)| worth)
+    }
+
+    /// The same with the diagonal of the inverse of half the cost's second derivatives, in the user's units; infinite where there is
+    /// none.
+    pub(crate) fn worth_and_curvature(
+        &self,
+        x: &[f64],
+        estimator: Estimator,
+        known: &KnownPoint<'_>,
+        simulations: &mut Simulations<'_>,
+    ) -> Result<(Worth, Vec<f64>), CalibrationError> {
+        let parameters = self.parameters();
+        let (n, before) = (x.len(), simulations.n);
+        let is_held = |i: usize| {
+            let p = &parameters[i];
+            let is_at_bound = self.is_at_bound(p, x[i]) && !known.inert.contains(&i);
+            let is_fixed = p.is_fixed() || p.lower() == p.upper() || p.value_kind() != Kind::Continuous;
+            known.held.contains(&i) || is_fixed || is_at_bound
+        };
+        let (held, free): (Vec<usize>, Vec<usize>) = (0..n).partition(|i| is_held(*i));
+        let mut points = vec![Point { x: x.to_vec(), is_accurate: true }];
+        if known.residuals.is_none() {
+            points.push(Point::new(x.to_vec()));
+        }
+        let mut found = simulations.residuals(&points)?;
+        let residuals: Vec<f64> = match (known.residuals, found.len()) {
+            (Some(plain), _) => plain.to_vec(),
+            (None, _) => found.swap_remove(1).map_err(|message| self.failed_at(x, message, None))?,
+        };
+        let accurate = found.swap_remove(0).ok();
+        let is_step_halved = self.has_fixed_step();
+        // That of a fixed step is the same on all sides.
+        let simulation_error = accurate.as_ref().filter(|_| !is_step_halved).map_or(0.0, |accurate| {
+            accurate.iter().zip(&residuals).map(|(a, r)| (a - r) * (a - r)).sum::<f64>().sqrt()
+        });
+        let layout = self.residual_layout();
+        let measured = layout.outputs.iter().flat_map(|o| o.measured.iter().zip(&o.weights));
+        let sizes: Vec<f64> = free.iter().map(|&i| self.size_of(&parameters[i], x[i])).collect();
+        let center = Center {
+            parameters,
+            x,
+            free: &free,
+            sizes: &sizes,
+            residuals: &residuals,
+            measured: measured.map(|(y, w)| (y * w) * (y * w)).sum::<f64>().sqrt(),
+            simulation_error,
+        };
+        // By the coordinates of the search.
+        let per_unit: Vec<f64> = free.iter().map(|&i| slope(&parameters[i], x[i])).collect();
+        let guess = known.jacobian.filter(|_| known.residuals.is_some()).map(|jacobian| {
+            DMatrix::from_fn(residuals.len(), free.len(), |r, k| jacobian[r * n + free[k]] * per_unit[k])
+        });
+        let differences = Differences::around(&center, guess, simulations)?
+            .map_err(|message| self.failed_at(x, format!("around this point: {message}"), None))?;
+        let jacobian = differences.jacobian();
+        let outputs = groups(layout, &residuals, (estimator, known.criterion));
+        let working = Working::new(known.criterion, (layout, &residuals), &outputs, free.len());
+        let differences_noise = differences.noise;
+        let differences = differences.weighted(&working.roots);
+        let factors = Factors::new(&differences);
+        let of_fit = (&factors.base, free.len());
+        let noise = Noise::estimate((layout, &residuals), &working, &outputs, of_fit);
+        let most = noise.degrees_of_freedom as f64;
+        let of_base = (&factors.base, working.residuals.as_slice());
+        let measured_cost = sum_of_squares(&residuals);
+        let is_exact = self.is_within_tolerance(measured_cost);
+        let left_to_gain = if is_exact { 0.0 } else { left_to_gain(&factors.base, &working.residuals) };
+        let is_linear = matches!(known.criterion, Criterion::Loss(loss) if loss.is_linear());
+        let prior_conflicts = match is_linear {
+            true => PriorConflict::all(layout, (parameters, x), (&free, &per_unit), (&jacobian, &residuals)),
+            false => Vec::new(),
+        };
+        let dependence = (noise.degrees_of_freedom > 0)
+            .then(|| Dependence::find(of_base, &noise.groups, &noise.variances))
+            .flatten();
+        let spread = |of_free: DMatrix<f64>| {
+            let mut matrix = vec![0.0; n * n];
+            for (a, &i) in free.iter().enumerate() {
+                for (b, &j) in free.iter().enumerate() {
+                    let is_open = |k: usize| factors.is_undetermined[k] || noise.degrees_of_freedom == 0;
+                    matrix[i * n + j] = match (is_open(a) || is_open(b), a == b) {
+                        (false, _) => of_free[(a, b)] * per_unit[a] * per_unit[b],
+                        (true, true) => f64::INFINITY,
+                        (true, false) => f64::NAN,
+                    };
+                }
+            }
+            matrix
+        };
+        let independent = factors.covariance(&noise);
+        let (corrected, degrees) = match &dependence {
+            None => (None, vec![most; free.len()]),
+            Some(dependence) => {
+                let (corrected, degrees) = dependence.covariance(&factors.inverse, most);
+                (Some(corrected), degrees)
+            }
+        };
+        let mut effective_degrees_of_freedom = vec![most; n];
+        free.iter().zip(&degrees).for_each(|(&i, degrees)| effective_degrees_of_freedom[i] = *degrees);
+        let mut autocorrelations = vec![0.0; layout.outputs.len()];
+        for (g, group) in outputs.iter().enumerate() {
+            let of_group = dependence.as_ref().map_or(0.0, |found| found.autocorrelation(g));
+            group.iter().for_each(|k| autocorrelations[*k] = of_group);
+        }
+        let uncorrected_covariance = corrected.is_some().then(|| spread(independent.clone()));
+        let covariance = spread(corrected.unwrap_or(independent));
+        let curvature = spread(&factors.inverse * factors.inverse.transpose());
+        let (standard_errors, correlation) = errors_and_correlation(&covariance, n);
+        let residual_checks = ResidualCheck::all(layout, &self.problem().experiment_names(), &residuals);
+        let mut by_parameters = vec![0.0; residuals.len() * n];
+        for (k, &i) in free.iter().enumerate() {
+            (0..residuals.len()).for_each(|r| by_parameters[r * n + i] = jacobian[(r, k)] / per_unit[k]);
+        }
+        let select = |flags: &dyn Fn(usize) -> bool| {
+            (0..free.len()).filter(|k| flags(*k)).map(|k| free[k]).collect::<Vec<usize>>()
+        };
+        let longest: Vec<f64> = differences.steps.row_iter().map(|row| row.amax()).collect();
+        let is_inert = |k: usize| {
+            factors.is_undetermined[k] && jacobian.column(k).norm() * longest[k] <= differences_noise
+        };
+        let cost = |residuals: &[f64]| known.criterion.cost(layout, residuals);
+        let mut worth = Worth {
+            estimator,
+            names: parameters.iter().map(|p| p.name().to_owned()).collect(),
+            x: x.to_vec(),
+            is_log: parameters.iter().map(|p| p.scale_kind() == Scale::Log).collect(),
+            correlation,
+            uncorrected_covariance,
+            autocorrelations,
+            effective_degrees_of_freedom,
+            covariance,
+            standard_errors,
+            degrees_of_freedom: noise.degrees_of_freedom,
+            held,
+            undetermined: select(&|k| factors.is_undetermined[k]),
+            without_effect: select(&is_inert),
+            confounded: Vec::new(),
+            weakest: Vec::new(),
+            identifiable: Vec::new(),
+            findings: Vec::new(),
+            cost: cost(&residuals),
+            is_exact,
+            accurate_cost: accurate.as_deref().map(cost),
+            is_step_halved,
+            left_to_gain,
+            prior_conflicts,
+            has_loss: matches!(known.criterion, Criterion::Loss(loss) if !loss.is_linear()),
+            jacobian: by_parameters,
+            residuals,
+            n_simulations: simulations.n - before,
+            residual_checks,
+        };
+        worth.find_confounded();
+        worth.find_weakest(&jacobian, &free);
+        worth.find_identifiable((&differences, &noise), &free, &sizes);
+        // What is no minimum has residuals that other values of the parameters leave none of, whatever the weights.
+        if left_to_gain == 0.0 {
+            by_weights::mark(
+                &mut worth.residual_checks,
+                (&worth.residuals, layout.n_measurements()),
+                &jacobian,
+            );
+        }
+        if is_linear && !is_exact {
+            for (check, output) in worth.residual_checks.iter_mut().zip(&layout.outputs) {
+                if check.is_systematic() && !check.is_by_weights {
+                    check.unmodelled = Unmodelled::find(output, &worth.residuals, &factors.base);
+                }
+            }
+        }
+        worth.findings = worth.all_findings(self.problem().experiments.len() > 1, known.f_tol);
+        Ok((worth, (0..n).map(|i| curvature[i * n + i]).collect()))
+    }
+
+    /// True if a parameter lies at one of its bounds.
+    fn is_at_bound(&self, p: &Parameter, x: f64) -> bool {
+        let (lower, upper, at) = (inner(p, p.lower()), inner(p, p.upper()), inner(p, x));
+        (at - lower).min(upper - at) <= AT * self.size_of(p, x)
+    }
+}
+
+/// A step of least squares that takes away less than this part of the cost, or is shorter than a standard error, is none.
+const LEAST_GAIN: f64 = 0.01;
+
+/// The part of the squares of these residuals that lies along the changes which the parameters make, by an orthonormal base of them.
+fn left_to_gain(base: &DMatrix<f64>, residuals: &[f64]) -> f64 {
+    let all = sum_of_squares(residuals);
+    let along = (base.transpose() * DVector::from_column_slice(residuals)).norm_squared();
+    let degrees = residuals.len().saturating_sub(base.ncols()) as f64;
+    let is_step = along > LEAST_GAIN * all && along * degrees > (all - along).max(0.0);
+    if is_step { (along / all).min(1.0) } else { 0.0 }
+}
+
+/// Derivative of a parameter by its coordinate in the search.
+fn slope(p: &Parameter, x: f64) -> f64 {
+    match p.scale_kind() {
+        Scale::Linear => 1.0,
+        Scale::Log => x,
+    }
+}

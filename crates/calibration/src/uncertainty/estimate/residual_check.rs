@@ -1,0 +1,265 @@
+//! Checks of the residuals of each output: mean, autocorrelation, outliers, runs.
+
+use super::digits::digits;
+use super::unmodelled::Unmodelled;
+use crate::findings::finding::{Finding, Severity};
+use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
+use serde::{Deserialize, Serialize};
+
+/// Residuals farther than this many robust standard deviations from their median are outliers, from so many residuals on.
+const OUTLIER: [(usize, f64); 2] = [(20, 4.0), (8, 10.0)];
+
+/// That many of them, in percent, are no chance: of normally distributed ones 0.006 % lie there.
+const MANY_OUTLIERS: f64 = 0.2;
+
+/// The median absolute deviation of normally distributed numbers is this part of their standard deviation.
+pub(crate) const MEDIAN_DEVIATION: f64 = 0.674_489_750_196_081_7;
+
+/// Autocorrelation above this makes standard errors too small that suppose independent residuals.
+pub(crate) const CORRELATED: f64 = 0.3;
+
+/// A mean, or a number of runs, that is farther off than this many standard deviations is no chance.
+const BY_CHANCE: f64 = 4.0;
+
+/// Residuals below this part of the size of the measurements are rounding.
+const ROUNDING: f64 = 1e-10;
+
+/// The residuals of one output of one experiment, times their weights. Recordings of an output whose weights differ are looked at, and
+/// have their variances, apart: see [`Estimator`](super::Estimator).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct ResidualCheck {
+    /// The experiment.
+    pub experiment: String,
+    /// The variable of the model.
+    pub variable: String,
+    /// Number of residuals of the output.
+    pub n: usize,
+    /// Their mean.
+    pub mean: f64,
+    /// Their standard deviation around it.
+    pub deviation: f64,
+    /// Their autocorrelation at lag one; NaN for fewer than three, and where all are the same.
+    pub autocorrelation: f64,
+    /// Number of residuals beyond four robust standard deviations (by the median absolute deviation) from the
+    /// median; ten where there are fewer than 20 residuals, none where there are fewer than 8: few of them
+    /// determine their deviation badly.
+    pub n_outliers: usize,
+    /// Number of standard deviations by which the number of runs of one sign is above (below: negative) that
+    /// of independent residuals (Wald and Wolfowitz, Ann. Math. Statist. 11, 1940); NaN where all have one
+    /// sign.
+    pub runs: f64,
+    /// True if the residuals are rounding, below 1e-10 of the size of the measurements: there are no findings
+    /// about them.
+    #[serde(default)]
+    pub is_rounding: bool,
+    /// True if the residuals are autocorrelated, or have an offset, because the weights of other outputs keep
+    /// the parameters from values that would leave none of that.
+    #[serde(default)]
+    pub is_by_weights: bool,
+    /// One number of the measurements that would explain most of them, where they show something that lasts.
+    #[serde(default)]
+    pub unmodelled: Option<Unmodelled>,
+}
+
+impl ResidualCheck {
+    pub(crate) fn all(layout: &ResidualLayout, names: &[String], residuals: &[f64]) -> Vec<Self> {
+        let check = |output: &OutputResiduals| {
+            let r = &residuals[output.range.clone()];
+            Self {
+                experiment: names[output.experiment].clone(),
+                variable: output.variable.clone(),
+                n: 0,
+                mean: 0.0,
+                deviation: 0.0,
+                autocorrelation: 0.0,
+                n_outliers: 0,
+                runs: 0.0,
+                is_rounding: is_rounding(output, r),
+                is_by_weights: false,
+                unmodelled: None,
+            }
+            .with_numbers_of(r)
+        };
+        layout.outputs.iter().map(check).collect()
+    }
+
+    /// Findings about the residuals; `name`: of the output.
+    pub(crate) fn findings(&self, name: &str, has_loss: bool) -> Vec<Finding> {
+        let mut said = Vec::new();
+        if self.is_rounding {
+            return said;
+        }
+        let subject = format!("residuals of {name}");
+        let mut find = |severity, sentence: String, remedy: &str| {
+            said.push(Finding::new(severity, subject.clone(), format!("the {subject} {sentence}"), remedy));
+        };
+        let lag = format!("are autocorrelated ({:.2} at lag one)", self.autocorrelation);
+        if self.is_by_weights {
+            let how =
+                if self.is_autocorrelated() { lag } else { "have an offset or keep their sign".to_owned() };
+            find(
+                Severity::Warning,
+                format!(
+                    "{how}, but other values of the parameters leave none of that: the weights of the other outputs keep them away"
+                ),
+                "give each output a weight of 1 over its noise (weights=\"sd\" where that is not known)",
+            );
+        } else {
+            if self.is_autocorrelated() {
+                let what = "the model leaves out something that lasts, or the noise lasts: standard errors are corrected for that, \
+                            the values of the parameters are not";
+                find(Severity::Warning, format!("{lag}: {what}"), "");
+            } else if self.keeps_sign() {
+                find(Severity::Note, "keep their sign longer than independent ones would".to_owned(), "");
+            }
+            if self.has_offset() {
+                let mean = digits(self.mean);
+                find(
+                    Severity::Warning,
+                    format!("have the mean {mean}: simulated minus measured, an offset"),
+                    "",
+                );
+            }
+        }
+        if let Some(unmodelled) = self.unmodelled {
+            let (what, remedy) = unmodelled.words();
+            let sentence = format!(
+                "{what} would take away {:.1} % of the squares of the {subject}",
+                100.0 * (1.0 - unmodelled.left)
+            );
+            said.push(Finding::new(Severity::Warning, subject.clone(), sentence, remedy));
+        }
+        let share = 100.0 * self.n_outliers as f64 / self.n as f64;
+        if share > MANY_OUTLIERS {
+            let sentence = format!(
+                "{} of {} {subject} ({share:.1} %) lie beyond {} robust standard deviations: outliers{}",
+                self.n_outliers,
+                self.n,
+                outlier_limit(self.n).unwrap_or_default(),
+                if has_loss { ", which the robust loss counts less" } else { "" }
+            );
+            let (severity, remedy) = match has_loss {
+                true => (Severity::Note, ""),
+                false => (Severity::Warning, "a robust loss counts them less"),
+            };
+            said.push(Finding::new(severity, subject, sentence, remedy));
+        }
+        said
+    }
+
+    fn keeps_sign(&self) -> bool {
+        self.runs < -BY_CHANCE
+    }
+
+    fn has_offset(&self) -> bool {
+        let of_mean = self.deviation / (self.n as f64).sqrt();
+        self.mean.abs() > BY_CHANCE * of_mean && self.mean.abs() > 0.1 * self.deviation && self.n > 2
+    }
+
+    /// True if the residuals are systematic: autocorrelated, with long runs of one sign, or with an offset.
+    pub(super) fn is_systematic(&self) -> bool {
+        !self.is_rounding && (self.is_autocorrelated() || self.keeps_sign() || self.has_offset())
+    }
+
+    /// The same with the numbers of other residuals.
+    pub(super) fn with_numbers_of(self, r: &[f64]) -> Self {
+        let (mean, deviation) = mean_and_deviation(r);
+        Self {
+            n: r.len(),
+            mean,
+            deviation,
+            autocorrelation: autocorrelation(r),
+            n_outliers: n_outliers(r),
+            runs: runs(r),
+            ..self
+        }
+    }
+
+    pub(crate) fn is_autocorrelated(&self) -> bool {
+        // Of n independent residuals it has the standard deviation 1 / sqrt(n).
+        !self.is_rounding && self.autocorrelation > CORRELATED.max(2.0 / (self.n as f64).sqrt())
+    }
+}
+
+/// True if the residuals `r` of an output are rounding of its measurements.
+pub(crate) fn is_rounding(output: &OutputResiduals, r: &[f64]) -> bool {
+    r.iter().map(|r| r * r).sum::<f64>() <= square_of_rounding(output)
+}
+
+/// The sum of squares below which the residuals of an output are rounding.
+pub(crate) fn square_of_rounding(output: &OutputResiduals) -> f64 {
+    let measured: f64 = output.measured.iter().zip(&output.weights).map(|(y, w)| (y * w) * (y * w)).sum();
+    ROUNDING * ROUNDING * measured
+}
+
+fn mean_and_deviation(r: &[f64]) -> (f64, f64) {
+    let n = r.len() as f64;
+    let mean = r.iter().sum::<f64>() / n;
+    let sum: f64 = r.iter().map(|r| (r - mean) * (r - mean)).sum();
+    (mean, (sum / (n - 1.0).max(1.0)).sqrt())
+}
+
+/// At lag one: `sum (r_i - mean) (r_(i+1) - mean) / sum (r_i - mean)^2`.
+pub(crate) fn autocorrelation(r: &[f64]) -> f64 {
+    if r.len() < 3 {
+        return f64::NAN;
+    }
+    let (mean, _) = mean_and_deviation(r);
+    let products: f64 = r.windows(2).map(|pair| (pair[0] - mean) * (pair[1] - mean)).sum();
+    products / r.iter().map(|r| (r - mean) * (r - mean)).sum::<f64>()
+}
+
+/// The values are sorted.
+pub(crate) fn median(values: &mut [f64]) -> f64 {
+    values.sort_by(f64::total_cmp);
+    match values.len() {
+        0 => f64::NAN,
+        n if n % 2 == 1 => values[n / 2],
+        n => 0.5 * (values[n / 2 - 1] + values[n / 2]),
+    }
+}
+
+/// Beyond how many robust standard deviations residuals are outliers, of so many.
+fn outlier_limit(n: usize) -> Option<f64> {
+    OUTLIER.into_iter().find(|(least, _)| n >= *least).map(|(_, limit)| limit)
+}
+
+fn n_outliers(r: &[f64]) -> usize {
+    let Some(limit) = outlier_limit(r.len()) else { return 0 };
+    let center = median(&mut r.to_vec());
+    let mut distances: Vec<f64> = r.iter().map(|r| (r - center).abs()).collect();
+    let limit = limit * median(&mut distances) / MEDIAN_DEVIATION;
+    if limit > 0.0 { distances.iter().filter(|d| **d > limit).count() } else { 0 }
+}
+
+fn runs(r: &[f64]) -> f64 {
+    let signs: Vec<bool> = r.iter().filter(|r| **r != 0.0).map(|r| *r > 0.0).collect();
+    let positive = signs.iter().filter(|s| **s).count() as f64;
+    let (n, negative) = (signs.len() as f64, signs.len() as f64 - positive);
+    let product = 2.0 * positive * negative;
+    let expected = product / n + 1.0;
+    let variance = product * (product - n) / (n * n * (n - 1.0));
+    let found = 1.0 + signs.windows(2).filter(|pair| pair[0] != pair[1]).count() as f64;
+    if variance > 0.0 { (found - expected) / variance.sqrt() } else { f64::NAN }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn textbook_numbers() {
+        assert!(autocorrelation(&[1.0, 2.0]).is_nan());
+        assert!((autocorrelation(&[1.0, -1.0, 1.0, -1.0]) + 0.75).abs() < 1e-15);
+        assert!((autocorrelation(&[-2.0, -1.0, 0.0, 1.0, 2.0]) - 0.4).abs() < 1e-15);
+        let mut r: Vec<f64> = (0..99).map(|k| f64::from(k % 7) - 3.0).collect();
+        assert_eq!(n_outliers(&r), 0);
+        r[5] = 100.0;
+        assert_eq!((n_outliers(&r), n_outliers(&[1.0; 5])), (1, 0));
+        // 6 positive and 4 negative in 2 runs: expected 5.8, variance 48 (48 - 10) / 900.
+        let two = [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0, -1.0, -1.0];
+        assert!((runs(&two) - (2.0 - 5.8) / (48.0f64 * 38.0 / 900.0).sqrt()).abs() < 1e-14);
+        assert!(runs(&[1.0, 1.0, 1.0]).is_nan());
+    }
+}

@@ -1,0 +1,164 @@
+//! Effects that the model leaves out of an output, where one number describes them: an offset, a factor, a
+//! delay, a drift of the measurements.
+
+use super::digits::digits;
+use crate::problem::residual_layout::OutputResiduals;
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+
+/// Of fewer residuals one number more explains too much.
+const FEWEST: usize = 20;
+
+/// It leaves no more than this part of the squares of the output, and this part of all squares.
+const LEFT: (f64, f64) = (0.1, 0.5);
+
+/// A change that the parameters make, too, but for this part of its squares, is no other one.
+const OWN: f64 = 1e-3;
+
+/// Kind of effect in the measurements that the simulation does not have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum UnmodelledKind {
+    /// A number is added to them.
+    Offset,
+    /// They are multiplied with one.
+    Factor,
+    /// They are late.
+    Delay,
+    /// They move away with time.
+    Drift,
+}
+
+/// One number of an output that would explain its residuals, together with other values of the parameters.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Unmodelled {
+    /// Kind of the effect.
+    pub kind: UnmodelledKind,
+    /// The offset in the unit of the variable, the factor, the delay in s, the drift per s.
+    pub size: f64,
+    /// The part of the squares of the output that it would leave.
+    pub left: f64,
+}
+
+impl Unmodelled {
+    /// The best explanation of the residuals (m) of an output, beside an orthonormal base (m x q) of the changes that the parameters make.
+    pub(super) fn find(output: &OutputResiduals, residuals: &[f64], base: &DMatrix<f64>) -> Option<Self> {
+        let OutputResiduals { range, times, measured, weights, .. } = output;
+        if range.len() < FEWEST {
+            return None;
+        }
+        let own = &residuals[range.clone()];
+        let simulated: Vec<f64> = (0..own.len()).map(|k| measured[k] + own[k] / weights[k]).collect();
+        let middle = times.iter().sum::<f64>() / times.len() as f64;
+        let slope = |k: usize| {
+            let (a, b) = (k.saturating_sub(1), (k + 1).min(own.len() - 1));
+            (simulated[b] - simulated[a]) / (times[b] - times[a])
+        };
+        // By how much each lowers the residual, simulated less measured, for a size of one.
+        let change = |kind: UnmodelledKind, k: usize| match kind {
+            UnmodelledKind::Offset => -weights[k],
+            UnmodelledKind::Factor => -weights[k] * simulated[k],
+            UnmodelledKind::Delay => weights[k] * slope(k),
+            UnmodelledKind::Drift => -weights[k] * (times[k] - middle),
+        };
+        let beside = |v: DVector<f64>| {
+            let along = base * (base.transpose() * &v);
+            v - along
+        };
+        let squares = |v: &DVector<f64>| v.rows(range.start, range.len()).norm_squared();
+        let before = beside(DVector::from_column_slice(residuals));
+        let of = |kind: UnmodelledKind| {
+            let mut whole = DVector::zeros(residuals.len());
+            range.clone().enumerate().for_each(|(k, row)| whole[row] = change(kind, k));
+            let all = whole.norm_squared();
+            let other = beside(whole);
+            let size = other.dot(&before) / other.norm_squared();
+            let after = &before - &other * size;
+            let left = squares(&after) / squares(&before);
+            let explains = left < LEFT.0 && after.norm_squared() < LEFT.1 * before.norm_squared();
+            let is_other = all.is_finite() && other.norm_squared() > OWN * all;
+            let size = if kind == UnmodelledKind::Factor { 1.0 + size } else { size };
+            (explains && is_other && size.is_finite()).then_some(Self { kind, size, left })
+        };
+        use UnmodelledKind::{Delay, Drift, Factor, Offset};
+        [Offset, Factor, Delay, Drift].into_iter().filter_map(of).min_by(|a, b| a.left.total_cmp(&b.left))
+    }
+
+    /// Description of the effect with its number, and the remedy.
+    pub(super) fn words(&self) -> (String, &'static str) {
+        let size = digits(self.size);
+        match self.kind {
+            UnmodelledKind::Offset => (
+                format!("an offset of the measurements of {size}"),
+                "is the zero of the sensor right, and its unit? A parameter with offset_of fits it",
+            ),
+            UnmodelledKind::Factor => (
+                format!("measurements that are {size} times as large"),
+                "are the unit and the gain of the sensor right?",
+            ),
+            UnmodelledKind::Delay => (
+                format!("measurements that are {size} s late"),
+                "do inputs and outputs have the same clock? A parameter with delay_of fits it",
+            ),
+            UnmodelledKind::Drift => (
+                format!("a drift of the measurements of {size} per s"),
+                "does the sensor drift? Leave the trend out",
+            ),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_number_is_found_beside_a_parameter() {
+        let n = 200;
+        let t: Vec<f64> = (0..n).map(|k| 0.05 * f64::from(k)).collect();
+        let noise = |k: usize| 1e-3 * ((12.9898 * (k as f64 + 1.0)).sin() * 43_758.547).fract();
+        let simulated: Vec<f64> = t.iter().map(|t| 2.0 + t.sin()).collect();
+        // A parameter that moves the output by t^2.
+        let column = DVector::from_iterator(t.len(), t.iter().map(|t| t * t));
+        let base = DMatrix::from_columns(&[&column / column.norm()]);
+        let cases = [
+            (UnmodelledKind::Offset, 0.3),
+            (UnmodelledKind::Factor, 1.2),
+            (UnmodelledKind::Delay, 0.05),
+            (UnmodelledKind::Drift, 0.1),
+        ];
+        for (kind, size) in cases {
+            let measured = (0..t.len()).map(|k| {
+                noise(k)
+                    + match kind {
+                        UnmodelledKind::Offset => simulated[k] + size,
+                        UnmodelledKind::Factor => simulated[k] * size,
+                        UnmodelledKind::Delay => 2.0 + (t[k] - size).sin(),
+                        UnmodelledKind::Drift => simulated[k] + size * (t[k] - 5.0),
+                    }
+            });
+            let measured: Vec<f64> = measured.collect();
+            // Weights of 2, and the parameter has moved.
+            let moved = |k: usize| 0.01 * t[k] * t[k];
+            let residuals: Vec<f64> =
+                (0..t.len()).map(|k| 2.0 * (simulated[k] - measured[k] + moved(k))).collect();
+            let output = OutputResiduals {
+                experiment: 0,
+                output: 0,
+                variable: "y".to_owned(),
+                column: "y".to_owned(),
+                range: 0..t.len(),
+                times: t.clone().into(),
+                measured: measured.into(),
+                weights: vec![2.0; t.len()].into(),
+            };
+            let found = Unmodelled::find(&output, &residuals, &base).unwrap();
+            assert!(found.kind == kind && (found.size - size).abs() < 0.1 * size, "{found:?}");
+            assert!(
+                found.left < 0.02 && found.words().0.contains("of the")
+                    || found.words().0.contains("that are")
+            );
+        }
+    }
+}

@@ -1,0 +1,244 @@
+//! Cross-validation by recording: fits without some of the recordings, each validated on those that it was not given.
+
+use crate::cost::calibration::Calibration;
+use crate::cost::parallel;
+use crate::error::CalibrationError;
+use crate::fit::stage::{Fit, FitOptions, NoiseRule};
+use crate::problem::objective::CostKind;
+use crate::uncertainty::estimate::digits;
+use crate::validation::held_out::{Validation, ValidationSet};
+use base::RunContext;
+use dfo::{AnyMethod, Record, RobustLoss, RunOptions};
+use ode::{Number, Stats};
+use std::fmt;
+use std::thread::available_parallelism;
+use std::time::Duration;
+
+/// Options of a cross-validation.
+#[derive(Debug, Clone)]
+pub struct CrossValidationOptions {
+    /// Number of folds: at each turn one of them is held out, which has every k-th recording; default: as many as there are
+    /// recordings, so that one is held out at a time.
+    pub folds: Option<usize>,
+    /// Options of each fit. `workers` (default: all cores) are shared by the fits, which run at once;
+    /// `max_time` holds for all of them together, and folds that it cuts short are left out; there are no
+    /// checkpoints.
+    pub run: RunOptions<AnyMethod>,
+    /// Loss function: the contribution of a residual to the cost.
+    pub loss: RobustLoss,
+    /// Cost that is minimised; one with a name, where local parameters are fitted to recordings that are held
+    /// out.
+    pub objective: CostKind,
+    /// Where the noise of the measurements is taken from, see [`FitOptions::noise`]; estimated in each fold.
+    pub noise: NoiseRule,
+}
+
+impl Default for CrossValidationOptions {
+    fn default() -> Self {
+        let (loss, objective, noise) = (RobustLoss::default(), CostKind::default(), NoiseRule::default());
+        Self { folds: None, run: FitOptions::default_run(), loss, objective, noise }
+    }
+}
+
+impl CrossValidationOptions {
+    /// A cross-validation of fits of `n` parameters as a record asks for it: `folds`, and what [`FitOptions::asked`] reads.
+    ///
+    /// # Errors
+    /// An option that there is not, or a value that it cannot have.
+    pub fn asked(mut record: Record, n: usize) -> Result<Self, dfo::Error> {
+        let folds = record.remove("folds").map_or(Ok(None), |folds| folds.read_limit("folds", 0))?;
+        let FitOptions { run, loss, objective, noise, .. } = FitOptions::asked(record, n)?;
+        Ok(Self { folds, run, loss, objective, noise })
+    }
+}
+
+/// Recordings that were held out, the fit to the others, and how well it reproduces those.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Fold {
+    /// Names of the recordings that were held out.
+    pub held_out: Vec<String>,
+    /// The fit to the others.
+    pub fit: Fit,
+    /// Root of the mean squared weighted residual of those that it was fitted to: of plain residuals, as that of the validation, whatever
+    /// the loss.
+    pub fit_rms: f64,
+    /// Validation of the fit on the recordings that were held out.
+    pub validation: Validation,
+}
+
+/// A cross-validation. `Display` prints a table.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct CrossValidation {
+    /// The folds that were done.
+    pub folds: Vec<Fold>,
+    /// Names of the recordings that were to be held out in folds for which the time did not suffice.
+    pub unfinished: Vec<Vec<String>>,
+    /// Root of the mean squared weighted residual of all recordings, each when it was held out.
+    pub rms: f64,
+    /// The shared parameters: name, mean over the folds, standard deviation between them.
+    pub parameters: Vec<(String, f64, f64)>,
+    /// Statistics of all simulations.
+    pub stats: Stats,
+}
+
+impl Calibration {
+    /// Fits without some of the recordings, and validates on those that were left out: by default each recording once. A fit that
+    /// describes the machine predicts a recording as well as it reproduces those that it was fitted to, with much the same
+    /// parameters whichever is left out. [Local](crate::Parameter::local) parameters of a recording that is held out are
+    /// fitted to it, all others held, as in [`validate`](Self::validate).
+    ///
+    /// # Errors
+    /// Fewer than two recordings, folds that are none or too many, an error of one of the fits, a time limit before the end of the
+    /// first fold.
+    pub fn cross_validate(
+        &self,
+        options: &CrossValidationOptions,
+        context: &RunContext<'_>,
+    ) -> Result<CrossValidation, CalibrationError> {
+        let setup = |message: String| Err(CalibrationError::Setup(message));
+        let n = self.problem().experiments.len();
+        if n < 2 {
+            return setup(
+                "a cross-validation leaves recordings out, so it needs two or more experiments; there is one: hold a part of it back \
+                 with a window, and validate on the rest"
+                    .to_owned(),
+            );
+        }
+        let k = options.folds.unwrap_or(n);
+        if !(2..=n).contains(&k) {
+            return setup(format!("{k} folds of {n} recordings: there must be from 2 to {n}"));
+        }
+        self.solver(context)?;
+        self.prepare()?;
+        let workers = options.run.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
+        let task = |fold: usize, context: &RunContext<'_>| {
+            let mut run = options.run.clone();
+            (run.workers, run.checkpoint) = (Some((workers / k).max(1)), None);
+            run.limits.max_time = context.left().map(|left| left.max(Duration::from_millis(1)));
+            match self.fold((fold, k), run, options, context) {
+                // What it was when the time was up says nothing.
+                _ if context.is_late() && !context.is_cancelled() => Ok(None),
+                fold => fold.map(Some),
+            }
+        };
+        let made =
+            parallel::map((k, workers), &context.within(options.run.limits.max_time), &task).into_iter();
+        let made: Vec<Option<Fold>> =
+            made.map(|fold| fold.unwrap_or(Err(CalibrationError::Cancelled))).collect::<Result<_, _>>()?;
+        let names = self.problem().experiment_names();
+        let unfinished: Vec<Vec<String>> = (made.iter().enumerate().filter(|(_, fold)| fold.is_none()))
+            .map(|(fold, _)| names.iter().skip(fold).step_by(k).cloned().collect())
+            .collect();
+        let folds: Vec<Fold> = made.into_iter().flatten().collect();
+        if folds.is_empty() {
+            let limit = Number(options.run.limits.max_time.map_or(f64::NAN, |limit| limit.as_secs_f64()));
+            return setup(format!(
+                "the time limit of {limit} s was over before one of {k} folds was done: give more time"
+            ));
+        }
+        let counted: usize = folds.iter().map(|fold| fold.validation.n).sum();
+        let sum: f64 =
+            folds.iter().map(|f| f.validation.n as f64 * f.validation.rms * f.validation.rms).sum();
+        let mut stats = Stats::default();
+        for fold in &folds {
+            stats += fold.fit.stats;
+            stats += fold.validation.stats;
+        }
+        let shared = self.problem().parameters.iter().filter(|p| !p.is_local());
+        let spread = |name: &str| {
+            let of = |fit: &Fit| fit.names.iter().position(|n| n == name).map(|i| fit.x[i]);
+            let values: Vec<f64> = folds.iter().filter_map(|fold| of(&fold.fit)).collect();
+            let mean = values.iter().sum::<f64>() / values.len() as f64;
+            let squares: f64 = values.iter().map(|v| (v - mean) * (v - mean)).sum();
+            (name.to_owned(), mean, (squares / (values.len() as f64 - 1.0)).sqrt())
+        };
+        let parameters = shared.map(|p| spread(p.name())).collect();
+        Ok(CrossValidation { rms: (sum / counted as f64).sqrt(), parameters, stats, folds, unfinished })
+    }
+
+    /// The fit without the recordings of a fold, validated on them.
+    fn fold(
+        &self,
+        (fold, k): (usize, usize),
+        run: RunOptions<AnyMethod>,
+        options: &CrossValidationOptions,
+        context: &RunContext<'_>,
+    ) -> Result<Fold, CalibrationError> {
+        let mut problem = self.problem().clone();
+        let (mut held_out, mut kept) = (Vec::new(), Vec::new());
+        for ((i, mut experiment), name) in
+            problem.experiments.drain(..).enumerate().zip(self.problem().experiment_names())
+        {
+            // A name by position would be another one among the others.
+            experiment.name = Some(name);
+            if i % k == fold { held_out.push(experiment) } else { kept.push(experiment) }
+        }
+        problem.experiments = kept;
+        let names = held_out.iter().filter_map(|experiment| experiment.name.clone()).collect::<Vec<_>>();
+        let without = |source| CalibrationError::Experiment {
+            name: format!("without {}", names.join(", ")),
+            source: Box::new(source),
+        };
+        let fitted = self.derived(problem).map_err(without)?;
+        let fit = fitted
+            .fit(FitOptions {
+                run,
+                loss: options.loss,
+                objective: options.objective.clone(),
+                noise: options.noise,
+                context: *context,
+                worth: None,
+                ..FitOptions::default()
+            })
+            .map_err(without)?;
+        if context.is_over() {
+            return Err(CalibrationError::Cancelled);
+        }
+        let validation = fitted.validate(&fit, &ValidationSet::Experiments(held_out), context);
+        let mut validation = validation.map_err(without)?;
+        let mut fit_rms = fit.rms;
+        if !options.loss.is_linear() {
+            let plain = (&options.objective, RobustLoss::default());
+            let found = fitted.cost_and_residuals(&fit.x, plain, context, &mut validation.stats);
+            validation.n_simulations += 1;
+            fit_rms = found.map_or(f64::NAN, |(_, r)| fitted.rms_of(&r, fitted.residual_layout()));
+        }
+        Ok(Fold { held_out: names, fit, fit_rms, validation })
+    }
+}
+
+impl fmt::Display for CrossValidation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let held_out: Vec<String> = self.folds.iter().map(|fold| fold.held_out.join(", ")).collect();
+        let width = held_out.iter().map(|name| name.chars().count()).max().unwrap_or(0).max(8);
+        let columns: Vec<usize> =
+            self.parameters.iter().map(|(name, ..)| name.chars().count().max(10)).collect();
+        write!(f, "{:<width$}  {:>10}  {:>10}", "held out", "RMS", "RMS of fit")?;
+        for ((name, ..), column) in self.parameters.iter().zip(&columns) {
+            write!(f, "  {name:>column$}")?;
+        }
+        for (fold, name) in self.folds.iter().zip(&held_out) {
+            let [rms, of_fit] = [fold.validation.rms, fold.fit_rms].map(|rms| digits(rms).to_string());
+            write!(f, "\n{name:<width$}  {rms:>10}  {of_fit:>10}")?;
+            for ((name, ..), column) in self.parameters.iter().zip(&columns) {
+                let value = fold.fit.names.iter().position(|n| n == name).map(|i| fold.fit.x[i]);
+                let value = value.map_or_else(String::new, |value| digits(value).to_string());
+                write!(f, "  {value:>column$}")?;
+            }
+        }
+        write!(f, "\n{:<width$}  {:>10}  {:>10}", "mean", digits(self.rms).to_string(), "")?;
+        for ((_, mean, _), column) in self.parameters.iter().zip(&columns) {
+            write!(f, "  {:>column$}", digits(*mean).to_string())?;
+        }
+        write!(f, "\n{:<width$}  {:>10}  {:>10}", "spread", "", "")?;
+        for ((.., spread), column) in self.parameters.iter().zip(&columns) {
+            write!(f, "  {:>column$}", digits(*spread).to_string())?;
+        }
+        for held_out in &self.unfinished {
+            write!(f, "\n{}: not done in time", held_out.join(", "))?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,285 @@
+//! Validation of fitted parameters on data that they were not fitted to: other parts of the recordings, or
+//! other recordings.
+
+use crate::cost::calibration::Calibration;
+use crate::cost::failure::NoCost;
+use crate::cost::residual::CostRule;
+use crate::error::CalibrationError;
+use crate::findings::finding::{Finding, Severity, table};
+use crate::fit::output_fit::OutputFit;
+use crate::fit::stage::{Fit, FitOptions, NoiseRule};
+use crate::problem::experiment::Experiment;
+use crate::problem::objective::CostKind;
+use crate::problem::residual_layout::OutputResiduals;
+use crate::uncertainty::estimate::digits;
+use base::RunContext;
+use dfo::RobustLoss;
+use ode::Stats;
+use serde::{Deserialize, Serialize};
+use std::collections::HashSet;
+use std::fmt;
+
+/// Data that a fit is validated on.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ValidationSet {
+    /// The measurements of the calibration in these windows, each from and to a time in s. Simulations start where they always do, so
+    /// that the model comes to a window with its history.
+    Windows(Vec<(f64, f64)>),
+    /// Other recordings.
+    Experiments(Vec<Experiment>),
+}
+
+/// Validation of parameters on measurements that they were not fitted to. `Display` prints a table.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Validation {
+    /// Names of the parameters: those of the calibration, local ones as the validated recordings have them.
+    pub names: Vec<String>,
+    /// Their values.
+    pub x: Vec<f64>,
+    /// Each output of each experiment, in the order of the residual vector.
+    pub outputs: Vec<ValidatedOutput>,
+    /// Number of measurements that count.
+    pub n: usize,
+    /// Root of the mean squared weighted residual, plain ones with a loss, too.
+    pub rms: f64,
+    /// The same at the start of the fit; `None` if the simulation failed there.
+    pub start_rms: Option<f64>,
+    /// Measurements that the fit has seen: of these the RMS says nothing of predictions.
+    #[serde(default)]
+    pub findings: Vec<Finding>,
+    /// Simulations that were made.
+    pub n_simulations: usize,
+    /// Statistics of the simulations; not stored.
+    #[serde(skip)]
+    pub stats: Stats,
+}
+
+/// An output of an experiment: measured, and simulated with fitted parameters.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct ValidatedOutput {
+    /// Quality of fit of the output.
+    pub fit: OutputFit,
+    /// Times of the measurements, in s.
+    pub times: Vec<f64>,
+    /// Measured values.
+    pub measured: Vec<f64>,
+    /// Simulated minus measured, without weights.
+    pub residuals: Vec<f64>,
+    /// The same at the start of the fit; `None` if the simulation failed there.
+    pub start_residuals: Option<Vec<f64>>,
+}
+
+impl ValidatedOutput {
+    /// Simulated values at the times of the measurements.
+    pub fn simulated(&self) -> Vec<f64> {
+        self.measured.iter().zip(&self.residuals).map(|(m, r)| m + r).collect()
+    }
+}
+
+impl Validation {
+    /// The RMS over that at the start of the fit, on the same measurements; `None` if the simulation failed at the start.
+    pub fn scaled_rms(&self) -> Option<f64> {
+        self.start_rms.map(|start| self.rms / start)
+    }
+}
+
+impl fmt::Display for Validation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names = |output: &OutputFit| format!("{}: {}", output.experiment, output.variable);
+        let width = self.outputs.iter().map(|o| names(&o.fit).chars().count()).max().unwrap_or(0).max(6);
+        writeln!(
+            f,
+            "{:<width$}  {:>6}  {:>10}  {:>10}  {:>7}  unit",
+            "output", "n", "RMS", "scaled RMS", "fit"
+        )?;
+        for output in self.outputs.iter().map(|o| &o.fit) {
+            let scaled = output
+                .start_rms
+                .map_or_else(|| "-".to_owned(), |start| digits(output.rms / start).to_string());
+            let (name, rms) = (names(output), digits(output.rms).to_string());
+            let percent = format!("{:.1} %", output.fit_percent);
+            let unit = output.unit.as_deref().unwrap_or("");
+            writeln!(f, "{name:<width$}  {:>6}  {rms:>10}  {scaled:>10}  {percent:>7}  {unit}", output.n)?;
+        }
+        let scaled = self.scaled_rms().map_or_else(|| "-".to_owned(), |scaled| digits(scaled).to_string());
+        write!(
+            f,
+            "{:<width$}  {:>6}  {:>10}  {scaled:>10}",
+            "all, weighted",
+            self.n,
+            digits(self.rms).to_string()
+        )?;
+        f.write_str(&table(&self.findings))
+    }
+}
+
+impl Calibration {
+    /// Simulates with the parameters of a fit of this calibration, and compares with measurements that it was not fitted to. Local
+    /// parameters of other recordings, which the fit does not know, are fitted to these recordings first, from their start
+    /// values there, with all others held, the same cost and the same loss. All RMS are of plain residuals, whatever the loss.
+    ///
+    /// ```
+    /// use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, ValidationSet};
+    /// let t = vec![0.0, 0.5, 1.0, 1.5];
+    /// let x = t.iter().map(|t: &f64| (-2.0 * t).exp()).collect();
+    /// let data = Data::from_columns(t, [("x".to_owned(), x)])?;
+    /// let calibration = Calibration::builder(fmi::Fmu::open(example_models::example_fmu("dahlquist")?)?)
+    ///     .experiment(Experiment::new(data).output("x", "x").window(0.0, 0.5))
+    ///     .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
+    ///     .build()?;
+    /// let fit = calibration.fit(FitOptions::default())?;
+    /// let validation = calibration.validate(&fit, &ValidationSet::Windows(vec![(1.0, 1.5)]))?;
+    /// assert!(validation.rms < 1e-3 && validation.scaled_rms() < Some(0.01));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Windows or recordings that cannot be used; local parameters that are to be fitted, after a fit of a function of the user's; a
+    /// simulation that fails at the fitted parameters.
+    pub fn validate(
+        &self,
+        fit: &Fit,
+        set: &ValidationSet,
+        context: &RunContext<'_>,
+    ) -> Result<Validation, CalibrationError> {
+        self.check_length(&fit.x)?;
+        self.solver(context)?;
+        match set {
+            ValidationSet::Windows(windows) => {
+                let other = self.windowed(windows)?;
+                let validation = other.validation((&fit.start, &fit.x), Stats::default(), 0, context)?;
+                Ok(Validation { findings: self.seen(&other, 0.0), ..validation })
+            }
+            ValidationSet::Experiments(experiments) => {
+                let mut problem = self.problem().clone();
+                problem.experiments.clone_from(experiments);
+                let other = self.derived(problem)?;
+                let (start, mut x, local) =
+                    (self.carried(&other, &fit.start)?, self.carried(&other, &fit.x)?, other.locals()?);
+                let (mut stats, mut n) = (Stats::default(), 0);
+                if local.iter().any(|&i| !other.parameters()[i].is_fixed()) {
+                    let held = (0..x.len()).filter(|i| !local.contains(i)).collect();
+                    let Some(objective) = CostKind::of_name(&fit.objective) else {
+                        let names: Vec<&str> = local.iter().map(|&i| other.parameters()[i].name()).collect();
+                        return Err(CalibrationError::Setup(format!(
+                            "{} would be fitted to these recordings, and the fit minimised a function that it does not hold ('{}'): \
+                             give them as fixed parameters, or fit with an objective that has a name",
+                            names.join(", "),
+                            fit.objective
+                        )));
+                    };
+                    let own = other.of_fit(fit)?;
+                    let refit = own.as_ref().unwrap_or(&other).fit(FitOptions {
+                        noise: NoiseRule::Stated,
+                        start: Some(x),
+                        held,
+                        context: *context,
+                        objective,
+                        loss: fit.report.loss,
+                        worth: None,
+                        ..FitOptions::default()
+                    })?;
+                    if context.is_over() {
+                        return Err(CalibrationError::Cancelled);
+                    }
+                    n = refit.report.n_evaluations + refit.report.n_speculative + refit.n_checks;
+                    (stats, x) = (refit.stats, refit.x);
+                }
+                let validation = other.validation((&start, &x), stats, n, context)?;
+                // A time and a value may be equal by chance.
+                Ok(Validation { findings: self.seen(&other, 0.5), ..validation })
+            }
+        }
+    }
+
+    /// Outputs of which this calibration is fitted to measurements of `other`, to this share of them or more.
+    fn seen(&self, other: &Calibration, share: f64) -> Vec<Finding> {
+        let points = |output: &OutputResiduals| -> Vec<(u64, u64)> {
+            output.times.iter().zip(&output.measured).map(|(t, y)| (t.to_bits(), y.to_bits())).collect()
+        };
+        let own = &self.residual_layout().outputs;
+        let names = other.problem().experiment_names();
+        let finding = |output: &OutputResiduals| {
+            let same = own.iter().filter(|o| o.variable == output.variable);
+            let known: HashSet<(u64, u64)> = same.flat_map(points).collect();
+            let n = points(output).iter().filter(|point| known.contains(point)).count();
+            let all = output.measured.len();
+            let is_seen = n > 0 && n as f64 >= share * all as f64;
+            is_seen.then(|| {
+                Finding::new(
+                    Severity::Warning,
+                    format!("{}: {}", names[output.experiment], output.variable),
+                    format!(
+                        "the fit has seen {n} of these {all} measurements: there the RMS says how well they are reproduced, not how well \
+                         new ones are predicted"
+                    ),
+                    "fit in one window and validate in another, or on another recording",
+                )
+            })
+        };
+        other.residual_layout().outputs.iter().filter_map(finding).collect()
+    }
+
+    /// Compares with the measurements of this calibration.
+    fn validation(
+        &self,
+        (start, x): (&[f64], &[f64]),
+        mut stats: Stats,
+        n_simulations: usize,
+        context: &RunContext<'_>,
+    ) -> Result<Validation, CalibrationError> {
+        let residuals = self.residuals(x, context)?;
+        let mut at_start = vec![0.0; self.n_residuals()];
+        let rule = CostRule::whole(RobustLoss::default(), context);
+        let at_start = match self.evaluate_into(start, rule, &mut at_start, &mut stats) {
+            Ok(_) => Some(at_start),
+            Err(NoCost::Cancelled) => return Err(CalibrationError::Cancelled),
+            Err(_) => None,
+        };
+        let fits = self.output_fits_of(&residuals, at_start.as_deref());
+        let outputs = self.residual_layout().outputs.iter().zip(fits).map(|(own, fit)| {
+            let plain =
+                |of: &[f64]| of[own.range.clone()].iter().zip(&own.weights).map(|(r, w)| r / w).collect();
+            ValidatedOutput {
+                fit,
+                times: own.times.to_vec(),
+                measured: own.measured.to_vec(),
+                residuals: plain(&residuals),
+                start_residuals: at_start.as_deref().map(plain),
+            }
+        });
+        let n = self.n_measurements();
+        let rms = |of: &[f64]| (of[..n].iter().map(|r| r * r).sum::<f64>() / n as f64).sqrt();
+        Ok(Validation {
+            names: self.parameters().iter().map(|p| p.name().to_owned()).collect(),
+            x: x.to_vec(),
+            outputs: outputs.collect(),
+            n,
+            rms: rms(&residuals),
+            start_rms: at_start.as_deref().map(rms),
+            findings: Vec::new(),
+            n_simulations: n_simulations + 2,
+            stats,
+        })
+    }
+
+    /// The entries of `x` that belong to one experiment.
+    fn locals(&self) -> Result<Vec<usize>, CalibrationError> {
+        let elements = self.problem().elements()?;
+        Ok((0..elements.len()).filter(|&i| elements[i].experiment.is_some()).collect())
+    }
+
+    /// Values for another problem with the same parameters: shared ones from `x`, local ones from their start there.
+    fn carried(&self, other: &Calibration, x: &[f64]) -> Result<Vec<f64>, CalibrationError> {
+        let own = self.problem().elements()?;
+        let shared =
+            |name: &str| own.iter().position(|e| e.experiment.is_none() && e.parameter.name() == name);
+        let value = |(i, e): (usize, &crate::problem::definition::Element)| match shared(e.parameter.name()) {
+            Some(k) if e.experiment.is_none() => x[k],
+            _ => other.parameters()[i].start(),
+        };
+        Ok(other.problem().elements()?.iter().enumerate().map(value).collect())
+    }
+}

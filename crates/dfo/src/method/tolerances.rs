@@ -1,0 +1,259 @@
+//! Limits of a run from outside, and the tolerance tests that all methods share.
+
+use crate::error::Error;
+use crate::values::choices::{Measure, Stop};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::time::Duration;
+
+/// Limits that end a run from outside of the method; `None` means no limit.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Limits {
+    /// Evaluations of the path of the method: those of a run with one point at a time.
+    pub max_evaluations: Option<usize>,
+    /// Iterations of the method.
+    pub max_iterations: Option<usize>,
+    /// Wall-clock time: no evaluation starts after it.
+    pub max_time: Option<Duration>,
+    /// The run ends with the first evaluation of the path whose cost is at or below this. What was evaluated at once with it
+    /// and comes after it counts as made ahead of need.
+    pub target: Option<f64>,
+    /// The run ends where more than this share of its evaluations has failed, of at least 20; from 0 to 1.
+    #[serde(default)]
+    pub max_failed: Option<f64>,
+}
+
+impl Limits {
+    /// Sets evaluations and iterations where there is no limit of any kind but the target.
+    pub(crate) fn fill(&mut self, (evaluations, iterations): (Option<usize>, Option<usize>)) {
+        if (self.max_evaluations, self.max_iterations, self.max_time) == (None, None, None) {
+            (self.max_evaluations, self.max_iterations) = (evaluations, iterations);
+        }
+    }
+
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        if self.max_evaluations == Some(0) {
+            return Err(Error::Option { name: "max_evaluations", value: 0.0, range: "at least 1" });
+        }
+        if let Some(value) = self.max_failed.filter(|share| !(0.0..=1.0).contains(share)) {
+            return Err(Error::Option { name: "max_failed", value, range: "between 0 and 1" });
+        }
+        match self.target {
+            Some(value) if value.is_nan() => Err(Error::Option { name: "target", value, range: "a number" }),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// A best cost below this fraction of the first costs counts as zero, see [`Tolerances`]: the root of the machine precision.
+const ZERO_COST: f64 = 1.490_116_119_384_765_6e-8;
+
+/// Tolerances of the two tests that end a run.
+///
+/// - x test: `max |x_i - x_best,i| <= x_tol * size_i` over all vertices and parameters (a logarithmic parameter is
+///   compared by its logarithm); with [`Measure::Absolute`]: `<= x_tol` in the user's units.
+/// - f test: `f_worst - f_best <= f_tol * |f_best|`; with [`Measure::Absolute`]: `<= f_tol`. It never passes while a
+///   vertex has failed.
+///
+/// A cost that goes to zero would never pass a relative f test, because the spread goes to zero with it. So |f_best|
+/// counts at least as `1.5e-8 * f_0` (the root of the machine precision), `f_0` being the smallest |f| that is not zero of
+/// the initial vertices (of a population: the upper median). Near a minimum the cost is quadratic: where x is known to 1e-6, a cost of zero is known to 1e-12 of
+/// `f_0`, and the default f test, 1.5e-14 of `f_0`, asks for two digits more, not for ten. A run is over only when tests
+/// pass after an iteration is complete, so an initial simplex never passes, and while a vertex has failed none does.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Tolerances {
+    /// Tolerance of the x test; default 1e-6.
+    pub x_tol: f64,
+    /// Tolerance of the f test; default 1e-6.
+    pub f_tol: f64,
+    /// Default [`Measure::Relative`].
+    pub measure: Measure,
+    /// Default [`Stop::All`].
+    pub stop: Stop,
+}
+
+impl Default for Tolerances {
+    fn default() -> Self {
+        Self { x_tol: 1e-6, f_tol: 1e-6, measure: Measure::Relative, stop: Stop::All }
+    }
+}
+
+impl Tolerances {
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        for (name, value) in [("x_tol", self.x_tol), ("f_tol", self.f_tol)] {
+            if !(value >= 0.0 && value.is_finite()) {
+                return Err(Error::Option { name, value, range: "finite and not negative" });
+            }
+        }
+        Ok(())
+    }
+
+    /// Applies both tests. `f_spread` is `None` while a vertex has failed; `f_0` is described at [`Tolerances`].
+    pub(crate) fn judge(&self, x_size: f64, f_spread: Option<f64>, f_best: f64, f_0: f64) -> Tests {
+        let f_limit = match self.measure {
+            Measure::Absolute => self.f_tol,
+            Measure::Relative => self.f_tol * f_best.abs().max(ZERO_COST * f_0),
+        };
+        let x_passed = x_size <= self.x_tol;
+        let f_passed = f_spread.is_some_and(|s| s <= f_limit);
+        let passed = match self.stop {
+            // Without a spread the points that have a cost may have nothing to compare with.
+            Stop::Any => f_spread.is_some() && (x_passed || f_passed),
+            Stop::All => x_passed && f_passed,
+        };
+        Tests {
+            extent: Extent::Simplex,
+            x_size,
+            f_spread,
+            f_limit,
+            f_best,
+            x_passed,
+            f_passed,
+            passed,
+            tolerances: *self,
+        }
+    }
+}
+
+/// Typical size of the costs at the start: the upper median of the absolute ones.
+pub(crate) fn typical(costs: &[Option<f64>]) -> f64 {
+    let mut costs: Vec<f64> = costs.iter().flatten().map(|cost| cost.abs()).collect();
+    costs.sort_by(f64::total_cmp);
+    costs.get(costs.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// Of what the tests measure the size and the spread.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[non_exhaustive]
+pub enum Extent {
+    /// Of a simplex.
+    #[default]
+    Simplex,
+    /// Of a population.
+    Population,
+    /// Of its best eighth.
+    BestEighth,
+    /// Of the best points of all generations, as many as an eighth of the population.
+    BestSeen,
+    /// Of the region where a model is trusted, or of the step to the model's minimum with its error, where that is less; the
+    /// spread is the decrease that the model predicts.
+    Model,
+    /// Of the frame of a poll.
+    Frame,
+}
+
+impl Extent {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Simplex => "simplex",
+            Self::Population => "population",
+            Self::BestEighth => "best eighth of the population:",
+            Self::BestSeen => "best points seen:",
+            Self::Model => "distance to the model's minimum:",
+            Self::Frame => "frame",
+        }
+    }
+}
+
+/// The last values of the tolerance tests.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Tests {
+    /// Set of points, or region, that the tests measure.
+    pub extent: Extent,
+    /// Size of the simplex (or population) as the x test measures it.
+    pub x_size: f64,
+    /// Largest minus smallest cost; `None` while a vertex has failed.
+    pub f_spread: Option<f64>,
+    /// Bound of the spread in the f test.
+    pub f_limit: f64,
+    /// Best cost.
+    pub f_best: f64,
+    /// True if the x test passes.
+    pub x_passed: bool,
+    /// True if the f test passes.
+    pub f_passed: bool,
+    /// True if the run is over: either one or both, as [`Tolerances::stop`] says.
+    pub passed: bool,
+    /// The tolerances used.
+    pub tolerances: Tolerances,
+}
+
+impl fmt::Display for Tests {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Tolerances { x_tol, f_tol, measure, .. } = self.tolerances;
+        let relation = |passed| if passed { "<=" } else { ">" };
+        let verb = |passed| if passed { "passed" } else { "not passed" };
+        let unit = match measure {
+            Measure::Relative => " (in units of the parameters' sizes)",
+            Measure::Absolute => "",
+        };
+        let x = relation(self.x_passed);
+        write!(
+            f,
+            "x test {}: {}{} {:.3e} {x} x_tol {x_tol:e}{unit}",
+            verb(self.x_passed),
+            self.extent.name(),
+            if self.extent == Extent::Model { "" } else { " size" },
+            self.x_size
+        )?;
+        let spread_name = if self.extent == Extent::Model { "predicted decrease" } else { "spread" };
+        match self.f_spread {
+            None => write!(f, "; f test not passed: a vertex has failed"),
+            Some(spread) => {
+                let r = relation(self.f_passed);
+                write!(
+                    f,
+                    "; f test {}: {spread_name} {spread:.3e} {r} {:.3e}",
+                    verb(self.f_passed),
+                    self.f_limit
+                )?;
+                match measure {
+                    Measure::Relative if self.f_limit > f_tol * self.f_best.abs() => {
+                        write!(f, " (f_tol {f_tol:e} of {ZERO_COST:.1e} times the initial cost)")
+                    }
+                    Measure::Relative => write!(f, " (f_tol {f_tol:e} of f_best {:.6e})", self.f_best),
+                    Measure::Absolute => write!(f, " (f_tol)"),
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tests_are_nan_proof() {
+        let tolerances = Tolerances { stop: Stop::Any, ..Tolerances::default() };
+        for (x, spread) in [(f64::NAN, Some(f64::NAN)), (f64::INFINITY, Some(f64::INFINITY)), (1.0, None)] {
+            assert!(!tolerances.judge(x, spread, 1.0, 1.0).passed);
+        }
+    }
+
+    #[test]
+    fn a_cost_of_zero_can_stop() {
+        let tolerances = Tolerances::default();
+        assert!(tolerances.judge(0.0, Some(1e-14), 0.0, 1.0).passed);
+        assert!(!tolerances.judge(0.0, Some(1e-13), 0.0, 1.0).passed);
+        // The offset counts as long as it is more than 1.5e-8 of the first costs.
+        assert_eq!(tolerances.judge(0.0, Some(1e-13), 1.0, 1e7).f_limit, 1e-6);
+    }
+
+    #[test]
+    fn either_or_both() {
+        let any = Tolerances { stop: Stop::Any, measure: Measure::Absolute, ..Tolerances::default() };
+        let all = Tolerances { stop: Stop::All, ..any };
+        for (x, f, either, both) in
+            [(1e-7, 1.0, true, false), (1.0, 1e-7, true, false), (1e-7, 1e-7, true, true)]
+        {
+            assert_eq!(any.judge(x, Some(f), 5.0, 5.0).passed, either);
+            assert_eq!(all.judge(x, Some(f), 5.0, 5.0).passed, both);
+        }
+        assert!(
+            any.judge(1e-7, Some(1.0), 0.0, 1.0)
+                .to_string()
+                .starts_with("x test passed: simplex size 1.000e-7")
+        );
+    }
+}

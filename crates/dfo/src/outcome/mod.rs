@@ -1,0 +1,5 @@
+//! Answers of an objective, the trace of a run, and the reasons of its end.
+
+pub(crate) mod answer;
+pub(crate) mod termination;
+pub(crate) mod trace;

@@ -1,0 +1,243 @@
+//! Robust losses: a residual far from zero counts less than its square.
+
+use crate::error::Error;
+use crate::outcome::answer::Outcome;
+use crate::values::record::{Record, RecordError};
+use serde::{Deserialize, Serialize};
+use std::f64::consts::SQRT_2;
+use std::fmt;
+
+/// Contribution of a residual to the cost: `rho((r / scale)^2) scale^2`, with the functions rho of SciPy's
+/// `least_squares`.
+///
+/// For small residuals every one of them is the square of the residual.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Loss {
+    /// `rho(z) = z`: the square.
+    #[default]
+    Linear,
+    /// `rho(z) = 2 (sqrt(1 + z) - 1)`: grows like the absolute value.
+    #[serde(alias = "soft_l1")]
+    SoftL1,
+    /// `rho(z) = z` up to 1, `2 sqrt(z) - 1` beyond (Huber, Ann. Math. Statist. 35, 1964).
+    Huber,
+    /// `rho(z) = ln(1 + z)`: outliers count almost nothing; may have several minima.
+    Cauchy,
+}
+
+/// A loss and its scale: residuals that are small against it count by their squares.
+///
+/// Every residual r is replaced by `s(r) = sign(r) scale sqrt(rho((r / scale)^2))`, so that the sum of squares is the robust
+/// cost for every method (Triggs, McLauchlan, Hartley and Fitzgibbon, Bundle adjustment: a modern synthesis, 2000, section 3.4).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct RobustLoss {
+    kind: Loss,
+    scale: f64,
+}
+
+impl Default for RobustLoss {
+    /// The square.
+    fn default() -> Self {
+        Self { kind: Loss::Linear, scale: 1.0 }
+    }
+}
+
+impl fmt::Display for RobustLoss {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = match self.kind {
+            Loss::Linear => return f.write_str("linear"),
+            Loss::SoftL1 => "soft-l1",
+            Loss::Huber => "huber",
+            Loss::Cauchy => "cauchy",
+        };
+        write!(f, "{name}, scale {:?}", self.scale)
+    }
+}
+
+impl RobustLoss {
+    /// `scale`: in the units of the residuals.
+    ///
+    /// # Errors
+    /// A scale that is not from 1e-300 to 1e300.
+    pub fn new(kind: Loss, scale: f64) -> Result<Self, Error> {
+        if (1e-300..=1e300).contains(&scale) {
+            return Ok(Self { kind, scale });
+        }
+        Err(Error::Option {
+            name: "the scale of the loss",
+            value: scale,
+            range: "positive (1e-300 to 1e300)",
+        })
+    }
+
+    /// The loss of a record, whose options `loss` and `f_scale` it takes out; `None`: it names none.
+    ///
+    /// # Errors
+    /// A value that such an option cannot have.
+    pub fn asked(record: &mut Record) -> Result<Option<Self>, Error> {
+        let (loss, scale) = (record.remove("loss"), record.remove("f_scale"));
+        let Some(loss) = loss else { return Ok(None) };
+        let kind = loss.read("loss")?;
+        let Some(scale) = scale else { return Self::new(kind, 1.0).map(Some) };
+        Self::new(kind, scale.read("f_scale")?).map(Some).map_err(|_| {
+            RecordError::range("positive and finite (1e-300 to 1e300)").of("f_scale", &scale).into()
+        })
+    }
+
+    /// Whether residuals stay as they are.
+    pub fn is_linear(&self) -> bool {
+        self.kind == Loss::Linear
+    }
+
+    /// The number whose square is what the residual counts: exact for small residuals, without overflow for large ones. NaN
+    /// and infinities stay what they are.
+    pub fn transform(&self, r: f64) -> f64 {
+        let (scale, size) = (self.scale, r.abs());
+        if !r.is_finite() {
+            return r;
+        }
+        match self.kind {
+            Loss::Linear => r,
+            // 2 (sqrt(1 + z) - 1) = 2 z / (sqrt(1 + z) + 1), which cancels nothing.
+            Loss::SoftL1 => r * (scale.sqrt() / (0.5 * scale + 0.5 * scale.hypot(r)).sqrt()),
+            Loss::Huber if size <= scale => r,
+            Loss::Huber => (scale.sqrt() * SQRT_2 * (size - 0.5 * scale).sqrt()).copysign(r),
+            Loss::Cauchy => {
+                let t = size / scale;
+                if t < 1e-8 {
+                    r
+                } else if t < 1e150 {
+                    (scale * (t * t).ln_1p().sqrt()).copysign(r)
+                } else {
+                    (scale * (2.0 * (size.ln() - scale.ln())).sqrt()).copysign(r)
+                }
+            }
+        }
+    }
+
+    /// The cost of residuals, summed from the first to the last; they become what [`transform`](Self::transform) makes of
+    /// them. Strictly above the cutoff it is given up. One that is not finite is a failure that names it.
+    pub fn cost(&self, residuals: &mut [f64], cutoff: f64) -> Outcome {
+        let mut sum = 0.0;
+        for (k, r) in residuals.iter_mut().enumerate() {
+            *r = self.transform(*r);
+            sum += *r * *r;
+            if !r.is_finite() {
+                return Outcome::not_finite(format!("residual {k} is {r}"));
+            }
+            if sum > cutoff {
+                return Outcome::Above(cutoff);
+            }
+        }
+        match sum.is_finite() {
+            true if residuals.is_empty() => Outcome::failed("there are no residuals"),
+            true => Outcome::Value(sum),
+            false => Outcome::not_finite("the sum of the squares of the residuals is infinite".to_owned()),
+        }
+    }
+
+    /// The residual that [`transform`](Self::transform) made this of, up to rounding.
+    pub fn inverse(&self, s: f64) -> f64 {
+        let (scale, size) = (self.scale, s.abs());
+        let t = size / scale;
+        if !s.is_finite() {
+            return s;
+        }
+        match self.kind {
+            Loss::Linear => s,
+            // With w = t^2 / 2: 1 + z = (1 + w)^2.
+            Loss::SoftL1 if t < 1e100 => s * (1.0 + 0.25 * t * t).sqrt(),
+            Loss::SoftL1 => 0.5 * s * t,
+            Loss::Huber if size <= scale => s,
+            Loss::Huber => (0.5 * size * t + 0.5 * scale).copysign(s),
+            Loss::Cauchy if t < 1e-8 => s,
+            Loss::Cauchy if t < 20.0 => (scale * (t * t).exp_m1().sqrt()).copysign(s),
+            Loss::Cauchy => (scale.ln() + 0.5 * t * t).exp().copysign(s),
+        }
+    }
+
+    /// The derivative of [`transform`](Self::transform) at a residual: from 1 at zero down to 0.
+    pub fn slope(&self, r: f64) -> f64 {
+        let (scale, size) = (self.scale, r.abs());
+        let t = size / scale;
+        match self.kind {
+            Loss::Linear => 1.0,
+            Loss::SoftL1 => scale.sqrt() * ((0.5 * scale + 0.5 * scale.hypot(r)).sqrt() / scale.hypot(r)),
+            Loss::Huber if size <= scale => 1.0,
+            Loss::Huber => scale / self.transform(size),
+            Loss::Cauchy if t < 1e-8 => 1.0,
+            Loss::Cauchy if t < 1e150 => (1.0 + t * t).recip() * (size / self.transform(size)),
+            Loss::Cauchy => (scale / size) * (scale / self.transform(size)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn all(scale: f64) -> [RobustLoss; 4] {
+        [Loss::Linear, Loss::SoftL1, Loss::Huber, Loss::Cauchy]
+            .map(|kind| RobustLoss::new(kind, scale).unwrap())
+    }
+
+    #[test]
+    fn squares_are_the_losses_of_scipy() {
+        // scipy.optimize._lsq.least_squares: rho at z = 0.25 and z = 9.
+        let z = [0.25f64, 9.0];
+        let expected = [
+            z,
+            z.map(|z| 2.0 * ((1.0 + z).sqrt() - 1.0)),
+            [0.25, 2.0 * 3.0 - 1.0],
+            z.map(|z| (1.0 + z).ln()),
+        ];
+        for (loss, rho) in all(2.0).iter().zip(expected) {
+            for (r, rho) in [(1.0, rho[0]), (-6.0, rho[1])] {
+                let s = loss.transform(r);
+                assert!((s * s - 4.0 * rho).abs() < 1e-13 && s.signum() == f64::signum(r), "{loss} {r} {s}");
+            }
+        }
+    }
+
+    #[test]
+    fn small_residuals_stay_and_huge_ones_overflow_nothing() {
+        for loss in [1e-300, 1e-6, 1.0, 1e6, 1e300].into_iter().flat_map(all) {
+            assert_eq!(loss.transform(0.0), 0.0);
+            assert_eq!(loss.transform(1e-9 * loss.scale), 1e-9 * loss.scale);
+            assert!(loss.transform(f64::NAN).is_nan() && loss.slope(f64::NAN).is_nan() != loss.is_linear());
+            let mut last = 0.0;
+            for exponent in -320..=308 {
+                let r = 10f64.powi(exponent).min(f64::MAX);
+                let s = loss.transform(r);
+                assert!(s.is_finite() && s >= last && s <= r * (1.0 + 4.0 * f64::EPSILON), "{loss} {r} {s}");
+                assert_eq!(loss.transform(-r), -s);
+                let slope = loss.slope(r);
+                assert!((0.0..=1.0 + 1e-12).contains(&slope), "{loss} {r} {slope}");
+                last = s;
+                // Where the square has any effect at all: the inverse, within the rounding of the logarithm.
+                let back = loss.inverse(s);
+                assert!((back / r - 1.0).abs() < 1e-12 || s == 0.0 || r < 1e-300, "{loss} {r} {s} {back}");
+            }
+        }
+    }
+
+    #[test]
+    fn slopes_are_derivatives() {
+        for loss in all(0.5) {
+            for r in [-3.0, -0.4, 1e-3, 0.3, 2.0, 1e3] {
+                let h = 1e-6 * f64::max(1.0, f64::abs(r));
+                let difference = (loss.transform(r + h) - loss.transform(r - h)) / (2.0 * h);
+                assert!((loss.slope(r) - difference).abs() < 1e-7, "{loss} {r}");
+            }
+        }
+    }
+
+    #[test]
+    fn scales_that_are_none_are_refused() {
+        for scale in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            assert!(RobustLoss::new(Loss::Huber, scale).is_err());
+        }
+    }
+}

@@ -1,0 +1,393 @@
+//! Checkpoints: the whole state of a run in a file, so that a resumed run is the uninterrupted one, bit for bit.
+//!
+//! The file is a mark, the format, a checksum, and a map in CBOR (RFC 8949) that names all its parts, the version of the code
+//! that wrote it first. It is written to a
+//! temporary file beside it and renamed, so that there is always a whole one. What identifies a run (the fingerprint)
+//! is stored in words; a file of another run is refused by naming the difference, and left as it is.
+//!
+//! A batch that was cut short by the end of a run is not told to the stored state: the outcomes that were known are
+//! kept beside it and given again when the resumed run asks.
+
+use crate::error::Error;
+use crate::evaluation::ledger::Ledger;
+use crate::evaluation::round::Round;
+use crate::evaluation::store::{Early, Store};
+use crate::method::encoding::{decode, encode};
+use crate::method::interface::{Method, Setup};
+use crate::problem::option_texts;
+use base::files::{Claim, Unfinished};
+use serde::{Deserialize, Serialize};
+use std::io::{ErrorKind, Read, Write};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// First bytes of a checkpoint; then comes the format, one byte.
+const MARK: &[u8; 15] = b"dfo checkpoint\0";
+
+/// The format that this version reads and writes. It changes with everything that a file holds.
+const FORMAT: u8 = 8;
+
+/// Version of the code, which every file names.
+const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+/// Treatment of a checkpoint that is there already.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Resume {
+    /// Continue if there is one, else start.
+    #[default]
+    Auto,
+    /// Start anew, whatever there is.
+    Never,
+    /// Continue; an error if there is none.
+    Require,
+}
+
+/// Where and how often a run writes its state.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Checkpoint {
+    /// The file.
+    pub path: PathBuf,
+    /// Default [`Resume::Auto`].
+    pub resume: Resume,
+    /// Least time between two writes while the run goes on; default 0.2 s. The end of a run is always written.
+    pub interval: Duration,
+    /// Further identity of the run, by name: what the objective is made from, for example.
+    pub tags: Vec<(String, String)>,
+    /// Identity of the code of the objective, see [`code`](Self::code).
+    #[serde(default)]
+    pub code: Option<Code>,
+}
+
+/// Identity of the code of an objective.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Code {
+    /// A hash.
+    Hash(String),
+    /// It cannot be told from other code, for this reason.
+    Unknown(String),
+}
+
+impl Code {
+    fn text(&self) -> &str {
+        match self {
+            Self::Hash(hash) => hash,
+            Self::Unknown(_) => "not known",
+        }
+    }
+}
+
+/// Name of the code among what identifies a run.
+const CODE: &str = "code of the function";
+
+impl Checkpoint {
+    /// Writes to this file and resumes from it, if it is there.
+    pub fn new(path: impl Into<PathBuf>) -> Self {
+        Self {
+            path: path.into(),
+            resume: Resume::Auto,
+            interval: Duration::from_millis(200),
+            tags: Vec::new(),
+            code: None,
+        }
+    }
+
+    /// Says by what the code of the objective is known. With [`Resume::Auto`] a file of other code is refused, and so is any file where
+    /// the code is not known; with [`Resume::Require`] the user says that it is the right one.
+    #[must_use]
+    pub fn code(mut self, code: Code) -> Self {
+        self.code = Some(code);
+        self
+    }
+
+    /// Sets what to do with a file that is there already.
+    #[must_use]
+    pub fn resume(mut self, resume: Resume) -> Self {
+        self.resume = resume;
+        self
+    }
+
+    /// Sets the least time between two writes.
+    #[must_use]
+    pub fn interval(mut self, interval: Duration) -> Self {
+        self.interval = interval;
+        self
+    }
+
+    /// Identity of the run in the file, by name, its tags among it; `None` where there is no file, or where
+    /// it will not be continued.
+    ///
+    /// # Errors
+    /// The file cannot be read, or is no checkpoint, or there is none and one is required.
+    pub fn stored_identity(&self) -> Result<Option<Vec<(String, String)>>, Error> {
+        Ok(load(self)?.map(|snapshot| snapshot.fingerprint))
+    }
+
+    /// Adds something that identifies the run: a file with another value is refused.
+    #[must_use]
+    pub fn tag(mut self, name: impl Into<String>, value: impl Into<String>) -> Self {
+        self.tags.push((name.into(), value.into()));
+        self
+    }
+}
+
+/// The whole state of a run.
+#[derive(Debug, Deserialize)]
+pub(crate) struct Snapshot {
+    pub(crate) fingerprint: Vec<(String, String)>,
+    #[serde(with = "serde_bytes")]
+    pub(crate) method: Vec<u8>,
+    pub(crate) ledger: Ledger,
+    pub(crate) store: Store,
+    pub(crate) stale: usize,
+    /// Evaluations so far of the batch that the method waits for.
+    pub(crate) known: Vec<Early>,
+    pub(crate) observed: Option<usize>,
+    pub(crate) first_recent: usize,
+    pub(crate) seconds: f64,
+    pub(crate) seed: Option<u64>,
+}
+
+/// Who wrote a file, whatever else it holds.
+#[derive(Debug, Deserialize)]
+struct Written {
+    version: String,
+}
+
+/// A [`Snapshot`] with borrowed fields, for writing.
+#[derive(Serialize)]
+struct SnapshotRef<'a> {
+    version: &'a str,
+    fingerprint: &'a [(String, String)],
+    #[serde(with = "serde_bytes")]
+    method: &'a [u8],
+    ledger: &'a Ledger,
+    store: &'a Store,
+    stale: usize,
+    known: &'a [Early],
+    observed: Option<usize>,
+    first_recent: usize,
+    seconds: f64,
+    seed: Option<u64>,
+}
+
+/// Identity of a run, as text.
+pub(crate) fn fingerprint(
+    (method, options, budget): (&str, Vec<(String, String)>, bool),
+    setup: &Setup,
+    (cache, trace_limit, n_pinned): (usize, Option<usize>, usize),
+    (problem, place): (Option<&str>, &Checkpoint),
+) -> Vec<(String, String)> {
+    let Setup { space, tolerances, prior, .. } = setup;
+    let named = |name: &str, value: String| (name.to_owned(), value);
+    let start = if setup.start_given { option_texts::numbers(space.x0()) } else { "not given".to_owned() };
+    let mut all = vec![named("method", method.to_owned())];
+    all.extend(options.into_iter().map(|(name, value)| (format!("option {name}"), value)));
+    all.push(named("start", start));
+    all.extend(space.describe());
+    all.extend(option_texts::fields(tolerances));
+    all.push(named("cache", cache.to_string()));
+    all.push(named("trace limit", option_texts::limit(trace_limit)));
+    if budget {
+        all.push(named("max_evaluations", option_texts::limit(setup.max_evaluations)));
+    }
+    if !prior.is_empty() {
+        let bytes = encode(prior).unwrap_or_default();
+        all.push(named(
+            "warm start",
+            format!("{} points, {n_pinned} with costs ({:08x})", prior.len(), crc32fast::hash(&bytes)),
+        ));
+    }
+    all.extend(place.tags.iter().map(|(name, value)| (name.clone(), value.clone())));
+    all.extend(place.code.iter().map(|code| named(CODE, code.text().to_owned())));
+    // After the tags, which say in words what a hash cannot.
+    if let Some(problem) = problem {
+        all.push(named("problem", problem.to_owned()));
+    }
+    all
+}
+
+fn failed(path: &Path, message: impl ToString) -> Error {
+    Error::Checkpoint { path: path.display().to_string(), message: message.to_string() }
+}
+
+fn file_failed(path: &Path, e: &std::io::Error) -> Error {
+    let text = e.to_string();
+    // The system's number says less than its words.
+    let message = text.split(" (os error").next().unwrap_or(&text).to_owned();
+    Error::CheckpointFile { path: path.display().to_string(), kind: e.kind(), message }
+}
+
+/// The state in the file that a run is to continue from, if it is to; whatever run it is of.
+fn load(options: &Checkpoint) -> Result<Option<Snapshot>, Error> {
+    let path = &options.path;
+    let is_required = options.resume == Resume::Require;
+    let file = match base::files::open_regular(path) {
+        Ok(file) => file,
+        Err(e) if e.kind() == ErrorKind::NotFound && !is_required => return Ok(None),
+        Err(e) if matches!(e.kind(), ErrorKind::InvalidInput | ErrorKind::IsADirectory) => {
+            return Err(failed(path, "this is no regular file"));
+        }
+        Err(e) => return Err(file_failed(path, &e)),
+    };
+    let mut bytes = Vec::new();
+    // Of a file that will be replaced only the mark: one of somebody else's is not.
+    let most = if options.resume == Resume::Never { MARK.len() as u64 + 1 } else { u64::MAX };
+    file.take(most).read_to_end(&mut bytes).map_err(|e| file_failed(path, &e))?;
+    let Some((format, rest)) = bytes.strip_prefix(&MARK[..]).and_then(|rest| rest.split_first()) else {
+        if bytes.is_empty() && options.resume == Resume::Never {
+            return Ok(None);
+        }
+        return Err(failed(path, "this is no checkpoint, and it is left as it is; give another path"));
+    };
+    if options.resume == Resume::Never {
+        return Ok(None);
+    }
+    if *format != FORMAT {
+        let age = if *format < FORMAT { "an earlier" } else { "a later" };
+        return Err(failed(
+            path,
+            format!(
+                "it has format {format} of {age} version, this version reads format {FORMAT}; go on with the version \
+                 that wrote it, or start anew (resume never)"
+            ),
+        ));
+    }
+    let Some((sum, rest)) = rest.split_first_chunk::<4>() else {
+        return Err(failed(path, "the file ends after its head"));
+    };
+    if u32::from_le_bytes(*sum) != crc32fast::hash(rest) {
+        return Err(failed(path, "the file is damaged: its checksum does not fit"));
+    }
+    decode(rest).map(Some).map_err(|e| {
+        let writer = decode::<Written>(rest).map_or_else(|_| "another".to_owned(), |written| written.version);
+        failed(path, format!("version {writer} wrote it, {VERSION} cannot read it: {e}"))
+    })
+}
+
+/// Reads the checkpoint that a run is to continue from, if it is to.
+pub(crate) fn read(
+    options: &Checkpoint,
+    fingerprint: &[(String, String)],
+    seed: Option<u64>,
+    n: usize,
+) -> Result<Option<Snapshot>, Error> {
+    let path = &options.path;
+    let Some(snapshot) = load(options)? else { return Ok(None) };
+    let mismatch = |what: &str, stored: &str, given: &str| Error::CheckpointMismatch {
+        path: path.display().to_string(),
+        what: what.to_owned(),
+        stored: stored.to_owned(),
+        given: given.to_owned(),
+    };
+    let of_code = |all: &[(String, String)]| all.iter().find(|(n, _)| n == CODE).map(|(_, v)| v.clone());
+    let (stored, given) = (of_code(&snapshot.fingerprint), of_code(fingerprint));
+    let is_other = stored != given || matches!(options.code, Some(Code::Unknown(_)));
+    if is_other && options.resume == Resume::Auto {
+        let what = match &options.code {
+            Some(Code::Unknown(why)) => format!("whether it belongs to this function cannot be told: {why}"),
+            _ => "it belongs to a function with other code".to_owned(),
+        };
+        let what = format!(
+            "{what}; give resume=\"require\" to continue it all the same, or resume=\"never\" to begin anew"
+        );
+        return Err(failed(path, what));
+    }
+    for (name, given) in fingerprint.iter().filter(|(name, _)| name != CODE) {
+        let stored = snapshot.fingerprint.iter().find(|(n, _)| n == name).map(|(_, v)| &v[..]);
+        if stored != Some(given) {
+            return Err(mismatch(name, stored.unwrap_or("nothing"), given));
+        }
+    }
+    if let Some((name, stored)) =
+        (snapshot.fingerprint.iter()).find(|(n, _)| n != CODE && fingerprint.iter().all(|(m, _)| m != n))
+    {
+        return Err(mismatch(name, stored, "nothing"));
+    }
+    if let (Some(stored), Some(given)) = (snapshot.seed, seed)
+        && stored != given
+    {
+        return Err(mismatch("seed", &stored.to_string(), &given.to_string()));
+    }
+    if !(snapshot.ledger.is_sound(n)
+        && snapshot.store.is_sound(n)
+        && snapshot.known.iter().all(|early| early.entry.x.len() == n && early.is_of_path)
+        && snapshot.seconds >= 0.0
+        && snapshot.seconds.is_finite())
+    {
+        return Err(failed(path, "the parts of the file do not fit together"));
+    }
+    Ok(Some(snapshot))
+}
+
+/// Writes snapshots, not too often.
+#[derive(Debug)]
+pub(crate) struct Writer {
+    options: Checkpoint,
+    fingerprint: Vec<(String, String)>,
+    next: Instant,
+    /// No other process writes to the file.
+    _claim: Claim,
+}
+
+impl Writer {
+    /// Checks that there is a place to write to, before anything is computed.
+    pub(crate) fn new(options: Checkpoint, fingerprint: Vec<(String, String)>) -> Result<Self, Error> {
+        let path = &options.path;
+        base::files::remove_unfinished(path);
+        Unfinished::new(path).map_err(|e| file_failed(path, &e))?;
+        let claim = Claim::new(path).map_err(|e| match e.kind() {
+            ErrorKind::ResourceBusy => failed(path, format!("{e}: wait for its end, or give another path")),
+            _ => file_failed(path, &e),
+        })?;
+        Ok(Self { next: Instant::now() + options.interval, options, fingerprint, _claim: claim })
+    }
+
+    /// True if it is time for the next write.
+    pub(crate) fn is_due(&self) -> bool {
+        Instant::now() >= self.next
+    }
+
+    /// Writes a whole file and puts it in the place of the old one. `known`: what is known of the batch that the
+    /// method waits for; `observed`: the iteration that the observer saw last, and where the trace stood then.
+    pub(crate) fn write<M: Method + ?Sized>(
+        &mut self,
+        method: &M,
+        round: &Round,
+        known: &[Early],
+        (observed, first_recent): (Option<usize>, usize),
+        seconds: f64,
+    ) -> Result<(), Error> {
+        let path = &self.options.path;
+        let begin = Instant::now();
+        let state = method.save().ok_or_else(|| failed(path, "this method cannot be continued"))?;
+        let snapshot = SnapshotRef {
+            version: VERSION,
+            fingerprint: &self.fingerprint,
+            method: &state,
+            ledger: &round.ledger,
+            store: &round.store,
+            stale: round.stale,
+            known,
+            observed,
+            first_recent,
+            seconds,
+            seed: method.details().seed,
+        };
+        let payload = encode(&snapshot).map_err(|e| failed(path, e))?;
+        let written = Unfinished::new(path).and_then(|unfinished| {
+            let mut file = unfinished.file();
+            file.write_all(MARK)?;
+            file.write_all(&[FORMAT])?;
+            file.write_all(&crc32fast::hash(&payload).to_le_bytes())?;
+            file.write_all(&payload)?;
+            unfinished.finish()
+        });
+        // A long trace takes long to write: never more than a tenth of the time. What could not be written is tried again.
+        let now = Instant::now();
+        self.next = now + self.options.interval.max(9 * (now - begin));
+        written.map_err(|e| file_failed(path, &e))
+    }
+}

@@ -1,0 +1,578 @@
+//! The only loop: ask -> evaluate -> tell -> observe -> stop? It takes answers as they come and goes on when those are there that
+//! the path needs.
+
+use crate::error::Error;
+use crate::evaluation::ledger::Ledger;
+use crate::evaluation::round::{Round, reset};
+use crate::evaluation::store::{Early, FIRST_ID};
+use crate::evaluation::{Evaluator, GivesUp, Guesses, Polled, Reached, RunControl, StopCause};
+use crate::method::interface::{Batch, Details, Method, Status};
+use crate::method::tolerances::Limits;
+use crate::outcome::answer::{Answer, Outcome};
+use crate::outcome::termination::{Termination, UNBOUNDED};
+use crate::run::checkpoint::Writer;
+use crate::run::progress::Progress;
+use crate::run::report::{self, Report, Resumed};
+use crate::run::start::StartedRun;
+use base::RunContext;
+use std::cell::Cell;
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+pub(crate) type Observer<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
+
+/// Who takes part in a run besides its method.
+pub(crate) struct Around<'a, 'b, 'c> {
+    pub(crate) evaluator: &'a mut dyn Evaluator,
+    pub(crate) control: &'a RunControl<'b>,
+    pub(crate) observer: Option<&'a mut Observer<'c>>,
+}
+
+/// Where a run stands.
+#[derive(Debug, Clone, PartialEq)]
+enum Stage {
+    /// The method is to be asked.
+    Ask,
+    /// Points that it asked for are under way.
+    Evaluate,
+    /// Over; `None`: the method had nothing to start from.
+    Over(Option<Termination>),
+}
+
+/// A run.
+#[derive(Debug)]
+pub(crate) struct Drive<M> {
+    pub(crate) method: M,
+    pub(crate) round: Round,
+    pub(crate) limits: Limits,
+    pub(crate) workers: usize,
+    writer: Option<Writer>,
+    /// The iteration that the observer saw last, and where the trace stood then.
+    observed: Option<usize>,
+    first_recent: usize,
+    start: Instant,
+    /// Seconds of the run before it was resumed.
+    before: f64,
+    by_hand: bool,
+    method_reason: Option<String>,
+    resumed: Option<Resumed>,
+    /// Why the checkpoint could not be written.
+    pub(crate) unsaved: Option<Error>,
+    stage: Stage,
+    /// The points asked for, the answers to those of them that are evaluated, and how many of these are missing.
+    batch: Batch,
+    answers: Vec<Answer>,
+    n_missing: usize,
+    /// The first of them known to end the run; nothing after it is awaited.
+    end: usize,
+    /// Answers that came since the checkpoint was written.
+    n_unsaved: usize,
+    guesses: Guesses,
+    answer: Answer,
+    cause: Option<StopCause>,
+}
+
+impl<M: Method> Drive<M> {
+    /// `by_hand`: whether answers only come from outside.
+    pub(crate) fn new(started: StartedRun<M>, by_hand: bool) -> Self {
+        let StartedRun { method, round, limits, workers, writer, observed, first_recent, before, .. } =
+            started;
+        // A run that was resumed may be over already.
+        let over = observed.and_then(|_| reached(&method, &round, &limits));
+        Self {
+            method,
+            round,
+            limits,
+            workers,
+            writer,
+            observed,
+            first_recent,
+            start: Instant::now(),
+            before,
+            by_hand,
+            method_reason: started.method_reason,
+            resumed: started.resumed,
+            unsaved: None,
+            stage: over.map_or(Stage::Ask, |termination| Stage::Over(Some(termination))),
+            batch: Batch::new(),
+            answers: Vec::new(),
+            n_missing: 0,
+            end: usize::MAX,
+            n_unsaved: 0,
+            guesses: Guesses::default(),
+            answer: Answer::default(),
+            cause: None,
+        }
+    }
+
+    /// Seconds of the run, those before it was resumed included.
+    pub(crate) fn elapsed(&self) -> f64 {
+        self.before + self.start.elapsed().as_secs_f64()
+    }
+
+    /// Why it is over, if it is; `Some(None)`: the method had nothing to start from.
+    pub(crate) fn ended(&self) -> Option<Option<Termination>> {
+        match &self.stage {
+            Stage::Over(termination) => Some(termination.clone()),
+            Stage::Ask | Stage::Evaluate => None,
+        }
+    }
+
+    /// Drives the run to its end and reports.
+    pub(crate) fn run(mut self, mut around: Around<'_, '_, '_>) -> Result<Report, Error> {
+        while !self.advance(&mut around)? {}
+        self.guesses.cancel(around.evaluator);
+        let is_left = around.evaluator.leave();
+        self.take_the_rest(&mut around, is_left);
+        let termination = self.ended().unwrap_or(Some(Termination::Interrupted));
+        let control = around.control;
+        let is_interrupted = || control.check() == Some(StopCause::Interrupted);
+        self.report(termination, &RunContext::new().asking(&is_interrupted))
+    }
+
+    /// Keeps the answers to evaluations that are still under way, and have been cancelled, where they end all
+    /// the same. Waits for their end unless `is_left`: then they are left to themselves.
+    fn take_the_rest(&mut self, around: &mut Around<'_, '_, '_>, is_left: bool) {
+        let mut answer = Answer::default();
+        loop {
+            let mut wait = around.control.wait(true);
+            if is_left {
+                wait.until = Instant::now();
+            }
+            match around.evaluator.poll(&wait, &mut answer) {
+                Polled::Answered(id) => {
+                    let answer = std::mem::take(&mut answer);
+                    let gives_up = around.evaluator.gives_up();
+                    if id >= FIRST_ID {
+                        self.guesses.answered(id, answer, &mut self.round, gives_up);
+                    } else if let Some(k) = self.round.work.place_of(id) {
+                        self.round.keep_unneeded(k, &answer);
+                    }
+                }
+                Polled::Waiting if is_left => return,
+                Polled::Waiting => _ = around.control.check(),
+                Polled::Idle => return,
+            }
+        }
+    }
+
+    /// The result; nothing is left of the run then.
+    fn report(mut self, termination: Option<Termination>, context: &RunContext<'_>) -> Result<Report, Error> {
+        let seconds = self.elapsed();
+        self.round.finish();
+        let Self { method, round, limits, workers, method_reason, resumed, .. } = self;
+        let mut ledger = round.ledger;
+        let report = report::conclude(&method, &mut ledger, &limits, workers, termination, seconds, context)?;
+        Ok(Report { method_reason, resumed, ..report })
+    }
+
+    /// The result so far, as if the run was interrupted.
+    pub(crate) fn report_so_far(&self) -> Result<Report, Error> {
+        let termination = self.ended().unwrap_or(Some(Termination::Interrupted));
+        let (seconds, mut round) = (self.elapsed(), self.round.clone());
+        round.finish();
+        let (method, ledger, limits) = (&self.method, &mut round.ledger, &self.limits);
+        let report =
+            report::conclude(method, ledger, limits, self.workers, termination, seconds, &RunContext::new())?;
+        Ok(Report { method_reason: self.method_reason.clone(), resumed: self.resumed.clone(), ..report })
+    }
+
+    /// Goes on as far as the answers reach that are there. Whether it is over; if not, answers are awaited that only come from
+    /// outside.
+    pub(crate) fn advance(&mut self, around: &mut Around<'_, '_, '_>) -> Result<bool, Error> {
+        loop {
+            match self.stage {
+                Stage::Over(_) => return Ok(true),
+                Stage::Ask => self.ask(around)?,
+                Stage::Evaluate if self.n_missing == 0 && !around.evaluator.is_ready() => {
+                    self.close(around)?
+                }
+                Stage::Evaluate => {
+                    if self.take_answer(around) {
+                        return Ok(false);
+                    }
+                }
+            }
+        }
+    }
+
+    fn ask(&mut self, around: &mut Around<'_, '_, '_>) -> Result<(), Error> {
+        let cause = Cell::new(None);
+        let is_over = || {
+            cause.set(cause.get().or_else(|| around.control.check()));
+            cause.get().is_some()
+        };
+        self.method.ask_unless(&RunContext::new().asking(&is_over), &mut self.batch);
+        let is_running = self.method.status() == Status::Running;
+        let limit = match cause.get() {
+            Some(StopCause::Interrupted) if self.batch.is_empty() && is_running => {
+                Some(Termination::Interrupted)
+            }
+            Some(StopCause::OutOfTime) if self.batch.is_empty() && is_running => {
+                Some(limited(&self.method, &self.round, Termination::MaxTime))
+            }
+            // What needs no evaluation needs no budget.
+            _ if self.batch.is_empty() => None,
+            _ => self.exhausted(around.control).map(|limit| limited(&self.method, &self.round, limit)),
+        };
+        if let Some(limit) = limit {
+            self.save(&[]);
+            self.stage = Stage::Over(Some(self.unless_unsaved(limit)));
+            return Ok(());
+        }
+        self.cause = None;
+        if self.batch.is_empty() {
+            return self.observe_and_end(None, around);
+        }
+        self.open(around);
+        Ok(())
+    }
+
+    /// The limit that forbids to start another evaluation, if one does.
+    fn exhausted(&self, control: &RunControl<'_>) -> Option<Termination> {
+        if self.round.store.has_replays() {
+            // Evaluations made before the run was resumed are known already.
+            return None;
+        }
+        if self.limits.max_evaluations.is_some_and(|m| self.round.ledger.n_evaluations >= m) {
+            return Some(Termination::MaxEvaluations);
+        }
+        control.signals().is_late().then_some(Termination::MaxTime)
+    }
+
+    /// Hands in what the batch needs and is not under way, in request order, and what may be needed next.
+    fn open(&mut self, around: &mut Around<'_, '_, '_>) {
+        let Self { round, guesses, batch, answers, limits, .. } = self;
+        round.gives_up = around.evaluator.gives_up();
+        round.open(batch, limits);
+        let n_work = round.work.len();
+        reset(answers, n_work);
+        (self.n_missing, self.n_unsaved, self.stage) = (n_work, 0, Stage::Evaluate);
+        self.end = usize::MAX;
+        self.cause = around.control.check();
+        if self.cause.is_some() {
+            self.n_missing = 0;
+            return;
+        }
+        for k in 0..n_work {
+            if guesses.adopt(round.work.point(k), k) {
+                round.begun(k);
+            } else {
+                around.evaluator.submit(round.work.point(k), round.work.query(k));
+            }
+        }
+        self.look_ahead(around, false);
+    }
+
+    /// Fills the workers that the path leaves free.
+    fn look_ahead(&mut self, around: &mut Around<'_, '_, '_>, is_late: bool) {
+        if self.cause.is_none() && self.n_missing > 0 && self.end == usize::MAX {
+            let counts = (self.n_missing, self.round.left_after(&self.limits), is_late);
+            self.guesses.renew(&mut self.method, (&mut self.round, &self.answers), counts, around.evaluator);
+        }
+    }
+
+    /// Takes the next answer in. Whether there is none, and none will come by waiting.
+    fn take_answer(&mut self, around: &mut Around<'_, '_, '_>) -> bool {
+        let Around { evaluator, control, .. } = around;
+        let mut answer = std::mem::take(&mut self.answer);
+        let polled = evaluator.poll(&control.wait(self.cause.is_some()), &mut answer);
+        match polled {
+            Polled::Answered(id) => {
+                self.answered(id, &mut answer, &mut **evaluator);
+                self.n_unsaved += 1;
+            }
+            Polled::Waiting => {}
+            // What was handed in and is not answered was not evaluated.
+            Polled::Idle => self.n_missing = 0,
+        }
+        self.answer = answer;
+        if polled == Polled::Waiting && self.by_hand {
+            return true;
+        }
+        if self.cause.is_none() && !self.by_hand {
+            self.cause = control.check();
+            if self.cause.is_some() {
+                self.cancel(&mut **evaluator);
+            }
+        }
+        if matches!(polled, Polled::Answered(_)) && !around.evaluator.is_ready() {
+            self.look_ahead(around, true);
+        }
+        if self.n_unsaved > 0 && self.n_missing > 0 && self.writer.as_ref().is_some_and(Writer::is_due) {
+            let known = self.round.known(&self.batch, &self.answers);
+            self.save(&known);
+            self.n_unsaved = 0;
+        }
+        false
+    }
+
+    /// Nothing that is under way is needed any more.
+    fn cancel(&mut self, evaluator: &mut dyn Evaluator) {
+        let missing = |k: &usize| self.answers[*k].outcome == Outcome::Skipped;
+        (0..self.answers.len()).filter(missing).for_each(|k| evaluator.cancel(self.round.work.id(k)));
+        self.guesses.cancel(evaluator);
+    }
+
+    /// One answer, to a point of the path or to a guess.
+    fn answered(&mut self, id: u64, answer: &mut Answer, evaluator: &mut dyn Evaluator) {
+        if id >= FIRST_ID {
+            let gives_up = evaluator.gives_up();
+            let reached = self.guesses.answered(id, std::mem::take(answer), &mut self.round, gives_up);
+            match reached {
+                Some(Reached::Answer(k, answer)) => self.fill(k, answer, evaluator),
+                // Where the run is being ended nothing begins again.
+                Some(Reached::Again(k)) if self.cause.is_some() => self.fill(k, Answer::default(), evaluator),
+                Some(Reached::Again(k)) => {
+                    evaluator.submit(self.round.work.point(k), self.round.work.query(k))
+                }
+                Some(Reached::Kept) | None => {}
+            }
+        } else if let Some(k) = self.round.work.place_of(id).filter(|&k| k < self.answers.len()) {
+            if answer.outcome != Outcome::Skipped {
+                let cutoff = self.round.work.query(k).cutoff;
+                answer.outcome = match std::mem::replace(&mut answer.outcome, Outcome::Skipped) {
+                    // It might as well have been given up, as elsewhere.
+                    Outcome::Value(v)
+                        if v > cutoff && v.is_finite() && self.round.gives_up == GivesUp::Yes =>
+                    {
+                        Outcome::Above(cutoff)
+                    }
+                    outcome => outcome.checked(cutoff),
+                };
+            }
+            let filled = std::mem::take(answer);
+            self.fill(k, filled, evaluator);
+        }
+    }
+
+    /// Puts an answer to its place. After one that ends the run nothing more begins, and only what comes before it is awaited.
+    fn fill(&mut self, k: usize, answer: Answer, evaluator: &mut dyn Evaluator) {
+        self.answers[k] = answer;
+        if k > self.end {
+            return;
+        }
+        self.n_missing = self.n_missing.saturating_sub(1);
+        if self.round.is_last(k, &self.answers[k]) {
+            let is_missing = |j: &usize| self.answers[*j].outcome == Outcome::Skipped;
+            let after = (k + 1..self.answers.len()).filter(is_missing);
+            after.for_each(|j| evaluator.cancel(self.round.work.id(j)));
+            self.guesses.cancel_after(k, evaluator);
+            self.end = k;
+            self.n_missing = (0..k).filter(is_missing).count();
+        }
+    }
+
+    /// The batch is answered as far as it will be.
+    fn close(&mut self, around: &mut Around<'_, '_, '_>) -> Result<(), Error> {
+        let stopped = self.verdict(around.control);
+        if stopped.is_some() && self.writer.is_some() {
+            // The state before this batch, and what is known of the batch.
+            let known = self.round.known(&self.batch, &self.answers);
+            self.save(&known);
+        }
+        self.round.close(&self.batch, &mut self.answers);
+        self.method.tell(self.round.told())?;
+        self.observe_and_end(stopped, around)
+    }
+
+    /// Why the run must end after what the path needs was evaluated.
+    fn verdict(&self, control: &RunControl<'_>) -> Option<Termination> {
+        let last = self.round.last(&self.answers);
+        let stopped = self.round.stopped(last);
+        if matches!(stopped, Some(Termination::Aborted(_))) {
+            return stopped;
+        }
+        match self.cause {
+            Some(StopCause::Interrupted) => return Some(Termination::Interrupted),
+            Some(StopCause::OutOfTime) => return Some(Termination::MaxTime),
+            None => {}
+        }
+        let n_needed = last.map_or(self.answers.len(), |(place, _)| self.round.n_before(place));
+        if self.answers[..n_needed].iter().any(|answer| !answer.outcome.is_known()) {
+            // An evaluation gave up although nothing above noticed: the deadline passed inside of it, or the
+            // objective was told to stop elsewhere.
+            let is_late = control.signals().is_late();
+            return Some(if is_late { Termination::MaxTime } else { Termination::Interrupted });
+        }
+        stopped
+    }
+
+    /// Tells the observer, saves the state if it is time to, and ends the run or goes on.
+    fn observe_and_end(
+        &mut self,
+        stopped: Option<Termination>,
+        around: &mut Around<'_, '_, '_>,
+    ) -> Result<(), Error> {
+        let broken = self.observe(around.observer.as_deref_mut());
+        self.round.ledger.trim(false);
+        let end = end(&self.method, &self.round, &self.limits, stopped.as_ref(), broken);
+        if stopped.is_none() && (end.is_some() || self.writer.as_ref().is_some_and(Writer::is_due)) {
+            self.save(&[]);
+        }
+        self.stage = match end {
+            Some(end) => Stage::Over(end.map(|termination| self.unless_unsaved(termination))),
+            None => Stage::Ask,
+        };
+        Ok(())
+    }
+
+    /// Ends the run as if it was interrupted. What is known of the batch that is under way is entered.
+    pub(crate) fn interrupt(&mut self, around: &mut Around<'_, '_, '_>) -> Result<(), Error> {
+        match self.stage {
+            Stage::Over(_) => return Ok(()),
+            Stage::Evaluate if self.n_missing < self.answers.len() => {
+                self.cause = Some(StopCause::Interrupted);
+                self.cancel(around.evaluator);
+                self.close(around)?;
+            }
+            Stage::Ask | Stage::Evaluate => self.save_now(),
+        }
+        self.stage = Stage::Over(Some(Termination::Interrupted));
+        Ok(())
+    }
+
+    /// Closes the batch with the answers that are there.
+    pub(crate) fn abandon(&mut self, around: &mut Around<'_, '_, '_>) -> Result<(), Error> {
+        self.cancel(around.evaluator);
+        self.close(around)
+    }
+
+    /// Tells the observer of a new iteration; whether it said stop.
+    fn observe(&mut self, observer: Option<&mut Observer<'_>>) -> bool {
+        let seconds = self.elapsed();
+        let (ledger, details) = (&self.round.ledger, self.method.details());
+        let n_iterations = details.n_iterations;
+        let (Some(operation), Some((x, fun))) = (details.operation, ledger.best.get()) else { return false };
+        if self.observed.is_some_and(|n| n >= n_iterations) {
+            return false;
+        }
+        self.observed = Some(n_iterations);
+        let first_recent = std::mem::replace(&mut self.first_recent, ledger.trace.end());
+        let Some(observer) = observer else { return false };
+        let progress = Progress {
+            n_iterations,
+            n_evaluations: ledger.n_evaluations,
+            n_speculative: ledger.n_speculative(),
+            n_failed: ledger.n_failed,
+            x,
+            fun,
+            operation,
+            simplex: details.simplex,
+            population: details.population,
+            tests: details.tests,
+            seconds,
+            trace: &ledger.trace,
+            first_recent,
+        };
+        observer(&progress).is_break()
+    }
+
+    /// Writes the state, with what is known of the batch that is under way.
+    pub(crate) fn save_now(&mut self) {
+        let known = match self.stage {
+            Stage::Evaluate => self.round.known(&self.batch, &self.answers),
+            Stage::Ask | Stage::Over(_) => Vec::new(),
+        };
+        self.save(&known);
+    }
+
+    /// A file that cannot be written, on a full disk for example, is said once and tried again; where the last one fails, the run says so at
+    /// its end.
+    fn save(&mut self, known: &[Early]) {
+        let seconds = self.elapsed();
+        let Some(writer) = &mut self.writer else { return };
+        let observed = (self.observed, self.first_recent);
+        let written = writer.write(&self.method, &self.round, known, observed, seconds);
+        if let (Err(error), None) = (&written, &self.unsaved) {
+            log::warn!("the run goes on without a checkpoint, which is tried again: {error}");
+        }
+        self.unsaved = written.err();
+    }
+
+    /// Termination of the run: an interrupt or an abort, else a checkpoint that could not be written, else
+    /// this.
+    fn unless_unsaved(&self, termination: Termination) -> Termination {
+        match (termination, &self.unsaved) {
+            (hard @ (Termination::Aborted(_) | Termination::Interrupted), _) => hard,
+            (_, Some(error)) if !self.by_hand => Termination::NotSaved(error.to_string()),
+            (termination, _) => termination,
+        }
+    }
+}
+
+/// Evaluations before the share of those that failed is looked at.
+const FEWEST_EVALUATIONS: usize = 20;
+
+/// True if more evaluations have failed than are allowed.
+fn too_many_failed(round: &Round, limits: &Limits) -> bool {
+    let (n, failed) = (round.ledger.n_evaluations, round.ledger.n_failed);
+    n >= FEWEST_EVALUATIONS && limits.max_failed.is_some_and(|share| failed as f64 > share * n as f64)
+}
+
+/// Limits that hold between two batches, besides those of the gateway.
+pub(crate) fn reached<M: Method + ?Sized>(method: &M, round: &Round, limits: &Limits) -> Option<Termination> {
+    if round.target_reached(limits) {
+        return Some(Termination::Target);
+    }
+    if too_many_failed(round, limits) {
+        return Some(Termination::TooManyFailed);
+    }
+    let most = limits.max_iterations?;
+    let details = method.details();
+    let over =
+        details.n_iterations >= most && details.operation.is_some() && method.status() == Status::Running;
+    over.then(|| limited(method, round, Termination::MaxIterations))
+}
+
+/// Termination where a limit ends a run: the limit, unless the tests have passed for the best point already.
+pub(crate) fn limited<M: Method + ?Sized>(method: &M, round: &Round, limit: Termination) -> Termination {
+    let Details { settled, tests, .. } = method.details();
+    let best = round.ledger.best.cost();
+    let tested = matches!((tests, best), (Some(tests), Some(best)) if best >= tests.f_best);
+    if settled && tested { meaning(Termination::Converged, round) } else { limit }
+}
+
+/// Termination where a method has ended by itself: `Unbounded` or `ConstantCost` where the costs show it.
+fn meaning(termination: Termination, round: &Round) -> Termination {
+    let Ledger { trace, best, .. } = &round.ledger;
+    let first = trace.iter().find_map(|entry| entry.outcome.value());
+    match (best.cost(), first) {
+        (Some(best), Some(first)) if best < UNBOUNDED && best < -2.0 * first.abs() => Termination::Unbounded,
+        _ if termination == Termination::Converged && trace.constant().is_some() => Termination::ConstantCost,
+        _ => termination,
+    }
+}
+
+/// Termination of a run that is over after a batch; `None` if it goes on; `Some(None)`: the method had
+/// nothing to start from.
+pub(crate) fn end<M: Method + ?Sized>(
+    method: &M,
+    round: &Round,
+    limits: &Limits,
+    stopped: Option<&Termination>,
+    broken: bool,
+) -> Option<Option<Termination>> {
+    // An interrupt outranks a result that came at the same moment; a result outranks a limit.
+    if let Some(hard @ (Termination::Aborted(_) | Termination::Interrupted)) = stopped {
+        return Some(Some(hard.clone()));
+    }
+    if round.target_reached(limits) {
+        return Some(Some(Termination::Target));
+    }
+    match method.status() {
+        Status::Ended(termination) => return Some(Some(meaning(termination, round))),
+        Status::NoStart => return Some(None),
+        Status::Running if broken => return Some(Some(Termination::StoppedByObserver)),
+        Status::Running => {}
+    }
+    if let Some(stopped) = stopped {
+        return Some(Some(limited(method, round, stopped.clone())));
+    }
+    if round.is_stale() {
+        // Among whole numbers nothing is left to try then, and the tests measure what there is.
+        let passed = method.details().tests.is_some_and(|tests| tests.passed);
+        return Some(Some(if passed { Termination::Converged } else { Termination::Stalled }));
+    }
+    reached(method, round, limits).map(Some)
+}

@@ -1,0 +1,46 @@
+//! Progress of a run: one report per iteration, on the calling thread. The callback may stop the run.
+
+use crate::method::interface::{Operation, SimplexView};
+use crate::method::tolerances::Tests;
+use crate::outcome::trace::{Trace, TraceEntry};
+
+/// The state of a run after an iteration (number 0: the starting points).
+#[derive(Debug, Clone, Copy)]
+pub struct Progress<'a> {
+    /// Complete iterations.
+    pub n_iterations: usize,
+    /// Evaluations of the path so far.
+    pub n_evaluations: usize,
+    /// Further calls of the objective so far, made ahead of need.
+    pub n_speculative: usize,
+    /// Failed evaluations so far.
+    pub n_failed: usize,
+    /// Best point so far, in the user's units.
+    pub x: &'a [f64],
+    /// Its cost.
+    pub fun: f64,
+    /// Operation of this iteration.
+    pub operation: Operation,
+    /// The simplex, for methods that have one.
+    pub simplex: Option<SimplexView<'a>>,
+    /// The population, for methods that have one.
+    pub population: Option<SimplexView<'a>>,
+    /// The tolerance tests; `None` before the first iteration.
+    pub tests: Option<Tests>,
+    /// Seconds since the start.
+    pub seconds: f64,
+    pub(crate) trace: &'a Trace,
+    pub(crate) first_recent: usize,
+}
+
+impl<'a> Progress<'a> {
+    /// The evaluations since the last report.
+    pub fn recent(&self) -> impl DoubleEndedIterator<Item = TraceEntry<'a>> + ExactSizeIterator {
+        self.trace.iter_from(self.first_recent)
+    }
+
+    /// All evaluations so far.
+    pub fn trace(&self) -> &'a Trace {
+        self.trace
+    }
+}

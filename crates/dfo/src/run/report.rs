@@ -1,0 +1,351 @@
+//! The result of a run: the best point, what it cost, and why the run ended.
+
+use crate::error::{Error, NothingFound};
+use crate::evaluation::ledger::Ledger;
+use crate::method::interface::{BarrierStage, Method, Optimum, Simplex};
+use crate::method::linear_model::{Covariance, LinearModel};
+use crate::method::tolerances::{Limits, Tests};
+use crate::outcome::termination::{Termination, UNBOUNDED};
+use crate::outcome::trace::Trace;
+use crate::problem::loss::RobustLoss;
+use base::RunContext;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
+use std::fmt;
+use std::path::PathBuf;
+
+/// The checkpoint that a run was continued from. `Display` says so.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Resumed {
+    /// The file.
+    pub path: PathBuf,
+    /// Evaluations that were made before.
+    pub n_evaluations: usize,
+}
+
+impl fmt::Display for Resumed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (path, n) = (self.path.display(), self.n_evaluations);
+        write!(f, "continued from {path}: its first {n} evaluations are from there")
+    }
+}
+
+/// The result of a run. `Display` prints a summary for people.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Report {
+    /// The best point (user's units, user's order).
+    pub x: Vec<f64>,
+    /// Its cost: the smallest of all used points.
+    pub fun: f64,
+    /// Evaluations of the path of the method: the same for any number of workers. What budgets count.
+    pub n_evaluations: usize,
+    /// Complete iterations.
+    pub n_iterations: usize,
+    /// Rounds: how often points were evaluated, many at once or one.
+    pub n_batches: usize,
+    /// Failed evaluations of the path.
+    pub n_failed: usize,
+    /// Answers that count as no evaluation, because the point was known already. Where only that it lies above a lower
+    /// cutoff was known, it is evaluated all the same, outside of budget and trace: so cutoffs change no count.
+    pub n_cached: usize,
+    /// Further calls of the objective: made ahead of need, and not needed. May depend on the number of workers and on how
+    /// long evaluations take.
+    pub n_speculative: usize,
+    /// Why the run ended.
+    pub termination: Termination,
+    /// The same in a sentence, with the test that fired and its values.
+    pub message: String,
+    /// The last values of the tolerance tests.
+    pub tests: Option<Tests>,
+    /// Every evaluation, those of the path in request order.
+    pub trace: Trace,
+    /// The simplex at the end, for methods that have one.
+    pub final_simplex: Option<Simplex>,
+    /// Reasons of the failures with their counts, most frequent first.
+    pub failures: Vec<(String, usize)>,
+    /// Name of the method.
+    pub method: Cow<'static, str>,
+    /// Why it was chosen, where the user left the choice open.
+    pub method_reason: Option<String>,
+    /// Batch plan of the method.
+    pub batch: Cow<'static, str>,
+    /// Evaluations that could run at once.
+    pub workers: usize,
+    /// The stages of a sequential barrier search: barrier parameter, barrier, point and cost of each.
+    pub schedule: Vec<BarrierStage>,
+    /// The distinct minima that searches from several starts ended at, the best first, with how many starts reached each.
+    pub optima: Vec<Optimum>,
+    /// The population at the end, for methods that have one.
+    pub final_population: Option<Simplex>,
+    /// The seed of the random numbers, for methods that draw them: the one given, or the one drawn.
+    pub seed: Option<u64>,
+    /// Wall-clock seconds.
+    pub seconds: f64,
+    /// The residuals at the best point, where its evaluation was asked for them: the plain ones, whatever the loss.
+    pub residuals: Option<Vec<f64>>,
+    /// Their derivatives by the parameters, row by row (m x n, the user's units and order, those by fixed parameters zero), as
+    /// the model of the method has them at the end.
+    pub jacobian: Option<Vec<f64>>,
+    /// With a Jacobian: -1 where a parameter lies at its lower bound (a fixed one, too), 1 at its upper, else 0. Else empty.
+    pub active: Vec<i8>,
+    /// Loss that was applied to the residuals in [`fun`](Self::fun).
+    pub loss: RobustLoss,
+    /// Checkpoint that the run was continued from; `None`: it began anew.
+    #[serde(default)]
+    pub resumed: Option<Resumed>,
+}
+
+impl Report {
+    /// True if the tolerance tests passed, or the x test alone where nothing but noise was left, or the
+    /// target was reached, or there was nothing to search.
+    pub fn is_success(&self) -> bool {
+        match self.termination {
+            Termination::Noise => self.tests.is_some_and(|tests| tests.x_passed),
+            _ => self.termination.is_success(),
+        }
+    }
+
+    /// The report of a run whose time was up before any evaluation had ended: its start, with a cost of NaN.
+    pub fn without_cost(x: &[f64], method: &str, found: NothingFound, seconds: f64) -> Self {
+        Self {
+            message: String::new(),
+            x: x.to_vec(),
+            fun: f64::NAN,
+            n_evaluations: found.n_evaluations,
+            n_iterations: 0,
+            n_batches: 0,
+            n_failed: found.failures.iter().map(|(_, count)| count).sum(),
+            n_cached: 0,
+            n_speculative: 0,
+            termination: Termination::MaxTime,
+            tests: None,
+            failures: found.failures,
+            trace: found.trace,
+            final_simplex: None,
+            final_population: None,
+            schedule: Vec::new(),
+            optima: Vec::new(),
+            seed: None,
+            method: method.to_owned().into(),
+            method_reason: None,
+            batch: String::new().into(),
+            workers: 1,
+            seconds,
+            residuals: None,
+            jacobian: None,
+            active: Vec::new(),
+            loss: RobustLoss::default(),
+            resumed: None,
+        }
+    }
+
+    /// True if the lengths of its parts fit together: what comes from a file may not.
+    pub fn is_sound(&self) -> bool {
+        let n = self.x.len();
+        let simplexes = self.final_simplex.iter().chain(&self.final_population);
+        let m = self.residuals.as_ref().map_or(0, Vec::len);
+        self.trace.is_sound(n)
+            && simplexes
+                .into_iter()
+                .all(|s| s.costs.len() == s.vertices.len() && s.vertices.iter().all(|v| v.len() == n))
+            && self.jacobian.as_ref().is_none_or(|jacobian| jacobian.len() == m * n)
+            && self.active.len() == if self.jacobian.is_some() { n } else { 0 }
+            && self.schedule.iter().all(|stage| stage.x.len() == n)
+            && self.optima.iter().all(|optimum| optimum.x.len() == n)
+    }
+
+    /// Covariance of the parameters by the linear model of the residuals at the end: `s^2 (J' J)^-1` with
+    /// `s^2 = r' r / (m - n)`, over the free parameters that lie at no bound. `None` without residuals or
+    /// Jacobian.
+    ///
+    /// With a loss, r and J are those of the residuals as they counted (see [`RobustLoss`]), so that an outlier adds as
+    /// little to s as it did to the cost.
+    pub fn covariance(&self) -> Option<Covariance> {
+        let (residuals, jacobian) = (self.residuals.as_ref()?, self.jacobian.as_ref()?);
+        let counted: Vec<f64> = residuals.iter().map(|r| self.loss.transform(*r)).collect();
+        let n = self.x.len();
+        let weighted = jacobian.iter().enumerate().map(|(k, j)| j * self.loss.slope(residuals[k / n]));
+        Some(Covariance::new(&counted, &weighted.collect::<Vec<_>>(), &self.active))
+    }
+
+    /// The sum of the squares of the plain residuals: with the linear loss the cost.
+    pub fn sum_of_squares(&self) -> Option<f64> {
+        self.residuals.as_ref().map(|residuals| residuals.iter().map(|r| r * r).sum())
+    }
+
+    /// Takes residuals and Jacobian for what a loss has made of the plain ones, and gives these back.
+    pub(crate) fn undo(&mut self, loss: RobustLoss) {
+        self.loss = loss;
+        let Some(residuals) = self.residuals.as_mut().filter(|_| !loss.is_linear()) else { return };
+        residuals.iter_mut().for_each(|s| *s = loss.inverse(*s));
+        let n = self.x.len();
+        for (k, j) in self.jacobian.iter_mut().flatten().enumerate() {
+            *j /= loss.slope(residuals[k / n]);
+        }
+        if self.jacobian.iter().flatten().any(|j| !j.is_finite()) {
+            self.jacobian = None;
+        }
+    }
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "{}: {}", self.method, self.message)?;
+        if let Some(reason) = &self.method_reason {
+            writeln!(f, "  chosen       {reason}")?;
+        }
+        writeln!(f, "  cost         {:e}", self.fun)?;
+        writeln!(f, "  x            {:?}", self.x)?;
+        writeln!(f, "  iterations   {}", self.n_iterations)?;
+        write!(f, "  evaluations  {} in {} batches", self.n_evaluations, self.n_batches)?;
+        writeln!(f, " ({} failed, {} speculative)", self.n_failed, self.n_speculative)?;
+        if let Some(resumed) = &self.resumed {
+            writeln!(f, "  {resumed}")?;
+        }
+        for (reason, count) in &self.failures {
+            writeln!(f, "    {count} x {reason}")?;
+        }
+        write!(f, "  time         {:.3} s, workers {}, batch plan {}", self.seconds, self.workers, self.batch)
+    }
+}
+
+/// The result of a method and a ledger; the trace moves into it. No termination: nothing to start from.
+pub(crate) fn conclude<M: Method + ?Sized>(
+    method: &M,
+    ledger: &mut Ledger,
+    limits: &Limits,
+    workers: usize,
+    termination: Option<Termination>,
+    seconds: f64,
+    context: &RunContext<'_>,
+) -> Result<Report, Error> {
+    let Some(termination) = termination else {
+        return Err(Error::AllStartsFailed(ledger.nothing_found()));
+    };
+    let Some((x, fun)) = ledger.best.get().map(|(x, f)| (x.to_vec(), f)) else {
+        return Err(Error::EndedWithoutPoint { termination, found: ledger.nothing_found() });
+    };
+    let details = method.details();
+    let residuals =
+        Some(std::mem::take(&mut ledger.best_residuals)).filter(|residuals| !residuals.is_empty());
+    let fits =
+        |model: &LinearModel| residuals.as_ref().is_some_and(|r| model.jacobian.len() == r.len() * x.len());
+    let is_over = || termination == Termination::Interrupted || context.is_over();
+    let model = method.linear_model(&RunContext::new().asking(&is_over)).filter(fits);
+    let (jacobian, active) = model.map_or((None, Vec::new()), |model| (Some(model.jacobian), model.active));
+    Ok(Report {
+        message: message(method, ledger, limits, &termination, fun, seconds),
+        x,
+        fun,
+        n_evaluations: ledger.n_evaluations,
+        n_iterations: details.n_iterations,
+        n_batches: ledger.n_batches,
+        n_failed: ledger.n_failed,
+        n_cached: ledger.n_cached,
+        n_speculative: ledger.n_speculative(),
+        termination,
+        tests: details.tests,
+        failures: ledger.failures(),
+        trace: std::mem::take(&mut ledger.trace),
+        final_simplex: details.simplex.map(|s| s.to_owned()),
+        final_population: details.population.map(|s| s.to_owned()),
+        schedule: details.schedule.to_vec(),
+        optima: details.optima.to_vec(),
+        seed: details.seed,
+        method: method.name().into(),
+        method_reason: None,
+        batch: details.plan.into(),
+        workers,
+        seconds,
+        residuals,
+        jacobian,
+        active,
+        loss: RobustLoss::default(),
+        resumed: None,
+    })
+}
+
+fn message<M: Method + ?Sized>(
+    method: &M,
+    ledger: &Ledger,
+    limits: &Limits,
+    termination: &Termination,
+    fun: f64,
+    seconds: f64,
+) -> String {
+    let details = method.details();
+    let tests = details.tests.map_or_else(String::new, |t| t.to_string());
+    let with_tests = |text: String| if tests.is_empty() { text } else { format!("{text}; {tests}") };
+    let message = match termination {
+        Termination::Converged => format!("converged; {tests}"),
+        Termination::Noise => {
+            let is_known = details.tests.is_some_and(|tests| tests.x_passed);
+            let ended = if is_known { "ended" } else { "not converged: ended" };
+            let why = "in the noise of the residuals: what could still be gained is less than it makes of it";
+            with_tests(format!("{ended} {why}"))
+        }
+        Termination::Target => {
+            format!("target reached: cost {fun:e} <= {:e}", limits.target.unwrap_or(f64::NAN))
+        }
+        Termination::ConstantCost => with_tests(
+            "nothing was learned: the search came to its end, but the cost did not change".to_owned(),
+        ),
+        Termination::Unbounded => {
+            format!(
+                "the cost has no minimum: it fell to {fun:e}, below {UNBOUNDED:e}, and would fall further"
+            )
+        }
+        Termination::Collapsed => with_tests(
+            "not converged: the search has no extent left that floating-point numbers resolve".to_owned(),
+        ),
+        Termination::OneFiniteVertex => with_tests(
+            "not converged: only one vertex of the simplex has a cost, all others failed".to_owned(),
+        ),
+        Termination::AllFailed => {
+            with_tests("not converged: every point failed after some that did not".to_owned())
+        }
+        Termination::TooManyFailed => with_tests(format!(
+            "not converged: {} of {} evaluations failed, more than the share of {} that is allowed",
+            ledger.n_failed,
+            ledger.n_evaluations,
+            limits.max_failed.unwrap_or(f64::NAN)
+        )),
+        Termination::Stalled => with_tests("not converged: nothing new was found for long".to_owned()),
+        Termination::AllFixed => "all parameters are fixed: their one point was evaluated".to_owned(),
+        Termination::MaxEvaluations => {
+            with_tests(format!("stopped at the limit of {} evaluations", ledger.n_evaluations))
+        }
+        Termination::MaxIterations => {
+            with_tests(format!("stopped at the limit of {} iterations", details.n_iterations))
+        }
+        Termination::MaxTime => {
+            let limit = limits.max_time.map_or(seconds, |t| t.as_secs_f64());
+            with_tests(format!("stopped at the time limit of {limit} s"))
+        }
+        Termination::StoppedByObserver => with_tests("stopped by the callback".to_owned()),
+        Termination::Interrupted => with_tests("interrupted".to_owned()),
+        Termination::Aborted(reason) => format!("aborted by the objective: {reason}"),
+        Termination::NotSaved(reason) => {
+            with_tests(format!("ended, and its last state could not be saved: {reason}"))
+        }
+    };
+    let message = match (details.roughness, details.handed_over) {
+        (Some(roughness), Some(points)) => {
+            format!("{message}; nelder-mead took over after {points} evaluations: {roughness}")
+        }
+        (Some(roughness), None) if !termination.is_success() => format!("{message}; {roughness}"),
+        _ => message,
+    };
+    if let Some(cost) = ledger.trace.constant() {
+        format!("{message}; the cost was {cost:e} at all {} points", ledger.n_evaluations)
+    } else if details.without_effect.is_empty() {
+        message
+    } else {
+        let names: Vec<String> = details.without_effect.iter().map(|index| format!("x[{index}]")).collect();
+        format!(
+            "{message}; no step of {} from zero has changed the cost: if it should, give a nominal size",
+            names.join(", ")
+        )
+    }
+}

@@ -1,0 +1,207 @@
+//! The description of a run, and how it becomes a method, a round and a checkpoint.
+
+use crate::error::Error;
+use crate::evaluation::ledger::Ledger;
+use crate::evaluation::round::Round;
+use crate::evaluation::store::Store;
+use crate::method::interface::{Method, MethodOptions, ProblemClass, Setup};
+use crate::method::tolerances::Limits;
+use crate::methods::NelderMead;
+use crate::outcome::answer::{Answer, Outcome};
+use crate::problem::space::Bounds;
+use crate::problem::space::Space;
+use crate::run::checkpoint::{self, Writer};
+use crate::run::options::{Known, RunOptions};
+use crate::run::report::Resumed;
+use crate::values::choices::{Kind, Search, Transform};
+
+/// Everything that can be said about a run but who evaluates.
+#[derive(Debug, Default)]
+pub(crate) struct Description<M = NelderMead> {
+    pub(crate) options: RunOptions<M>,
+    pub(crate) x0: Option<Vec<f64>>,
+    pub(crate) bounds: Option<Bounds>,
+    pub(crate) transforms: Vec<Transform>,
+    pub(crate) sizes: Vec<Option<f64>>,
+    pub(crate) kinds: Vec<Kind>,
+}
+
+/// A run that can be driven.
+#[derive(Debug)]
+pub(crate) struct StartedRun<T> {
+    pub(crate) method: T,
+    pub(crate) round: Round,
+    pub(crate) limits: Limits,
+    pub(crate) workers: usize,
+    pub(crate) writer: Option<Writer>,
+    pub(crate) observed: Option<usize>,
+    pub(crate) first_recent: usize,
+    /// Seconds of the run before it was resumed.
+    pub(crate) before: f64,
+    /// True if the method needs residuals; and the reason why it was chosen.
+    pub(crate) needs_residuals: bool,
+    pub(crate) method_reason: Option<String>,
+    /// Checkpoint that the run was continued from.
+    pub(crate) resumed: Option<Resumed>,
+}
+
+impl<T> StartedRun<T> {
+    /// The same with the method in another form.
+    pub(crate) fn map_method<U>(self, form: impl FnOnce(T) -> U) -> StartedRun<U> {
+        let Self { method, round, limits, workers, writer, observed, first_recent, .. } = self;
+        let Self { before, needs_residuals, method_reason, resumed, .. } = self;
+        StartedRun {
+            method: form(method),
+            round,
+            limits,
+            workers,
+            writer,
+            observed,
+            first_recent,
+            before,
+            needs_residuals,
+            method_reason,
+            resumed,
+        }
+    }
+}
+
+impl<M> Description<M> {
+    /// The same run with another method.
+    pub(crate) fn with_method<N>(self, method: N) -> Description<N> {
+        let Self { options, x0, bounds, transforms, sizes, kinds } = self;
+        Description { options: options.with_method(method), x0, bounds, transforms, sizes, kinds }
+    }
+}
+
+impl<M: MethodOptions> Description<M> {
+    /// The method for this problem, where the choice is open.
+    fn choose(&mut self, residuals: bool) -> Result<(), Error> {
+        let n = self.bounds.as_ref().map_or(self.x0.as_ref().map_or(0, Vec::len), Bounds::len);
+        let unbounded = Bounds::unbounded(n);
+        let bounds = self.bounds.as_ref().unwrap_or(&unbounded);
+        let (lower, upper) = (bounds.lower(), bounds.upper());
+        // What is fixed does not choose the method.
+        let is_free = |i: &usize| lower.get(*i) != upper.get(*i);
+        let kinds: Vec<Kind> = (0..self.kinds.len()).filter(is_free).map(|i| self.kinds[i]).collect();
+        let class = ProblemClass { lower, upper, kinds: &kinds, residuals, search: Search::Local };
+        self.options.choose(&class)
+    }
+
+    /// Checks everything, and starts or continues. `residuals`: whether the objective is known to give them.
+    pub(crate) fn begin(mut self, residuals: bool) -> Result<StartedRun<M::Method>, Error> {
+        self.choose(residuals)?;
+        let Self { options, x0, bounds, transforms, sizes, kinds } = self;
+        let (method, mut limits) = (&options.method, options.limits);
+        let start_given = x0.is_some();
+        let x0 = match (x0, &bounds) {
+            (Some(x0), _) => x0,
+            (None, Some(bounds)) if !method.needs_start() => {
+                middle(bounds, &transforms, &kinds).ok_or(Error::NoStart)?
+            }
+            (None, _) => return Err(Error::NoStart),
+        };
+        let bounds = bounds.unwrap_or_else(|| Bounds::unbounded(x0.len()));
+        let mut space = Space::new(&x0, bounds, &transforms, &sizes)?;
+        if !kinds.is_empty() {
+            space = space.with_kinds(&kinds)?;
+        }
+        options.check()?;
+        if !options.unlimited {
+            limits.fill(method.default_limits(space.n_free()));
+        }
+        let prior = usable(&options.known, &space);
+        let is_inside = |x: &[f64]| !method.starts_inside() || space.is_inside(x);
+        let best = prior.iter().find(|known| is_inside(&known.x)).map(|known| known.x.clone());
+        let start_given = start_given || best.is_some();
+        if let Some(best) = best {
+            space = space.starting_at(&best);
+        }
+        let n = space.n();
+        let discrete = (0..space.n_free()).any(|k| space.kind(k) != Kind::Continuous);
+        let default = method.default_cache().max(if discrete { 10_000 } else { 0 });
+        let capacity = options.cache.unwrap_or(default);
+        let setup = Setup {
+            tolerances: options.tolerances,
+            seed: options.seed,
+            max_evaluations: limits.max_evaluations,
+            start_given,
+            prior: prior.iter().map(|known| known.x.clone()).collect(),
+            ..Setup::new(space)
+        };
+        let mut store = Store::new(capacity);
+        // A cost of no problem in particular is a cost of none.
+        let belongs = |known: &&Known| options.problem.is_some() && known.problem == options.problem;
+        for Known { x, cost, residuals, .. } in prior.iter().copied().filter(belongs) {
+            store.pin(x, Answer { residuals: residuals.clone(), ..Outcome::Value(*cost).into() });
+        }
+        let mut started = StartedRun {
+            method: method.begin(&setup)?,
+            round: Round::new(Ledger::new(n, options.trace_limit, options.trace_residuals), store),
+            limits,
+            workers: options.workers.unwrap_or(1),
+            writer: None,
+            observed: None,
+            first_recent: 0,
+            before: 0.0,
+            needs_residuals: method.needs_residuals(),
+            method_reason: options.method_reason,
+            resumed: None,
+        };
+        started.round.ledger.trace.set_problem(options.problem.clone());
+        let Some(place) = options.checkpoint else { return Ok(started) };
+        let words = (started.method.name(), method.describe(), method.plans_with_budget());
+        let fingerprint = checkpoint::fingerprint(
+            words,
+            &setup,
+            (capacity, options.trace_limit, started.round.store.n_pinned()),
+            (options.problem.as_deref(), &place),
+        );
+        if let Some(stored) = checkpoint::read(&place, &fingerprint, setup.seed, n)? {
+            started.method = method.restore(&setup, &stored.method)?;
+            started.round = Round::new(stored.ledger, stored.store);
+            started.round.store.forget_aborts();
+            started.round.stale = stored.stale;
+            let n_known = stored.known.len();
+            for known in stored.known {
+                started.round.store.keep(known);
+            }
+            (started.observed, started.first_recent) = (stored.observed, stored.first_recent);
+            started.before = stored.seconds;
+            let n_evaluations = started.round.ledger.n_evaluations + n_known;
+            started.resumed = Some(Resumed { path: place.path.clone(), n_evaluations });
+        }
+        started.writer = Some(Writer::new(place, fingerprint)?);
+        Ok(started)
+    }
+}
+
+/// The points of earlier runs that lie in this space, each once, the best first of its problem.
+fn usable<'a>(known: &'a [Known], space: &Space) -> Vec<&'a Known> {
+    let discrete: Vec<usize> =
+        (0..space.n_free()).filter(|&k| space.kind(k) != Kind::Continuous).map(|k| space.free()[k]).collect();
+    let is_inside = |known: &&Known| {
+        space.bounds().contains(&known.x) && discrete.iter().all(|&i| known.x[i] == known.x[i].round())
+    };
+    let mut prior: Vec<&Known> =
+        known.iter().filter(|known| known.cost.is_finite()).filter(is_inside).collect();
+    prior.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    prior.dedup_by(|a, b| a.x == b.x && a.problem == b.problem);
+    prior
+}
+
+/// The middle of a box, where no start was given; `None` if it has none.
+fn middle(bounds: &Bounds, transforms: &[Transform], kinds: &[Kind]) -> Option<Vec<f64>> {
+    (0..bounds.len())
+        .map(|i| {
+            let (lower, upper) = (bounds.lower()[i], bounds.upper()[i]);
+            let middle = match transforms.get(i) {
+                Some(Transform::Log) if lower > 0.0 => (0.5 * lower.ln() + 0.5 * upper.ln()).exp(),
+                _ => 0.5 * lower + 0.5 * upper,
+            };
+            let whole = lower != upper && kinds.get(i).is_some_and(|k| *k != Kind::Continuous);
+            let middle = if whole { middle.floor().max(lower.ceil()) } else { middle };
+            middle.is_finite().then(|| middle.clamp(lower, upper))
+        })
+        .collect()
+}

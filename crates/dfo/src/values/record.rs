@@ -1,0 +1,442 @@
+//! Options by name: plain data from Python, a file or a command line, and how it becomes the serde types of this workspace.
+
+use crate::values::number::Number;
+use serde::de::value::{MapAccessDeserializer, SeqDeserializer};
+use serde::de::{self, DeserializeOwned, DeserializeSeed, IntoDeserializer, MapAccess, Unexpected, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, forward_to_deserialize_any};
+use std::collections::{BTreeMap, btree_map};
+use std::fmt;
+use std::str::FromStr;
+use std::time::Duration;
+
+/// A limit of wall-clock time beyond this, in s, is none.
+const ENDLESS: f64 = 1e15;
+
+/// Values by name.
+pub type Record = BTreeMap<String, Value>;
+
+/// Plain data. Other than JSON it has infinities and NaN.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Value {
+    /// None: the default, no limit, no bound.
+    Nothing,
+    /// True or false.
+    Flag(bool),
+    /// A whole number, at least 0.
+    Count(u64),
+    /// A negative whole number.
+    Negative(i64),
+    /// A number.
+    Number(f64),
+    /// A text.
+    Text(String),
+    /// Several values.
+    List(Vec<Value>),
+    /// Values by name.
+    Record(Record),
+    /// Something that is no data, by a text that shows it. It fits nowhere.
+    #[serde(skip)]
+    Other(String),
+}
+
+impl Value {
+    /// Converts the value to a type that serde can read. Names of variants are taken in any case and with `_` for `-`; counts also from
+    /// numbers like 1e4.
+    ///
+    /// # Errors
+    /// A [`RecordError`] that calls the value `name`.
+    pub fn read<T: DeserializeOwned>(&self, name: &str) -> Result<T, RecordError> {
+        T::deserialize(self).map_err(|error| error.of(name, self))
+    }
+
+    /// The serialised form of a value.
+    ///
+    /// # Errors
+    /// It cannot be serialised.
+    pub fn of<T: Serialize>(value: &T) -> Result<Self, RecordError> {
+        let json = serde_json::to_value(value).map_err(|e| RecordError::message(e.to_string()))?;
+        Ok(json.into())
+    }
+
+    /// Converts a text by [`FromStr`].
+    ///
+    /// # Errors
+    /// Another type, or a text that is refused.
+    pub fn parse<T: FromStr<Err: fmt::Display>>(&self, name: &str) -> Result<T, RecordError> {
+        self.read::<String>(name)?.parse().map_err(|error: T::Err| RecordError::message(error.to_string()))
+    }
+
+    /// Converts to a limit: a whole number from `least` on; `None`, infinity and what no machine counts are no limit.
+    ///
+    /// # Errors
+    /// Another number, or another type.
+    pub fn read_limit(&self, name: &str, least: u64) -> Result<Option<usize>, RecordError> {
+        let count = match self {
+            Self::Nothing => return Ok(None),
+            Self::Count(count) => *count,
+            Self::Number(number) if *number == f64::INFINITY => return Ok(None),
+            // The cast ends at the largest.
+            Self::Number(number) if number.fract() == 0.0 && *number >= 0.0 => *number as u64,
+            Self::Negative(_) | Self::Number(_) => return Err(self.out_of(name, least)),
+            _ => return Err(RecordError::expected("a number", true).of(name, self)),
+        };
+        if count < least {
+            return Err(self.out_of(name, least));
+        }
+        Ok(usize::try_from(count).ok().filter(|count| *count < usize::MAX / 2))
+    }
+
+    /// Converts to a limit of wall-clock time from seconds; `None`, infinity and 30 million years are no limit.
+    ///
+    /// # Errors
+    /// No positive number, or another type.
+    pub fn read_time(&self, name: &str) -> Result<Option<Duration>, RecordError> {
+        let Some(seconds) =
+            self.read::<Option<f64>>(name)?.filter(|seconds| seconds.is_nan() || *seconds <= ENDLESS)
+        else {
+            return Ok(None);
+        };
+        match Duration::try_from_secs_f64(seconds) {
+            Ok(time) if seconds > 0.0 => Ok(Some(time)),
+            _ => Err(RecordError::message(format!("{name} = {self} must be a positive number of seconds"))),
+        }
+    }
+
+    fn out_of(&self, name: &str, least: u64) -> RecordError {
+        RecordError::range(format!("a whole number, at least {least}")).of(name, self)
+    }
+}
+
+impl From<serde_json::Value> for Value {
+    fn from(json: serde_json::Value) -> Self {
+        use serde_json::Value as Json;
+        match json {
+            Json::Null => Self::Nothing,
+            Json::Bool(flag) => Self::Flag(flag),
+            Json::Number(number) => match (number.as_u64(), number.as_i64()) {
+                (Some(count), _) => Self::Count(count),
+                (None, Some(negative)) => Self::Negative(negative),
+                (None, None) => Self::Number(number.as_f64().unwrap_or(f64::NAN)),
+            },
+            Json::String(text) => Self::Text(text),
+            Json::Array(items) => Self::List(items.into_iter().map(Self::from).collect()),
+            Json::Object(fields) => Self::Record(fields.into_iter().map(|(n, v)| (n, v.into())).collect()),
+        }
+    }
+}
+
+impl fmt::Display for Value {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Nothing => f.write_str("none"),
+            Self::Flag(flag) => write!(f, "{flag}"),
+            Self::Count(count) => write!(f, "{count}"),
+            Self::Negative(number) => write!(f, "{number}"),
+            Self::Number(number) => write!(f, "{}", Number(*number)),
+            Self::Text(text) => write!(f, "'{text}'"),
+            Self::List(items) => {
+                let items: Vec<String> = items.iter().map(Self::to_string).collect();
+                write!(f, "[{}]", items.join(", "))
+            }
+            Self::Record(fields) => {
+                let fields: Vec<String> = fields.iter().map(|(n, v)| format!("'{n}': {v}")).collect();
+                write!(f, "{{{}}}", fields.join(", "))
+            }
+            Self::Other(shown) => f.write_str(shown),
+        }
+    }
+}
+
+/// Why a value does not fit the option that it is given to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordError {
+    /// The name of the option, once it is known.
+    name: Option<String>,
+    /// The method whose option it is.
+    method: Option<&'static str>,
+    given: Value,
+    problem: Problem,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+enum Problem {
+    /// It must be this; whether its type is another.
+    Expected { what: String, is_type: bool },
+    /// It must be within this range.
+    Range(String),
+    /// There is no checkpoint that it could belong to.
+    NoCheckpoint,
+    /// It is none of these words.
+    Word(Vec<&'static str>),
+    /// What is wrong, in full.
+    Message(String),
+}
+
+impl RecordError {
+    fn new(problem: Problem) -> Self {
+        Self { name: None, method: None, given: Value::Nothing, problem }
+    }
+
+    pub(crate) fn expected(what: impl Into<String>, is_type: bool) -> Self {
+        Self::new(Problem::Expected { what: what.into(), is_type })
+    }
+
+    pub(crate) fn range(what: impl Into<String>) -> Self {
+        Self::new(Problem::Range(what.into()))
+    }
+
+    pub(crate) fn without_checkpoint() -> Self {
+        Self::new(Problem::NoCheckpoint)
+    }
+
+    /// An error with this message.
+    pub fn message(text: impl Into<String>) -> Self {
+        Self::new(Problem::Message(text.into()))
+    }
+
+    /// The same of an option, where none is named yet.
+    pub(crate) fn of(mut self, name: &str, given: &Value) -> Self {
+        if self.name.is_none() {
+            (self.name, self.given) = (Some(name.to_owned()), given.clone());
+        }
+        self
+    }
+
+    /// The same of an option of a method, of which this was given.
+    pub(crate) fn of_method(mut self, method: &'static str, name: &str, given: &Value) -> Self {
+        (self.name, self.method, self.given) = (Some(name.to_owned()), Some(method), given.clone());
+        if let Problem::Expected { what, is_type } = &mut self.problem {
+            // Whole numbers, NaN and infinities have the right type where numbers are expected.
+            let is_number = match given {
+                Value::Count(_) | Value::Negative(_) => true,
+                Value::Number(number) => !number.is_finite() || number.fract() == 0.0,
+                _ => false,
+            };
+            *is_type = !(is_number && what.contains("number"));
+        }
+        self
+    }
+
+    /// Says what an option of several shapes must be.
+    pub(crate) fn must_be(&mut self, expected: &str) {
+        match &mut self.problem {
+            Problem::Expected { what, .. } => expected.clone_into(what),
+            Problem::Word(_) => self.problem = Problem::Expected { what: expected.to_owned(), is_type: true },
+            _ => {}
+        }
+    }
+
+    /// Says that the option may also be none.
+    pub(crate) fn or_none(&mut self) {
+        if let Problem::Expected { what, .. } = &mut self.problem {
+            what.push_str(" or None");
+        }
+    }
+
+    /// The name of the option.
+    pub fn name(&self) -> Option<&str> {
+        self.name.as_deref()
+    }
+
+    /// Whether the value is of another type than the option.
+    pub fn is_type(&self) -> bool {
+        matches!(self.problem, Problem::Expected { is_type: true, .. })
+    }
+
+    /// The message, with the value as the user has written it.
+    pub fn with_given(&self, given: &str) -> String {
+        let name = self.name.as_deref().unwrap_or("the value");
+        match &self.problem {
+            Problem::Expected { what, .. } => match self.method {
+                Some(method) => format!("option '{name}' of {method} must be {what}, not {given}"),
+                None => format!("{name} must be {what}, not {given}"),
+            },
+            Problem::Range(range) => format!("{name} = {given} must be {range}"),
+            Problem::Word(known) => {
+                let listed: Vec<String> = known.iter().map(|word| format!("'{word}'")).collect();
+                let text = if let Value::Text(text) = &self.given { text } else { "" };
+                let meant = known.iter().find(|word| !text.is_empty() && word.starts_with(text));
+                let hint = meant.map_or_else(String::new, |word| format!("; did you mean '{word}'?"));
+                format!("{name} = {given} is none of {}{hint}", listed.join(", "))
+            }
+            Problem::NoCheckpoint => {
+                format!("{name} = {given} has no effect without a checkpoint: give its file, checkpoint=...")
+            }
+            Problem::Message(message) => message.clone(),
+        }
+    }
+}
+
+impl fmt::Display for RecordError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.with_given(&self.given.to_string()))
+    }
+}
+
+impl std::error::Error for RecordError {}
+
+impl de::Error for RecordError {
+    fn custom<T: fmt::Display>(message: T) -> Self {
+        Self::message(message.to_string())
+    }
+
+    fn invalid_type(found: Unexpected<'_>, expected: &dyn de::Expected) -> Self {
+        let expected = expected.to_string();
+        let what = match expected.as_str() {
+            "usize" | "u64" | "u32" => "a whole number, at least 0",
+            "f64" => "a number",
+            "a boolean" => "True or False",
+            other => other,
+        };
+        let is_number =
+            matches!(found, Unexpected::Float(_) | Unexpected::Signed(_) | Unexpected::Unsigned(_));
+        Self::expected(what, !(is_number && what == "a number"))
+    }
+
+    fn invalid_value(found: Unexpected<'_>, expected: &dyn de::Expected) -> Self {
+        Self::invalid_type(found, expected)
+    }
+
+    fn unknown_variant(_: &str, expected: &'static [&'static str]) -> Self {
+        Self::new(Problem::Word(expected.to_vec()))
+    }
+}
+
+/// A value as what serde finds in it.
+fn found(value: &Value) -> Unexpected<'_> {
+    match value {
+        Value::Nothing => Unexpected::Unit,
+        Value::Flag(flag) => Unexpected::Bool(*flag),
+        Value::Count(count) => Unexpected::Unsigned(*count),
+        Value::Negative(number) => Unexpected::Signed(*number),
+        Value::Number(number) => Unexpected::Float(*number),
+        Value::Text(text) => Unexpected::Str(text),
+        Value::List(_) => Unexpected::Seq,
+        Value::Record(_) => Unexpected::Map,
+        Value::Other(_) => Unexpected::Other("no data"),
+    }
+}
+
+impl<'v> IntoDeserializer<'v, RecordError> for &'v Value {
+    type Deserializer = Self;
+
+    fn into_deserializer(self) -> Self {
+        self
+    }
+}
+
+/// A count is also read from a number like 1e4.
+macro_rules! counts {
+    ($($method:ident)*) => {
+        $(fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, RecordError> {
+            match self {
+                Value::Number(x) if x.fract() == 0.0 && (0.0..=9_007_199_254_740_992.0).contains(x) => {
+                    visitor.visit_u64(*x as u64)
+                }
+                _ => self.deserialize_any(visitor),
+            }
+        })*
+    };
+}
+
+impl<'de> Deserializer<'de> for &'de Value {
+    type Error = RecordError;
+
+    fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, RecordError> {
+        match self {
+            Value::Nothing => visitor.visit_unit(),
+            Value::Flag(flag) => visitor.visit_bool(*flag),
+            Value::Count(count) => visitor.visit_u64(*count),
+            Value::Negative(number) => visitor.visit_i64(*number),
+            Value::Number(number) => visitor.visit_f64(*number),
+            Value::Text(text) => visitor.visit_borrowed_str(text),
+            Value::List(items) => {
+                let mut items = SeqDeserializer::new(items.iter());
+                let read = visitor.visit_seq(&mut items)?;
+                items.end().map(|()| read)
+            }
+            Value::Record(fields) => visitor.visit_map(Fields::of(fields)),
+            Value::Other(_) => Err(de::Error::invalid_type(found(self), &visitor)),
+        }
+    }
+
+    fn deserialize_option<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, RecordError> {
+        match self {
+            Value::Nothing => visitor.visit_none(),
+            _ => visitor.visit_some(self),
+        }
+    }
+
+    fn deserialize_enum<V: Visitor<'de>>(
+        self,
+        _: &'static str,
+        variants: &'static [&'static str],
+        visitor: V,
+    ) -> Result<V::Value, RecordError> {
+        match self {
+            Value::Text(text) => {
+                let asked = text.to_ascii_lowercase().replace('_', "-");
+                let word = variants.iter().find(|word| word.eq_ignore_ascii_case(&asked));
+                visitor.visit_enum(word.copied().unwrap_or(text).into_deserializer())
+            }
+            Value::Record(fields) if fields.len() == 1 => {
+                visitor.visit_enum(MapAccessDeserializer::new(Fields::of(fields)))
+            }
+            _ => Err(de::Error::invalid_type(found(self), &"a string")),
+        }
+    }
+
+    fn deserialize_newtype_struct<V: Visitor<'de>>(
+        self,
+        _: &'static str,
+        visitor: V,
+    ) -> Result<V::Value, RecordError> {
+        visitor.visit_newtype_struct(self)
+    }
+
+    fn deserialize_bool<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, RecordError> {
+        match self {
+            Value::Count(flag @ (0 | 1)) => visitor.visit_bool(*flag == 1),
+            _ => self.deserialize_any(visitor),
+        }
+    }
+
+    counts! { deserialize_u32 deserialize_u64 }
+
+    forward_to_deserialize_any! {
+        i8 i16 i32 i64 u8 u16 f32 f64 char str string bytes byte_buf unit unit_struct seq tuple
+        tuple_struct map struct identifier ignored_any
+    }
+}
+
+/// The fields of a record, whose names stand in the errors about their values.
+struct Fields<'v> {
+    rest: btree_map::Iter<'v, String, Value>,
+    current: Option<(&'v str, &'v Value)>,
+}
+
+impl<'v> Fields<'v> {
+    fn of(fields: &'v Record) -> Self {
+        Self { rest: fields.iter(), current: None }
+    }
+}
+
+impl<'v> MapAccess<'v> for Fields<'v> {
+    type Error = RecordError;
+
+    fn next_key_seed<K: DeserializeSeed<'v>>(&mut self, seed: K) -> Result<Option<K::Value>, RecordError> {
+        let Some((name, value)) = self.rest.next() else { return Ok(None) };
+        self.current = Some((name, value));
+        let name: de::value::BorrowedStrDeserializer<'v, RecordError> =
+            de::value::BorrowedStrDeserializer::new(name);
+        seed.deserialize(name).map(Some)
+    }
+
+    fn next_value_seed<S: DeserializeSeed<'v>>(&mut self, seed: S) -> Result<S::Value, RecordError> {
+        let Some((name, value)) = self.current.take() else {
+            return Err(RecordError::message("a value was asked for before its name"));
+        };
+        seed.deserialize(value).map_err(|error| error.of(name, value))
+    }
+}
