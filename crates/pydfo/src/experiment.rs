@@ -106,7 +106,7 @@ enum StateFields {
 /// The functions of time among the inputs of an experiment: its number, the variable, the function.
 pub(crate) type SignalFunctions = Vec<(usize, String, Py<PyAny>)>;
 
-/// What an experiment has of Python objects, looked at with the interpreter lock.
+/// Parts of an experiment that come from Python objects, read with the interpreter lock held.
 pub(crate) struct Resolved {
     start_values: Vec<(String, fmi::Value)>,
     initial_states: Vec<(String, InitialState)>,

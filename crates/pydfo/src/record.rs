@@ -1,4 +1,5 @@
-//! What a Python user asks for by name, as the record that the crates read: the one place where Python objects become plain data.
+//! Conversion of the options that a Python user gives by name into the record that the crates read: the one
+//! place where Python objects become plain data.
 
 use crate::error;
 use calibration::{CalibrationError, Parameter, SimulationSettings};
@@ -105,7 +106,7 @@ fn plain(value: &Bound<'_, PyAny>) -> Value {
     }
 }
 
-/// What is no data, by its representation.
+/// Value of an object that is no data: its representation.
 fn other(value: &Bound<'_, PyAny>) -> Value {
     Value::Other(value.repr().map_or_else(|_| "?".to_owned(), |shown| shown.to_string()))
 }

@@ -495,7 +495,7 @@ impl SimulationSettings {
         Ok(settings)
     }
 
-    /// What processes of the FMU may take.
+    /// Limits of the processes of the FMU.
     pub(crate) fn worker_limits(&self) -> WorkerLimits {
         let usual = WorkerLimits::default();
         WorkerLimits { memory: self.memory_limit.or(usual.memory), sandbox: self.sandbox, ..usual }

@@ -6,7 +6,7 @@ use crate::problem::prior::Prior;
 use dfo::{Kind, Record, Value};
 use serde::{Deserialize, Serialize};
 
-/// What can be said of a parameter, see the methods of [`Parameter`] of the same names.
+/// Options of a parameter by name, see the methods of [`Parameter`] of the same names.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct ParameterRecord {
