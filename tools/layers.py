@@ -60,15 +60,10 @@ LAYERS = {
         solve
     """,
     "pydfo": """
-        dict quad_err threads
-        interrupt logs
-        fmu_error objective report
-        error files futures values
-        data findings methods record worker
-        description inputs trajectory
-        cost experiment fit minimize model py_system
-        calibration fit_report optimizer solve
-        profile recordings share validation worth
+        interrupt
+        convert
+        optimize model
+        ode calibration
     """,
 }
 

@@ -239,7 +239,7 @@ def test_code_that_cannot_be_told_is_not_resumed_by_itself(tmp_path):
 
 
 def test_what_a_hash_of_code_is_made_of():
-    from pydfo._identity import of_code
+    from pydfo._args.identity import of_code
 
     def make(default=1.0, *, key=(1, 2)):
         values = np.arange(3.0)

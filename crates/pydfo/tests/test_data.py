@@ -255,9 +255,9 @@ def test_more_than_a_file_may_hold_is_refused_before_it_is_read(tmp_path, monkey
     path = write(tmp_path)
     monkeypatch.setattr("os.path.getsize", lambda path: 0)
     # Those that are needed, and no others.
-    monkeypatch.setattr("pydfo._data_files.MOST_BYTES", 2 * 8 * TIME.size)
+    monkeypatch.setattr("pydfo._calibration.data_files.MOST_BYTES", 2 * 8 * TIME.size)
     assert cost(path) == pytest.approx(COST, rel=1e-9)
-    monkeypatch.setattr("pydfo._data_files.MOST_BYTES", 2 * 8 * TIME.size - 1)
+    monkeypatch.setattr("pydfo._calibration.data_files.MOST_BYTES", 2 * 8 * TIME.size - 1)
     with pytest.raises(MemoryError, match=r"the columns that are needed have 82 values, which take 656 bytes, more than 655"):
         cost(path)
 

@@ -27,10 +27,10 @@ def test_the_import_waits_with_what_is_not_used():
     """Neither numpy nor most of the package; and a name that is none is told as such."""
     program = """
 import sys, pydfo
-assert not {"numpy", "pydfo._calibration", "pydfo._model"} & set(sys.modules)
+assert not {"numpy", "pydfo._calibration.calibration", "pydfo._model.model"} & set(sys.modules)
 assert set(pydfo.__all__) <= set(dir(pydfo)) and not hasattr(pydfo, "Calibrations")
 from pydfo import Calibration, dfo
-assert pydfo.Calibration is Calibration is sys.modules["pydfo._calibration"].Calibration
+assert pydfo.Calibration is Calibration is sys.modules["pydfo._calibration.calibration"].Calibration
 assert pydfo.dfo is dfo is sys.modules["pydfo.dfo"]
 """
     subprocess.run([sys.executable, "-c", program], check=True)

@@ -129,7 +129,7 @@ def test_robust_losses_stages_and_estimated_noise_travel_too():
 
 
 def test_a_model_travels_where_it_is_not(tmp_path, monkeypatch):
-    from pydfo import _engine
+    from pydfo._calibration import engine as _engine
 
     calibration = decay()
     path = tmp_path / "elsewhere.fmu"

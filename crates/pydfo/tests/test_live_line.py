@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pydfo import Calibration, Parameter, _live, example_fmu
-from pydfo._progress import Progress
+from pydfo._optimize.progress import Progress
 
 TIME = np.linspace(0.0, 3.0, 31)
 
@@ -56,7 +56,7 @@ def test_a_terminal_sees_the_line_and_then_nothing_of_it(terminal, capsys):
 
 
 def test_short_fits_and_pipes_see_no_line(terminal, monkeypatch, capsys):
-    monkeypatch.setattr("pydfo._calibration.DELAY", 60.0)
+    monkeypatch.setattr("pydfo._calibration.calibration.DELAY", 60.0)
     with redirect_stderr(terminal):
         decay().fit()
         decay().fit(disp=False)
@@ -101,7 +101,7 @@ def test_a_real_terminal_is_left_clean_by_an_interrupt(tmp_path):
     script.write_text(textwrap.dedent("""
         import os, signal, threading
         import numpy as np, pydfo
-        from pydfo import _live
+        from pydfo._optimize import live as _live
         _live._display = _live._Plain
         t = np.linspace(0.0, 3.0, 31)
         calibration = pydfo.Calibration(pydfo.example_fmu("dahlquist"), {"time": t, "x": np.exp(-2.0 * t)}, ["x"],

@@ -14,13 +14,13 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from ._core import __version__
-from ._worker import know_interpreter as _know_interpreter
+from ._calibration.worker import know_interpreter as _know_interpreter
 
 if TYPE_CHECKING:
     from . import dfo, ode
-    from ._calibration import Calibration
-    from ._check import Check, Finding
-    from ._description import Description, Variable, read_description
+    from ._calibration.calibration import Calibration
+    from ._calibration.check import Check, Finding
+    from ._model.description import Description, Variable, read_description
     from ._errors import (
         AllStartsFailed,
         BadCalibrationError,
@@ -36,53 +36,53 @@ if TYPE_CHECKING:
         SimulationError,
         UnknownVariableError,
     )
-    from ._experiment import Experiment
-    from ._files import build_fmu, clear_caches, example_fmu
-    from ._fit import ChosenTolerance, Fit, FitNoise, OutputFit
-    from ._fmin import fmin
-    from ._least_squares import least_squares
-    from ._minimize import minimize
-    from ._model import FMUModel, load_fmu
-    from ._optimizer import Above, Asked, Optimizer
-    from ._parameter import LogNormal, Normal, Parameter
-    from ._point import Raced
-    from ._profile import Profile
-    from ._progress import Progress
-    from ._result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
-    from ._scipy import scipy_method
-    from ._share import load_fit
-    from ._stages import Stage
-    from ._trajectory import SimulationResult
-    from ._validation import CrossValidation, Fold, PredictionBand, ValidatedOutput, Validation
-    from ._worth import ParameterCheck, Preflight, ResidualCheck, Worth
+    from ._calibration.experiment import Experiment
+    from ._model.files import build_fmu, clear_caches, example_fmu
+    from ._calibration.fit import ChosenTolerance, Fit, FitNoise, OutputFit
+    from ._optimize.fmin import fmin
+    from ._optimize.least_squares import least_squares
+    from ._optimize.minimize import minimize
+    from ._model.model import FMUModel, load_fmu
+    from ._optimize.optimizer import Above, Asked, Optimizer
+    from ._calibration.parameter import LogNormal, Normal, Parameter
+    from ._calibration.point import Raced
+    from ._calibration.profile import Profile
+    from ._optimize.progress import Progress
+    from ._optimize.result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
+    from ._optimize.scipy import scipy_method
+    from ._calibration.share import load_fit
+    from ._calibration.stages import Stage
+    from ._model.trajectory import SimulationResult
+    from ._calibration.validation import CrossValidation, Fold, PredictionBand, ValidatedOutput, Validation
+    from ._calibration.worth import ParameterCheck, Preflight, ResidualCheck, Worth
 
 _know_interpreter()
 
 #: The modules, and what each has for `pydfo`: they are imported when something of them is used first.
 _HOMES = {
-    "_calibration": "Calibration",
-    "_check": "Check Finding",
-    "_description": "Description Variable read_description",
+    "_calibration.calibration": "Calibration",
+    "_calibration.check": "Check Finding",
+    "_model.description": "Description Variable read_description",
     "_errors": "AllStartsFailed BadCalibrationError BadModelValueError CalibrationError CalibrationWarning CheckpointError FmuError Interrupted ModelTypeError NoResult PydfoError SimulationError UnknownVariableError",
-    "_experiment": "Experiment",
-    "_files": "build_fmu clear_caches example_fmu",
-    "_fit": "ChosenTolerance Fit FitNoise OutputFit",
-    "_fmin": "fmin",
-    "_least_squares": "least_squares",
-    "_minimize": "minimize",
-    "_model": "FMUModel load_fmu",
-    "_optimizer": "Above Asked Optimizer",
-    "_parameter": "LogNormal Normal Parameter",
-    "_point": "Raced",
-    "_profile": "Profile",
-    "_progress": "Progress",
-    "_result": "BarrierStage LeastSquaresResult OptimizeResult Trace",
-    "_scipy": "scipy_method",
-    "_share": "load_fit",
-    "_stages": "Stage",
-    "_trajectory": "SimulationResult",
-    "_validation": "CrossValidation Fold PredictionBand ValidatedOutput Validation",
-    "_worth": "ParameterCheck Preflight ResidualCheck Worth",
+    "_calibration.experiment": "Experiment",
+    "_model.files": "build_fmu clear_caches example_fmu",
+    "_calibration.fit": "ChosenTolerance Fit FitNoise OutputFit",
+    "_optimize.fmin": "fmin",
+    "_optimize.least_squares": "least_squares",
+    "_optimize.minimize": "minimize",
+    "_model.model": "FMUModel load_fmu",
+    "_optimize.optimizer": "Above Asked Optimizer",
+    "_calibration.parameter": "LogNormal Normal Parameter",
+    "_calibration.point": "Raced",
+    "_calibration.profile": "Profile",
+    "_optimize.progress": "Progress",
+    "_optimize.result": "BarrierStage LeastSquaresResult OptimizeResult Trace",
+    "_optimize.scipy": "scipy_method",
+    "_calibration.share": "load_fit",
+    "_calibration.stages": "Stage",
+    "_model.trajectory": "SimulationResult",
+    "_calibration.validation": "CrossValidation Fold PredictionBand ValidatedOutput Validation",
+    "_calibration.worth": "ParameterCheck Preflight ResidualCheck Worth",
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
 

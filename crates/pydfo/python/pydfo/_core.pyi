@@ -8,15 +8,15 @@ from typing import Any, final
 import numpy as np
 import numpy.typing as npt
 
-from ._evaluate import Futures
-from ._experiment import Experiment
-from ._files import OpenOptions
-from ._model import Request
-from ._objective import CostFields
-from ._options import Record
-from ._parameter import Parameter
-from ._progress import Progress
-from ._result import OptimizeResult
+from ._optimize.evaluate import Futures
+from ._calibration.experiment import Experiment
+from ._model.files import OpenOptions
+from ._model.model import Request
+from ._optimize.objective import CostFields
+from ._args.options import Record
+from ._calibration.parameter import Parameter
+from ._optimize.progress import Progress
+from ._optimize.result import OptimizeResult
 from .ode import OdeResult, _Problem
 
 __all__ = [

@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ._profile import Profile
-    from ._result import OptimizeResult, Trace
+    from ._calibration.profile import Profile
+    from ._optimize.result import OptimizeResult, Trace
     from .ode import OdeResult
 
 __all__ = [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ._fmin import fmin
-from ._quad_err import quad_err, quad_err_simple
+from ._optimize.fmin import fmin
+from ._optimize.quad_err import quad_err, quad_err_simple
 
 __all__ = ["fmin", "quad_err", "quad_err_simple"]

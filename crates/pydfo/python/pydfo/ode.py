@@ -16,9 +16,10 @@ from typing import Any, Literal, SupportsFloat, SupportsIndex
 import numpy as np
 import numpy.typing as npt
 
-from . import _core, _options
-from ._keywords import also_called
-from ._trajectory import SimulationStats
+from . import _core
+from ._args import options as _options
+from ._args.keywords import also_called
+from ._model.trajectory import SimulationStats
 
 __all__ = ["DenseOutput", "OdeResult", "solve", "solve_dae", "solve_second_order"]
 

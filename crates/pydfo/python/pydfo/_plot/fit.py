@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from .._fit import Fit
+    from .._calibration.fit import Fit
 
 #: More experiments do not get a column each.
 MOST_COLUMNS = 4

@@ -11,7 +11,7 @@ from .style import FITTED, MEASURED, START, pyplot, short
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from .._profile import FloatArray, Profile
+    from .._calibration.profile import FloatArray, Profile
 
 #: The panels end at this multiple of the threshold.
 HEIGHT = 1.6

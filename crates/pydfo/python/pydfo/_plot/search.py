@@ -12,7 +12,7 @@ from .style import COLOURS, FITTED, MEASURED, START, names_for, pyplot
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from .._result import OptimizeResult
+    from .._optimize.result import OptimizeResult
 
 #: More parameters have no legend.
 MOST_NAMES = 10

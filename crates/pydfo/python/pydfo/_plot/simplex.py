@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .._progress import Progress
+from .._optimize.progress import Progress
 from .style import pyplot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from .._result import OptimizeResult
+    from .._optimize.result import OptimizeResult
 
 FloatArray = npt.NDArray[np.float64]
 

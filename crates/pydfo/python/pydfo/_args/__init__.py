@@ -1,0 +1,1 @@
+"""Arguments: numbers, keywords of other tools, the identity of functions."""

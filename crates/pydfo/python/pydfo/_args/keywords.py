@@ -1,0 +1,179 @@
+"""Keywords: messages for unknown ones, words of other tools, arguments that were positional."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import inspect
+import warnings
+from collections.abc import Callable, Collection, Mapping
+from typing import Any, Final, ParamSpec, TypeVar
+
+from .. import _core
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+#: Words of SciPy, PyFMI, FMPy and their likes, and what stands for them here: arguments or options, of those there are.
+_FOREIGN: Final[Mapping[str, tuple[str, ...]]] = {
+    **dict.fromkeys(("maxiter", "maxit", "max_iter", "niter"), ("max_iterations", "max_iters")),
+    **dict.fromkeys(("max_iterations", "max_iters"), ("max_iterations", "max_iters")),
+    **dict.fromkeys(("maxfev", "maxfun", "maxeval", "max_nfev"), ("max_evaluations", "max_fevals")),
+    **dict.fromkeys(("max_evaluations", "max_fevals"), ("max_evaluations", "max_fevals")),
+    **dict.fromkeys(("xatol", "xtol", "xrtol", "tol_x"), ("x_tol",)),
+    **dict.fromkeys(("fatol", "ftol", "frtol", "tol_fun"), ("f_tol",)),
+    "atol": ("atol", "f_tol"),
+    "rtol": ("rtol", "relative_tolerance"),
+    **dict.fromkeys(("tol", "tolerance"), ("relative_tolerance", "rtol", "x_tol and f_tol")),
+    **dict.fromkeys(("seed", "random_state"), ("rng",)),
+    **dict.fromkeys(("maxtime", "time_limit", "timeout", "max_time"), ("max_time", "timeout")),
+    "adaptive": ('options={"coefficients": "adaptive"}',),
+    "popsize": ("population",),
+    "mutation": ("weight",),
+    "recombination": ("probability",),
+    "init": ("sampling",),
+    "disp": ("disp", "callback"),
+    "polish": ("method",),
+    "x_scale": ("nominal",),
+    "vectorised": ("vectorized",),
+    **dict.fromkeys(("nbr_cores", "ncores", "n_jobs", "n_workers"), ("nbr_cores", "workers")),
+    **dict.fromkeys(("fun", "func", "cost", "objective"), ("fun", "func")),
+    **dict.fromkeys(("x0", "xstart", "y0"), ("x0", "xstart", "start")),
+    "bounds": ("bounds", "lb and ub"),
+    **dict.fromkeys(("lb", "ub"), ("bounds",)),
+    **dict.fromkeys(("min", "minimum", "low", "lb_"), ("lower",)),
+    **dict.fromkeys(("max", "maximum", "high"), ("upper",)),
+    **dict.fromkeys(("value", "initial", "guess"), ("start",)),
+    **dict.fromkeys(("alg", "method", "solver"), ("method", "alg", "solver")),
+    **dict.fromkeys(("stop_time", "t_end", "tend", "tf", "tstop"), ("final_time", "t_span", "window")),
+    **dict.fromkeys(("t_start", "tstart"), ("start_time", "t_span")),
+    **dict.fromkeys(("dt", "h", "step", "step_size"), ("step", "step_size")),
+    **dict.fromkeys(("hmax", "maxh"), ("max_step",)),
+    **dict.fromkeys(("t", "t_eval", "teval"), ("times", "t_eval")),
+    "f": ("rhs",),
+    "fmu": ("model", "path"),
+    **dict.fromkeys(("opts", "option", "opt"), ("options",)),
+    "filename": ("path", "model"),
+    "measurements": ("data",),
+}
+
+#: What none of the functions here has, and what to do instead.
+_ABSENT: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("gtol", "tr_solver", "tr_options"), "the tests are x_tol and f_tol: leave it out"),
+    "diff_step": "steps follow from the noise and the sizes of the parameters (option nominal): leave it out",
+    **dict.fromkeys(("jac", "hess", "hessp", "gradient", "grad"), "no method here uses derivatives: leave it out"),
+    **dict.fromkeys(
+        ("constraints", "cons"),
+        "there are bounds only; a point that breaks another constraint may be given no cost (return NaN)",
+    ),
+    **dict.fromkeys(("args", "kwargs", "fargs"), "put further arguments into the function: lambda x: f(x, a)"),
+}
+
+
+def _hint(name: str, arguments: Collection[str], among_options: bool = False) -> str:
+    """What is meant, perhaps, of the arguments of a function and, where it has that argument, its ``options``."""
+    options = _core.option_names() if "options" in arguments else set()
+    for ours in (name, *_FOREIGN.get(name, ())):
+        parts = ours.split(" and ")
+        plural = "s" if len(parts) > 1 else ""
+        if ours != name and all(part in arguments for part in parts):
+            return f"; here it is the argument{plural} {ours}"
+        if all(part in options for part in parts):
+            how = "" if among_options else f": options={{{', '.join(f'{part!r}: ...' for part in parts)}}}"
+            return f"; here it is the option{plural} {ours}{how}"
+        if ours.startswith("options=") and options:
+            return f"; here it is {ours}"
+    if name in _ABSENT:
+        return f"; {_ABSENT[name]}"
+    near = difflib.get_close_matches(name, {*arguments, *options}, 1)
+    if not near:
+        return f"; there are: {', '.join(arguments)}"
+    return f"; did you mean {near[0]}?" if near[0] in arguments else f"; did you mean options={{{near[0]!r}: ...}}?"
+
+
+def argument_names(function: Callable[..., Any]) -> list[str]:
+    """Names of the arguments of a function or method."""
+    return [name for name in inspect.signature(function).parameters if name != "self"]
+
+
+def explained(function: Callable[P, R]) -> Callable[P, R]:
+    """A function whose TypeError for an unknown keyword names the one that is meant."""
+    return also_called()(function)
+
+
+def also_called(**others: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """As `explained`, for a function that takes some keywords by the words of other tools, too: those words, and what they
+    stand for."""
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        names = list(inspect.signature(function).parameters)
+        known = frozenset(names)
+
+        def translated(n_positional: int, given: dict[str, Any]) -> dict[str, Any]:
+            for other in others.keys() & given.keys():
+                name, value = others[other], given.pop(other)
+                if name not in given and name not in names[:n_positional]:
+                    given[name] = value
+                elif value is not None:
+                    raise ValueError(f"{name} and {other} mean the same; give one of them")
+            if not known.issuperset(given):
+                name = next(name for name in given if name not in known)
+                owner = function.__qualname__.removesuffix(".__init__")
+                raise TypeError(f"{owner}() has no argument {name!r}{_hint(name, argument_names(function))}")
+            return given
+
+        @functools.wraps(function)
+        def call(*args: Any, **kwargs: Any) -> R:
+            if not known.issuperset(kwargs):
+                kwargs = translated(len(args), kwargs)
+            return function(*args, **kwargs)
+
+        return call
+
+    return decorate
+
+
+def positional_until(count: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """A function that still takes its keyword-only arguments by position, after `count` positional ones, but warns."""
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        names = list(inspect.signature(function).parameters)
+
+        @functools.wraps(function)
+        def call(*args: Any, **kwargs: Any) -> R:
+            if count < len(args) <= len(names):
+                moved = dict(zip(names[count:], args[count:]))
+                what = f"{function.__name__}(): arguments after {names[count - 1]} by position"
+                warnings.warn(f"{what} are deprecated: write {', '.join(f'{n}=...' for n in moved)}", DeprecationWarning, stacklevel=2)
+                if twice := moved.keys() & kwargs.keys():
+                    raise TypeError(f"{function.__name__}() got multiple values for argument '{min(twice)}'")
+                args, kwargs = args[:count], {**moved, **kwargs}
+            return function(*args, **kwargs)
+
+        return call
+
+    return decorate
+
+
+def check_options(options: Collection[str], function: Callable[..., Any]) -> None:
+    """Refuses options that are arguments of `function`, and such as other tools have, saying what they are called here."""
+    arguments, known = argument_names(function), _core.option_names()
+    for name in options:
+        if name in known:
+            continue
+        if name in arguments:
+            raise ValueError(f"{name} is an argument of {function.__name__}, not one of the options")
+        if name in _FOREIGN:
+            raise ValueError(f"there is no option {name!r}{_hint(name, arguments, among_options=True)}")
+
+
+def given_once(options: Mapping[str, Any], function: Callable[..., Any], **arguments: Any) -> dict[str, Any]:
+    """Options, and with them the arguments of `function` that are options of methods; None and "auto" leave those to the
+    method. ValueError where one is given as both."""
+    for name, value in arguments.items():
+        default = inspect.signature(function).parameters[name].default
+        is_default = value is default or (isinstance(value, (int, float, str)) and value == default)
+        if name in options and not is_default:
+            raise ValueError(f"{name} is given twice: as an argument, and among the options")
+    given = {name: value for name, value in arguments.items() if not (value is None or isinstance(value, str) and value == "auto")}
+    return {**given, **options}

@@ -1,0 +1,1 @@
+"""Calibration: recordings, parameters, experiments, fits and what follows from them."""

@@ -1,0 +1,259 @@
+"""Measurements in the shapes people have them: files, dictionaries, data frames, series, structured arrays."""
+
+from __future__ import annotations
+
+import datetime
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .. import _core
+from . import data_files as _data_files
+from .._args import options as _options
+from .._errors import BadCalibrationError
+
+FloatArray = npt.NDArray[np.float64]
+
+Path = str | os.PathLike[str]
+
+@dataclass(frozen=True)
+class Table:
+    """A recording, as the native code reads it."""
+
+    #: A CSV file, or None.
+    path: str | None
+    #: The times and the columns that are needed, in memory; None: they are in the file.
+    table: _core.Table | None
+    #: Name of the column of times of the file; None: "time" in any case.
+    time: str | None
+
+
+def read(data: Any, needed: list[str], time: str | None) -> Table:
+    """The path of a CSV file, or the columns of another file or of a table in memory; `time` names the column of times.
+
+    Raises
+    ------
+    TypeError
+        `data` is nothing that holds columns.
+    ImportError
+        The library that reads files of this format is not installed; the message says how to install it.
+    BadCalibrationError
+        There is no column of times, or one of those needed is missing or holds text.
+    """
+    if not isinstance(data, (str, os.PathLike)):
+        columns = _columns(data)
+        return _selected(_data_files.Columns(list(columns), lambda names: columns), needed, time)
+    path = os.fspath(data)
+    match _data_files.suffix(path):
+        case ".parquet" | ".pq":
+            return _selected(_data_files.parquet(path), needed, time)
+        case ".mat":
+            return _selected(_data_files.mat(path, needed, time), needed, time)
+        case ".xlsx" | ".xlsm":
+            text, others = _data_files.workbook(path, needed, time)
+            return Table(None, _core.Table.from_csv(text, path, time, needed, others), None)
+        case ".xls" | ".ods" | ".feather" | ".h5" | ".hdf5" | ".pkl" | ".json" | ".npy" | ".npz" as other:
+            raise BadCalibrationError(
+                f"data: {path}: {other} files are not read; CSV, .mat, .parquet and .xlsx files are. Read it with a library, and "
+                "give a dict of arrays or a DataFrame"
+            )
+    return Table(path, None, time)
+
+
+def _find_time(names: list[str], time: str | None) -> tuple[int, tuple[float, float]]:
+    try:
+        return _core.find_time(names, time)
+    except ValueError as e:
+        raise BadCalibrationError(f"data: {e}") from None
+
+
+def _selected(source: _data_files.Columns, needed: list[str], time: str | None) -> Table:
+    """The times and the columns that are needed."""
+    names = source.names
+    index, (numerator, denominator) = _find_time(names, time)
+    at = names[index]
+    taken = [at]
+    for name in needed:
+        try:
+            found = names[_core.find_column(names, name)]
+        except ValueError as e:
+            hint = f". Of another length than the times: {', '.join(source.others)}" if source.others else ""
+            raise BadCalibrationError(f"data: {e}{hint}") from None
+        if found not in taken:
+            taken.append(found)
+    table = source.read(taken)
+    durations, change = _seconds(table[at], at)
+    if durations is not None and numerator != denominator:
+        raise BadCalibrationError(
+            f"data: column '{at}' holds durations or dates, which have a unit of their own; take the unit out of its name"
+        )
+    columns = [(name, _numbers(name, table[name])) for name in taken[1:]]
+    columns.insert(0, (at, _numbers(at, table[at]) if durations is None else durations))
+    left_out = [name for name in names if name not in taken]
+    return Table(None, _core.Table(columns, at, left_out, change), None)
+
+
+def _columns(data: Any) -> dict[str, Any]:
+    if isinstance(data, Mapping) and not hasattr(data, "data_vars"):
+        return {str(name): values for name, values in data.items()}
+    names = getattr(getattr(data, "dtype", None), "names", None)
+    if names:
+        return {name: data[name] for name in names}
+    if hasattr(data, "coords") and hasattr(data, "dims"):
+        return _labelled(data)
+    if hasattr(data, "columns") and hasattr(data, "__getitem__"):
+        return _framed(data)
+    if hasattr(data, "index") and hasattr(data, "to_frame") and hasattr(data, "dtype"):
+        return _framed(data.to_frame(data.name if isinstance(data.name, str) else "value"))
+    hint = ""
+    if isinstance(data, (np.ndarray, list, tuple)):
+        hint = ": its columns have no names; give a dict, {'time': t, 'y': y}"
+    raise TypeError(
+        "data must be the path of a file (CSV, .mat, .parquet, .xlsx), a dict of arrays, a DataFrame or a structured array, not "
+        f"{type(data).__name__}{hint}"
+    )
+
+
+def _framed(frame: Any) -> dict[str, Any]:
+    """Columns of a pandas or polars data frame. The index holds the times if it is called so, or if it holds dates or durations
+    and no column is called so; of two lines of names the second has the units."""
+    table = {}
+    for label in frame.columns:
+        name = _name(label)
+        if name in table:
+            raise BadCalibrationError(f"data: two columns are named '{name}'")
+        table[name] = frame[label]
+    index: Any = getattr(frame, "index", None)
+    if hasattr(index, "to_timestamp"):
+        index = index.to_timestamp()
+    named = getattr(index, "name", None)
+    if isinstance(named, str):
+        table.setdefault(named, index)
+    elif index is not None and seconds(index) is not None or (len(table) == 1 and type(index).__name__ == "Index"):
+        table.setdefault("time", index)
+    return table
+
+
+def _name(label: Any) -> str:
+    if isinstance(label, tuple) and len(label) == 2:
+        name, unit = (str(part).strip() for part in label)
+        return name if not unit or unit.startswith("Unnamed:") else f"{name} [{unit.strip('[]()')}]"
+    return str(label)
+
+
+def _labelled(data: Any) -> dict[str, Any]:
+    """Vectors of an xarray Dataset or DataArray, with the units of their attributes."""
+    variables = dict(data.variables) if hasattr(data, "data_vars") else {data.name or "value": data.variable}
+    variables |= {name: coordinate.variable for name, coordinate in data.coords.items()}
+    table = {}
+    for name, variable in variables.items():
+        unit = variable.attrs.get("units")
+        has_unit = isinstance(unit, str) and unit.strip() and not str(name).endswith(("]", ")"))
+        if variable.ndim == 1:
+            table[f"{name} [{unit}]" if has_unit else str(name)] = variable.values
+    return table
+
+
+#: Local times before and after an hour that is missing or doubled, and whether it is doubled.
+ClockChange = tuple[str, str, bool]
+
+
+def seconds(values: Any, column: str = "") -> FloatArray | None:
+    """Durations (``timedelta64`` of NumPy and pandas, ``datetime.timedelta``) in s, and dates (``datetime64``, ``datetime``, texts) in
+    s since the first; None if `values` are something else. The name of the column may say what `10:02` is, as in ``time [mm:ss]``."""
+    return _seconds(values, column)[0]
+
+
+def _seconds(values: Any, column: str) -> tuple[FloatArray | None, ClockChange | None]:
+    """The same, and an hour that is missing in dates without a zone."""
+    array = np.asarray(values)
+    if array.ndim != 1 or not array.size:
+        return None, None
+    if array.dtype.kind == "U" or (array.dtype.kind in "OT" and all(isinstance(value, str) for value in array)):
+        with _refused():
+            return _core.date_seconds([str(value) for value in array], column)
+    if array.dtype.kind == "O":
+        for kind in (datetime.datetime, datetime.date, datetime.timedelta):
+            if all(isinstance(value, kind) for value in array):
+                if kind is datetime.timedelta:
+                    return np.array([value.total_seconds() for value in array]), None
+                since = np.array([(value - array[0]).total_seconds() for value in array])
+                is_naive = kind is datetime.datetime and array[0].tzinfo is None
+                return since, _clock_change(np.datetime64(array[0], "us"), since) if is_naive else None
+    if array.dtype.kind not in "mM" or np.datetime_data(array.dtype)[0] == "generic":
+        # A timedelta64 without a unit is a number of who knows what.
+        return None, None
+    if array.dtype.kind == "m":
+        return np.asarray(array / np.timedelta64(1, "s"), dtype=np.float64), None
+    since = np.asarray((array - array[0]) / np.timedelta64(1, "s"), dtype=np.float64)
+    return since, _clock_change(array[0], since)
+
+
+def _clock_change(first: np.datetime64, since: FloatArray) -> ClockChange | None:
+    """An hour that is missing in the times since the first, a local time."""
+    start = (first - np.datetime64(0, "s")) / np.timedelta64(1, "s")
+    with _refused():
+        return _core.clock_change(float(start), since)
+
+
+@contextmanager
+def _refused() -> Iterator[None]:
+    """What native code refuses is wrong with the data."""
+    try:
+        yield
+    except ValueError as e:
+        raise BadCalibrationError(f"data: {e}") from None
+
+
+def mask(given: Any) -> tuple[list[bool] | None, str | None]:
+    """A mask as one truth value per row, or as the name of a column."""
+    if given is None or isinstance(given, str):
+        return None, given
+    array = np.asarray(given)
+    if array.ndim != 1 or array.dtype.kind != "b":
+        raise TypeError(f"mask must be one True or False per row, or the name of a column, not {_options.show(given)}")
+    return array.tolist(), None
+
+
+def _numbers(name: str, values: Any) -> FloatArray:
+    """A column as floats; what is masked, None or NA is missing (NaN)."""
+    if isinstance(values, np.ma.MaskedArray):
+        values = np.ma.filled(values.astype(np.float64), np.nan)
+    elif hasattr(values, "to_numpy"):
+        # missing values of nullable pandas columns, which float() refuses
+        mask = values.isna() if hasattr(values, "isna") else None
+        values = values.to_numpy()
+        if mask is not None and values.dtype == object:
+            values = np.where(np.asarray(mask), np.nan, values)
+    array = np.asarray(values)
+    if array.dtype.kind in "mM":
+        raise BadCalibrationError(
+            f"data: column '{name}' holds dates or durations, not measurements; if it holds the times, name it so: time='{name}'"
+        )
+    if array.ndim != 1:
+        raise BadCalibrationError(f"data: column '{name}' must be one-dimensional, not of shape {array.shape}")
+    if array.dtype.kind in "fiub":
+        return np.ascontiguousarray(array, dtype=np.float64)
+    return np.fromiter((_number(name, row, value) for row, value in enumerate(array)), np.float64, array.size)
+
+
+def _number(name: str, row: int, value: Any) -> float:
+    if value is None:
+        return float("nan")
+    if isinstance(value, np.generic):
+        value = value.item()
+    if not isinstance(value, (str, bytes)):
+        try:
+            return float(value)
+        except OverflowError:
+            raise BadCalibrationError(
+                f"data: a number in column '{name}', row {row}, is beyond the largest number 1.8e308"
+            ) from None
+        except (TypeError, ValueError):
+            pass
+    raise BadCalibrationError(f"data: {_options.show(value)} in column '{name}', row {row}, is not a number")

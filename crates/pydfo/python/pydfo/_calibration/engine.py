@@ -1,0 +1,148 @@
+"""The simulations of a fit on an executor: what travels, and what happens where it arrives.
+
+A task is the key of a problem and a point. A process that does not know the problem yet says so, and is sent it; one that does not
+find the model where it lies here is sent the file, which it keeps for all processes of its machine. So each travels once.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import hashlib
+import os
+import socket
+import tempfile
+import time
+import uuid
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from .. import _core
+from .._optimize import evaluate as _evaluate
+
+if TYPE_CHECKING:
+    from .calibration import Calibration
+
+#: So many models are kept on a machine.
+MOST_MODELS = 8
+
+#: Problems that this process knows.
+_problems: dict[str, Any] = {}
+
+
+class Problem(NamedTuple):
+    """What a process needs to simulate: the state of a calibration, how its model is opened, functions that are inputs."""
+
+    state: bytes
+    opened: Any
+    functions: Any
+    #: The model, where it has to travel.
+    model: bytes | None = None
+
+    def open(self) -> Any:
+        """The native calibration. FileNotFoundError: the model is not here."""
+        path, content = _core.Calibration.model_of(self.state)
+        if not path.exists():
+            path = _kept_model(content, self.model)
+        return _core.Calibration.restore(self.state, _core.Fmu(path, self.opened), self.functions)
+
+
+class Missing(NamedTuple):
+    """What a process lacks: "problem" or "model"."""
+
+    what: str
+    machine: str
+
+
+def _kept_model(content: str, model: bytes | None) -> Path:
+    """The place of a model that travelled to this machine."""
+    folder = Path(tempfile.gettempdir()) / f"fmufit-models-{os.getuid() if hasattr(os, 'getuid') else os.getlogin()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    if folder.is_symlink() or (hasattr(os, "getuid") and folder.stat().st_uid != os.getuid()):
+        raise PermissionError(f"{folder} belongs to somebody else")
+    place = folder / f"{content}.fmu"
+    if not place.exists():
+        if model is None:
+            raise FileNotFoundError(os.fspath(place))
+        with tempfile.NamedTemporaryFile(dir=folder, suffix=".part", delete=False) as file:
+            file.write(model)
+        os.replace(file.name, place)
+        kept = sorted(folder.glob("*.fmu"), key=lambda path: path.stat().st_mtime)
+        for old in kept[:-MOST_MODELS]:
+            old.unlink(missing_ok=True)
+    return place
+
+
+def simulate(
+    key: str, problem: Problem | None, x: Any, cutoff: float, loss: bytes
+) -> tuple[float, bytes] | Missing:
+    """A task: how long it took and its answer, or what this process lacks."""
+    start = time.perf_counter()
+    known = _problems.get(key)
+    if known is None:
+        if problem is None:
+            return Missing("problem", socket.gethostname())
+        try:
+            known = problem.open()
+        except FileNotFoundError:
+            if problem.model is not None:
+                raise
+            return Missing("model", socket.gethostname())
+        # A process works for one problem at a time, as a rule.
+        _problems.clear()
+        _problems[key] = known
+    answer = known.answer(np.ascontiguousarray(x), cutoff, loss)
+    return time.perf_counter() - start, answer
+
+
+class Simulations(_evaluate.Futures):
+    """Hands the points of a fit to an executor."""
+
+    def __init__(self, calibration: Calibration, executor: concurrent.futures.Executor) -> None:
+        super().__init__(_no_function, executor)
+        self._calibration = calibration
+        self._tasks: dict[int, tuple[Any, ...]] = {}
+
+    def begin(self, state: bytes, loss: bytes) -> None:
+        """The points from here on are of this problem."""
+        self._problem = Problem(state, self._calibration._opened, self._calibration._functions)
+        # Functions that are inputs cannot be told apart by a hash.
+        own = uuid.uuid4().bytes if self._calibration._functions else b""
+        self._key = hashlib.sha256(state + own).hexdigest()
+        self._loss = loss
+
+    def _send(self, number: int, problem: Problem | None) -> None:
+        key, *point = self._tasks[number]
+        self._began(number, self._executor.submit(simulate, key, problem, *point))
+
+    def submit(self, number: int, x: Any, cutoff: float) -> None:
+        """Begins a point."""
+        self._tasks[number] = (self._key, x, cutoff, self._loss)
+        self._send(number, None)
+
+    def poll(self, seconds: float) -> tuple[int, float, Any, str] | None:
+        """As that of its base."""
+        polled = super().poll(seconds)
+        if polled is None:
+            return None
+        number, took, value, fault = polled
+        if not isinstance(value, Missing):
+            self._tasks.pop(number, None)
+            return polled
+        problem = self._problem
+        if value.what == "model":
+            path, _ = _core.Calibration.model_of(problem.state)
+            if os.path.isdir(path):
+                self._tasks.pop(number, None)
+                why = FileNotFoundError(
+                    f"{path} is a folder, which cannot travel to {value.machine}: give the .fmu file, or a folder that all machines see"
+                )
+                return number, took, why, "broken"
+            problem = problem._replace(model=Path(path).read_bytes())
+        self._send(number, problem)
+        return None
+
+
+def _no_function(x: Any) -> Any:
+    raise NotImplementedError

@@ -1,0 +1,624 @@
+"""The result of a fit."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, SupportsFloat, SupportsIndex
+
+import numpy as np
+import numpy.typing as npt
+
+from .. import _core
+from . import profile as _profile, share as _share, validation as _validation, worth as _worth
+from .check import Finding
+from .._errors import CalibrationError
+from .experiment import Experiment
+from .._args.keywords import also_called
+from .profile import Profile
+from .._optimize.result import OptimizeResult
+from .share import PathLike
+from .stages import Windows
+from .._model.trajectory import SimulationStats
+from .validation import Validation
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from .calibration import Calibration
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class OutputFit(NamedTuple):
+    """How well a fit reproduces one output of one experiment."""
+
+    experiment: str
+    """The experiment."""
+    variable: str
+    """The variable of the model."""
+    column: str
+    """The column that measured it."""
+    unit: str | None
+    """The unit of the variable, where the model states it."""
+    n: int
+    """How many measurements count."""
+    rms: float
+    """Root of the mean squared difference between simulation and measurement, without weights, in the unit of the variable."""
+    start_rms: float | None
+    """The same at the start; None if the simulation failed there."""
+    fit_percent: float
+    """Fit percentage: ``100 (1 - norm(simulated - measured) / norm(measured - mean))``; NaN where the measurements do not vary."""
+
+
+class FitNoise(NamedTuple):
+    """Where a fit has the noise of the measurements from, beside which priors count."""
+
+    source: Literal["stated", "estimated"]
+    """By the weights, which are 1 over its standard deviation, or estimated with the parameters."""
+    sd: dict[str, float]
+    """The estimated standard deviation of each variable, in its unit; where its weights state something, times the weight."""
+    of_residuals: dict[str, bool]
+    """Whether it is that of the residuals; else of the differences between neighbouring measurements: there were too few residuals, or
+    the search was ended."""
+    n_rounds: int
+    """Searches that were made."""
+    settled: bool
+    """Whether the residuals of the last one confirm the estimates to 1 %."""
+
+
+class ChosenTolerance(NamedTuple):
+    """The relative tolerance that a fit has chosen for its simulations."""
+
+    used: float
+    """That of the simulations."""
+    stated: float
+    """That of the model, or the default."""
+    noise: float | None
+    """How uncertain the cost would be near the best values, as part of it, with the tolerance of the calibration; None: it was not
+    looked at."""
+    n_simulations: int
+    """Simulations of the start that were made for it; they are part of `Fit.stats`."""
+
+
+def _noise(estimated: bool, outputs: list[tuple[str, float, bool]], n_rounds: int, settled: bool) -> FitNoise:
+    sds = {variable: sd for variable, sd, _ in outputs}
+    of_residuals = {variable: known for variable, _, known in outputs}
+    return FitNoise("estimated" if estimated else "stated", sds, of_residuals, n_rounds, settled)
+
+
+class Fit(OptimizeResult):
+    """The result of a fit: all that an `OptimizeResult` has, with names and in terms of the measurements.
+
+    ``print(fit)`` shows it as a table, a notebook as a better one, and `report` writes a page.
+
+    Attributes
+    ----------
+    x : ndarray, shape (n,)
+        The fitted values, in the order of the parameters; fixed ones included.
+    parameters : dict of str to float
+        The same by name.
+    cost : float
+        Sum of the squared weighted residuals there (the same as ``fun``), by weights over the `noise` where that was estimated; with a
+        loss, of what they count; with another `objective`, its value.
+    objective : str
+        Name of the cost that was minimised.
+    rms : float
+        Root of the mean squared weighted residual there, by the weights of the calibration.
+    noise : FitNoise or None
+        Where the noise of the measurements was taken from, beside which priors count: ``fit.noise.source``, ``fit.noise.sd``. None:
+        nothing depended on it (no priors, or another objective than the sum of squares).
+    tolerance : ChosenTolerance or None
+        The relative tolerance that was chosen for the simulations; None: it was given, or that of the calibration.
+    start : ndarray, shape (n,)
+        Where the fit started.
+    solver : str or None
+        The integration method of all simulations; see `Calibration.solver`. (None: interrupted before it was chosen.)
+    race : list of Raced or None
+        The methods that were compared, if there was a race.
+    start_cost, start_rms : float or None
+        The same as `cost` and `rms` at the start; None if the simulation failed there.
+    at_bound : dict of str to {"lower", "upper"}
+        Parameters that ended at one of their bounds: the best values may lie beyond.
+    without_effect : list of str
+        Parameters that did not change the cost, by more than the relative tolerance of the simulations: their values say
+        nothing.
+    n_checks : int
+        Simulations made after the run to find out about both: at the bound, for each parameter that ended as near to it as
+        `x_tol`; with the parameter moved, for each that no evaluation has shown to change the cost (those of a first simplex
+        show it, because they differ in one parameter alone). They do not count in ``nfev`` nor
+        in its limit, are not made after an interrupt or when the time is up, and are part of `stats`.
+    outputs : list of OutputFit
+        How well each output is reproduced: RMS at the end and at the start, fit percentage. (Empty: interrupted twice.)
+    scaled_rms : float or None
+        The RMS over that at the start, on the same measurements.
+    stages : list of Fit
+        The fit of each stage; empty if there were none. Standard errors of a stage are conditional: they take
+        what the stage holds as known. ``success`` of the whole fit is that of all its stages.
+    worth : Worth or None
+        Standard errors, correlation, and what the data cannot tell, in words (``print(fit.worth)``). None: not asked for, the fit
+        was ended by an interrupt, an error or its time, or simulations around the result fail.
+    preflight : Preflight or None
+        What was found at the start, where ``preflight=True`` was given.
+    message : str
+        How the search ended, in one sentence. What is to be said of the result is among the `findings`.
+    findings : list of Finding
+        What is to be said of the fit, the gravest first, with a severity ("error", "warning", "note"): parameters at a bound or without
+        effect, what `Calibration.check` finds, judged again with the fitted values, what the data cannot tell, what the residuals look
+        like.
+    cov, cov_message
+        The covariance of `worth` and what is to be said of it.
+    stats : SimulationStats or None
+        What all simulations of the fit took together, those that failed or were given up included, those of a resumed fit
+        from before not. (None: interrupted twice, and the simulations under way were left behind.)
+    """
+
+    def __init__(self, calibration: Calibration, result: OptimizeResult, start: FloatArray, solver: str | None) -> None:
+        vars(self).update(vars(result))
+        rms = calibration._native.rms(list(map(float, self.x)), self.fun)
+        noise = vars(self).pop("_noise", None)
+        self.noise = None if noise is None else _noise(*noise)
+        tolerance = vars(self).pop("_tolerance", None)
+        self.tolerance = None if tolerance is None else ChosenTolerance(*tolerance)
+        self._rms_and_start: tuple[float, float | None] = vars(self).pop("_rms", (rms, None))
+        counts = vars(self).pop("stats", None)
+        self.stats = None if counts is None else SimulationStats(**counts)
+        if "at_bound" not in vars(self):
+            # Interrupted twice.
+            self.start_cost: float | None = None
+            self.at_bound: dict[str, str] = {}
+            self.without_effect: list[str] = []
+            self.n_checks = 0
+            self.objective = ""
+        self._native: _core.Fit | None = vars(self).get("_native")
+        self.stages = [Fit(calibration, stage, np.array(stage._native.start), solver) for stage in vars(self).get("stages", [])]
+        self._calibration = calibration
+        self.findings = [] if self._native is None else [Finding(*finding) for finding in _core.fit_findings(self._native)]
+        self.worth = _worth.of_fit(vars(self).get("_native"))
+        self.preflight = _worth.before_fit(vars(self).get("_native"))
+        self.cov = None if self.worth is None else self.worth.covariance
+        self.cov_message = "" if self.worth is None else self.worth.message
+        self.start = start
+        self.solver = solver
+        self.race = calibration.race
+        self.outputs = [] if self._native is None else [OutputFit(*output) for output in _core.fit_outputs(self._native)]
+
+    @property
+    def stderr(self) -> FloatArray | None:
+        """Standard errors of the parameters, shape (n,): zero for those that are fixed or at a bound, infinite for those that the
+        data do not determine; None where there is no `worth`."""
+        return None if self.worth is None else self.worth.stderr
+
+    @property
+    def covariance(self) -> FloatArray | None:
+        """Covariance of the parameters, shape (n, n); the same as ``cov``."""
+        return self.cov
+
+    @property
+    def correlation(self) -> FloatArray | None:
+        """Correlation of the parameters, shape (n, n); NaN where a standard error is zero or infinite."""
+        return None if self.worth is None else self.worth.correlation
+
+    def confidence_intervals(self, level: SupportsFloat = 0.95, *, corrected: bool = True) -> FloatArray:
+        """Lower and upper ends of the confidence intervals, shape (n, 2); see `Worth.confidence_intervals`.
+
+        Raises
+        ------
+        ValueError
+            A level that does not lie between 0 and 1; the fit has no `worth`.
+        """
+        if self.worth is None:
+            raise ValueError("what the fit is worth was not found out: it was interrupted, or covariance=None was given")
+        return self.worth.confidence_intervals(level, corrected=corrected)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The fitted values by name, those of parameters that are tied to others last."""
+        x = np.asarray(self.x).tolist()
+        return {**dict(zip(self._calibration.names, x)), **dict(self._calibration._native.tied(x))}
+
+    @property
+    def cost(self) -> float:
+        """Sum of the squared weighted residuals at the fitted values."""
+        cost: float = self.fun
+        return cost
+
+    @property
+    def rms(self) -> float:
+        """Root of the mean squared weighted residual at the fitted values."""
+        return self._rms_and_start[0]
+
+    @property
+    def start_rms(self) -> float | None:
+        """Root of the mean squared weighted residual at the start."""
+        return self._rms_and_start[1]
+
+    @property
+    def scaled_rms(self) -> float | None:
+        """RMS over that at the start, on the same measurements; None if the simulation failed at the start."""
+        return None if self.start_rms is None else self.rms / self.start_rms
+
+    def simulate(
+        self,
+        x: npt.ArrayLike | None = None,
+        times: npt.ArrayLike | None = None,
+        outputs: str | Iterable[str] | None = None,
+    ) -> Any:
+        """Simulates at the fitted values; see `Calibration.simulate`.
+
+        Parameters
+        ----------
+        x : array_like, shape (n,), optional
+            Other values of the parameters.
+        times : array_like, optional
+            Times of the rows in s; default: the measured times.
+        outputs : str or iterable of str, optional
+            Variables of the model to be recorded as they are, without delays or offsets of outputs: names, elements of arrays,
+            patterns with ``*`` and ``?``, or "all".
+
+        Returns
+        -------
+        dict of str to ndarray, or SimulationResult
+            ``"time"`` and the compared outputs by their names in the model. With `outputs`: a `SimulationResult`, with
+            units. With several experiments: a dict of such by their names.
+        """
+        return self._calibration.simulate(self.x if x is None else x, times, outputs)
+
+    @also_called(window="windows")
+    def validate(
+        self, experiment: Experiment | Sequence[Experiment] | None = None, windows: Windows | None = None
+    ) -> Validation:
+        """Compares with measurements that the fit has not seen: of other recordings, or of other parts of the same ones.
+
+        Hold part of a recording back by fitting to a window of it: ``fit = Calibration(..., window=(0, 600)).fit()``, then
+        ``fit.validate(windows=(601, 1800))``.
+
+        Parameters
+        ----------
+        experiment : Experiment or list of Experiment, optional
+            Other recordings. Local parameters, which the fit does not know for them, are fitted to these recordings first, from
+            their start values there, with all others held.
+        windows : (float, float) or list of such, optional
+            Other windows of the recordings of the calibration, in s. Simulations start where they always do, so that the model
+            comes to a window with its history.
+
+        Returns
+        -------
+        Validation
+            RMS, scaled RMS and fit percentage of each output, what was measured and simulated; ``print`` and ``plot``.
+
+        Raises
+        ------
+        SimulationError
+            The simulation failed.
+        ValueError, KeyError, TypeError
+            Recordings or windows that cannot be used.
+        """
+        return _validation.validate(self, experiment, windows)
+
+    def prediction_band(
+        self,
+        times: npt.ArrayLike | None = None,
+        level: float = 0.95,
+        outputs: Sequence[str] | str | None = None,
+        *,
+        corrected: bool = True,
+    ) -> dict[str, Any]:
+        """What the model predicts at the fitted values, with the uncertainty that the covariance of the parameters leaves (delta
+        method) and, for a new measurement, with its noise.
+
+        Parameters
+        ----------
+        times : array_like, optional
+            Times of the predictions in s, ascending; default: the measured times.
+        level : float
+            The probability that each interval shall hold.
+        outputs : list of str, optional
+            Only these of the compared outputs.
+        corrected : bool
+            Whether autocorrelated residuals are taken account of, as in `Worth.covariance`; False: independent ones are supposed.
+
+        Returns
+        -------
+        dict of str to PredictionBand
+            By output: ``lower``, ``upper`` of the model's output, ``measured_lower``, ``measured_upper`` of a new measurement. With
+            several experiments: a dict of such by their names.
+
+        Raises
+        ------
+        ValueError
+            The fit has no covariance or no degrees of freedom, or parameters that the data do not determine; a level that does not lie between 0 and 1.
+        """
+        return _validation.prediction_band(self, times, level, outputs, corrected)
+
+    def profile(
+        self,
+        parameters: str | Sequence[str] | None = None,
+        level: SupportsFloat = 0.95,
+        max_points: SupportsFloat | None = None,
+        workers: SupportsIndex | None = None,
+        checkpoint: PathLike | None = None,
+        *,
+        corrected: bool = True,
+    ) -> Profile:
+        """Profile likelihoods: each parameter is held at values farther and farther from its best one, and the others are fitted
+        again, until the cost has risen so much that the data exclude the value.
+
+        The intervals need not be symmetric as those of `confidence_intervals` are, and they are open where the data do not bound a
+        parameter. The cost is that of the fit, with its weights and loss; its rise is measured in the standard errors of `worth`, so
+        that the interval of a linear model is that of `confidence_intervals`. The threshold is the quantile of F with 1 and N - p degrees of freedom
+        (Bates and Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1).
+
+        Parameters
+        ----------
+        parameters : str or list of str, optional
+            Names; default: all that were fitted.
+        level : float
+            The level of the intervals, between 0 and 1.
+        max_points : int, optional
+            Points on each side before a side that has not reached the threshold is said to be open; default 20.
+        workers : int, optional
+            Sides that run at once; default: all cores. The result does not depend on it.
+        checkpoint : path, optional
+            A file that keeps the sides that are complete. If it exists, the profile is continued from it.
+        corrected : bool
+            Whether autocorrelated residuals are taken account of, as in `Worth.covariance`; False: independent ones are supposed.
+
+        Returns
+        -------
+        Profile
+            ``intervals``, ``values``, ``costs`` by parameter; ``print`` and ``plot``.
+
+        Raises
+        ------
+        Interrupted
+            Ctrl-C; what there is so far is in its ``result``.
+        ValueError
+            The fit minimised something else than a sum of squares, or its residuals are all zero; parameters that were not
+            fitted; a level that does not lie between 0 and 1; a file of another problem.
+        OSError
+            The file cannot be read or written.
+        """
+        return _profile.of_fit(self, parameters, level, corrected, max_points, workers, checkpoint)
+
+    def residuals(self) -> FloatArray:
+        """The residuals at the fitted values, simulated minus measured times weight, by the weights of the calibration;
+        see `Calibration.residuals`."""
+        return self._calibration.residuals(self.x)
+
+    def plot(self) -> Figure:
+        """Draws measurements, the response at the start and the fitted one, below them the residuals of the fitted one, at the
+        bottom the inputs.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Two panels per output of each experiment. Nothing is shown or saved: ``fit.plot().savefig("fit.png")``.
+
+        Raises
+        ------
+        ImportError
+            matplotlib is not installed.
+        """
+        from .. import _plot
+
+        return _plot.fit(self, self._of_run("plot"))
+
+    def plot_convergence(self) -> Figure:
+        """Draws the cost of each evaluation and the best so far, and below them how the best point moved; as `plot`."""
+        from .. import _plot
+
+        return _plot.convergence(self, self._shown_names())
+
+    def plot_waterfall(self) -> Figure:
+        """Draws the costs at which local searches from several starts ended, sorted: what lies on one level is one minimum; as
+        `plot`. ValueError: the method was another one than "multistart"."""
+        from .. import _plot
+
+        return _plot.waterfall(self)
+
+    def plot_correlation(self) -> Figure:
+        """Draws the correlation of the parameters as a coloured table; as `plot`. ValueError: the fit has no standard errors."""
+        from .. import _plot
+
+        return _plot.correlation(self.correlation, self._shown_names())
+
+    def plot_profiles(self, profile: Profile | None = None) -> Figure:
+        """Draws the rise of the cost over each parameter, with the threshold and the interval; as `plot`. Without a `profile` that
+        was found before, it is found now, of all parameters."""
+        return (self.profile() if profile is None else profile).plot()
+
+    def plot_sensitivity(self) -> Figure:
+        """Draws what a relative change of each parameter makes of each output, over time, or for more than six parameters its root
+        mean square; as `plot`. ValueError: the fit has no standard errors, and no derivatives."""
+        from .. import _plot
+
+        return _plot.sensitivity(self._of_run("plot_sensitivity"), self._shown_names())
+
+    def save(self, path: PathLike) -> None:
+        """Writes the fit to a file that `load_fit` reads: with all its numbers, bit for bit, its trace, and the calibration.
+
+        The file is written in one step. It is a zip archive of ``fit.json`` and arrays in NumPy's format; it holds the recordings
+        by value, and the FMU by its path, a hash of its content and its model description. Reading it runs no code that it holds, and
+        neither functions nor pickles are in it; a pickle of a fit, as any pickle, runs code when it is read: of people that you do not
+        trust take files of `save` alone.
+
+        Parameters
+        ----------
+        path : path
+            The file to write; one that exists is replaced.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written.
+        """
+        _core.save_fit(_share.native_of(self), os.fspath(path))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _share.pickled(self)
+
+    def parameters_of(self, experiment: str | None = None) -> dict[str, float]:
+        """The variables of the model that the parameters set, with their values in the units of the model: what ``model.set`` takes.
+
+        Parameters
+        ----------
+        experiment : str, optional
+            Whose values, by the name of the experiment; needed where there are local parameters.
+
+        Returns
+        -------
+        dict of str to float
+
+        Raises
+        ------
+        ValueError
+            There is no such experiment, or none is named and each has values of its own.
+
+        Examples
+        --------
+        >>> model.set(fit.parameters_of("run1"))  # doctest: +SKIP
+        """
+        return dict(_core.variable_values(self._calibration._native, np.asarray(self.x).tolist(), experiment))
+
+    def to_dict(self) -> dict[str, Any]:
+        """What the fit found, as dictionaries, lists, numbers and texts: parameters with errors, start, bounds and units, those
+        that are tied to others last (with ``"tied_to"``); cost and RMS; how well each output is reproduced; what the fit is worth; how it was made. Numbers that are not finite are None."""
+        found: dict[str, Any] = json.loads(self.to_json())
+        return found
+
+    def to_json(self) -> str:
+        """The same as a text in JSON."""
+        return _core.fit_to_json(_share.native_of(self))
+
+    def to_csv(
+        self, path: PathLike, what: Literal["parameters", "trajectories", "trace"] = "parameters"
+    ) -> None:
+        """Writes a table of the fit as comma-separated values, numbers with all their digits.
+
+        Names stand as they are in the model and in the recordings. A spreadsheet takes a cell that begins with ``=``, ``+``, ``-`` or
+        ``@`` for a formula: import tables of models that you do not trust as text.
+
+        Parameters
+        ----------
+        path : path
+            The file to write; one that exists is replaced.
+        what : {"parameters", "trajectories", "trace"}
+            A row for each parameter (with standard errors, start, bounds, unit; those that are tied to others last), each measurement that counts (measured and
+            simulated), or each evaluation.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written.
+        """
+        _core.fit_to_csv(_share.native_of(self), what, os.fspath(path))
+
+    def to_dataframe(self, what: Literal["parameters", "trajectories", "trace"] = "parameters") -> Any:
+        """The same table as a pandas.DataFrame. Needs pandas."""
+        return _share.dataframe(self, what)
+
+    def export_ssv(self, path: PathLike, experiment: str | None = None) -> Path:
+        """Writes the fitted values as an SSP parameter file (System Structure Parameter Values 1.0), which tools for system structures
+        read: those of `parameters_of`, with their units.
+
+        Parameters
+        ----------
+        path : path
+            The file to write, ``.ssv``.
+        experiment : str, optional
+            Whose values; see `parameters_of`.
+
+        Returns
+        -------
+        Path
+            `path`.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written.
+        ValueError
+            As `parameters_of`; `path` has another suffix.
+        """
+        _core.export_ssv(_share.native_of(self), os.fspath(path), experiment)
+        return Path(path)
+
+    def export_fmu(self, path: PathLike, experiment: str | None = None, *, keep: bool = False) -> Path:
+        """Writes a copy of the FMU that starts with the fitted values.
+
+        In ``modelDescription.xml`` the start values of `parameters_of` change, and nothing else; all other files are copied as
+        they are. The copy is simulated as it is and compared with the fit. The libraries of many FMUs ignore the start values of the
+        description, as the FMI standard allows: then a `CalibrationWarning` says so, and the values are written as an SSP parameter
+        file instead (see `export_ssv`), beside `path` with the suffix ``.ssv``.
+
+        Parameters
+        ----------
+        path : path
+            The file to write, ``.fmu``.
+        experiment : str, optional
+            Whose values; see `parameters_of`. Values that were given as `start_values` are not written.
+        keep : bool
+            Write the copy also where its library ignores the description, for tools that set the start values of the description
+            when they import it.
+
+        Returns
+        -------
+        Path
+            `path`, or that of the parameter file where the copy is not written.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written.
+        ValueError
+            As `parameters_of`; `path` has another suffix, or is that of the model.
+        """
+        return _share.export_fmu(self, path, experiment, keep)
+
+    def __getitem__(self, key: Any) -> Any:
+        if key in ("parameters", "cost", "rms", "stderr", "covariance", "correlation", "start_rms", "scaled_rms"):
+            return getattr(self, key)
+        return super().__getitem__(key)
+
+    def report(self, path: str | os.PathLike[str]) -> None:
+        """Writes a report: one HTML page that needs no network, with parameters and their intervals, outputs, figures, settings,
+        versions, and hashes of model and data.
+
+        Each experiment is simulated at the start and at the fitted values. An existing file is replaced once the new one is
+        whole.
+
+        Parameters
+        ----------
+        path : path
+            The file, ``"fit.html"``.
+
+        Raises
+        ------
+        OSError
+            It cannot be written.
+        ValueError
+            The name of the file ends in something else than ``.html``.
+        SimulationError
+            A simulation fails that did not in the fit.
+        """
+        _core.fit_report(self._of_run("report"), path)
+
+    def _shown_names(self) -> list[str]:
+        """What figures call the parameters."""
+        return self._calibration.names if self._native is None else self._native.shown_names
+
+    def _of_run(self, what: str) -> _core.Fit:
+        """The native fit."""
+        if self._native is None:
+            raise CalibrationError(f"{what}: the fit was interrupted twice, and has nothing but its last iteration")
+        return self._native
+
+    def __repr__(self) -> str:
+        return super().__repr__() if self._native is None else _core.fit_text(self._native)
+
+    def _repr_html_(self) -> str | None:
+        """The same for notebooks."""
+        return None if self._native is None else _core.fit_html(self._native)

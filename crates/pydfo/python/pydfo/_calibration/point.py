@@ -1,0 +1,218 @@
+"""What a `Calibration` says of itself and of a point: names, cost, residuals, simulations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from .. import _core
+from .._args import options as _options
+from .._errors import BadCalibrationError
+from .parameter import Parameter
+from .._model.trajectory import SimulationResult
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class Raced(NamedTuple):
+    """A method in the race by which a `Calibration` chooses its solver."""
+
+    solver: str
+    """Name of the method."""
+    work: float | None
+    """Right-hand sides, directional derivatives, evaluations of event indicators, and linear algebra in equivalents of a
+    right-hand side. Of a method that was given up: what it had done then, at least."""
+    deviation: float | None
+    """Largest difference from a simulation with a tenth of the tolerance, in tolerances of the sample."""
+    verdict: str
+    """"agrees", "differs", "given up", "not compared", or "failed: " and why."""
+
+
+class Point:
+    """The part of a `Calibration` that looks at one point."""
+
+    _native: _core.Calibration
+    _parameters: tuple[Parameter, ...]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameters, as they were given."""
+        return self._parameters
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the entries of ``x``: the parameters in their order, a local one once per experiment (``T0[run1]``)."""
+        return self._native.names()
+
+    @property
+    def experiments(self) -> list[str]:
+        """Names of the experiments."""
+        return self._native.experiments()
+
+    @property
+    def start(self) -> FloatArray:
+        """Start values of the parameters, shape (n,)."""
+        return np.array(self._native.start())
+
+    @property
+    def n_residuals(self) -> int:
+        """Length of the residual vector: how many measurements count, and one for each prior."""
+        return self._native.n_residuals
+
+    @property
+    def n_measurements(self) -> int:
+        """How many measurements count."""
+        return self._native.n_measurements
+
+    def model_values(self, x: npt.ArrayLike | Mapping[str, float] | None = None, experiment: str | None = None) -> dict[str, float]:
+        """What is set in the model.
+
+        Parameters
+        ----------
+        x : array_like or dict, optional
+            As in `cost`.
+        experiment : str, optional
+            Name of the experiment whose values are meant; default: the first.
+
+        Returns
+        -------
+        dict of str to float
+            The values of variables by their names, in the units of the model; of parameters that are tied or set several variables, too.
+        """
+        names = self.experiments
+        if experiment is not None and experiment not in names:
+            raise BadCalibrationError(f"there is no experiment '{experiment}'; there are: {', '.join(names)}")
+        return dict(self._native.model_values(0 if experiment is None else names.index(experiment), self._checked(x)))
+
+    def _checked(self, x: npt.ArrayLike | Mapping[str, float] | None) -> list[float]:
+        values = self._values(x)
+        if len(values) != len(self.names):
+            raise BadCalibrationError(f"{len(values)} values given for {len(self.names)} parameters ({', '.join(self.names)})")
+        return values
+
+    @property
+    def solver(self) -> str:
+        """The integration method of all simulations, in fits and outside of them.
+
+        The one that was named; or, with "auto", the winner of a race at the parameters' start values, which is held at the
+        first use and counts work, never time: if the model is not stiff there, "auto" stays (an explicit method, which gives
+        way to an implicit one where the model becomes stiff); else BDF, Radau5 and "auto" are compared, and the one with the
+        least work for the same error is taken of those whose samples are within 5 tolerances of a simulation with a tenth
+        of the tolerance. A fit that is
+        resumed from a checkpoint takes the method from there. See `race` for the numbers.
+        """
+        return self._native.solver()
+
+    @property
+    def race(self) -> list[Raced] | None:
+        """The methods that were compared when the solver was chosen; None: there was no race, or not yet."""
+        entries = self._native.race()
+        return None if entries is None else [Raced(*entry) for entry in entries]
+
+    def _values(self, x: npt.ArrayLike | Mapping[str, float] | None) -> list[float]:
+        if x is None or isinstance(x, Mapping):
+            values = dict(zip(self.names, self._native.start()))
+            given = dict(x or {})
+            tied = {name: given.pop(name) for name, _ in self._native.tied(self._native.start()) if name in given}
+            for name, value in given.items():
+                if name not in values:
+                    raise BadCalibrationError(f"there is no parameter '{name}'; there are: {', '.join(values)}")
+                values[name] = _options.number(name, value)
+            for name, expected in self._native.tied(list(values.values())):
+                if name in tied and not np.isclose(_options.number(name, tied[name]), expected, rtol=1e-9, atol=0.0):
+                    raise BadCalibrationError(f"{name} = {tied[name]!r}: it is tied to another parameter, by which it is {expected!r}")
+            return list(values.values())
+        return [float(value) for value in _options.vector("x", x)]
+
+    def cost(self, x: npt.ArrayLike | Mapping[str, float] | None = None) -> float:
+        """The sum of the squared weighted residuals.
+
+        The interpreter lock is released meanwhile. If the last evaluation took less than 50 ms, the calling thread simulates
+        and looks for Ctrl-C every 20 ms, between two steps; else another thread simulates, so that Ctrl-C gives control back
+        even if a call of the FMU does not return.
+
+        Parameters
+        ----------
+        x : array_like, shape (n,), or dict, optional
+            Values of the parameters, in their order or by name (those left out: start values); default: all start values.
+
+        Raises
+        ------
+        SimulationError
+            The simulation failed; says where and why.
+        ValueError
+            The wrong number of values, or values that are not finite.
+        """
+        return self._native.cost(self._values(x))
+
+    def residuals(self, x: npt.ArrayLike | Mapping[str, float] | None = None) -> FloatArray:
+        """The residuals: simulated minus measured, times weight.
+
+        Parameters
+        ----------
+        x : array_like or dict, optional
+            As in `cost`.
+
+        Returns
+        -------
+        ndarray, shape (n_residuals,)
+            Experiment by experiment, output by output in the order given, each in the order of time, missing values left
+            out: always the same length and order.
+
+        Raises
+        ------
+        SimulationError, ValueError
+            As `cost`.
+        """
+        return self._native.residuals(self._values(x))
+
+    def simulate(
+        self,
+        x: npt.ArrayLike | Mapping[str, float] | None = None,
+        times: npt.ArrayLike | None = None,
+        outputs: str | Iterable[str] | None = None,
+    ) -> Any:
+        """Simulates once.
+
+        Parameters
+        ----------
+        x : array_like or dict, optional
+            As in `cost`.
+        times : array_like, optional
+            Times of the rows in s, ascending; default: the measured times that count.
+
+        outputs : str or iterable of str, optional
+            Variables of the model to be recorded as they are, without delays or offsets of outputs: names, elements of arrays,
+            patterns with ``*`` and ``?``, or "all".
+
+        Returns
+        -------
+        dict of str to ndarray
+            ``"time"`` and the compared outputs by their names in the model. With `outputs`: a `SimulationResult`, with
+            units. With several experiments: a dict of such by their names.
+
+        Raises
+        ------
+        SimulationError, ValueError
+            As `cost`.
+        """
+        rows = None if times is None else _options.vector("times", times).tolist()
+        if outputs is not None:
+            names = [outputs] if isinstance(outputs, str) else _options.names("outputs", outputs)
+            found = _core.simulate_variables(self._native, self._values(x), rows, names)
+            return self._by_experiment([SimulationResult(**fields) for fields in found])
+        return self._by_experiment(self._native.simulate(self._values(x), rows))
+
+    def measurements(self) -> dict[str, Any]:
+        """What was measured, as it was read: by output, its times in s and its values, missing ones left out. With several
+        experiments: a dict of such by their names."""
+        found: dict[str, Any] = self._by_experiment(
+            [{v: (time[~np.isnan(y)], y[~np.isnan(y)]) for v, y in columns} for time, columns in self._native.measurements()]
+        )
+        return found
+
+    def _by_experiment(self, found: Sequence[Any]) -> Any:
+        return found[0] if len(found) == 1 else dict(zip(self.experiments, found))

@@ -1,0 +1,152 @@
+"""Profile likelihoods: how the cost rises as one parameter is held away from its best value and the others are fitted again."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, SupportsFloat, SupportsIndex
+
+import numpy as np
+import numpy.typing as npt
+
+from .. import _core
+from . import share as _share
+from .._args import options as _options
+from .._errors import BadCalibrationError, Interrupted
+from .._model.trajectory import SimulationStats
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from .fit import Fit
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class Profile:
+    """Profile likelihoods of the parameters of a fit (``fit.profile()``); printed as a table.
+
+    Attributes
+    ----------
+    intervals : dict of str to (float, float)
+        Confidence intervals by parameter; infinite where an end is open.
+    messages : dict of str to str
+        Why an interval is open, in words; empty where it is not.
+    values : dict of str to ndarray, shape (k,)
+        Where a parameter was held, ascending; the optimum is one of them.
+    costs : dict of str to ndarray, shape (k,)
+        How much the cost is above that of the optimum there, the others fitted again, as the square of a distance in standard
+        errors: the rise over the variance that `Worth.covariance` has for the residuals (one for each output; with a robust loss that
+        of an M-estimator; corrected where residuals are autocorrelated).
+    points : dict of str to ndarray, shape (k, n)
+        All parameters there.
+    threshold : float
+        What the costs are at the ends of the intervals.
+    level : float
+        The level of the intervals.
+    parameters : dict of str to float
+        The optimum of the fit's cost, about which the intervals are: that of the fit, found more accurately.
+    degrees_of_freedom : int
+        Residuals less parameters that were fitted.
+    interrupted : bool
+        Whether Ctrl-C ended it: some sides are not complete.
+    autocorrelated : bool
+        Whether residuals of an output are autocorrelated: the intervals are corrected for that, as those of `Worth`.
+    n_simulations : int
+        Points that were simulated, those of a file that was continued included.
+    stats : SimulationStats
+        What the simulations took, without those of a file that was continued.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        *,
+        parameters: Sequence[dict[str, Any]],
+        level: float,
+        threshold: float,
+        degrees_of_freedom: int,
+        x: FloatArray,
+        interrupted: bool,
+        autocorrelated: bool,
+        n_simulations: int,
+        stats: dict[str, Any],
+        text: str,
+    ) -> None:
+        def by_name(field: str) -> dict[str, Any]:
+            return {profile["name"]: profile[field] for profile in parameters}
+
+        self.intervals: dict[str, tuple[float, float]] = by_name("interval")
+        self.messages: dict[str, str] = by_name("message")
+        self.values: dict[str, FloatArray] = by_name("values")
+        self.costs: dict[str, FloatArray] = by_name("costs")
+        self.points: dict[str, FloatArray] = by_name("points")
+        self.parameters = dict(zip(names, x.tolist()))
+        self.level = level
+        self.threshold = threshold
+        self.degrees_of_freedom = degrees_of_freedom
+        self.interrupted = interrupted
+        self.autocorrelated = autocorrelated
+        self.n_simulations = n_simulations
+        self.stats = SimulationStats(**stats)
+        self._text = text
+
+    @property
+    def message(self) -> str:
+        """Which intervals are open, and why; empty if none is."""
+        return "; ".join(f"{name}: {message}" for name, message in self.messages.items() if message)
+
+    def __repr__(self) -> str:
+        return self._text
+
+    def plot(self) -> Figure:
+        """Draws the cost over each parameter, with the threshold and the interval.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            One panel per parameter. Nothing is shown or saved: ``profile.plot().savefig("profile.png")``.
+
+        Raises
+        ------
+        ImportError
+            matplotlib is not installed.
+        """
+        from .. import _plot
+
+        return _plot.profiles(self)
+
+
+def of_fit(
+    fit: Fit,
+    parameters: str | Sequence[str] | None,
+    level: SupportsFloat,
+    corrected: bool,
+    max_points: SupportsFloat | None,
+    workers: SupportsIndex | None,
+    checkpoint: str | os.PathLike[str] | None,
+) -> Profile:
+    """The profiles of these parameters of a fit."""
+    names = fit._calibration.names
+    chosen = None
+    if parameters is not None:
+        given = _options.names("parameters", [parameters] if isinstance(parameters, str) else parameters)
+        if unknown := [name for name in given if name not in names]:
+            raise BadCalibrationError(f"there is no parameter '{unknown[0]}'; there are: {', '.join(names)}")
+        chosen = [names.index(name) for name in given]
+    try:
+        fields = _core.profile(
+            fit._calibration._native,
+            _share.native_of(fit),
+            chosen,
+            (_options.number("level", level), _options.flag("corrected", corrected), _options.limit("max_points", max_points, 1)),
+            _options.worker_count("workers", workers, None),
+            None if checkpoint is None else os.fspath(checkpoint),
+        )
+    except Interrupted as e:
+        # What there is so far, as the class that holds it.
+        found: Any = e.result
+        if isinstance(found, dict):
+            e.result = Profile(names, **found)
+        raise
+    return Profile(names, **fields)

@@ -1,0 +1,236 @@
+"""What a fit is worth (standard errors, correlation, what the data cannot tell), and what is found before it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, SupportsFloat, SupportsIndex
+
+import numpy as np
+import numpy.typing as npt
+
+from .. import _core
+from .._args import options as _options
+from .check import Finding
+from .._errors import BadCalibrationError
+
+if TYPE_CHECKING:
+    from .calibration import Calibration
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class ResidualCheck(NamedTuple):
+    """The residuals of one output of one experiment."""
+
+    experiment: str
+    variable: str
+    n: int
+    mean: float
+    deviation: float
+    """Standard deviation around the mean."""
+    autocorrelation: float
+    """At lag one; NaN for fewer than three."""
+    n_outliers: int
+    """How many lie beyond four robust standard deviations from the median (ten of fewer than 20 residuals; of fewer than 8 none do)."""
+    runs: float
+    """How many standard deviations the number of runs of one sign is above that of independent residuals."""
+
+
+class Worth:
+    """What a fit is worth (``fit.worth``, `Calibration.worth`); ``print(worth)`` shows it.
+
+    Attributes
+    ----------
+    estimator : {"sandwich", "pooled"}
+        How the covariance was estimated: with one residual variance per output of the model, or with one for all.
+    names : list of str
+        Names of the parameters.
+    x : ndarray, shape (n,)
+        The point.
+    covariance, correlation : ndarray, shape (n, n)
+        In the units of the parameters. Where the residuals of an output are autocorrelated they are taken for a first-order
+        autoregression; with a robust loss the covariance is that of an M-estimator. It is zero for those that are `held`, infinite on the diagonal for those that
+        are `undetermined`; the correlation is NaN there.
+    stderr : ndarray, shape (n,)
+        Standard errors: the roots of the diagonal.
+    uncorrected_stderr : ndarray, shape (n,), or None
+        Standard errors that suppose independent residuals; None where no output has autocorrelated ones, and they are the same.
+    autocorrelations : ndarray, shape (k,)
+        The autocorrelation at lag one that the covariance supposes for each of `residual_checks`: zero where it is no more than chance.
+    degrees_of_freedom : int
+        Residuals less parameters that are not held.
+    effective_degrees_of_freedom : ndarray, shape (n,)
+        Those of each parameter's confidence interval: fewer where residuals are autocorrelated.
+    residual_checks : list of ResidualCheck
+        What the residuals of each output look like.
+    held : list of str
+        Parameters that are fixed, held or at a bound: taken as known.
+    undetermined, without_effect : list of str
+        Parameters that the data do not determine, and those of them that move no output.
+    confounded : list of (str, str, float)
+        Pairs that move the outputs the same way, with their correlation: 0.9 or more.
+    weakest : list of str
+        The parameters of the combination that the data determine worst, where there are three or more in it and it matters.
+    identifiable : list of str
+        Parameters that this data can tell, the others held: with standard errors below half of their values, and no correlation of
+        0.9 or more.
+    findings : list of Finding
+        What is to be said of all this, with a severity.
+    verdict : list of str
+        The same in sentences; empty if nothing is to be said.
+    cost, accurate_cost : float
+        The cost, and the same with a hundredth of the relative tolerance, or with half the step of a fixed-step solver (None: that simulation failed).
+    jacobian : ndarray, shape (m, n)
+        Derivatives of the residuals by the parameters; zero for those that are held.
+    n_simulations : int
+        Points that were simulated to find out.
+    """
+
+    def __init__(self, native: _core.Worth) -> None:
+        self._native = native
+        fields = native.fields()
+        self.estimator: str = fields["estimator"]
+        self.names: list[str] = fields["names"]
+        self.x: FloatArray = fields["x"]
+        self.covariance: FloatArray = fields["covariance"]
+        self.correlation: FloatArray = fields["correlation"]
+        self.stderr: FloatArray = fields["stderr"]
+        self.uncorrected_stderr: FloatArray | None = fields["uncorrected_stderr"]
+        self.autocorrelations: FloatArray = fields["autocorrelations"]
+        self.effective_degrees_of_freedom: FloatArray = fields["effective_degrees_of_freedom"]
+        self.degrees_of_freedom: int = fields["degrees_of_freedom"]
+        self.residual_checks = [ResidualCheck(**check) for check in fields["residual_checks"]]
+        self.held: list[str] = fields["held"]
+        self.undetermined: list[str] = fields["undetermined"]
+        self.without_effect: list[str] = fields["without_effect"]
+        self.confounded: list[tuple[str, str, float]] = fields["confounded"]
+        self.weakest: list[str] = fields["weakest"]
+        self.identifiable: list[str] = fields["identifiable"]
+        self.verdict: list[str] = fields["verdict"]
+        self.findings = [Finding(*finding) for finding in fields["findings"]]
+        self.cost: float = fields["cost"]
+        self.accurate_cost: float | None = fields["accurate_cost"]
+        self.jacobian: FloatArray = fields["jacobian"]
+        self.n_simulations: int = fields["n_simulations"]
+
+    def confidence_intervals(self, level: SupportsFloat = 0.95, *, corrected: bool = True) -> FloatArray:
+        """Confidence intervals by Student's t: ``x -+ t s``, for a parameter on a log scale ``x * exp(-+ t s / x)``.
+
+        Parameters
+        ----------
+        level : float
+            Between 0 and 1.
+        corrected : bool
+            Whether autocorrelated residuals are taken account of; False: with `uncorrected_stderr`.
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            Lower and upper ends. Points for parameters that are held, without ends for those that are not determined.
+        """
+        return self._native.intervals(_options.number("level", level), _options.flag("corrected", corrected))
+
+    @property
+    def message(self) -> str:
+        """Who is not determined, who is taken as known; empty if there is nothing to be said."""
+        return self._native.message()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (self._native.state(),)
+
+    def __repr__(self) -> str:
+        return self._native.text().rstrip("\n")
+
+
+def _restored(state: bytes) -> Worth:
+    return Worth(_core.Worth.restore(state))
+
+
+class ParameterCheck(NamedTuple):
+    """What moving one parameter did before a fit."""
+
+    name: str
+    start: float
+    moved_to: float | None
+    """None: the parameter is fixed."""
+    sensitivity: float | None
+    """RMS change of the residuals for a step of the parameter's size, over the RMS range of the measurements; None where nothing
+    was moved or the simulation failed."""
+    has_effect: bool
+    """Whether it moves an output by more than the error of the simulations."""
+    failure: str | None
+    """Why the simulation failed."""
+
+
+class Preflight:
+    """What was found before a fit (`Calibration.preflight`, ``fit.preflight``); ``print(preflight)`` shows a table.
+
+    Attributes
+    ----------
+    parameters : list of ParameterCheck
+        What moving each parameter by a hundredth of its size did.
+    confounded : list of (str, str, float)
+        Pairs that move the outputs the same way at the start, with the correlation that their estimates would have.
+    cost, accurate_cost : float
+        The cost at the start, and with a hundredth of the relative tolerance, or with half the step of a fixed-step solver (None: that simulation failed).
+    noise : float
+        The difference of both relative to the cost.
+    seconds_per_evaluation, expected_seconds : float
+        Time of one evaluation, and of a fit by least squares, one evaluation after the other.
+    expected_evaluations : int
+        A rule of thumb for least squares: 12 for each free parameter and one more.
+    workers : int
+        Evaluations that may run at once.
+    messages : list of str
+        What is to be said, in sentences; empty if nothing is.
+    n_simulations : int
+        Points that were simulated.
+    """
+
+    def __init__(self, fields: dict[str, Any]) -> None:
+        self.parameters = [ParameterCheck(**check) for check in fields["parameters"]]
+        self.confounded: list[tuple[str, str, float]] = fields["confounded"]
+        self.cost: float = fields["cost"]
+        self.accurate_cost: float | None = fields["accurate_cost"]
+        self.noise: float = fields["noise"]
+        self.seconds_per_evaluation: float = fields["seconds_per_evaluation"]
+        self.expected_evaluations: int = fields["expected_evaluations"]
+        self.expected_seconds: float = fields["expected_seconds"]
+        self.workers: int = fields["workers"]
+        self.messages: list[str] = fields["messages"]
+        self.n_simulations: int = fields["n_simulations"]
+        self._text: str = fields["text"]
+
+    def __repr__(self) -> str:
+        return self._text.rstrip("\n")
+
+
+def before(calibration: Calibration, x: list[float], workers: SupportsIndex | None) -> Preflight:
+    """What is found at a point before a fit."""
+    return Preflight(_core.preflight_at(calibration._native, x, _options.worker_count("workers", workers, None)))
+
+
+def before_fit(fit: _core.Fit | None) -> Preflight | None:
+    """What was found before a fit, if it was asked for."""
+    fields = None if fit is None else _core.preflight_of_fit(fit)
+    return None if fields is None else Preflight(fields)
+
+
+def of_fit(fit: _core.Fit | None) -> Worth | None:
+    """What a fit is worth, if that was found out."""
+    native = None if fit is None else _core.worth_of_fit(fit)
+    return None if native is None else Worth(native)
+
+
+def at(
+    calibration: Calibration, x: list[float], covariance: str, parameters: Sequence[str] | None, workers: SupportsIndex | None
+) -> Worth:
+    """What a point is worth."""
+    held: list[int] = []
+    if parameters is not None:
+        free = _options.names("parameters", parameters)
+        if unknown := [name for name in free if name not in calibration.names]:
+            raise BadCalibrationError(f"there is no parameter '{unknown[0]}'; there are: {', '.join(calibration.names)}")
+        held = [i for i, name in enumerate(calibration.names) if name not in free]
+    count = _options.worker_count("workers", workers, None)
+    return Worth(_core.worth_at(calibration._native, x, covariance, held, count))

@@ -1,0 +1,1 @@
+"""Models: opening, descriptions, inputs, simulations and their results."""

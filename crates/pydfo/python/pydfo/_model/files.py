@@ -1,0 +1,115 @@
+"""FMU files: packing folders, the bundled examples, the caches."""
+
+from __future__ import annotations
+
+import atexit
+import operator
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from .. import _core
+
+PathLike = str | os.PathLike[str]
+
+# FMUs stay open for the next one who opens them; their unpacked folders go with the interpreter.
+atexit.register(_core.close_unused)
+
+
+@dataclass(frozen=True)
+class OpenOptions:
+    """How an FMU is opened, as the native code reads it."""
+
+    log_level: int = 7
+    logging: bool = False
+    log_categories: tuple[str, ...] = ()
+    show_log: bool = False
+    deepbind: bool = False
+    lazy: bool = False
+    tool_is_present: bool = False
+    max_description_bytes: int | None = None
+    max_elements: int | None = None
+
+
+def size_limit(name: str, value: int | None) -> int | None:
+    """A limit that counts something; None: the default."""
+    if value is None:
+        return None
+    if isinstance(value, bool) or not hasattr(value, "__index__"):
+        raise TypeError(f"{name} must be a whole number, not {value!r}")
+    number = operator.index(value)
+    if not 0 < number < 2**63:
+        raise ValueError(f"{name} must be a positive number, not {value!r}")
+    return number
+
+
+def build_fmu(folder: PathLike, out: PathLike) -> Path:
+    """Packs a folder into an FMU.
+
+    Parameters
+    ----------
+    folder : path
+        With ``modelDescription.xml`` at its root and, for an FMU that is to be built, ``sources/``. A library for this
+        platform is compiled from the sources (``CC``, else ``cc``, ``gcc`` or ``clang``) and packed with them.
+    out : path
+        The file to write; one that exists is replaced.
+
+    Returns
+    -------
+    Path
+        `out`.
+
+    Raises
+    ------
+    FmuError
+        The folder holds no FMU; there is no compiler; the sources do not compile.
+    OSError
+        Files cannot be read or written.
+    KeyboardInterrupt
+        Ctrl-C: the compiler is ended, and nothing is written.
+    """
+    _core.build_fmu(folder, out)
+    return Path(out)
+
+
+def example_fmu(name: str, version: str = "2.0", kind: str = "ME") -> Path:
+    """The FMU of a bundled model; built at the first call, and kept in a cache folder.
+
+    Parameters
+    ----------
+    name : {"furuta", "bouncing_ball", "dahlquist", "van_der_pol", "stair", "switched_input", "quad_tank", "exhaust"}
+        The model.
+    version : {"1.0", "2.0", "3.0"}
+        The version of FMI that it is made for.
+    kind : {"ME", "CS"}
+        Model exchange or co-simulation; FMUs of FMI 3.0 have both.
+
+    Returns
+    -------
+    Path
+        An ``.fmu`` file.
+
+    Raises
+    ------
+    ValueError
+        There is no such model, version or kind; the message lists those there are.
+    FmuError
+        There is no C compiler.
+
+    Examples
+    --------
+    >>> from pydfo import FMUModel, example_fmu
+    >>> FMUModel(example_fmu("dahlquist")).description.model_name
+    'Dahlquist'
+    """
+    if not isinstance(name, str):
+        raise TypeError(f"name must be a string, not {name!r}")
+    return _core.example_fmu(name, str(version), str(kind))
+
+
+def clear_caches() -> None:
+    """Removes what is kept between runs: libraries built from sources, packed example models, open FMUs.
+
+    Models that are in use go on; what is missing is made again when it is needed.
+    """
+    _core.clear_caches()

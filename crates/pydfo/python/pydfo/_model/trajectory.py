@@ -1,0 +1,296 @@
+"""Recorded simulations."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Iterator, KeysView, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from .. import _core
+from .._args import options as _options
+from .._errors import UnknownVariableError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FloatArray = npt.NDArray[np.float64]
+
+Column = npt.NDArray[Any]
+
+_DTYPES: dict[str, np.dtype[Any]] = {kind: np.dtype(name) for kind, name in _core.dtypes().items()}
+"""NumPy's type for the values of each kind of variable."""
+
+
+@dataclass(frozen=True)
+class SimulationStats:
+    """What a simulation cost, or all simulations of a fit. Two of them are equal if their counts are.
+
+    Attributes
+    ----------
+    accepted_steps, rejected_steps : int
+    right_hand_sides, event_indicators : int
+        Evaluations; the right-hand sides for differences of a Jacobian count.
+    jacobians, directional_derivatives : int
+        Jacobians made, and directional derivatives that the model was asked for.
+    decompositions : int
+        Decompositions of matrices; Radau5 makes two at a time, a real and a complex one.
+    newton_iterations : int
+    samples : int
+        Rows.
+    events : int
+        Visits of event mode after the start; the four counts that follow tell their causes, of which one visit may have
+        several.
+    state_events, time_events, step_events, input_events : int
+    restarts : int
+        Restarts of the method after events that changed something.
+    chattering : int
+        How often state events were found to follow each other while time hardly advanced, and the run went on.
+    check_runs, check_steps : int
+        Short simulations made besides, to check how the model can be brought back to its beginning, and their steps. They are in no
+        other count, but in `seconds`.
+    seconds : float
+        Wall-clock time in s, from bringing the model to its beginning. Loading it and waiting for other simulations of it
+        do not count. Of a fit: the sum over all simulations, so with several workers more than the fit took.
+    seconds_in_model : float
+        The part of it that was spent inside of the model: in the calls of the FMU, or of the functions given to
+        `pydfo.ode.solve`; at most what input functions leave of the run. An estimate: where calls take less than
+        1 us, one of 61 is timed and stands for all.
+    """
+
+    accepted_steps: int
+    rejected_steps: int
+    right_hand_sides: int
+    jacobians: int
+    directional_derivatives: int
+    decompositions: int
+    newton_iterations: int
+    event_indicators: int
+    samples: int
+    events: int
+    state_events: int
+    time_events: int
+    step_events: int
+    input_events: int
+    restarts: int
+    chattering: int
+    check_runs: int = field(compare=False)
+    check_steps: int = field(compare=False)
+    seconds: float = field(compare=False)
+    seconds_in_model: float = field(compare=False)
+
+
+class SimulationResult(Mapping[str, Column]):
+    """The result of a simulation: columns by name, ``res["time"]`` among them.
+
+    A mapping of the names of variables to arrays of shape (rows,). Those of numbers are float64, also for Integers and
+    Booleans (`to_structured` and `to_dataframe` give them their types), but 64-bit integers, which not all floats can
+    hold, are int64 or uint64; texts are arrays of str, binary variables arrays of bytes (dtype object). An array of the
+    model has its extents as further axes: ``res["A"]`` of a 2 x 3 matrix has the shape (rows, 2, 3), and its element
+    ``res["A[1,2]"]`` (counted from 1) the shape (rows,). At the time of an event a row holds the values after it. A time that was asked
+    for twice, and with ``record_events=True`` every event, has two rows: the limit from the left, then the values after
+    the event.
+
+    Attributes
+    ----------
+    time : ndarray, shape (rows,)
+        Times in s.
+    left_limit : ndarray of bool, shape (rows,)
+        Whether a row holds the limit from the left.
+    termination : {"finished", "stopped-by-model"}
+        Whether the final time was reached, or the model asked for the end.
+    end_time : float
+        When it ended.
+    """
+
+    def __init__(
+        self,
+        *,
+        time: FloatArray,
+        names: list[str],
+        columns: list[list[Column]],
+        extents: list[list[int]],
+        types: list[str],
+        units: list[str | None],
+        left: npt.NDArray[np.bool_],
+        event_times: FloatArray,
+        event_kinds: list[str],
+        tick_times: list[float],
+        tick_clocks: list[str],
+        stats: dict[str, Any],
+        termination: str,
+        end_time: float,
+    ) -> None:
+        self.time = time
+        self.left_limit = left
+        self.termination = termination
+        self.end_time = end_time
+        # Converted at the first access: that takes as long as a short simulation.
+        self._event_times, self._event_kinds, self._stats = event_times, event_kinds, stats
+        self._tick_times, self._tick_clocks = tick_times, tick_clocks
+        self._names, self._type_names, self._unit_names = names, types, units
+        self._columns: dict[str, Column] = {"time": time}
+        # Of each array: the names of its elements and their columns.
+        self._elements: dict[str, dict[str, Column]] = {}
+        for name, parts, shape in zip(names, columns, extents):
+            if not shape:
+                self._columns[name] = parts[0]
+                continue
+            whole = np.stack(parts, axis=-1) if parts else np.empty((len(time), 0), dtype=np.float64)
+            self._columns[name] = whole.reshape(len(time), *shape)
+            indices = (",".join(str(i + 1) for i in index) for index in np.ndindex(*shape))
+            self._elements[name] = {f"{name}[{index}]": part for index, part in zip(indices, parts)}
+
+    @cached_property
+    def _types(self) -> dict[str, str]:
+        return {"time": "Real", **dict(zip(self._names, self._type_names))}
+
+    @cached_property
+    def units(self) -> dict[str, str | None]:
+        """Units of the variables by their names; None where the model does not state one."""
+        return {"time": "s", **dict(zip(self._names, self._unit_names))}
+
+    @cached_property
+    def ticks(self) -> dict[str, FloatArray]:
+        """The times in s at which the clocks of the model (FMI 3.0) ticked, for each clock that did."""
+        ticks: dict[str, list[float]] = {}
+        for clock, tick in zip(self._tick_clocks, self._tick_times):
+            ticks.setdefault(clock, []).append(tick)
+        return {clock: np.array(times) for clock, times in ticks.items()}
+
+    @cached_property
+    def events(self) -> np.recarray[Any, Any]:
+        """The events after the start, with fields ``time`` and ``kind``: "state", "time", "step", "input", or several of
+        them with a plus between."""
+        events = np.empty(len(self._event_times), dtype=[("time", np.float64), ("kind", "U21")])
+        events["time"] = self._event_times
+        events["kind"] = self._event_kinds
+        return events.view(np.recarray)
+
+    @cached_property
+    def stats(self) -> SimulationStats:
+        """What it cost."""
+        return SimulationStats(**self._stats)
+
+    def __getitem__(self, name: str) -> Column:
+        try:
+            return self._columns[name] if name in self._columns else self._elements[_array_of(name)][name]
+        except KeyError:
+            raise UnknownVariableError(self._missing(name)) from None
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._columns or (isinstance(name, str) and name in self._elements.get(_array_of(name), ()))
+
+    def _flat(self, names: Iterable[str]) -> Iterator[tuple[str, str, Column]]:
+        """Name, variable and values of the columns of `names`, arrays taken apart."""
+        for name in names:
+            variable = name if name in self._columns else _array_of(name)
+            if name in self._elements:
+                for element, column in self._elements[name].items():
+                    yield element, name, column
+            else:
+                yield name, variable, self[name]
+
+    def _missing(self, name: object) -> str:
+        nearest = difflib.get_close_matches(str(name), self._columns, n=3)
+        hint = f"; did you mean {', '.join(nearest)}?" if nearest else "."
+        names = list(self._columns)
+        shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
+        return f'"{name}" was not recorded{hint} Recorded are {shown}; simulate(outputs=[...]) chooses'
+
+    def keys(self) -> KeysView[str]:
+        """The names of the variables, "time" first; those of arrays without their elements."""
+        return self._columns.keys()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._columns)
+
+    def __len__(self) -> int:
+        return len(self._columns)
+
+    def __repr__(self) -> str:
+        ended = "" if self.termination == "finished" else ", stopped by the model"
+        return (
+            f"<SimulationResult: {len(self.time)} rows of {len(self) - 1} variables up to {self.end_time:g} s{ended}, "
+            f"{len(self.events)} events>"
+        )
+
+    @overload
+    def final(self, name: str) -> Any: ...
+    @overload
+    def final(self, name: Sequence[str]) -> list[Any]: ...
+    def final(self, name: str | Sequence[str]) -> Any:
+        """The value in the last row (float, of 64-bit integers int, of texts str, of binary variables bytes, of arrays an
+        array), NaN if there is none; a list of values for a list of names."""
+        if not isinstance(name, str):
+            return [self.final(one) for one in name]
+        column = self[name]
+        if not len(column):
+            return float("nan")
+        last = column[-1]
+        return last.item() if isinstance(last, np.generic) else last
+
+    def to_structured(self) -> npt.NDArray[np.void]:
+        """A structured array of shape (rows,) with a field per variable, ``time`` first; Integers and Booleans have their
+        types, texts and bytes are objects, fields of arrays have their extents."""
+        fields = [(name, _DTYPES[self._types[name]], column.shape[1:]) for name, column in self.items()]
+        array = np.empty(len(self.time), dtype=fields)
+        for name, column in self.items():
+            array[name] = column
+        return array
+
+    def to_dataframe(self) -> Any:
+        """A pandas.DataFrame with a column per variable, or per element of an array, ``time`` first; Integers and Booleans
+        have their types. Needs pandas."""
+        columns = self._flat(self)
+        return _options.pandas().DataFrame({name: column.astype(_DTYPES[self._types[variable]]) for name, variable, column in columns})
+
+    def plot(self, names: str | Sequence[str] | None = None) -> Figure:
+        """Draws columns over time, those of one unit in one plot. Needs matplotlib.
+
+        Parameters
+        ----------
+        names : str or sequence of str, optional
+            The columns; default: all but texts and binary variables. Of an array all elements are drawn.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        Raises
+        ------
+        KeyError
+            A name that was not recorded.
+        ValueError
+            A text or a binary variable is asked for.
+        """
+        from .._plot import pyplot
+
+        plt = pyplot()
+        drawable = [name for name in self if name != "time" and _DTYPES[self._types[name]] != np.object_]
+        chosen = drawable if names is None else [names] if isinstance(names, str) else list(names)
+        groups: dict[str | None, list[tuple[str, str, Column]]] = {}
+        for name, variable, column in self._flat(chosen):
+            if column.dtype == np.object_:
+                raise ValueError(f"{name} is of type {self._types[variable]} and cannot be drawn")
+            groups.setdefault(self.units[variable], []).append((name, variable, column))
+        figure: Figure
+        figure, plots = plt.subplots(max(len(groups), 1), 1, sharex=True, squeeze=False, layout="constrained")
+        for axes, (unit, members) in zip(plots[:, 0], groups.items()):
+            for name, variable, column in members:
+                held = self._types[variable] not in ("Real", "Float32")
+                axes.plot(self.time, column, label=name, drawstyle="steps-post" if held else "default")
+            axes.set_ylabel(unit or "")
+            axes.grid(alpha=0.3)
+            axes.legend(loc="best", fontsize="small")
+        plots[-1, 0].set_xlabel("time [s]")
+        return figure
+
+
+def _array_of(element: str) -> str:
+    """The name of the array of an element."""
+    return element.rpartition("[")[0]

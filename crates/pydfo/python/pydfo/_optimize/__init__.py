@@ -1,0 +1,1 @@
+"""Minimisation of Python functions: the methods, their results and progress."""

@@ -1,0 +1,173 @@
+"""`least_squares`: the parameters for which residuals are smallest, without derivatives."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, SupportsFloat, SupportsIndex
+
+import numpy as np
+import numpy.typing as npt
+
+from .. import _core
+from . import evaluate as _evaluate
+from .._args import options as _options
+from .fmin import Callback, check_callback, listen
+from .._args.keywords import explained, given_once
+from .minimize import describe
+from .result import LeastSquaresResult
+
+_log = logging.getLogger("pydfo")
+
+
+@explained
+def least_squares(
+    fun: Callable[..., Any],
+    x0: npt.ArrayLike,
+    bounds: Any = None,
+    *,
+    loss: Literal["linear", "soft_l1", "huber", "cauchy"] = "linear",
+    f_scale: SupportsFloat = 1.0,
+    x_tol: SupportsFloat | None = None,
+    f_tol: SupportsFloat | None = None,
+    max_evaluations: SupportsFloat | None = None,
+    max_iterations: SupportsFloat | None = None,
+    max_time: SupportsFloat | None = None,
+    target: SupportsFloat | None = None,
+    args: Any = (),
+    workers: SupportsIndex | Any = 1,
+    batch: str | SupportsIndex = "auto",
+    callback: Callback | None = None,
+    rng: int | np.random.Generator | None = None,
+    options: Mapping[str, Any] | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    resume: Literal["auto", "never", "require"] = "auto",
+    on_error: Literal["raise", "fail"] = "raise",
+    vectorized: bool = False,
+    search: Literal["local", "global"] = "local",
+) -> LeastSquaresResult:
+    """Minimise the sum of the squares of residuals without derivatives. The result's ``cost`` is this sum, ``sum(fun**2)``,
+    without the factor 1/2 that SciPy has.
+
+    Where a cost is made of residuals this takes a fraction of the evaluations that `minimize` needs. What holds for
+    `minimize` holds here: the same path for any number and kind of workers and after a resume, exact limits, failures that
+    are counted and enter no model.
+
+    Parameters
+    ----------
+    fun : callable
+        ``fun(x, *args) -> array_like, shape (m,)``: the residuals at `x`, an array of shape (n,); always the same number in the
+        same order. Where one of them is NaN or infinite, or their number is another, the evaluation has failed.
+    x0 : array_like, shape (n,)
+        Where to start; may lie on a bound.
+    bounds : sequence of pairs, or scipy.optimize.Bounds, optional
+        ``(low, high)`` per parameter, None or infinite where there is no bound; equal bounds fix a parameter. No point outside
+        is ever evaluated. SciPy's tuple ``(lower, upper)`` of numbers or arrays is understood, too. For two parameters a
+        tuple of two pairs could be either: that is meant in which `x0` lies, and if it lies in both, this is a
+        ValueError. A list always holds pairs.
+    loss : {"linear", "soft_l1", "huber", "cauchy"}
+        What a residual r counts: ``f_scale**2 * rho(z)`` with ``z = (r / f_scale)**2`` and rho as in SciPy: z;
+        ``2 * (sqrt(1 + z) - 1)``; z up to 1, then ``2 * sqrt(z) - 1``; ``log(1 + z)``. All but the first keep outliers from
+        deciding.
+    f_scale : float
+        Residuals that are small against this count by their squares, whatever the loss.
+    x_tol : float, optional
+        Tolerance of the x test (1e-6): the radius in which the model is trusted, in units of the parameters' sizes.
+    f_tol : float, optional
+        Tolerance of the f test (1e-6): the decrease that the model predicts, as a fraction of the cost.
+    max_evaluations, max_iterations, max_time, target
+        As in `minimize`; `target` is a cost. Without any of the first three 1000 (n + 1) evaluations.
+    args : tuple
+        Further arguments of `fun`.
+    workers : int, map-like or executor
+        As in `minimize`.
+    batch : "auto", "workers" or int
+        How many points the method asks for at once. "auto" takes a path that depends on n alone: the first stencil at
+        once, then one point after the other; a number takes another path, in fewer rounds with more evaluations; "workers" is
+        the number of workers.
+    callback, rng, checkpoint, resume, on_error : optional
+        As in `minimize`; ``fun`` of a `Progress` is the cost.
+    options : dict, optional
+        Those of every method, see `minimize`, among them ``nominal`` (typical sizes of the parameters) and ``scale`` ("linear" or
+        "log"); and those of "least-squares" itself: ``radius`` (the first radius of trust, 0.1 of the sizes).
+    vectorized : bool
+        ``fun(x, *args)`` takes points as columns, shape (n, S), and returns residuals of shape (m, S). `workers` must then be
+        a number.
+    search : {"local", "global"}
+        The minimum next to the start, or the best in the box, by searches from several starts ("multistart" of `minimize`, with
+        its options): needs two finite bounds for every parameter.
+
+    Returns
+    -------
+    LeastSquaresResult
+        ``x``, ``fun`` (the residuals there), ``cost``, ``jac``, ``cov`` and all that `minimize` gives. However a run ends, ``x`` is
+        the best point that was seen.
+
+    Raises
+    ------
+    ValueError, TypeError
+        Arguments that cannot be used; a return value that is no vector of numbers (TypeError).
+    CheckpointError, OSError, AllStartsFailed, Interrupted, Exception
+        As `minimize`.
+
+    Examples
+    --------
+    >>> import numpy as np, pydfo
+    >>> t = np.linspace(0, 4, 9)
+    >>> y = 2 * np.exp(-0.7 * t) + 0.01 * np.sin(9 * t)
+    >>> res = pydfo.least_squares(lambda x: x[0] * np.exp(-x[1] * t) - y, [1, 1], bounds=[(0, 5), (0, None)])
+    >>> res.x.round(2), res.success, res.fun.shape
+    (array([2. , 0.7]), True, (9,))
+    """
+    if not callable(fun):
+        raise TypeError(f"fun must be callable, not {fun!r}")
+    if on_error not in ("raise", "fail"):
+        raise ValueError(f"on_error = {on_error!r} is none of 'raise', 'fail'")
+    check_callback(callback)
+    if x0 is None:
+        raise ValueError("x0 is needed: the point to start from")
+    start = _options.vector("x0", x0)
+    extra = args if isinstance(args, tuple) else (args,)
+    called = _evaluate.WithArguments(fun, extra) if extra else fun
+    batches, count = _evaluate.shared_out(called, "workers", workers, 1)
+    if _options.flag("vectorized", vectorized):
+        if batches is not None:
+            raise ValueError("vectorized=True evaluates whole batches itself; workers must be a number then")
+        batches = _evaluate.vectorized(called, of_residuals=True)
+    given = given_once(_options.dictionary(options), least_squares, x_tol=x_tol, f_tol=f_tol, batch=batch)
+    if given.get("batch") == "workers":
+        given["batch"] = count
+    bounds = _options.bounds_of_least_squares(bounds, start)
+    begin, lower, upper, asked = describe(
+        least_squares,
+        "least-squares" if search == "local" else "auto",
+        start,
+        bounds,
+        given,
+        rng=rng,
+        checkpoint=checkpoint,
+        function=(fun, extra),
+        workers=count,
+        max_evaluations=max_evaluations,
+        max_iterations=max_iterations,
+        max_time=max_time,
+        target=target,
+        resume=resume,
+        search=search,
+        loss=loss,
+        f_scale=f_scale,
+    )
+    result = _core.minimize(
+        batches or called,
+        begin,
+        lower,
+        upper,
+        asked,
+        tolerant=on_error == "fail",
+        observer=None if callback is None else listen(callback),
+        batches=batches is not None,
+    )
+    assert isinstance(result, LeastSquaresResult)
+    _log.info("least_squares: %s; cost = %r after %d evaluations", result.message, result.cost, result.nfev)
+    return result

@@ -1,0 +1,172 @@
+"""The line that shows how far a fit is, in a terminal or a notebook."""
+
+from __future__ import annotations
+
+import importlib
+import shutil
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any, SupportsFloat
+
+from .._args.options import number
+from .progress import Progress
+
+#: A fit that nobody asked to be shown is shown from then on, in s.
+DELAY = 2.0
+
+#: What the native code calls the phase in which evaluations are counted; the others are named in the line.
+SEARCH = "searching"
+
+#: More parameters are not shown.
+MOST_PARAMETERS = 3
+
+#: The line is drawn again at most so often, in s.
+INTERVAL = 0.2
+
+
+def is_notebook() -> bool:
+    """Whether this is the kernel of a notebook."""
+    ipython = sys.modules.get("IPython")
+    shell = None if ipython is None else ipython.get_ipython()
+    return type(shell).__name__ == "ZMQInteractiveShell"
+
+
+def is_watched() -> bool:
+    """Whether somebody sees what is written to standard error while it goes on: a terminal or a notebook."""
+    try:
+        return sys.stderr.isatty() or is_notebook()
+    except (AttributeError, ValueError):
+        return False
+
+
+class _Plain:
+    """The line without any library."""
+
+    def __init__(self) -> None:
+        self._width = 0
+
+    def show(self, text: str) -> None:
+        text = text[: max(shutil.get_terminal_size().columns - 1, 20)]
+        sys.stderr.write("\r" + text.ljust(self._width))
+        sys.stderr.flush()
+        self._width = len(text)
+
+    def close(self) -> None:
+        sys.stderr.write("\r" + " " * self._width + "\r")
+        sys.stderr.flush()
+
+
+class _Rich:
+    """The line by rich, which shares the terminal with what a callback prints."""
+
+    def __init__(self, rich: Any) -> None:
+        self._text = importlib.import_module("rich.text").Text
+        self._status = rich.Console(stderr=True).status("")
+        self._status.start()
+
+    def show(self, text: str) -> None:
+        self._status.update(self._text(text, overflow="ellipsis", no_wrap=True))
+
+    def close(self) -> None:
+        self._status.stop()
+
+
+class _Tqdm:
+    """The line by tqdm."""
+
+    def __init__(self, tqdm: Any) -> None:
+        self._bar = tqdm.tqdm(bar_format="{desc}", leave=False, file=sys.stderr)
+
+    def show(self, text: str) -> None:
+        self._bar.set_description_str(text)
+
+    def close(self) -> None:
+        self._bar.close()
+
+
+def _display() -> _Plain | _Rich | _Tqdm:
+    for module, kind in (("rich.console", _Rich), ("tqdm.auto" if is_notebook() else "tqdm", _Tqdm)):
+        try:
+            return kind(importlib.import_module(module))
+        except ImportError:
+            continue
+    return _Plain()
+
+
+class LiveLine:
+    """Shows evaluations, best cost, best parameters, time and what is left of the limits, on the calling thread.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The parameters.
+    delay : float
+        How long nothing is shown, in s.
+    max_evaluations, max_iterations, max_time : optional
+        The limits.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        delay: float,
+        max_evaluations: SupportsFloat | None,
+        max_iterations: SupportsFloat | None,
+        max_time: SupportsFloat | None,
+    ) -> None:
+        self._names = names
+        self._start = time.monotonic()
+        self._due = self._start + delay
+        limits = {"max_evaluations": max_evaluations, "max_iterations": max_iterations, "max_time": max_time}
+        self._limits = {name: number(name, limit) for name, limit in limits.items() if limit is not None}
+        self._progress: Progress | None = None
+        self._phase = SEARCH
+        self._display: _Plain | _Rich | _Tqdm | None = None
+
+    def __call__(self, progress: Progress) -> None:
+        """Takes in the progress after an iteration."""
+        self._progress = progress
+        self.tick(SEARCH)
+
+    def tick(self, phase: str) -> None:
+        """Draws the line again, if it is time to; `phase` is what the fit does."""
+        self._phase = phase
+        now = time.monotonic()
+        if now < self._due:
+            return
+        self._due = now + INTERVAL
+        try:
+            self._display = self._display or _display()
+            self._display.show(self.text(now - self._start))
+        except (OSError, ValueError):
+            # Standard error has been closed: there is nobody to show it to.
+            self._due = float("inf")
+
+    def text(self, seconds: float) -> str:
+        """The line after so many seconds."""
+        phase = "first simulations" if self._phase == SEARCH else self._phase
+        if (progress := self._progress) is None:
+            return f"fit: {phase}, {seconds:.0f} s"
+        values = [f"{name} = {value:.4g}" for name, value in zip(self._names, progress.x)][:MOST_PARAMETERS]
+        if len(self._names) > MOST_PARAMETERS:
+            values.append("...")
+        left = [
+            f"{max(limit - done, 0.0):.0f} {unit} left"
+            for name, done, unit in (
+                ("max_evaluations", progress.nfev, "evaluations"),
+                ("max_iterations", progress.nit, "iterations"),
+                ("max_time", seconds, "s"),
+            )
+            if (limit := self._limits.get(name)) is not None
+        ]
+        done = [f"fit: {progress.nfev} evaluations", *([] if self._phase == SEARCH else [self._phase])]
+        return ", ".join([*done, f"best cost {progress.fun:.6g}", *values, f"{seconds:.0f} s", *left])
+
+    def close(self) -> None:
+        """Takes the line away."""
+        if self._display is not None:
+            try:
+                self._display.close()
+            except (OSError, ValueError):
+                pass

@@ -1,0 +1,112 @@
+//! The cost of a fit by name, or a Python function of what was measured and simulated.
+
+use crate::interrupt::threads::lock;
+use crate::interrupt::watch::{EndRequest, Inside};
+use crate::optimize::objective::{number, residuals};
+use calibration::{Calibration, Compared, CostKind, CustomCost, CustomFailure, NamedCost};
+use numpy::PyArray1;
+use pyo3::exceptions::{PyException, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::sync::{Arc, Mutex, OnceLock};
+
+/// The first exception of a Python function that ended a fit.
+pub(crate) type Raised = Arc<Mutex<Option<PyErr>>>;
+
+/// A name, or a function with its name and whether it returns residuals.
+#[derive(FromPyObject)]
+pub(crate) struct CostFields {
+    name: String,
+    function: Option<Py<PyAny>>,
+    gives_residuals: bool,
+}
+
+/// One array per output by its variable; with several experiments a dict of such by their names.
+pub(crate) fn series<'py, 'a>(
+    py: Python<'py>,
+    names: &[String],
+    outputs: impl Iterator<Item = (usize, &'a str, &'a [f64])>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let all = PyDict::new(py);
+    for (experiment, variable, values) in outputs {
+        let values = PyArray1::from_slice(py, values);
+        if names.len() == 1 {
+            all.set_item(variable, values)?;
+            continue;
+        }
+        let name = &names[experiment];
+        if !all.contains(name)? {
+            all.set_item(name, PyDict::new(py))?;
+        }
+        if let Some(of_experiment) = all.get_item(name)? {
+            of_experiment.set_item(variable, values)?;
+        }
+    }
+    Ok(all)
+}
+
+/// The cost that was asked for. What a function raises goes to `raised` and ends the fit.
+pub(crate) fn kind(
+    given: CostFields,
+    calibration: &Calibration,
+    (stop, raised): (Arc<EndRequest>, Raised),
+) -> PyResult<CostKind> {
+    let CostFields { name, function, gives_residuals } = given;
+    let Some(function) = function else {
+        const NAMED: [NamedCost; 4] =
+            [NamedCost::Mae, NamedCost::Rmse, NamedCost::Nrmse, NamedCost::Likelihood];
+        let usual = CostKind::default();
+        if name == usual.name() {
+            return Ok(usual);
+        }
+        return NAMED.into_iter().find(|named| named.name() == name).map(CostKind::Named).ok_or_else(|| {
+            let known = [usual.name()].into_iter().chain(NAMED.map(NamedCost::name));
+            let known = known.map(|name| format!("'{name}'")).collect::<Vec<_>>().join(", ");
+            PyValueError::new_err(format!(
+                "objective = '{name}' is none of {known}, nor a function of (measured, simulated)"
+            ))
+        });
+    };
+    let (names, length) = (calibration.problem().experiment_names(), OnceLock::new());
+    let call = move |compared: &[Compared<'_>]| {
+        let _inside = Inside::new(&stop);
+        Python::attach(|py| {
+            let of = |pick: for<'c> fn(&Compared<'c>) -> &'c [f64]| {
+                series(py, &names, compared.iter().map(|c| (c.experiment, c.variable, pick(c))))
+            };
+            let returned = || {
+                let value = function.bind(py).call1((of(|c| c.measured)?, of(|c| c.simulated)?))?;
+                let mut numbers = Vec::new();
+                if !gives_residuals {
+                    numbers.push(number(&value, "the objective")?);
+                    return Ok(numbers);
+                }
+                residuals(&value, &mut numbers)?;
+                let expected = *length.get_or_init(|| numbers.len());
+                if numbers.len() == expected {
+                    return Ok(numbers);
+                }
+                let got = numbers.len();
+                Err(PyValueError::new_err(format!(
+                    "the objective returned {got} residuals, and {expected} before: always the same number is needed"
+                )))
+            };
+            returned().map_err(|e: PyErr| {
+                let message = e.to_string();
+                if e.is_instance_of::<PyException>(py) {
+                    lock(&raised).get_or_insert(e);
+                } else {
+                    stop.end_with(e);
+                }
+                CustomFailure::Abort(message)
+            })
+        })
+    };
+    Ok(CostKind::Custom(match gives_residuals {
+        true => CustomCost::residuals(name, call),
+        false => {
+            let first = |numbers: Vec<f64>| numbers.first().copied().unwrap_or(f64::NAN);
+            CustomCost::cost(name, move |compared| call(compared).map(first))
+        }
+    }))
+}

@@ -1,0 +1,239 @@
+//! Parameters, experiments and settings of a calibration, from the fields of their Python classes.
+
+use crate::calibration::data::PyTable;
+use crate::convert::error;
+use crate::convert::record::{self, PyRecord};
+use crate::convert::values;
+use crate::model::inputs::{Callback, Callbacks};
+use calibration::RunContext;
+use calibration::{
+    CalibrationError, CsvRequest, Data, Experiment, InitialState, OutputScale, Parameter, Weight,
+};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// A `pydfo.Parameter`.
+pub(crate) struct PyParameter(PyRecord);
+
+impl<'a, 'py> FromPyObject<'a, 'py> for PyParameter {
+    type Error = PyErr;
+
+    fn extract(object: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
+        object.call_method0("_record")?.extract().map(Self)
+    }
+}
+
+impl PyParameter {
+    pub(crate) fn check(&self, py: Python<'_>) -> PyResult<Parameter> {
+        self.0.parameter(py)
+    }
+}
+
+/// The fields of a `pydfo.Parameter`, checked and as they are by default where none are said.
+#[pyfunction]
+pub(crate) fn check_parameter(py: Python<'_>, given: PyRecord) -> PyResult<Bound<'_, PyDict>> {
+    let record = given.parameter(py)?.record().map_err(|e| error::calibration(py, &e))?;
+    record::to_python(py, &record)
+}
+
+/// `pydfo.Experiment`, field by field.
+#[derive(FromPyObject)]
+pub(crate) struct ExperimentFields {
+    pub(crate) name: Option<String>,
+    /// A CSV file; None: `table`.
+    path: Option<PathBuf>,
+    table: Option<Py<PyTable>>,
+    /// Name of the column of times of the file; None: "time".
+    time: Option<String>,
+    /// Variable, column, weight.
+    outputs: Vec<(String, String, WeightFields)>,
+    /// Variable, and what drives it.
+    inputs: Vec<(String, InputFields)>,
+    start_values: Vec<(String, Py<PyAny>)>,
+    initial_states: Vec<(String, StateFields)>,
+    windows: Vec<(f64, f64)>,
+    warm_up: Option<f64>,
+    start_time: Option<f64>,
+    /// Rows whose measurements count, or the column that says so.
+    mask: Option<Vec<bool>>,
+    mask_column: Option<String>,
+    /// Interval in s over which means are taken.
+    resample: Option<f64>,
+    delays: Vec<(String, f64)>,
+    hold_inputs: bool,
+}
+
+/// Weight of the residuals of an output.
+#[derive(FromPyObject)]
+enum WeightFields {
+    #[pyo3(transparent)]
+    Constant(f64),
+    #[pyo3(transparent)]
+    Column(String),
+    /// By a scale of this name.
+    #[pyo3(transparent)]
+    Inverse((String,)),
+    #[pyo3(transparent)]
+    Rows(Vec<f64>),
+}
+
+/// Source of the values of an input.
+#[derive(FromPyObject)]
+enum InputFields {
+    #[pyo3(transparent)]
+    Column(String),
+    #[pyo3(transparent)]
+    Constant(f64),
+    #[pyo3(transparent)]
+    Function(Py<PyAny>),
+}
+
+/// Initial value of a state.
+// It lives as long as it is read.
+#[allow(clippy::large_enum_variant)]
+#[derive(FromPyObject)]
+enum StateFields {
+    #[pyo3(transparent)]
+    Value(f64),
+    #[pyo3(transparent)]
+    Word(String),
+    #[pyo3(transparent)]
+    Fitted(PyParameter),
+}
+
+/// The functions of time among the inputs of an experiment: its number, the variable, the function.
+pub(crate) type SignalFunctions = Vec<(usize, String, Py<PyAny>)>;
+
+/// Parts of an experiment that come from Python objects, read with the interpreter lock held.
+pub(crate) struct Resolved {
+    start_values: Vec<(String, fmi::Value)>,
+    initial_states: Vec<(String, InitialState)>,
+    functions: Vec<(String, Arc<Callback>)>,
+}
+
+impl ExperimentFields {
+    /// Start values of the model, and of local parameters.
+    pub(crate) fn resolve(
+        &mut self,
+        py: Python<'_>,
+        (fmu, parameters): (&fmi::Fmu, &[Parameter]),
+        callbacks: &mut Callbacks,
+    ) -> PyResult<Resolved> {
+        let of_parameter = |name: &str| parameters.iter().any(|p| p.is_local() && p.name() == name);
+        let (own, others): (Vec<_>, Vec<_>) =
+            self.start_values.drain(..).partition(|(name, _)| of_parameter(name));
+        let given = others.into_iter().map(|(name, value)| (name, value.into_bound(py)));
+        let mut start_values = values::all_from_python(py, fmu.description(), given)?;
+        for (name, value) in own {
+            let number: f64 = value.extract(py).map_err(|_| {
+                let message = "its start value in an experiment must be a number".to_owned();
+                error::calibration(py, &CalibrationError::Parameter { name: name.clone(), message })
+            })?;
+            start_values.push((name, fmi::Value::Real(number)));
+        }
+        let state = |(name, state): (String, StateFields)| {
+            let state = match state {
+                StateFields::Value(value) => InitialState::Value(value),
+                StateFields::Word(word) if word == "measured" => InitialState::Measured,
+                StateFields::Word(word) => {
+                    return Err(PyValueError::new_err(format!(
+                        "initial_states: '{name}' = '{word}': it must be a number, 'measured' or a Parameter"
+                    )));
+                }
+                StateFields::Fitted(fields) => InitialState::from(fields.check(py)?),
+            };
+            Ok((name, state))
+        };
+        let initial_states = self.initial_states.drain(..).map(state).collect::<PyResult<_>>()?;
+        let functions = self.inputs.iter().filter_map(|(input, source)| match source {
+            InputFields::Function(function) => Some((input.clone(), callbacks.add(function.clone_ref(py)))),
+            _ => None,
+        });
+        Ok(Resolved { start_values, initial_states, functions: functions.collect() })
+    }
+
+    /// The columns that are used.
+    fn columns(&self) -> Vec<String> {
+        let measured = self.outputs.iter().map(|(_, column, _)| column);
+        let weights = self.outputs.iter().filter_map(|(_, _, weight)| match weight {
+            WeightFields::Column(column) => Some(column),
+            _ => None,
+        });
+        let driving = self.inputs.iter().filter_map(|(_, source)| match source {
+            InputFields::Column(column) => Some(column),
+            _ => None,
+        });
+        measured.chain(weights).chain(driving).chain(&self.mask_column).cloned().collect()
+    }
+
+    /// The experiment with its recording, which is read unless the context is over.
+    pub(crate) fn experiment(
+        self,
+        resolved: Resolved,
+        context: &RunContext<'_>,
+    ) -> Result<Experiment, CalibrationError> {
+        let data = match (&self.path, &self.table) {
+            (Some(path), _) => {
+                let columns = self.columns();
+                let request =
+                    CsvRequest { time: self.time.as_deref(), columns: Some(&columns), context: *context };
+                Data::read_csv(path, request)?
+            }
+            (None, Some(table)) => table.get().inner.clone(),
+            (None, None) => return Err(CalibrationError::Setup("there is no recording".to_owned())),
+        };
+        let measured: Vec<&str> = self.outputs.iter().map(|(_, column, _)| column.as_str()).collect();
+        let data = match (&self.mask, &self.mask_column) {
+            (Some(keep), _) => data.masked(&measured, keep)?,
+            (None, Some(by)) => data.masked_by(&measured, by)?,
+            (None, None) => data,
+        };
+        let data = match self.resample {
+            Some(interval) => data.resampled(interval)?,
+            None => data,
+        };
+        let mut experiment = Experiment::new(data).windows(self.windows).hold_inputs(self.hold_inputs);
+        if let Some(name) = self.name {
+            experiment = experiment.named(name);
+        }
+        for (variable, column, weight) in self.outputs {
+            let weight = match weight {
+                WeightFields::Constant(weight) => Weight::Constant(weight),
+                WeightFields::Column(column) => Weight::Column(column),
+                WeightFields::Inverse((name,)) => Weight::Inverse(OutputScale::named(&name)?),
+                WeightFields::Rows(weights) => Weight::Rows(weights.into()),
+            };
+            experiment = experiment.weighted_output(variable, column, weight);
+        }
+        let mut functions = resolved.functions.into_iter();
+        for (variable, source) in self.inputs {
+            experiment = match source {
+                InputFields::Column(column) => experiment.input(variable, column),
+                InputFields::Constant(value) => experiment.constant_input(variable, value),
+                InputFields::Function(_) => match functions.next() {
+                    Some((_, callback)) => experiment.function_input(variable, move |t| callback.value(t, 0)),
+                    None => experiment,
+                },
+            };
+        }
+        for (variable, value) in resolved.start_values {
+            experiment = experiment.start_value(variable, value);
+        }
+        for (state, initial) in resolved.initial_states {
+            experiment = experiment.initial_state(state, initial);
+        }
+        for (variable, delay) in self.delays {
+            experiment = experiment.delay(variable, delay);
+        }
+        if let Some(seconds) = self.warm_up {
+            experiment = experiment.warm_up(seconds);
+        }
+        if let Some(time) = self.start_time {
+            experiment = experiment.start_time(time);
+        }
+        Ok(experiment)
+    }
+}

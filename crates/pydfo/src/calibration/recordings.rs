@@ -1,0 +1,82 @@
+//! Recordings of a calibration, and the check of model, recordings and parameters.
+
+use crate::calibration::data::PyTable;
+use crate::calibration::native::PyCalibration;
+use crate::convert::error;
+use crate::convert::findings::{self, FindingFields};
+use crate::convert::record::time_limit;
+use crate::model::description::Fmu;
+use calibration::{CheckOptions, Data, Experiment};
+use numpy::PyArray1;
+use pyo3::prelude::*;
+use std::path::PathBuf;
+
+/// The findings of a check, the same as a table, how many evaluations were made, and whether there are notes only.
+#[pyfunction]
+pub(crate) fn check(
+    py: Python<'_>,
+    calibration: &PyCalibration,
+    simulate: bool,
+    max_time: Option<f64>,
+) -> PyResult<(Vec<FindingFields>, String, usize, bool)> {
+    let options = CheckOptions { simulate, max_time: time_limit("max_time", max_time)? };
+    let check = calibration.compute(py, move |c, context| c.check_with(&options, context))?;
+    let (table, is_ok) = (check.to_string(), check.is_ok());
+    Ok((findings::fields(check.findings), table, check.n_evaluations, is_ok))
+}
+
+/// Variable, column, unit, values, whether it is an input.
+type Series<'py> = (String, String, Option<String>, Bound<'py, PyArray1<f64>>, bool);
+
+/// Times, columns in use, windows.
+type Recording<'py> = (Bound<'py, PyArray1<f64>>, Vec<Series<'py>>, Vec<(f64, f64)>);
+
+/// The recordings of a calibration, in the units of the model.
+#[pyfunction]
+pub(crate) fn recorded<'py>(py: Python<'py>, calibration: &PyCalibration) -> Vec<Recording<'py>> {
+    let description = calibration.inner.fmu().description();
+    let recording = |experiment: &Experiment| {
+        let data = experiment.data();
+        let series = |(variable, column): (&str, &str), is_input| {
+            let unit = description.variable(variable).and_then(|v| v.unit.clone());
+            let values = data.column(column).unwrap_or_default();
+            (variable.to_owned(), column.to_owned(), unit, PyArray1::from_slice(py, values), is_input)
+        };
+        let outputs = experiment.outputs().map(|pair| series(pair, false));
+        let all = outputs.chain(experiment.driving_columns().map(|pair| series(pair, true))).collect();
+        (PyArray1::from_slice(py, data.time()), all, experiment.windows_of_measurements().to_vec())
+    };
+    calibration.inner.problem().experiments.iter().map(recording).collect()
+}
+
+/// Input, times, values.
+type InputSeries<'py> = (String, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
+
+/// The columns of a recording (a CSV file, or one in memory) that have the names of inputs of a model, in
+/// its units, with the times at which they are known.
+#[pyfunction]
+pub(crate) fn recorded_inputs<'py>(
+    py: Python<'py>,
+    fmu: &Bound<'py, Fmu>,
+    path: Option<PathBuf>,
+    table: Option<Bound<'py, PyTable>>,
+) -> PyResult<Vec<InputSeries<'py>>> {
+    let bad = |e| error::calibration(py, &e);
+    let data = match (path, table) {
+        (_, Some(table)) => Ok(table.get().inner.clone()),
+        (path, None) => Data::from_csv(path.unwrap_or_default()),
+    };
+    let description = fmu.get().fmu.description();
+    let (data, pairs, warnings) =
+        calibration::recorded_inputs(data.map_err(bad)?, description).map_err(bad)?;
+    for warning in warnings {
+        error::warn(py, &warning.to_string())?;
+    }
+    let series = |(variable, column): (String, String)| {
+        let known =
+            data.time().iter().zip(data.column(&column).map_err(bad)?).filter(|(_, value)| !value.is_nan());
+        let (times, values): (Vec<f64>, Vec<f64>) = known.unzip();
+        Ok((variable, PyArray1::from_vec(py, times), PyArray1::from_vec(py, values)))
+    };
+    pairs.into_iter().map(series).collect()
+}

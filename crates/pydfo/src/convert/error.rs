@@ -1,0 +1,156 @@
+//! Errors of optimisers and calibrations as Python exceptions, and how a run ends for the user. (Errors of models:
+//! `fmu_error`.) The exception classes themselves are defined, and documented, in `pydfo/_errors.py`.
+
+use crate::convert::fmu_error;
+use crate::interrupt::watch::EndRequest;
+use pyo3::exceptions::{
+    PyKeyError, PyKeyboardInterrupt, PyMemoryError, PyOSError, PyTypeError, PyUserWarning, PyValueError,
+};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::io;
+use std::path::Path;
+
+pyo3::import_exception!(pydfo._errors, AllStartsFailed);
+pyo3::import_exception!(pydfo._errors, BadCalibrationError);
+pyo3::import_exception!(pydfo._errors, CalibrationError);
+pyo3::import_exception!(pydfo._errors, CheckpointError);
+pyo3::import_exception!(pydfo._errors, Interrupted);
+pyo3::import_exception!(pydfo._errors, NoResult);
+pyo3::import_exception!(pydfo._errors, SimulationError);
+
+/// An error of the optimiser: bad options are ValueErrors, a run that found nothing carries what it saw.
+pub(crate) fn optimiser(py: Python<'_>, error: &dfo::Error) -> PyErr {
+    let message = error.to_string();
+    let (exception, found) = match error {
+        dfo::Error::AllStartsFailed(found) => (AllStartsFailed::new_err(message), found),
+        dfo::Error::EndedWithoutPoint { found, .. } => (NoResult::new_err(message), found),
+        dfo::Error::CheckpointFile { kind, .. } => return io::Error::new(*kind, message).into(),
+        dfo::Error::Checkpoint { .. } | dfo::Error::CheckpointMismatch { .. } => {
+            return CheckpointError::new_err(message);
+        }
+        dfo::Error::NeedsResiduals { method } => {
+            return PyValueError::new_err(format!(
+                "{method} needs the vector of residuals: use pydfo.least_squares(fun, x0) with a function that returns it, or \
+                 another method"
+            ));
+        }
+        dfo::Error::Record(e) => return refused(e, &message),
+        dfo::Error::Memory { .. } => return PyMemoryError::new_err(message),
+        dfo::Error::UnknownPoint { .. } => return PyKeyError::new_err(message),
+        _ => return PyValueError::new_err(message),
+    };
+    let attach = || -> PyResult<()> {
+        let value = exception.value(py);
+        let failures = PyDict::new(py);
+        for (reason, count) in &found.failures {
+            failures.set_item(reason, count)?;
+        }
+        value.setattr("failures", failures)?;
+        value.setattr("nfev", found.n_evaluations)?;
+        value.setattr("trace", crate::convert::report::trace(py, &found.trace)?)
+    };
+    attach().err().unwrap_or(exception)
+}
+
+/// An error of a calibration.
+pub(crate) fn calibration(py: Python<'_>, error: &calibration::CalibrationError) -> PyErr {
+    use calibration::CalibrationError as E;
+    let message = calibration::visible(&error.to_string()).into_owned();
+    match error {
+        E::DataFile { path, source } => file("cannot read", path, source),
+        E::ReportFile { path, source } => file("cannot write", path, source),
+        E::Data { .. }
+        | E::SavedFit { .. }
+        | E::OtherModel { .. }
+        | E::Parameter { .. }
+        | E::Setup(_)
+        | E::Length { .. }
+        | E::OptimiserParameter { .. } => BadCalibrationError::new_err(message),
+        E::Model(e) => fmu_error::raise(py, e),
+        E::Simulation { source: None, .. } => SimulationError::new_err(message),
+        // Of the class and with the numbers of the cause, but with the parameters or the experiment in the message.
+        E::Simulation { source: Some(e), .. } => reworded(py, fmu_error::raise(py, e), message),
+        E::Experiment { source, .. } | E::Stage { source, .. } => {
+            reworded(py, calibration(py, source), message)
+        }
+        E::Optimiser(e) => optimiser(py, e),
+        E::Record(e) => refused(e, &message),
+        _ => CalibrationError::new_err(message),
+    }
+}
+
+/// A value that does not fit: a TypeError where it is of another type.
+pub(crate) fn refused(error: &dfo::RecordError, message: &str) -> PyErr {
+    match error.is_type() {
+        true => PyTypeError::new_err(message.to_owned()),
+        false => PyValueError::new_err(message.to_owned()),
+    }
+}
+
+/// The exception with another message.
+pub(crate) fn reworded(py: Python<'_>, exception: PyErr, message: String) -> PyErr {
+    let done = exception.value(py).setattr("args", (message,));
+    done.err().unwrap_or(exception)
+}
+
+/// Warns the user of the function of `pydfo` that is being called, through Python's `warnings`.
+pub(crate) fn warn(py: Python<'_>, message: &str) -> PyResult<()> {
+    let text = std::ffi::CString::new(message).unwrap_or_default();
+    // From here over the functions of the package to the line that called the first of them.
+    let (mut frame, mut level) = (py.import("sys")?.call_method1("_getframe", (0,))?, 1);
+    while frame.getattr("f_globals")?.get_item("__name__")?.extract::<String>()?.starts_with("pydfo.") {
+        frame = frame.getattr("f_back")?;
+        level += 1;
+    }
+    PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, level)
+}
+
+/// An error of the operating system; Python chooses FileNotFoundError and its like by the number.
+fn file(action: &str, path: &Path, error: &io::Error) -> PyErr {
+    match error.raw_os_error() {
+        _ if error.kind() == io::ErrorKind::OutOfMemory => {
+            PyMemoryError::new_err(format!("{action} {}: {error}", path.display()))
+        }
+        Some(number) => {
+            let text = error.to_string();
+            let reason = text.split(" (os error").next().unwrap_or(&text);
+            PyOSError::new_err((number, format!("{action}: {reason}"), path.as_os_str().to_owned()))
+        }
+        None => PyOSError::new_err(format!("{action} {}: {error}", path.display())),
+    }
+}
+
+/// `Interrupted` with the best point in hand.
+pub(crate) fn interrupted(py: Python<'_>, result: Option<&Bound<'_, PyAny>>, cause: Option<PyErr>) -> PyErr {
+    let exception = Interrupted::new_err("interrupted; what there was so far is in .result");
+    exception.set_cause(py, cause);
+    match exception.value(py).setattr("result", result) {
+        Ok(()) => exception,
+        Err(e) => e,
+    }
+}
+
+/// Result of a run, or the exception that ends it: an interrupt takes precedence over an exception, an
+/// exception over a result; both carry the result.
+pub(crate) fn ended<'py>(
+    py: Python<'py>,
+    stop: &EndRequest,
+    raised: Option<PyErr>,
+    result: Option<Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let raised = raised.or_else(|| stop.take_raised());
+    match (raised, result) {
+        (Some(e), result) if e.is_instance_of::<PyKeyboardInterrupt>(py) => {
+            Err(interrupted(py, result.as_ref(), Some(e)))
+        }
+        (Some(e), result) => {
+            // An exception that takes no attributes is raised all the same.
+            let _ = e.value(py).setattr("partial_result", result);
+            Err(e)
+        }
+        (None, result) if stop.is_asked() => Err(interrupted(py, result.as_ref(), None)),
+        (None, Some(result)) => Ok(result),
+        (None, None) => Err(NoResult::new_err("the run ended without a result")),
+    }
+}

@@ -1,0 +1,149 @@
+//! Conversion of the options that a Python user gives by name into the record that the crates read: the one
+//! place where Python objects become plain data.
+
+use crate::convert::error;
+use calibration::{CalibrationError, Parameter, SimulationSettings};
+use dfo::{AnyMethod, AskedRun, RecordError, RunOptions, Value};
+use pyo3::IntoPyObjectExt;
+use pyo3::prelude::*;
+use pyo3::types::{PyBool, PyDict, PyFloat, PyMapping, PyString};
+use serde::de::DeserializeOwned;
+use std::time::Duration;
+
+/// Values by name, and the dict that they come from.
+pub(crate) struct PyRecord {
+    pub(crate) values: dfo::Record,
+    given: Py<PyDict>,
+}
+
+impl<'a, 'py> FromPyObject<'a, 'py> for PyRecord {
+    type Error = PyErr;
+
+    fn extract(object: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
+        let given = object.cast::<PyDict>()?;
+        let value =
+            |(name, value): (Bound<'py, PyAny>, Bound<'py, PyAny>)| Ok((name.extract()?, plain(&value)));
+        let values = given.iter().map(value).collect::<PyResult<_>>()?;
+        Ok(Self { values, given: given.to_owned().unbind() })
+    }
+}
+
+impl PyRecord {
+    /// The run of the record, over so many parameters; `default` holds where it says nothing.
+    pub(crate) fn run(
+        &self,
+        py: Python<'_>,
+        default: RunOptions<AnyMethod>,
+        n_parameters: usize,
+    ) -> PyResult<AskedRun> {
+        AskedRun::new(default, &self.values, n_parameters).map_err(|e| self.error(py, &e))
+    }
+
+    /// The settings of simulations.
+    pub(crate) fn settings(&self, py: Python<'_>) -> PyResult<SimulationSettings> {
+        SimulationSettings::asked(&self.values).map_err(|e| self.refused(py, &e))
+    }
+
+    /// The parameter of the record.
+    pub(crate) fn parameter(&self, py: Python<'_>) -> PyResult<Parameter> {
+        Parameter::asked(&self.values).map_err(|e| match &e {
+            CalibrationError::Record(e) => self.refused(py, e),
+            _ => error::calibration(py, &e),
+        })
+    }
+
+    /// An error of the optimiser; one about a value of the record shows it as the user wrote it.
+    pub(crate) fn error(&self, py: Python<'_>, error: &dfo::Error) -> PyErr {
+        match error {
+            dfo::Error::Record(e) => self.refused(py, e),
+            _ => error::optimiser(py, error),
+        }
+    }
+
+    fn refused(&self, py: Python<'_>, error: &RecordError) -> PyErr {
+        let given = error.name().and_then(|name| self.given.bind(py).get_item(name).ok().flatten());
+        let shown = given.and_then(|given| {
+            py.import("pydfo._args.options")
+                .ok()?
+                .call_method1("show", (given,))
+                .ok()?
+                .extract::<String>()
+                .ok()
+        });
+        error::refused(error, &shown.map_or_else(|| error.to_string(), |given| error.with_given(&given)))
+    }
+}
+
+/// A value of Python's for an argument of this name.
+pub(crate) fn read<T: DeserializeOwned>(name: &str, given: &str) -> PyResult<T> {
+    Value::Text(given.to_owned()).read(name).map_err(|e| error::refused(&e, &e.to_string()))
+}
+
+/// A Python value as plain data.
+fn plain(value: &Bound<'_, PyAny>) -> Value {
+    if value.is_none() {
+        Value::Nothing
+    } else if let Ok(flag) = value.cast::<PyBool>() {
+        Value::Flag(flag.is_true())
+    } else if let Ok(text) = value.cast::<PyString>() {
+        text.extract().map_or_else(|_| other(value), Value::Text)
+    } else if let Ok(number) = value.cast::<PyFloat>() {
+        Value::Number(number.value())
+    } else if let Ok(list) = value.call_method0("tolist") {
+        plain(&list)
+    } else if let Ok(count) = value.extract::<u64>() {
+        Value::Count(count)
+    } else if let Ok(number) = value.extract::<i64>() {
+        Value::Negative(number)
+    } else if let Ok(number) = value.extract::<f64>() {
+        Value::Number(number)
+    } else if let Ok(fields) = value.cast::<PyMapping>() {
+        let field = |pair: Bound<'_, PyAny>| {
+            let (name, value): (String, Bound<'_, PyAny>) = pair.extract()?;
+            Ok((name, plain(&value)))
+        };
+        let fields = fields.items().and_then(|pairs| pairs.iter().map(field).collect::<PyResult<_>>());
+        fields.map_or_else(|_| other(value), Value::Record)
+    } else if let Ok(items) = value.extract::<Vec<Bound<'_, PyAny>>>() {
+        Value::List(items.iter().map(plain).collect())
+    } else {
+        other(value)
+    }
+}
+
+/// Value of an object that is no data: its representation.
+fn other(value: &Bound<'_, PyAny>) -> Value {
+    Value::Other(value.repr().map_or_else(|_| "?".to_owned(), |shown| shown.to_string()))
+}
+
+/// A limit of wall-clock time in s; None and infinity are no limit.
+pub(crate) fn time_limit(name: &str, seconds: Option<f64>) -> PyResult<Option<Duration>> {
+    let seconds = seconds.map_or(Value::Nothing, Value::Number);
+    seconds.read_time(name).map_err(|e| error::refused(&e, &e.to_string()))
+}
+
+/// A record as a dict.
+pub(crate) fn to_python<'py>(py: Python<'py>, record: &dfo::Record) -> PyResult<Bound<'py, PyDict>> {
+    let fields = PyDict::new(py);
+    for (name, value) in record {
+        fields.set_item(name, object(py, value)?)?;
+    }
+    Ok(fields)
+}
+
+/// A value as an object of Python's.
+fn object<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>> {
+    match value {
+        Value::Nothing => Ok(py.None().into_bound(py)),
+        Value::Flag(flag) => flag.into_bound_py_any(py),
+        Value::Count(count) => count.into_bound_py_any(py),
+        Value::Negative(number) => number.into_bound_py_any(py),
+        Value::Number(number) => number.into_bound_py_any(py),
+        Value::Text(text) | Value::Other(text) => text.into_bound_py_any(py),
+        Value::List(items) => {
+            let items = items.iter().map(|item| object(py, item)).collect::<PyResult<Vec<_>>>()?;
+            items.into_bound_py_any(py)
+        }
+        Value::Record(record) => Ok(to_python(py, record)?.into_any()),
+    }
+}

@@ -1,0 +1,68 @@
+//! Log lines of the libraries (warnings about models, mostly) go to Python's `logging`, logger "pydfo".
+//!
+//! Lines are kept until the next return to Python: the threads that simulate must not wait for the interpreter lock.
+
+use crate::interrupt::threads::lock;
+use calibration::SETUP_LOG_TARGET;
+use log::{Level, LevelFilter, Log, Metadata, Record};
+use pyo3::prelude::*;
+use std::sync::Mutex;
+
+/// More lines than this between two returns to Python are not kept.
+const MOST_LINES: usize = 1000;
+
+struct Keeper {
+    lines: Mutex<Vec<(Level, String)>>,
+}
+
+static KEEPER: Keeper = Keeper { lines: Mutex::new(Vec::new()) };
+
+impl Log for Keeper {
+    fn enabled(&self, metadata: &Metadata<'_>) -> bool {
+        // What is doubtful about a setup is shown as a Python warning.
+        metadata.level() <= Level::Info && metadata.target() != SETUP_LOG_TARGET
+    }
+
+    fn log(&self, record: &Record<'_>) {
+        if !self.enabled(record.metadata()) {
+            return;
+        }
+        let line = calibration::visible(&record.args().to_string()).into_owned();
+        let mut lines = lock(&self.lines);
+        if lines.len() < MOST_LINES {
+            lines.push((record.level(), line));
+        }
+    }
+
+    fn flush(&self) {}
+}
+
+/// Starts to listen to the libraries.
+pub(crate) fn install() {
+    if fmi::worker::is_asked() {
+        // A worker process has a logger of its own.
+        return;
+    }
+    // Fails if a logger is set already, which in this extension module can only be this one.
+    if log::set_logger(&KEEPER).is_ok() {
+        log::set_max_level(LevelFilter::Info);
+    }
+}
+
+/// Passes on the lines since the last call.
+pub(crate) fn pass_on(py: Python<'_>) -> PyResult<()> {
+    let lines = std::mem::take(&mut *lock(&KEEPER.lines));
+    if lines.is_empty() {
+        return Ok(());
+    }
+    let logger = py.import("logging")?.call_method1("getLogger", ("pydfo",))?;
+    for (level, line) in lines {
+        let method = match level {
+            Level::Error => "error",
+            Level::Warn => "warning",
+            _ => "info",
+        };
+        logger.call_method1(method, ("%s", line))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,305 @@
+//! The model description for Python: plain dictionaries, made when they are asked for; `_description.py` gives them
+//! their classes.
+
+use crate::convert::dict::dict;
+use crate::convert::fmu_error;
+use crate::convert::values;
+use crate::model::files;
+use fmi::description::{
+    BaseUnit, Dimension, DisplayUnit, EnumerationItem, Interface, Terminal, TypeDefinition, Unit,
+};
+use fmi::{
+    DescriptionLimits, InterfaceKind, LoaderOptions, LogFilter, LogOptions, ModelDescription, OpenOptions,
+    Reuse,
+};
+use pyo3::IntoPyObjectExt;
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyDict, PyList, PyString, PyTuple};
+use std::path::{Path, PathBuf};
+
+/// `pydfo._model.model.OpenOptions`, field by field.
+#[derive(FromPyObject)]
+struct OpenFields {
+    log_level: u8,
+    logging: bool,
+    log_categories: Vec<String>,
+    show_log: bool,
+    deepbind: bool,
+    lazy: bool,
+    tool_is_present: bool,
+    max_description_bytes: Option<u64>,
+    max_elements: Option<usize>,
+}
+
+impl From<OpenFields> for OpenOptions {
+    fn from(fields: OpenFields) -> Self {
+        // PyFMI's levels: nothing, fatal, error, warning, and four that let everything pass.
+        let filter = match fields.log_level {
+            0 => LogFilter::Nothing,
+            1 | 2 => LogFilter::Errors,
+            3 => LogFilter::Warnings,
+            _ => LogFilter::All,
+        };
+        let limits = DescriptionLimits::default();
+        OpenOptions {
+            description: DescriptionLimits {
+                bytes: fields.max_description_bytes.unwrap_or(limits.bytes),
+                elements: fields.max_elements.unwrap_or(limits.elements),
+            },
+            loader: LoaderOptions { deepbind: fields.deepbind, lazy: fields.lazy },
+            tool_is_present: fields.tool_is_present,
+            logging: LogOptions {
+                asked: fields.logging,
+                categories: fields.log_categories,
+                filter,
+                shown: fields.show_log,
+            },
+            ..OpenOptions::default()
+        }
+    }
+}
+
+fn list_of_terminals<'py>(py: Python<'py>, terminals: &[Terminal]) -> PyResult<Bound<'py, PyList>> {
+    let list = PyList::empty(py);
+    for terminal in terminals {
+        let members = PyDict::new(py);
+        for member in &terminal.members {
+            members.set_item(&member.variable, &member.kind)?;
+        }
+        let streams = terminal.stream_members.iter().map(|m| (&m.inflow_variable, &m.outflow_variable));
+        list.append(dict!(py; terminal => name, matching_rule, kind, description;
+            "members": members,
+            "streams": streams.collect::<Vec<_>>(),
+            "terminals": list_of_terminals(py, &terminal.terminals)?,
+            "icon": terminal.icon.as_ref().and_then(|icon| icon.file.as_ref()),
+        ))?;
+    }
+    Ok(list)
+}
+
+fn interface(kind: &str) -> InterfaceKind {
+    if kind == "CS" { InterfaceKind::CoSimulation } else { InterfaceKind::ModelExchange }
+}
+
+/// An opened FMU.
+#[pyclass(frozen, module = "pydfo._core")]
+pub(crate) struct Fmu {
+    pub(crate) fmu: fmi::Fmu,
+}
+
+impl Fmu {
+    fn description(&self) -> &ModelDescription {
+        self.fmu.description()
+    }
+}
+
+#[pymethods]
+impl Fmu {
+    #[new]
+    #[pyo3(signature = (path, options=None))]
+    fn new(py: Python<'_>, path: PathBuf, options: Option<OpenFields>) -> PyResult<Self> {
+        let options = options.map(OpenOptions::from).unwrap_or_default();
+        Ok(Self { fmu: files::open(py, path, &options)? })
+    }
+
+    /// The bytes of its model description.
+    fn description_file<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let bytes = py.detach(|| self.fmu.description_file()).map_err(|e| fmu_error::raise(py, &e))?;
+        Ok(PyBytes::new(py, &bytes))
+    }
+
+    /// The FMU that was at `path` with this content, where there is nothing but its model description.
+    #[staticmethod]
+    fn described(
+        py: Python<'_>,
+        path: PathBuf,
+        description: Vec<u8>,
+        content_hash: String,
+    ) -> PyResult<Self> {
+        let reason = "a pickle of a Description holds no more of it: open the file".to_owned();
+        let options = OpenOptions::default();
+        let fmu = py.detach(|| fmi::Fmu::absent(path, description, content_hash, reason, &options));
+        Ok(Self { fmu: fmu.map_err(|e| fmu_error::raise(py, &e))? })
+    }
+
+    /// Way in which instances are reset between simulations; None before it was tried.
+    fn reuse(&self, kind: &str) -> Option<&'static str> {
+        Some(match self.fmu.reuse_of(interface(kind))? {
+            Reuse::Restore => "restore",
+            Reuse::Reset => "reset",
+            Reuse::Reinstantiate => "reinstantiate",
+            Reuse::NewProcess => "process",
+            _ => "other",
+        })
+    }
+
+    /// Raises what keeps the FMU from being simulated in this way, as far as its description tells; else "ME" or "CS".
+    fn check_runnable(&self, py: Python<'_>, kind: &str) -> PyResult<&'static str> {
+        let chosen = kind.parse().and_then(|kind| self.fmu.check_runnable_as(kind));
+        match chosen.map_err(|e| fmu_error::raise(py, &e))? {
+            InterfaceKind::ModelExchange => Ok("ME"),
+            InterfaceKind::CoSimulation => Ok("CS"),
+        }
+    }
+
+    #[getter]
+    fn path(&self) -> &Path {
+        self.fmu.path()
+    }
+
+    #[getter]
+    fn content_hash(&self, py: Python<'_>) -> PyResult<&str> {
+        py.detach(|| self.fmu.content_hash()).map_err(|e| fmu_error::raise(py, &e))
+    }
+
+    #[getter]
+    fn n_variables(&self) -> usize {
+        self.description().names().count()
+    }
+
+    /// Everything but the lists.
+    fn header<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let d = self.description();
+        let default_experiment =
+            dict!(py; &d.default_experiment => start_time, stop_time, tolerance, step_size);
+        let interface = |i: &Option<Interface>| i.as_ref().map(|i| interface_fields(py, i)).transpose();
+        Ok(dict!(py;
+            d => model_name, guid, description, author, version, copyright, license, generation_tool,
+            generation_date_and_time, variable_naming_convention, n_event_indicators;
+            "fmi_version": &d.fmi_version.text,
+            "n_states": d.n_states(),
+            "default_experiment": default_experiment,
+            "model_exchange": interface(&d.model_exchange)?,
+            "co_simulation": interface(&d.co_simulation)?,
+        ))
+    }
+
+    /// Names of all variables in the order of the file, each followed by its aliases.
+    fn names<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        let names: Vec<_> = self.description().names().map(|(name, _)| PyString::new(py, name)).collect();
+        PyList::new(py, names)
+    }
+
+    /// Names of the states in the order of the state vector; None where the file does not tell.
+    fn state_names(&self) -> Vec<Option<&str>> {
+        self.description().state_names()
+    }
+
+    /// The terminals, each with those inside of it.
+    fn terminals<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        let terminals = py.detach(|| self.fmu.terminals()).map_err(|e| fmu_error::raise(py, &e))?;
+        list_of_terminals(py, &terminals)
+    }
+
+    /// Names of the variables of a causality.
+    fn names_of(&self, causality: &str) -> Vec<&str> {
+        let variables = self.description().variables.iter();
+        variables.filter(|v| v.causality.to_string() == causality).map(|v| v.name.as_str()).collect()
+    }
+
+    /// True if there is a variable of this name.
+    fn has(&self, name: &str) -> bool {
+        self.description().variable_index(name).is_some()
+    }
+
+    /// Names that resemble `name`.
+    fn nearest(&self, name: &str) -> Vec<&str> {
+        self.description().nearest_names(name, 3)
+    }
+
+    /// The attributes of a variable under one of its names; None if there is none of this name.
+    fn variable<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Option<Bound<'py, PyDict>>> {
+        let description = self.description();
+        description.variable_index(name).map(|index| attributes(py, description, index, name)).transpose()
+    }
+
+    fn units<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        self.description().units.iter().map(|unit| unit_fields(py, unit)).collect()
+    }
+
+    fn type_definitions<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        self.description().type_definitions.iter().map(|t| type_fields(py, t)).collect()
+    }
+
+    fn log_categories(&self) -> Vec<(&str, Option<&str>)> {
+        self.description()
+            .log_categories
+            .iter()
+            .map(|c| (c.name.as_str(), c.description.as_deref()))
+            .collect()
+    }
+
+    /// Kind, message and line (None: the file as a whole) of each departure from the standard: those of the description,
+    /// and those that have shown when the FMU was run.
+    fn quirks(&self) -> Vec<(String, String, Option<u32>)> {
+        let quirks = self.description().quirks.iter().cloned().chain(self.fmu.quirks_seen());
+        quirks.map(|q| (q.kind.to_string(), q.message, Some(q.line).filter(|line| *line > 0))).collect()
+    }
+}
+
+fn interface_fields<'py>(py: Python<'py>, interface: &Interface) -> PyResult<Bound<'py, PyDict>> {
+    let capabilities = dict!(py; &interface.capabilities =>
+        needs_execution_tool, completed_integrator_step_not_needed, can_be_instantiated_only_once_per_process,
+        can_not_use_memory_management_functions, can_get_and_set_state, can_serialize_state,
+        provides_directional_derivative, provides_adjoint_derivative, can_handle_variable_communication_step_size,
+        can_interpolate_inputs, can_run_asynchronuously, max_output_derivative_order, has_event_mode,
+        might_return_early_from_do_step, fixed_internal_step_size,
+    );
+    Ok(dict!(py; interface => model_identifier, source_files; "capabilities": capabilities))
+}
+
+fn unit_fields<'py>(py: Python<'py>, unit: &Unit) -> PyResult<Bound<'py, PyDict>> {
+    let base =
+        |base: &BaseUnit| PyResult::Ok(dict!(py; base => kg, m, s, a, k, mol, cd, rad, factor, offset));
+    let display = |unit: &DisplayUnit| PyResult::Ok(dict!(py; unit => name, factor, offset, inverse));
+    Ok(dict!(py; unit => name;
+        "base": unit.base.as_ref().map(base).transpose()?,
+        "display_units": unit.display_units.iter().map(display).collect::<PyResult<Vec<_>>>()?,
+    ))
+}
+
+fn type_fields<'py>(py: Python<'py>, t: &TypeDefinition) -> PyResult<Bound<'py, PyDict>> {
+    let item = |item: &EnumerationItem| PyResult::Ok(dict!(py; item => name, value, description));
+    Ok(dict!(py;
+        t => name, description, quantity, unit, display_unit, relative_quantity, unbounded, min, max, nominal;
+        "type": t.kind.name(),
+        "items": t.items.iter().map(item).collect::<PyResult<Vec<_>>>()?,
+    ))
+}
+
+fn attributes<'py>(
+    py: Python<'py>,
+    description: &ModelDescription,
+    index: usize,
+    name: &str,
+) -> PyResult<Bound<'py, PyDict>> {
+    let v = &description.variables[index];
+    let alias = v.aliases.iter().find(|alias| alias.name == name && v.name != name);
+    let display_unit = alias.and_then(|alias| alias.display_unit.as_ref()).or(v.display_unit.as_ref());
+    let names = std::iter::once(&v.name).chain(v.aliases.iter().map(|alias| &alias.name));
+    let shape = description.extents(v);
+    let start = v.start.clone().map(|value| values::to_python(py, value, v.kind, &shape)).transpose()?;
+    let name_of = |variable: usize| description.variables[variable].name.as_str();
+    let dimension = |dimension: &Dimension| match dimension {
+        Dimension::Fixed(extent) => extent.into_bound_py_any(py),
+        Dimension::Parameter(index) => name_of(*index).into_bound_py_any(py),
+    };
+    Ok(dict!(py;
+        v => value_reference, declared_type, quantity, unit, relative_quantity, unbounded, min, max, nominal, reinit,
+        can_handle_multiple_set_per_time_instant, line;
+        "name": name,
+        "index": index,
+        "description": alias.map_or(&v.description, |alias| &alias.description),
+        "display_unit": display_unit,
+        "type": v.kind.name(),
+        "causality": v.causality.to_string(),
+        "variability": v.variability.to_string(),
+        "initial": v.initial.map(|initial| initial.to_string()),
+        "start": start,
+        "shape": PyTuple::new(py, shape)?,
+        "dimensions": PyTuple::new(py, v.dimensions.iter().map(dimension).collect::<PyResult<Vec<_>>>()?)?,
+        "aliases": PyTuple::new(py, names.filter(|other| *other != name).collect::<Vec<_>>())?,
+        "derivative": v.derivative.map(name_of),
+        "interval_variability": v.clock.as_ref().map(|timing| timing.kind.name()),
+    ))
+}

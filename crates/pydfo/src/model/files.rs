@@ -1,0 +1,106 @@
+//! Opening FMUs, each file once as long as it does not change; packing folders; the bundled examples.
+
+use crate::convert::fmu_error;
+use crate::interrupt::logs;
+use crate::interrupt::watch::Watch;
+use example_models::ExampleKind;
+use fmi::{Cancel, FmiError, FmuCache, OpenOptions};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use std::path::PathBuf;
+use std::sync::LazyLock;
+use std::time::Duration;
+
+/// FMUs that stay open after their last use: scripts open their model at every evaluation.
+const KEPT_OPEN: usize = 32;
+
+static OPEN: LazyLock<FmuCache> = LazyLock::new(|| FmuCache::new(KEPT_OPEN));
+
+/// So long the calling thread tries to open a file, without looking for signals: most files take less.
+const SHORT: Duration = Duration::from_millis(20);
+
+/// The FMU at `path`, opened now or before with the same options. What takes long is opened while this thread looks for
+/// signals: small files can hold large descriptions.
+pub(crate) fn open(py: Python<'_>, path: PathBuf, options: &OpenOptions) -> PyResult<fmi::Fmu> {
+    try_open(py, path, options)?.map_err(|e| fmu_error::raise(py, &e))
+}
+
+/// The same, with an error of the model as it is.
+pub(crate) fn try_open(
+    py: Python<'_>,
+    path: PathBuf,
+    options: &OpenOptions,
+) -> PyResult<Result<fmi::Fmu, FmiError>> {
+    let try_here = || OPEN.open_with(&path, &OpenOptions { cancel: Cancel::after(SHORT), ..options.clone() });
+    let opened = match py.detach(try_here) {
+        Err(FmiError::Cancelled) => {
+            let options = options.clone();
+            watched(py, move |cancel| OPEN.open_with(&path, &OpenOptions { cancel, ..options }))?
+        }
+        opened => opened,
+    };
+    logs::pass_on(py)?;
+    Ok(opened)
+}
+
+/// Does work of some seconds while this thread looks for signals: one that asks for an early end ends it.
+pub(crate) fn watched<T: Send + 'static>(
+    py: Python<'_>,
+    work: impl FnOnce(Cancel) -> T + Send + 'static,
+) -> PyResult<T> {
+    let watch = Watch::new(py)?;
+    let cancel = Cancel::when(watch.stop().flag());
+    watch.run_briefly(move || work(cancel))?.ok_or_else(|| watch.interrupted())
+}
+
+/// Forgets the FMUs that were kept open; called when the interpreter ends, so that no unpacked folder stays behind.
+#[pyfunction]
+pub(crate) fn close_unused(py: Python<'_>) {
+    py.detach(|| OPEN.clear());
+}
+
+/// Packs a folder into an FMU.
+#[pyfunction]
+pub(crate) fn build_fmu(py: Python<'_>, folder: PathBuf, out: PathBuf) -> PyResult<()> {
+    let done = watched(py, move |cancel| fmi::pack_unless(&folder, &out, &cancel))?;
+    logs::pass_on(py)?;
+    done.map_err(|e| fmu_error::raise(py, &e))
+}
+
+/// Path of the FMU of a bundled model.
+#[pyfunction]
+pub(crate) fn example_fmu(py: Python<'_>, name: &str, version: &str, kind: &str) -> PyResult<PathBuf> {
+    let kind = match (version, kind.to_ascii_uppercase().as_str()) {
+        ("1.0", "ME") => ExampleKind::Fmi1ModelExchange,
+        ("1.0", "CS") => ExampleKind::Fmi1CoSimulation,
+        ("2.0", "ME") => ExampleKind::Fmi2ModelExchange,
+        ("2.0", "CS") => ExampleKind::Fmi2CoSimulation,
+        ("3.0", "ME" | "CS") => ExampleKind::Fmi3,
+        _ => {
+            let problem = format!(
+                "there are no example models of version '{version}' and kind '{kind}'; versions are '1.0', '2.0', \
+                 '3.0', kinds 'ME', 'CS'"
+            );
+            return Err(PyValueError::new_err(problem));
+        }
+    };
+    let path = py.detach(|| example_models::example_fmu_as(name, kind));
+    logs::pass_on(py)?;
+    path.map_err(|e| fmu_error::raise(py, &e))
+}
+
+/// Names of the bundled models.
+#[pyfunction]
+pub(crate) fn example_names() -> Vec<&'static str> {
+    example_models::example_names().collect()
+}
+
+/// Removes built libraries and packed examples from the disk, and forgets the FMUs that were kept open.
+#[pyfunction]
+pub(crate) fn clear_caches(py: Python<'_>) -> PyResult<()> {
+    let done = py.detach(|| {
+        OPEN.clear();
+        fmi::clear_caches()
+    });
+    done.map_err(|e| fmu_error::raise(py, &e))
+}

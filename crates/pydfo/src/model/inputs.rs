@@ -1,0 +1,184 @@
+//! Inputs from Python: tables as arrays, and functions that are called with the interpreter lock taken only inside.
+
+use crate::interrupt::threads::lock;
+use fmi::{Inputs, Value};
+use numpy::PyReadonlyArray1;
+use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::prelude::*;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+
+/// Columns with their common times.
+#[derive(FromPyObject)]
+pub(crate) struct Table<'py> {
+    times: PyReadonlyArray1<'py, f64>,
+    columns: Vec<(String, PyReadonlyArray1<'py, f64>)>,
+    values: Vec<(String, Vec<Exact>)>,
+}
+
+/// A value of an input that no double may hold.
+#[derive(FromPyObject)]
+enum Exact {
+    #[pyo3(transparent, annotation = "str")]
+    Text(String),
+    #[pyo3(transparent, annotation = "bytes")]
+    Bytes(Vec<u8>),
+    #[pyo3(transparent, annotation = "int")]
+    Integer(i128),
+}
+
+impl From<Exact> for Value {
+    fn from(exact: Exact) -> Self {
+        match exact {
+            Exact::Text(text) => Value::String(text),
+            Exact::Bytes(bytes) => Value::Binary(bytes),
+            Exact::Integer(integer) => Value::Integer(integer),
+        }
+    }
+}
+
+/// A function of time for one input, or one that returns the values of several.
+#[derive(FromPyObject)]
+pub(crate) struct Function {
+    names: Vec<String>,
+    function: Py<PyAny>,
+}
+
+/// The functions of one simulation.
+#[derive(Clone, Default)]
+pub(crate) struct Callbacks {
+    all: Vec<Arc<Callback>>,
+}
+
+impl Callbacks {
+    /// Adds a function that returns one number.
+    pub(crate) fn add(&mut self, function: Py<PyAny>) -> Arc<Callback> {
+        let callback = Arc::new(Callback::new(function, 1, Arc::default()));
+        self.all.push(Arc::clone(&callback));
+        callback
+    }
+
+    /// True if there is no callback.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.all.is_empty()
+    }
+
+    /// True if a callback has raised an exception.
+    pub(crate) fn has_raised(&self) -> bool {
+        self.all.iter().any(|callback| lock(&callback.raised).is_some())
+    }
+
+    /// The exception that one of them raised.
+    pub(crate) fn take_raised(&self) -> Option<PyErr> {
+        self.all.iter().find_map(|callback| lock(&callback.raised).take())
+    }
+
+    /// Releases the functions. What a simulation leaves behind shall not keep alive what the functions refer to (the
+    /// model itself, perhaps).
+    pub(crate) fn release(&self) {
+        for callback in &self.all {
+            drop(lock(&callback.function).take());
+        }
+    }
+}
+
+/// Makes inputs of tables and functions; `stop` is raised when a function raises an exception.
+pub(crate) fn inputs(
+    tables: Vec<Table<'_>>,
+    functions: Vec<Function>,
+    stop: &Arc<AtomicBool>,
+) -> PyResult<(Inputs, Callbacks)> {
+    let mut inputs = Inputs::new();
+    for Table { times, columns, values } in tables {
+        let columns: PyResult<Vec<(String, Vec<f64>)>> =
+            columns.into_iter().map(|(name, values)| Ok((name, values.as_slice()?.to_vec()))).collect();
+        inputs = inputs.table(times.as_slice()?, columns?);
+        for (name, values) in values {
+            inputs = inputs.values(name, times.as_slice()?, values);
+        }
+    }
+    let mut callbacks = Callbacks::default();
+    for Function { names, function } in functions {
+        let callback = Arc::new(Callback::new(function, names.len(), Arc::clone(stop)));
+        for (position, name) in names.into_iter().enumerate() {
+            let callback = Arc::clone(&callback);
+            inputs = inputs.function(name, move |time| callback.value(time, position));
+        }
+        callbacks.all.push(callback);
+    }
+    Ok((inputs, callbacks))
+}
+
+/// A function of time in Python, from any thread.
+pub(crate) struct Callback {
+    function: Mutex<Option<Py<PyAny>>>,
+    /// The latest time and the values there: the inputs of one function are asked for one after the other.
+    last: Mutex<Option<(f64, Vec<f64>)>>,
+    raised: Mutex<Option<PyErr>>,
+    stop: Arc<AtomicBool>,
+    count: usize,
+}
+
+impl Callback {
+    fn new(function: Py<PyAny>, count: usize, stop: Arc<AtomicBool>) -> Self {
+        let (last, raised) = (Mutex::new(None), Mutex::new(None));
+        Self { function: Mutex::new(Some(function)), last, raised, stop, count }
+    }
+
+    /// One of the values at `time`; NaN, which no simulation survives, after an exception.
+    pub(crate) fn value(&self, time: f64, position: usize) -> f64 {
+        let mut last = lock(&self.last);
+        if last.as_ref().is_none_or(|(known, _)| known.to_bits() != time.to_bits()) {
+            // After an exception there is nothing to remember.
+            *last = Some((time, self.call(time))).filter(|(_, values)| !values.is_empty());
+        }
+        last.as_ref().and_then(|(_, values)| values.get(position)).copied().unwrap_or(f64::NAN)
+    }
+
+    fn call(&self, time: f64) -> Vec<f64> {
+        if lock(&self.raised).is_some() {
+            return Vec::new();
+        }
+        Python::attach(|py| {
+            let function = lock(&self.function).as_ref().map(|function| function.clone_ref(py));
+            let Some(function) = function else { return Vec::new() };
+            match function.bind(py).call1((time,)).and_then(|result| self.numbers(time, &result)) {
+                Ok(values) => values,
+                Err(e) => {
+                    lock(&self.raised).get_or_insert(e);
+                    self.stop.store(true, Ordering::Relaxed);
+                    Vec::new()
+                }
+            }
+        })
+    }
+
+    /// A number, or as many numbers as there are inputs.
+    fn numbers(&self, time: f64, result: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
+        let bad = || {
+            let text = result.repr().map_or_else(|_| "?".to_owned(), |text| text.to_string());
+            let kind = if self.count == 1 { "a number" } else { "as many numbers as there are names" };
+            PyTypeError::new_err(format!(
+                "the input function must return {kind}; at t = {time} it returned {text}"
+            ))
+        };
+        let is_single = result
+            .getattr("ndim")
+            .and_then(|n| n.extract::<usize>())
+            .map_or_else(|_| result.len().is_err(), |dimensions| dimensions == 0);
+        let values = if is_single {
+            vec![result.extract().map_err(|_| bad())?]
+        } else {
+            result.extract::<Vec<f64>>().map_err(|_| bad())?
+        };
+        if values.len() != self.count {
+            return Err(bad());
+        }
+        match values.iter().find(|value| !value.is_finite()) {
+            Some(value) => {
+                Err(PyValueError::new_err(format!("the input function returned {value} at t = {time}")))
+            }
+            None => Ok(values),
+        }
+    }
+}

@@ -1,0 +1,7 @@
+//! Models: files, descriptions, inputs, simulations, trajectories.
+
+pub(crate) mod description;
+pub(crate) mod files;
+pub(crate) mod inputs;
+pub(crate) mod native;
+pub(crate) mod trajectory;

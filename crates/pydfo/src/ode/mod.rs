@@ -1,0 +1,4 @@
+//! Systems written in Python.
+
+pub(crate) mod solve;
+pub(crate) mod system;

@@ -1,0 +1,281 @@
+//! An executor of Python's as an evaluator: points go to it one by one, for a function of the user's or for the simulations of a
+//! fit.
+
+use crate::interrupt::watch::{EndRequest, Inside};
+use crate::optimize::objective::PyObjective;
+use calibration::{Calibration, Engine};
+use dfo::{Answer, Evaluator, GivesUp, Outcome, Polled, Query, RobustLoss, Wait};
+use numpy::PyArray1;
+use ode::Stats;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+use serde::Serialize;
+use std::collections::{HashMap, VecDeque};
+use std::sync::Arc;
+
+/// As bytes (CBOR).
+pub(crate) fn encoded(value: &impl Serialize) -> PyResult<Vec<u8>> {
+    let mut bytes = Vec::new();
+    ciborium::into_writer(value, &mut bytes).map_err(|e| PyValueError::new_err(e.to_string()))?;
+    Ok(bytes)
+}
+
+/// A problem and the solver that was chosen for it.
+pub(crate) fn state(calibration: &Calibration) -> PyResult<Vec<u8>> {
+    encoded(&(calibration.problem(), calibration.known_solver()))
+}
+
+/// Answer of `_evaluate.Futures`: number of the point, time of the evaluation in s, its outcome, and the
+/// fault of the executor: "" (none), "lost" (this point), "broken".
+type Ended = (u64, f64, Py<PyAny>, String);
+
+/// Result of polling.
+enum Taken {
+    Value {
+        id: u64,
+        x: Vec<f64>,
+        seconds: f64,
+        value: Py<PyAny>,
+    },
+    /// The executor has lost this point.
+    Lost {
+        id: u64,
+        why: PyErr,
+    },
+    /// It will not evaluate any.
+    Broken {
+        id: u64,
+        x: Vec<f64>,
+        why: PyErr,
+    },
+    Waiting,
+    Idle,
+}
+
+/// An object of `_evaluate.Futures`, and what is under way there.
+struct Futures {
+    futures: Py<PyAny>,
+    stop: Arc<EndRequest>,
+    width: usize,
+    under_way: HashMap<u64, Vec<f64>>,
+    /// Points that the executor refused, and the exceptions.
+    refused: VecDeque<(u64, PyErr)>,
+}
+
+impl Futures {
+    fn new(futures: &Bound<'_, PyAny>, stop: Arc<EndRequest>) -> PyResult<Self> {
+        let width = futures.getattr("width")?.extract()?;
+        let futures = futures.clone().unbind();
+        Ok(Self { futures, stop, width, under_way: HashMap::new(), refused: VecDeque::new() })
+    }
+
+    fn submit(&mut self, x: &[f64], query: &Query<'_>) {
+        self.under_way.insert(query.id, x.to_vec());
+        let submitted = Python::attach(|py| {
+            let point = PyArray1::from_slice(py, x);
+            self.futures.call_method1(py, "submit", (query.id, point, query.cutoff)).map(drop)
+        });
+        if let Err(e) = submitted {
+            self.refused.push_back((query.id, e));
+        }
+    }
+
+    fn poll(&mut self, wait: &Wait<'_>) -> Taken {
+        if let Some((id, why)) = self.refused.pop_front() {
+            return Taken::Broken { id, x: self.under_way.remove(&id).unwrap_or_default(), why };
+        }
+        if self.under_way.is_empty() {
+            return Taken::Idle;
+        }
+        let _inside = Inside::new(&self.stop);
+        let polled = Python::attach(|py| {
+            let ended = self.futures.call_method1(py, "poll", (wait.left().as_secs_f64(),))?;
+            if ended.is_none(py) {
+                return Ok(None);
+            }
+            let (id, seconds, value, fault): Ended = ended.extract(py)?;
+            let why = |value: Py<PyAny>| PyErr::from_value(value.into_bound(py));
+            let x = self.under_way.remove(&id).unwrap_or_default();
+            Ok::<_, PyErr>(Some(match &fault[..] {
+                "lost" => Taken::Lost { id, why: why(value) },
+                "broken" => Taken::Broken { id, x, why: why(value) },
+                _ => Taken::Value { id, x, seconds, value },
+            }))
+        });
+        match polled {
+            Ok(taken) => taken.unwrap_or(Taken::Waiting),
+            // Ctrl-C for the second time, for example.
+            Err(e) => {
+                self.stop.end_with(e);
+                self.under_way.clear();
+                Taken::Idle
+            }
+        }
+    }
+
+    fn cancel(&self, id: u64) {
+        if let Err(e) = Python::attach(|py| self.futures.call_method1(py, "cancel", (id,)).map(drop)) {
+            self.stop.end_with(e);
+        }
+    }
+}
+
+/// A point that the executor has lost has failed.
+fn lost(why: &PyErr) -> Outcome {
+    Outcome::failed(format!("the executor lost it: {why}"))
+}
+
+/// Calls a function of the user's.
+pub(crate) struct PyEvaluator<'a> {
+    futures: Futures,
+    objective: &'a PyObjective,
+}
+
+impl<'a> PyEvaluator<'a> {
+    /// `futures`: a `_evaluate.Futures`.
+    ///
+    /// # Errors
+    /// It is none.
+    pub(crate) fn new(
+        futures: &Bound<'_, PyAny>,
+        objective: &'a PyObjective,
+        stop: Arc<EndRequest>,
+    ) -> PyResult<Self> {
+        Ok(Self { futures: Futures::new(futures, stop)?, objective })
+    }
+}
+
+impl Evaluator for PyEvaluator<'_> {
+    fn submit(&mut self, x: &[f64], query: Query<'static>) {
+        self.futures.submit(x, &query);
+    }
+
+    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
+        answer.clear();
+        match self.futures.poll(wait) {
+            Taken::Value { id, x, seconds, value } => {
+                Python::attach(|py| {
+                    if !value.is(py.Ellipsis()) {
+                        self.objective.answer_from(py, &x, value.into_bound(py), answer);
+                    }
+                });
+                answer.seconds = seconds;
+                Polled::Answered(id)
+            }
+            Taken::Lost { id, why } => {
+                answer.outcome = lost(&why);
+                Polled::Answered(id)
+            }
+            Taken::Broken { id, x, why } => {
+                answer.outcome = self.objective.abort(&x, why);
+                Polled::Answered(id)
+            }
+            Taken::Waiting => Polled::Waiting,
+            Taken::Idle => Polled::Idle,
+        }
+    }
+
+    fn cancel(&mut self, id: u64) {
+        self.futures.cancel(id);
+    }
+
+    fn width(&self) -> usize {
+        self.futures.width
+    }
+
+    fn gives_up(&self) -> GivesUp {
+        self.objective.gives_up()
+    }
+
+    /// Always true: an executor finishes without this evaluator what it has begun.
+    fn leave(&mut self) -> bool {
+        true
+    }
+}
+
+/// Makes the simulations of a fit.
+pub(crate) struct PyEngine {
+    futures: Futures,
+    stats: Stats,
+}
+
+impl PyEngine {
+    /// `futures`: a `_engine.Simulations`.
+    ///
+    /// # Errors
+    /// It is none.
+    pub(crate) fn new(futures: &Bound<'_, PyAny>, stop: Arc<EndRequest>) -> PyResult<Self> {
+        Ok(Self { futures: Futures::new(futures, stop)?, stats: Stats::default() })
+    }
+}
+
+impl Evaluator for PyEngine {
+    fn submit(&mut self, x: &[f64], query: Query<'static>) {
+        self.futures.submit(x, &query);
+    }
+
+    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
+        answer.clear();
+        match self.futures.poll(wait) {
+            Taken::Value { id, seconds, value, .. } => {
+                let read = Python::attach(|py| {
+                    if value.is(py.Ellipsis()) {
+                        return Ok(());
+                    }
+                    let bytes = value.cast_bound::<PyBytes>(py).map_err(|e| e.to_string())?;
+                    let (found, stats): (Answer, Stats) =
+                        ciborium::from_reader(bytes.as_bytes()).map_err(|e| e.to_string())?;
+                    self.stats += stats;
+                    *answer = Answer { seconds, ..found };
+                    Ok(())
+                });
+                if let Err::<(), String>(why) = read {
+                    answer.outcome =
+                        Outcome::Abort(format!("an answer of the executor cannot be read: {why}"));
+                }
+                Polled::Answered(id)
+            }
+            Taken::Lost { id, why } => {
+                answer.outcome = lost(&why);
+                Polled::Answered(id)
+            }
+            Taken::Broken { id, why, .. } => {
+                answer.outcome = Outcome::Abort(why.to_string());
+                self.futures.stop.end_with(why);
+                Polled::Answered(id)
+            }
+            Taken::Waiting => Polled::Waiting,
+            Taken::Idle => Polled::Idle,
+        }
+    }
+
+    fn cancel(&mut self, id: u64) {
+        self.futures.cancel(id);
+    }
+
+    fn width(&self) -> usize {
+        self.futures.width
+    }
+
+    fn leave(&mut self) -> bool {
+        true
+    }
+}
+
+impl Engine for PyEngine {
+    fn begin(&mut self, calibration: &Calibration, loss: RobustLoss) {
+        let begun = Python::attach(|py| {
+            let state = PyBytes::new(py, &state(calibration)?);
+            let loss = PyBytes::new(py, &encoded(&loss)?);
+            self.futures.futures.call_method1(py, "begin", (state, loss)).map(drop)
+        });
+        if let Err(e) = begun {
+            self.futures.stop.end_with(e);
+        }
+    }
+
+    fn take_stats(&mut self) -> Stats {
+        std::mem::take(&mut self.stats)
+    }
+}

@@ -1,0 +1,146 @@
+//! Minimising a Python function: on the calling thread, on threads of a pool, or in batches that it takes as a whole.
+
+use crate::convert::error;
+use crate::convert::record::PyRecord;
+use crate::convert::report::{self, LastProgress, Listener, ResultKind, Snapshot};
+use crate::interrupt::watch::{EndRequest, Watch};
+use crate::optimize::futures::PyEvaluator;
+use crate::optimize::objective::PyObjective;
+use calibration::RunContext;
+use dfo::{AskedRun, ByRef, MethodOptions, Minimize, NelderMead, Progress, Report, RobustLoss, RunOptions};
+use pyo3::prelude::*;
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+type Observer<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
+
+/// A minimisation without its objective: owned, to be moved to another thread.
+pub(crate) struct RunSetup {
+    x0: Option<Vec<f64>>,
+    lower: Vec<f64>,
+    upper: Vec<f64>,
+    asked: AskedRun,
+}
+
+impl RunSetup {
+    pub(crate) fn new(x0: Option<Vec<f64>>, lower: Vec<f64>, upper: Vec<f64>, asked: AskedRun) -> Self {
+        Self { x0, lower, upper, asked }
+    }
+
+    /// The same for the optimiser.
+    pub(crate) fn describe<'a, D>(
+        self,
+        run: Minimize<'a, NelderMead, D>,
+    ) -> Result<Minimize<'a, dfo::AnyMethod, D>, dfo::Error> {
+        let run = match &self.x0 {
+            Some(x0) => run.start(x0),
+            None => run,
+        };
+        Ok(run.bounds(&self.lower, &self.upper)?.asked(self.asked))
+    }
+
+    fn run(
+        self,
+        run: Minimize<'_, NelderMead>,
+        stop: &EndRequest,
+        ask: &dyn Fn() -> bool,
+        observer: Option<&mut Observer<'_>>,
+    ) -> Result<Report, dfo::Error> {
+        let flag = stop.flag();
+        let run = self.describe(run)?.context(RunContext::new().flagged(&flag).asking(ask));
+        match observer {
+            Some(observer) => run.observer(observer).run(),
+            None => run.run(),
+        }
+    }
+}
+
+/// Minimises a Python function. With one worker it is called on the calling thread, with more on threads of a pool;
+/// with `batches` it takes whole batches on the calling thread, see [`PyObjective::evaluate_batch`], or points one by one, see
+/// [`PyEvaluator`]; with `cutoffs` it is
+/// told the cutoff of each point; with a `loss` and its scale among the options it returns residuals.
+#[pyfunction]
+#[pyo3(signature = (
+    func, x0, lower, upper, options, *, tolerant=false, observer=None, detail=false, batches=false, cutoffs=false
+))]
+#[expect(clippy::too_many_arguments, reason = "keyword arguments of a private function")]
+pub(crate) fn minimize<'py>(
+    py: Python<'py>,
+    func: Py<PyAny>,
+    x0: Option<Vec<f64>>,
+    lower: Vec<f64>,
+    upper: Vec<f64>,
+    mut options: PyRecord,
+    tolerant: bool,
+    observer: Option<Py<PyAny>>,
+    detail: bool,
+    batches: bool,
+    cutoffs: bool,
+) -> PyResult<Bound<'py, PyAny>> {
+    let loss = RobustLoss::asked(&mut options.values).map_err(|e| options.error(py, &e))?;
+    let asked = options.run(py, RunOptions::default(), lower.len())?;
+    if loss.is_none() && asked.options.method.needs_residuals() {
+        return Err(error::optimiser(py, &dfo::Error::NeedsResiduals { method: "least-squares" }));
+    }
+    let kind = ResultKind::of(loss.is_some());
+    let alone = asked.options.workers.is_none_or(|workers| workers == 1);
+    let setup = RunSetup::new(x0, lower, upper, asked);
+    let watch = Watch::new(py)?;
+    let stop = Arc::clone(watch.stop());
+    let objective = Arc::new(PyObjective::new(func, (tolerant, cutoffs), loss, Arc::clone(&stop)));
+    let listener = observer.map(|function| Arc::new(Listener::new(function, detail)));
+    let outcome = if alone || batches {
+        let mut notify = |progress: &Progress<'_>| match &listener {
+            Some(listener) => listener.notify(py, &Snapshot::new(progress, detail)),
+            None => ControlFlow::Continue(()),
+        };
+        let observer = listener.is_some().then_some(&mut notify as &mut Observer<'_>);
+        let function = objective.function(py);
+        let run = match batches {
+            true if function.hasattr("submit")? => {
+                let evaluator = PyEvaluator::new(&function, &objective, Arc::clone(&stop))?;
+                dfo::minimize_by(evaluator).loss(loss.unwrap_or_default())
+            }
+            true => dfo::minimize_batches(|batch| objective.evaluate_batch(py, batch))
+                .gives_up(objective.gives_up())
+                .loss(loss.unwrap_or_default()),
+            false => dfo::minimize(ByRef(&*objective)),
+        };
+        setup.run(run, &stop, &|| stop.poll(py), observer)
+    } else {
+        let last_progress = Arc::new(LastProgress::new(kind));
+        let (objective, stop) = (Arc::clone(&objective), Arc::clone(&stop));
+        let (seen, notified) = (Arc::clone(&last_progress), listener.clone());
+        let outcome = watch.run(move |caller| {
+            let mut notify = |progress: &Progress<'_>| seen.pass_on(progress, caller, notified.as_ref());
+            let run = dfo::minimize(ByRef(&*objective));
+            setup.run(run, &stop, &|| stop.is_asked(), Some(&mut notify))
+        })?;
+        match outcome {
+            Some(outcome) => outcome,
+            None => return Err(error::interrupted(py, last_progress.result(py)?.as_ref(), None)),
+        }
+    };
+    let raised = objective.take_raised(&outcome).or_else(|| listener.and_then(|l| l.take_raised()));
+    conclude(py, &stop, raised, outcome, kind)
+}
+
+/// The result, or the exception that ended the run with the result attached to it.
+fn conclude<'py>(
+    py: Python<'py>,
+    stop: &EndRequest,
+    raised: Option<PyErr>,
+    outcome: Result<Report, dfo::Error>,
+    kind: ResultKind,
+) -> PyResult<Bound<'py, PyAny>> {
+    let raised = raised.or_else(|| stop.take_raised());
+    let result = match outcome {
+        Ok(mut report) => {
+            report::set_raised(&mut report, raised.as_ref());
+            Some(report::to_python(py, &report, kind)?)
+        }
+        Err(e) if raised.is_none() && !stop.is_asked() => return Err(error::optimiser(py, &e)),
+        Err(_) => None,
+    };
+    error::ended(py, stop, raised, result)
+}

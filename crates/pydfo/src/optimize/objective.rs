@@ -1,0 +1,258 @@
+//! A Python function as an objective: called with the lock held only inside of it, from whatever thread evaluates.
+
+use crate::interrupt::threads::lock;
+use crate::interrupt::watch::{EndRequest, Inside};
+use dfo::{Answer, BatchView, GivesUp, Objective, Outcome, Query, Report, RobustLoss};
+use numpy::{PyArray1, PyArrayMethods, PyUntypedArray};
+use pyo3::exceptions::{PyBaseException, PyException, PyTypeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::{PyCFunction, PyDict, PyFloat, PyTuple};
+use std::sync::{Arc, Mutex};
+
+/// A Python function `f(x) -> float`, or `f(x, *, cutoff) -> float | Above`, or one that returns a vector of residuals.
+pub(crate) struct PyObjective {
+    function: Py<PyAny>,
+    /// True if an exception counts as a failed evaluation instead of ending the run.
+    tolerant: bool,
+    /// True if the function receives the cutoff, and may return `Above`.
+    takes_cutoff: bool,
+    /// Loss function of the residuals; `None`: the function returns a cost.
+    loss: Option<RobustLoss>,
+    stop: Arc<EndRequest>,
+    /// Exceptions, by the points at which they were raised: the run ends with that of the first point of its path.
+    raised: Mutex<Vec<(Vec<u64>, PyErr)>>,
+}
+
+impl PyObjective {
+    pub(crate) fn new(
+        function: Py<PyAny>,
+        (tolerant, takes_cutoff): (bool, bool),
+        loss: Option<RobustLoss>,
+        stop: Arc<EndRequest>,
+    ) -> Self {
+        Self { function, tolerant, takes_cutoff, loss, stop, raised: Mutex::default() }
+    }
+
+    /// `GivesUp::Yes` if costs above the cutoff count as given up.
+    pub(crate) fn gives_up(&self) -> GivesUp {
+        if self.takes_cutoff { GivesUp::Yes } else { GivesUp::No }
+    }
+
+    /// The function, or what hands points to it.
+    pub(crate) fn function<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
+        self.function.bind(py).clone()
+    }
+
+    /// The exception that ended the run: the one raised at the point of its path that ended it.
+    pub(crate) fn take_raised(&self, run: &Result<Report, dfo::Error>) -> Option<PyErr> {
+        let trace = run.as_ref().map_or_else(|e| e.trace(), |report| Some(&report.trace))?;
+        let end = trace.iter().rev().find(|entry| matches!(entry.outcome, Outcome::Abort(_)))?;
+        let mut raised = lock(&self.raised);
+        let place = raised.iter().position(|(x, _)| *x == bits(end.x))?;
+        Some(raised.swap_remove(place).1)
+    }
+
+    /// The end of the run, with this exception.
+    pub(crate) fn abort(&self, x: &[f64], exception: PyErr) -> Outcome {
+        let message = exception.to_string();
+        lock(&self.raised).push((bits(x), exception));
+        Outcome::Abort(message)
+    }
+
+    /// Outcome of a call of the user's function; residuals, if it returns such, go to `out`.
+    fn outcome(
+        &self,
+        py: Python<'_>,
+        x: &[f64],
+        returned: PyResult<Bound<'_, PyAny>>,
+        out: &mut Vec<f64>,
+    ) -> Outcome {
+        match returned {
+            Ok(value) if self.takes_cutoff && is_above(&value) => {
+                match value.getattr("cutoff").and_then(|cutoff| number(&cutoff, "the cutoff of Above")) {
+                    Ok(cutoff) => Outcome::Above(cutoff),
+                    Err(e) => self.abort(x, e),
+                }
+            }
+            Ok(value) if let Some(loss) = self.loss => match residuals(&value, out) {
+                Ok(()) => loss.cost(out, f64::INFINITY),
+                Err(e) => self.abort(x, e),
+            },
+            Ok(value) => match number(&value, "the objective") {
+                Ok(cost) => Outcome::Value(cost),
+                // Always an error in the program, never one of the model.
+                Err(e) => self.abort(x, e),
+            },
+            // SystemExit, KeyboardInterrupt and their like always end the run.
+            Err(e) if self.tolerant && e.is_instance_of::<PyException>(py) => Outcome::failed(e.to_string()),
+            Err(e) if e.is_instance_of::<PyException>(py) => self.abort(x, e),
+            // Also at a point that is evaluated ahead of need.
+            Err(e) => {
+                let message = e.to_string();
+                self.stop.end_with(e);
+                Outcome::Abort(message)
+            }
+        }
+    }
+
+    /// Fills `answer` from a returned value: a cost, residuals, or the exception that was raised.
+    pub(crate) fn answer_from<'py>(
+        &self,
+        py: Python<'py>,
+        x: &[f64],
+        value: Bound<'py, PyAny>,
+        answer: &mut Answer,
+    ) {
+        let is_exception = value.is_instance_of::<PyBaseException>();
+        let returned = if is_exception { Err(PyErr::from_value(value)) } else { Ok(value) };
+        answer.outcome = self.outcome(py, x, returned, &mut answer.residuals);
+    }
+
+    /// Outcomes of a batch from a function that takes all its points, shape (points, parameters), their cutoffs, and a
+    /// function that says whether to stop; it returns for each point a cost, the exception that was raised, or Ellipsis for
+    /// a point that was left out. Called on the calling thread.
+    pub(crate) fn evaluate_batch(&self, py: Python<'_>, batch: &BatchView<'_>) -> Vec<Outcome> {
+        let _inside = Inside::new(&self.stop);
+        let mut outcomes = vec![Outcome::Skipped; batch.len()];
+        let answers = self.answers(py, batch);
+        match answers {
+            Err(e) => outcomes[0] = self.abort(batch.point(0), e),
+            Ok(answers) => {
+                for ((k, place), answer) in outcomes.iter_mut().enumerate().zip(answers) {
+                    if answer.is(py.Ellipsis()) {
+                        continue;
+                    }
+                    // With its own time, or without.
+                    let answer = match answer.cast_into::<PyTuple>() {
+                        Ok(timed) if timed.get_type().is(py.get_type::<PyTuple>()) && timed.len() == 2 => {
+                            if let Ok(seconds) = timed.get_item(0).and_then(|s| s.extract()) {
+                                batch.set_seconds(k, seconds);
+                            }
+                            match timed.get_item(1) {
+                                Ok(value) => value,
+                                Err(_) => continue,
+                            }
+                        }
+                        Ok(other) => other.into_any(),
+                        Err(e) => e.into_inner(),
+                    };
+                    let mut found = Answer::default();
+                    self.answer_from(py, batch.point(k), answer, &mut found);
+                    batch.set_residuals(k, &found.residuals);
+                    *place = found.outcome;
+                }
+            }
+        }
+        outcomes
+    }
+
+    fn answers<'py>(&self, py: Python<'py>, batch: &BatchView<'_>) -> PyResult<Vec<Bound<'py, PyAny>>> {
+        let points = PyArray1::from_slice(py, batch.as_flat()).reshape([batch.len(), batch.n()])?;
+        let cutoffs = PyArray1::from_iter(py, (0..batch.len()).map(|k| batch.query(k).cutoff));
+        let stop = Arc::clone(&self.stop);
+        let asked = PyCFunction::new_closure(py, None, None, move |args, _| stop.poll(args.py()))?;
+        let answers: Vec<Bound<'py, PyAny>> =
+            self.function.bind(py).call1((points, cutoffs, asked))?.extract()?;
+        if answers.len() == batch.len() {
+            return Ok(answers);
+        }
+        let (got, points) = (answers.len(), batch.len());
+        Err(PyValueError::new_err(format!("{got} costs were returned for {points} points")))
+    }
+}
+
+impl Objective for PyObjective {
+    fn uses_cutoff(&self) -> bool {
+        self.takes_cutoff
+    }
+
+    fn has_residuals(&self) -> bool {
+        self.loss.is_some()
+    }
+
+    fn residual_loss(&self) -> RobustLoss {
+        self.loss.unwrap_or_default()
+    }
+
+    fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
+        let _inside = Inside::new(&self.stop);
+        answer.outcome = Python::attach(|py| {
+            let point = (PyArray1::from_slice(py, x),);
+            let returned = if self.takes_cutoff {
+                let cutoff = PyDict::new(py);
+                cutoff
+                    .set_item("cutoff", query.cutoff)
+                    .and_then(|()| self.function.bind(py).call(point, Some(&cutoff)))
+            } else {
+                self.function.bind(py).call1(point)
+            };
+            self.outcome(py, x, returned, &mut answer.residuals)
+        });
+    }
+}
+
+fn bits(x: &[f64]) -> Vec<u64> {
+    x.iter().map(|v| v.to_bits()).collect()
+}
+
+/// True if a function returned `pydfo.Above`.
+fn is_above(value: &Bound<'_, PyAny>) -> bool {
+    let class = || value.py().import("pydfo._optimize.optimizer")?.getattr("Above");
+    !value.is_instance_of::<PyFloat>() && class().and_then(|class| value.is_instance(&class)).unwrap_or(false)
+}
+
+/// The residuals that a Python function returned, into `out`: whatever NumPy makes a one-dimensional array of.
+///
+/// # Errors
+/// TypeError: something else.
+pub(crate) fn residuals(value: &Bound<'_, PyAny>, out: &mut Vec<f64>) -> PyResult<()> {
+    out.clear();
+    // Of subclasses NumPy knows more: what is masked, for example.
+    let is_plain = value.cast_exact::<PyUntypedArray>().is_ok();
+    if let (true, Ok(array)) = (is_plain, value.cast::<PyArray1<f64>>()) {
+        out.extend(array.try_readonly()?.as_array());
+        return Ok(());
+    }
+    let array = value.py().import("pydfo._optimize.evaluate")?.getattr("residual_vector")?.call1((value,))?;
+    out.extend(array.cast::<PyArray1<f64>>()?.to_vec()?);
+    Ok(())
+}
+
+/// The number that a Python function returned: a float or an int, a NumPy scalar, an array of one element.
+///
+/// # Errors
+/// TypeError: `who` returned something else.
+pub(crate) fn number(value: &Bound<'_, PyAny>, who: &str) -> PyResult<f64> {
+    if let Ok(number) = value.cast::<PyFloat>() {
+        return Ok(number.value());
+    }
+    let bad = |what: String| {
+        PyTypeError::new_err(format!(
+            "{who} must return one number (a float, a NumPy scalar or an array of one element), not {what}"
+        ))
+    };
+    if value.is_none() {
+        return Err(bad("None; is a return statement missing?".to_owned()));
+    }
+    if let (Ok(shape), Ok(dtype)) = (value.getattr("shape"), value.getattr("dtype")) {
+        if !value.getattr("size").and_then(|s| s.extract::<usize>()).is_ok_and(|size| size == 1) {
+            return Err(bad(format!("an array of shape {shape}")));
+        }
+        // What is masked is no number, whatever lies under the mask.
+        if value.getattr("mask").and_then(|mask| mask.call_method0("any")?.is_truthy()).unwrap_or(false) {
+            return Ok(f64::NAN);
+        }
+        return match dtype.getattr("kind").and_then(|k| k.extract::<char>()) {
+            Ok('f' | 'i' | 'u' | 'b') => value.call_method0("item")?.extract(),
+            _ => Err(bad(format!("an array or scalar of type {dtype}"))),
+        };
+    }
+    // Whatever can be a float: int, Fraction, Decimal, a tensor of another library.
+    value.extract().map_err(|_| {
+        let name = value.get_type().name().map_or_else(|_| "?".to_owned(), |n| n.to_string());
+        let text = value.repr().map_or_else(|_| String::new(), |r| r.to_string());
+        let shown: String = text.chars().take(60).collect();
+        let dots = if shown.len() < text.len() { "..." } else { "" };
+        bad(format!("{shown}{dots} ({name})"))
+    })
+}

@@ -1,0 +1,109 @@
+//! A run that Python drives, point by point.
+
+use crate::convert::error;
+use crate::convert::record::PyRecord;
+use crate::convert::report::{self, ResultKind};
+use crate::interrupt::threads::lock;
+use crate::optimize::minimize::RunSetup;
+use crate::optimize::objective;
+use dfo::{Answer, MethodOptions, Outcome, RobustLoss, RunOptions};
+use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use pyo3::exceptions::{PyBaseException, PyTypeError};
+use pyo3::prelude::*;
+use std::sync::Mutex;
+
+/// An optimiser that is asked and told; `pydfo.Optimizer` is its Python class.
+#[pyclass(frozen, module = "pydfo._core", name = "Optimizer")]
+pub(crate) struct PyOptimizer {
+    inner: Mutex<dfo::Optimizer>,
+    n: usize,
+    /// True if the method needs residuals.
+    of_residuals: bool,
+}
+
+/// Numbers, points (k, n), cutoffs.
+type Asked<'py> = (Bound<'py, PyArray1<u64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>);
+
+#[pymethods]
+impl PyOptimizer {
+    #[new]
+    fn new(
+        py: Python<'_>,
+        x0: Option<Vec<f64>>,
+        lower: Vec<f64>,
+        upper: Vec<f64>,
+        options: PyRecord,
+    ) -> PyResult<Self> {
+        let n = lower.len();
+        let asked = options.run(py, RunOptions::default(), n)?;
+        let of_residuals = asked.options.method.needs_residuals();
+        let setup = RunSetup::new(x0, lower, upper, asked);
+        let optimizer = py.detach(|| setup.describe(dfo::by_hand()).and_then(|run| run.optimizer()));
+        let inner = Mutex::new(optimizer.map_err(|e| error::optimiser(py, &e))?);
+        Ok(Self { inner, n, of_residuals })
+    }
+
+    fn ask<'py>(&self, py: Python<'py>, at_most: Option<usize>) -> PyResult<Asked<'py>> {
+        let points = py.detach(|| lock(&self.inner).ask(at_most.unwrap_or(usize::MAX)));
+        let flat: Vec<f64> = points.iter().flat_map(|p| p.x.iter().copied()).collect();
+        Ok((
+            PyArray1::from_iter(py, points.iter().map(|p| p.id)),
+            PyArray1::from_vec(py, flat).reshape([points.len(), self.n])?,
+            PyArray1::from_iter(py, points.iter().map(|p| p.cutoff)),
+        ))
+    }
+
+    /// The value of a point: a number, or a vector of residuals where the method wants these, None or an exception (it failed), Ellipsis (it is given back), or `above`: the
+    /// number is one that the cost exceeds.
+    fn tell(&self, py: Python<'_>, id: u64, value: &Bound<'_, PyAny>, above: bool) -> PyResult<()> {
+        let mut answer = Answer::default();
+        answer.outcome = if above {
+            Outcome::Above(
+                value.extract().map_err(|_| PyTypeError::new_err("the cutoff of Above must be a number"))?,
+            )
+        } else if value.is(py.Ellipsis()) {
+            Outcome::Skipped
+        } else if value.is_none() {
+            Outcome::failed("no value")
+        } else if value.is_instance_of::<PyBaseException>() {
+            Outcome::failed(PyErr::from_value(value.clone()).to_string())
+        } else if self.of_residuals {
+            objective::residuals(value, &mut answer.residuals)?;
+            RobustLoss::default().cost(&mut answer.residuals, f64::INFINITY)
+        } else {
+            Outcome::Value(objective::number(value, "the objective")?)
+        };
+        // It may write the checkpoint, and another thread that waits for us may hold the interpreter lock.
+        py.detach(|| lock(&self.inner).tell(id, answer)).map_err(|e| error::optimiser(py, &e))
+    }
+
+    #[getter]
+    fn best<'py>(&self, py: Python<'py>) -> Option<(Bound<'py, PyArray1<f64>>, f64)> {
+        lock(&self.inner).best().map(|(x, fun)| (PyArray1::from_slice(py, x), fun))
+    }
+
+    #[getter]
+    fn n_pending(&self) -> usize {
+        lock(&self.inner).n_pending()
+    }
+
+    /// Why the run is over; None while it is not.
+    #[getter]
+    fn termination(&self) -> Option<&'static str> {
+        lock(&self.inner).termination().map(|t| t.name())
+    }
+
+    fn report<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let report = py.detach(|| lock(&self.inner).report());
+        let kind = ResultKind::of(self.of_residuals);
+        report::to_python(py, &report.map_err(|e| error::optimiser(py, &e))?, kind)
+    }
+
+    fn save(&self, py: Python<'_>) -> PyResult<()> {
+        py.detach(|| lock(&self.inner).save()).map_err(|e| error::optimiser(py, &e))
+    }
+
+    fn stop(&self, py: Python<'_>) -> PyResult<()> {
+        py.detach(|| lock(&self.inner).stop()).map_err(|e| error::optimiser(py, &e))
+    }
+}
