@@ -59,8 +59,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let at_once = calibration.fit(FitOptions::default())?;
     show("all four at once", &at_once, &validated(&at_once)?, nominal);
     println!("\n{at_once}");
-    let worth = at_once.worth.as_ref().ok_or("what the fit is worth is not known")?;
-    if worth.confounded.is_empty() {
+    let uncertainty = at_once.uncertainty.as_ref().ok_or("the uncertainty of the fit is not known")?;
+    if uncertainty.confounded.is_empty() {
         return Err("four parameters at once are not identifiable, and the fit has not said so".into());
     }
     Ok(())

@@ -64,7 +64,7 @@ pub use problem::warning::{SETUP_LOG_TARGET, SetupWarning};
 pub use report::{ExperimentCurves, OutputCurves, Signal};
 pub use uncertainty::bounds::BoundSide;
 pub use uncertainty::estimate::{
-    Estimator, PriorConflict, ResidualCheck, Unmodelled, UnmodelledKind, Worth, WorthOptions,
+    Estimator, PriorConflict, ResidualCheck, Uncertainty, UncertaintyOptions, Unmodelled, UnmodelledKind,
 };
 pub use uncertainty::preflight::{ParameterCheck, Preflight, PreflightOptions};
 pub use validation::cross_validation::{CrossValidation, CrossValidationOptions, Fold};

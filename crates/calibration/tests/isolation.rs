@@ -52,7 +52,7 @@ fn the_bits_are_the_same_in_this_process_and_in_others() {
         let apart = decay(open(&folder), settings(Isolation::Process));
         let found = fit(&apart, workers, 100);
         assert_eq!(costs(&found), costs(&expected), "{workers}");
-        assert_eq!(format!("{:?}", found.worth), format!("{:?}", expected.worth));
+        assert_eq!(format!("{:?}", found.uncertainty), format!("{:?}", expected.uncertainty));
         assert_eq!(
             apart.residuals(&[2.0], &RunContext::new()).unwrap(),
             alone.residuals(&[2.0], &RunContext::new()).unwrap()

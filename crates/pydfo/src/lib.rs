@@ -41,7 +41,9 @@ mod core_module {
         parameters_of, save_fit, simulate_variables, variable_values,
     };
     #[pymodule_export]
-    use super::calibration::uncertainty::{PyWorth, preflight_at, preflight_of_fit, worth_at, worth_of_fit};
+    use super::calibration::uncertainty::{
+        PyUncertainty, preflight_at, preflight_of_fit, uncertainty_at, uncertainty_of_fit,
+    };
     #[pymodule_export]
     use super::calibration::validation::{cross_validate, prediction_bands, validate};
     #[pymodule_export]

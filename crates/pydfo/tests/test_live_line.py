@@ -11,7 +11,8 @@ from contextlib import redirect_stderr
 import numpy as np
 import pytest
 
-from pydfo import Calibration, Parameter, _live, example_fmu
+from pydfo import Calibration, Parameter, example_fmu
+from pydfo._optimize import live as _live
 from pydfo._optimize.progress import Progress
 
 TIME = np.linspace(0.0, 3.0, 31)

@@ -33,7 +33,7 @@ def test_costs_by_name(objective):
     fit = problem.fit(objective=objective)
     assert (fit.method, fit.objective, fit.success) == ("quadratic-model", objective.lower(), True)
     assert "no residuals" in fit.method_reason
-    assert (fit.cov is None) == (fit.worth is None) == (objective.lower() != "likelihood")
+    assert (fit.cov is None) == (fit.uncertainty is None) == (objective.lower() != "likelihood")
     r = problem.residuals(fit.x)
     measured = problem.measurements()["x"][1]
     expected = {
@@ -57,7 +57,7 @@ def test_functions():
     assert fit.x == pytest.approx(by_name.x, abs=1e-4) and fit.method == "quadratic-model"
     assert fit.objective == f"{__name__}.mean_absolute"
     residuals = problem.fit(objective=ratios)
-    assert residuals.method == "least-squares" and residuals.worth is None
+    assert residuals.method == "least-squares" and residuals.uncertainty is None
     assert residuals.cost == pytest.approx(np.sum(problem.residuals(residuals.x) ** 2 / (0.1 + np.abs(problem.measurements()["x"][1])) ** 2))
     assert np.array_equal(problem.fit(objective=ratios, workers=1).x, residuals.x)
     assert pickle.loads(pickle.dumps(problem)).cost() == problem.cost()

@@ -352,7 +352,7 @@ def test_a_saved_fit_with_lists_of_other_lengths_is_refused(fit, tmp_path):
     fit.save(tmp_path / "a.fit")
     with zipfile.ZipFile(tmp_path / "a.fit") as archive:
         files = {name: archive.read(name) for name in archive.namelist()}
-    for place in ("names", "units", "bounds", "start", "worth.names", "worth.x", "worth.standard_errors", "worth.covariance"):
+    for place in ("names", "units", "bounds", "start", "uncertainty.names", "uncertainty.x", "uncertainty.standard_errors", "uncertainty.covariance"):
         document = json.loads(files["fit.json"])
         *path, last = ["fit", *place.split(".")]
         part = document

@@ -135,7 +135,7 @@ impl Calibration {
         doubts
     }
 
-    /// A fixed step that is too large at the result of a fit whose worth, which compares with half of it, is not known.
+    /// A fixed step that is too large at the result of a fit whose uncertainty, which compares with half of it, is not known.
     pub(crate) fn large_step_after_fit(
         &self,
         (x, residuals): (&[f64], &[f64]),

@@ -1,4 +1,4 @@
-//! Simulations around a point, in parallel: what a fit is worth is found from them, and they are counted apart from its evaluations.
+//! Simulations around a point, in parallel: the uncertainty of a fit is found from them, and they are counted apart from its evaluations.
 
 use crate::cost::accuracy::Accuracy;
 use crate::cost::calibration::Calibration;

@@ -250,7 +250,7 @@ impl Calibration {
     }
 
     /// The method that integrates the simulations of this calibration, in fits and outside of them. Where the settings
-    /// name none, it is found at the first use, by a race at the parameters' start values (see [`race`](crate::cost::race)): up to four
+    /// name none, it is found at the first use, by a race at the parameters' start values (see [`race`](crate::race())): up to four
     /// simulations of every experiment, one if the model is not stiff there. It stays the same from then on.
     ///
     /// # Errors

@@ -5,7 +5,7 @@ use super::tables::unit_of;
 use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::stage::Fit;
-use crate::uncertainty::estimate::Worth;
+use crate::uncertainty::estimate::Uncertainty;
 use serde_json::{Value as Json, json};
 
 impl Fit {
@@ -22,21 +22,21 @@ impl Fit {
     }
 
     fn json(&self, calibration: &Calibration) -> Result<Json, serde_json::Error> {
-        let mut worth = serde_json::to_value(&self.worth)?;
-        if let Some(fields) = worth.as_object_mut() {
+        let mut uncertainty = serde_json::to_value(&self.uncertainty)?;
+        if let Some(fields) = uncertainty.as_object_mut() {
             // As long as the recordings.
             fields.remove("jacobian");
             fields.remove("residuals");
             // Those of the fit have them.
             fields.remove("findings");
-            fields.insert("verdict".to_owned(), self.worth.as_ref().map(Worth::verdict).into());
+            fields.insert("verdict".to_owned(), self.uncertainty.as_ref().map(Uncertainty::verdict).into());
         }
         let parameters = calibration.parameters().iter().enumerate().map(|(k, p)| {
             let side = self.at_bound.iter().find(|(index, _)| *index == k).map(|(_, side)| side.name());
             json!({
                 "name": p.name(),
                 "value": self.x[k],
-                "standard_error": self.worth.as_ref().map(|worth| worth.standard_errors[k]),
+                "standard_error": self.uncertainty.as_ref().map(|uncertainty| uncertainty.standard_errors[k]),
                 "start": self.start[k],
                 "lower": p.lower(),
                 "upper": p.upper(),
@@ -73,7 +73,7 @@ impl Fit {
             "outputs": serde_json::to_value(&self.outputs)?,
             "noise": serde_json::to_value(&self.noise)?,
             "tolerance": serde_json::to_value(self.tolerance)?,
-            "worth": worth,
+            "uncertainty": uncertainty,
             "success": report.is_success(),
             "termination": report.termination.name(),
             "message": report.message,

@@ -1,7 +1,7 @@
 //! Checks of the lengths of the parts of a fit that comes from a file against each other.
 
 use crate::fit::stage::Fit;
-use crate::uncertainty::estimate::Worth;
+use crate::uncertainty::estimate::Uncertainty;
 use crate::uncertainty::preflight::Preflight;
 
 /// Refuses a fit of which parts have other lengths than its parameters and residuals ask for; the message names the first one.
@@ -33,46 +33,52 @@ fn check_fit(fit: &Fit, place: &str) -> Result<(), String> {
     preflight
         .iter()
         .try_for_each(|preflight| check_preflight(preflight, n, &format!("{place}.preflight")))?;
-    fit.worth.iter().try_for_each(|worth| check_worth(worth, n, &format!("{place}.worth")))?;
-    if fit.worth.as_ref().is_some_and(|worth| worth.names != *names) {
-        return Err(format!("{place}.worth.names are not {place}.names: they do not fit together"));
+    fit.uncertainty
+        .iter()
+        .try_for_each(|uncertainty| check_uncertainty(uncertainty, n, &format!("{place}.uncertainty")))?;
+    if fit.uncertainty.as_ref().is_some_and(|uncertainty| uncertainty.names != *names) {
+        return Err(format!("{place}.uncertainty.names are not {place}.names: they do not fit together"));
     }
     let stage = |(k, stage): (usize, &Fit)| check_fit(stage, &format!("{place}.stages[{k}]"));
     stages.iter().enumerate().try_for_each(stage)
 }
 
-impl Worth {
+impl Uncertainty {
     /// Refuses one that comes from elsewhere and of which parts have other lengths than its parameters and residuals ask for.
     ///
     /// # Errors
     /// The message names the first of them.
     pub fn check_lengths(&self) -> Result<(), String> {
-        check_worth(self, self.x.len(), "worth")
+        check_uncertainty(self, self.x.len(), "uncertainty")
     }
 }
 
-fn check_worth(worth: &Worth, n: usize, place: &str) -> Result<(), String> {
-    let m = worth.residuals.len();
+fn check_uncertainty(uncertainty: &Uncertainty, n: usize, place: &str) -> Result<(), String> {
+    let m = uncertainty.residuals.len();
     let lengths = [
-        ("names", worth.names.len(), n),
-        ("x", worth.x.len(), n),
-        ("is_log", worth.is_log.len(), n),
-        ("covariance", worth.covariance.len(), n * n),
-        ("standard_errors", worth.standard_errors.len(), n),
-        ("correlation", worth.correlation.len(), n * n),
-        ("uncorrected_covariance", worth.uncorrected_covariance.as_ref().map_or(n * n, Vec::len), n * n),
-        ("autocorrelations", worth.autocorrelations.len(), worth.residual_checks.len()),
-        ("effective_degrees_of_freedom", worth.effective_degrees_of_freedom.len(), n),
-        ("jacobian", worth.jacobian.len(), m * n),
+        ("names", uncertainty.names.len(), n),
+        ("x", uncertainty.x.len(), n),
+        ("is_log", uncertainty.is_log.len(), n),
+        ("covariance", uncertainty.covariance.len(), n * n),
+        ("standard_errors", uncertainty.standard_errors.len(), n),
+        ("correlation", uncertainty.correlation.len(), n * n),
+        (
+            "uncorrected_covariance",
+            uncertainty.uncorrected_covariance.as_ref().map_or(n * n, Vec::len),
+            n * n,
+        ),
+        ("autocorrelations", uncertainty.autocorrelations.len(), uncertainty.residual_checks.len()),
+        ("effective_degrees_of_freedom", uncertainty.effective_degrees_of_freedom.len(), n),
+        ("jacobian", uncertainty.jacobian.len(), m * n),
     ];
     lengths.into_iter().try_for_each(|(field, found, wanted)| same(place, field, (found, wanted)))?;
     let lists = [
-        ("held", &worth.held),
-        ("undetermined", &worth.undetermined),
-        ("without_effect", &worth.without_effect),
-        ("weakest", &worth.weakest),
-        ("identifiable", &worth.identifiable),
-        ("confounded", &pairs(&worth.confounded)),
+        ("held", &uncertainty.held),
+        ("undetermined", &uncertainty.undetermined),
+        ("without_effect", &uncertainty.without_effect),
+        ("weakest", &uncertainty.weakest),
+        ("identifiable", &uncertainty.identifiable),
+        ("confounded", &pairs(&uncertainty.confounded)),
     ];
     lists.into_iter().try_for_each(|(field, indices)| below(place, field, indices, n))
 }

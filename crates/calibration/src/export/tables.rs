@@ -82,10 +82,10 @@ impl Fit {
             "tied_to",
         ];
         let row = |(k, p): (usize, &Parameter)| {
-            let worth = self.worth.as_ref();
-            let error = worth.map(|worth| worth.standard_errors[k]);
-            let uncorrected = worth
-                .and_then(crate::uncertainty::estimate::Worth::uncorrected_errors)
+            let uncertainty = self.uncertainty.as_ref();
+            let error = uncertainty.map(|uncertainty| uncertainty.standard_errors[k]);
+            let uncorrected = uncertainty
+                .and_then(crate::uncertainty::estimate::Uncertainty::uncorrected_errors)
                 .map(|errors| errors[k]);
             let side = self.at_bound.iter().find(|(index, _)| *index == k).map(|(_, side)| side.name());
             vec![
@@ -207,7 +207,7 @@ impl Fit {
         let one = |(name, of): &(String, Affine)| {
             let entry = of.entry?;
             let error = |errors: &[f64]| errors.get(entry).map(|error| error * of.factor.abs());
-            let worth = self.worth.as_ref();
+            let uncertainty = self.uncertainty.as_ref();
             // Of what follows a local one the name has that of the experiment behind it.
             let is_it = |p: &&Parameter| {
                 p.is_tied()
@@ -221,8 +221,9 @@ impl Fit {
                 to: self.names[entry].clone(),
                 value: of.value(&self.x),
                 start: of.value(&self.start),
-                standard_error: worth.and_then(|worth| error(&worth.standard_errors)),
-                uncorrected_error: worth.and_then(|worth| error(&worth.uncorrected_errors()?)),
+                standard_error: uncertainty.and_then(|uncertainty| error(&uncertainty.standard_errors)),
+                uncorrected_error: uncertainty
+                    .and_then(|uncertainty| error(&uncertainty.uncorrected_errors()?)),
                 unit: parameter.and_then(|p| unit_of(p, calibration)),
             })
         };

@@ -17,12 +17,12 @@ pub enum FitPhase {
     /// Bounds and parameters without effect are looked at, and what may not be meant as it was given.
     Checks,
     /// The standard errors are found.
-    Worth,
+    Uncertainty,
 }
 
 impl FitPhase {
     const ALL: [Self; 6] =
-        [Self::Solver, Self::ModelTest, Self::Preflight, Self::Search, Self::Checks, Self::Worth];
+        [Self::Solver, Self::ModelTest, Self::Preflight, Self::Search, Self::Checks, Self::Uncertainty];
 
     /// Name of the phase, for messages while it lasts.
     pub fn name(self) -> &'static str {
@@ -32,7 +32,7 @@ impl FitPhase {
             Self::Preflight => "looking at the start",
             Self::Search => "searching",
             Self::Checks => "checking the result",
-            Self::Worth => "standard errors",
+            Self::Uncertainty => "standard errors",
         }
     }
 }

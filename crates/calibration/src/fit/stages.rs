@@ -7,7 +7,7 @@ use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::FitPhase;
 use crate::fit::stage::{Fit, FitOptions, add_earlier, checkpoint_of, ended_by};
 use crate::uncertainty::bounds::{Findings, is_over};
-use crate::uncertainty::estimate::WorthOptions;
+use crate::uncertainty::estimate::UncertaintyOptions;
 use dfo::{AnyMethod, AskedRun, Limits, Progress, Record, Report, RunOptions, Termination, Tolerances};
 use ode::Stats;
 use std::sync::Arc;
@@ -111,8 +111,8 @@ impl Calibration {
     /// A checkpoint has one file per stage: `fit.ckpt.stage1`, `fit.ckpt.stage2` and so on.
     ///
     /// The covariance of a method at the end of a stage ([`Report::covariance`]) is conditional: it takes the held parameters as
-    /// known, and so does what a stage is [worth](Fit::worth). So the result has no Jacobian in its report, only the stages have; what
-    /// it is worth is found out with all parameters that any stage freed.
+    /// known, and so does the [uncertainty](Fit::uncertainty) of a stage. So the result has no Jacobian in its report, only the stages have;
+    /// its uncertainty is found with all parameters that any stage freed.
     ///
     /// # Errors
     /// As [`Calibration::fit`]; no stages, stages without parameters, names that are no parameters or those of fixed ones.
@@ -130,7 +130,7 @@ impl Calibration {
             loss,
             noise,
             preflight,
-            worth,
+            uncertainty,
             mut observer,
             context,
             engine,
@@ -218,7 +218,7 @@ impl Calibration {
                 loss,
                 noise,
                 preflight: preflight && k == 0,
-                worth: worth.clone(),
+                uncertainty: uncertainty.clone(),
                 observer: observer.as_mut().map(|observer| {
                     Box::new(move |progress: &Progress<'_>| {
                         let mut progress = *progress;
@@ -295,7 +295,7 @@ impl Calibration {
             (fit.cost, fit.report.fun, fit.rms) = (cost, cost, rms);
         }
         phase.set(FitPhase::Checks);
-        let is_checked = worth.is_some() && is_over(&fit.report.termination) && !context.is_over();
+        let is_checked = uncertainty.is_some() && is_over(&fit.report.termination) && !context.is_over();
         let (at_start, at_end) = match is_checked || !(is_first_own && is_last_own) {
             true => {
                 let of_stage = &fit.stages[fit.stages.len() - 1].start;
@@ -317,21 +317,27 @@ impl Calibration {
             found.retain(|finding| !fit.setup_findings.contains(finding));
             fit.setup_findings.extend(found);
         }
-        phase.set(FitPhase::Worth);
-        fit.worth = worth.filter(|_| objective.has_worth()).and_then(|mut options| {
+        phase.set(FitPhase::Uncertainty);
+        fit.uncertainty = uncertainty.filter(|_| objective.has_uncertainty()).and_then(|mut options| {
             options.workers = options.workers.or(Some(fit.report.workers));
             options.held.extend((0..x.len()).filter(|i| !freed.iter().any(|freed| freed.contains(i))));
             if !is_last_own {
                 fit.report.residuals = None;
             }
-            let asked = WorthOptions { loss, is_likelihood: objective.is_likelihood(), ..options };
+            let asked = UncertaintyOptions { loss, is_likelihood: objective.is_likelihood(), ..options };
             let found = Findings {
                 at_bound: fit.at_bound.clone(),
                 without_effect: fit.without_effect.clone(),
                 n_checks: 0,
             };
             let known = fit.report.residuals.as_deref().or(at_end.as_deref());
-            own.worth_of_fit((&fit.report, &found, known), &run.tolerances, asked, &context, &mut fit.stats)
+            own.uncertainty_of_fit(
+                (&fit.report, &found, known),
+                &run.tolerances,
+                asked,
+                &context,
+                &mut fit.stats,
+            )
         });
         (fit.start_cost, fit.start_rms) = cost_at_start.unzip();
         (fit.n_measurements, fit.tolerance) = (self.n_measurements(), tolerance);

@@ -6,7 +6,7 @@ use crate::error::CalibrationError;
 use crate::fit::stage::{Fit, FitNoise};
 use crate::problem::parameter::Parameter;
 use crate::uncertainty::bounds::{inner, outer};
-use crate::uncertainty::estimate::{Worth, check_level};
+use crate::uncertainty::estimate::{Uncertainty, check_level};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use ode::Number;
@@ -30,7 +30,7 @@ pub struct BandOptions {
     pub times: Option<Vec<f64>>,
     /// The probability that an interval shall hold; default 0.95.
     pub level: f64,
-    /// True to correct for autocorrelated residuals, as [`Worth::covariance`] does; default: true.
+    /// True to correct for autocorrelated residuals, as [`Uncertainty::covariance`] does; default: true.
     pub is_corrected: bool,
     /// Only these outputs; default: all that are compared.
     pub outputs: Option<Vec<String>>,
@@ -81,13 +81,13 @@ struct Step {
 impl Calibration {
     /// Predicts the outputs at the parameters of a fit, with the uncertainty that the covariance of the parameters leaves (delta method;
     /// Seber and Wild, Nonlinear Regression, 1989, section 5.1): the variance of an output y is `J C J'`, with `J = dy/dx` and C the
-    /// [covariance](Worth::covariance). With `C = L L'`, L the principal axes, it is the sum of the squares of the changes of y over
+    /// [covariance](Uncertainty::covariance). With `C = L L'`, L the principal axes, it is the sum of the squares of the changes of y over
     /// one standard error along each axis, which are taken from two simulations each. A new measurement has the variance of the residuals
     /// of this output on top. Intervals are by Student's t, with the fewest [degrees of
-    /// freedom](Worth::effective_degrees_of_freedom) of the parameters; autocorrelated residuals are in the covariance.
+    /// freedom](Uncertainty::effective_degrees_of_freedom) of the parameters; autocorrelated residuals are in the covariance.
     ///
     /// # Errors
-    /// A fit without [worth](Fit::worth), without degrees of freedom, or with parameters that the data do not determine; a level that does not lie between 0 and 1,
+    /// A fit without [uncertainty](Fit::uncertainty), without degrees of freedom, or with parameters that the data do not determine; a level that does not lie between 0 and 1,
     /// an output that is not compared, times that cannot be used; simulations that fail; [`CalibrationError::Cancelled`].
     pub fn prediction_bands(
         &self,
@@ -97,30 +97,30 @@ impl Calibration {
     ) -> Result<Vec<PredictionBand>, CalibrationError> {
         let setup = |message: String| Err(CalibrationError::Setup(message));
         self.check_length(&fit.x)?;
-        let Some(worth) = &fit.worth else {
+        let Some(uncertainty) = &fit.uncertainty else {
             return setup(
-                "a prediction band needs the covariance of the parameters: this fit has none, for it was ended early, told not to find out \
-                 what it is worth, or minimised neither a sum of squares nor the likelihood"
+                "a prediction band needs the covariance of the parameters: this fit has none, for it was ended early, made without \
+                 its uncertainty, or minimised neither a sum of squares nor the likelihood"
                     .to_owned(),
             );
         };
-        let worth = &if options.is_corrected { worth.clone() } else { worth.uncorrected() };
-        if !worth.undetermined.is_empty() {
-            let names: Vec<&str> = worth.undetermined.iter().map(|i| fit.names[*i].as_str()).collect();
+        let uncertainty = &if options.is_corrected { uncertainty.clone() } else { uncertainty.uncorrected() };
+        if !uncertainty.undetermined.is_empty() {
+            let names: Vec<&str> = uncertainty.undetermined.iter().map(|i| fit.names[*i].as_str()).collect();
             return setup(format!(
                 "there is no prediction band: the data do not determine {}; fix it, or fit in stages",
                 names.join(", ")
             ));
         }
-        if worth.degrees_of_freedom == 0 {
+        if uncertainty.degrees_of_freedom == 0 {
             return setup(format!(
                 "there is no prediction band: {} residuals are no more than the parameters that were fitted, and say nothing of the \
                  noise; fit fewer parameters, or give more measurements",
-                worth.residuals.len()
+                uncertainty.residuals.len()
             ));
         }
-        let of_noise = check_level(options.level, worth.degrees_of_freedom as f64)?;
-        let fewest = worth.effective_degrees_of_freedom.iter().copied().fold(f64::INFINITY, f64::min);
+        let of_noise = check_level(options.level, uncertainty.degrees_of_freedom as f64)?;
+        let fewest = uncertainty.effective_degrees_of_freedom.iter().copied().fold(f64::INFINITY, f64::min);
         let quantile = check_level(options.level, fewest)?;
         let known: Vec<&str> =
             self.residual_layout().outputs.iter().map(|output| output.variable.as_str()).collect();
@@ -134,7 +134,7 @@ impl Calibration {
         if context.is_over() {
             return Err(CalibrationError::Cancelled);
         }
-        let steps = self.principal_steps(fit, worth);
+        let steps = self.principal_steps(fit, uncertainty);
         let point = |step: &Step, by: f64| -> Vec<f64> {
             let moved = fit.x.iter().zip(step.direction.iter()).zip(self.parameters());
             let value = |((x, d), p): ((&f64, &f64), &Parameter)| match *d {
@@ -170,7 +170,7 @@ impl Calibration {
             }
             let own = || fit.outputs.iter().filter(|output| output.variable == *variable);
             let squares: f64 = own().map(|output| output.n as f64 * output.rms * output.rms).sum();
-            let (n, dof) = (worth.residuals.len() as f64, worth.degrees_of_freedom as f64);
+            let (n, dof) = (uncertainty.residuals.len() as f64, uncertainty.degrees_of_freedom as f64);
             (squares / own().map(|output| output.n).sum::<usize>() as f64 * n / dof).sqrt()
         };
         let is_chosen = |name: &str| chosen.is_none_or(|chosen| chosen.iter().any(|c| c == name));
@@ -212,12 +212,12 @@ impl Calibration {
 
     /// Steps of one standard error along the principal axes of the correlation, in the coordinates of the search, as far as the bounds let
     /// them go.
-    fn principal_steps(&self, fit: &Fit, worth: &Worth) -> Vec<Step> {
+    fn principal_steps(&self, fit: &Fit, uncertainty: &Uncertainty) -> Vec<Step> {
         let n = fit.x.len();
-        let errors: Vec<f64> = worth.errors_of_search().collect();
+        let errors: Vec<f64> = uncertainty.errors_of_search().collect();
         let free: Vec<usize> = (0..n).filter(|&i| errors[i] > 0.0 && errors[i].is_finite()).collect();
         let correlation =
-            DMatrix::from_fn(free.len(), free.len(), |a, b| worth.correlation[free[a] * n + free[b]]);
+            DMatrix::from_fn(free.len(), free.len(), |a, b| uncertainty.correlation[free[a] * n + free[b]]);
         if free.is_empty() || correlation.iter().any(|c| !c.is_finite()) {
             return Vec::new();
         }
@@ -237,7 +237,7 @@ impl Calibration {
                 } else {
                     (forward.min(down), backward.min(up))
                 };
-                let size = match (worth.is_log[i], x.abs()) {
+                let size = match (uncertainty.is_log[i], x.abs()) {
                     (true, _) => 1.0,
                     (false, 0.0) => self.size_of(p, x),
                     (false, size) => size,

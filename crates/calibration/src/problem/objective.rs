@@ -136,9 +136,9 @@ impl CostKind {
         matches!(self, Self::SumOfSquares)
     }
 
-    /// True if the [uncertainty](crate::Fit::worth) of a fit can be estimated with this cost: the sum of
+    /// True if the [uncertainty](crate::Fit::uncertainty) of a fit can be estimated with this cost: the sum of
     /// squares, with a loss too, and the likelihood.
-    pub fn has_worth(&self) -> bool {
+    pub fn has_uncertainty(&self) -> bool {
         self.is_sum_of_squares() || self.is_likelihood()
     }
 

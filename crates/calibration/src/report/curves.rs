@@ -69,8 +69,10 @@ impl Calibration {
     ) -> Result<Vec<ExperimentCurves>, CalibrationError> {
         self.check_length(&fit.x)?;
         let layout = fit.residual_layout(self);
-        let residuals = match &fit.worth {
-            Some(worth) if worth.residuals.len() == layout.n_residuals() => worth.residuals.clone(),
+        let residuals = match &fit.uncertainty {
+            Some(uncertainty) if uncertainty.residuals.len() == layout.n_residuals() => {
+                uncertainty.residuals.clone()
+            }
             _ => layout.reweighed(&self.residuals(&fit.x, context)?, self.residual_layout()),
         };
         let names = self.problem().experiment_names();
@@ -147,10 +149,10 @@ impl Calibration {
     /// Sensitivity of each output to each parameter, without weights, in the order of the residual vector:
     /// the derivative times the size of the parameter's value (of one that is zero: its nominal size), so the
     /// effect of a relative change of one. Per output one column per parameter. Empty where the fit has no
-    /// [`Worth`](crate::Worth).
+    /// [`Uncertainty`](crate::Uncertainty).
     pub fn sensitivities(&self, fit: &Fit) -> Vec<Vec<Vec<f64>>> {
         let (layout, n) = (fit.residual_layout(self), fit.x.len());
-        let jacobian = fit.worth.as_ref().map(|worth| worth.jacobian.as_slice());
+        let jacobian = fit.uncertainty.as_ref().map(|uncertainty| uncertainty.jacobian.as_slice());
         let Some(jacobian) =
             jacobian.filter(|j| n > 0 && n == self.parameters().len() && j.len() == n * layout.n_residuals())
         else {

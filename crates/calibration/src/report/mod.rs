@@ -97,17 +97,17 @@ mod tests {
     #[test]
     fn text_says_start_value_error_and_what_to_mistrust() {
         let (_, mut fit) = decay();
-        let worth = fit.worth.as_mut().unwrap();
-        (worth.standard_errors, worth.uncorrected_covariance, worth.findings) =
+        let uncertainty = fit.uncertainty.as_mut().unwrap();
+        (uncertainty.standard_errors, uncertainty.uncorrected_covariance, uncertainty.findings) =
             (vec![1e-3], None, Vec::new());
         let text = fit.to_string();
         assert!(text.contains("The fit converged: RMS 0.001 (at the start 0.1629) over 31"), "{text}");
         assert!(text.contains("k  1  -> 2.0001  +- 0.001  1/s") && text.contains("sandwich"), "{text}");
         assert!(text.contains("31 measurements. Standard errors: k 0.05 %.\n"), "{text}");
         assert!(!text.contains("warning") && !text.contains("note"), "{text}");
-        let worth = fit.worth.as_mut().unwrap();
-        worth.uncorrected_covariance = Some(vec![25e-8]);
-        worth.findings =
+        let uncertainty = fit.uncertainty.as_mut().unwrap();
+        uncertainty.uncorrected_covariance = Some(vec![25e-8]);
+        uncertainty.findings =
             vec![Finding::new(Severity::Note, "residuals", "the residuals are not white", "wait")];
         fit.at_bound = vec![(0, BoundSide::Upper)];
         let text = fit.to_string();
@@ -118,11 +118,11 @@ mod tests {
         assert!(text.contains("Standard errors: k 0.05 %. 1 warning, 1 note.\n"), "{text}");
         let said = "\nwarning  k is at its upper bound 10: the best value may lie beyond\nnote     the residuals are not white\n         -> wait\n";
         assert!(text.contains(said), "{text}");
-        fit.worth.as_mut().unwrap().standard_errors = vec![f64::INFINITY];
-        fit.worth.as_mut().unwrap().uncorrected_covariance = None;
+        fit.uncertainty.as_mut().unwrap().standard_errors = vec![f64::INFINITY];
+        fit.uncertainty.as_mut().unwrap().uncorrected_covariance = None;
         assert!(fit.to_string().contains("(not determined"), "{fit}");
         assert!(fit.to_string().contains("31 measurements. Not determined: k. 1 warning"), "{fit}");
-        fit.worth = None;
+        fit.uncertainty = None;
         assert!(fit.to_string().contains("none were estimated"), "{fit}");
     }
 
@@ -134,9 +134,9 @@ mod tests {
         let calibration = Calibration::from_problem(calibration.fmu().clone(), problem).unwrap();
         let mut fit = calibration.fit(FitOptions::default()).unwrap();
         let sentence = "the data do not determine k: other values fit as well";
-        let worth = fit.worth.as_mut().unwrap();
-        worth.undetermined = vec![0];
-        worth.findings = vec![
+        let uncertainty = fit.uncertainty.as_mut().unwrap();
+        uncertainty.undetermined = vec![0];
+        uncertainty.findings = vec![
             Finding::new(Severity::Warning, "k", sentence, ""),
             Finding::new(Severity::Note, "", "all is well", ""),
         ];
@@ -169,9 +169,9 @@ mod tests {
     #[test]
     fn the_page_needs_nothing_but_itself_and_escapes_names() {
         let (calibration, mut fit) = decay();
-        let worth = fit.worth.as_mut().unwrap();
-        worth.standard_errors = vec![1e-3];
-        worth.findings = vec![Finding::new(Severity::Note, "<x>", "the residuals are not white", "")];
+        let uncertainty = fit.uncertainty.as_mut().unwrap();
+        uncertainty.standard_errors = vec![1e-3];
+        uncertainty.findings = vec![Finding::new(Severity::Note, "<x>", "the residuals are not white", "")];
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("report.html");
         std::fs::write(&path, "an older one").unwrap();

@@ -163,7 +163,7 @@ fn waterfall(fit: &Fit) -> Option<Figure> {
 }
 
 fn correlation(fit: &Fit) -> Option<Correlation> {
-    let worth = fit.worth.as_ref()?;
+    let uncertainty = fit.uncertainty.as_ref()?;
     let n = fit.x.len();
     let cell = |value: &f64| Cell {
         text: if value.is_nan() {
@@ -174,14 +174,14 @@ fn correlation(fit: &Fit) -> Option<Correlation> {
         is_negative: *value < 0.0,
         strength: if value.is_nan() { 0.0 } else { (0.6 * value.abs().min(1.0) * 100.0).round() / 100.0 },
     };
-    (n > 1 && worth.correlation.len() == n * n).then(|| Correlation {
+    (n > 1 && uncertainty.correlation.len() == n * n).then(|| Correlation {
         names: fit.shown_names().to_vec(),
-        rows: worth.correlation.chunks(n).map(|row| row.iter().map(cell).collect()).collect(),
+        rows: uncertainty.correlation.chunks(n).map(|row| row.iter().map(cell).collect()).collect(),
     })
 }
 
 fn residual_checks(fit: &Fit) -> Vec<[String; 8]> {
-    let checks = fit.worth.iter().flat_map(|worth| &worth.residual_checks);
+    let checks = fit.uncertainty.iter().flat_map(|uncertainty| &uncertainty.residual_checks);
     let number = |value: f64| if value.is_nan() { "\u{2013}".to_owned() } else { rounded(value, 3) };
     let row = |check: &crate::uncertainty::estimate::ResidualCheck| {
         let numbers = [check.mean, check.deviation, check.autocorrelation, check.runs];

@@ -4,7 +4,7 @@ use super::number::{rounded, with_error};
 use crate::findings::finding::{Finding, counts};
 use crate::fit::stage::Fit;
 use crate::uncertainty::bounds::BoundSide;
-use crate::uncertainty::estimate::Worth;
+use crate::uncertainty::estimate::Uncertainty;
 use dfo::Termination;
 use ode::Number;
 use serde::Serialize;
@@ -82,7 +82,7 @@ pub(super) struct OutputRow {
 
 impl Summary {
     pub(super) fn new(fit: &Fit) -> Self {
-        let worth = fit.worth.as_ref();
+        let uncertainty = fit.uncertainty.as_ref();
         let first = fit.outputs.first().map(|output| &output.experiment);
         Self {
             title: format!("Fit of {}", fit.model),
@@ -91,8 +91,9 @@ impl Summary {
             findings: fit.findings_with(fit.shown_names()),
             parameters: (0..fit.x.len()).map(|i| parameter(fit, i)).collect(),
             outputs: outputs(fit),
-            has_errors: worth.is_some(),
-            has_uncorrected_errors: worth.is_some_and(|worth| worth.uncorrected_covariance.is_some()),
+            has_errors: uncertainty.is_some(),
+            has_uncorrected_errors: uncertainty
+                .is_some_and(|uncertainty| uncertainty.uncorrected_covariance.is_some()),
             has_several_experiments: fit.outputs.iter().any(|output| Some(&output.experiment) != first),
             facts: facts(fit),
         }
@@ -138,9 +139,9 @@ fn sentence(fit: &Fit) -> String {
 /// The standard errors of what was fitted, relative to the values: of each parameter, or of many the smallest and the largest. Those
 /// corrected for autocorrelated residuals, where there are such.
 fn relative_errors(fit: &Fit) -> String {
-    let Some(worth) = &fit.worth else { return String::new() };
-    let errors = &worth.standard_errors;
-    let free = (0..fit.x.len()).filter(|i| !worth.held.contains(i));
+    let Some(uncertainty) = &fit.uncertainty else { return String::new() };
+    let errors = &uncertainty.standard_errors;
+    let free = (0..fit.x.len()).filter(|i| !uncertainty.held.contains(i));
     let (known, open): (Vec<usize>, Vec<usize>) = free.partition(|i| errors[*i].is_finite());
     let name = |i: usize| &fit.shown_names()[i];
     let relative = |i: usize| errors[i] / fit.x[i].abs();
@@ -178,10 +179,10 @@ fn parameter(fit: &Fit, i: usize) -> ParameterRow {
     let (lower, upper) = fit.bounds[i];
     let is_fixed = lower == upper;
     let side = fit.at_bound.iter().find(|(k, _)| *k == i).map(|(_, side)| *side);
-    let worth = fit.worth.as_ref();
+    let uncertainty = fit.uncertainty.as_ref();
     let of = |errors: &[f64]| errors.get(i).copied().unwrap_or(f64::NAN);
-    let error = worth.map_or(f64::NAN, |worth| of(&worth.standard_errors));
-    let uncorrected = worth.and_then(Worth::uncorrected_errors).map(|errors| of(&errors));
+    let error = uncertainty.map_or(f64::NAN, |uncertainty| of(&uncertainty.standard_errors));
+    let uncorrected = uncertainty.and_then(Uncertainty::uncorrected_errors).map(|errors| of(&errors));
     let is_known = |error: f64| error.is_finite() && error > 0.0;
     let shown = |error: f64| match error {
         error if is_known(error) => rounded(error, 2),
@@ -197,15 +198,15 @@ fn parameter(fit: &Fit, i: usize) -> ParameterRow {
     if fit.without_effect.contains(&i) {
         remarks.push("without effect".to_owned());
     }
-    let interval = worth.filter(|_| is_known(error)).and_then(|worth| {
-        let (lower, upper) = *worth.confidence_intervals(LEVEL).ok()?.get(i)?;
+    let interval = uncertainty.filter(|_| is_known(error)).and_then(|uncertainty| {
+        let (lower, upper) = *uncertainty.confidence_intervals(LEVEL).ok()?.get(i)?;
         Some([lower, upper].map(|end| with_error(end, error)))
     });
     ParameterRow {
         name: fit.shown_names()[i].clone(),
         start: rounded(fit.start[i], DIGITS),
         value: with_error(value, error),
-        error: worth.map_or_else(String::new, |_| shown(error)),
+        error: uncertainty.map_or_else(String::new, |_| shown(error)),
         uncorrected_error: uncorrected.map_or_else(String::new, shown),
         interval,
         unit: fit.units[i].clone().unwrap_or_default(),
@@ -281,8 +282,10 @@ fn facts(fit: &Fit) -> Vec<Fact> {
 
 /// Description of the estimate of the standard errors.
 fn errors(fit: &Fit) -> String {
-    let Some(worth) = &fit.worth else { return "none were estimated".to_owned() };
-    let corrected =
-        worth.uncorrected_covariance.as_ref().map_or("", |_| ", corrected for autocorrelated residuals");
-    format!("{}{corrected}; {} simulations", worth.estimator, worth.n_simulations)
+    let Some(uncertainty) = &fit.uncertainty else { return "none were estimated".to_owned() };
+    let corrected = uncertainty
+        .uncorrected_covariance
+        .as_ref()
+        .map_or("", |_| ", corrected for autocorrelated residuals");
+    format!("{}{corrected}; {} simulations", uncertainty.estimator, uncertainty.n_simulations)
 }

@@ -189,7 +189,7 @@ impl Calibration {
                 objective: options.objective.clone(),
                 noise: options.noise,
                 context: *context,
-                worth: None,
+                uncertainty: None,
                 ..FitOptions::default()
             })
             .map_err(without)?;

@@ -178,7 +178,7 @@ impl Calibration {
                         context: *context,
                         objective,
                         loss: fit.report.loss,
-                        worth: None,
+                        uncertainty: None,
                         ..FitOptions::default()
                     })?;
                     if context.is_over() {

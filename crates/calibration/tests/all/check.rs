@@ -293,7 +293,7 @@ fn outputs_of_unlike_scale_are_named_before_the_fit_and_after_it_where_their_noi
         assert_eq!(of_scales(&fit.findings()).len(), usize::from(is_unlike), "{fit}");
         // The model is right, and nothing else is said of it.
         assert!(!fit.to_string().contains("leaves out"), "{fit}");
-        let checks = &fit.worth.as_ref().unwrap().residual_checks;
+        let checks = &fit.uncertainty.as_ref().unwrap().residual_checks;
         assert_eq!((checks[0].is_by_weights, checks[1].is_by_weights), (is_unlike, false), "{fit}");
     }
     // Whoever gives weights has chosen.

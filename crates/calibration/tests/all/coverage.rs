@@ -6,7 +6,7 @@
 use calibration::RunContext;
 use calibration::{
     BandOptions, Calibration, CostKind, Data, Estimator, Experiment, FitOptions, NamedCost, Parameter, Prior,
-    ProfileOptions, Scale, SimulationSettings, Weight, WorthOptions,
+    ProfileOptions, Scale, SimulationSettings, UncertaintyOptions, Weight,
 };
 use dfo::{Loss, RobustLoss, RunOptions};
 use example_models::example_fmu;
@@ -48,9 +48,9 @@ fn covered(n: u64, estimator: Estimator) -> [u64; 3] {
     for seed in 0..n {
         let mut noise = normal(seed + 1);
         let columns = [0, 1].map(|k| exact.columns[k].iter().map(|y| y + DEVIATIONS[k] * noise()).collect());
-        let worth = Some(WorthOptions { estimator, ..WorthOptions::default() });
-        let fit = calibration(columns).fit(FitOptions { worth, ..FitOptions::default() }).unwrap();
-        let intervals = fit.worth.unwrap().confidence_intervals(0.95).unwrap();
+        let uncertainty = Some(UncertaintyOptions { estimator, ..UncertaintyOptions::default() });
+        let fit = calibration(columns).fit(FitOptions { uncertainty, ..FitOptions::default() }).unwrap();
+        let intervals = fit.uncertainty.unwrap().confidence_intervals(0.95).unwrap();
         for ((count, truth), (low, high)) in covered.iter_mut().zip(TRUTH).zip(intervals) {
             *count += u64::from((low..=high).contains(&truth));
         }
@@ -198,8 +198,8 @@ impl Study {
             let fit = calibration
                 .fit(FitOptions { loss: loss.unwrap_or_default(), objective, ..run.into() })
                 .unwrap();
-            let worth = fit.worth.as_ref().unwrap();
-            let intervals = worth.confidence_intervals(0.95).unwrap();
+            let uncertainty = fit.uncertainty.as_ref().unwrap();
+            let intervals = uncertainty.confidence_intervals(0.95).unwrap();
             let count = |count: &mut u32, (low, high): (f64, f64), truth: f64| {
                 *count += u32::from((low..=high).contains(&truth));
             };

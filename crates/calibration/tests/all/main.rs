@@ -23,7 +23,7 @@ mod solver;
 mod stages;
 mod tolerance;
 mod totals;
+mod uncertainty;
 mod units;
 mod validation;
 mod wide_bounds;
-mod worth;

@@ -228,13 +228,15 @@ fn a_search_that_ended_before_the_minimum_is_named_and_not_taken_for_weights() {
         ..FitOptions::default_run()
     };
     let fit = calibration.fit(run).unwrap();
-    let worth = fit.worth.as_ref().map(|worth| worth.left_to_gain);
-    let at = calibration.worth(&fit.x, &calibration::WorthOptions::default(), &RunContext::new()).unwrap();
-    assert!(worth.is_none_or(|left| left > 0.9) && at.left_to_gain > 0.9, "{fit}");
+    let uncertainty = fit.uncertainty.as_ref().map(|uncertainty| uncertainty.left_to_gain);
+    let at = calibration
+        .uncertainty(&fit.x, &calibration::UncertaintyOptions::default(), &RunContext::new())
+        .unwrap();
+    assert!(uncertainty.is_none_or(|left| left > 0.9) && at.left_to_gain > 0.9, "{fit}");
     assert!(warns(&at.findings, "the search ended before the minimum"), "{at}");
     assert!(!at.to_string().contains("weights of the other outputs"), "{at}");
     let fit = calibration.fit(FitOptions::default()).unwrap();
-    assert_eq!(fit.worth.as_ref().unwrap().left_to_gain, 0.0, "{fit}");
+    assert_eq!(fit.uncertainty.as_ref().unwrap().left_to_gain, 0.0, "{fit}");
 }
 
 #[test]

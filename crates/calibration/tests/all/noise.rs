@@ -72,12 +72,12 @@ fn a_prior_does_not_decide_where_the_noise_is_small() {
                 let calibration = calibration.build().unwrap();
                 let fit = calibration.fit(run(method)).unwrap();
                 let found = estimated(&fit);
-                let worth = fit.worth.as_ref().unwrap();
+                let uncertainty = fit.uncertainty.as_ref().unwrap();
                 assert!(fit.report.is_success() && found.is_settled && found.n_rounds <= 4, "{start}: {fit}");
                 // A standard deviation of 50 degrees of freedom is known to 10 %.
                 assert!((found.outputs[0].sd / noise).ln().abs() < 0.35, "{start} {noise}: {fit}");
                 let pull = if noise > 0.01 { 1.0 } else { 0.0 };
-                let off = (fit.x[0] - 2.0).abs() / worth.standard_errors[0];
+                let off = (fit.x[0] - 2.0).abs() / uncertainty.standard_errors[0];
                 assert!(off < 3.5 + pull, "{start} {noise}: {off} standard errors, {fit}");
                 assert!(fit.rms < fit.start_rms.unwrap() || start == 2.0, "{fit}");
                 assert!((fit.rms / noise).ln().abs() < 0.35, "{}", fit.rms);
@@ -124,7 +124,7 @@ fn a_linear_parameter_is_at_its_posterior_mode() {
             assert!((fit.x[0] - expected).abs() < 3e-4 * expected, "{} for {expected}", fit.x[0]);
             // The pull is what is tested.
             assert!((fit.x[0] - by / bb).abs() > 5.0 * (fit.x[0] - expected).abs() || noise < 0.1, "{h}");
-            let error = fit.worth.as_ref().unwrap().standard_errors[0];
+            let error = fit.uncertainty.as_ref().unwrap().standard_errors[0];
             let of_posterior = (h / bb).sqrt() * found.sd / weight;
             assert!((error / of_posterior).ln().abs() < 0.05, "{error} for {of_posterior}");
         }
@@ -156,7 +156,7 @@ fn each_output_has_its_own_noise_and_a_stated_one_is_kept() {
     let stated = throw(1, [(1.0 / sds[0]).into(), (1.0 / sds[1]).into()]).build().unwrap();
     let again = stated.fit(run(LeastSquares::default())).unwrap();
     assert_eq!(again.noise, Some(FitNoise::Stated));
-    let errors = &again.worth.as_ref().unwrap().standard_errors;
+    let errors = &again.uncertainty.as_ref().unwrap().standard_errors;
     for ((a, b), error) in fit.x.iter().zip(&again.x).zip(errors) {
         assert!((a - b).abs() < 0.01 * error, "{a} {b} +- {error}");
     }
@@ -329,7 +329,7 @@ fn what_is_asked_of_the_fit_afterwards_has_its_weights() {
     let noise = estimated(&fit).outputs[0].sd;
     let profile = calibration.profile(&fit, &ProfileOptions::default(), &RunContext::new()).unwrap();
     let (low, high) = profile.parameters[0].interval();
-    let (from, to) = fit.worth.as_ref().unwrap().confidence_intervals(0.95).unwrap()[0];
+    let (from, to) = fit.uncertainty.as_ref().unwrap().confidence_intervals(0.95).unwrap()[0];
     assert!(low < fit.x[0] && fit.x[0] < high, "{low} {high} {fit}");
     assert!(((high - low) / (to - from)).ln().abs() < 0.05, "{low} {high} for {from} {to}");
     let bands = calibration.prediction_bands(&fit, &BandOptions::default(), &RunContext::new()).unwrap();
@@ -374,7 +374,7 @@ fn stages_have_one_noise_each_and_the_last_one_holds() {
     let stages = [Stage::new(["v"]).window(0.0, 0.8), Stage::new(["h", "v"])];
     let fit = calibration.fit_stages(&stages, run(LeastSquares::default())).unwrap();
     let whole = calibration.fit(run(LeastSquares::default())).unwrap();
-    let errors = &whole.worth.as_ref().unwrap().standard_errors;
+    let errors = &whole.uncertainty.as_ref().unwrap().standard_errors;
     for ((a, b), error) in fit.x.iter().zip(&whole.x).zip(errors) {
         assert!((a - b).abs() < 0.02 * error, "{a} {b} +- {error}");
     }
@@ -385,6 +385,6 @@ fn stages_have_one_noise_each_and_the_last_one_holds() {
     assert!((fit.rms / whole.rms - 1.0).abs() < 1e-3, "{} {}", fit.rms, whole.rms);
     assert!((fit.start_rms.unwrap() / whole.start_rms.unwrap() - 1.0).abs() < 1e-9);
     assert!((fit.cost / whole.cost - 1.0).abs() < 0.05 && fit.cost < fit.start_cost.unwrap());
-    let (one, other) = (fit.worth.as_ref().unwrap(), whole.worth.as_ref().unwrap());
+    let (one, other) = (fit.uncertainty.as_ref().unwrap(), whole.uncertainty.as_ref().unwrap());
     assert!((one.standard_errors[0] / other.standard_errors[0]).ln().abs() < 0.02);
 }

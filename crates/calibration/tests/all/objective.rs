@@ -46,7 +46,7 @@ fn named_costs_are_minimised_by_methods_that_see_the_cost_alone() {
         let found = fit(CostKind::Named(named), None);
         assert_eq!((&*found.report.method, found.objective.as_str()), ("quadratic-model", named.name()));
         assert!(
-            found.report.is_success() && found.worth.is_some() == (named == NamedCost::Likelihood),
+            found.report.is_success() && found.uncertainty.is_some() == (named == NamedCost::Likelihood),
             "{found}"
         );
         let r = calibration.residuals(&found.x, &RunContext::new()).unwrap();

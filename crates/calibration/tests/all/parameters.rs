@@ -91,7 +91,7 @@ fn one_parameter_sets_several_variables_and_others_follow_it() {
     let row: Vec<&str> = csv.lines().nth(2).unwrap().split(',').collect();
     assert_eq!((row[0], row[9]), ("qt.a3", "outlets"), "{csv}");
     assert_eq!(row[1].parse(), Ok(fit.tied[0].1), "{csv}");
-    let error = fit.worth.as_ref().unwrap().standard_errors[0];
+    let error = fit.uncertainty.as_ref().unwrap().standard_errors[0];
     assert_eq!(row[2].parse(), Ok(2.0 * error), "{csv}");
     let json: serde_json::Value = serde_json::from_str(&fit.to_json(&one).unwrap()).unwrap();
     let tied = &json["parameters"][1];

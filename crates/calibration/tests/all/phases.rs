@@ -39,11 +39,11 @@ fn every_simulation_is_counted_and_none_is_made_twice() {
     let options = FitOptions { cutoffs: false, ..limited(NelderMead::default(), limits).into() };
     let fit = calibration.fit(options).unwrap();
     let one = calibration.simulate(&[1.0], None, &RunContext::new()).unwrap()[0].stats.right_hand_sides;
-    let worth = fit.worth.as_ref().unwrap();
+    let uncertainty = fit.uncertainty.as_ref().unwrap();
     // The end and the start were among the evaluations. The accurate simulation has twice as many steps, and one initialisation.
-    let expected = evaluations + fit.report.n_speculative + fit.n_checks + worth.n_simulations;
+    let expected = evaluations + fit.report.n_speculative + fit.n_checks + uncertainty.n_simulations;
     assert_eq!(fit.stats.right_hand_sides, one * expected as u64 + (one - 1), "{fit}");
-    assert!(worth.n_simulations <= 1 + 2 * 2 * 2, "{}", worth.n_simulations);
+    assert!(uncertainty.n_simulations <= 1 + 2 * 2 * 2, "{}", uncertainty.n_simulations);
 }
 
 /// The race is part of the fit that chose the solver, and its simulation of the start is the first evaluation.
@@ -52,7 +52,7 @@ fn the_choice_of_a_solver_counts_once() {
     let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Auto, None);
     let limits = Limits { max_evaluations: Some(5), ..Limits::default() };
     let options =
-        || FitOptions { worth: None, cutoffs: false, ..limited(NelderMead::default(), limits).into() };
+        || FitOptions { uncertainty: None, cutoffs: false, ..limited(NelderMead::default(), limits).into() };
     let (first, second) = (calibration.fit(options()).unwrap(), calibration.fit(options()).unwrap());
     assert_eq!(first.stats, second.stats);
     assert_eq!(first.report.trace.len(), 5);
@@ -98,9 +98,9 @@ fn the_start_is_the_result_where_one_simulation_is_endless() {
     };
     let fit = calibration.fit(options).unwrap();
     assert_eq!((&fit.x[..], &fit.report.termination), (&[1.0][..], &Termination::MaxTime));
-    assert!(fit.cost.is_nan() && fit.worth.is_none() && !fit.report.is_success());
+    assert!(fit.cost.is_nan() && fit.uncertainty.is_none() && !fit.report.is_success());
     assert!(fit.report.message.contains("the result is the start"), "{}", fit.report.message);
-    assert_eq!(phase.get(), FitPhase::Worth);
+    assert_eq!(phase.get(), FitPhase::Uncertainty);
     let stages = [Stage::new(["k"])];
     let fit = calibration.fit_stages(&stages, limited(NelderMead::default(), limits)).unwrap();
     assert_eq!((&fit.x[..], &fit.report.termination), (&[1.0][..], &Termination::MaxTime));
@@ -120,7 +120,7 @@ fn nothing_is_simulated_when_the_time_is_up() {
     (run.tolerances.x_tol, run.tolerances.f_tol) = (0.0, 0.0);
     let fit = calibration.fit(run).unwrap();
     assert_eq!(fit.report.termination, Termination::MaxTime);
-    assert!(fit.worth.is_none() && fit.n_checks == 0 && fit.setup_findings.is_empty());
+    assert!(fit.uncertainty.is_none() && fit.n_checks == 0 && fit.setup_findings.is_empty());
     assert!(fit.cost.is_finite() && fit.outputs.len() == 1);
 }
 

@@ -33,7 +33,7 @@ fn calibration(experiments: Vec<Experiment>, is_local: bool) -> Calibration {
 fn the_band_is_that_of_the_delta_method() {
     let calibration = calibration(vec![recording(2.0, 1.0)], false);
     let fit = calibration.fit(FitOptions::default()).unwrap();
-    let worth = fit.worth.as_ref().unwrap();
+    let uncertainty = fit.uncertainty.as_ref().unwrap();
     let times = vec![0.0, 0.3, 1.0, 2.5];
     let options = BandOptions { times: Some(times.clone()), ..BandOptions::default() };
     let [band] = &calibration.prediction_bands(&fit, &options, &RunContext::new()).unwrap()[..] else {
@@ -43,7 +43,8 @@ fn the_band_is_that_of_the_delta_method() {
     for (i, t) in times.iter().enumerate() {
         let decay = (-k * t).exp();
         let gradient = [-t * x0 * decay, decay];
-        let variance: f64 = (0..4).map(|e| gradient[e / 2] * worth.covariance[e] * gradient[e % 2]).sum();
+        let variance: f64 =
+            (0..4).map(|e| gradient[e / 2] * uncertainty.covariance[e] * gradient[e % 2]).sum();
         assert!((band.values[i] - x0 * decay).abs() < 1e-5);
         assert!((band.standard_errors[i] / variance.sqrt() - 1.0).abs() < 2e-2, "{band:?} {variance}");
         // Student's t with 38 degrees of freedom.
@@ -93,7 +94,7 @@ fn a_band_of_parameters_on_a_log_scale_is_that_of_linear_ones() {
 fn a_band_without_degrees_of_freedom_is_refused() {
     let calibration = calibration(vec![recording(2.0, 1.0).window(0.0, 0.1)], false);
     let fit = calibration.fit(FitOptions::default()).unwrap();
-    assert_eq!(fit.worth.as_ref().unwrap().degrees_of_freedom, 0);
+    assert_eq!(fit.uncertainty.as_ref().unwrap().degrees_of_freedom, 0);
     let error = calibration.prediction_bands(&fit, &BandOptions::default(), &RunContext::new()).unwrap_err();
     assert!(error.to_string().contains("2 residuals are no more than the parameters"), "{error}");
 }
@@ -127,7 +128,7 @@ fn local_parameters_of_what_is_held_out_are_fitted_with_the_loss_of_the_fit() {
 fn a_band_that_cannot_be_made_says_why() {
     let calibration = calibration(vec![recording(2.0, 1.0)], false);
     let fit = calibration.fit(FitOptions::default()).unwrap();
-    let without = calibration.fit(FitOptions { worth: None, ..FitOptions::default() }).unwrap();
+    let without = calibration.fit(FitOptions { uncertainty: None, ..FitOptions::default() }).unwrap();
     let options = BandOptions::default();
     for (fit, options, expected) in [
         (&fit, BandOptions { level: 95.0, ..options.clone() }, "between 0 and 1"),

@@ -5,7 +5,7 @@
 use calibration::RunContext;
 use calibration::{
     Calibration, CalibrationError, CostKind, Data, Estimator, Experiment, Fit, FitOptions, NamedCost,
-    Parameter, Profile, ProfileEnd, ProfileOptions, Scale, WorthOptions,
+    Parameter, Profile, ProfileEnd, ProfileOptions, Scale, UncertaintyOptions,
 };
 use example_models::example_fmu;
 use std::path::Path;
@@ -68,8 +68,8 @@ fn line() -> Calibration {
 fn the_interval_of_a_linear_model_is_that_of_its_covariance() {
     let calibration = line();
     for estimator in [Estimator::Sandwich, Estimator::Pooled] {
-        let worth = Some(WorthOptions { estimator, ..WorthOptions::default() });
-        let fit = fitted(&calibration, FitOptions { worth, ..FitOptions::default() });
+        let uncertainty = Some(UncertaintyOptions { estimator, ..UncertaintyOptions::default() });
+        let fit = fitted(&calibration, FitOptions { uncertainty, ..FitOptions::default() });
         let options = ProfileOptions { is_corrected: false, ..ProfileOptions::default() };
         let found = profile(&calibration, &fit, &options);
         let r = calibration.residuals(&fit.x, &RunContext::new()).unwrap();
@@ -133,7 +133,7 @@ fn profiles_of_robust_losses_and_correlated_residuals_have_the_width_of_the_erro
     let loss = dfo::RobustLoss::new(dfo::Loss::SoftL1, 0.1).unwrap();
     let fit = fitted(&calibration, FitOptions { loss, ..FitOptions::default() });
     let ((low, high), _) = interval(&fit, &calibration, &ProfileOptions::default());
-    let (lower, upper) = fit.worth.as_ref().unwrap().confidence_intervals(0.95).unwrap()[0];
+    let (lower, upper) = fit.uncertainty.as_ref().unwrap().confidence_intervals(0.95).unwrap()[0];
     assert!(((high - low) / (upper - lower) - 1.0).abs() < 0.15, "{low} {high} {lower} {upper}");
 
     let time: Vec<f64> = (0..80).map(|k| 0.05 * f64::from(k)).collect();
@@ -147,9 +147,9 @@ fn profiles_of_robust_losses_and_correlated_residuals_have_the_width_of_the_erro
     for is_corrected in [true, false] {
         let options = ProfileOptions { is_corrected, ..ProfileOptions::default() };
         let ((low, high), is_autocorrelated) = interval(&fit, &calibration, &options);
-        let worth = fit.worth.as_ref().unwrap();
-        let worth = if is_corrected { worth.clone() } else { worth.uncorrected() };
-        let (lower, upper) = worth.confidence_intervals(0.95).unwrap()[0];
+        let uncertainty = fit.uncertainty.as_ref().unwrap();
+        let uncertainty = if is_corrected { uncertainty.clone() } else { uncertainty.uncorrected() };
+        let (lower, upper) = uncertainty.confidence_intervals(0.95).unwrap()[0];
         assert!(((high - low) / (upper - lower) - 1.0).abs() < 0.1, "{low} {high} {lower} {upper}");
         assert_eq!(is_autocorrelated, is_corrected);
     }
@@ -230,7 +230,7 @@ fn confounded_parameters_reach_as_far_as_the_bounds_of_the_others() {
         .build()
         .unwrap();
     let fit = fitted(&calibration, FitOptions::default());
-    assert_eq!(fit.worth.as_ref().unwrap().undetermined, [0, 1]);
+    assert_eq!(fit.uncertainty.as_ref().unwrap().undetermined, [0, 1]);
     let found = profile(&calibration, &fit, &ProfileOptions::default());
     let beyond = (found.threshold * fit.cost / f64::from(n - 2) / f64::from(n)).sqrt();
     let (low, high) = found.parameters[0].interval();

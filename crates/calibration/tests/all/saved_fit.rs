@@ -146,11 +146,11 @@ fn files_that_are_no_fits_are_refused() {
         assert!(error.contains(&format!("fit.{field} has 0 entries where there should be 3")), "{error}");
     }
     for field in ["names", "x", "is_log", "covariance", "standard_errors", "correlation"] {
-        let error = edited(&format!("/fit/worth/{field}"), serde_json::json!([]));
-        assert!(error.contains(&format!("fit.worth.{field} has 0 entries")), "{error}");
+        let error = edited(&format!("/fit/uncertainty/{field}"), serde_json::json!([]));
+        assert!(error.contains(&format!("fit.uncertainty.{field} has 0 entries")), "{error}");
     }
-    let weakest = edited("/fit/worth/weakest", serde_json::json!([0, 7]));
-    assert!(weakest.contains("fit.worth.weakest names parameter 7"), "{weakest}");
+    let weakest = edited("/fit/uncertainty/weakest", serde_json::json!([0, 7]));
+    assert!(weakest.contains("fit.uncertainty.weakest names parameter 7"), "{weakest}");
     // What takes many times the size of the file.
     let large = changed(&bytes, "modelDescription.xml", |_| Some(vec![b' '; 9 << 20]));
     assert!(refusal(&large).contains("more than the 8388608 that a file of"));

@@ -152,7 +152,7 @@ fn a_checkpoint_has_a_file_for_each_stage() {
     }
     let again = calibration.fit_stages(&two(), with(1000, Resume::Require)).unwrap();
     assert_eq!(bits(&again), bits(&whole));
-    // What the whole is worth takes some, too.
+    // The uncertainty of the whole takes some, too.
     let of_stages: u64 = again.stages.iter().map(|s| s.stats.right_hand_sides).sum();
     assert!(again.stats.right_hand_sides > of_stages);
     // Other stages are another fit.

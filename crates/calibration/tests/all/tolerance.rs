@@ -69,11 +69,11 @@ fn the_tolerance_leaves_the_cost_as_smooth_as_f_tol_asks() {
             let calibration = oscillator(&folder, noise).build().unwrap();
             let fit = calibration.fit(run(f_tol)).unwrap();
             let chosen = fit.tolerance.unwrap();
-            let worth = fit.worth.as_ref().unwrap();
-            let uncertain = (worth.accurate_cost.unwrap() / worth.cost - 1.0).abs();
+            let uncertainty = fit.uncertainty.as_ref().unwrap();
+            let uncertain = (uncertainty.accurate_cost.unwrap() / uncertainty.cost - 1.0).abs();
             assert!(!is_noisy(&fit) && uncertain <= f_tol, "{noise} {f_tol}: {uncertain} {fit}");
             assert!(chosen.stated == 1e-4 && chosen.n_simulations <= 2 && chosen.noise.is_some());
-            assert!((fit.x[0] - 1.5).abs() < 5.0 * worth.standard_errors[0], "{fit}");
+            assert!((fit.x[0] - 1.5).abs() < 5.0 * uncertainty.standard_errors[0], "{fit}");
             let text = fit.findings().iter().map(ToString::to_string).collect::<String>();
             assert!(text.contains("relative_tolerance overrides it") && chosen.used <= 1e-6, "{text}");
             used.push(chosen.used);

@@ -28,8 +28,8 @@ fn options(evaluations: usize, workers: usize, cutoffs: bool) -> FitOptions<'sta
     method.batch = BatchPlan::Serial;
     let run =
         RunOptions { method: method.into(), limits, workers: Some(workers), ..FitOptions::default_run() };
-    // What the fit is worth takes simulations of its own.
-    FitOptions { cutoffs, worth: None, ..run.into() }
+    // The uncertainty of the fit takes simulations of its own.
+    FitOptions { cutoffs, uncertainty: None, ..run.into() }
 }
 
 #[test]

@@ -33,7 +33,7 @@ fn the_answer_is_the_same_however_wide_the_bounds() {
                 let is_right = (found.x[0] - 2.0).abs() < 4e-3 && (found.x[1] - 1.5).abs() < 4e-3;
                 assert!(is_right && found.report.is_success(), "{upper:e} {k:?}: {found}");
                 assert!(found.at_bound.is_empty() && found.without_effect.is_empty(), "{upper:e}: {found}");
-                let errors = &found.worth.as_ref().unwrap().standard_errors;
+                let errors = &found.uncertainty.as_ref().unwrap().standard_errors;
                 assert!(errors.iter().all(|e| *e > 0.0 && *e < 0.01), "{upper:e} {k:?}: {errors:?}");
             }
         }

@@ -38,7 +38,7 @@ impl Point {
     }
 }
 
-/// A run whose evaluations the caller makes: the same trace as [`minimize`](crate::run::minimize) makes, whatever the order of the
+/// A run whose evaluations the caller makes: the same trace as [`minimize`](crate::minimize) makes, whatever the order of the
 /// answers.
 ///
 /// Methods work in rounds, so [`ask`](Self::ask) has nothing to give while the last answers of a round are missing.

@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from ._calibration.stages import Stage
     from ._model.trajectory import SimulationResult
     from ._calibration.validation import CrossValidation, Fold, PredictionBand, ValidatedOutput, Validation
-    from ._calibration.worth import ParameterCheck, Preflight, ResidualCheck, Worth
+    from ._calibration.uncertainty import ParameterCheck, Preflight, ResidualCheck, Uncertainty
 
 _know_interpreter()
 
@@ -82,7 +82,7 @@ _HOMES = {
     "_calibration.stages": "Stage",
     "_model.trajectory": "SimulationResult",
     "_calibration.validation": "CrossValidation Fold PredictionBand ValidatedOutput Validation",
-    "_calibration.worth": "ParameterCheck Preflight ResidualCheck Worth",
+    "_calibration.uncertainty": "ParameterCheck Preflight ResidualCheck Uncertainty",
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
 
@@ -134,7 +134,7 @@ __all__ = [
     "ValidatedOutput",
     "Validation",
     "Variable",
-    "Worth",
+    "Uncertainty",
     "__version__",
     "build_fmu",
     "clear_caches",

@@ -424,7 +424,7 @@ impl PyCalibration {
         let stages: Option<Vec<calibration::Stage>> =
             stages.map(|stages| stages.into_iter().map(stage).collect()).transpose()?;
         let options = FitOptions::asked(asked.values.clone(), n_parameters);
-        let FitOptions { run, loss, noise, preflight, worth, .. } =
+        let FitOptions { run, loss, noise, preflight, uncertainty, .. } =
             options.map_err(|e| asked.error(py, &e))?;
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());
@@ -453,7 +453,7 @@ impl PyCalibration {
                     loss,
                     noise,
                     preflight,
-                    worth,
+                    uncertainty,
                     phase: told,
                     engine: engine.map(|engine| Rc::new(RefCell::new(engine)) as Rc<RefCell<dyn Engine>>),
                     observer: Some(Box::new(|progress: &Progress<'_>| {

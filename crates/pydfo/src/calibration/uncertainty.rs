@@ -1,11 +1,11 @@
-//! `Worth` and the preflight: what a fit is worth, and what is found before it; `pydfo.Worth` and `pydfo.Preflight` in Python.
+//! `Uncertainty` and the preflight: the uncertainty of a fit, and what is found before it; `pydfo.Uncertainty` and `pydfo.Preflight` in Python.
 
 use crate::calibration::fit::PyFit;
 use crate::calibration::native::PyCalibration;
 use crate::convert::error;
 use crate::convert::findings;
 use crate::convert::record::read;
-use calibration::{Preflight, PreflightOptions, Worth, WorthOptions};
+use calibration::{Preflight, PreflightOptions, Uncertainty, UncertaintyOptions};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -13,31 +13,31 @@ use pyo3::types::{PyBytes, PyDict};
 use std::sync::Arc;
 
 /// Uncertainty of the parameters at a point, as the result of a fit.
-#[pyclass(frozen, module = "pydfo._core", name = "Worth")]
-pub(crate) struct PyWorth {
-    inner: Arc<Worth>,
+#[pyclass(frozen, module = "pydfo._core", name = "Uncertainty")]
+pub(crate) struct PyUncertainty {
+    inner: Arc<Uncertainty>,
 }
 
 /// Uncertainty of the parameters of a fit, if it was estimated.
 #[pyfunction]
-pub(crate) fn worth_of_fit(fit: &PyFit) -> Option<PyWorth> {
-    fit.inner.worth.clone().map(|worth| PyWorth { inner: Arc::new(worth) })
+pub(crate) fn uncertainty_of_fit(fit: &PyFit) -> Option<PyUncertainty> {
+    fit.inner.uncertainty.clone().map(|uncertainty| PyUncertainty { inner: Arc::new(uncertainty) })
 }
 
 /// Uncertainty of the parameters at a point; all but those of the numbers `held` are free.
 #[pyfunction]
-pub(crate) fn worth_at(
+pub(crate) fn uncertainty_at(
     py: Python<'_>,
     calibration: &PyCalibration,
     x: Vec<f64>,
     covariance: &str,
     held: Vec<usize>,
     workers: Option<usize>,
-) -> PyResult<PyWorth> {
+) -> PyResult<PyUncertainty> {
     let estimator = read("covariance", covariance)?;
-    let options = WorthOptions { workers, held, estimator, ..WorthOptions::default() };
-    let worth = calibration.compute(py, move |c, context| c.worth(&x, &options, context))?;
-    Ok(PyWorth { inner: Arc::new(worth) })
+    let options = UncertaintyOptions { workers, held, estimator, ..UncertaintyOptions::default() };
+    let uncertainty = calibration.compute(py, move |c, context| c.uncertainty(&x, &options, context))?;
+    Ok(PyUncertainty { inner: Arc::new(uncertainty) })
 }
 
 /// The fields of `pydfo.Preflight`, found at `x`.
@@ -93,7 +93,7 @@ fn matrix<'py>(py: Python<'py>, rows: &[f64], n: usize) -> PyResult<Bound<'py, P
 }
 
 #[pymethods]
-impl PyWorth {
+impl PyUncertainty {
     /// All of it: what a pickle holds.
     fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         let mut bytes = Vec::new();
@@ -104,30 +104,31 @@ impl PyWorth {
     /// From its state.
     #[staticmethod]
     fn restore(state: &[u8]) -> PyResult<Self> {
-        let bad = |what: String| PyValueError::new_err(format!("this is no state of a Worth: {what}"));
-        let worth: Worth = ciborium::from_reader(state).map_err(|e| bad(e.to_string()))?;
-        worth.check_lengths().map_err(bad)?;
-        Ok(Self { inner: Arc::new(worth) })
+        let bad = |what: String| PyValueError::new_err(format!("this is no state of a Uncertainty: {what}"));
+        let uncertainty: Uncertainty = ciborium::from_reader(state).map_err(|e| bad(e.to_string()))?;
+        uncertainty.check_lengths().map_err(bad)?;
+        Ok(Self { inner: Arc::new(uncertainty) })
     }
 
-    /// The fields of `pydfo.Worth`.
+    /// The fields of `pydfo.Uncertainty`.
     fn fields<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let (worth, fields) = (&*self.inner, PyDict::new(py));
-        let n = worth.x.len();
-        let names = |indices: &[usize]| indices.iter().map(|i| worth.names[*i].clone()).collect::<Vec<_>>();
-        fields.set_item("estimator", worth.estimator.name())?;
-        fields.set_item("names", &worth.names)?;
-        fields.set_item("x", PyArray1::from_slice(py, &worth.x))?;
-        fields.set_item("covariance", matrix(py, &worth.covariance, n)?)?;
-        fields.set_item("correlation", matrix(py, &worth.correlation, n)?)?;
-        fields.set_item("jacobian", matrix(py, &worth.jacobian, n)?)?;
-        fields.set_item("stderr", PyArray1::from_slice(py, &worth.standard_errors))?;
-        let uncorrected = worth.uncorrected_errors().map(|errors| PyArray1::from_vec(py, errors));
+        let (uncertainty, fields) = (&*self.inner, PyDict::new(py));
+        let n = uncertainty.x.len();
+        let names =
+            |indices: &[usize]| indices.iter().map(|i| uncertainty.names[*i].clone()).collect::<Vec<_>>();
+        fields.set_item("estimator", uncertainty.estimator.name())?;
+        fields.set_item("names", &uncertainty.names)?;
+        fields.set_item("x", PyArray1::from_slice(py, &uncertainty.x))?;
+        fields.set_item("covariance", matrix(py, &uncertainty.covariance, n)?)?;
+        fields.set_item("correlation", matrix(py, &uncertainty.correlation, n)?)?;
+        fields.set_item("jacobian", matrix(py, &uncertainty.jacobian, n)?)?;
+        fields.set_item("stderr", PyArray1::from_slice(py, &uncertainty.standard_errors))?;
+        let uncorrected = uncertainty.uncorrected_errors().map(|errors| PyArray1::from_vec(py, errors));
         fields.set_item("uncorrected_stderr", uncorrected)?;
-        fields.set_item("autocorrelations", PyArray1::from_slice(py, &worth.autocorrelations))?;
-        let degrees = PyArray1::from_slice(py, &worth.effective_degrees_of_freedom);
+        fields.set_item("autocorrelations", PyArray1::from_slice(py, &uncertainty.autocorrelations))?;
+        let degrees = PyArray1::from_slice(py, &uncertainty.effective_degrees_of_freedom);
         fields.set_item("effective_degrees_of_freedom", degrees)?;
-        let checks = worth.residual_checks.iter().map(|check| {
+        let checks = uncertainty.residual_checks.iter().map(|check| {
             let fields = PyDict::new(py);
             fields.set_item("experiment", &check.experiment)?;
             fields.set_item("variable", &check.variable)?;
@@ -140,23 +141,26 @@ impl PyWorth {
             Ok(fields)
         });
         fields.set_item("residual_checks", checks.collect::<PyResult<Vec<_>>>()?)?;
-        fields.set_item("degrees_of_freedom", worth.degrees_of_freedom)?;
+        fields.set_item("degrees_of_freedom", uncertainty.degrees_of_freedom)?;
         for (name, indices) in [
-            ("held", &worth.held),
-            ("undetermined", &worth.undetermined),
-            ("without_effect", &worth.without_effect),
-            ("weakest", &worth.weakest),
-            ("identifiable", &worth.identifiable),
+            ("held", &uncertainty.held),
+            ("undetermined", &uncertainty.undetermined),
+            ("without_effect", &uncertainty.without_effect),
+            ("weakest", &uncertainty.weakest),
+            ("identifiable", &uncertainty.identifiable),
         ] {
             fields.set_item(name, names(indices))?;
         }
-        let pairs = worth.confounded.iter().map(|(i, j, c)| (&worth.names[*i], &worth.names[*j], *c));
+        let pairs = uncertainty
+            .confounded
+            .iter()
+            .map(|(i, j, c)| (&uncertainty.names[*i], &uncertainty.names[*j], *c));
         fields.set_item("confounded", pairs.collect::<Vec<_>>())?;
-        fields.set_item("verdict", worth.verdict())?;
-        fields.set_item("findings", findings::fields(worth.findings.clone()))?;
-        fields.set_item("cost", worth.cost)?;
-        fields.set_item("accurate_cost", worth.accurate_cost)?;
-        fields.set_item("n_simulations", worth.n_simulations)?;
+        fields.set_item("verdict", uncertainty.verdict())?;
+        fields.set_item("findings", findings::fields(uncertainty.findings.clone()))?;
+        fields.set_item("cost", uncertainty.cost)?;
+        fields.set_item("accurate_cost", uncertainty.accurate_cost)?;
+        fields.set_item("n_simulations", uncertainty.n_simulations)?;
         Ok(fields)
     }
 
@@ -167,10 +171,10 @@ impl PyWorth {
         level: f64,
         corrected: bool,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let worth = &self.inner;
+        let uncertainty = &self.inner;
         let ends = match corrected {
-            true => worth.confidence_intervals(level),
-            false => worth.uncorrected().confidence_intervals(level),
+            true => uncertainty.confidence_intervals(level),
+            false => uncertainty.uncorrected().confidence_intervals(level),
         };
         let ends = ends.map_err(|e| error::calibration(py, &e))?;
         matrix(py, &ends.iter().flat_map(|(low, high)| [*low, *high]).collect::<Vec<_>>(), 2)

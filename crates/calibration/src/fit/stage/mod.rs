@@ -1,4 +1,4 @@
-//! The fit: what is asked for, the search, and what its result is worth; parameters with names come out.
+//! The fit: what is asked for, the search, and the uncertainty of its result; parameters with names come out.
 
 mod engine;
 mod fresh;
@@ -27,7 +27,7 @@ use crate::problem::objective::CostKind;
 use crate::problem::parameter::{Parameter, Scale};
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::bounds::{Findings, is_over};
-use crate::uncertainty::estimate::{KnownPoint, SEARCH, Worth, WorthOptions};
+use crate::uncertainty::estimate::{KnownPoint, SEARCH, Uncertainty, UncertaintyOptions};
 use base::RunContext;
 use dfo::{Measure, Report, RobustLoss, Termination, Tolerances, typical_size};
 use ode::{Number, Stats};
@@ -80,7 +80,7 @@ impl Calibration {
         // With the weights and the tolerance of the fit.
         let own = own.as_ref().unwrap_or(self);
         let Searched { report, found, residuals, preflight, solver, tolerances, raised } = searched;
-        let Job { start, held, objective, loss, context, phase, worth, .. } = &job;
+        let Job { start, held, objective, loss, context, phase, uncertainty, .. } = &job;
         let mut remarks = raised;
         remarks.extend(self.unstated_noise(&job, noise.as_ref()));
         if let Some(reason) = self.runs_here_by_its_inputs() {
@@ -89,7 +89,7 @@ impl Calibration {
         }
         remarks.extend(loose(&tolerances));
         phase.set(FitPhase::Checks);
-        let is_whole = worth.is_some() && held.is_empty();
+        let is_whole = uncertainty.is_some() && held.is_empty();
         let (at_start, at_end) =
             own.plain_residuals((start, &report.x), (&residuals, *loss), context, &mut stats);
         if let Some(at_end) = at_end.as_deref().filter(|_| is_whole && is_over(&report.termination)) {
@@ -101,21 +101,24 @@ impl Calibration {
         }
         let outputs =
             at_end.as_deref().map_or_else(Vec::new, |at_end| own.output_fits_of(at_end, at_start.as_deref()));
-        phase.set(FitPhase::Worth);
-        let worth = worth.clone().filter(|_| objective.has_worth()).and_then(|mut options| {
-            options.workers = options.workers.or(job.run.workers);
-            options.held.extend(held);
-            let asked = WorthOptions { loss: *loss, is_likelihood: objective.is_likelihood(), ..options };
-            let known = report.residuals.as_deref().or(at_end.as_deref());
-            let worth = own.worth_of_fit((&report, &found, known), &tolerances, asked, context, &mut stats);
-            if worth.is_none() && is_over(&report.termination) && context.is_late() {
-                let sentence = "the time was up before the standard errors were known";
-                remarks.push(Finding::new(Severity::Warning, "max_time", sentence, ""));
-            }
-            worth
-        });
+        phase.set(FitPhase::Uncertainty);
+        let uncertainty =
+            uncertainty.clone().filter(|_| objective.has_uncertainty()).and_then(|mut options| {
+                options.workers = options.workers.or(job.run.workers);
+                options.held.extend(held);
+                let asked =
+                    UncertaintyOptions { loss: *loss, is_likelihood: objective.is_likelihood(), ..options };
+                let known = report.residuals.as_deref().or(at_end.as_deref());
+                let uncertainty =
+                    own.uncertainty_of_fit((&report, &found, known), &tolerances, asked, context, &mut stats);
+                if uncertainty.is_none() && is_over(&report.termination) && context.is_late() {
+                    let sentence = "the time was up before the standard errors were known";
+                    remarks.push(Finding::new(Severity::Warning, "max_time", sentence, ""));
+                }
+                uncertainty
+            });
         if let Some(at_end) =
-            at_end.as_deref().filter(|_| own.has_fixed_step() && worth.is_none() && is_whole)
+            at_end.as_deref().filter(|_| own.has_fixed_step() && uncertainty.is_none() && is_whole)
         {
             remarks.extend(own.large_step_after_fit((&report.x, at_end), context, &mut stats));
         }
@@ -162,7 +165,7 @@ impl Calibration {
             outputs,
             preflight,
             setup_findings: remarks,
-            worth,
+            uncertainty,
             cost: report.fun,
             rms: rms(&report.x, Some(report.fun)).unwrap_or(f64::NAN),
             tied: self.tied_values(&report.x),
@@ -206,14 +209,14 @@ impl Calibration {
 
     /// Uncertainty of the result of a run, from the residuals there, without a loss, where they are known;
     /// `None` where it cannot be estimated, or is not requested.
-    pub(crate) fn worth_of_fit(
+    pub(crate) fn uncertainty_of_fit(
         &self,
         (report, found, residuals): (&Report, &Findings, Option<&[f64]>),
         tolerances: &Tolerances,
-        mut options: WorthOptions,
+        mut options: UncertaintyOptions,
         context: &RunContext<'_>,
         stats: &mut Stats,
-    ) -> Option<Worth> {
+    ) -> Option<Uncertainty> {
         if !is_over(&report.termination) || context.is_over() {
             return None;
         }
@@ -234,18 +237,18 @@ impl Calibration {
             },
             criterion,
         };
-        let worth = self.worth_of(&report.x, options.estimator, &known, &mut simulations);
+        let uncertainty = self.uncertainty_of(&report.x, options.estimator, &known, &mut simulations);
         *stats += simulations.stats;
-        match worth {
-            Ok(mut worth) => {
+        match uncertainty {
+            Ok(mut uncertainty) => {
                 // Whoever gives a target wants no minimum.
                 if report.termination == Termination::Target {
-                    worth.findings.retain(|finding| finding.subject != SEARCH);
+                    uncertainty.findings.retain(|finding| finding.subject != SEARCH);
                 }
-                Some(worth)
+                Some(uncertainty)
             }
             Err(error) => {
-                log::info!("what the fit is worth could not be found out: {error}");
+                log::info!("the uncertainty of the fit could not be found: {error}");
                 None
             }
         }

@@ -4,7 +4,7 @@ use super::engine::Engine;
 use super::noise::NoiseRule;
 use crate::fit::phase::CurrentPhase;
 use crate::problem::objective::CostKind;
-use crate::uncertainty::estimate::{Estimator, WorthOptions};
+use crate::uncertainty::estimate::{Estimator, UncertaintyOptions};
 use base::RunContext;
 use dfo::{AnyMethod, AskedRun, Measure, Progress, Record, RobustLoss, RunOptions, Search, Stop, Tolerances};
 use std::cell::RefCell;
@@ -49,7 +49,7 @@ pub struct FitOptions<'a> {
     /// that the data do not determine. Takes at least two simulations for each parameter and one that is more
     /// accurate, in parallel; they are none of the run's evaluations, are not made after an interrupt or when
     /// the time is up, and are part of `stats`. `None`: it is not estimated. Its loss is that of the fit.
-    pub worth: Option<WorthOptions>,
+    pub uncertainty: Option<UncertaintyOptions>,
     /// Called after each iteration, on the calling thread.
     pub observer: Option<Box<FitObserver<'a>>>,
     /// Who may interrupt the fit: within a step of the simulations that are running. Its function is called on the calling thread at least
@@ -89,7 +89,8 @@ impl FitOptions<'_> {
         }
         if let Some(covariance) = record.remove("covariance") {
             let estimator: Option<Estimator> = covariance.read("covariance")?;
-            options.worth = estimator.map(|estimator| WorthOptions { estimator, ..WorthOptions::default() });
+            options.uncertainty =
+                estimator.map(|estimator| UncertaintyOptions { estimator, ..UncertaintyOptions::default() });
         }
         options.run = AskedRun::new(options.run, &record, n)?.options;
         Ok(options)
@@ -107,7 +108,7 @@ impl Default for FitOptions<'_> {
             loss: RobustLoss::default(),
             noise: NoiseRule::default(),
             preflight: false,
-            worth: Some(WorthOptions::default()),
+            uncertainty: Some(UncertaintyOptions::default()),
             observer: None,
             context: RunContext::new(),
             engine: None,

@@ -8,7 +8,7 @@ use crate::findings::finding::{Finding, Severity};
 use crate::fit::output_fit::OutputFit;
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::bounds::BoundSide;
-use crate::uncertainty::estimate::Worth;
+use crate::uncertainty::estimate::Uncertainty;
 use crate::uncertainty::preflight::Preflight;
 use dfo::Report;
 use ode::{Number, Stats};
@@ -82,7 +82,7 @@ pub struct Fit {
     /// has all.
     pub setup_findings: Vec<Finding>,
     /// Uncertainty of the fit; `None` where it was not requested, or the run was ended from outside.
-    pub worth: Option<Worth>,
+    pub uncertainty: Option<Uncertainty>,
     /// Statistics of all simulations of the fit: right-hand sides, steps, events, seconds (added up over all
     /// workers), from the choice of a solver, where this fit made it, to the standard errors. Those that
     /// failed or were given up count, those of a resumed fit from before do not.
@@ -134,11 +134,13 @@ impl Fit {
             let sentence = format!("{} did not change the cost: its value says nothing", names[*i]);
             Finding::new(Severity::Warning, &names[*i], sentence, "")
         };
-        let is_said = |i: &&usize| !self.worth.as_ref().is_some_and(|worth| worth.undetermined.contains(i));
+        let is_said = |i: &&usize| {
+            !self.uncertainty.as_ref().is_some_and(|uncertainty| uncertainty.undetermined.contains(i))
+        };
         let mut all: Vec<Finding> = self.at_bound.iter().map(at_bound).collect();
         all.extend(self.without_effect.iter().filter(is_said).map(without_effect));
         all.extend(self.setup_findings.iter().cloned());
-        all.extend(self.worth.iter().flat_map(|worth| worth.findings_with(names)));
+        all.extend(self.uncertainty.iter().flat_map(|uncertainty| uncertainty.findings_with(names)));
         all.sort_by_key(|finding| finding.severity);
         all
     }

@@ -16,7 +16,7 @@ use crate::fit::phase::{CurrentPhase, FitPhase};
 use crate::problem::objective::CostKind;
 use crate::problem::parameter::{Parameter, Scale};
 use crate::uncertainty::bounds::Findings;
-use crate::uncertainty::estimate::{WorthOptions, digits};
+use crate::uncertainty::estimate::{UncertaintyOptions, digits};
 use crate::uncertainty::preflight::{Preflight, PreflightOptions};
 use base::RunContext;
 use dfo::{
@@ -182,7 +182,7 @@ pub(super) struct Job<'a> {
     pub(super) loss: RobustLoss,
     pub(super) noise: NoiseRule,
     pub(super) wants_preflight: bool,
-    pub(super) worth: Option<WorthOptions>,
+    pub(super) uncertainty: Option<UncertaintyOptions>,
     pub(super) observer: RefCell<Option<Box<FitObserver<'a>>>>,
     pub(super) engine: Option<Rc<RefCell<dyn Engine>>>,
     pub(super) phase: Arc<CurrentPhase>,
@@ -233,7 +233,7 @@ impl<'a> Job<'a> {
             loss: options.loss,
             noise: options.noise,
             wants_preflight: options.preflight,
-            worth: options.worth,
+            uncertainty: options.uncertainty,
             observer: RefCell::new(options.observer),
             engine: options.engine,
             phase: options.phase,
@@ -372,7 +372,7 @@ impl Calibration {
             let report = outcome?;
             let of_run = (start.as_slice(), held.as_slice(), &report, objective);
             let best = residuals.at((&report.x, start)).map(|known| (report.x.as_slice(), known));
-            let best = best.filter(|_| job.worth.is_some());
+            let best = best.filter(|_| job.uncertainty.is_some());
             let (found, again) = self.beside_fresh_process(best, loss, context, || {
                 self.findings(of_run, &tolerances, context, stats)
             });

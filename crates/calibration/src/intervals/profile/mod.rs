@@ -13,7 +13,7 @@ use crate::fit::stage::Fit;
 use crate::problem::objective::CostKind;
 use crate::problem::parameter::Parameter;
 use crate::uncertainty::bounds::{AT, BoundSide, inner};
-use crate::uncertainty::estimate::{Criterion, KnownPoint, Worth, check_level};
+use crate::uncertainty::estimate::{Criterion, KnownPoint, Uncertainty, check_level};
 use base::RunContext;
 use dfo::{Kind, RobustLoss};
 use refit::{NoFit, Refits};
@@ -32,7 +32,7 @@ pub struct ProfileOptions {
     pub parameters: Option<Vec<usize>>,
     /// The level of the intervals; default 0.95.
     pub level: f64,
-    /// True to correct for autocorrelated residuals, as [`Worth::covariance`] does; default: true.
+    /// True to correct for autocorrelated residuals, as [`Uncertainty::covariance`] does; default: true.
     pub is_corrected: bool,
     /// Points on each side of the optimum before a side that has not crossed the threshold is said to be open; default 20. Refits that
     /// find the crossing come on top.
@@ -58,14 +58,14 @@ impl Default for ProfileOptions {
 
 impl Calibration {
     /// The profile likelihoods of parameters of a fit, and their confidence intervals: unlike those of
-    /// [`Worth::confidence_intervals`](crate::Worth::confidence_intervals) they need not be symmetric, and they are open where the data
+    /// [`Uncertainty::confidence_intervals`](crate::Uncertainty::confidence_intervals) they need not be symmetric, and they are open where the data
     /// do not bound a parameter.
     ///
     /// Each parameter is held at values farther and farther from the optimum, and the others are fitted again by least squares. The
     /// statistic is the rise of the cost that the fit minimised, with its weights and loss, in units in which it is the square of the
     /// distance in standard errors where the cost is quadratic: with one variance `s^2` for all residuals the rise over `s^2`; with
     /// variances of each output, a robust loss, or autocorrelated residuals the rise times the parameter's entry of the inverse of half the
-    /// second derivatives over its variance in [`Worth::covariance`] (Rotnitzky and Jewell, Biometrika 77, 1990; Pace, Salvan and Sartori,
+    /// second derivatives over its variance in [`Uncertainty::covariance`] (Rotnitzky and Jewell, Biometrika 77, 1990; Pace, Salvan and Sartori,
     /// Statistica Sinica 21, 2011). An interval ends where the statistic is the quantile of F with 1 and N - p degrees of freedom, the
     /// square of that of Student's t (Bates and Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1; Raue et al.,
     /// Bioinformatics 25, 2009, with the quantile of chi-square, its limit for many measurements). It is about the optimum of the cost,
@@ -139,14 +139,16 @@ impl Calibration {
         }
         let quantile = check_level(options.level, degrees_of_freedom as f64)?;
         let threshold = quantile * quantile;
-        let estimator = fit.worth.as_ref().map(|worth| worth.estimator).unwrap_or_default();
+        let estimator = fit.uncertainty.as_ref().map(|uncertainty| uncertainty.estimator).unwrap_or_default();
         let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
         let size = |i: usize| self.size_of(&self.parameters()[i], fit.x[i]);
         let mut refits = Refits {
             calibration: self,
             loss: fit.report.loss,
             held: &held,
-            sizes: (0..n).map(|i| step_of(fit.worth.as_ref(), i).unwrap_or_else(|| 0.01 * size(i))).collect(),
+            sizes: (0..n)
+                .map(|i| step_of(fit.uncertainty.as_ref(), i).unwrap_or_else(|| 0.01 * size(i)))
+                .collect(),
             f_tol: refit::F_TOL * threshold / (self.n_residuals() as f64).max(threshold),
             stats: Mutex::default(),
         };
@@ -171,13 +173,14 @@ impl Calibration {
         let mut simulations = Simulations::new(self, (RobustLoss::default(), workers), context)?;
         let criterion = Criterion::Loss(fit.report.loss);
         let known = KnownPoint { held: held.clone(), f_tol: 1e-4, criterion, ..KnownPoint::default() };
-        let (worth, curvature) = self.worth_and_curvature(&x, estimator, &known, &mut simulations)?;
-        let worth = if options.is_corrected { worth } else { worth.uncorrected() };
+        let (uncertainty, curvature) =
+            self.uncertainty_and_curvature(&x, estimator, &known, &mut simulations)?;
+        let uncertainty = if options.is_corrected { uncertainty } else { uncertainty.uncorrected() };
         n_simulations += simulations.n;
-        refits.sizes = (0..n).map(|i| step_of(Some(&worth), i).unwrap_or(refits.sizes[i])).collect();
+        refits.sizes = (0..n).map(|i| step_of(Some(&uncertainty), i).unwrap_or(refits.sizes[i])).collect();
         let per_rise = |i: usize| -> Result<f64, CalibrationError> {
-            let own = check_level(options.level, worth.effective_degrees_of_freedom[i])?;
-            let found = curvature[i] / worth.covariance[i * n + i] * threshold / (own * own);
+            let own = check_level(options.level, uncertainty.effective_degrees_of_freedom[i])?;
+            let found = curvature[i] / uncertainty.covariance[i * n + i] * threshold / (own * own);
             // Of one that is not determined, or at its bound, nothing else is known.
             let is_known = found > 0.0 && found.is_finite();
             Ok(if is_known { found } else { degrees_of_freedom as f64 / cost })
@@ -191,7 +194,7 @@ impl Calibration {
                     per_rise: per_rise(i)?,
                     max_points: options.max_points,
                     standard_error: refits.sizes[i],
-                    direction: direction(&worth, i),
+                    direction: direction(&uncertainty, i),
                 })
             })
             .collect::<Result<Vec<Origin<'_>>, CalibrationError>>()?;
@@ -249,7 +252,7 @@ impl Calibration {
             threshold,
             degrees_of_freedom,
             is_interrupted: parameters.iter().any(is_cut),
-            is_autocorrelated: worth.uncorrected_covariance.is_some(),
+            is_autocorrelated: uncertainty.uncorrected_covariance.is_some(),
             parameters,
             n_simulations,
             stats,
@@ -264,7 +267,8 @@ impl Calibration {
             let at = inner(p, fit.x[i]);
             (at - inner(p, p.lower())).min(inner(p, p.upper()) - at) <= AT * self.size_of(p, fit.x[i])
         };
-        let is_known = |i: usize| fit.worth.as_ref().is_some_and(|worth| worth.held.contains(&i));
+        let is_known =
+            |i: usize| fit.uncertainty.as_ref().is_some_and(|uncertainty| uncertainty.held.contains(&i));
         let is_held = |(i, p): &(usize, &Parameter)| {
             let is_found = fit.at_bound.iter().any(|(index, _)| index == i) || is_at_bound(*i, p);
             let is_fixed = p.is_fixed() || p.lower() == p.upper() || p.value_kind() != Kind::Continuous;
@@ -285,17 +289,19 @@ impl Calibration {
 }
 
 /// The standard error of a parameter in the coordinate of the search, where it is known.
-fn step_of(worth: Option<&Worth>, i: usize) -> Option<f64> {
-    let worth = worth?;
-    let error = worth.standard_errors[i] / if worth.is_log[i] { worth.x[i] } else { 1.0 };
+fn step_of(uncertainty: Option<&Uncertainty>, i: usize) -> Option<f64> {
+    let uncertainty = uncertainty?;
+    let error = uncertainty.standard_errors[i] / if uncertainty.is_log[i] { uncertainty.x[i] } else { 1.0 };
     (error > 0.0 && error.is_finite()).then_some(error)
 }
 
 /// Direction in which the best values of all parameters change with one of them, in the coordinates of the
 /// search: the covariances over its variance.
-fn direction(worth: &Worth, i: usize) -> Vec<f64> {
-    let n = worth.x.len();
-    let scale = |k: usize| if worth.is_log[k] { worth.x[k] } else { 1.0 };
-    let of = |k: usize| worth.covariance[i * n + k] / worth.covariance[i * n + i] * scale(i) / scale(k);
+fn direction(uncertainty: &Uncertainty, i: usize) -> Vec<f64> {
+    let n = uncertainty.x.len();
+    let scale = |k: usize| if uncertainty.is_log[k] { uncertainty.x[k] } else { 1.0 };
+    let of = |k: usize| {
+        uncertainty.covariance[i * n + k] / uncertainty.covariance[i * n + i] * scale(i) / scale(k)
+    };
     (0..n).map(|k| if of(k).is_finite() { of(k) } else { 0.0 }).collect()
 }

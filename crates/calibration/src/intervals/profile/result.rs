@@ -122,7 +122,7 @@ pub struct Profile {
     /// True if the computation was interrupted: some sides are not complete.
     pub is_interrupted: bool,
     /// True if residuals of an output are autocorrelated: the intervals are corrected for that, as those of
-    /// [`Worth`](crate::Worth).
+    /// [`Uncertainty`](crate::Uncertainty).
     pub is_autocorrelated: bool,
     /// Points that were simulated, those of a file that was continued included.
     pub n_simulations: usize,

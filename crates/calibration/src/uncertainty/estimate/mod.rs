@@ -31,7 +31,7 @@ pub use residual_check::ResidualCheck;
 pub(crate) use residual_check::{MEDIAN_DEVIATION, median};
 pub(crate) use result::check_level;
 use result::errors_and_correlation;
-pub use result::{Estimator, Worth, WorthOptions};
+pub use result::{Estimator, Uncertainty, UncertaintyOptions};
 pub(crate) use scores::Criterion;
 use scores::Working;
 use std::thread::available_parallelism;
@@ -65,12 +65,12 @@ impl Calibration {
     ///
     /// # Errors
     /// The wrong number of values; the simulation fails there, or on all sides around it; [`CalibrationError::Cancelled`].
-    pub fn worth(
+    pub fn uncertainty(
         &self,
         x: &[f64],
-        options: &WorthOptions,
+        options: &UncertaintyOptions,
         context: &RunContext<'_>,
-    ) -> Result<Worth, CalibrationError> {
+    ) -> Result<Uncertainty, CalibrationError> {
         self.check_length(x)?;
         let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
         let mut simulations = Simulations::new(self, (RobustLoss::default(), workers), context)?;
@@ -82,28 +82,28 @@ impl Calibration {
         }
         let (held, criterion) = (options.held.clone(), options.criterion());
         let known = KnownPoint { f_tol: 1e-4, held, criterion, ..KnownPoint::default() };
-        self.worth_of(x, options.estimator, &known, &mut simulations)
+        self.uncertainty_of(x, options.estimator, &known, &mut simulations)
     }
 
-    pub(crate) fn worth_of(
+    pub(crate) fn uncertainty_of(
         &self,
         x: &[f64],
         estimator: Estimator,
         known: &KnownPoint<'_>,
         simulations: &mut Simulations<'_>,
-    ) -> Result<Worth, CalibrationError> {
-        self.worth_and_curvature(x, estimator, known, simulations).map(|(worth, _)| worth)
+    ) -> Result<Uncertainty, CalibrationError> {
+        self.uncertainty_and_curvature(x, estimator, known, simulations).map(|(uncertainty, _)| uncertainty)
     }
 
     /// The same with the diagonal of the inverse of half the cost's second derivatives, in the user's units; infinite where there is
     /// none.
-    pub(crate) fn worth_and_curvature(
+    pub(crate) fn uncertainty_and_curvature(
         &self,
         x: &[f64],
         estimator: Estimator,
         known: &KnownPoint<'_>,
         simulations: &mut Simulations<'_>,
-    ) -> Result<(Worth, Vec<f64>), CalibrationError> {
+    ) -> Result<(Uncertainty, Vec<f64>), CalibrationError> {
         let parameters = self.parameters();
         let (n, before) = (x.len(), simulations.n);
         let is_held = |i: usize| {
@@ -214,7 +214,7 @@ impl Calibration {
             factors.is_undetermined[k] && jacobian.column(k).norm() * longest[k] <= differences_noise
         };
         let cost = |residuals: &[f64]| known.criterion.cost(layout, residuals);
-        let mut worth = Worth {
+        let mut uncertainty = Uncertainty {
             estimator,
             names: parameters.iter().map(|p| p.name().to_owned()).collect(),
             x: x.to_vec(),
@@ -245,26 +245,26 @@ impl Calibration {
             n_simulations: simulations.n - before,
             residual_checks,
         };
-        worth.find_confounded();
-        worth.find_weakest(&jacobian, &free);
-        worth.find_identifiable((&differences, &noise), &free, &sizes);
+        uncertainty.find_confounded();
+        uncertainty.find_weakest(&jacobian, &free);
+        uncertainty.find_identifiable((&differences, &noise), &free, &sizes);
         // What is no minimum has residuals that other values of the parameters leave none of, whatever the weights.
         if left_to_gain == 0.0 {
             by_weights::mark(
-                &mut worth.residual_checks,
-                (&worth.residuals, layout.n_measurements()),
+                &mut uncertainty.residual_checks,
+                (&uncertainty.residuals, layout.n_measurements()),
                 &jacobian,
             );
         }
         if is_linear && !is_exact {
-            for (check, output) in worth.residual_checks.iter_mut().zip(&layout.outputs) {
+            for (check, output) in uncertainty.residual_checks.iter_mut().zip(&layout.outputs) {
                 if check.is_systematic() && !check.is_by_weights {
-                    check.unmodelled = Unmodelled::find(output, &worth.residuals, &factors.base);
+                    check.unmodelled = Unmodelled::find(output, &uncertainty.residuals, &factors.base);
                 }
             }
         }
-        worth.findings = worth.all_findings(self.problem().experiments.len() > 1, known.f_tol);
-        Ok((worth, (0..n).map(|i| curvature[i * n + i]).collect()))
+        uncertainty.findings = uncertainty.all_findings(self.problem().experiments.len() > 1, known.f_tol);
+        Ok((uncertainty, (0..n).map(|i| curvature[i * n + i]).collect()))
     }
 
     /// True if a parameter lies at one of its bounds.

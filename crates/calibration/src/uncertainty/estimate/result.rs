@@ -1,4 +1,4 @@
-//! The numbers of what a fit is worth, confidence intervals, and how they are printed.
+//! The numbers of the uncertainty of a fit, confidence intervals, and how they are printed.
 
 use super::digits::digits;
 use super::prior_check::PriorConflict;
@@ -44,10 +44,10 @@ impl fmt::Display for Estimator {
     }
 }
 
-/// Options of [`Calibration::worth`](crate::Calibration::worth).
+/// Options of [`Calibration::uncertainty`](crate::Calibration::uncertainty).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
-pub struct WorthOptions {
+pub struct UncertaintyOptions {
     /// Estimator of the covariance.
     pub estimator: Estimator,
     /// Simulations that run at once; default: all cores, in a fit: as many as its evaluations. The result does not depend on it.
@@ -64,7 +64,7 @@ pub struct WorthOptions {
     pub is_likelihood: bool,
 }
 
-impl WorthOptions {
+impl UncertaintyOptions {
     pub(crate) fn criterion(&self) -> Criterion {
         if self.is_likelihood { Criterion::Likelihood } else { Criterion::Loss(self.loss) }
     }
@@ -76,7 +76,7 @@ impl WorthOptions {
 /// derivatives. Residuals of priors count, with the variance 1.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
-pub struct Worth {
+pub struct Uncertainty {
     /// Estimator of the covariance.
     pub estimator: Estimator,
     /// Names of the parameters.
@@ -151,7 +151,7 @@ pub struct Worth {
     pub n_simulations: usize,
 }
 
-impl Worth {
+impl Uncertainty {
     /// Confidence intervals of the parameters, lower and upper end, by Student's t with the [degrees of
     /// freedom](Self::effective_degrees_of_freedom) of each: `x -+ t s`, of a parameter that is searched by its logarithm `x exp(-+ t s / x)`. Those of
     /// held parameters are points, those of undetermined ones have no ends. `level`: 0.95, for example.
@@ -234,7 +234,7 @@ impl Worth {
 }
 
 /// A line per parameter with its standard error, then the verdict.
-impl fmt::Display for Worth {
+impl fmt::Display for Uncertainty {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let uncorrected = self.uncorrected_errors();
         let corrected = if uncorrected.is_some() { ", corrected for autocorrelated residuals" } else { "" };

@@ -4,7 +4,7 @@
 use super::covariance::{Factors, Noise};
 use super::differences::Differences;
 use super::digits::digits;
-use super::result::{Worth, errors_and_correlation};
+use super::result::{Uncertainty, errors_and_correlation};
 use crate::cost::accuracy::Accuracy;
 use crate::findings::finding::{Finding, Severity};
 use nalgebra::DMatrix;
@@ -31,7 +31,7 @@ const PRIOR_ALONE: f64 = 1e-3;
 /// Subject of a finding that says that a search ended early.
 pub(crate) const SEARCH: &str = "search";
 
-impl Worth {
+impl Uncertainty {
     fn n(&self) -> usize {
         self.x.len()
     }

@@ -50,7 +50,7 @@ pub(super) enum Phase {
 
 /// A running Nelder-Mead search; made by [`NelderMead`](super::NelderMead).
 ///
-/// Driven by hand it takes the path that [`minimize`](crate::run::minimize) takes:
+/// Driven by hand it takes the path that [`minimize`](crate::minimize) takes:
 ///
 /// ```
 /// use dfo::{Answers, Batch, Bounds, Method, MethodOptions, NelderMead, Outcome, Setup, Space};

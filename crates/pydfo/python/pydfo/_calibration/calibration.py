@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core
-from . import check as _check, engine as _engine, stages as _stages, worker as _worker, worth as _worth
+from . import check as _check, engine as _engine, stages as _stages, worker as _worker, uncertainty as _uncertainty
 from .._args import options as _options
 from .._optimize import evaluate as _evaluate, objective as _objective
 from .._errors import CalibrationWarning
@@ -31,7 +31,7 @@ from .._optimize.progress import Printer
 from .._optimize.result import OptimizeResult
 from .stages import Stage
 from .validation import CrossValidation
-from .worth import Preflight, Worth
+from .uncertainty import Preflight, Uncertainty
 
 if TYPE_CHECKING:
     import concurrent.futures
@@ -346,7 +346,7 @@ class Calibration(Point):
             no part of the calibration, which can be pickled in any case. Only the sum of squares has standard errors and robust losses;
             where there are no residuals, method "auto" is "quadratic-model", which hands over to Nelder-Mead where noise or kinks show.
         covariance : {"sandwich", "pooled"} or None
-            How the standard errors of the fit are estimated, see `worth`. Found out after the run, with simulations that do not
+            How the standard errors of the fit are estimated, see `uncertainty`. Found out after the run, with simulations that do not
             count in ``nfev``: at least two for each parameter and an accurate one, in parallel. None: not at all.
         preflight : bool
             Look at the start first, see `preflight`; the fit has what was found (``fit.preflight``), and `disp` prints it. A
@@ -359,7 +359,7 @@ class Calibration(Point):
             searches take turns with estimates from their residuals, until these change by less than 1 %: mostly two or three searches,
             each from where the last one ended. Limits and ``nfev`` are those of all together, the trace is that of the last, and a
             checkpoint has a file for each (``fit.ckpt``, ``fit.ckpt.round2`` and so on). ``fit.noise`` has the estimates; ``fit.cost``,
-            ``fit.worth``, profiles and bands are those with weights over them, ``fit.rms`` that with the weights as given.
+            ``fit.uncertainty``, profiles and bands are those with weights over them, ``fit.rms`` that with the weights as given.
 
         Returns
         -------
@@ -535,17 +535,17 @@ class Calibration(Point):
         ValueError, TypeError
             Arguments that cannot be used.
         """
-        return _worth.before(self, self._values(start), workers)
+        return _uncertainty.before(self, self._values(start), workers)
 
     @explained
-    def worth(
+    def uncertainty(
         self,
         x: npt.ArrayLike | Mapping[str, float] | None = None,
         covariance: Literal["sandwich", "pooled"] = "sandwich",
         parameters: Sequence[str] | None = None,
         workers: SupportsIndex | None = None,
-    ) -> Worth:
-        """What a point is worth as the result of a fit: standard errors, correlation, what the data cannot tell.
+    ) -> Uncertainty:
+        """Uncertainty of a point as the result of a fit: standard errors, correlation, what the data cannot tell.
 
         From central differences of the residuals over steps of about one standard error along the principal axes of the
         covariance, and one simulation with a hundredth of the relative tolerance (with a fixed-step solver: half the step); all in parallel.
@@ -571,7 +571,7 @@ class Calibration(Point):
         ValueError, TypeError
             Arguments that cannot be used.
         """
-        return _worth.at(self, self._values(x), _options.choice("covariance", covariance), parameters, workers)
+        return _uncertainty.at(self, self._values(x), _options.choice("covariance", covariance), parameters, workers)
 
     @explained
     def cross_validate(

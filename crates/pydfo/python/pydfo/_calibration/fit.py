@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core
-from . import profile as _profile, share as _share, validation as _validation, worth as _worth
+from . import profile as _profile, share as _share, validation as _validation, uncertainty as _uncertainty
 from .check import Finding
 from .._errors import CalibrationError
 from .experiment import Experiment
@@ -137,8 +137,8 @@ class Fit(OptimizeResult):
     stages : list of Fit
         The fit of each stage; empty if there were none. Standard errors of a stage are conditional: they take
         what the stage holds as known. ``success`` of the whole fit is that of all its stages.
-    worth : Worth or None
-        Standard errors, correlation, and what the data cannot tell, in words (``print(fit.worth)``). None: not asked for, the fit
+    uncertainty : Uncertainty or None
+        Standard errors, correlation, and what the data cannot tell, in words (``print(fit.uncertainty)``). None: not asked for, the fit
         was ended by an interrupt, an error or its time, or simulations around the result fail.
     preflight : Preflight or None
         What was found at the start, where ``preflight=True`` was given.
@@ -149,7 +149,7 @@ class Fit(OptimizeResult):
         effect, what `Calibration.check` finds, judged again with the fitted values, what the data cannot tell, what the residuals look
         like.
     cov, cov_message
-        The covariance of `worth` and what is to be said of it.
+        The covariance of `uncertainty` and what is to be said of it.
     stats : SimulationStats or None
         What all simulations of the fit took together, those that failed or were given up included, those of a resumed fit
         from before not. (None: interrupted twice, and the simulations under way were left behind.)
@@ -176,10 +176,10 @@ class Fit(OptimizeResult):
         self.stages = [Fit(calibration, stage, np.array(stage._native.start), solver) for stage in vars(self).get("stages", [])]
         self._calibration = calibration
         self.findings = [] if self._native is None else [Finding(*finding) for finding in _core.fit_findings(self._native)]
-        self.worth = _worth.of_fit(vars(self).get("_native"))
-        self.preflight = _worth.before_fit(vars(self).get("_native"))
-        self.cov = None if self.worth is None else self.worth.covariance
-        self.cov_message = "" if self.worth is None else self.worth.message
+        self.uncertainty = _uncertainty.of_fit(vars(self).get("_native"))
+        self.preflight = _uncertainty.before_fit(vars(self).get("_native"))
+        self.cov = None if self.uncertainty is None else self.uncertainty.covariance
+        self.cov_message = "" if self.uncertainty is None else self.uncertainty.message
         self.start = start
         self.solver = solver
         self.race = calibration.race
@@ -188,8 +188,8 @@ class Fit(OptimizeResult):
     @property
     def stderr(self) -> FloatArray | None:
         """Standard errors of the parameters, shape (n,): zero for those that are fixed or at a bound, infinite for those that the
-        data do not determine; None where there is no `worth`."""
-        return None if self.worth is None else self.worth.stderr
+        data do not determine; None where there is no `uncertainty`."""
+        return None if self.uncertainty is None else self.uncertainty.stderr
 
     @property
     def covariance(self) -> FloatArray | None:
@@ -199,19 +199,19 @@ class Fit(OptimizeResult):
     @property
     def correlation(self) -> FloatArray | None:
         """Correlation of the parameters, shape (n, n); NaN where a standard error is zero or infinite."""
-        return None if self.worth is None else self.worth.correlation
+        return None if self.uncertainty is None else self.uncertainty.correlation
 
     def confidence_intervals(self, level: SupportsFloat = 0.95, *, corrected: bool = True) -> FloatArray:
-        """Lower and upper ends of the confidence intervals, shape (n, 2); see `Worth.confidence_intervals`.
+        """Lower and upper ends of the confidence intervals, shape (n, 2); see `Uncertainty.confidence_intervals`.
 
         Raises
         ------
         ValueError
-            A level that does not lie between 0 and 1; the fit has no `worth`.
+            A level that does not lie between 0 and 1; the fit has no `uncertainty`.
         """
-        if self.worth is None:
-            raise ValueError("what the fit is worth was not found out: it was interrupted, or covariance=None was given")
-        return self.worth.confidence_intervals(level, corrected=corrected)
+        if self.uncertainty is None:
+            raise ValueError("the uncertainty of the fit was not found: it was interrupted, or covariance=None was given")
+        return self.uncertainty.confidence_intervals(level, corrected=corrected)
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -318,7 +318,7 @@ class Fit(OptimizeResult):
         outputs : list of str, optional
             Only these of the compared outputs.
         corrected : bool
-            Whether autocorrelated residuals are taken account of, as in `Worth.covariance`; False: independent ones are supposed.
+            Whether autocorrelated residuals are taken account of, as in `Uncertainty.covariance`; False: independent ones are supposed.
 
         Returns
         -------
@@ -347,7 +347,7 @@ class Fit(OptimizeResult):
         again, until the cost has risen so much that the data exclude the value.
 
         The intervals need not be symmetric as those of `confidence_intervals` are, and they are open where the data do not bound a
-        parameter. The cost is that of the fit, with its weights and loss; its rise is measured in the standard errors of `worth`, so
+        parameter. The cost is that of the fit, with its weights and loss; its rise is measured in the standard errors of `uncertainty`, so
         that the interval of a linear model is that of `confidence_intervals`. The threshold is the quantile of F with 1 and N - p degrees of freedom
         (Bates and Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1).
 
@@ -364,7 +364,7 @@ class Fit(OptimizeResult):
         checkpoint : path, optional
             A file that keeps the sides that are complete. If it exists, the profile is continued from it.
         corrected : bool
-            Whether autocorrelated residuals are taken account of, as in `Worth.covariance`; False: independent ones are supposed.
+            Whether autocorrelated residuals are taken account of, as in `Uncertainty.covariance`; False: independent ones are supposed.
 
         Returns
         -------
@@ -485,7 +485,7 @@ class Fit(OptimizeResult):
 
     def to_dict(self) -> dict[str, Any]:
         """What the fit found, as dictionaries, lists, numbers and texts: parameters with errors, start, bounds and units, those
-        that are tied to others last (with ``"tied_to"``); cost and RMS; how well each output is reproduced; what the fit is worth; how it was made. Numbers that are not finite are None."""
+        that are tied to others last (with ``"tied_to"``); cost and RMS; how well each output is reproduced; the uncertainty of the fit; how it was made. Numbers that are not finite are None."""
         found: dict[str, Any] = json.loads(self.to_json())
         return found
 

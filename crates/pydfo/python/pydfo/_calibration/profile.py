@@ -36,7 +36,7 @@ class Profile:
         Where a parameter was held, ascending; the optimum is one of them.
     costs : dict of str to ndarray, shape (k,)
         How much the cost is above that of the optimum there, the others fitted again, as the square of a distance in standard
-        errors: the rise over the variance that `Worth.covariance` has for the residuals (one for each output; with a robust loss that
+        errors: the rise over the variance that `Uncertainty.covariance` has for the residuals (one for each output; with a robust loss that
         of an M-estimator; corrected where residuals are autocorrelated).
     points : dict of str to ndarray, shape (k, n)
         All parameters there.
@@ -51,7 +51,7 @@ class Profile:
     interrupted : bool
         Whether Ctrl-C ended it: some sides are not complete.
     autocorrelated : bool
-        Whether residuals of an output are autocorrelated: the intervals are corrected for that, as those of `Worth`.
+        Whether residuals of an output are autocorrelated: the intervals are corrected for that, as those of `Uncertainty`.
     n_simulations : int
         Points that were simulated, those of a file that was continued included.
     stats : SimulationStats

@@ -7,6 +7,6 @@ from .profile import profiles
 from .search import convergence, waterfall
 from .simplex import SimplexWalk
 from .style import pyplot
-from .worth import correlation, sensitivity
+from .uncertainty import correlation, sensitivity
 
 __all__ = ["SimplexWalk", "convergence", "correlation", "fit", "profiles", "pyplot", "sensitivity", "waterfall"]

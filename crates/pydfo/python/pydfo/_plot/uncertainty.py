@@ -1,4 +1,4 @@
-"""What a fit is worth, as pictures: correlation and sensitivity of its parameters."""
+"""The uncertainty of a fit, as pictures: correlation and sensitivity of its parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a fit is worth (standard errors, correlation, what the data cannot tell), and what is found before it."""
+"""The uncertainty of a fit (standard errors, correlation, what the data cannot tell), and what is found before it."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class ResidualCheck(NamedTuple):
     """How many standard deviations the number of runs of one sign is above that of independent residuals."""
 
 
-class Worth:
-    """What a fit is worth (``fit.worth``, `Calibration.worth`); ``print(worth)`` shows it.
+class Uncertainty:
+    """The uncertainty of a fit (``fit.uncertainty``, `Calibration.uncertainty`); ``print(uncertainty)`` shows it.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class Worth:
         Points that were simulated to find out.
     """
 
-    def __init__(self, native: _core.Worth) -> None:
+    def __init__(self, native: _core.Uncertainty) -> None:
         self._native = native
         fields = native.fields()
         self.estimator: str = fields["estimator"]
@@ -142,8 +142,8 @@ class Worth:
         return self._native.text().rstrip("\n")
 
 
-def _restored(state: bytes) -> Worth:
-    return Worth(_core.Worth.restore(state))
+def _restored(state: bytes) -> Uncertainty:
+    return Uncertainty(_core.Uncertainty.restore(state))
 
 
 class ParameterCheck(NamedTuple):
@@ -216,16 +216,16 @@ def before_fit(fit: _core.Fit | None) -> Preflight | None:
     return None if fields is None else Preflight(fields)
 
 
-def of_fit(fit: _core.Fit | None) -> Worth | None:
-    """What a fit is worth, if that was found out."""
-    native = None if fit is None else _core.worth_of_fit(fit)
-    return None if native is None else Worth(native)
+def of_fit(fit: _core.Fit | None) -> Uncertainty | None:
+    """The uncertainty of a fit, if that was found out."""
+    native = None if fit is None else _core.uncertainty_of_fit(fit)
+    return None if native is None else Uncertainty(native)
 
 
 def at(
     calibration: Calibration, x: list[float], covariance: str, parameters: Sequence[str] | None, workers: SupportsIndex | None
-) -> Worth:
-    """What a point is worth."""
+) -> Uncertainty:
+    """Uncertainty of a point."""
     held: list[int] = []
     if parameters is not None:
         free = _options.names("parameters", parameters)
@@ -233,4 +233,4 @@ def at(
             raise BadCalibrationError(f"there is no parameter '{unknown[0]}'; there are: {', '.join(calibration.names)}")
         held = [i for i, name in enumerate(calibration.names) if name not in free]
     count = _options.worker_count("workers", workers, None)
-    return Worth(_core.worth_at(calibration._native, x, covariance, held, count))
+    return Uncertainty(_core.uncertainty_at(calibration._native, x, covariance, held, count))

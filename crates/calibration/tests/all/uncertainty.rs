@@ -1,11 +1,11 @@
-//! What a fit is worth, against closed forms and the published numbers.
+//! The uncertainty of a fit, against closed forms and the published numbers.
 
 #![allow(clippy::print_stderr, clippy::unwrap_used)]
 
 use calibration::RunContext;
 use calibration::{
     Calibration, CostKind, Data, Estimator, Experiment, Fit, FitOptions, NamedCost, Parameter,
-    PreflightOptions, Prior, Scale, Severity, Worth, WorthOptions,
+    PreflightOptions, Prior, Scale, Severity, Uncertainty, UncertaintyOptions,
 };
 use dfo::{Limits, NelderMead, RunOptions};
 use example_models::example_fmu;
@@ -20,9 +20,9 @@ fn data(time: &[f64], columns: &[(&str, Vec<f64>)]) -> Data {
     Data::from_columns(time.to_vec(), columns).unwrap()
 }
 
-fn worth(calibration: &Calibration, x: &[f64], estimator: Estimator) -> Worth {
-    let options = WorthOptions { estimator, ..WorthOptions::default() };
-    calibration.worth(x, &options, &RunContext::new()).unwrap()
+fn uncertainty(calibration: &Calibration, x: &[f64], estimator: Estimator) -> Uncertainty {
+    let options = UncertaintyOptions { estimator, ..UncertaintyOptions::default() };
+    calibration.uncertainty(x, &options, &RunContext::new()).unwrap()
 }
 
 fn near(got: f64, expected: f64, relative: f64) {
@@ -51,21 +51,24 @@ fn a_decay_has_the_errors_of_its_closed_form() {
         let k = fit.x[0];
         let by_k = |t: f64| -t * (-k * t).exp();
         let sum: f64 = (0..60).map(|i| by_k(0.05 * f64::from(i)).powi(2)).sum();
-        let worth = fit.worth.unwrap();
+        let uncertainty = fit.uncertainty.unwrap();
         let error = (fit.cost / 59.0 / sum).sqrt();
-        near(worth.standard_errors[0], error, 1e-3);
-        assert_eq!((worth.degrees_of_freedom, &worth.correlation[..]), (59, &[1.0][..]));
+        near(uncertainty.standard_errors[0], error, 1e-3);
+        assert_eq!((uncertainty.degrees_of_freedom, &uncertainty.correlation[..]), (59, &[1.0][..]));
         // The quantile of Student's t for 59 degrees of freedom.
-        let (low, high) = worth.confidence_intervals(0.95).unwrap()[0];
+        let (low, high) = uncertainty.confidence_intervals(0.95).unwrap()[0];
         match scale {
             Scale::Linear => near(high - low, 2.0 * 2.000_995_4 * error, 2e-3),
             _ => near((high / low).ln(), 2.0 * 2.000_995_4 * error / k, 2e-3),
         }
-        assert!(worth.confidence_intervals(1.0).is_err() && worth.confidence_intervals(f64::NAN).is_err());
-        near(worth.accurate_cost.unwrap(), fit.cost, 1e-5);
+        assert!(
+            uncertainty.confidence_intervals(1.0).is_err()
+                && uncertainty.confidence_intervals(f64::NAN).is_err()
+        );
+        near(uncertainty.accurate_cost.unwrap(), fit.cost, 1e-5);
         assert_eq!(fit.report.n_evaluations, fit.report.trace.len());
         // The Jacobian is by the parameter, whatever the scale.
-        worth.jacobian.iter().enumerate().for_each(|(i, j)| {
+        uncertainty.jacobian.iter().enumerate().for_each(|(i, j)| {
             assert!((j - by_k(0.05 * i as f64)).abs() < 1e-3, "{i}");
         });
     }
@@ -76,35 +79,35 @@ fn parameters_that_are_held_are_named_and_taken_as_known() {
     // The data want k = 1.5.
     let at_bound = decay([Parameter::new("k", 1.0).bounds(0.1, 1.2), Parameter::new("x", 1.0)]);
     let fit = at_bound.fit(FitOptions::default()).unwrap();
-    let worth = fit.worth.unwrap();
-    assert_eq!(worth.held, [0]);
-    assert!(worth.standard_errors[0] == 0.0 && worth.standard_errors[1] > 0.0);
-    assert!(worth.correlation[1].is_nan() && worth.correlation[0].is_nan());
+    let uncertainty = fit.uncertainty.unwrap();
+    assert_eq!(uncertainty.held, [0]);
+    assert!(uncertainty.standard_errors[0] == 0.0 && uncertainty.standard_errors[1] > 0.0);
+    assert!(uncertainty.correlation[1].is_nan() && uncertainty.correlation[0].is_nan());
     let fixed = decay([Parameter::new("k", 1.5).fixed(true), Parameter::new("x", 1.0)]);
-    assert_eq!(fixed.fit(FitOptions::default()).unwrap().worth.unwrap().held, [0]);
+    assert_eq!(fixed.fit(FitOptions::default()).unwrap().uncertainty.unwrap().held, [0]);
     // Conditional errors are smaller.
     let free = decay([Parameter::new("k", 1.5), Parameter::new("x", 1.0)]);
-    let both = worth_of(&free, &[]);
-    let one = worth_of(&free, &[0]);
+    let both = uncertainty_of(&free, &[]);
+    let one = uncertainty_of(&free, &[0]);
     assert!(one.standard_errors[1] < 0.9 * both.standard_errors[1] && one.standard_errors[0] == 0.0);
-    let wrong = WorthOptions { held: vec![2], ..WorthOptions::default() };
+    let wrong = UncertaintyOptions { held: vec![2], ..UncertaintyOptions::default() };
     assert!(
-        free.worth(&[1.5, 1.0], &wrong, &RunContext::new())
+        free.uncertainty(&[1.5, 1.0], &wrong, &RunContext::new())
             .unwrap_err()
             .to_string()
             .contains("there are only 2")
     );
 }
 
-fn worth_of(calibration: &Calibration, held: &[usize]) -> Worth {
-    let options = WorthOptions { held: held.to_vec(), ..WorthOptions::default() };
-    calibration.worth(&[1.5, 1.0], &options, &RunContext::new()).unwrap()
+fn uncertainty_of(calibration: &Calibration, held: &[usize]) -> Uncertainty {
+    let options = UncertaintyOptions { held: held.to_vec(), ..UncertaintyOptions::default() };
+    calibration.uncertainty(&[1.5, 1.0], &options, &RunContext::new()).unwrap()
 }
 
 #[test]
 fn the_result_depends_on_no_number_of_workers_and_costs_no_evaluation() {
     let calibration = decay([Parameter::new("k", 1.0).bounds(0.1, 5.0), Parameter::new("x", 1.2)]);
-    let fit = |workers, worth| -> Fit {
+    let fit = |workers, uncertainty| -> Fit {
         let limits = Limits { max_evaluations: Some(60), ..Limits::default() };
         let run = RunOptions {
             method: NelderMead::default().into(),
@@ -112,18 +115,18 @@ fn the_result_depends_on_no_number_of_workers_and_costs_no_evaluation() {
             limits,
             ..FitOptions::default_run()
         };
-        calibration.fit(FitOptions { worth, ..run.into() }).unwrap()
+        calibration.fit(FitOptions { uncertainty, ..run.into() }).unwrap()
     };
-    let fits: Vec<Fit> = [1, 3].map(|workers| fit(workers, Some(WorthOptions::default()))).into();
-    assert_eq!(fits[0].worth, fits[1].worth);
+    let fits: Vec<Fit> = [1, 3].map(|workers| fit(workers, Some(UncertaintyOptions::default()))).into();
+    assert_eq!(fits[0].uncertainty, fits[1].uncertainty);
     let without = fit(1, None);
     assert_eq!(without.report.n_evaluations, fits[0].report.n_evaluations);
-    assert!(without.worth.is_none() && fits[0].worth.as_ref().unwrap().n_simulations > 4);
+    assert!(without.uncertainty.is_none() && fits[0].uncertainty.as_ref().unwrap().n_simulations > 4);
     let cancelled = calibration
-        .worth(&[1.0, 1.0], &WorthOptions::default(), &RunContext::new().asking(&|| true))
+        .uncertainty(&[1.0, 1.0], &UncertaintyOptions::default(), &RunContext::new().asking(&|| true))
         .unwrap_err();
     assert!(matches!(cancelled, calibration::CalibrationError::Cancelled));
-    assert!(calibration.worth(&[1.0], &WorthOptions::default(), &RunContext::new()).is_err());
+    assert!(calibration.uncertainty(&[1.0], &UncertaintyOptions::default(), &RunContext::new()).is_err());
 }
 
 #[test]
@@ -138,14 +141,14 @@ fn a_stop_that_is_never_reached_is_named() {
         .build()
         .unwrap();
     let fit = calibration.fit(FitOptions::default()).unwrap();
-    let worth = fit.worth.clone().unwrap();
+    let uncertainty = fit.uncertainty.clone().unwrap();
     assert_eq!(
-        (&worth.undetermined[..], &worth.without_effect[..], &worth.identifiable[..]),
+        (&uncertainty.undetermined[..], &uncertainty.without_effect[..], &uncertainty.identifiable[..]),
         (&[0][..], &[0][..], &[1][..])
     );
-    assert!(worth.standard_errors[0].is_infinite() && worth.standard_errors[1] < 0.01);
+    assert!(uncertainty.standard_errors[0].is_infinite() && uncertainty.standard_errors[1] < 0.01);
     let said = "the data do not determine e: it moves no output that was measured";
-    assert!(worth.verdict()[0] == said && fit.findings()[0].severity == Severity::Warning, "{fit}");
+    assert!(uncertainty.verdict()[0] == said && fit.findings()[0].severity == Severity::Warning, "{fit}");
     // The message is that of the run alone.
     assert!(!fit.report.message.contains("determine"), "{fit}");
 }
@@ -171,7 +174,7 @@ fn parameters_that_only_count_together_are_named() {
     for scale in [Scale::Linear, Scale::Log] {
         let calibration = tanks(scale);
         for x in [[3e-6, 3e-6, 3e-6, 3e-6, 9.81], [2.1e-6, 3.3e-6, 2.9e-6, 3.7e-6, 12.0]] {
-            let found = worth(&calibration, &x, Estimator::Sandwich);
+            let found = uncertainty(&calibration, &x, Estimator::Sandwich);
             assert_eq!(found.undetermined, [0, 1, 2, 3, 4], "{scale:?} {found:?}");
             assert!(found.without_effect.is_empty() && found.verdict()[0].contains("together"));
             // All but one of them can be told.
@@ -239,7 +242,7 @@ fn outputs_have_variances_of_their_own_unless_they_are_pooled() {
         (Estimator::Sandwich, sandwich),
         (Estimator::Pooled, inverse.concat().iter().map(|i| i * pooled / 198.0).collect()),
     ] {
-        let found = worth(&calibration, &x, estimator).uncorrected();
+        let found = uncertainty(&calibration, &x, estimator).uncorrected();
         found.covariance.iter().zip(&expected).for_each(|(got, expected)| near(*got, *expected, 1e-4));
     }
 }
@@ -253,21 +256,23 @@ fn autocorrelated_residuals_are_said_and_corrected() {
         .parameter(Parameter::new("k", 1.0))
         .build()
         .unwrap();
-    let worth = calibration.fit(FitOptions::default()).unwrap().worth.unwrap();
-    assert!(worth.residual_checks[0].autocorrelation > 0.9);
-    assert!(worth.autocorrelations[0] > 0.9 && worth.effective_degrees_of_freedom[0] < 40.0);
+    let uncertainty = calibration.fit(FitOptions::default()).unwrap().uncertainty.unwrap();
+    assert!(uncertainty.residual_checks[0].autocorrelation > 0.9);
+    assert!(uncertainty.autocorrelations[0] > 0.9 && uncertainty.effective_degrees_of_freedom[0] < 40.0);
     // One answer everywhere; the other one on request.
-    let uncorrected = worth.uncorrected();
-    assert_eq!(worth.uncorrected_errors().unwrap(), uncorrected.standard_errors);
-    assert!(worth.standard_errors[0] > 2.0 * uncorrected.standard_errors[0]);
-    let width = |worth: &Worth| worth.confidence_intervals(0.95).map(|ends| ends[0].1 - ends[0].0).unwrap();
-    assert!(width(&worth) > 2.0 * width(&uncorrected));
+    let uncorrected = uncertainty.uncorrected();
+    assert_eq!(uncertainty.uncorrected_errors().unwrap(), uncorrected.standard_errors);
+    assert!(uncertainty.standard_errors[0] > 2.0 * uncorrected.standard_errors[0]);
+    let width = |uncertainty: &Uncertainty| {
+        uncertainty.confidence_intervals(0.95).map(|ends| ends[0].1 - ends[0].0).unwrap()
+    };
+    assert!(width(&uncertainty) > 2.0 * width(&uncorrected));
     assert_eq!(
         (uncorrected.effective_degrees_of_freedom[0], &uncorrected.autocorrelations[..]),
         (79.0, &[0.0][..])
     );
-    assert!(worth.to_string().contains("corrected for autocorrelated residuals"), "{worth}");
-    let verdict = worth.verdict();
+    assert!(uncertainty.to_string().contains("corrected for autocorrelated residuals"), "{uncertainty}");
+    let verdict = uncertainty.verdict();
     assert!(verdict.iter().any(|said| said.contains("autocorrelated (0.9")), "{verdict:?}");
 }
 
@@ -289,10 +294,10 @@ fn a_likelihood_has_the_errors_of_its_curvature_and_names_dead_parameters() {
     assert!(found.cost < -200.0 && found.without_effect == [1], "{found}");
     assert!(found.to_string().contains("data do not determine e"), "{found}");
     let (found, expected) = (fit(likelihood, vec![1]), fit(CostKind::default(), vec![1]));
-    let error = |fit: &Fit| fit.worth.as_ref().unwrap().standard_errors[0];
+    let error = |fit: &Fit| fit.uncertainty.as_ref().unwrap().standard_errors[0];
     near(found.x[0], expected.x[0], 1e-4);
     near(error(&found), error(&expected), 1e-3);
-    assert_eq!(found.worth.unwrap().cost.to_bits(), found.cost.to_bits());
+    assert_eq!(found.uncertainty.unwrap().cost.to_bits(), found.cost.to_bits());
     // The curvature by hand, of N / 2 ln(r'r / N).
     let half = |g: f64| 20.0 * (calibration.cost(&[g, 0.7], &RunContext::new()).unwrap() / 40.0).ln();
     let h = 0.3 * error(&expected);
@@ -311,9 +316,9 @@ fn data_without_noise_raise_no_doubt_of_the_accuracy() {
         .build()
         .unwrap();
     let fit = calibration.fit(FitOptions { preflight: true, ..FitOptions::default() }).unwrap();
-    let worth = fit.worth.clone().unwrap();
-    assert!(worth.is_exact && !fit.to_string().contains("relative_tolerance"), "{fit}");
-    assert_eq!(worth.undetermined, [] as [usize; 0]);
+    let uncertainty = fit.uncertainty.clone().unwrap();
+    assert!(uncertainty.is_exact && !fit.to_string().contains("relative_tolerance"), "{fit}");
+    assert_eq!(uncertainty.undetermined, [] as [usize; 0]);
     let at_truth = PreflightOptions { start: Some(vec![2.0]), ..PreflightOptions::default() };
     assert_eq!(calibration.preflight(&at_truth, &RunContext::new()).unwrap().noise, 0.0);
 }
@@ -345,7 +350,7 @@ fn four_parameters_of_the_exhaust_pipe_are_confounded() {
         ([19460.0, 158.5, 4080.0, 80.8], &[(1, 2, -0.96), (0, 2, -0.94), (0, 1, 0.93)], true),
         ([337.0, 16.4, 21576.0, 248.2], &[(0, 3, -0.92)], false),
     ] {
-        let found = worth(&calibration, &x, Estimator::Pooled);
+        let found = uncertainty(&calibration, &x, Estimator::Pooled);
         let independent = found.uncorrected();
         for (i, j, expected) in pairs {
             let correlation = independent.correlation[i * 4 + j];
@@ -356,7 +361,7 @@ fn four_parameters_of_the_exhaust_pipe_are_confounded() {
         assert_eq!(found.weakest.len(), if are_all { 4 } else { 0 });
         assert!((0.5..0.7).contains(&found.residual_checks[0].autocorrelation));
     }
-    let at_bound = worth(&calibration, &[50000.0, 7.6, 21091.0, 255.4], Estimator::Pooled);
+    let at_bound = uncertainty(&calibration, &[50000.0, 7.6, 21091.0, 255.4], Estimator::Pooled);
     assert_eq!(at_bound.held, [0]);
 }
 
@@ -424,7 +429,7 @@ fn a_parameter_that_only_its_prior_tells_is_named() {
         .parameter(Parameter::new("e", 0.7).prior(Prior::Normal { mean: 0.7, sd: 0.1 }))
         .build()
         .unwrap();
-    let verdict = worth(&ball, &[2.0, 0.7], Estimator::Sandwich).verdict();
+    let verdict = uncertainty(&ball, &[2.0, 0.7], Estimator::Sandwich).verdict();
     let said: Vec<&String> = verdict.iter().filter(|said| said.contains("prior alone")).collect();
     assert_eq!(said, ["e is known from its prior alone: the data do not move it"], "{verdict:?}");
 }
@@ -445,7 +450,15 @@ fn data_without_noise_draw_one_remark_and_no_pairs() {
         .parameter(Parameter::new("v", 1.0))
         .build()
         .unwrap();
-    let worth = ball.fit(FitOptions::default()).unwrap().worth.unwrap();
-    assert!(worth.confounded.is_empty() && worth.uncorrected_covariance.is_none(), "{:?}", worth.verdict());
-    assert!(worth.findings.len() == 1 && worth.verdict()[0].contains("say little"), "{:?}", worth.verdict());
+    let uncertainty = ball.fit(FitOptions::default()).unwrap().uncertainty.unwrap();
+    assert!(
+        uncertainty.confounded.is_empty() && uncertainty.uncorrected_covariance.is_none(),
+        "{:?}",
+        uncertainty.verdict()
+    );
+    assert!(
+        uncertainty.findings.len() == 1 && uncertainty.verdict()[0].contains("say little"),
+        "{:?}",
+        uncertainty.verdict()
+    );
 }

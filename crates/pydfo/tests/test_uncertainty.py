@@ -1,4 +1,4 @@
-"""What a fit is worth: standard errors, correlation, verdict, against the published numbers and SciPy."""
+"""The uncertainty of a fit: standard errors, correlation, verdict, against the published numbers and SciPy."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ def furuta():
 )
 def test_the_published_errors_of_the_pendulum(furuta, estimator, stderr, correlation):
     fit = furuta.fit(covariance=estimator)
-    assert fit.worth.estimator == estimator and fit.nfev == len(fit.trace)
+    assert fit.uncertainty.estimator == estimator and fit.nfev == len(fit.trace)
     if PUBLISHED:
         np.testing.assert_allclose(fit.stderr, stderr, rtol=0.05)
         assert fit.correlation[0, 1] == pytest.approx(correlation, abs=0.02)
-    assert fit.worth.verdict == [] and fit.worth.identifiable == furuta.names
+    assert fit.uncertainty.verdict == [] and fit.uncertainty.identifiable == furuta.names
     np.testing.assert_array_equal(fit.cov, fit.covariance)
     np.testing.assert_allclose(np.sqrt(np.diag(fit.covariance)), fit.stderr)
     intervals = fit.confidence_intervals(0.95)
     np.testing.assert_allclose(intervals.mean(axis=1), fit.x, rtol=1e-12)
     np.testing.assert_allclose(np.diff(intervals)[:, 0], 2 * 1.9614 * fit.stderr, rtol=1e-3)
-    assert estimator in repr(fit.worth) and "+-" in repr(fit.worth)
+    assert estimator in repr(fit.uncertainty) and "+-" in repr(fit.uncertainty)
 
 
 @pytest.mark.skipif(not PUBLISHED, reason="the published recordings are not here")
@@ -52,19 +52,19 @@ def test_the_published_errors_of_the_tanks(n, sandwich, pooled):
     )
     for estimator, expected in (("sandwich", sandwich), ("pooled", pooled)):
         fit = calibration.fit(covariance=estimator)
-        np.testing.assert_allclose(fit.worth.uncorrected_stderr * 1e6, expected, atol=1e-4)
-        assert (fit.stderr > 2 * fit.worth.uncorrected_stderr).all()
-        assert all(0.79 < check.autocorrelation < 0.93 for check in fit.worth.residual_checks)
-    assert any("autocorrelated" in said for said in fit.worth.verdict)
+        np.testing.assert_allclose(fit.uncertainty.uncorrected_stderr * 1e6, expected, atol=1e-4)
+        assert (fit.stderr > 2 * fit.uncertainty.uncorrected_stderr).all()
+        assert all(0.79 < check.autocorrelation < 0.93 for check in fit.uncertainty.residual_checks)
+    assert any("autocorrelated" in said for said in fit.uncertainty.verdict)
 
 
 def test_autocorrelated_residuals_have_one_answer_and_the_other_on_request(tmp_path):
     time = np.linspace(0, 4, 80)
     x = np.exp(-1.5 * time) + 0.02 * np.sin(4 * time)
     fit = Calibration(example_fmu("dahlquist"), {"time": time, "x": x}, ["x"], [Parameter("k", 1.0, 0.1, 5.0)]).fit()
-    worth = fit.worth
-    assert worth.autocorrelations[0] > 0.8 and worth.effective_degrees_of_freedom[0] < worth.degrees_of_freedom
-    assert fit.stderr[0] > 2 * worth.uncorrected_stderr[0]
+    uncertainty = fit.uncertainty
+    assert uncertainty.autocorrelations[0] > 0.8 and uncertainty.effective_degrees_of_freedom[0] < uncertainty.degrees_of_freedom
+    assert fit.stderr[0] > 2 * uncertainty.uncorrected_stderr[0]
 
     def width(corrected):
         intervals = fit.confidence_intervals(corrected=corrected)
@@ -75,7 +75,7 @@ def test_autocorrelated_residuals_have_one_answer_and_the_other_on_request(tmp_p
     assert (width(True) > 2 * width(False)).all()
     assert (width(True)[0] == np.diff(fit.confidence_intervals())).all()
     low, high = fit.confidence_intervals()[0]
-    assert f"+- {fit.stderr[0]:.2g}"[:6] in str(fit) and "uncorrected" in str(fit) and "corrected for" in str(worth)
+    assert f"+- {fit.stderr[0]:.2g}"[:6] in str(fit) and "uncorrected" in str(fit) and "corrected for" in str(uncertainty)
     fit.report(tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
     assert f"{low:.4g}"[:5] in page and f"{high:.4g}"[:5] in page and "uncorrected" in page
@@ -113,29 +113,29 @@ def test_what_cannot_be_told_is_said(furuta):
         example_fmu("bouncing_ball"), {"time": time, "h": 1 - 0.5 * 9.81 * time**2 + noise}, ["h"], parameters
     )
     fit = calibration.fit()
-    assert fit.worth.undetermined == ["e"] and np.isinf(fit.stderr[0]) and fit.worth.identifiable == ["g"]
+    assert fit.uncertainty.undetermined == ["e"] and np.isinf(fit.stderr[0]) and fit.uncertainty.identifiable == ["g"]
     assert fit.findings[0].severity == "warning" and fit.findings[0].sentence.startswith("the data do not determine e")
     assert "determine" not in fit.message and "do not determine e" in fit.cov_message
-    copy = pickle.loads(pickle.dumps(fit.worth))
-    assert copy.findings == fit.worth.findings and repr(copy) == repr(fit.worth) and copy.covariance.tobytes() == fit.cov.tobytes()
+    copy = pickle.loads(pickle.dumps(fit.uncertainty))
+    assert copy.findings == fit.uncertainty.findings and repr(copy) == repr(fit.uncertainty) and copy.covariance.tobytes() == fit.cov.tobytes()
     before = calibration.preflight()
     assert [check.has_effect for check in before.parameters] == [False, True] and before.n_simulations == 4
     assert "e moves no output" in before.messages[0] and "moves no output" in repr(before) and before.cost == calibration.cost()
     assert calibration.fit(preflight=True).preflight.messages == before.messages and fit.preflight is None
-    conditional = calibration.worth(fit.x, parameters=["g"])
+    conditional = calibration.uncertainty(fit.x, parameters=["g"])
     assert conditional.held == ["e"] and conditional.undetermined == []
     without = calibration.fit(covariance=None)
-    assert without.worth is None and without.stderr is None and without.cov is None and without.cov_message == ""
+    assert without.uncertainty is None and without.stderr is None and without.cov is None and without.cov_message == ""
     with pytest.raises(ValueError, match="covariance=None"):
         without.confidence_intervals()
     with pytest.raises(ValueError, match="'full' is none of 'sandwich', 'pooled'"):
         calibration.fit(covariance="full")
     with pytest.raises(ValueError, match="there is no parameter 'h0'"):
-        calibration.worth(parameters=["h0"])
+        calibration.uncertainty(parameters=["h0"])
     with pytest.raises(ValueError, match="between 0 and 1"):
         fit.confidence_intervals(95)
     with pytest.raises(pydfo.SimulationError):
-        furuta.worth([0.01, np.inf])
+        furuta.uncertainty([0.01, np.inf])
 
 
 def test_a_fit_to_a_model_whose_inputs_nothing_drives_says_so():
