@@ -175,4 +175,7 @@ def test_a_checkpoint_belongs_to_one_process_at_a_time(tmp_path):
         fcntl.flock(lock, fcntl.LOCK_EX)
         with pytest.raises(pydfo.CheckpointError, match="process 4711 is writing to it"):
             pydfo.minimize(lambda x: x[0] ** 2, [1.0], checkpoint=place, resume="never")
+    with open(tmp_path / "run.checkpoint.lock") as lock:
+        # A process that was being started meanwhile may have the file open until it runs its program.
+        fcntl.flock(lock, fcntl.LOCK_EX)
     pydfo.minimize(lambda x: x[0] ** 2, [1.0], checkpoint=place, resume="never")

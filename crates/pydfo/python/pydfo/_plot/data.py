@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import _core
-from .. import pyplot
+from .style import pyplot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
