@@ -21,6 +21,10 @@ FORBIDDEN = {
     "printing or debugging": re.compile(r"\b(dbg|println|eprintln|print|eprint)!"),
 }
 UNSAFE = re.compile(r"\bunsafe\b")
+DOC = re.compile(r"^\s*//[/!]")
+# A doc comment begins with what the item is or does; of those of a crate so many may begin like a question.
+QUESTION = re.compile(r"^\s*//[/!] (What|Whether|Which|How)\b")
+MOST_QUESTIONS = 0.03
 
 
 def code_lines(text: str) -> list[tuple[int, str]]:
@@ -59,10 +63,24 @@ def tests_left_out() -> list[str]:
     return found
 
 
+def questions(crate: Path) -> list[str]:
+    """A crate whose doc comments begin like questions too often."""
+    n, asked = 0, []
+    for path in sorted(crate.glob("src/**/*.rs")):
+        is_inside = False
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+            is_first, is_inside = bool(DOC.match(line)) and not is_inside, bool(DOC.match(line))
+            n += is_first
+            if is_first and QUESTION.match(line):
+                asked.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()}")
+    return asked if len(asked) > MOST_QUESTIONS * n else []
+
+
 def main() -> int:
     """Prints every finding; the exit status says whether there was one."""
     sources = sorted([*ROOT.glob("src/**/*.rs"), *ROOT.glob("crates/*/src/**/*.rs")])
-    found = [line for path in sources for line in findings(path)] + layers.findings() + tests_left_out()
+    found = [line for path in sources for line in findings(path)] + layers.findings()
+    found += [line for crate in sorted(ROOT.glob("crates/*")) for line in questions(crate)] + tests_left_out()
     print("\n".join(found) if found else f"gate: {len(sources)} files are clean")
     return 1 if found else 0
 
