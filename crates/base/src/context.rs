@@ -4,8 +4,9 @@ use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Under what conditions work goes on: until somebody asks for its end, and until its time is over. It is passed by reference to
-/// everything that takes long, which looks at [`is_over`](Self::is_over) between its steps.
+/// Under what conditions work goes on: until somebody asks for its end, and until its time is over. It is
+/// passed by reference to everything that takes long, which looks at [`is_over`](Self::is_over) between its
+/// steps.
 ///
 /// ```
 /// use base::RunContext;
@@ -42,7 +43,8 @@ impl<'a> RunContext<'a> {
         Self { flag: Some(flag), ..self }
     }
 
-    /// The same, and it has this time from now on, if that ends sooner. A limit beyond what the clock can count is none.
+    /// The same, and it has this time from now on, if that ends sooner. A limit beyond what the clock can
+    /// count is none.
     #[must_use]
     pub fn within(self, limit: Option<Duration>) -> Self {
         let began = Instant::now();

@@ -13,11 +13,12 @@ const WRITING: &str = ".writing-";
 /// So many bytes of a name are repeated in that of its temporary file: names have at most 255.
 const LONGEST: usize = 180;
 
-/// Opens a regular file for reading. The system is not waited for: what is no regular file (a named pipe, a device, a socket) is refused
-/// before anything is read from it.
+/// Opens a regular file for reading. The system is not waited for: what is no regular file (a named pipe, a
+/// device, a socket) is refused before anything is read from it.
 ///
 /// # Errors
-/// Those of the system; [`io::ErrorKind::InvalidInput`] for what is no regular file, [`io::ErrorKind::IsADirectory`] for a folder.
+/// Those of the system; [`io::ErrorKind::InvalidInput`] for what is no regular file,
+/// [`io::ErrorKind::IsADirectory`] for a folder.
 pub fn open_regular(path: &Path) -> io::Result<File> {
     let mut options = OpenOptions::new();
     options.read(true);
@@ -39,7 +40,8 @@ pub fn read_regular(path: &Path) -> io::Result<Vec<u8>> {
     Ok(content)
 }
 
-/// Opens a regular file of this user for reading and writing in a folder that is open to others: links are not followed.
+/// Opens a regular file of this user for reading and writing in a folder that is open to others: links are
+/// not followed.
 ///
 /// # Errors
 /// As [`open_regular`]; [`io::ErrorKind::PermissionDenied`] for a file of another user.
@@ -109,8 +111,8 @@ pub fn folder_of(path: &Path) -> &Path {
     }
 }
 
-/// A claim on a file that one process at a time writes again and again: a locked file beside it, which is removed with the claim. The lock
-/// goes with its process, however that ends.
+/// A claim on a file that one process at a time writes again and again: a locked file beside it, which is
+/// removed with the claim. The lock goes with its process, however that ends.
 #[derive(Debug)]
 pub struct Claim {
     /// `None`: this process has a claim on it already, or it is no file that is replaced.
@@ -122,7 +124,8 @@ impl Claim {
     /// Claims the file at this place, which need not be there.
     ///
     /// # Errors
-    /// [`io::ErrorKind::ResourceBusy`] with the number of the process that has a claim on it; those of the system.
+    /// [`io::ErrorKind::ResourceBusy`] with the number of the process that has a claim on it; those of the
+    /// system.
     pub fn new(path: &Path) -> io::Result<Self> {
         let target = followed(path);
         if fs::metadata(&target).is_ok_and(|there| !there.is_file()) {
@@ -187,10 +190,11 @@ fn is_at(file: &File, place: &Path) -> io::Result<bool> {
     Ok(file.metadata().is_ok() && place.exists())
 }
 
-/// A file in the making. It takes the place of another when it is whole; until then, and where it never is, the other one stays as it is.
+/// A file in the making. It takes the place of another when it is whole; until then, and where it never is,
+/// the other one stays as it is.
 ///
-/// Links are followed, the permissions of the file that was there are kept, and one that is read-only is refused. A device or a named pipe
-/// is not replaced: it gets the content at the end.
+/// Links are followed, the permissions of the file that was there are kept, and one that is read-only is
+/// refused. A device or a named pipe is not replaced: it gets the content at the end.
 #[derive(Debug)]
 pub struct Unfinished {
     file: NamedTempFile,
@@ -203,7 +207,8 @@ impl Unfinished {
     /// Begins a file for this place.
     ///
     /// # Errors
-    /// The folder is not there or cannot be written to; the place is a folder, a read-only file or a pipe that nobody reads.
+    /// The folder is not there or cannot be written to; the place is a folder, a read-only file or a pipe
+    /// that nobody reads.
     pub fn new(path: &Path) -> io::Result<Self> {
         let target = followed(path);
         let old = match fs::metadata(&target) {

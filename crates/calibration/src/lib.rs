@@ -1,16 +1,18 @@
-//! Fit the parameters of a Functional Mock-up Unit to measurements: a model, data and parameters become an objective.
+//! Fit the parameters of a Functional Mock-up Unit to measurements: a model, data and parameters become an
+//! objective.
 //!
-//! [`Data`] holds a recording, an [`Experiment`] which of its columns measures which output of the model, a [`Parameter`] what
-//! varies: in all experiments alike, or with a value in each. Together they are a [`Problem`], plain data that can be stored and
-//! sent to other processes. A [`Calibration`] is a problem with its model loaded: [`Calibration::cost`],
-//! [`Calibration::residuals`] and [`Calibration::fit`].
+//! [`Data`] holds a recording, an [`Experiment`] which of its columns measures which output of the model, a
+//! [`Parameter`] what varies: in all experiments alike, or with a value in each. Together they are a
+//! [`Problem`], plain data that can be stored and sent to other processes. A [`Calibration`] is a problem
+//! with its model loaded: [`Calibration::cost`], [`Calibration::residuals`] and [`Calibration::fit`].
 //!
-//! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `column_units` (recordings in the units of the model);
-//! `measurements` (which of them count), `residual` (measured against simulated), `assignment` (what an entry of `x` sets),
-//! `simulation` (of an experiment), `evaluate` (residuals and cost at a point), `objective` (other costs); `race` and `solver` (which method integrates);
-//! `calibration`; `check` (what does not fit, before a fit); `effect` (checks after a fit), `fit`, `stages`,
-//! `prediction`, `profile` (how the cost rises beside the optimum), `validation`, `cross_validation`; `report` (what it found, for people);
-//! `export` (files, tables, other programs).
+//! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `column_units` (recordings in the
+//! units of the model); `measurements` (which of them count), `residual` (measured against simulated),
+//! `assignment` (what an entry of `x` sets), `simulation` (of an experiment), `evaluate` (residuals and cost
+//! at a point), `objective` (other costs); `race` and `solver` (which method integrates); `calibration`;
+//! `check` (what does not fit, before a fit); `effect` (checks after a fit), `fit`, `stages`, `prediction`,
+//! `profile` (how the cost rises beside the optimum), `validation`, `cross_validation`; `report` (what it
+//! found, for people); `export` (files, tables, other programs).
 #![forbid(unsafe_code)]
 
 mod check;

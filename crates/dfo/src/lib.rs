@@ -1,4 +1,5 @@
-//! Derivative-free optimisation with parallel evaluation, for objectives that are slow, noisy, or sometimes fail.
+//! Derivative-free optimisation with parallel evaluation, for objectives that are slow, noisy, or sometimes
+//! fail.
 //!
 //! ```
 //! let report = dfo::minimize(|x: &[f64]| (x[0] - 1.0).powi(2) + (x[1] + 0.5).powi(2))
@@ -22,25 +23,27 @@
 //! | `pattern-search` | kinks and jumps, not smooth costs; few parameters, with or without bounds | [`PatternSearch`] |
 //! | `ga` (`genetic`) | integers and choices next to numbers, in a box | [`Genetic`] |
 //!
-//! [`AnyMethod`] has them by name; [`Optimizer`] (ask/tell) leaves the evaluations to the caller, an [`Evaluator`] of one's own
-//! ([`minimize_by`]) to a cluster, for example.
+//! [`AnyMethod`] has them by name; [`Optimizer`] (ask/tell) leaves the evaluations to the caller, an
+//! [`Evaluator`] of one's own ([`minimize_by`]) to a cluster, for example.
 //!
 //! Properties of every method:
 //!
-//! - **The same bits for any number of workers.** Outcomes are taken in request order, random numbers come from one
-//!   stream per generation and individual. How many points are evaluated ahead of need is an option of the method
-//!   ([`BatchPlan`]) and changes neither path nor counts (one plan takes another path, is never chosen by itself, and says
-//!   so): what was evaluated ahead means nothing before the path comes to it.
-//! - **A run can go on**: after a kill, an interrupt or with a larger budget, from a [`Checkpoint`], bit for bit.
-//! - **A failure is a state, not a number.** NaN, infinities, errors and panics rank behind every finite cost, are
-//!   counted with their reasons, and enter no mean.
-//! - **Budgets are exact**: they count the evaluations of the path, also inside of a batch. The best point seen is in the [`Report`] however a run ends.
+//! - **The same bits for any number of workers.** Outcomes are taken in request order, random numbers come
+//!   from one stream per generation and individual. How many points are evaluated ahead of need is an option
+//!   of the method ([`BatchPlan`]) and changes neither path nor counts (one plan takes another path, is never
+//!   chosen by itself, and says so): what was evaluated ahead means nothing before the path comes to it.
+//! - **A run can go on**: after a kill, an interrupt or with a larger budget, from a [`Checkpoint`], bit for
+//!   bit.
+//! - **A failure is a state, not a number.** NaN, infinities, errors and panics rank behind every finite
+//!   cost, are counted with their reasons, and enter no mean.
+//! - **Budgets are exact**: they count the evaluations of the path, also inside of a batch. The best point
+//!   seen is in the [`Report`] however a run ends.
 //! - **Cutoffs** tell an objective above which cost its value no longer matters; using them or not changes no
 //!   decision.
-//! - **A method never calls the objective**: it is a state machine that is asked and told ([`Method`]), so that a run
-//!   can be driven by hand.
-//! - Points are in the user's units everywhere outside; bounds may be one-sided, equal bounds fix a parameter, and
-//!   positive parameters can be searched by their logarithm ([`Transform`]).
+//! - **A method never calls the objective**: it is a state machine that is asked and told ([`Method`]), so
+//!   that a run can be driven by hand.
+//! - Points are in the user's units everywhere outside; bounds may be one-sided, equal bounds fix a
+//!   parameter, and positive parameters can be searched by their logarithm ([`Transform`]).
 #![forbid(unsafe_code)]
 
 mod error;

@@ -1,5 +1,5 @@
-//! Model descriptions of the bundled models for every version of the standard, written from the one that lies beside
-//! the model's source (FMI 2.0 model exchange).
+//! Model descriptions of the bundled models for every version of the standard, written from the one that lies
+//! beside the model's source (FMI 2.0 model exchange).
 
 use crate::kind::ExampleKind;
 use fmi::FmiError;

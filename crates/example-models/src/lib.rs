@@ -1,5 +1,5 @@
-//! Example models for documentation, tests and demos: their sources are part of this library, and become `.fmu` files on
-//! demand, for every version of the standard.
+//! Example models for documentation, tests and demos: their sources are part of this library, and become
+//! `.fmu` files on demand, for every version of the standard.
 //!
 //! The crate stands above the importer, which packs the models; the importer knows nothing of them.
 

@@ -1,5 +1,5 @@
-//! A program that serves as the worker process of others: those that do not call `calibration::serve_if_asked` in their own `main` name it
-//! as their [`Launcher`](fmi::worker::Launcher).
+//! A program that serves as the worker process of others: those that do not call
+//! `calibration::serve_if_asked` in their own `main` name it as their [`Launcher`](fmi::worker::Launcher).
 
 fn main() -> std::process::ExitCode {
     calibration::serve_if_asked();

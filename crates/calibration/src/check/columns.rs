@@ -7,33 +7,37 @@ use crate::findings::finding::{Finding, Severity};
 use ode::Number;
 use std::ops::Range;
 
-/// Fewer different values than these make a column of states or quantised values, for which to stay at its largest is no sign of
-/// clipping.
+/// Fewer different values than these make a column of states or quantised values, for which to stay at its
+/// largest is no sign of clipping.
 const FEW_VALUES: usize = 20;
 
-/// A part of the values that lies exactly at the largest or the smallest one, in runs of at least so many that are entered at a slope
-/// of at least this part of the range in one row, is clipped. A response that settles comes to its end slowly.
+/// A part of the values that lies exactly at the largest or the smallest one, in runs of at least so many
+/// that are entered at a slope of at least this part of the range in one row, is clipped. A response that
+/// settles comes to its end slowly.
 const CLIPPED: (f64, usize, f64) = (0.05, 5, 0.01);
 
-/// A value that stays for so many rows in a noisy signal, so many times longer than any other, is that of a sensor that stood still.
+/// A value that stays for so many rows in a noisy signal, so many times longer than any other, is that of a
+/// sensor that stood still.
 const FROZEN: (usize, usize) = (10, 4);
 
-/// In a noisy signal more than this part of the bends are followed by one to the other side, less than that part of the steps are none,
-/// and the median bend is more than this part of the range: less is the rounding of a file.
+/// In a noisy signal more than this part of the bends are followed by one to the other side, less than that
+/// part of the steps are none, and the median bend is more than this part of the range: less is the rounding
+/// of a file.
 const NOISY: (f64, f64, f64) = (0.5, 0.2, 1e-3);
 
 /// Values that loggers write where they have none.
 const PLACEHOLDERS: [f64; 12] =
     [99.9, 999.0, 9999.0, 99999.0, 999_999.0, 9999.9, 32767.0, 65535.0, 1e20, 1e30, 1e31, 1e37];
 
-/// A placeholder lies so many ranges of the other values away from them; a value that is none of the usual ones, and stands there several
-/// times.
+/// A placeholder lies so many ranges of the other values away from them; a value that is none of the usual
+/// ones, and stands there several times.
 const OUTSIDE: (f64, f64) = (2.0, 10.0);
 
 /// Means may take away this part of the variance of a signal.
 const LOST: f64 = 0.1;
 
-/// Measured columns that are constant, clipped, frozen or mostly missing, and those in use that hold placeholders.
+/// Measured columns that are constant, clipped, frozen or mostly missing, and those in use that hold
+/// placeholders.
 pub(super) fn findings(subject: &Subject<'_>) -> Vec<Finding> {
     let Subject { prefix, experiment, .. } = subject;
     let mut findings = Vec::new();
@@ -173,7 +177,8 @@ fn frozen(values: &[f64]) -> Option<usize> {
     (is_noisy && run.len() >= times * next && n_steps >= least as f64).then_some(run.len())
 }
 
-/// A value far outside of the others that stands for none, how often it is there, and the range of the others.
+/// A value far outside of the others that stands for none, how often it is there, and the range of the
+/// others.
 fn placeholder(values: &[f64], is_measured: bool) -> Option<(f64, usize, (f64, f64))> {
     let known = || values.iter().copied().filter(|v| !v.is_nan());
     let ends = [known().fold(f64::NEG_INFINITY, f64::max), known().fold(f64::INFINITY, f64::min)];

@@ -28,13 +28,16 @@ use series::{Evaluated, Evaluations, Outputs, Place};
 use subject::Subject;
 
 impl Calibration {
-    /// Looks for what does not fit, and says what to do about it: with one evaluation at the parameters' start values, another with
-    /// times a thousandth as long where the times could be in ms, and another with half the step where that is fixed.
+    /// Looks for what does not fit, and says what to do about it: with one evaluation at the parameters'
+    /// start values, another with times a thousandth as long where the times could be in ms, and another with
+    /// half the step where that is fixed.
     ///
-    /// Looked at are the times (order, gaps, unit, start, months taken for days), the recorded values (constant, clipped, frozen, missing,
-    /// placeholders, units, initial values, wrapped angles, columns that are swapped, recordings that are there twice), outputs that count
-    /// unlike in the cost, inputs that nothing drives or that end early, values, ranges and start values that the model states for its
-    /// parameters, and how accurate the simulations are. What cannot be evaluated at all is refused when the calibration is built.
+    /// Looked at are the times (order, gaps, unit, start, months taken for days), the recorded values
+    /// (constant, clipped, frozen, missing, placeholders, units, initial values, wrapped angles, columns that
+    /// are swapped, recordings that are there twice), outputs that count unlike in the cost, inputs that
+    /// nothing drives or that end early, values, ranges and start values that the model states for its
+    /// parameters, and how accurate the simulations are. What cannot be evaluated at all is refused when the
+    /// calibration is built.
     pub fn check(&self) -> Check {
         self.check_with(&CheckOptions::default(), &RunContext::new()).unwrap_or_default()
     }
@@ -42,7 +45,8 @@ impl Calibration {
     /// As [`check`](Self::check), as it is asked for; ends with the context.
     ///
     /// # Errors
-    /// [`CalibrationError::Cancelled`] alone: a simulation that fails is a finding, and so is the end of the time.
+    /// [`CalibrationError::Cancelled`] alone: a simulation that fails is a finding, and so is the end of the
+    /// time.
     pub fn check_with(
         &self,
         options: &CheckOptions,
@@ -135,7 +139,8 @@ impl Calibration {
         doubts
     }
 
-    /// A fixed step that is too large at the result of a fit whose uncertainty, which compares with half of it, is not known.
+    /// A fixed step that is too large at the result of a fit whose uncertainty, which compares with half of
+    /// it, is not known.
     pub(crate) fn large_step_after_fit(
         &self,
         (x, residuals): (&[f64], &[f64]),

@@ -9,8 +9,8 @@ use std::time::Duration;
 pub struct CheckOptions {
     /// True to simulate at the start values; default: true.
     pub simulate: bool,
-    /// Wall-clock limit of the whole check, as of a fit; what was found until then is the result, with a finding that says so. Default:
-    /// 30 s.
+    /// Wall-clock limit of the whole check, as of a fit; what was found until then is the result, with a
+    /// finding that says so. Default: 30 s.
     pub max_time: Option<Duration>,
 }
 

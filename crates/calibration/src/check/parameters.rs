@@ -1,4 +1,5 @@
-//! Parameters and values that are given, beside what the model states for them: ranges and its own start values.
+//! Parameters and values that are given, beside what the model states for them: ranges and its own start
+//! values.
 
 use super::series::rounded;
 use super::subject::Subject;
@@ -15,7 +16,8 @@ use ode::Number;
 /// A value this many times as large or as small as the model's own is in another unit.
 const UNLIKE: f64 = 1e3;
 
-/// Bounds that end so many times above or below the model's own start value leave it out by a mistake, not by intent.
+/// Bounds that end so many times above or below the model's own start value leave it out by a mistake, not by
+/// intent.
 const BOUNDS_UNLIKE: f64 = 50.0;
 
 /// A temperature in K above the first, beside one below the second, is one beside degC.
@@ -41,8 +43,8 @@ fn conversion(parameter: &Parameter, variable: &Variable, description: &ModelDes
     conversion.unwrap_or(UnitConversion::IDENTITY)
 }
 
-/// Parameters whose values (of the start, or of a result) or bounds are far from the model's own start values: in another unit, most
-/// likely.
+/// Parameters whose values (of the start, or of a result) or bounds are far from the model's own start
+/// values: in another unit, most likely.
 pub(super) fn far_from_own_start(
     parameters: &[Parameter],
     values: &[f64],
@@ -81,7 +83,8 @@ pub(super) fn far_from_own_start(
     parameters.iter().zip(values).filter_map(of).collect()
 }
 
-/// Start values and constant inputs of an experiment that lie outside of the model's range, or far from its own start value.
+/// Start values and constant inputs of an experiment that lie outside of the model's range, or far from its
+/// own start value.
 pub(super) fn given_values(subject: &Subject<'_>, parameters: &[Parameter]) -> Vec<Finding> {
     let Subject { prefix, experiment, description, .. } = subject;
     // Those of local parameters are in the unit of the parameter.

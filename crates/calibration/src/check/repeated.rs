@@ -8,7 +8,8 @@ use crate::problem::residual_layout::OutputResiduals;
 /// Fewer equal measurements may be chance.
 const FEWEST: usize = 3;
 
-/// Outputs of several experiments, or of one, with the same times and the same measurements. Windows that do not overlap are others.
+/// Outputs of several experiments, or of one, with the same times and the same measurements. Windows that do
+/// not overlap are others.
 pub(super) fn findings(calibration: &Calibration, subjects: &[Subject<'_>]) -> Vec<Finding> {
     let outputs = &calibration.residual_layout().outputs;
     let is_same = |a: &OutputResiduals, b: &OutputResiduals| a.times == b.times && a.measured == b.measured;

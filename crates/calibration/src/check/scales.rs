@@ -28,9 +28,9 @@ impl Output<'_> {
     }
 }
 
-/// The outputs of the smallest and the largest spread, where they count unlike and nobody has chosen weights; with residuals, and
-/// where they are from, what each has of the cost. After a fit it is the residuals that must be unlike: with noise of one size the
-/// same weight is right.
+/// The outputs of the smallest and the largest spread, where they count unlike and nobody has chosen weights;
+/// with residuals, and where they are from, what each has of the cost. After a fit it is the residuals that
+/// must be unlike: with noise of one size the same weight is right.
 pub(super) fn finding(calibration: &Calibration, residuals: Option<(&[f64], Place)>) -> Option<Finding> {
     let problem = calibration.problem();
     let mut weights = problem.experiments.iter().flat_map(|e| &e.outputs).map(|o| &o.weight);
@@ -97,7 +97,8 @@ pub(super) fn finding(calibration: &Calibration, residuals: Option<(&[f64], Plac
     ))
 }
 
-/// Weights that are as unlike as the residuals, instead of as their inverses, within this factor on a logarithmic scale.
+/// Weights that are as unlike as the residuals, instead of as their inverses, within this factor on a
+/// logarithmic scale.
 const AS_RESIDUALS: std::ops::RangeInclusive<f64> = 0.5..=2.0;
 
 /// Outputs of unlike residuals whose weights are in proportion to these: sigma, where 1/sigma is meant.

@@ -33,7 +33,8 @@ pub(super) fn loose_tolerance(calibration: &Calibration) -> Option<Finding> {
     })
 }
 
-/// A fixed step that is too large: half of it changes an output by more than counts. One evaluation, where the step is fixed.
+/// A fixed step that is too large: half of it changes an output by more than counts. One evaluation, where
+/// the step is fixed.
 ///
 /// # Errors
 /// [`CalibrationError::Cancelled`].

@@ -19,7 +19,8 @@ const OPPOSITE: f64 = -0.5;
 /// Residuals that are larger than the deviation of the measurements by this factor are no chance.
 const WORSE: f64 = 1.1;
 
-/// A measured value that stays for this part of the rows, and so many, while the simulation moves by this part of the range.
+/// A measured value that stays for this part of the rows, and so many, while the simulation moves by this
+/// part of the range.
 const FROZEN: (f64, usize, f64) = (0.05, 10, 0.1);
 
 /// Values within so many turns may be wrapped; their usual step is smaller than this part of a turn.

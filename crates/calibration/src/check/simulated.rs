@@ -23,8 +23,8 @@ const RATIOS: [(f64, &str, bool); 7] = [
     (1e9, "GPa against Pa, or mm3 against m3", false),
 ];
 
-/// Smaller ratios, which parameters explain as well: only where the simulation, times the ratio, is this part of the size of the
-/// measurements away from them.
+/// Smaller ratios, which parameters explain as well: only where the simulation, times the ratio, is this part
+/// of the size of the measurements away from them.
 const SMALL_RATIOS: [(f64, &str); 4] = [
     (3.6, "km/h against m/s"),
     (60.0 / (2.0 * PI), "rpm against rad/s"),
@@ -36,9 +36,10 @@ const CLOSE: f64 = 0.1;
 /// 0 degC in K.
 const ZERO_CELSIUS: f64 = 273.15;
 
-/// The findings of all experiments at the start, judged again where there is a result of a fit: what holds an output or its initial
-/// value off may have been fitted. Another unit, or swapped columns, parameters make up for by values that mean nothing: such doubts
-/// stay if the parameters have moved as far as that takes, or the result has them, too.
+/// The findings of all experiments at the start, judged again where there is a result of a fit: what holds an
+/// output or its initial value off may have been fitted. Another unit, or swapped columns, parameters make up
+/// for by values that mean nothing: such doubts stay if the parameters have moved as far as that takes, or
+/// the result has them, too.
 pub(super) fn findings(subjects: &[Subject<'_>], outputs: &Outputs<'_>) -> Vec<Finding> {
     let mut findings = Vec::new();
     for (one, last) in outputs.at_start.iter().zip(outputs.last()) {
@@ -54,8 +55,8 @@ pub(super) fn findings(subjects: &[Subject<'_>], outputs: &Outputs<'_>) -> Vec<F
     findings
 }
 
-/// Measurements whose range and size are both some other multiple of those of the simulation, with the factor; or that are 273.15
-/// away, which a parameter may make up for at any size.
+/// Measurements whose range and size are both some other multiple of those of the simulation, with the
+/// factor; or that are 273.15 away, which a parameter may make up for at any size.
 fn unit(series: &Series<'_>, subject: &Subject<'_>) -> Option<(Finding, f64)> {
     let (measured, simulated) = (&series.of.measured, &series.simulated);
     let unit = declared(subject.description, &series.of.variable).and_then(|v| v.unit.as_deref());
@@ -155,7 +156,8 @@ fn held(series: &Series<'_>, subject: &Subject<'_>, place: Place) -> Option<Find
     })
 }
 
-/// Outputs that start far from their first measurement: by a quarter of the range, and by ten times the noise.
+/// Outputs that start far from their first measurement: by a quarter of the range, and by ten times the
+/// noise.
 fn initial(series: &Series<'_>, subject: &Subject<'_>) -> Option<Finding> {
     let (measured, simulated) = (&series.of.measured, &series.simulated);
     let (times, start) = (&series.of.times, subject.start_time);

@@ -28,7 +28,8 @@ impl Subject<'_> {
         (asked > 0.0).then(|| (time[time.len() - 1] - time[0], asked))
     }
 
-    /// A unit that values of a variable may be recorded in, other than its own; `None` where the model states none, or an unknown one.
+    /// A unit that values of a variable may be recorded in, other than its own; `None` where the model states
+    /// none, or an unknown one.
     pub(super) fn example_unit(&self, variable: &str) -> Option<String> {
         let variable = declared(self.description, variable)?;
         let own = variable.unit.as_deref()?;

@@ -51,8 +51,8 @@ pub(super) fn findings(
         .collect())
 }
 
-/// A recording that lasts much longer or shorter than the experiment that the model suggests, and the ratio; not the one that is
-/// [exactly](super::times::findings) so many units long.
+/// A recording that lasts much longer or shorter than the experiment that the model suggests, and the ratio;
+/// not the one that is [exactly](super::times::findings) so many units long.
 fn far_from_default_experiment(subject: &Subject<'_>) -> Option<(Finding, f64)> {
     let (duration, asked) = subject.durations()?;
     let ratio = duration / asked;
@@ -78,8 +78,8 @@ fn far_from_default_experiment(subject: &Subject<'_>) -> Option<(Finding, f64)> 
     Some((finding, ratio))
 }
 
-/// Recordings that the simulation answers a thousand times faster: each row at least half a unit from the next, the costs of the whole a
-/// tenth, and the measurements better explained than by their means.
+/// Recordings that the simulation answers a thousand times faster: each row at least half a unit from the
+/// next, the costs of the whole a tenth, and the measurements better explained than by their means.
 fn in_milliseconds(
     calibration: &Calibration,
     series: &[Series<'_>],

@@ -21,7 +21,8 @@ pub(super) fn unit_by_duration(subject: &Subject<'_>) -> Option<&'static str> {
     unit.filter(|(factor, _)| *factor < 1.0 || interval >= 0.5).map(|(_, unit)| unit)
 }
 
-/// Rows that jump from one month to the same day of the next where the next day would follow: what is found, and what to do.
+/// Rows that jump from one month to the same day of the next where the next day would follow: what is found,
+/// and what to do.
 fn months(time: &[f64], interval: f64) -> Option<(String, &'static str)> {
     let is_month = |seconds: f64| {
         let days = seconds / DAY;

@@ -1,4 +1,5 @@
-//! Simulations around a point, in parallel: the uncertainty of a fit is found from them, and they are counted apart from its evaluations.
+//! Simulations around a point, in parallel: the uncertainty of a fit is found from them, and they are counted
+//! apart from its evaluations.
 
 use crate::cost::accuracy::Accuracy;
 use crate::cost::calibration::Calibration;
@@ -22,7 +23,8 @@ const SMALLEST_TOLERANCE: f64 = 1e-13;
 /// A fixed-step method takes so many steps where none is asked for (see [`ode::Options::step_size`]).
 const DEFAULT_STEPS: f64 = 500.0;
 
-/// With a looser relative tolerance residuals may be noise, and their size says nothing of the error of the simulations.
+/// With a looser relative tolerance residuals may be noise, and their size says nothing of the error of the
+/// simulations.
 const LOOSEST_OF_EXACT: f64 = 1e-5;
 
 /// A point to be simulated.
@@ -126,7 +128,8 @@ impl Calibration {
         plan.kind() == InterfaceKind::ModelExchange && self.problem().settings.method.is_fixed_step()
     }
 
-    /// As [`evaluate_into`](Self::evaluate_into), with a hundredth of the relative tolerance or half the step.
+    /// As [`evaluate_into`](Self::evaluate_into), with a hundredth of the relative tolerance or half the
+    /// step.
     fn evaluate_accurately(
         &self,
         x: &[f64],

@@ -26,11 +26,11 @@ const SOLVER: &str = "solver";
 
 /// A model, recordings and parameters, checked and ready to be evaluated from any number of threads.
 ///
-/// The cost is the sum of the squared (weighted) residuals, simulated minus measured, over all experiments, outputs and
-/// measured times, added up in the order of the residual vector: no 1/N, no 1/2. The same parameters
-/// give the same bits on every worker, with residuals or without, with a cutoff or without. Where no integration method is named, the
-/// [`solver`](Self::solver) is found once, by
-/// a race at the parameters' start values, and used for everything: a cost is the same function in a fit and outside.
+/// The cost is the sum of the squared (weighted) residuals, simulated minus measured, over all experiments,
+/// outputs and measured times, added up in the order of the residual vector: no 1/N, no 1/2. The same
+/// parameters give the same bits on every worker, with residuals or without, with a cutoff or without. Where
+/// no integration method is named, the [`solver`](Self::solver) is found once, by a race at the parameters'
+/// start values, and used for everything: a cost is the same function in a fit and outside.
 #[derive(Debug)]
 pub struct Calibration {
     evaluator: Evaluator,
@@ -88,7 +88,8 @@ impl CalibrationBuilder {
     /// Looks everything up and checks it; loads the model, but simulates nothing yet.
     ///
     /// # Errors
-    /// Anything that does not fit: unknown names (the nearest are offered), parameters that cannot be set, bounds, data.
+    /// Anything that does not fit: unknown names (the nearest are offered), parameters that cannot be set,
+    /// bounds, data.
     pub fn build(self) -> Result<Calibration, CalibrationError> {
         let Self { fmu, experiments, parameters, settings } = self;
         let model = ModelFile::of(&fmu)?;
@@ -107,8 +108,8 @@ impl Calibration {
         }
     }
 
-    /// A calibration of a problem that was stored, or comes from another process, with its model. Looks everything up and checks
-    /// it; simulates nothing yet.
+    /// A calibration of a problem that was stored, or comes from another process, with its model. Looks
+    /// everything up and checks it; simulates nothing yet.
     ///
     /// # Errors
     /// As [`CalibrationBuilder::build`]; [`CalibrationError::OtherModel`]: the model has another content.
@@ -123,8 +124,8 @@ impl Calibration {
         Ok(Self { evaluator, choice: Choice::default(), identity })
     }
 
-    /// A calibration of another problem with the same model, with the solver of this one if it is known. Warnings of the problem
-    /// are not logged again.
+    /// A calibration of another problem with the same model, with the solver of this one if it is known.
+    /// Warnings of the problem are not logged again.
     pub(crate) fn derived(&self, problem: Problem) -> Result<Self, CalibrationError> {
         let evaluator = Evaluator::new(self.fmu().clone(), problem)?;
         let identity = identity(&evaluator.problem, &evaluator.parameters);
@@ -138,8 +139,8 @@ impl Calibration {
         self.evaluator.warnings.clone_from(&from.evaluator.warnings);
     }
 
-    /// The same with other windows in all experiments. Simulations start as they do in this one, at the same time in the same
-    /// state, whatever that follows from.
+    /// The same with other windows in all experiments. Simulations start as they do in this one, at the same
+    /// time in the same state, whatever that follows from.
     pub(crate) fn windowed(&self, windows: &[(f64, f64)]) -> Result<Self, CalibrationError> {
         if windows.is_empty() {
             return Err(CalibrationError::Setup("windows: there are none".to_owned()));
@@ -177,8 +178,8 @@ impl Calibration {
         &self.evaluator.warnings
     }
 
-    /// The parameters, one per entry of every vector of values: in the order given, a [local](Parameter::local) one once per
-    /// experiment in its place.
+    /// The parameters, one per entry of every vector of values: in the order given, a
+    /// [local](Parameter::local) one once per experiment in its place.
     pub fn parameters(&self) -> &[Parameter] {
         &self.evaluator.parameters
     }
@@ -198,8 +199,8 @@ impl Calibration {
         self.evaluator.layout.n_measurements()
     }
 
-    /// The root of the mean squared weighted residual of the measurements, from the cost at `x` (with the loss of a fit, of what they
-    /// count): the priors have their part of the cost, and are no measurements.
+    /// The root of the mean squared weighted residual of the measurements, from the cost at `x` (with the
+    /// loss of a fit, of what they count): the priors have their part of the cost, and are no measurements.
     ///
     /// # Panics
     /// `x` has another length than there are parameters.
@@ -210,7 +211,8 @@ impl Calibration {
         (if squares < 0.0 { 0.0 } else { squares } / self.n_measurements() as f64).sqrt()
     }
 
-    /// The part of the cost at `x` that is that of the priors, with the loss of a fit; NaN where one is not defined.
+    /// The part of the cost at `x` that is that of the priors, with the loss of a fit; NaN where one is not
+    /// defined.
     ///
     /// # Panics
     /// `x` has another length than there are parameters.
@@ -220,8 +222,8 @@ impl Calibration {
         self.evaluator.prior_residuals(x, rule, &mut residuals).unwrap_or(f64::NAN)
     }
 
-    /// The parameters that are [tied](Parameter::tied), with their values at `x`: of such that follow a local one, one per
-    /// experiment.
+    /// The parameters that are [tied](Parameter::tied), with their values at `x`: of such that follow a local
+    /// one, one per experiment.
     ///
     /// # Panics
     /// `x` has another length than there are parameters.
@@ -249,9 +251,10 @@ impl Calibration {
         self.choice.known()
     }
 
-    /// The method that integrates the simulations of this calibration, in fits and outside of them. Where the settings
-    /// name none, it is found at the first use, by a race at the parameters' start values (see [`race`](crate::race())): up to four
-    /// simulations of every experiment, one if the model is not stiff there. It stays the same from then on.
+    /// The method that integrates the simulations of this calibration, in fits and outside of them. Where the
+    /// settings name none, it is found at the first use, by a race at the parameters' start values (see
+    /// [`race`](crate::race())): up to four simulations of every experiment, one if the model is not stiff
+    /// there. It stays the same from then on.
     ///
     /// # Errors
     /// The model cannot be loaded or instantiated. Simulations that fail are no error: they lose.
@@ -259,7 +262,8 @@ impl Calibration {
         self.solver_counted(context, &mut Stats::default()).map(|(solver, _)| solver)
     }
 
-    /// The same; what a race takes is added to `stats`, and the evaluation at the start values that was part of it is handed on.
+    /// The same; what a race takes is added to `stats`, and the evaluation at the start values that was part
+    /// of it is handed on.
     pub(crate) fn solver_counted(
         &self,
         context: &RunContext<'_>,
@@ -290,8 +294,8 @@ impl Calibration {
         self.evaluate_fully(x, context, &mut Stats::default()).map(|(cost, _)| cost)
     }
 
-    /// The residuals at `x`, simulated minus measured times weight: experiment by experiment, output by output, in the
-    /// order of time, without the missing ones. The length is the same for every `x`.
+    /// The residuals at `x`, simulated minus measured times weight: experiment by experiment, output by
+    /// output, in the order of time, without the missing ones. The length is the same for every `x`.
     ///
     /// # Errors
     /// As [`cost`](Self::cost).
@@ -309,8 +313,8 @@ impl Calibration {
         self.evaluate_fully(x, context, stats).map(|(_, residuals)| residuals)
     }
 
-    /// Simulates every experiment at `x` and keeps the trajectories of the compared outputs, at the measured times or,
-    /// if `times` are given, at those.
+    /// Simulates every experiment at `x` and keeps the trajectories of the compared outputs, at the measured
+    /// times or, if `times` are given, at those.
     ///
     /// # Errors
     /// As [`cost`](Self::cost).
@@ -496,7 +500,8 @@ impl Calibration {
         self.tags(solver).fold(checkpoint, |checkpoint, (name, value)| checkpoint.tag(name, value))
     }
 
-    /// Takes the solver of a checkpoint that will be continued, if it is of this calibration and there is no race yet.
+    /// Takes the solver of a checkpoint that will be continued, if it is of this calibration and there is no
+    /// race yet.
     pub(crate) fn adopt_solver(&self, checkpoint: &Checkpoint) -> Result<(), CalibrationError> {
         if self.problem().settings.method != Method::Auto || self.known_solver().is_some() {
             return Ok(());

@@ -71,9 +71,10 @@ impl Evaluator {
         self.parameters.iter().map(Parameter::start).collect()
     }
 
-    /// The cost at `x`: the sum of the squares of the residuals, which go to `out`, from its first to its last. What the
-    /// simulations take is added to `stats` (of those that could not be started nothing). `lend` hands a simulator of an
-    /// experiment to what runs it. Ends where the cost is above the cutoff, and when it is cancelled.
+    /// The cost at `x`: the sum of the squares of the residuals, which go to `out`, from its first to its
+    /// last. What the simulations take is added to `stats` (of those that could not be started nothing).
+    /// `lend` hands a simulator of an experiment to what runs it. Ends where the cost is above the cutoff,
+    /// and when it is cancelled.
     ///
     /// # Panics
     /// `x` or `out` have another length than there are parameters and residuals.

@@ -15,8 +15,8 @@ pub(crate) enum NoCost {
     Cancelled,
     /// No simulation can be made any more, here or at other points.
     Over(Box<FmiError>),
-    /// The simulation failed: its kind, a reason that is the same for all failures of that sort, one with all details, and the
-    /// error of the model, if it is one.
+    /// The simulation failed: its kind, a reason that is the same for all failures of that sort, one with all
+    /// details, and the error of the model, if it is one.
     Failed { kind: FailureKind, reason: String, message: String, source: Option<Box<FmiError>> },
 }
 
@@ -35,7 +35,8 @@ impl NoCost {
         self
     }
 
-    /// Why a worker process has given no answer: such an error is none of a simulation, unless the process has ended in one.
+    /// Why a worker process has given no answer: such an error is none of a simulation, unless the process
+    /// has ended in one.
     pub(crate) fn of_worker(error: FmiError) -> Self {
         match error {
             FmiError::WorkerEnded(_) | FmiError::Cancelled => error.into(),

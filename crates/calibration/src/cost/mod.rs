@@ -1,4 +1,5 @@
-//! A problem with a loaded model: simulations, residuals and cost, in this process or in worker processes, and the choice of the solver.
+//! A problem with a loaded model: simulations, residuals and cost, in this process or in worker processes,
+//! and the choice of the solver.
 
 pub(crate) mod accuracy;
 pub(crate) mod batch;

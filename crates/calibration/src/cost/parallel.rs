@@ -70,8 +70,8 @@ pub(crate) fn map<T: Send>(
     results
 }
 
-/// Does `work` on the calling thread and `task` on one of its own, whose context ends with the calling thread's, or when the work has failed. `None`: it
-/// panicked.
+/// Does `work` on the calling thread and `task` on one of its own, whose context ends with the calling
+/// thread's, or when the work has failed. `None`: it panicked.
 pub(crate) fn beside<T: Send, U, E>(
     context: &RunContext<'_>,
     task: impl FnOnce(&RunContext<'_>) -> T + Send,

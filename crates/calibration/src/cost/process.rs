@@ -87,7 +87,8 @@ pub(crate) enum RacedOutcome {
 pub(crate) enum Asked {
     /// Any that has loaded the problem.
     Any,
-    /// The same, but the second question of this kind is asked in a new process, too, to see whether the answer is the same.
+    /// The same, but the second question of this kind is asked in a new process, too, to see whether the
+    /// answer is the same.
     Checked,
     /// A new one.
     Fresh,
@@ -172,8 +173,9 @@ impl Processes {
         Ok(())
     }
 
-    /// Asks a worker; the second question also asks a fresh one, at the same time, and the first question again where that takes no
-    /// longer than the start of a process. Where numbers differ, and two fresh processes agree, each question has one of its own from now on.
+    /// Asks a worker; the second question also asks a fresh one, at the same time, and the first question
+    /// again where that takes no longer than the start of a process. Where numbers differ, and two fresh
+    /// processes agree, each question has one of its own from now on.
     fn ask_checked(
         &self,
         asked: &Frame,
@@ -260,7 +262,8 @@ impl Remote {
         Ok(Self { processes, run_limit })
     }
 
-    /// Starts the processes of a fit in the background: for its threads, and the one in which its result is evaluated again.
+    /// Starts the processes of a fit in the background: for its threads, and the one in which its result is
+    /// evaluated again.
     pub(crate) fn start_ahead(&self, n_threads: usize) {
         self.processes.is_checked.store(true, Ordering::Relaxed);
         self.processes.workers.start_ahead(&self.processes.load, n_threads, 1);
@@ -286,7 +289,8 @@ impl Remote {
         self.processes.ask(job, (process, self.run_limit), context, use_answer)
     }
 
-    /// The cost at a point, its residuals into `out`; see [`Evaluator::evaluate`](crate::cost::evaluator::Evaluator::evaluate).
+    /// The cost at a point, its residuals into `out`; see
+    /// [`Evaluator::evaluate`](crate::cost::evaluator::Evaluator::evaluate).
     pub(crate) fn evaluate(
         &self,
         (x, method): (&[f64], Method),
@@ -374,14 +378,15 @@ impl ModelProcess {
     /// Nothing is loaded yet.
     ///
     /// # Errors
-    /// The file of the model cannot be read any more; [`FmiError::NoWorker`]: this program cannot start processes for it.
+    /// The file of the model cannot be read any more; [`FmiError::NoWorker`]: this program cannot start
+    /// processes for it.
     pub fn new(fmu: &Fmu, limits: WorkerLimits) -> Result<Self, FmiError> {
         let open = Job::Open(ModelFile::of(fmu)?, Box::new(fmu.options().clone()));
         Ok(Self { processes: Processes::new(fmu, limits, &open)? })
     }
 
-    /// As [`Fmu::simulate_with`], with the same bits. The context ends it. The second simulation is also made in a new process, at the
-    /// same time; where that gives others, each one has a new process from then on.
+    /// As [`Fmu::simulate_with`], with the same bits. The context ends it. The second simulation is also made
+    /// in a new process, at the same time; where that gives others, each one has a new process from then on.
     ///
     /// # Errors
     /// As [`Fmu::simulate`]; [`FmiError::WorkerEnded`]; [`FmiError::Cancelled`]; inputs that are functions.

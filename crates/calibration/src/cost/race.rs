@@ -1,24 +1,26 @@
 //! A race between methods: who does one simulation with the least counted work, and right.
 //!
-//! For a system that is simulated over and over, as in a fit. Work is counted ([`Stats::work`]), never measured, so that
-//! the race has the same winner on every machine. [`Method::Auto`] runs first. Where the system is not stiff that is
-//! Tsit5, and there is nothing to win: the race is over, and `Auto` stays, which also copes with parameters that make the
-//! system stiff. Where it is stiff, Radau5 with a tenth of the tolerance shows what is right, and BDF and Radau5 compete.
-//! Of those within 5 tolerances of it the winner is who takes the least work for the same error. A method takes part as long as it
-//! may still be that one.
+//! For a system that is simulated over and over, as in a fit. Work is counted ([`Stats::work`]), never
+//! measured, so that the race has the same winner on every machine. [`Method::Auto`] runs first. Where the
+//! system is not stiff that is Tsit5, and there is nothing to win: the race is over, and `Auto` stays, which
+//! also copes with parameters that make the system stiff. Where it is stiff, Radau5 with a tenth of the
+//! tolerance shows what is right, and BDF and Radau5 compete. Of those within 5 tolerances of it the winner
+//! is who takes the least work for the same error. A method takes part as long as it may still be that one.
 
 use ode::{Method, Stats};
 use serde::{Deserialize, Serialize};
 
 /// Samples may differ by this many tolerances: what differs more makes the cost of a fit noisy.
 const MOST_DIFFERENCE: f64 = 5.0;
-/// The simulation that shows what is right: its share of the tolerance, and how much more work than the first it may be.
-/// Differences below that share are its own.
+/// The simulation that shows what is right: its share of the tolerance, and how much more work than the first
+/// it may be. Differences below that share are its own.
 const TIGHTER: f64 = 0.1;
-/// Work goes with this power of the error: a step of a method of order 5 has an error that goes with `h^6`. (0.13 to 0.19 for Radau5
-/// and BDF on HIRES, ROBER, OREGO and VDPOL between rtol 1e-4 and 1e-8, `benches/work_precision.md`.)
+/// Work goes with this power of the error: a step of a method of order 5 has an error that goes with `h^6`.
+/// (0.13 to 0.19 for Radau5 and BDF on HIRES, ROBER, OREGO and VDPOL between rtol 1e-4 and 1e-8,
+/// `benches/work_precision.md`.)
 const WORK_PER_ERROR: f64 = 1.0 / 6.0;
-/// With fewer iterations of Newton's method per step `auto` was at work with an explicit method, but for trials.
+/// With fewer iterations of Newton's method per step `auto` was at work with an explicit method, but for
+/// trials.
 const STIFF_ITERATIONS: f64 = 0.5;
 const MOST_WORK: f64 = 20.0;
 /// Who competes with [`Method::Auto`] where the system is stiff.
@@ -52,18 +54,21 @@ pub enum RaceOutcome {
     Failed(String),
 }
 
-/// A simulation of a race, with its residuals and the seconds that they took where it is an evaluation as well.
+/// A simulation of a race, with its residuals and the seconds that they took where it is an evaluation as
+/// well.
 pub(crate) type RaceRun = (RaceOutcome, Option<(Vec<f64>, f64)>);
 
 /// Outcome of a method in a comparison.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Verdict {
-    /// It agrees with the simulation of tighter tolerance: the largest difference in tolerances of its sample.
+    /// It agrees with the simulation of tighter tolerance: the largest difference in tolerances of its
+    /// sample.
     Agrees(f64),
     /// It does not: the largest difference, above 5.
     Differs(f64),
-    /// There was nothing to compare it with: the system is not stiff, or the simulation of tighter tolerance failed.
+    /// There was nothing to compare it with: the system is not stiff, or the simulation of tighter tolerance
+    /// failed.
     NotCompared,
     /// It was given up when its work was that of the best method so far.
     GivenUp,
@@ -76,8 +81,8 @@ pub enum Verdict {
 pub struct Entry {
     /// The method.
     pub method: Method,
-    /// Its work in equivalents of a right-hand side; of one that was given up: what it had done then, at least. `None`: it
-    /// failed.
+    /// Its work in equivalents of a right-hand side; of one that was given up: what it had done then, at
+    /// least. `None`: it failed.
     pub work: Option<f64>,
     /// Outcome of the method in the comparison.
     pub verdict: Verdict,
@@ -87,8 +92,8 @@ pub struct Entry {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Race {
-    /// The winner: of the methods that agree the one with the least work for the same error; where none does the one that
-    /// differs least; [`Method::Auto`] where there is nothing to compare.
+    /// The winner: of the methods that agree the one with the least work for the same error; where none does
+    /// the one that differs least; [`Method::Auto`] where there is nothing to compare.
     pub method: Method,
     /// The methods that took part, in the order in which they ran.
     pub entries: Vec<Entry>,
@@ -116,9 +121,9 @@ impl Tolerance<'_> {
     }
 }
 
-/// Races the methods on a system of `n_states`. `run` makes one simulation and gives its samples; an error of it ends the
-/// race. `absolute` holds the absolute tolerances of the first samples, and of the following ones again from its start: one per
-/// output is enough.
+/// Races the methods on a system of `n_states`. `run` makes one simulation and gives its samples; an error of
+/// it ends the race. `absolute` holds the absolute tolerances of the first samples, and of the following ones
+/// again from its start: one per output is enough.
 ///
 /// ```
 /// use calibration::{RaceOutcome, race};
@@ -183,7 +188,8 @@ pub fn race<E>(
 }
 
 impl Race {
-    /// Judges a simulation against the right one; the best so far leads, with `least` work at an error of one tolerance.
+    /// Judges a simulation against the right one; the best so far leads, with `least` work at an error of one
+    /// tolerance.
     fn enter(
         &mut self,
         (method, outcome): (Method, RaceOutcome),

@@ -22,7 +22,8 @@ pub(crate) struct Comparison {
 pub(crate) struct Schedule {
     /// Ascending, each once.
     pub(crate) times: Series,
-    /// Per output, the sample that each of its measurements is compared with, ascending; none: each has its own.
+    /// Per output, the sample that each of its measurements is compared with, ascending; none: each has its
+    /// own.
     samples: Vec<Vec<u32>>,
 }
 
@@ -40,8 +41,8 @@ impl Comparison {
         self.begins[self.outputs.len()]
     }
 
-    /// The samples of outputs that are late by these delays, of which none is before the start of the simulation; times within
-    /// rounding are one.
+    /// The samples of outputs that are late by these delays, of which none is before the start of the
+    /// simulation; times within rounding are one.
     pub(crate) fn schedule(&self, delays: impl Fn(usize) -> f64, start: f64) -> Schedule {
         let delays: Vec<f64> = (0..self.outputs.len()).map(delays).collect();
         let time = |output: usize, time: f64| (time - delays[output]).max(start);
@@ -131,14 +132,14 @@ impl<'a> CostRule<'a> {
     }
 }
 
-/// The cost that residuals make: the sum of their squares from the first to the last, by which it has the same bits wherever it
-/// is computed.
+/// The cost that residuals make: the sum of their squares from the first to the last, by which it has the
+/// same bits wherever it is computed.
 pub(crate) fn sum_of_squares(residuals: &[f64]) -> f64 {
     residuals.iter().fold(0.0, |sum, residual| sum + residual * residual)
 }
 
-/// Takes the residuals from a simulation as it delivers the samples, and adds up their squares (time by time, output by output
-/// within a time), which says when the cost is sure to be above a cutoff.
+/// Takes the residuals from a simulation as it delivers the samples, and adds up their squares (time by time,
+/// output by output within a time), which says when the cost is sure to be above a cutoff.
 pub(crate) struct Accumulator<'a> {
     comparison: &'a Comparison,
     schedule: &'a Schedule,
@@ -216,12 +217,14 @@ impl Observer for Accumulator<'_> {
 }
 
 /// Weighted sum of squared errors between measured and simulated series, as the paper's tool computes it: the
-/// simulation has its own time grid and is interpolated linearly to the measured times; where a time stands there
-/// twice (an event), the mean of both values counts. `y_*` hold one row per quantity; `w` (one per quantity, default 1)
-/// multiplies the squared errors. Times outside of the simulated span take its end values.
+/// simulation has its own time grid and is interpolated linearly to the measured times; where a time stands
+/// there twice (an event), the mean of both values counts. `y_*` hold one row per quantity; `w` (one per
+/// quantity, default 1) multiplies the squared errors. Times outside of the simulated span take its end
+/// values.
 ///
 /// # Errors
-/// Lengths that do not fit, simulated times that do not ascend, nothing simulated; the message names the numbers.
+/// Lengths that do not fit, simulated times that do not ascend, nothing simulated; the message names the
+/// numbers.
 pub fn quad_err(
     t_meas: &[f64],
     y_meas: &[&[f64]],

@@ -210,7 +210,8 @@ impl Simulation {
         }
     }
 
-    /// The compared outputs at `x` as they are compared, late and with their offsets, at the measured times or those given.
+    /// The compared outputs at `x` as they are compared, late and with their offsets, at the measured times
+    /// or those given.
     pub(crate) fn trajectory(
         &self,
         fmu: &Fmu,

@@ -14,7 +14,8 @@ use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-/// The absolute tolerance of an output is this share of the relative one and its nominal value, as for states.
+/// The absolute tolerance of an output is this share of the relative one and its nominal value, as for
+/// states.
 const ABSOLUTE_SHARE: f64 = 0.01;
 
 /// The method in use, and how it was found.
@@ -23,7 +24,8 @@ const ABSOLUTE_SHARE: f64 = 0.01;
 pub struct Solver {
     /// The method.
     pub method: Method,
-    /// The race that it won; `None`: it was named, or taken from a checkpoint, or the model integrates itself.
+    /// The race that it won; `None`: it was named, or taken from a checkpoint, or the model integrates
+    /// itself.
     pub race: Option<Race>,
 }
 
@@ -99,8 +101,8 @@ impl Choice {
         Ok(chosen.pools.get(experiment).unwrap_or(&problem.simulations[experiment].pool))
     }
 
-    /// The choice, made now if it is not yet: then with the evaluation at the start by the method that was chosen. What its simulations
-    /// take is added to `stats`.
+    /// The choice, made now if it is not yet: then with the evaluation at the start by the method that was
+    /// chosen. What its simulations take is added to `stats`.
     pub(crate) fn chosen(
         &self,
         problem: &Evaluator,
@@ -139,7 +141,8 @@ impl Choice {
     }
 }
 
-/// Races the methods on the simulations of a problem, at the start values of its parameters; with the evaluation there by the winner.
+/// Races the methods on the simulations of a problem, at the start values of its parameters; with the
+/// evaluation there by the winner.
 fn run_race(
     problem: &Evaluator,
     context: &RunContext<'_>,
@@ -172,7 +175,8 @@ fn run_race(
     Ok((raced, of_winner.map(|(_, at_start)| at_start)))
 }
 
-/// A simulation of a race; with the residuals and the seconds that they took where they are those of an evaluation.
+/// A simulation of a race; with the residuals and the seconds that they took where they are those of an
+/// evaluation.
 pub(crate) fn simulate_race(
     problem: &Evaluator,
     task: &RaceTask,

@@ -10,12 +10,13 @@ use ode::Termination;
 use std::ops::ControlFlow;
 
 impl Calibration {
-    /// The variables of the model that the parameters set, with their values at `x` in the units of the model: what a model is
-    /// given to behave as in the fit. With [local](crate::Parameter::local) parameters it must be said in which experiment.
+    /// The variables of the model that the parameters set, with their values at `x` in the units of the
+    /// model: what a model is given to behave as in the fit. With [local](crate::Parameter::local) parameters
+    /// it must be said in which experiment.
     ///
     /// # Errors
-    /// [`CalibrationError::Length`]; [`CalibrationError::Setup`]: there is no such experiment, or none is named and the values differ
-    /// between them.
+    /// [`CalibrationError::Length`]; [`CalibrationError::Setup`]: there is no such experiment, or none is
+    /// named and the values differ between them.
     pub fn variable_values(
         &self,
         x: &[f64],
@@ -29,9 +30,10 @@ impl Calibration {
         Ok(self.values_in(k, x))
     }
 
-    /// Simulates an experiment, counted from 0, at `x` and records variables of the model as they are: by their names, elements of
-    /// arrays, patterns with `*` and `?`, or `all`; at the measured times or, if `times` are given, at those. Outputs are not
-    /// delayed, and have no offset. The context ends it as in [`simulate`](Self::simulate).
+    /// Simulates an experiment, counted from 0, at `x` and records variables of the model as they are: by
+    /// their names, elements of arrays, patterns with `*` and `?`, or `all`; at the measured times or, if
+    /// `times` are given, at those. Outputs are not delayed, and have no offset. The context ends it as in
+    /// [`simulate`](Self::simulate).
     ///
     /// # Errors
     /// As [`simulate`](Self::simulate); [`fmi::FmiError::UnknownVariable`] with the nearest names.

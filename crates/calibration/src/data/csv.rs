@@ -41,22 +41,24 @@ impl Default for CsvRequest<'_> {
 }
 
 impl Data {
-    /// Reads a CSV file with a header line, which a line of units may follow. The delimiter is the one of comma, semicolon and tab that stands most
-    /// often in the header (a first line `sep=;`, as spreadsheets write it, names it); one more at the end of each
-    /// row is no column, nor are columns without a name at the end of the header. Where it is no comma, numbers may have decimal commas, all of them: where some have commas
-    /// and others points, one of the two separates thousands. The times are those of the column `time` (in any case),
-    /// in s or in the unit that follows in brackets or parentheses: s, ms, us, ns, min, h, d (`time [ms]`); dates (of ISO 8601, or as
-    /// `31.05.2024 13:45:10`) and times of day become s since the first row; `00:01` wants a name such as `time [mm:ss]` or `time [hh:mm]`
-    /// where it can be either. Empty
-    /// cells, `NaN` and `NA` are missing values. Columns of text are kept aside: only using one is an error. Lines that begin with
-    /// `#` are comments.
+    /// Reads a CSV file with a header line, which a line of units may follow. The delimiter is the one of
+    /// comma, semicolon and tab that stands most often in the header (a first line `sep=;`, as spreadsheets
+    /// write it, names it); one more at the end of each row is no column, nor are columns without a name at
+    /// the end of the header. Where it is no comma, numbers may have decimal commas, all of them: where some
+    /// have commas and others points, one of the two separates thousands. The times are those of the column
+    /// `time` (in any case), in s or in the unit that follows in brackets or parentheses: s, ms, us, ns, min,
+    /// h, d (`time [ms]`); dates (of ISO 8601, or as `31.05.2024 13:45:10`) and times of day become s since
+    /// the first row; `00:01` wants a name such as `time [mm:ss]` or `time [hh:mm]` where it can be either.
+    /// Empty cells, `NaN` and `NA` are missing values. Columns of text are kept aside: only using one is an
+    /// error. Lines that begin with `#` are comments.
     ///
     /// The memory that reading takes is at most 8 times the size of the file.
     ///
     /// # Errors
-    /// The file cannot be read, has no column of times (the message lists those there are), no rows, rows of different
-    /// length, more than 65536 columns, or times that are missing or not ascending; each error names the line.
-    /// [`CalibrationError::DataFile`] of the kind [`io::ErrorKind::OutOfMemory`] where there is no memory for it.
+    /// The file cannot be read, has no column of times (the message lists those there are), no rows, rows of
+    /// different length, more than 65536 columns, or times that are missing or not ascending; each error
+    /// names the line. [`CalibrationError::DataFile`] of the kind [`io::ErrorKind::OutOfMemory`] where there
+    /// is no memory for it.
     pub fn from_csv(path: impl AsRef<Path>) -> Result<Self, CalibrationError> {
         Self::read_csv(path, CsvRequest::default())
     }
@@ -72,8 +74,8 @@ impl Data {
     /// As [`from_csv`](Self::from_csv), what is asked for.
     ///
     /// # Errors
-    /// As [`from_csv`](Self::from_csv), and [`CalibrationError::Cancelled`]. That a column which is asked for is not there, is said
-    /// where it is used.
+    /// As [`from_csv`](Self::from_csv), and [`CalibrationError::Cancelled`]. That a column which is asked for
+    /// is not there, is said where it is used.
     pub fn read_csv(path: impl AsRef<Path>, request: CsvRequest<'_>) -> Result<Self, CalibrationError> {
         let path = path.as_ref();
         let text = base::files::read_regular(path)
@@ -81,7 +83,8 @@ impl Data {
         Self::read_csv_text(&text, &path.display().to_string(), request)
     }
 
-    /// As [`from_csv`](Self::from_csv), from the text itself; `source` names it in errors, `time` the column of times.
+    /// As [`from_csv`](Self::from_csv), from the text itself; `source` names it in errors, `time` the column
+    /// of times.
     ///
     /// # Errors
     /// As [`from_csv`](Self::from_csv).
@@ -294,8 +297,9 @@ impl<'t> Records<'t> {
         self.line += 1;
     }
 
-    /// The cells of the next record, without spaces around them, up to the last that is not empty; of more than [`MOST_COLUMNS`]
-    /// one more than these. The line in which it begins, and how many there are; `None` at the end.
+    /// The cells of the next record, without spaces around them, up to the last that is not empty; of more
+    /// than [`MOST_COLUMNS`] one more than these. The line in which it begins, and how many there are; `None`
+    /// at the end.
     fn next(&mut self, cells: &mut Vec<Cow<'t, str>>) -> Option<(usize, usize)> {
         cells.clear();
         self.skip();
@@ -382,7 +386,8 @@ fn header(records: &mut Records<'_>) -> Result<(Vec<String>, usize, usize), Stri
     Ok((names.into_iter().map(Cow::into_owned).collect(), expected, line))
 }
 
-/// UTF-8, UTF-16 with a byte order mark, else Windows-1252 (which reads Latin 1 too): what spreadsheets write.
+/// UTF-8, UTF-16 with a byte order mark, else Windows-1252 (which reads Latin 1 too): what spreadsheets
+/// write.
 fn decode(text: &[u8]) -> Cow<'_, str> {
     let (encoding, skip) = encoding_rs::Encoding::for_bom(text).unwrap_or_else(|| {
         let utf8 = std::str::from_utf8(text).is_ok();
@@ -405,8 +410,8 @@ fn delimiter(header: &str) -> u8 {
     counts.into_iter().rev().max_by_key(|c| c.1).map_or(b',', |c| c.0)
 }
 
-/// The units of the columns, where the first line below the header has no values: the cell of the times is a unit of time or empty, and
-/// no other is a number, but for the unit 1.
+/// The units of the columns, where the first line below the header has no values: the cell of the times is a
+/// unit of time or empty, and no other is a number, but for the unit 1.
 fn line_of_units(record: &[Cow<'_, str>], time: usize) -> Option<Vec<Option<String>>> {
     let bare = |cell: &Cow<'_, str>| {
         let inner = |(open, close)| cell.strip_prefix(open)?.strip_suffix(close).map(str::trim);
@@ -437,7 +442,8 @@ fn number(cell: &str, delimiter: u8) -> Option<f64> {
 }
 
 impl Column {
-    /// The value of a cell, NaN where it has none. The first text and the first numbers with a comma and with a point are kept.
+    /// The value of a cell, NaN where it has none. The first text and the first numbers with a comma and with
+    /// a point are kept.
     fn note(&mut self, cell: &str, line: usize, delimiter: u8) -> f64 {
         let number = number(cell, delimiter);
         let is_known = self.point.is_some() && (delimiter == b',' || self.comma.is_some());

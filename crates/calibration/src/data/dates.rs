@@ -46,13 +46,13 @@ pub enum DateError {
     Cancelled,
 }
 
-/// The times in s since the first, and an hour that is missing in those without a zone. All are written as the first is: as dates, dates
-/// with a zone, or times of day. Two numbers (`10:02`) are what `pair` says, else minutes and seconds where they can be nothing else. Ends with
-/// the context.
+/// The times in s since the first, and an hour that is missing in those without a zone. All are written as
+/// the first is: as dates, dates with a zone, or times of day. Two numbers (`10:02`) are what `pair` says,
+/// else minutes and seconds where they can be nothing else. Ends with the context.
 ///
 /// # Errors
-/// The index of a cell that is none, and what is wrong with it; two numbers that may be hours and minutes or minutes and seconds; an hour
-/// that is doubled. [`DateError::Cancelled`].
+/// The index of a cell that is none, and what is wrong with it; two numbers that may be hours and minutes or
+/// minutes and seconds; an hour that is doubled. [`DateError::Cancelled`].
 pub fn date_seconds(
     cells: &[impl AsRef<str>],
     pair: Option<PairUnit>,

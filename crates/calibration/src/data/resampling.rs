@@ -8,8 +8,8 @@ use std::ops::Range;
 /// Of fewer values nothing is said.
 const FEWEST: usize = 10;
 
-/// The part of the variance of a signal that its means have not. The noise is that of the differences from the mean of both neighbours:
-/// `y_i - (y_(i-1) + y_(i+1)) / 2` has 3/2 of its variance.
+/// The part of the variance of a signal that its means have not. The noise is that of the differences from
+/// the mean of both neighbours: `y_i - (y_(i-1) + y_(i+1)) / 2` has 3/2 of its variance.
 fn lost(values: &[f64], means: &[f64]) -> f64 {
     let known = |values: &[f64]| values.iter().copied().filter(|v| !v.is_nan()).collect::<Vec<f64>>();
     let (values, means) = (known(values), known(means));
@@ -32,12 +32,14 @@ impl Data {
         self.resampling.as_ref()
     }
 
-    /// A table of means over intervals of this length in s, beginning with the first time: of each column the mean of its values there, at
-    /// the mean of the times of these values. Columns with values in the same rows of an interval share a row; missing values are NaN.
-    /// Means keep a slope, and the noise falls with the root of their number; what is faster than the interval is lost.
+    /// A table of means over intervals of this length in s, beginning with the first time: of each column the
+    /// mean of its values there, at the mean of the times of these values. Columns with values in the same
+    /// rows of an interval share a row; missing values are NaN. Means keep a slope, and the noise falls with
+    /// the root of their number; what is faster than the interval is lost.
     ///
     /// # Errors
-    /// The interval is not positive, or shorter than the distance of the times: nothing is made up between them.
+    /// The interval is not positive, or shorter than the distance of the times: nothing is made up between
+    /// them.
     pub fn resampled(mut self, interval: f64) -> Result<Self, CalibrationError> {
         let bad = |message: String| CalibrationError::Data { source_name: self.source.clone(), message };
         if !(interval.is_finite() && interval > 0.0) {

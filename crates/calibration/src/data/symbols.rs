@@ -30,9 +30,10 @@ const CHARGE: Exponents = [0, 0, 1, 1, 0, 0, 0, 0];
 const VOLTAGE: Exponents = [1, 2, -3, -1, 0, 0, 0, 0];
 const FLUX: Exponents = [1, 2, -2, -1, 0, 0, 0, 0];
 
-/// Symbol (compared exactly: s is not S), whether prefixes may stand before it, exponents, and `base = value * numerator /
-/// denominator + offset`. Values: BIPM, The International System of Units (9th edition, 2019), tables 4, 7 and 8; NIST Special
-/// Publication 811 (2008), appendix B.8, for those that are not of the SI.
+/// Symbol (compared exactly: s is not S), whether prefixes may stand before it, exponents, and `base =
+/// value * numerator / denominator + offset`. Values: BIPM, The International System of Units (9th edition,
+/// 2019), tables 4, 7 and 8; NIST Special Publication 811 (2008), appendix B.8, for those that are not of the
+/// SI.
 type Symbol = (&'static str, bool, Exponents, (f64, f64), f64);
 
 const SYMBOLS: &[Symbol] = &[
@@ -157,7 +158,8 @@ const PREFIXES: [(&str, i32); 22] = [
     ("m", -3), ("u", -6), ("\u{b5}", -6), ("\u{3bc}", -6), ("n", -9), ("p", -12), ("f", -15), ("a", -18), ("z", -21), ("y", -24),
 ];
 
-/// Exponents, numerator and denominator of the factor, and offset of a symbol, with a prefix or without, or of a word.
+/// Exponents, numerator and denominator of the factor, and offset of a symbol, with a prefix or without, or
+/// of a word.
 pub(super) fn find(name: &str) -> Option<Meaning> {
     let find = |name: &str| SYMBOLS.iter().find(|(symbol, ..)| *symbol == name).copied();
     let prefixed = || {
@@ -183,7 +185,8 @@ pub(super) fn find(name: &str) -> Option<Meaning> {
         .or_else(|| in_another_case(name))
 }
 
-/// A symbol, with a prefix or without, that differs in case alone, where all such mean one unit: `RPM`, but not `MM` (mm or Mm).
+/// A symbol, with a prefix or without, that differs in case alone, where all such mean one unit: `RPM`, but
+/// not `MM` (mm or Mm).
 fn in_another_case(name: &str) -> Option<Meaning> {
     let lower = name.to_lowercase();
     let is_symbol = |symbol: &str| symbol.len() > 1 && symbol.to_lowercase() == lower;

@@ -47,7 +47,8 @@ pub(super) struct Column {
 pub(crate) struct Resampling {
     /// In s.
     pub(crate) interval: f64,
-    /// Columns, and the part of the variance of their signals that is lost: without that of the noise, which means are to take away.
+    /// Columns, and the part of the variance of their signals that is lost: without that of the noise, which
+    /// means are to take away.
     pub(crate) lost: Vec<(String, f64)>,
 }
 
@@ -83,14 +84,16 @@ impl Data {
         Self::new(source, time_name, time, columns, |row| format!("row {row}")).map(|_| ())
     }
 
-    /// Names of columns that the recording has, and this table has not: a [warning](crate::SetupWarning) may concern them.
+    /// Names of columns that the recording has, and this table has not: a [warning](crate::SetupWarning) may
+    /// concern them.
     #[must_use]
     pub fn left_out(mut self, names: impl IntoIterator<Item = String>) -> Self {
         self.left_out.extend(names);
         self
     }
 
-    /// An hour that is missing in the times, which are those of a clock without a zone: a [warning](crate::SetupWarning) says so.
+    /// An hour that is missing in the times, which are those of a clock without a zone: a
+    /// [warning](crate::SetupWarning) says so.
     #[must_use]
     pub fn with_clock_change(mut self, change: Option<ClockChange>) -> Self {
         self.clock_change = change;
@@ -253,14 +256,16 @@ impl Data {
         Err(CalibrationError::Data { source_name: self.source.clone(), message })
     }
 
-    /// The unit of a column, where it is stated: behind its name in brackets or parentheses, or in a line of units; after
-    /// [`Calibration::from_problem`](crate::Calibration::from_problem) that of the variable which it was converted to.
+    /// The unit of a column, where it is stated: behind its name in brackets or parentheses, or in a line of
+    /// units; after [`Calibration::from_problem`](crate::Calibration::from_problem) that of the variable
+    /// which it was converted to.
     pub fn unit(&self, column: &str) -> Option<&str> {
         let column = &self.columns[self.position(column).ok()??];
         column.unit.as_deref().or_else(|| parts(&column.name).1)
     }
 
-    /// The name of a column with its unit in brackets where that stands beside the name, from a line of units.
+    /// The name of a column with its unit in brackets where that stands beside the name, from a line of
+    /// units.
     pub fn name_with_unit(&self, column: &str) -> Option<String> {
         let column = &self.columns[self.position(column).ok()??];
         let name = || parts(&column.name).0;
@@ -272,8 +277,8 @@ impl Data {
         self.columns[self.position(column).ok()??].unit.as_deref()
     }
 
-    /// Takes the values of these columns as missing in the rows where `keep` is false. Inputs are not meant: they go on between the rows
-    /// that are left.
+    /// Takes the values of these columns as missing in the rows where `keep` is false. Inputs are not meant:
+    /// they go on between the rows that are left.
     ///
     /// # Errors
     /// No such column; `keep` has another length than the table, or is false throughout.
@@ -325,8 +330,8 @@ impl Data {
         }
     }
 
-    /// The value of a column at a time, linear between the known values on both sides, which lie no farther apart than `WIDEST_GAP` usual
-    /// distances of its known values.
+    /// The value of a column at a time, linear between the known values on both sides, which lie no farther
+    /// apart than `WIDEST_GAP` usual distances of its known values.
     ///
     /// # Errors
     /// As [`column`](Self::column); no known value at this time, or on one side of it.
@@ -399,8 +404,8 @@ impl Column {
     }
 }
 
-/// Why the numbers of a column are ambiguous: some in the file have a comma, others a point, and one of the two may
-/// separate thousands.
+/// Why the numbers of a column are ambiguous: some in the file have a comma, others a point, and one of the
+/// two may separate thousands.
 pub(super) fn mixed_decimal_signs(all: &[Column], column: &Column) -> Option<String> {
     let first = |mark: fn(&Column) -> Option<&Cell>| {
         let own = std::iter::once(column).chain(all.iter().filter(|c| c.text.is_none()));

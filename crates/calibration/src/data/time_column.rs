@@ -16,8 +16,8 @@ pub struct TimeColumn {
 }
 
 impl TimeColumn {
-    /// Finds it by name: the one that is called `named`, or, where nothing is named, `time` in any case. A unit may follow
-    /// in brackets or parentheses: `time [ms]`, `Time (min)`.
+    /// Finds it by name: the one that is called `named`, or, where nothing is named, `time` in any case. A
+    /// unit may follow in brackets or parentheses: `time [ms]`, `Time (min)`.
     ///
     /// # Errors
     /// There is none, there are several, or its unit is unknown; the message lists the columns.
@@ -89,9 +89,9 @@ impl PairUnit {
     }
 }
 
-/// Name and unit of a column: what stands in brackets or parentheses at its end. Numbers without a space before them are indices
-/// (`x[1]`, `z(2)`) and belong to the name, those after a space (`ch (3)`) tell columns apart; none is a unit but 1, that of pure numbers.
-/// `der(x)` is a derivative.
+/// Name and unit of a column: what stands in brackets or parentheses at its end. Numbers without a space
+/// before them are indices (`x[1]`, `z(2)`) and belong to the name, those after a space (`ch (3)`) tell
+/// columns apart; none is a unit but 1, that of pure numbers. `der(x)` is a derivative.
 pub(crate) fn parts(name: &str) -> (&str, Option<&str>) {
     let name = name.trim();
     let Some(open) = opening(name) else { return (name, None) };
@@ -114,7 +114,8 @@ fn opening(name: &str) -> Option<usize> {
     })
 }
 
-/// Position of the column that is called so: in full, or without the unit that follows in brackets or parentheses.
+/// Position of the column that is called so: in full, or without the unit that follows in brackets or
+/// parentheses.
 ///
 /// # Errors
 /// There is none, or several; the message lists the columns.

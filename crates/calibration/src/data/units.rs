@@ -1,4 +1,5 @@
-//! Units of measurement by their names: exponents of the SI base units, factor and offset; conversion into the unit of a variable.
+//! Units of measurement by their names: exponents of the SI base units, factor and offset; conversion into
+//! the unit of a variable.
 
 use super::symbols::{
     self, ACCELERATION, ANGULAR_SPEED, Exponents, FREQUENCY, NONE, SYMBOLS_OF_BASE, TEMPERATURE, TIME,
@@ -10,8 +11,9 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 use std::fmt;
 
-/// A unit of measurement: `base value = value * numerator / denominator + offset`, the base value in SI base units and radians. Factors
-/// are fractions, so that from mm to m a value is divided by 1000, without another rounding.
+/// A unit of measurement: `base value = value * numerator / denominator + offset`, the base value in SI base
+/// units and radians. Factors are fractions, so that from mm to m a value is divided by 1000, without another
+/// rounding.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Unit {
     exponents: Exponents,
@@ -87,8 +89,9 @@ impl UnitConversion {
         *self == Self::IDENTITY
     }
 
-    /// From a unit given by its name to that of a variable, in which its values, bounds and start value are. What the model defines
-    /// counts first: the display units of the variable's unit, and the units of the description by their names.
+    /// From a unit given by its name to that of a variable, in which its values, bounds and start value are.
+    /// What the model defines counts first: the display units of the variable's unit, and the units of the
+    /// description by their names.
     ///
     /// # Errors
     /// [`UnitError::NotStated`], [`UnitError::Unknown`] (of either unit) or [`UnitError::Dimension`].
@@ -136,9 +139,10 @@ impl Unit {
         Self { exponents: [kg, m, s, a, k, mol, cd, rad], numerator: factor, denominator: 1.0, offset }
     }
 
-    /// Parses a name: symbols of the SI with prefixes and common ones beside it (`mm`, `bar`, `degC`, `rpm`, `kWh`, `%`), products
-    /// (`N.m`, `kg*m2`, `kg m2`) and quotients (`W/K`, `J/(kg.K)`) of their powers (`m2`, `m^2`, `s-1`), and words for the simple ones
-    /// (`seconds`, in any case). `degC` is a temperature alone, and a difference of temperatures in a product.
+    /// Parses a name: symbols of the SI with prefixes and common ones beside it (`mm`, `bar`, `degC`, `rpm`,
+    /// `kWh`, `%`), products (`N.m`, `kg*m2`, `kg m2`) and quotients (`W/K`, `J/(kg.K)`) of their powers
+    /// (`m2`, `m^2`, `s-1`), and words for the simple ones (`seconds`, in any case). `degC` is a temperature
+    /// alone, and a difference of temperatures in a product.
     ///
     /// # Errors
     /// [`UnitError::Unknown`].
@@ -176,8 +180,8 @@ impl Unit {
         factor.is_finite() && factor > 0.0
     }
 
-    /// Between two units with their names. Radians are pure numbers where it is no frequency: a frequency has cycles, of which an angular
-    /// speed has 2 pi radians each.
+    /// Between two units with their names. Radians are pure numbers where it is no frequency: a frequency has
+    /// cycles, of which an angular speed has 2 pi radians each.
     fn conversion(
         (from, unit): (&str, Self),
         (to, target): (&str, Self),
@@ -286,8 +290,8 @@ const DEEPEST: usize = 16;
 
 const PRODUCT: [char; 5] = ['.', '*', '\u{b7}', '\u{22c5}', '\u{d7}'];
 
-/// Reads `factor { product-sign factor } [ "/" factor { "/" factor } ]`, where a factor is a number, a symbol with an exponent or an
-/// expression in parentheses.
+/// Reads `factor { product-sign factor } [ "/" factor { "/" factor } ]`, where a factor is a number, a symbol
+/// with an exponent or an expression in parentheses.
 struct Parser<'a> {
     rest: &'a str,
     /// Number of open parentheses; beyond `DEEPEST` once that was exceeded.

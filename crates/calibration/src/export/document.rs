@@ -1,7 +1,9 @@
-//! Values as JSON for people to read and arrays of numbers beside it: nothing is lost, neither bits nor what JSON has no word for.
+//! Values as JSON for people to read and arrays of numbers beside it: nothing is lost, neither bits nor what
+//! JSON has no word for.
 //!
-//! JSON has no NaN, no infinity, no bytes, and only texts as keys. An object with one key that begins with `$` stands for them:
-//! `{"$number": "NaN"}`, `{"$array": "arrays/0.npy"}`, `{"$bytes": "00ff"}`, `{"$map": [[key, value], ...]}`.
+//! JSON has no NaN, no infinity, no bytes, and only texts as keys. An object with one key that begins with
+//! `$` stands for them: `{"$number": "NaN"}`, `{"$array": "arrays/0.npy"}`, `{"$bytes": "00ff"}`, `{"$map":
+//! [[key, value], ...]}`.
 
 use ciborium::Value;
 use serde::Serialize;

@@ -12,8 +12,9 @@ use std::fs::File;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-/// The copy may differ from the fit by so many times the relative tolerance of the simulations, as a part of the largest value of
-/// an output: it is the same library with the same values, which are only set in another way.
+/// The copy may differ from the fit by so many times the relative tolerance of the simulations, as a part of
+/// the largest value of an output: it is the same library with the same values, which are only set in another
+/// way.
 const CLOSE: f64 = 10.0;
 
 /// Result of [`Fit::export_fmu`]: the files that it has written.
@@ -41,21 +42,22 @@ impl From<FmiError> for Unwritten {
 }
 
 impl Fit {
-    /// Writes a copy of the FMU with the fitted values as start values in its description, and nothing else changed
-    /// ([`Fmu::write_with_start_values`]), simulates it as it is, and compares it with the fit.
+    /// Writes a copy of the FMU with the fitted values as start values in its description, and nothing else
+    /// changed ([`Fmu::write_with_start_values`]), simulates it as it is, and compares it with the fit.
     ///
-    /// **Many libraries ignore the start values of the description**: theirs are compiled in, and the FMI standard leaves it to the
-    /// importing tool to set those of the description. Where the copy, simulated without setting anything, is not as fitted, the
-    /// values are written as an SSP parameter file beside it, `path` with the suffix `.ssv`, and no copy; with `keep` the copy as well, for
-    /// tools that set the start values of the description.
+    /// **Many libraries ignore the start values of the description**: theirs are compiled in, and the FMI
+    /// standard leaves it to the importing tool to set those of the description. Where the copy, simulated
+    /// without setting anything, is not as fitted, the values are written as an SSP parameter file beside it,
+    /// `path` with the suffix `.ssv`, and no copy; with `keep` the copy as well, for tools that set the start
+    /// values of the description.
     ///
-    /// `experiment`: whose values, where there are [local](crate::Parameter::local) parameters. Values that were given as
-    /// [start values](crate::Experiment::start_value) of experiments are no part of the fit and not written. Simulations end with
-    /// the context.
+    /// `experiment`: whose values, where there are [local](crate::Parameter::local) parameters. Values that
+    /// were given as [start values](crate::Experiment::start_value) of experiments are no part of the fit and
+    /// not written. Simulations end with the context.
     ///
     /// # Errors
-    /// As [`Calibration::variable_values`]; [`CalibrationError::Setup`] for a name that does not end in `.fmu`, or for the
-    /// model itself; those of simulating and writing.
+    /// As [`Calibration::variable_values`]; [`CalibrationError::Setup`] for a name that does not end in
+    /// `.fmu`, or for the model itself; those of simulating and writing.
     pub fn export_fmu(
         &self,
         calibration: &Calibration,
@@ -146,7 +148,8 @@ impl Fit {
     }
 }
 
-/// The largest difference of two trajectories, if one is larger than this part of the largest value of its column.
+/// The largest difference of two trajectories, if one is larger than this part of the largest value of its
+/// column.
 fn largest_difference(fitted: &Trajectory, copied: &Trajectory, close: f64) -> Option<String> {
     if fitted.time.len() != copied.time.len() {
         return Some(format!("it ends at t = {}", Number(copied.end_time)));

@@ -1,4 +1,5 @@
-//! The numbers of a fit as JSON for other programs: valid JSON, in which null stands for what is no finite number.
+//! The numbers of a fit as JSON for other programs: valid JSON, in which null stands for what is no finite
+//! number.
 
 use super::files::check_belongs;
 use super::tables::unit_of;

@@ -4,7 +4,8 @@ use crate::fit::stage::Fit;
 use crate::uncertainty::estimate::Uncertainty;
 use crate::uncertainty::preflight::Preflight;
 
-/// Refuses a fit of which parts have other lengths than its parameters and residuals ask for; the message names the first one.
+/// Refuses a fit of which parts have other lengths than its parameters and residuals ask for; the message
+/// names the first one.
 pub(super) fn check_lengths(fit: &Fit) -> Result<(), String> {
     check_fit(fit, "fit")
 }
@@ -44,7 +45,8 @@ fn check_fit(fit: &Fit, place: &str) -> Result<(), String> {
 }
 
 impl Uncertainty {
-    /// Refuses one that comes from elsewhere and of which parts have other lengths than its parameters and residuals ask for.
+    /// Refuses one that comes from elsewhere and of which parts have other lengths than its parameters and
+    /// residuals ask for.
     ///
     /// # Errors
     /// The message names the first of them.

@@ -1,7 +1,7 @@
 //! A fit in a file: the result, the problem with its recordings, and the description of the model.
 //!
-//! A zip archive: `fit.json` for people and programs, `arrays/*.npy` with the series of numbers that it refers to, and
-//! `modelDescription.xml`, by which the fit can be shown where the model is not at hand.
+//! A zip archive: `fit.json` for people and programs, `arrays/*.npy` with the series of numbers that it
+//! refers to, and `modelDescription.xml`, by which the fit can be shown where the model is not at hand.
 
 use super::document::{Document, from_npy, to_npy};
 use super::files::{check_belongs, write};
@@ -72,11 +72,13 @@ pub struct SavedFit {
 }
 
 impl Fit {
-    /// Writes the fit and what it is a fit of to a file, in one step: with the recordings by value and the model by its place,
-    /// the hash of its content and its description. All numbers keep their bits. See [`SavedFit`].
+    /// Writes the fit and what it is a fit of to a file, in one step: with the recordings by value and the
+    /// model by its place, the hash of its content and its description. All numbers keep their bits. See
+    /// [`SavedFit`].
     ///
     /// # Errors
-    /// [`CalibrationError::Setup`] if it is no fit of this calibration; [`FmiError::Io`] for what the system refuses.
+    /// [`CalibrationError::Setup`] if it is no fit of this calibration; [`FmiError::Io`] for what the system
+    /// refuses.
     pub fn save(&self, calibration: &Calibration, path: impl AsRef<Path>) -> Result<(), CalibrationError> {
         write(path.as_ref(), calibration, &self.to_bytes(calibration)?)
     }
@@ -100,7 +102,8 @@ impl SavedFit {
     /// Reads a file that [`Fit::save`] has written. The model is not opened.
     ///
     /// # Errors
-    /// [`FmiError::Io`]; [`CalibrationError::SavedFit`] for a file that is cut, damaged, of another kind or of another format.
+    /// [`FmiError::Io`]; [`CalibrationError::SavedFit`] for a file that is cut, damaged, of another kind or
+    /// of another format.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, CalibrationError> {
         let path = path.as_ref();
         let bytes = base::files::read_regular(path).map_err(FmiError::io("read", path))?;
@@ -138,8 +141,9 @@ impl SavedFit {
         self.problem.experiments.iter().try_for_each(|e| e.data().check()).map_err(|e| e.to_string())
     }
 
-    /// The calibration with its model, where that is at its place with the content it had. Else one without: it shows all that
-    /// it is made of, and what simulates fails with [`FmiError::Absent`], which names the file and the hash of its content.
+    /// The calibration with its model, where that is at its place with the content it had. Else one without:
+    /// it shows all that it is made of, and what simulates fails with [`FmiError::Absent`], which names the
+    /// file and the hash of its content.
     ///
     /// # Errors
     /// As [`Calibration::from_problem`].

@@ -15,11 +15,12 @@ const VALUES: &str = "http://ssp-standard.org/SSP1/SystemStructureParameterValue
 const COMMON: &str = "http://ssp-standard.org/SSP1/SystemStructureCommon";
 
 impl Fit {
-    /// Writes the values of the variables that the parameters set as an SSP parameter file, `.ssv`; with [local](crate::Parameter::local)
-    /// parameters those of the experiment named.
+    /// Writes the values of the variables that the parameters set as an SSP parameter file, `.ssv`; with
+    /// [local](crate::Parameter::local) parameters those of the experiment named.
     ///
     /// # Errors
-    /// As [`ssv`](Self::ssv); [`CalibrationError::Setup`] for a name that does not end in `.ssv`; [`fmi::FmiError::Io`].
+    /// As [`ssv`](Self::ssv); [`CalibrationError::Setup`] for a name that does not end in `.ssv`;
+    /// [`fmi::FmiError::Io`].
     pub fn export_ssv(
         &self,
         calibration: &Calibration,
@@ -30,8 +31,8 @@ impl Fit {
         write(path.as_ref(), calibration, self.ssv(calibration, experiment)?.as_bytes())
     }
 
-    /// The text of that file: the values in the units of the model, the units that have a definition in the model, and what the fit
-    /// was as a description.
+    /// The text of that file: the values in the units of the model, the units that have a definition in the
+    /// model, and what the fit was as a description.
     ///
     /// # Errors
     /// As [`Calibration::variable_values`]; [`CalibrationError::Setup`] if it is no fit of this calibration.
@@ -104,8 +105,8 @@ impl Fit {
     }
 }
 
-/// A text as the value of an attribute: line breaks and tabulators by their numbers, which a reader would take for spaces (XML 1.0,
-/// section 3.3.3); characters that XML cannot hold as they are shown (section 2.2).
+/// A text as the value of an attribute: line breaks and tabulators by their numbers, which a reader would
+/// take for spaces (XML 1.0, section 3.3.3); characters that XML cannot hold as they are shown (section 2.2).
 fn escape(text: &str) -> String {
     let is_no_character = |c: char| matches!(c, '\u{0}'..='\u{8}' | '\u{b}' | '\u{c}' | '\u{e}'..='\u{1f}' | '\u{fffe}' | '\u{ffff}');
     let held = |c: char| match c {

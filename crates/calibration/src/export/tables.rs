@@ -17,15 +17,16 @@ use std::path::Path;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Table {
-    /// A row for each entry of `x`: name, value, standard errors where the fit has them, start, bounds, unit, the bound that it ended at;
-    /// then one for each parameter that is tied: name, value, standard errors and start that follow from those of the other one, unit,
-    /// and to which it is tied.
+    /// A row for each entry of `x`: name, value, standard errors where the fit has them, start, bounds, unit,
+    /// the bound that it ended at; then one for each parameter that is tied: name, value, standard errors and
+    /// start that follow from those of the other one, unit, and to which it is tied.
     #[default]
     Parameters,
-    /// A row for each measurement that counts: experiment, variable, column, unit, time in s, measured, simulated, weight, residual.
+    /// A row for each measurement that counts: experiment, variable, column, unit, time in s, measured,
+    /// simulated, weight, residual.
     Trajectories,
-    /// A row for each evaluation: number, batch, whether the method went through it, cost, the value that it is known to exceed where it was given
-    /// up, seconds, why it failed, and the values of the parameters.
+    /// A row for each evaluation: number, batch, whether the method went through it, cost, the value that it
+    /// is known to exceed where it was given up, seconds, why it failed, and the values of the parameters.
     Trace,
 }
 
@@ -188,7 +189,8 @@ impl Fit {
     }
 }
 
-/// A parameter that is tied to another one, `factor * p + offset`, which is `to` in the list of those that were fitted.
+/// A parameter that is tied to another one, `factor * p + offset`, which is `to` in the list of those that
+/// were fitted.
 pub(super) struct Tied {
     pub(super) name: String,
     pub(super) to: String,

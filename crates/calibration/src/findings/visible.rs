@@ -1,4 +1,5 @@
-//! Texts of files as they are shown: nothing in them moves a cursor, or changes the direction of what is read.
+//! Texts of files as they are shown: nothing in them moves a cursor, or changes the direction of what is
+//! read.
 
 use std::borrow::Cow;
 
@@ -9,8 +10,8 @@ fn is_hidden(c: char) -> bool {
         || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
 
-/// The text with such characters as their numbers, `\u{1b}` for an escape: names in an FMU or in a recording are anybody's, and
-/// terminals obey them.
+/// The text with such characters as their numbers, `\u{1b}` for an escape: names in an FMU or in a recording
+/// are anybody's, and terminals obey them.
 pub fn visible(text: &str) -> Cow<'_, str> {
     if !text.contains(is_hidden) {
         return Cow::Borrowed(text);

@@ -22,11 +22,13 @@ pub struct OutputFit {
     pub unit: Option<String>,
     /// Number of measurements that count.
     pub n: usize,
-    /// Root of the mean squared difference between simulation and measurement, without weights, in the unit of the variable.
+    /// Root of the mean squared difference between simulation and measurement, without weights, in the unit
+    /// of the variable.
     pub rms: f64,
     /// The same at the start; `None` if the simulation failed there.
     pub start_rms: Option<f64>,
-    /// Fit percentage: `100 (1 - |simulated - measured| / |measured - mean|)`; NaN where the measurements do not vary.
+    /// Fit percentage: `100 (1 - |simulated - measured| / |measured - mean|)`; NaN where the measurements do
+    /// not vary.
     pub fit_percent: f64,
 }
 
@@ -102,8 +104,8 @@ impl KeptResiduals {
 }
 
 impl Calibration {
-    /// The residuals at the start of a fit and at `x`, without a loss: those that are known, else from simulations, as long as it is
-    /// not cancelled. None at the start where there are none at `x`.
+    /// The residuals at the start of a fit and at `x`, without a loss: those that are known, else from
+    /// simulations, as long as it is not cancelled. None at the start where there are none at `x`.
     pub(crate) fn plain_residuals(
         &self,
         (start, x): (&[f64], &[f64]),

@@ -1,4 +1,5 @@
-//! Fits in stages: each frees some of the parameters, holds the others, and starts from the result of the last.
+//! Fits in stages: each frees some of the parameters, holds the others, and starts from the result of the
+//! last.
 
 use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
@@ -22,10 +23,11 @@ use std::sync::Arc;
 /// ```
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Stage {
-    /// The parameters that it frees, by name: all values of a [local](crate::Parameter::local) one (`T0`), or one of them
-    /// (`T0[run1]`). The others stay where they are.
+    /// The parameters that it frees, by name: all values of a [local](crate::Parameter::local) one (`T0`), or
+    /// one of them (`T0[run1]`). The others stay where they are.
     pub parameters: Vec<String>,
-    /// Only measurements in these count in this stage, in all experiments, in s; none: those that count in the calibration.
+    /// Only measurements in these count in this stage, in all experiments, in s; none: those that count in
+    /// the calibration.
     pub windows: Vec<(f64, f64)>,
     /// The method; default: that of the fit.
     pub method: Option<AnyMethod>,
@@ -73,7 +75,8 @@ impl Stage {
 }
 
 impl Stage {
-    /// A stage of a fit of `n` parameters as a record asks for it: `parameters`, `windows`, and the options of its run.
+    /// A stage of a fit of `n` parameters as a record asks for it: `parameters`, `windows`, and the options
+    /// of its run.
     ///
     /// # Errors
     /// An option that there is not, or a value that it cannot have.
@@ -100,22 +103,25 @@ fn least<T: PartialOrd>(a: Option<T>, b: Option<T>) -> Option<T> {
 }
 
 impl Calibration {
-    /// Fits in stages. Each frees its parameters, from where the last stage left them, and holds the others; those that no stage
-    /// frees stay at the start.
+    /// Fits in stages. Each frees its parameters, from where the last stage left them, and holds the others;
+    /// those that no stage frees stay at the start.
     ///
-    /// Limits of the fit (evaluations, iterations, time, target) hold for all stages together, and so do an interrupt and an
-    /// observer that ends the fit; a stage may have limits of its own, at which the next one begins. The result is that of the last
-    /// stage, with the evaluations, simulations and the trace of all; it is a success if all stages were one, and
-    /// [`Fit::stages`] has the fit of each. A stage with a window of its own sees other costs: then those of the result are
-    /// computed once more, on the measurements of the calibration, and its trace is that of the last stages with one window.
-    /// A checkpoint has one file per stage: `fit.ckpt.stage1`, `fit.ckpt.stage2` and so on.
+    /// Limits of the fit (evaluations, iterations, time, target) hold for all stages together, and so do an
+    /// interrupt and an observer that ends the fit; a stage may have limits of its own, at which the next one
+    /// begins. The result is that of the last stage, with the evaluations, simulations and the trace of all;
+    /// it is a success if all stages were one, and [`Fit::stages`] has the fit of each. A stage with a window
+    /// of its own sees other costs: then those of the result are computed once more, on the measurements of
+    /// the calibration, and its trace is that of the last stages with one window. A checkpoint has one file
+    /// per stage: `fit.ckpt.stage1`, `fit.ckpt.stage2` and so on.
     ///
-    /// The covariance of a method at the end of a stage ([`Report::covariance`]) is conditional: it takes the held parameters as
-    /// known, and so does the [uncertainty](Fit::uncertainty) of a stage. So the result has no Jacobian in its report, only the stages have;
-    /// its uncertainty is found with all parameters that any stage freed.
+    /// The covariance of a method at the end of a stage ([`Report::covariance`]) is conditional: it takes the
+    /// held parameters as known, and so does the [uncertainty](Fit::uncertainty) of a stage. So the result
+    /// has no Jacobian in its report, only the stages have; its uncertainty is found with all parameters that
+    /// any stage freed.
     ///
     /// # Errors
-    /// As [`Calibration::fit`]; no stages, stages without parameters, names that are no parameters or those of fixed ones.
+    /// As [`Calibration::fit`]; no stages, stages without parameters, names that are no parameters or those
+    /// of fixed ones.
     pub fn fit_stages<'a>(
         &self,
         stages: &[Stage],

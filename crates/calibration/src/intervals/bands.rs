@@ -13,8 +13,8 @@ use ode::Number;
 use serde::{Deserialize, Serialize};
 use std::thread::available_parallelism;
 
-/// Steps along a principal axis of the covariance are one standard error, but at least this part of a parameter somewhere: below, the
-/// noise of the simulations would count.
+/// Steps along a principal axis of the covariance are one standard error, but at least this part of a
+/// parameter somewhere: below, the noise of the simulations would count.
 const SHORTEST: f64 = 1e-4;
 
 /// A side on which the bounds leave less than this part of a step is left out.
@@ -44,7 +44,8 @@ impl Default for BandOptions {
     }
 }
 
-/// The prediction of one output of one experiment, with its uncertainty at each time. `Level` is pointwise, not of the whole curve.
+/// The prediction of one output of one experiment, with its uncertainty at each time. `Level` is pointwise,
+/// not of the whole curve.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct PredictionBand {
@@ -60,7 +61,8 @@ pub struct PredictionBand {
     pub values: Vec<f64>,
     /// Standard error of the prediction: what the uncertainty of the parameters makes of it.
     pub standard_errors: Vec<f64>,
-    /// Standard deviation of the noise of a measurement, from the residuals of this output over all experiments.
+    /// Standard deviation of the noise of a measurement, from the residuals of this output over all
+    /// experiments.
     pub noise: f64,
     /// The interval of the model's output: lower end.
     pub lower: Vec<f64>,
@@ -79,16 +81,19 @@ struct Step {
 }
 
 impl Calibration {
-    /// Predicts the outputs at the parameters of a fit, with the uncertainty that the covariance of the parameters leaves (delta method;
-    /// Seber and Wild, Nonlinear Regression, 1989, section 5.1): the variance of an output y is `J C J'`, with `J = dy/dx` and C the
-    /// [covariance](Uncertainty::covariance). With `C = L L'`, L the principal axes, it is the sum of the squares of the changes of y over
-    /// one standard error along each axis, which are taken from two simulations each. A new measurement has the variance of the residuals
-    /// of this output on top. Intervals are by Student's t, with the fewest [degrees of
-    /// freedom](Uncertainty::effective_degrees_of_freedom) of the parameters; autocorrelated residuals are in the covariance.
+    /// Predicts the outputs at the parameters of a fit, with the uncertainty that the covariance of the
+    /// parameters leaves (delta method; Seber and Wild, Nonlinear Regression, 1989, section 5.1): the
+    /// variance of an output y is `J C J'`, with `J = dy/dx` and C the [covariance](Uncertainty::covariance).
+    /// With `C = L L'`, L the principal axes, it is the sum of the squares of the changes of y over one
+    /// standard error along each axis, which are taken from two simulations each. A new measurement has the
+    /// variance of the residuals of this output on top. Intervals are by Student's t, with the fewest
+    /// [degrees of freedom](Uncertainty::effective_degrees_of_freedom) of the parameters; autocorrelated
+    /// residuals are in the covariance.
     ///
     /// # Errors
-    /// A fit without [uncertainty](Fit::uncertainty), without degrees of freedom, or with parameters that the data do not determine; a level that does not lie between 0 and 1,
-    /// an output that is not compared, times that cannot be used; simulations that fail; [`CalibrationError::Cancelled`].
+    /// A fit without [uncertainty](Fit::uncertainty), without degrees of freedom, or with parameters that the
+    /// data do not determine; a level that does not lie between 0 and 1, an output that is not compared,
+    /// times that cannot be used; simulations that fail; [`CalibrationError::Cancelled`].
     pub fn prediction_bands(
         &self,
         fit: &Fit,
@@ -210,8 +215,8 @@ impl Calibration {
         Ok(outputs.map(band).collect())
     }
 
-    /// Steps of one standard error along the principal axes of the correlation, in the coordinates of the search, as far as the bounds let
-    /// them go.
+    /// Steps of one standard error along the principal axes of the correlation, in the coordinates of the
+    /// search, as far as the bounds let them go.
     fn principal_steps(&self, fit: &Fit, uncertainty: &Uncertainty) -> Vec<Step> {
         let n = fit.x.len();
         let errors: Vec<f64> = uncertainty.errors_of_search().collect();

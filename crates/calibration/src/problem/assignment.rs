@@ -149,7 +149,8 @@ impl Assignments {
     }
 }
 
-/// The parameters of an experiment and the entries of `x` that they follow, with the fitted initial states last.
+/// The parameters of an experiment and the entries of `x` that they follow, with the fitted initial states
+/// last.
 fn follow<'a>(
     problem: &'a Problem,
     k: usize,
@@ -197,8 +198,8 @@ pub(crate) fn tied_values(
     Ok(all)
 }
 
-/// The initial states of an experiment that do not vary, by name; those that follow a fitted offset of their output are added to the
-/// variables that `assigned` sets.
+/// The initial states of an experiment that do not vary, by name; those that follow a fitted offset of their
+/// output are added to the variables that `assigned` sets.
 pub(crate) fn initial_values(
     experiment: &Experiment,
     start_time: f64,

@@ -8,11 +8,12 @@ use crate::problem::warning::SetupWarning;
 use fmi::ModelDescription;
 use fmi::description::{Causality, Variable};
 
-/// Converts the columns that state a unit to the units of their variables, where both are known; they state the unit of the
-/// variable then, so that nothing is converted twice. What is not converted comes back.
+/// Converts the columns that state a unit to the units of their variables, where both are known; they state
+/// the unit of the variable then, so that nothing is converted twice. What is not converted comes back.
 ///
 /// # Errors
-/// A column and its variable have units of different quantities; a unit that is not known, where the model states one; two variables with different units have one column.
+/// A column and its variable have units of different quantities; a unit that is not known, where the model
+/// states one; two variables with different units have one column.
 pub(crate) fn convert_columns(
     problem: &mut Problem,
     description: &ModelDescription,
@@ -95,8 +96,8 @@ fn convert(
 /// An input of a model, and the column that drives it.
 pub type InputColumn = (String, String);
 
-/// The recording with those of its columns that have the names of inputs of a model (units may follow the name) in the units of
-/// these; which they are; and what could not be converted.
+/// The recording with those of its columns that have the names of inputs of a model (units may follow the
+/// name) in the units of these; which they are; and what could not be converted.
 ///
 /// # Errors
 /// No column has the name of an input; a unit is one of another quantity, or not known.

@@ -20,8 +20,9 @@ pub struct ModelFile {
     pub content_hash: String,
 }
 
-/// Parameters, and the terms of the cost that they are fitted to. It holds its recordings by value and its model by the name and
-/// the hash of a file; [`Calibration::from_problem`](crate::Calibration::from_problem) makes it one that can be evaluated.
+/// Parameters, and the terms of the cost that they are fitted to. It holds its recordings by value and its
+/// model by the name and the hash of a file; [`Calibration::from_problem`](crate::Calibration::from_problem)
+/// makes it one that can be evaluated.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Problem {
     /// The model.
@@ -89,7 +90,8 @@ impl Problem {
         }
     }
 
-    /// A warning that names its experiment, where there are several; not one about the settings, which are those of all.
+    /// A warning that names its experiment, where there are several; not one about the settings, which are
+    /// those of all.
     pub(crate) fn warning_in(&self, experiment: usize, warning: SetupWarning) -> SetupWarning {
         match (self.name_of_several(experiment), warning) {
             (Some(_), warning @ SetupWarning::NoEffect(_)) | (None, warning) => warning,
@@ -97,8 +99,8 @@ impl Problem {
         }
     }
 
-    /// The entries of `x`: the parameters in their order, without those that are tied, a local one once per experiment in its place;
-    /// then the initial states that are fitted, experiment by experiment.
+    /// The entries of `x`: the parameters in their order, without those that are tied, a local one once per
+    /// experiment in its place; then the initial states that are fitted, experiment by experiment.
     pub(crate) fn elements(&self) -> Result<Vec<Element>, CalibrationError> {
         let names = self.experiment_names();
         let mut elements: Vec<Element> = Vec::with_capacity(self.parameters.len());

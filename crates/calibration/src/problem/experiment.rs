@@ -41,10 +41,12 @@ pub struct Experiment {
 pub enum InitialState {
     /// This value, in the unit of the model.
     Value(f64),
-    /// The recording of the column that is compared with the state, at the start of the simulation: linear between its rows, without the
-    /// offset and the delay of the output. An error where it begins later or has a gap there.
+    /// The recording of the column that is compared with the state, at the start of the simulation: linear
+    /// between its rows, without the offset and the delay of the output. An error where it begins later or
+    /// has a gap there.
     Measured,
-    /// Fitted in this experiment, from the start and within the bounds of this parameter, whose name plays no part.
+    /// Fitted in this experiment, from the start and within the bounds of this parameter, whose name plays no
+    /// part.
     Fitted(Box<Parameter>),
 }
 
@@ -69,8 +71,8 @@ pub enum Weight {
     Column(String),
     /// Each with the number of its row of the recording.
     Rows(Series),
-    /// All with the inverse of this scale of what was measured in the whole recording, whichever part of it counts: so that outputs of
-    /// different units count alike.
+    /// All with the inverse of this scale of what was measured in the whole recording, whichever part of it
+    /// counts: so that outputs of different units count alike.
     Inverse(OutputScale),
 }
 
@@ -168,8 +170,8 @@ impl Experiment {
         }
     }
 
-    /// Names it: in the names of [local](Parameter::local) parameters, in messages and reports; default: `run1`, `run2` and
-    /// so on, by its position. Not empty, without brackets and line breaks.
+    /// Names it: in the names of [local](Parameter::local) parameters, in messages and reports; default:
+    /// `run1`, `run2` and so on, by its position. Not empty, without brackets and line breaks.
     #[must_use]
     pub fn named(mut self, name: impl Into<String>) -> Self {
         self.name = Some(name.into());
@@ -229,8 +231,8 @@ impl Experiment {
         self.weighted_output(variable, column, 1.0)
     }
 
-    /// As [`output`](Self::output); `weight` multiplies the residual (so its square multiplies the squared error): a number, or for
-    /// each measurement one of its own, see [`Weight`].
+    /// As [`output`](Self::output); `weight` multiplies the residual (so its square multiplies the squared
+    /// error): a number, or for each measurement one of its own, see [`Weight`].
     #[must_use]
     pub fn weighted_output(
         mut self,
@@ -246,8 +248,9 @@ impl Experiment {
         self
     }
 
-    /// `column` of the data drives the model's input `variable`: linear between the rows for a continuous input, held
-    /// for a discrete one; a time that stands twice is a jump. Rows where the value is missing are left out.
+    /// `column` of the data drives the model's input `variable`: linear between the rows for a continuous
+    /// input, held for a discrete one; a time that stands twice is a jump. Rows where the value is missing
+    /// are left out.
     #[must_use]
     pub fn input(mut self, variable: impl Into<String>, column: impl Into<String>) -> Self {
         self.inputs.push((variable.into(), InputSource::Column(column.into())));
@@ -261,8 +264,8 @@ impl Experiment {
         self
     }
 
-    /// The model's continuous input `variable` is this function of time, which is smooth, always gives the same, and may be called
-    /// from any thread. It is not stored with a [`Problem`](crate::Problem).
+    /// The model's continuous input `variable` is this function of time, which is smooth, always gives the
+    /// same, and may be called from any thread. It is not stored with a [`Problem`](crate::Problem).
     #[must_use]
     pub fn function_input(
         mut self,
@@ -281,7 +284,8 @@ impl Experiment {
         self
     }
 
-    /// The inputs that functions drove which were not stored: [`function_input`](Self::function_input) gives them again.
+    /// The inputs that functions drove which were not stored: [`function_input`](Self::function_input) gives
+    /// them again.
     pub fn lost_functions(&self) -> impl Iterator<Item = &str> {
         let lost = InputSource::Function(SignalFunction::default());
         self.inputs.iter().filter(move |(_, source)| *source == lost).map(|(name, _)| name.as_str())
@@ -295,8 +299,8 @@ impl Experiment {
         self
     }
 
-    /// A value set before the simulation starts, the same for all trial parameters; of a [local](Parameter::local) parameter,
-    /// where its search starts in this experiment.
+    /// A value set before the simulation starts, the same for all trial parameters; of a
+    /// [local](Parameter::local) parameter, where its search starts in this experiment.
     #[must_use]
     pub fn start_value(mut self, variable: impl Into<String>, value: impl Into<Value>) -> Self {
         self.start_values.push((variable.into(), value.into()));
@@ -311,8 +315,8 @@ impl Experiment {
         self
     }
 
-    /// Only measurements in `[from, to]` count, or in another window of this experiment; the simulation still starts at its start
-    /// time.
+    /// Only measurements in `[from, to]` count, or in another window of this experiment; the simulation still
+    /// starts at its start time.
     #[must_use]
     pub fn window(mut self, from: f64, to: f64) -> Self {
         self.windows.push((from, to));
@@ -326,17 +330,18 @@ impl Experiment {
         self
     }
 
-    /// For so many seconds from its start the simulation is not compared: it forgets its initial states. With windows and without a
-    /// [start time](Self::start_time) it starts so much before the first measurement in them; else where it does without warm-up, and
-    /// measurements before the end of the warm-up do not count.
+    /// For so many seconds from its start the simulation is not compared: it forgets its initial states. With
+    /// windows and without a [start time](Self::start_time) it starts so much before the first measurement in
+    /// them; else where it does without warm-up, and measurements before the end of the warm-up do not count.
     #[must_use]
     pub fn warm_up(mut self, seconds: f64) -> Self {
         self.warm_up = Some(seconds);
         self
     }
 
-    /// An output that is compared, or an input, is late by so many seconds: `y(t - delay)` is compared with what was measured at t,
-    /// and the model is driven by `u(t - delay)`. A delay that is fitted is a [parameter](Parameter::delay_of).
+    /// An output that is compared, or an input, is late by so many seconds: `y(t - delay)` is compared with
+    /// what was measured at t, and the model is driven by `u(t - delay)`. A delay that is fitted is a
+    /// [parameter](Parameter::delay_of).
     #[must_use]
     pub fn delay(mut self, variable: impl Into<String>, seconds: f64) -> Self {
         self.delays.push((variable.into(), seconds));
@@ -434,8 +439,8 @@ pub struct SimulationSettings {
     /// Integration method. Default [`ode::Method::Auto`]: the winner of a race between the methods, see
     /// [`Calibration::solver`](crate::Calibration::solver).
     pub method: ode::Method,
-    /// Relative tolerance; default: the model's default experiment, but at most 1e-6, else 1e-6: a fit says where it is smaller than
-    /// the model's.
+    /// Relative tolerance; default: the model's default experiment, but at most 1e-6, else 1e-6: a fit says
+    /// where it is smaller than the model's.
     pub relative_tolerance: Option<f64>,
     /// Step of a fixed-step method; the communication step of co-simulation.
     pub step_size: Option<f64>,
@@ -460,13 +465,14 @@ pub struct SimulationSettings {
     pub sandbox: bool,
 }
 
-/// The largest relative tolerance that simulations of a fit have where none is asked for. With it a cost of residuals of usual noise is
-/// smooth far below 1e-4 of itself, the `f_tol` of a fit; at 1e-4, which many models state, it is not.
+/// The largest relative tolerance that simulations of a fit have where none is asked for. With it a cost of
+/// residuals of usual noise is smooth far below 1e-4 of itself, the `f_tol` of a fit; at 1e-4, which many
+/// models state, it is not.
 const LOOSEST: f64 = 1e-6;
 
 impl SimulationSettings {
-    /// The settings of a record: `solver` is the method, `timeout` is in s, all else has the name of its field. What it does not say is
-    /// as by default.
+    /// The settings of a record: `solver` is the method, `timeout` is in s, all else has the name of its
+    /// field. What it does not say is as by default.
     ///
     /// # Errors
     /// A setting that there is not, or a value that it cannot have.
@@ -501,8 +507,8 @@ impl SimulationSettings {
         WorkerLimits { memory: self.memory_limit.or(usual.memory), sandbox: self.sandbox, ..usual }
     }
 
-    /// The relative tolerance that simulations are asked for: what is set, else [`LOOSEST`] where the model states a larger one; `None`: its
-    /// own, or the default.
+    /// The relative tolerance that simulations are asked for: what is set, else [`LOOSEST`] where the model
+    /// states a larger one; `None`: its own, or the default.
     pub(crate) fn tolerance_of_fits(&self, description: &fmi::ModelDescription) -> Option<f64> {
         let stated = description.default_experiment.tolerance;
         self.relative_tolerance

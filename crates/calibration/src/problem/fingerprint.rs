@@ -8,7 +8,8 @@ use crate::problem::parameter::{Parameter, Target};
 use fmi::Kind;
 use sha2::{Digest, Sha256};
 
-/// All that the costs of a problem depend on, by name and in words: all but the bounds and starts of its parameters.
+/// All that the costs of a problem depend on, by name and in words: all but the bounds and starts of its
+/// parameters.
 pub(crate) fn identity(problem: &Problem, parameters: &[Parameter]) -> Vec<(String, String)> {
     let names: Vec<&str> = parameters.iter().map(Parameter::name).collect();
     let mut all = vec![

@@ -120,8 +120,8 @@ impl Signal {
         }
     }
 
-    /// Refuses a recording that leaves more than one of its sampling intervals of the simulation uncovered. `span`: the times at
-    /// which the simulation asks for it.
+    /// Refuses a recording that leaves more than one of its sampling intervals of the simulation uncovered.
+    /// `span`: the times at which the simulation asks for it.
     pub(crate) fn check_covers(&self, data: &Data, span: (f64, f64)) -> Result<(), CalibrationError> {
         let SignalSource::Rows(times, _) = &self.source else { return Ok(()) };
         let recorded = (times[0], times[times.len() - 1]);

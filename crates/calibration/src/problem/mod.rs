@@ -1,4 +1,5 @@
-//! The problem: parameters, experiments, priors, what is minimised, and the names that join them with the model.
+//! The problem: parameters, experiments, priors, what is minimised, and the names that join them with the
+//! model.
 
 pub(crate) mod assignment;
 pub(crate) mod column_units;

@@ -11,8 +11,9 @@ use std::sync::Arc;
 /// the inverse of the standard deviation of the noise, the sum of squares is twice the negative logarithm of
 /// the likelihood, up to a constant.
 ///
-/// Sums of squares (a [custom](Self::Custom) one, too) give their residuals to least squares; only the one of the residuals themselves
-/// can be given up early and has a robust loss. All others go to methods that see the cost alone.
+/// Sums of squares (a [custom](Self::Custom) one, too) give their residuals to least squares; only the one of
+/// the residuals themselves can be given up early and has a robust loss. All others go to methods that see
+/// the cost alone.
 #[derive(Debug, Clone, Default)]
 #[non_exhaustive]
 pub enum CostKind {
@@ -34,11 +35,13 @@ pub enum NamedCost {
     Mae,
     /// The root of the mean squared error, `sqrt(sum r^2 / N)`.
     Rmse,
-    /// The mean over the outputs of each experiment of `sqrt(sum r^2 / N)` of the output over the range of its measurements.
+    /// The mean over the outputs of each experiment of `sqrt(sum r^2 / N)` of the output over the range of
+    /// its measurements.
     Nrmse,
-    /// The negative logarithm of the likelihood with an unknown standard deviation of the noise for each output, over its recordings, up
-    /// to a constant: `sum_o N_o / 2 ln(r_o' r_o / N_o)`, the likelihood with the best standard deviations (Bard, Nonlinear Parameter
-    /// Estimation, 1974, chapter IV: unknown diagonal covariance). Priors add half of their squares.
+    /// The negative logarithm of the likelihood with an unknown standard deviation of the noise for each
+    /// output, over its recordings, up to a constant: `sum_o N_o / 2 ln(r_o' r_o / N_o)`, the likelihood with
+    /// the best standard deviations (Bard, Nonlinear Parameter Estimation, 1974, chapter IV: unknown diagonal
+    /// covariance). Priors add half of their squares.
     Likelihood,
 }
 
@@ -136,8 +139,8 @@ impl CostKind {
         matches!(self, Self::SumOfSquares)
     }
 
-    /// True if the [uncertainty](crate::Fit::uncertainty) of a fit can be estimated with this cost: the sum of
-    /// squares, with a loss too, and the likelihood.
+    /// True if the [uncertainty](crate::Fit::uncertainty) of a fit can be estimated with this cost: the sum
+    /// of squares, with a loss too, and the likelihood.
     pub fn has_uncertainty(&self) -> bool {
         self.is_sum_of_squares() || self.is_likelihood()
     }
@@ -146,8 +149,9 @@ impl CostKind {
         matches!(self, Self::Named(NamedCost::Likelihood))
     }
 
-    /// The size of a cost that differences of it are compared with: the cost, where it cannot be negative or nothing is known of it. Of
-    /// the likelihood the part of it that goes with a relative change of the sums of squares: N / 2.
+    /// The size of a cost that differences of it are compared with: the cost, where it cannot be negative or
+    /// nothing is known of it. Of the likelihood the part of it that goes with a relative change of the sums
+    /// of squares: N / 2.
     pub(crate) fn size(&self, cost: f64, n_measurements: usize) -> f64 {
         if self.is_likelihood() { 0.5 * n_measurements as f64 } else { cost.abs() }
     }
@@ -189,7 +193,8 @@ impl CostKind {
         }
     }
 
-    /// The outcome that residuals make, of which `sum` is the sum of squares. Residuals of the user's go to `own`.
+    /// The outcome that residuals make, of which `sum` is the sum of squares. Residuals of the user's go to
+    /// `own`.
     pub(crate) fn outcome(
         &self,
         layout: &ResidualLayout,

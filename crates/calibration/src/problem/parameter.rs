@@ -11,7 +11,8 @@ use serde::{Deserialize, Serialize};
 /// Target of a parameter.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Target {
-    /// These variables of the model, all to the same value: parameters, or start values of variables, of states by their names.
+    /// These variables of the model, all to the same value: parameters, or start values of variables, of
+    /// states by their names.
     Variables(Vec<String>),
     /// The delay of an output that is compared, or of an input, in s: `y(t - delay)`.
     Delay(String),
@@ -85,16 +86,17 @@ impl Parameter {
         }
     }
 
-    /// A parameter whose value is `factor * p + offset` with the value p of the parameter `to`, which is none itself that is tied.
-    /// It is no entry of the vectors of values; the results list its value. Of a [local](Self::local) one it follows the value in
-    /// each experiment. Bounds, scale, prior and the like are those of the other one.
+    /// A parameter whose value is `factor * p + offset` with the value p of the parameter `to`, which is none
+    /// itself that is tied. It is no entry of the vectors of values; the results list its value. Of a
+    /// [local](Self::local) one it follows the value in each experiment. Bounds, scale, prior and the like
+    /// are those of the other one.
     pub fn tied(name: impl Into<String>, to: impl Into<String>, factor: f64, offset: f64) -> Self {
         let tie = Tie { to: to.into(), factor, offset, across_units: false };
         Self { tie: Some(tie), ..Self::new(name, 0.0) }
     }
 
-    /// Says that the factor of a [tied](Self::tied) parameter has a unit: without it both parameters must be quantities of one kind, and
-    /// have one unit where the factor is 1.
+    /// Says that the factor of a [tied](Self::tied) parameter has a unit: without it both parameters must be
+    /// quantities of one kind, and have one unit where the factor is 1.
     #[must_use]
     pub fn across_units(mut self, across_units: bool) -> Self {
         if let Some(tie) = &mut self.tie {
@@ -110,9 +112,10 @@ impl Parameter {
         self
     }
 
-    /// It is the delay in s of an output that is compared, `y(t - tau)` with what was measured at t, or of an input, `u(t - tau)`;
-    /// its name is free then. Before its start an output has the value of the start, an input that of its first row. The lower bound
-    /// must be finite; negative delays are ones of the recording.
+    /// It is the delay in s of an output that is compared, `y(t - tau)` with what was measured at t, or of an
+    /// input, `u(t - tau)`; its name is free then. Before its start an output has the value of the start, an
+    /// input that of its first row. The lower bound must be finite; negative delays are ones of the
+    /// recording.
     #[must_use]
     pub fn delay_of(mut self, variable: impl Into<String>) -> Self {
         self.target = Target::Delay(variable.into());
@@ -126,8 +129,8 @@ impl Parameter {
         self
     }
 
-    /// The unit of its values, bounds and results, where it is not that of the variable in the model: values are converted
-    /// for the model.
+    /// The unit of its values, bounds and results, where it is not that of the variable in the model: values
+    /// are converted for the model.
     #[must_use]
     pub fn in_unit(mut self, unit: impl Into<String>) -> Self {
         self.unit = Some(unit.into());
@@ -155,16 +158,16 @@ impl Parameter {
         self
     }
 
-    /// The scale the optimiser works on: [`Scale::Log`] for positive parameters known only to an order of magnitude. Values and
-    /// bounds are in the user's units either way.
+    /// The scale the optimiser works on: [`Scale::Log`] for positive parameters known only to an order of
+    /// magnitude. Values and bounds are in the user's units either way.
     #[must_use]
     pub fn scale(mut self, scale: Scale) -> Self {
         self.scale = scale;
         self
     }
 
-    /// A typical size, from which step lengths and tolerances are taken. On a log scale these are factors, so it is not
-    /// used there.
+    /// A typical size, from which step lengths and tolerances are taken. On a log scale these are factors, so
+    /// it is not used there.
     #[must_use]
     pub fn nominal(mut self, nominal: f64) -> Self {
         self.nominal = Some(nominal);
@@ -228,8 +231,8 @@ impl Parameter {
         }
     }
 
-    /// The variable whose unit and nominal value are its own: the first that it sets, or the one that it is the offset of; `None` for
-    /// a delay, which is in s.
+    /// The variable whose unit and nominal value are its own: the first that it sets, or the one that it is
+    /// the offset of; `None` for a delay, which is in s.
     pub fn variable(&self) -> Option<&str> {
         match &self.target {
             Target::Variables(names) => names.first().map(String::as_str),
@@ -248,7 +251,8 @@ impl Parameter {
         self.unit.as_deref()
     }
 
-    /// The unit of its values: the one that was given, or else that of its variable, s for a delay; `None`: the model states none.
+    /// The unit of its values: the one that was given, or else that of its variable, s for a delay; `None`:
+    /// the model states none.
     pub fn unit<'a>(&'a self, description: &'a ModelDescription) -> Option<&'a str> {
         let of_model = || match self.variable() {
             Some(name) => description.variable(name).and_then(|v| v.unit.as_deref()),

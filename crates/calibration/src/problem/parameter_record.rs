@@ -58,9 +58,9 @@ impl Default for ParameterRecord {
 }
 
 impl Parameter {
-    /// The parameter of a record: `name`, `start`, `lower`, `upper`, `scale`, `nominal`, `kind`, `fixed`, `local`, one of `variables`,
-    /// `delay_of` and `offset_of`, `tied_to` with `factor`, `offset` and `across_units` instead of a start, `unit`, `display_name`,
-    /// `prior`.
+    /// The parameter of a record: `name`, `start`, `lower`, `upper`, `scale`, `nominal`, `kind`, `fixed`,
+    /// `local`, one of `variables`, `delay_of` and `offset_of`, `tied_to` with `factor`, `offset` and
+    /// `across_units` instead of a start, `unit`, `display_name`, `prior`.
     ///
     /// # Errors
     /// Values that such a field cannot have; numbers that do not fit together, as [`check`](Self::check).

@@ -5,10 +5,11 @@ use serde::{Deserialize, Serialize};
 
 /// Knowledge of a parameter before the fit.
 ///
-/// It adds one residual, in units of its own standard deviation, so that the sum of squares is twice the negative logarithm of the
-/// posterior density (but for a constant) where the residuals of the measurements are in units of theirs: by weights of
-/// 1/sigma, or because a fit estimates the noise ([`FitOptions::noise`](crate::FitOptions::noise)). (Tarantola, Inverse Problem Theory,
-/// 2005, section 3.2.) A uniform prior are the bounds of the parameter.
+/// It adds one residual, in units of its own standard deviation, so that the sum of squares is twice the
+/// negative logarithm of the posterior density (but for a constant) where the residuals of the measurements
+/// are in units of theirs: by weights of 1/sigma, or because a fit estimates the noise
+/// ([`FitOptions::noise`](crate::FitOptions::noise)). (Tarantola, Inverse Problem Theory, 2005, section 3.2.)
+/// A uniform prior are the bounds of the parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Prior {

@@ -1,4 +1,5 @@
-//! Checks what parameters, delays and initial states name: variables of the model, outputs and inputs of the experiments.
+//! Checks what parameters, delays and initial states name: variables of the model, outputs and inputs of the
+//! experiments.
 
 use crate::data::find_column;
 use crate::error::CalibrationError;

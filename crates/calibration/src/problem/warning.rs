@@ -12,7 +12,8 @@ use std::fmt;
 /// Target of the log lines for each [`SetupWarning`].
 pub const SETUP_LOG_TARGET: &str = "calibration::setup";
 
-/// Something about a calibration that may not be what was meant; see [`Calibration::warnings`](crate::Calibration::warnings).
+/// Something about a calibration that may not be what was meant; see
+/// [`Calibration::warnings`](crate::Calibration::warnings).
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum SetupWarning {
@@ -36,7 +37,8 @@ pub enum SetupWarning {
         /// Why not.
         reason: UnitError,
     },
-    /// Columns were converted by the units that their names end with, in brackets. A note: brackets may mean something else.
+    /// Columns were converted by the units that their names end with, in brackets. A note: brackets may mean
+    /// something else.
     Converted {
         /// The recording.
         data: String,

@@ -61,7 +61,8 @@ impl Calibration {
     /// values. The context is looked at before every step of the simulations.
     ///
     /// # Errors
-    /// The fit has another number of parameters, or its simulation fails now; [`CalibrationError::Cancelled`].
+    /// The fit has another number of parameters, or its simulation fails now;
+    /// [`CalibrationError::Cancelled`].
     pub fn curves(
         &self,
         fit: &Fit,

@@ -1,6 +1,7 @@
 //! Figures of the report as SVG: panels over a common axis, with a few points where there are many.
 //!
-//! Colours stand in the drawings as attributes, by which the page's style sheet finds what it redraws in a dark page.
+//! Colours stand in the drawings as attributes, by which the page's style sheet finds what it redraws in a
+//! dark page.
 
 use super::number::rounded;
 use plotters::coord::Shift;
@@ -109,7 +110,8 @@ type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64
 type Drawn = Result<(), DrawingAreaErrorKind<std::io::Error>>;
 
 impl Panel {
-    /// The values from the smallest to the largest. What the start has beyond twice the width of the others is cut off.
+    /// The values from the smallest to the largest. What the start has beyond twice the width of the others
+    /// is cut off.
     fn y_range(&self) -> Option<Range<f64>> {
         let of = |is_start: bool| {
             let series = self.series.iter().filter(move |s| matches!(s, Series::Start(_)) == is_start);
@@ -178,8 +180,8 @@ fn finite(points: &[Point]) -> Vec<Point> {
     points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite()).collect()
 }
 
-/// The finite points as marks: all of them, or every second, third or so on, by which they look as scattered as they are; and the
-/// lowest and the highest of all.
+/// The finite points as marks: all of them, or every second, third or so on, by which they look as scattered
+/// as they are; and the lowest and the highest of all.
 fn sampled(points: &[Point]) -> Vec<Point> {
     let finite = finite(points);
     let by_value = |a: &&Point, b: &&Point| a.1.total_cmp(&b.1);
@@ -191,7 +193,8 @@ fn sampled(points: &[Point]) -> Vec<Point> {
     marks
 }
 
-/// The finite points of a line: all of them, or of each stretch of them the lowest and the highest, so that no extreme is lost.
+/// The finite points of a line: all of them, or of each stretch of them the lowest and the highest, so that
+/// no extreme is lost.
 fn thinned(points: &[Point]) -> Vec<Point> {
     let finite = finite(points);
     if finite.len() <= MOST {
@@ -212,8 +215,8 @@ fn thinned(points: &[Point]) -> Vec<Point> {
     finite.chunks(finite.len().div_ceil(MOST / 2)).flat_map(extremes).collect()
 }
 
-/// The finite values from the smallest to the largest, with a margin on both sides as a part of the width; some width where they
-/// are all the same to the digits that labels have.
+/// The finite values from the smallest to the largest, with a margin on both sides as a part of the width;
+/// some width where they are all the same to the digits that labels have.
 fn range(values: impl Iterator<Item = f64>, margin: f64) -> Option<Range<f64>> {
     let drawable = values.filter(|v| v.abs() < 1e200);
     let (low, high) =

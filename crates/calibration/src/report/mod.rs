@@ -27,9 +27,10 @@ impl Fit {
 }
 
 impl Calibration {
-    /// Writes a report of a fit: one HTML page that needs nothing but itself, with parameters and their intervals, outputs, figures of
-    /// measurements, responses and residuals, correlation, search, warnings, settings, versions, and hashes of model and data. Each
-    /// experiment is simulated at the start and at the fitted values. An existing file is replaced once the new one is whole.
+    /// Writes a report of a fit: one HTML page that needs nothing but itself, with parameters and their
+    /// intervals, outputs, figures of measurements, responses and residuals, correlation, search, warnings,
+    /// settings, versions, and hashes of model and data. Each experiment is simulated at the start and at the
+    /// fitted values. An existing file is replaced once the new one is whole.
     ///
     /// # Errors
     /// [`CalibrationError::ReportFile`]: the file cannot be written. [`CalibrationError::Setup`]: its name ends in something else than

@@ -111,7 +111,8 @@ fn output_figures(experiments: &[ExperimentCurves]) -> Vec<Figure> {
     experiments.iter().flat_map(|e| e.outputs.iter().map(move |output| figure(e, output))).collect()
 }
 
-/// Costs as they are drawn: their logarithms (that of zero is none, and is left out), unless some are negative, as a likelihood may be.
+/// Costs as they are drawn: their logarithms (that of zero is none, and is left out), unless some are
+/// negative, as a likelihood may be.
 fn drawn(is_logarithm: bool, points: Vec<Point>) -> Vec<Point> {
     let value = |cost: f64| if is_logarithm { cost.log10() } else { cost };
     points.into_iter().map(|(k, cost)| (k, value(cost))).collect()

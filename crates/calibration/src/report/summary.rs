@@ -136,8 +136,8 @@ fn sentence(fit: &Fit) -> String {
     )
 }
 
-/// The standard errors of what was fitted, relative to the values: of each parameter, or of many the smallest and the largest. Those
-/// corrected for autocorrelated residuals, where there are such.
+/// The standard errors of what was fitted, relative to the values: of each parameter, or of many the smallest
+/// and the largest. Those corrected for autocorrelated residuals, where there are such.
 fn relative_errors(fit: &Fit) -> String {
     let Some(uncertainty) = &fit.uncertainty else { return String::new() };
     let errors = &uncertainty.standard_errors;

@@ -1,4 +1,5 @@
-//! The templates of the report and of the part for notebooks. What they are given is escaped: names in an FMU are anybody's.
+//! The templates of the report and of the part for notebooks. What they are given is escaped: names in an FMU
+//! are anybody's.
 
 use super::summary::Summary;
 use crate::findings::visible::visible;

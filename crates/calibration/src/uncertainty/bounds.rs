@@ -73,9 +73,10 @@ struct Suspect {
 }
 
 impl Calibration {
-    /// Parameters at their bounds and without effect. What the evaluations of the run leave open is simulated, unless time or an
-    /// interrupt ended the run: one simulation at the bound for each parameter that ended as near to it as the tolerance of the run,
-    /// one with the parameter moved for each that no evaluation has shown to change the cost. No budget of the search counts them.
+    /// Parameters at their bounds and without effect. What the evaluations of the run leave open is
+    /// simulated, unless time or an interrupt ended the run: one simulation at the bound for each parameter
+    /// that ended as near to it as the tolerance of the run, one with the parameter moved for each that no
+    /// evaluation has shown to change the cost. No budget of the search counts them.
     pub(crate) fn findings(
         &self,
         (start, held, report, kind): (&[f64], &[usize], &Report, &CostKind),
@@ -168,8 +169,8 @@ impl Calibration {
         self.parameters().iter().enumerate().filter_map(candidate).collect()
     }
 
-    /// Parameters of which no evaluation shows that they change the cost, as far as two evaluations differ from each other
-    /// in one parameter alone: most methods begin with such.
+    /// Parameters of which no evaluation shows that they change the cost, as far as two evaluations differ
+    /// from each other in one parameter alone: most methods begin with such.
     fn suspects(&self, start: &[f64], report: &Report, kind: &CostKind) -> Vec<Suspect> {
         let free = |(i, p): (usize, &Parameter)| (p.lower() < p.upper() && !p.is_fixed()).then_some(i);
         let mut suspects: Vec<Suspect> = (self.parameters().iter().enumerate().filter_map(free))

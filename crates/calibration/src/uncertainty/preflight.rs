@@ -1,4 +1,5 @@
-//! Checks before a fit: each parameter is moved once at the start, and the start is simulated more accurately.
+//! Checks before a fit: each parameter is moved once at the start, and the start is simulated more
+//! accurately.
 
 use crate::cost::accuracy::Accuracy;
 use crate::cost::batch::{Point, Simulations};
@@ -26,8 +27,8 @@ const ABOVE_ERROR: f64 = 3.0;
 /// From this correlation on two parameters move the outputs the same way.
 const CONFOUNDED: f64 = 0.95;
 
-/// Evaluations that a fit by least squares is expected to take are so many for each parameter and one more: about twice what the fits
-/// of the Furuta pendulum and the quadruple tank take.
+/// Evaluations that a fit by least squares is expected to take are so many for each parameter and one more:
+/// about twice what the fits of the Furuta pendulum and the quadruple tank take.
 const EVALUATIONS: usize = 12;
 
 /// Options of a [preflight](Calibration::preflight).
@@ -48,20 +49,25 @@ pub struct PreflightOptions {
 pub struct Preflight {
     /// One entry per parameter.
     pub parameters: Vec<ParameterCheck>,
-    /// Pairs that move the outputs the same way at the start, with the correlation that their estimates would have.
+    /// Pairs that move the outputs the same way at the start, with the correlation that their estimates would
+    /// have.
     pub confounded: Vec<(usize, usize, f64)>,
     /// Cost at the start.
     pub cost: f64,
-    /// The same with a hundredth of the relative tolerance, or with half the step; `None` where that simulation failed.
+    /// The same with a hundredth of the relative tolerance, or with half the step; `None` where that
+    /// simulation failed.
     pub accurate_cost: Option<f64>,
-    /// The difference of both relative to the cost (0 where the residuals are all error of the simulations): `f_tol` below it asks for what the simulations do not tell.
+    /// The difference of both relative to the cost (0 where the residuals are all error of the simulations):
+    /// `f_tol` below it asks for what the simulations do not tell.
     pub noise: f64,
-    /// The method has a fixed step: the accurate cost is that with half of it, and the difference is no noise.
+    /// The method has a fixed step: the accurate cost is that with half of it, and the difference is no
+    /// noise.
     #[serde(default)]
     pub is_step_halved: bool,
     /// Wall-clock seconds of an evaluation at the start.
     pub seconds_per_evaluation: f64,
-    /// Evaluations that a fit by least squares is expected to take: 12 for each free parameter and one more, a rule of thumb.
+    /// Evaluations that a fit by least squares is expected to take: 12 for each free parameter and one more,
+    /// a rule of thumb.
     pub expected_evaluations: usize,
     /// Seconds that they take one after the other.
     pub expected_seconds: f64,
@@ -83,8 +89,9 @@ pub struct ParameterCheck {
     pub start: f64,
     /// Where it was moved to; `None`: it is fixed.
     pub moved_to: Option<f64>,
-    /// Root of the mean squared change of the residuals for a step of the parameter's size (see [`Parameter::nominal`]), relative to the
-    /// root of the mean squared range of the measurements; `None` where nothing was moved or the simulation failed.
+    /// Root of the mean squared change of the residuals for a step of the parameter's size (see
+    /// [`Parameter::nominal`]), relative to the root of the mean squared range of the measurements; `None`
+    /// where nothing was moved or the simulation failed.
     pub sensitivity: Option<f64>,
     /// True if the parameter moves an output by more than the error of the simulations.
     pub has_effect: bool,
@@ -93,9 +100,9 @@ pub struct ParameterCheck {
 }
 
 impl Calibration {
-    /// Looks before a fit at what would spoil it: each parameter is moved by a hundredth of its size (one simulation each, in
-    /// parallel), and the start is simulated once more with a hundredth of the relative tolerance (with a fixed-step method: half the step). The context is looked at on the calling
-    /// thread.
+    /// Looks before a fit at what would spoil it: each parameter is moved by a hundredth of its size (one
+    /// simulation each, in parallel), and the start is simulated once more with a hundredth of the relative
+    /// tolerance (with a fixed-step method: half the step). The context is looked at on the calling thread.
     ///
     /// # Errors
     /// The wrong number of start values; the simulation fails at the start; [`CalibrationError::Cancelled`].
@@ -107,8 +114,8 @@ impl Calibration {
         self.preflight_counted(options, &mut None, context, &mut Stats::default())
     }
 
-    /// The same; what its simulations took is added to `stats`. `known`: the residuals at the start, as they count, and the seconds
-    /// that they took, which are not simulated again then, and are handed on.
+    /// The same; what its simulations took is added to `stats`. `known`: the residuals at the start, as they
+    /// count, and the seconds that they took, which are not simulated again then, and are handed on.
     pub(crate) fn preflight_counted(
         &self,
         options: &PreflightOptions,
@@ -216,8 +223,8 @@ impl Calibration {
         outer(p, to)
     }
 
-    /// Root of the mean squared range of the measurements, times their weights, over all outputs; of the measurements themselves where
-    /// they do not vary.
+    /// Root of the mean squared range of the measurements, times their weights, over all outputs; of the
+    /// measurements themselves where they do not vary.
     fn range_of_measurements(&self) -> f64 {
         let mean_square = |of_output: &dyn Fn(&[f64]) -> f64| {
             let outputs = self.residual_layout().outputs.iter();
@@ -239,8 +246,8 @@ impl Calibration {
     }
 }
 
-/// Pairs of columns that are the same but for their length, as far as the others leave it open: by the correlation that estimates with
-/// these derivatives have.
+/// Pairs of columns that are the same but for their length, as far as the others leave it open: by the
+/// correlation that estimates with these derivatives have.
 fn confounded(columns: &[(usize, Vec<f64>)]) -> Vec<(usize, usize, f64)> {
     let p = columns.len();
     let unit = |column: &[f64]| {
@@ -301,7 +308,8 @@ impl Preflight {
         said
     }
 
-    /// A tolerance of the cost, relative to it, that the simulations can meet: this one, or their noise. Those of a fixed step have none.
+    /// A tolerance of the cost, relative to it, that the simulations can meet: this one, or their noise.
+    /// Those of a fixed step have none.
     pub fn f_tol_above_noise(&self, f_tol: f64) -> f64 {
         if self.is_step_halved { f_tol } else { f_tol.max(self.noise) }
     }

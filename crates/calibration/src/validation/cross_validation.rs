@@ -1,4 +1,5 @@
-//! Cross-validation by recording: fits without some of the recordings, each validated on those that it was not given.
+//! Cross-validation by recording: fits without some of the recordings, each validated on those that it was
+//! not given.
 
 use crate::cost::calibration::Calibration;
 use crate::cost::parallel;
@@ -17,8 +18,8 @@ use std::time::Duration;
 /// Options of a cross-validation.
 #[derive(Debug, Clone)]
 pub struct CrossValidationOptions {
-    /// Number of folds: at each turn one of them is held out, which has every k-th recording; default: as many as there are
-    /// recordings, so that one is held out at a time.
+    /// Number of folds: at each turn one of them is held out, which has every k-th recording; default: as
+    /// many as there are recordings, so that one is held out at a time.
     pub folds: Option<usize>,
     /// Options of each fit. `workers` (default: all cores) are shared by the fits, which run at once;
     /// `max_time` holds for all of them together, and folds that it cuts short are left out; there are no
@@ -41,7 +42,8 @@ impl Default for CrossValidationOptions {
 }
 
 impl CrossValidationOptions {
-    /// A cross-validation of fits of `n` parameters as a record asks for it: `folds`, and what [`FitOptions::asked`] reads.
+    /// A cross-validation of fits of `n` parameters as a record asks for it: `folds`, and what
+    /// [`FitOptions::asked`] reads.
     ///
     /// # Errors
     /// An option that there is not, or a value that it cannot have.
@@ -60,8 +62,8 @@ pub struct Fold {
     pub held_out: Vec<String>,
     /// The fit to the others.
     pub fit: Fit,
-    /// Root of the mean squared weighted residual of those that it was fitted to: of plain residuals, as that of the validation, whatever
-    /// the loss.
+    /// Root of the mean squared weighted residual of those that it was fitted to: of plain residuals, as that
+    /// of the validation, whatever the loss.
     pub fit_rms: f64,
     /// Validation of the fit on the recordings that were held out.
     pub validation: Validation,
@@ -84,14 +86,15 @@ pub struct CrossValidation {
 }
 
 impl Calibration {
-    /// Fits without some of the recordings, and validates on those that were left out: by default each recording once. A fit that
-    /// describes the machine predicts a recording as well as it reproduces those that it was fitted to, with much the same
-    /// parameters whichever is left out. [Local](crate::Parameter::local) parameters of a recording that is held out are
-    /// fitted to it, all others held, as in [`validate`](Self::validate).
+    /// Fits without some of the recordings, and validates on those that were left out: by default each
+    /// recording once. A fit that describes the machine predicts a recording as well as it reproduces those
+    /// that it was fitted to, with much the same parameters whichever is left out.
+    /// [Local](crate::Parameter::local) parameters of a recording that is held out are fitted to it, all
+    /// others held, as in [`validate`](Self::validate).
     ///
     /// # Errors
-    /// Fewer than two recordings, folds that are none or too many, an error of one of the fits, a time limit before the end of the
-    /// first fold.
+    /// Fewer than two recordings, folds that are none or too many, an error of one of the fits, a time limit
+    /// before the end of the first fold.
     pub fn cross_validate(
         &self,
         options: &CrossValidationOptions,

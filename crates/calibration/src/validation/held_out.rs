@@ -22,8 +22,8 @@ use std::fmt;
 /// Data that a fit is validated on.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ValidationSet {
-    /// The measurements of the calibration in these windows, each from and to a time in s. Simulations start where they always do, so
-    /// that the model comes to a window with its history.
+    /// The measurements of the calibration in these windows, each from and to a time in s. Simulations start
+    /// where they always do, so that the model comes to a window with its history.
     Windows(Vec<(f64, f64)>),
     /// Other recordings.
     Experiments(Vec<Experiment>),
@@ -79,7 +79,8 @@ impl ValidatedOutput {
 }
 
 impl Validation {
-    /// The RMS over that at the start of the fit, on the same measurements; `None` if the simulation failed at the start.
+    /// The RMS over that at the start of the fit, on the same measurements; `None` if the simulation failed
+    /// at the start.
     pub fn scaled_rms(&self) -> Option<f64> {
         self.start_rms.map(|start| self.rms / start)
     }
@@ -116,9 +117,10 @@ impl fmt::Display for Validation {
 }
 
 impl Calibration {
-    /// Simulates with the parameters of a fit of this calibration, and compares with measurements that it was not fitted to. Local
-    /// parameters of other recordings, which the fit does not know, are fitted to these recordings first, from their start
-    /// values there, with all others held, the same cost and the same loss. All RMS are of plain residuals, whatever the loss.
+    /// Simulates with the parameters of a fit of this calibration, and compares with measurements that it was
+    /// not fitted to. Local parameters of other recordings, which the fit does not know, are fitted to these
+    /// recordings first, from their start values there, with all others held, the same cost and the same
+    /// loss. All RMS are of plain residuals, whatever the loss.
     ///
     /// ```
     /// use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, ValidationSet};
@@ -136,8 +138,8 @@ impl Calibration {
     /// ```
     ///
     /// # Errors
-    /// Windows or recordings that cannot be used; local parameters that are to be fitted, after a fit of a function of the user's; a
-    /// simulation that fails at the fitted parameters.
+    /// Windows or recordings that cannot be used; local parameters that are to be fitted, after a fit of a
+    /// function of the user's; a simulation that fails at the fitted parameters.
     pub fn validate(
         &self,
         fit: &Fit,
@@ -271,7 +273,8 @@ impl Calibration {
         Ok((0..elements.len()).filter(|&i| elements[i].experiment.is_some()).collect())
     }
 
-    /// Values for another problem with the same parameters: shared ones from `x`, local ones from their start there.
+    /// Values for another problem with the same parameters: shared ones from `x`, local ones from their start
+    /// there.
     fn carried(&self, other: &Calibration, x: &[f64]) -> Result<Vec<f64>, CalibrationError> {
         let own = self.problem().elements()?;
         let shared =

@@ -57,7 +57,8 @@ impl<'a> BatchView<'a> {
         self.queries[k].ended_by(self.signals)
     }
 
-    /// Says how many seconds point `k` took, for the trace; else it is an equal share of the time of the call.
+    /// Says how many seconds point `k` took, for the trace; else it is an equal share of the time of the
+    /// call.
     pub fn set_seconds(&self, k: usize, seconds: f64) {
         self.details[k].seconds.set(Some(seconds));
     }
@@ -78,8 +79,8 @@ impl<'a> BatchView<'a> {
 /// A function that evaluates whole batches on the calling thread: one outcome per point, in order.
 pub(crate) type BatchFunction<'a> = dyn FnMut(&BatchView<'_>) -> Vec<Outcome> + 'a;
 
-/// Points that take no less time together than one by one are not evaluated ahead of need: with so many at once they must be
-/// faster by this factor.
+/// Points that take no less time together than one by one are not evaluated ahead of need: with so many at
+/// once they must be faster by this factor.
 const LEAST_GAIN: f64 = 1.5;
 
 pub(crate) struct Batches<'a> {

@@ -42,7 +42,8 @@ impl ByHand {
         self.out.remove(&id)
     }
 
-    /// Takes an answer to a point that was taken back; one that says nothing gives the point back, to be handed out again.
+    /// Takes an answer to a point that was taken back; one that says nothing gives the point back, to be
+    /// handed out again.
     pub(crate) fn answered(&mut self, handed: Handed, mut answer: Answer, is_final: bool) {
         if !is_final && handed.is_cancelled {
             self.told.push_back((handed.query.id, Answer::default()));

@@ -32,7 +32,8 @@ impl<'a> RunControl<'a> {
         CancelSignals::new(self.context.flag().unwrap_or(&NEVER), self.context.end())
     }
 
-    /// Why the run is to end, if it is; the function of the context is called unless that was done a moment ago.
+    /// Why the run is to end, if it is; the function of the context is called unless that was done a moment
+    /// ago.
     pub(crate) fn check(&self) -> Option<StopCause> {
         if self.signals().is_cancelled() {
             return Some(StopCause::Interrupted);

@@ -51,8 +51,8 @@ pub trait Evaluator {
     /// Takes a point, by the number of its query. What is handed in earlier begins earlier.
     fn submit(&mut self, x: &[f64], query: Query<'static>);
 
-    /// Puts the next answer into `answer`, and waits for one if need be. Each point that was handed in is answered once:
-    /// also one that was cancelled, by [`Outcome::Skipped`] where it had not begun.
+    /// Puts the next answer into `answer`, and waits for one if need be. Each point that was handed in is
+    /// answered once: also one that was cancelled, by [`Outcome::Skipped`] where it had not begun.
     fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled;
 
     /// The answer to this point is not needed any more: it need not begin, and may give up.

@@ -1,5 +1,5 @@
-//! Evaluations ahead of need that are under way: they fill the workers that the path leaves free, never hold it up, and are
-//! given up when it has gone elsewhere.
+//! Evaluations ahead of need that are under way: they fill the workers that the path leaves free, never hold
+//! it up, and are given up when it has gone elsewhere.
 
 use super::evaluator::{Evaluator, GivesUp};
 use super::round::{Round, UnderWay};
@@ -11,7 +11,8 @@ use crate::problem::objective::Query;
 use std::collections::hash_map::DefaultHasher;
 use std::hash::Hasher;
 
-/// So many evaluations ahead of need may be for nothing, per evaluation of the path; and so many in all before that.
+/// So many evaluations ahead of need may be for nothing, per evaluation of the path; and so many in all
+/// before that.
 const WASTE: f64 = 1.75;
 const WASTE_OF_THOUSAND: f64 = 3.5;
 const FIRST_WASTE: usize = 16;
@@ -73,9 +74,10 @@ impl Guesses {
         found.map(|guess| guess.place = Some(k)).is_some()
     }
 
-    /// Gives up those that the path has left, and begins others where there is room. `answers`: to the points of the path that were
-    /// under way; `open`: how many still are; `left`: evaluations that the budget leaves after these; `is_late`: whether others have
-    /// ended since these began, which take longer than most then.
+    /// Gives up those that the path has left, and begins others where there is room. `answers`: to the points
+    /// of the path that were under way; `open`: how many still are; `left`: evaluations that the budget
+    /// leaves after these; `is_late`: whether others have ended since these began, which take longer than
+    /// most then.
     pub(crate) fn renew<M: Method + ?Sized>(
         &mut self,
         method: &mut M,
@@ -190,7 +192,8 @@ impl Guesses {
         }
     }
 
-    /// The same for those that only places of the round's work after this one wait for, and those that none waits for.
+    /// The same for those that only places of the round's work after this one wait for, and those that none
+    /// waits for.
     pub(crate) fn cancel_after(&mut self, place: usize, evaluator: &mut dyn Evaluator) {
         for guess in self.under_way.iter_mut().filter(|guess| guess.place.is_none_or(|k| k > place)) {
             guess.is_cancelled = true;

@@ -12,7 +12,8 @@ use std::collections::{BTreeMap, HashMap, VecDeque};
 /// First number of the points that are evaluated ahead; those of the path count from 0.
 pub(crate) const FIRST_ID: u64 = 1 << 63;
 
-/// So many early evaluations are kept, with so many residuals in all: the path comes to a point soon or never.
+/// So many early evaluations are kept, with so many residuals in all: the path comes to a point soon or
+/// never.
 const MOST_EARLY: usize = 4096;
 const MOST_EARLY_RESIDUALS: usize = 1 << 24;
 
@@ -167,8 +168,8 @@ impl Store {
         self.known.insert(key, answer.only(want));
     }
 
-    /// Keeps an early evaluation. Returns what is of no use: the oldest where there is no room, or this one if it says nothing
-    /// lasting about its point.
+    /// Keeps an early evaluation. Returns what is of no use: the oldest where there is no room, or this one
+    /// if it says nothing lasting about its point.
     pub(crate) fn keep(&mut self, early: Early) -> Option<Early> {
         let outcome = &early.entry.answer.outcome;
         if matches!(outcome, Outcome::Failed(_)) && !outcome.is_lasting() && !early.is_of_path {

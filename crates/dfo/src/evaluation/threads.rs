@@ -17,7 +17,8 @@ pub(crate) const MOST_WORKERS: usize = 1 << 15;
 /// Stack of a worker thread: compiled models put large arrays there.
 const STACK_SIZE: usize = 16 << 20;
 
-/// So long the calling thread has the first points to itself, to see whether evaluations are worth handing over.
+/// So long the calling thread has the first points to itself, to see whether evaluations are worth handing
+/// over.
 const TRIAL: Duration = Duration::from_micros(100);
 
 /// So many threads the calling thread starts at once; the others are started by these.
@@ -95,7 +96,8 @@ impl<'a> Shared<'a> {
         }
     }
 
-    /// Starts threads where jobs wait that none is free for, at most so many. What the system refuses is done by those there are.
+    /// Starts threads where jobs wait that none is free for, at most so many. What the system refuses is done
+    /// by those there are.
     fn start_more<'s>(&'s self, scope: &'s Scope<'s, '_>, sender: &Sender<Job>, at_most: usize) {
         for _ in 0..at_most {
             let mut queue = self.queue();

@@ -3,8 +3,8 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Handing work to other threads pays where it saves more than twice the time that it took lately. Before that is measured,
-/// it counts as so many seconds: a waiting thread is running after 0.05 to 0.5 ms.
+/// Handing work to other threads pays where it saves more than twice the time that it took lately. Before
+/// that is measured, it counts as so many seconds: a waiting thread is running after 0.05 to 0.5 ms.
 const HANDOVER_SECONDS: f64 = 100e-6;
 /// It never counts as less.
 const LEAST_HANDOVER_SECONDS: f64 = 20e-6;
@@ -15,8 +15,8 @@ const WEIGHT: f64 = 0.25;
 /// An evaluation that takes no longer does not keep the calling thread from looking for interrupts.
 const SHORT: Duration = Duration::from_millis(20);
 
-/// The last measurements, the oldest replaced first; their (lower) median is moved by one that was disturbed only while it is
-/// alone.
+/// The last measurements, the oldest replaced first; their (lower) median is moved by one that was disturbed
+/// only while it is alone.
 #[derive(Debug)]
 struct Recent(VecDeque<f64>);
 
@@ -61,7 +61,8 @@ impl Timing {
         self.longest = seconds.max(self.longest * (1.0 - WEIGHT));
     }
 
-    /// Between handing a job to a thread that was free and its answer lay so many seconds without its evaluation.
+    /// Between handing a job to a thread that was free and its answer lay so many seconds without its
+    /// evaluation.
     pub(super) fn handed_over(&mut self, seconds: f64) {
         self.handovers.push(seconds.max(LEAST_HANDOVER_SECONDS));
     }

@@ -1,5 +1,5 @@
-//! Ask / tell: a method proposes a batch of points, is told their outcomes in request order, and never calls the
-//! objective.
+//! Ask / tell: a method proposes a batch of points, is told their outcomes in request order, and never calls
+//! the objective.
 
 use crate::error::Error;
 use crate::method::encoding::{decode, encode};
@@ -15,8 +15,8 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// The points that a method wants evaluated next, with their ids and cutoffs, and what it wants to know of them. Reuse one over a whole run: after the
-/// first rounds asking allocates nothing.
+/// The points that a method wants evaluated next, with their ids and cutoffs, and what it wants to know of
+/// them. Reuse one over a whole run: after the first rounds asking allocates nothing.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Batch {
     want: Want,
@@ -40,7 +40,8 @@ impl Batch {
         Self::default()
     }
 
-    /// For methods: empties the batch and gives it its numbers; costs are wanted. `n` is the length of the points.
+    /// For methods: empties the batch and gives it its numbers; costs are wanted. `n` is the length of the
+    /// points.
     pub fn start(&mut self, n: usize, index: u64, first_id: u64) {
         self.want = Want::Cost;
         self.n = n;
@@ -174,7 +175,8 @@ pub enum Lookahead {
     Points(usize),
     /// As many as there are workers, whatever they cost.
     Workers,
-    /// At most as many as there are workers: so many that the path advances fastest, as measured while the run goes on.
+    /// At most as many as there are workers: so many that the path advances fastest, as measured while the
+    /// run goes on.
     Measured,
 }
 
@@ -310,7 +312,8 @@ pub trait MethodOptions {
     /// Continues from a state that [`Method::save`] gave.
     ///
     /// # Errors
-    /// A state of another method or another problem, or one that was damaged; a method that cannot be continued.
+    /// A state of another method or another problem, or one that was damaged; a method that cannot be
+    /// continued.
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<Self::Method, Error> {
         let _ = (setup, state);
         Err(Error::State { message: "this method cannot be continued".to_owned() })
@@ -344,8 +347,8 @@ pub trait MethodOptions {
         false
     }
 
-    /// The options and their values in words, so that a checkpoint of other options is recognised, and the one that
-    /// differs can be named.
+    /// The options and their values in words, so that a checkpoint of other options is recognised, and the
+    /// one that differs can be named.
     fn describe(&self) -> Vec<(String, String)> {
         Vec::new()
     }
@@ -386,21 +389,22 @@ pub trait Method {
     /// Name, as users write it.
     fn name(&self) -> &'static str;
 
-    /// Fills `batch` with the points that the path needs next; leaves it empty when the method has ended. Asking twice
-    /// without telling gives the same batch.
+    /// Fills `batch` with the points that the path needs next; leaves it empty when the method has ended.
+    /// Asking twice without telling gives the same batch.
     fn ask(&mut self, batch: &mut Batch);
 
-    /// The same for methods whose own computations may take long: where the context is over, the batch is left empty although the method
-    /// has not ended, and it can be asked again.
+    /// The same for methods whose own computations may take long: where the context is over, the batch is
+    /// left empty although the method has not ended, and it can be asked again.
     fn ask_unless(&mut self, context: &RunContext<'_>, batch: &mut Batch) {
         let _ = context;
         self.ask(batch);
     }
 
-    /// Adds points that the path may need after those just asked for, with cutoffs that are at least those of the path: first
-    /// those that it will come to unless the run ends before ([`Batch::all_certain`]), in its order, also those that are known,
-    /// then others, the most probable first; up to `wanted` that are not `known`. What becomes of them is not told: it is at hand
-    /// when the path asks for them. Must not change what the method does.
+    /// Adds points that the path may need after those just asked for, with cutoffs that are at least those of
+    /// the path: first those that it will come to unless the run ends before ([`Batch::all_certain`]), in its
+    /// order, also those that are known, then others, the most probable first; up to `wanted` that are not
+    /// `known`. What becomes of them is not told: it is at hand when the path asks for them. Must not change
+    /// what the method does.
     fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
         let _ = (wanted, known, batch);
     }
@@ -422,15 +426,15 @@ pub trait Method {
     /// Where the method stands in detail, and what only some methods have.
     fn details(&self) -> Details<'_>;
 
-    /// The derivatives of the residuals at the best point, for methods that have them (see [`Space`] for its scales). Called
-    /// once, at the end of a run. `None` where it would take long and the context is over.
+    /// The derivatives of the residuals at the best point, for methods that have them (see [`Space`] for its
+    /// scales). Called once, at the end of a run. `None` where it would take long and the context is over.
     fn linear_model(&self, context: &RunContext<'_>) -> Option<LinearModel> {
         let _ = context;
         None
     }
 
-    /// The whole state, for [`MethodOptions::restore`]; `None` for methods that cannot be continued. May be called
-    /// at any time; a state saved between ask and tell asks for the same batch again.
+    /// The whole state, for [`MethodOptions::restore`]; `None` for methods that cannot be continued. May be
+    /// called at any time; a state saved between ask and tell asks for the same batch again.
     fn save(&self) -> Option<Vec<u8>> {
         None
     }
@@ -460,7 +464,8 @@ impl fmt::Display for Roughness {
     }
 }
 
-/// Where a method stands, besides its status and its best point. A method gives what it has; all else has a default.
+/// Where a method stands, besides its status and its best point. A method gives what it has; all else has a
+/// default.
 #[derive(Debug, Clone, Default)]
 pub struct Details<'a> {
     /// Number of complete iterations.
@@ -482,7 +487,8 @@ pub struct Details<'a> {
     pub roughness: Option<Roughness>,
     /// The number of points after which another method took over because of that.
     pub handed_over: Option<u64>,
-    /// Parameters that started at zero, and whose size no step could tell because none has changed the cost, by index.
+    /// Parameters that started at zero, and whose size no step could tell because none has changed the cost,
+    /// by index.
     pub without_effect: Vec<usize>,
     /// The simplex, for methods that have one.
     pub simplex: Option<SimplexView<'a>>,

@@ -7,8 +7,8 @@ use base::RunContext;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
-/// Singular values of the Jacobian with columns of length one that are smaller than this part of the largest count as zero: a
-/// Jacobian from differences is not more accurate (square root of the rounding unit).
+/// Singular values of the Jacobian with columns of length one that are smaller than this part of the largest
+/// count as zero: a Jacobian from differences is not more accurate (square root of the rounding unit).
 const RANK_TOLERANCE: f64 = 1.5e-8;
 
 /// Within this part of its size from a bound a parameter lies at it.
@@ -17,14 +17,16 @@ const AT_BOUND: f64 = 1e-10;
 /// The residuals near the best point: their derivatives by the user's parameters.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LinearModel {
-    /// Row by row, one row for each residual and one column for each parameter, in the user's units; with respect to the
-    /// parameter itself also where it is searched by its logarithm. Columns of fixed parameters are zero.
+    /// Row by row, one row for each residual and one column for each parameter, in the user's units; with
+    /// respect to the parameter itself also where it is searched by its logarithm. Columns of fixed
+    /// parameters are zero.
     pub jacobian: Vec<f64>,
     /// -1 where a parameter lies at its lower bound (a fixed one, too), 1 at its upper, else 0.
     pub active: Vec<i8>,
 }
 
-/// Noise of residuals relative to their change over the size of a parameter: the least of these that agrees with the points.
+/// Noise of residuals relative to their change over the size of a parameter: the least of these that agrees
+/// with the points.
 const NOISE: [f64; 4] = [1e-8, 1e-6, 1e-4, 1e-2];
 
 /// Differences of residuals that are looked at together.
@@ -34,10 +36,10 @@ const AT_ONCE: usize = 1 << 18;
 const BENT: f64 = 10.0;
 
 impl LinearModel {
-    /// By regression on points of a search: their places in units of the sizes of the working coordinates and their residuals.
-    /// `best`: the point itself, its place and its residuals. A point at the distance d from it is wrong by d^2 for curvature,
-    /// and by the noise; its weight is the inverse of their sum. `None` where the points span no more than a plane, or where there are
-    /// many residuals and the context is over.
+    /// By regression on points of a search: their places in units of the sizes of the working coordinates and
+    /// their residuals. `best`: the point itself, its place and its residuals. A point at the distance d from
+    /// it is wrong by d^2 for curvature, and by the noise; its weight is the inverse of their sum. `None`
+    /// where the points span no more than a plane, or where there are many residuals and the context is over.
     pub(crate) fn regression<'a>(
         space: &Space,
         (x, z, residuals): (&[f64], &[f64], &[f64]),
@@ -96,8 +98,8 @@ impl LinearModel {
         Self::new(space, x, m, |i, k| jacobian[(k, i)] / space.size(k))
     }
 
-    /// From the derivatives of residual `i` by working coordinate `k` at the point `x`, of `m` residuals. `None` where one of
-    /// them is not finite in the user's units.
+    /// From the derivatives of residual `i` by working coordinate `k` at the point `x`, of `m` residuals.
+    /// `None` where one of them is not finite in the user's units.
     pub(crate) fn new(
         space: &Space,
         x: &[f64],
@@ -127,8 +129,8 @@ impl LinearModel {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Covariance {
-    /// Row by row, n x n, in the user's units. Infinite on the diagonal, and NaN among them beside it, for parameters that
-    /// the residuals do not determine; zero for those that are held by a bound.
+    /// Row by row, n x n, in the user's units. Infinite on the diagonal, and NaN among them beside it, for
+    /// parameters that the residuals do not determine; zero for those that are held by a bound.
     pub matrix: Vec<f64>,
     /// The variance of a residual: their sum of squares by the degrees of freedom; NaN where there are none.
     pub variance: f64,
@@ -141,8 +143,9 @@ pub struct Covariance {
 }
 
 impl Covariance {
-    /// `s^2 (J' J)^-1` of the parameters that are not held, with `s^2 = r' r / (m - n)` (Seber and Wild, Nonlinear Regression,
-    /// 1989, section 2.1.2), by the singular values of J with its columns scaled to length one.
+    /// `s^2 (J' J)^-1` of the parameters that are not held, with `s^2 = r' r / (m - n)` (Seber and Wild,
+    /// Nonlinear Regression, 1989, section 2.1.2), by the singular values of J with its columns scaled to
+    /// length one.
     pub(crate) fn new(residuals: &[f64], jacobian: &[f64], active: &[i8]) -> Self {
         let (m, n) = (residuals.len(), active.len());
         let (free, held): (Vec<usize>, Vec<usize>) = (0..n).partition(|&index| active[index] == 0);

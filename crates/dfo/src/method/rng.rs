@@ -1,8 +1,8 @@
-//! Random numbers: one independent stream per (purpose, generation, index), so that no draw depends on what was
-//! drawn elsewhere, on the order of answers or on the number of workers.
+//! Random numbers: one independent stream per (purpose, generation, index), so that no draw depends on what
+//! was drawn elsewhere, on the order of answers or on the number of workers.
 //!
-//! The generator is Philox4x32 with ten rounds (Salmon, Moraes, Dror and Shaw, "Parallel random numbers: as easy as
-//! 1, 2, 3", SC11): a counter goes in, a block of random bits comes out, nothing is kept.
+//! The generator is Philox4x32 with ten rounds (Salmon, Moraes, Dror and Shaw, "Parallel random numbers: as
+//! easy as 1, 2, 3", SC11): a counter goes in, a block of random bits comes out, nothing is kept.
 
 use std::f64::consts::{PI, TAU};
 use std::hash::{BuildHasher, Hasher, RandomState};
@@ -73,7 +73,8 @@ impl Stream {
         self.uniform() < probability
     }
 
-    /// A whole number in `0..n`, all equally likely (Lemire, ACM Trans. Model. Comput. Simul. 29, 2019). 0 if `n` is.
+    /// A whole number in `0..n`, all equally likely (Lemire, ACM Trans. Model. Comput. Simul. 29, 2019). 0 if
+    /// `n` is.
     pub(crate) fn below(&mut self, n: usize) -> usize {
         let n = n as u64;
         if n < 2 {

@@ -12,8 +12,8 @@ use serde::{Deserialize, Serialize};
 pub enum Sampling {
     /// Independent and uniform.
     Uniform,
-    /// Each parameter's range is cut into as many slices as there are points, and each slice is used once (McKay,
-    /// Beckman and Conover 1979).
+    /// Each parameter's range is cut into as many slices as there are points, and each slice is used once
+    /// (McKay, Beckman and Conover 1979).
     #[default]
     LatinHypercube,
     /// Sobol's sequence with a random digital shift, for at most 40 parameters.
@@ -112,8 +112,8 @@ fn directions(dimension: usize) -> [u32; BITS] {
     v
 }
 
-/// Coefficients of the primitive polynomials (without the first and the last) and the first direction numbers of
-/// dimensions 2 to 40: the table of Joe and Kuo (SIAM J. Sci. Comput. 30, 2008), criterion D6.
+/// Coefficients of the primitive polynomials (without the first and the last) and the first direction numbers
+/// of dimensions 2 to 40: the table of Joe and Kuo (SIAM J. Sci. Comput. 30, 2008), criterion D6.
 #[rustfmt::skip]
 const POLYNOMIALS: [(u32, &[u32]); 39] = [
     (0, &[1]),

@@ -15,8 +15,8 @@ pub struct Limits {
     pub max_iterations: Option<usize>,
     /// Wall-clock time: no evaluation starts after it.
     pub max_time: Option<Duration>,
-    /// The run ends with the first evaluation of the path whose cost is at or below this. What was evaluated at once with it
-    /// and comes after it counts as made ahead of need.
+    /// The run ends with the first evaluation of the path whose cost is at or below this. What was evaluated
+    /// at once with it and comes after it counts as made ahead of need.
     pub target: Option<f64>,
     /// The run ends where more than this share of its evaluations has failed, of at least 20; from 0 to 1.
     #[serde(default)]
@@ -45,21 +45,24 @@ impl Limits {
     }
 }
 
-/// A best cost below this fraction of the first costs counts as zero, see [`Tolerances`]: the root of the machine precision.
+/// A best cost below this fraction of the first costs counts as zero, see [`Tolerances`]: the root of the
+/// machine precision.
 const ZERO_COST: f64 = 1.490_116_119_384_765_6e-8;
 
 /// Tolerances of the two tests that end a run.
 ///
-/// - x test: `max |x_i - x_best,i| <= x_tol * size_i` over all vertices and parameters (a logarithmic parameter is
-///   compared by its logarithm); with [`Measure::Absolute`]: `<= x_tol` in the user's units.
-/// - f test: `f_worst - f_best <= f_tol * |f_best|`; with [`Measure::Absolute`]: `<= f_tol`. It never passes while a
-///   vertex has failed.
+/// - x test: `max |x_i - x_best,i| <= x_tol * size_i` over all vertices and parameters (a logarithmic
+///   parameter is compared by its logarithm); with [`Measure::Absolute`]: `<= x_tol` in the user's units.
+/// - f test: `f_worst - f_best <= f_tol * |f_best|`; with [`Measure::Absolute`]: `<= f_tol`. It never passes
+///   while a vertex has failed.
 ///
-/// A cost that goes to zero would never pass a relative f test, because the spread goes to zero with it. So |f_best|
-/// counts at least as `1.5e-8 * f_0` (the root of the machine precision), `f_0` being the smallest |f| that is not zero of
-/// the initial vertices (of a population: the upper median). Near a minimum the cost is quadratic: where x is known to 1e-6, a cost of zero is known to 1e-12 of
-/// `f_0`, and the default f test, 1.5e-14 of `f_0`, asks for two digits more, not for ten. A run is over only when tests
-/// pass after an iteration is complete, so an initial simplex never passes, and while a vertex has failed none does.
+/// A cost that goes to zero would never pass a relative f test, because the spread goes to zero with it.
+/// So |f_best| counts at least as `1.5e-8 * f_0` (the root of the machine precision), `f_0` being the
+/// smallest |f| that is not zero of the initial vertices (of a population: the upper median). Near a minimum
+/// the cost is quadratic: where x is known to 1e-6, a cost of zero is known to 1e-12 of `f_0`, and the
+/// default f test, 1.5e-14 of `f_0`, asks for two digits more, not for ten. A run is over only when tests
+/// pass after an iteration is complete, so an initial simplex never passes, and while a vertex has failed
+/// none does.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Tolerances {
     /// Tolerance of the x test; default 1e-6.
@@ -88,7 +91,8 @@ impl Tolerances {
         Ok(())
     }
 
-    /// Applies both tests. `f_spread` is `None` while a vertex has failed; `f_0` is described at [`Tolerances`].
+    /// Applies both tests. `f_spread` is `None` while a vertex has failed; `f_0` is described at
+    /// [`Tolerances`].
     pub(crate) fn judge(&self, x_size: f64, f_spread: Option<f64>, f_best: f64, f_0: f64) -> Tests {
         let f_limit = match self.measure {
             Measure::Absolute => self.f_tol,
@@ -135,8 +139,8 @@ pub enum Extent {
     BestEighth,
     /// Of the best points of all generations, as many as an eighth of the population.
     BestSeen,
-    /// Of the region where a model is trusted, or of the step to the model's minimum with its error, where that is less; the
-    /// spread is the decrease that the model predicts.
+    /// Of the region where a model is trusted, or of the step to the model's minimum with its error, where
+    /// that is less; the spread is the decrease that the model predicts.
     Model,
     /// Of the frame of a poll.
     Frame,

@@ -1,12 +1,13 @@
-//! Sequential barrier: Nelder-Mead on the cost plus a barrier that keeps it off the bounds, with less and less of it.
+//! Sequential barrier: Nelder-Mead on the cost plus a barrier that keeps it off the bounds, with less and
+//! less of it.
 //!
-//! Stage `k` minimises `f(x) + mu_k B(x)` from the result of the stage before, with
-//! `B(x) = sum s_i / (x_i - lower_i) + s_i / (upper_i - x_i)` over the bounds that there are (Carroll, Oper. Res. 9,
-//! 1961); `s_i` is the size of the parameter, and parameters on a logarithmic scale count by their logarithm. `B` is
-//! positive, so a partial sum of the cost plus the barrier may be compared with a cutoff. Each stage has a tenth of
-//! the barrier of the one before, a smaller first simplex and tighter tolerances. It ends when the tests of
-//! Nelder-Mead pass at the user's tolerances, the stage has moved the point by at most `x_tol`, and `mu B` is at most
-//! `f_tol` of the cost (of the first cost, if that is larger).
+//! Stage `k` minimises `f(x) + mu_k B(x)` from the result of the stage before, with `B(x) = sum s_i / (x_i -
+//! lower_i) + s_i / (upper_i - x_i)` over the bounds that there are (Carroll, Oper. Res. 9, 1961); `s_i` is
+//! the size of the parameter, and parameters on a logarithmic scale count by their logarithm. `B` is
+//! positive, so a partial sum of the cost plus the barrier may be compared with a cutoff. Each stage has a
+//! tenth of the barrier of the one before, a smaller first simplex and tighter tolerances. It ends when the
+//! tests of Nelder-Mead pass at the user's tolerances, the stage has moved the point by at most `x_tol`, and
+//! `mu B` is at most `f_tol` of the cost (of the first cost, if that is larger).
 
 use crate::error::Error;
 use crate::method::interface::{
@@ -31,7 +32,8 @@ const MAX_MU: f64 = 1e200;
 /// Stages after which there is no barrier left in any number of 53 bits.
 const MAX_STAGES: usize = 40;
 
-/// Options of the sequential barrier method. Needs a start strictly inside of the bounds, and at least one bound.
+/// Options of the sequential barrier method. Needs a start strictly inside of the bounds, and at least one
+/// bound.
 ///
 /// ```
 /// let report = dfo::minimize(|x: &[f64]| (x[0] - 2.0).powi(2) + (x[1] + 1.0).powi(2))
@@ -46,7 +48,8 @@ const MAX_STAGES: usize = 40;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Barrier {
-    /// The first barrier parameter, positive and at most 1e200; default: a tenth of the cost at the start is barrier.
+    /// The first barrier parameter, positive and at most 1e200; default: a tenth of the cost at the start is
+    /// barrier.
     pub mu: Option<f64>,
     /// Factor of the barrier parameter from stage to stage; default 0.1.
     pub factor: f64,

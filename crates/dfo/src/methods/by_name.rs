@@ -25,8 +25,8 @@ fn is_variant(value: &Value) -> bool {
     matches!(value, Value::Record(fields) if fields.values().all(|value| matches!(value, Value::Record(_))))
 }
 
-/// Adds the names of the options of a serialised method: those of a variant (the scheme of differential evolution) are options like the
-/// others.
+/// Adds the names of the options of a serialised method: those of a variant (the scheme of differential
+/// evolution) are options like the others.
 pub(super) fn collect(form: &Value, names: &mut BTreeSet<String>) {
     let Value::Record(variants) = form else { return };
     for fields in variants.values() {
@@ -114,7 +114,8 @@ pub(super) fn folded(name: &str) -> String {
     name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
 }
 
-/// How many letters must be changed, added or taken away to make one word of the other (Levenshtein, Sov. Phys. Dokl. 10, 1966).
+/// How many letters must be changed, added or taken away to make one word of the other (Levenshtein, Sov.
+/// Phys. Dokl. 10, 1966).
 pub(super) fn edits(from: &str, to: &str) -> usize {
     let to: Vec<char> = to.chars().collect();
     let mut row: Vec<usize> = (0..=to.len()).collect();

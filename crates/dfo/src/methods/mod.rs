@@ -93,7 +93,8 @@ struct Listed {
     number: Option<usize>,
     /// Its other names.
     also: &'static [&'static str],
-    /// Methods of other tools that solve the same problems otherwise: named in the error where they are asked for.
+    /// Methods of other tools that solve the same problems otherwise: named in the error where they are asked
+    /// for.
     similar: &'static [&'static str],
     options: fn() -> AnyMethod,
 }
@@ -200,8 +201,9 @@ const LIST: [Listed; 10] = [
     },
 ];
 
-/// Up to so many parameters `auto` takes quadratic models. With more they take about a millisecond per evaluation and solve what is smooth
-/// (`benches/overhead.rs -- solved`); beside Nelder-Mead they were not measured there.
+/// Up to so many parameters `auto` takes quadratic models. With more they take about a millisecond per
+/// evaluation and solve what is smooth (`benches/overhead.rs -- solved`); beside Nelder-Mead they were not
+/// measured there.
 const MOST_FOR_MODELS: usize = 60;
 
 impl AnyMethod {
@@ -232,8 +234,8 @@ impl AnyMethod {
         }
     }
 
-    /// The method that `fmin` of Gedda et al. (2012) has under this number: 1 Nelder-Mead, 2 sequential barrier,
-    /// 3 differential evolution as the paper writes it, 4 genetic algorithm.
+    /// The method that `fmin` of Gedda et al. (2012) has under this number: 1 Nelder-Mead, 2 sequential
+    /// barrier, 3 differential evolution as the paper writes it, 4 genetic algorithm.
     ///
     /// # Errors
     /// Another number.
@@ -256,8 +258,8 @@ fn listed(asked: &str, is_it: impl Fn(&Listed) -> bool) -> Result<AnyMethod, Err
     Err(Error::UnknownMethod { name: asked.to_owned(), hint, known: known.join(", ") })
 }
 
-/// The method that somebody means who writes this: the one that solves the same problems, or the one whose name differs by few
-/// letters.
+/// The method that somebody means who writes this: the one that solves the same problems, or the one whose
+/// name differs by few letters.
 fn meant(asked: &str) -> Option<&'static str> {
     let asked = folded(asked);
     if let Some(method) = LIST.iter().find(|m| m.similar.iter().any(|name| folded(name) == asked)) {
@@ -281,7 +283,8 @@ impl Default for AnyMethod {
 impl FromStr for AnyMethod {
     type Err = Error;
 
-    /// The method of a name: the short one, the full one, or that of SciPy, in any case and with any sign between words.
+    /// The method of a name: the short one, the full one, or that of SciPy, in any case and with any sign
+    /// between words.
     fn from_str(name: &str) -> Result<Self, Error> {
         let asked = folded(name);
         if asked == "auto" {
@@ -332,7 +335,8 @@ macro_rules! each {
     };
 }
 
-/// No method in particular: the run chooses one ([`AnyMethod::chosen_for`]), and its report says which and why.
+/// No method in particular: the run chooses one ([`AnyMethod::chosen_for`]), and its report says which and
+/// why.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 #[non_exhaustive]
@@ -360,10 +364,12 @@ impl AnyMethod {
 
     /// The method for a problem of this class:
     ///
-    /// - with residuals [`LeastSquares`], which needs a tenth of the evaluations of methods that see the cost alone;
-    /// - with costs of at most 60 parameters [`QuadraticModel`], which hands over to [`NelderMead`] where its model shows noise or kinks
-    ///   ([`QuadraticModel::hand_over`](field@QuadraticModel::hand_over)): with smooth costs it takes half of the evaluations of Nelder-Mead or
-    ///   less, with others as many (`benches/choice.rs`); from the start Nelder-Mead where nothing tells the size of a parameter;
+    /// - with residuals [`LeastSquares`], which needs a tenth of the evaluations of methods that see the cost
+    ///   alone;
+    /// - with costs of at most 60 parameters [`QuadraticModel`], which hands over to [`NelderMead`] where its
+    ///   model shows noise or kinks ([`QuadraticModel::hand_over`](field@QuadraticModel::hand_over)): with
+    ///   smooth costs it takes half of the evaluations of Nelder-Mead or less, with others as many
+    ///   (`benches/choice.rs`); from the start Nelder-Mead where nothing tells the size of a parameter;
     /// - [`Multistart`] where the best minimum of a box is asked for;
     /// - [`DifferentialEvolution`] with integer parameters, [`Genetic`] with categorical ones.
     ///
@@ -473,8 +479,8 @@ impl AnyMethod {
 }
 
 impl Auto {
-    /// The method for a problem, with the options that were given, and the reason. Options of Nelder-Mead alone choose Nelder-Mead,
-    /// where it can search.
+    /// The method for a problem, with the options that were given, and the reason. Options of Nelder-Mead
+    /// alone choose Nelder-Mead, where it can search.
     fn choose(&self, class: &ProblemClass<'_>) -> Result<(AnyMethod, String), Error> {
         let simplex = AnyMethod::from(NelderMead::default());
         let can_take_simplex =

@@ -9,13 +9,15 @@ use std::fmt;
 pub enum Outcome {
     /// The cost. NaN and infinities become [`Failed`](Self::Failed) in the gateway.
     Value(f64),
-    /// The evaluation was given up because the cost is strictly greater than this cutoff. Never a cost, never best.
+    /// The evaluation was given up because the cost is strictly greater than this cutoff. Never a cost, never
+    /// best.
     Above(f64),
     /// There is no cost at this point. Ranks behind every finite cost.
     Failed(Failure),
     /// The whole run must end (an exception that is to reach the user, for example).
     Abort(String),
-    /// The run ended before this point was evaluated. Nothing is concluded from it; objectives do not return it.
+    /// The run ended before this point was evaluated. Nothing is concluded from it; objectives do not return
+    /// it.
     Skipped,
 }
 
@@ -30,8 +32,8 @@ impl Outcome {
         Self::Failed(Failure { kind: FailureKind::NotFinite, message })
     }
 
-    /// A failure with [`FailureKind::Cancelled`]: the evaluation saw [`Query::cancelled`](crate::Query::cancelled) and
-    /// gave up.
+    /// A failure with [`FailureKind::Cancelled`]: the evaluation saw
+    /// [`Query::cancelled`](crate::Query::cancelled) and gave up.
     pub fn cancelled() -> Self {
         Self::Failed(Failure { kind: FailureKind::Cancelled, message: "cancelled".to_owned() })
     }
@@ -80,7 +82,8 @@ impl Outcome {
 pub struct Failure {
     /// Of which kind.
     pub kind: FailureKind,
-    /// The reason, for people. Equal texts are counted together in a report, so leave out what changes every time.
+    /// The reason, for people. Equal texts are counted together in a report, so leave out what changes every
+    /// time.
     pub message: String,
 }
 
@@ -116,13 +119,14 @@ pub enum Want {
     Residuals,
 }
 
-/// The answer to one query. An objective fills one that is lent to it, so that nothing is allocated once it is warm.
+/// The answer to one query. An objective fills one that is lent to it, so that nothing is allocated once it
+/// is warm.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Answer {
     /// Outcome of the evaluation.
     pub outcome: Outcome,
-    /// The residuals, always the same number in the same order. Looked at only where the query wanted them and the outcome
-    /// is a value.
+    /// The residuals, always the same number in the same order. Looked at only where the query wanted them
+    /// and the outcome is a value.
     pub residuals: Vec<f64>,
     /// Work of the evaluation, in units of the objective's own (right-hand sides, for example); 0 if it does
     /// not count.
@@ -164,8 +168,8 @@ impl Answer {
         Self { outcome: self.outcome.clone(), residuals, ..*self }
     }
 
-    /// Makes a value without the residuals that were wanted a failure. `m`: their number, where it is known already; else
-    /// this answer gives it.
+    /// Makes a value without the residuals that were wanted a failure. `m`: their number, where it is known
+    /// already; else this answer gives it.
     pub(crate) fn check_residuals(&mut self, m: &mut Option<usize>) {
         if let Some(failure) = self.residuals_failure(m) {
             self.outcome = failure;
@@ -222,8 +226,8 @@ impl Answers {
         known.then(|| &self.residuals[k * self.m..(k + 1) * self.m])
     }
 
-    /// Adds a point. All residual vectors have the length of the first one: of a longer one the rest is left out, a shorter one
-    /// is filled up with zeros.
+    /// Adds a point. All residual vectors have the length of the first one: of a longer one the rest is left
+    /// out, a shorter one is filled up with zeros.
     pub fn push(&mut self, outcome: Outcome, residuals: &[f64]) {
         if self.m == 0 && !residuals.is_empty() {
             self.m = residuals.len();

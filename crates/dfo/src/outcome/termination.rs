@@ -13,7 +13,8 @@ pub enum Termination {
     Noise,
     /// The target value was reached.
     Target,
-    /// The search has no extent left that floating-point numbers could resolve, and the tests have not passed.
+    /// The search has no extent left that floating-point numbers could resolve, and the tests have not
+    /// passed.
     Collapsed,
     /// The same, and only one vertex has a cost: nothing was learned.
     OneFiniteVertex,
@@ -21,7 +22,8 @@ pub enum Termination {
     AllFailed,
     /// More than the share of all evaluations that was allowed has failed.
     TooManyFailed,
-    /// Nothing new came for long: no better point in many generations, or every point asked for was known already.
+    /// Nothing new came for long: no better point in many generations, or every point asked for was known
+    /// already.
     Stalled,
     /// All parameters are fixed: the one point there is was evaluated.
     AllFixed,

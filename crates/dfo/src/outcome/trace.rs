@@ -3,8 +3,8 @@
 use crate::outcome::answer::{Answer, Outcome};
 use serde::{Deserialize, Serialize};
 
-/// Every evaluation of a run's path, in request order (the same for any number of workers); and beside them those that
-/// were made ahead of need and not needed. Or the last ones of both, if the trace was limited.
+/// Every evaluation of a run's path, in request order (the same for any number of workers); and beside them
+/// those that were made ahead of need and not needed. Or the last ones of both, if the trace was limited.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Trace {
     n: usize,
@@ -230,8 +230,8 @@ impl Trace {
             .map(move |(k, r)| r.entry(&self.points[(first + k) * self.n..(first + k + 1) * self.n]))
     }
 
-    /// The evaluations made ahead of need that the path never came to, in the order in which that was known. How many
-    /// there are, and which, may depend on the number of workers and on how long evaluations take.
+    /// The evaluations made ahead of need that the path never came to, in the order in which that was known.
+    /// How many there are, and which, may depend on the number of workers and on how long evaluations take.
     pub fn speculative(&self) -> impl ExactSizeIterator<Item = TraceEntry<'_>> {
         self.speculative.iter().map(|early| TraceEntry {
             x: &early.x,
@@ -245,7 +245,8 @@ impl Trace {
         })
     }
 
-    /// Appends the evaluations of a run that came after this one, over the same parameters. Its points and batches are numbered on.
+    /// Appends the evaluations of a run that came after this one, over the same parameters. Its points and
+    /// batches are numbered on.
     pub fn append(&mut self, mut later: Trace) {
         if later.dropped > 0 {
             later.dropped += self.end();
@@ -265,8 +266,8 @@ impl Trace {
         self.dropped += later.dropped;
     }
 
-    /// The first of the used points with the smallest cost, among those not above their cutoffs (which only a barrier
-    /// makes possible: see [`Barrier`](crate::Barrier)).
+    /// The first of the used points with the smallest cost, among those not above their cutoffs (which only a
+    /// barrier makes possible: see [`Barrier`](crate::Barrier)).
     pub fn best(&self) -> Option<(&[f64], f64)> {
         let mut best: Option<(&[f64], f64)> = None;
         for entry in self.iter().filter(|e| e.used) {

@@ -29,8 +29,9 @@ pub enum Loss {
 
 /// A loss and its scale: residuals that are small against it count by their squares.
 ///
-/// Every residual r is replaced by `s(r) = sign(r) scale sqrt(rho((r / scale)^2))`, so that the sum of squares is the robust
-/// cost for every method (Triggs, McLauchlan, Hartley and Fitzgibbon, Bundle adjustment: a modern synthesis, 2000, section 3.4).
+/// Every residual r is replaced by `s(r) = sign(r) scale sqrt(rho((r / scale)^2))`, so that the sum of
+/// squares is the robust cost for every method (Triggs, McLauchlan, Hartley and Fitzgibbon, Bundle
+/// adjustment: a modern synthesis, 2000, section 3.4).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RobustLoss {
     kind: Loss,
@@ -91,8 +92,8 @@ impl RobustLoss {
         self.kind == Loss::Linear
     }
 
-    /// The number whose square is what the residual counts: exact for small residuals, without overflow for large ones. NaN
-    /// and infinities stay what they are.
+    /// The number whose square is what the residual counts: exact for small residuals, without overflow for
+    /// large ones. NaN and infinities stay what they are.
     pub fn transform(&self, r: f64) -> f64 {
         let (scale, size) = (self.scale, r.abs());
         if !r.is_finite() {
@@ -117,8 +118,9 @@ impl RobustLoss {
         }
     }
 
-    /// The cost of residuals, summed from the first to the last; they become what [`transform`](Self::transform) makes of
-    /// them. Strictly above the cutoff it is given up. One that is not finite is a failure that names it.
+    /// The cost of residuals, summed from the first to the last; they become what
+    /// [`transform`](Self::transform) makes of them. Strictly above the cutoff it is given up. One that is
+    /// not finite is a failure that names it.
     pub fn cost(&self, residuals: &mut [f64], cutoff: f64) -> Outcome {
         let mut sum = 0.0;
         for (k, r) in residuals.iter_mut().enumerate() {

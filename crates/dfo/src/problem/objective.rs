@@ -52,8 +52,8 @@ pub struct Query<'a> {
     /// The objective may stop as soon as its partial cost is strictly greater than this, and answer
     /// [`Outcome::Above`] with it. `f64::INFINITY`: no cutoff.
     pub cutoff: f64,
-    /// Running number of the point, the same for any number of workers; from 2^63 on where a point is evaluated ahead of
-    /// need.
+    /// Running number of the point, the same for any number of workers; from 2^63 on where a point is
+    /// evaluated ahead of need.
     pub id: u64,
     /// Running number of the batch that the point belongs to.
     pub batch: u64,
@@ -96,8 +96,8 @@ impl Query<'_> {
 /// Every closure `Fn(&[f64]) -> f64 + Sync` is one; see [`fallible`], [`with_query`] and [`residuals`] for
 /// richer ones, and [`ByRef`] to lend one.
 pub trait Objective: Sync {
-    /// The answer at `x` (user's units, user's order) into `answer`, which comes cleared: the outcome, what was counted, and
-    /// the residuals where [`Query::want`] asks for them. Then the cutoff is infinite.
+    /// The answer at `x` (user's units, user's order) into `answer`, which comes cleared: the outcome, what
+    /// was counted, and the residuals where [`Query::want`] asks for them. Then the cutoff is infinite.
     fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer);
 
     /// The same as a value of its own, for calling an objective by hand.
@@ -226,15 +226,15 @@ pub struct Residuals<R> {
     loss: RobustLoss,
 }
 
-/// An objective whose cost is the sum of the squared residuals, added from the first to the last in this order,
-/// so that the cost has the same bits wherever it is computed. Gives up above the cutoff.
+/// An objective whose cost is the sum of the squared residuals, added from the first to the last in this
+/// order, so that the cost has the same bits wherever it is computed. Gives up above the cutoff.
 pub fn residuals<R: ResidualFunction>(function: R) -> Residuals<R> {
     Residuals { function, loss: RobustLoss::default() }
 }
 
 impl<R> Residuals<R> {
-    /// A loss that counts large residuals less than their squares; residuals that are small against `scale` count as
-    /// before. The cost is the sum of what the residuals count then, for every method.
+    /// A loss that counts large residuals less than their squares; residuals that are small against `scale`
+    /// count as before. The cost is the sum of what the residuals count then, for every method.
     ///
     /// ```
     /// use dfo::{Loss, minimize, residuals, LeastSquares};

@@ -1,12 +1,13 @@
-//! Checkpoints: the whole state of a run in a file, so that a resumed run is the uninterrupted one, bit for bit.
+//! Checkpoints: the whole state of a run in a file, so that a resumed run is the uninterrupted one, bit for
+//! bit.
 //!
-//! The file is a mark, the format, a checksum, and a map in CBOR (RFC 8949) that names all its parts, the version of the code
-//! that wrote it first. It is written to a
-//! temporary file beside it and renamed, so that there is always a whole one. What identifies a run (the fingerprint)
-//! is stored in words; a file of another run is refused by naming the difference, and left as it is.
+//! The file is a mark, the format, a checksum, and a map in CBOR (RFC 8949) that names all its parts, the
+//! version of the code that wrote it first. It is written to a temporary file beside it and renamed, so that
+//! there is always a whole one. What identifies a run (the fingerprint) is stored in words; a file of another
+//! run is refused by naming the difference, and left as it is.
 //!
-//! A batch that was cut short by the end of a run is not told to the stored state: the outcomes that were known are
-//! kept beside it and given again when the resumed run asks.
+//! A batch that was cut short by the end of a run is not told to the stored state: the outcomes that were
+//! known are kept beside it and given again when the resumed run asks.
 
 use crate::error::Error;
 use crate::evaluation::ledger::Ledger;
@@ -51,7 +52,8 @@ pub struct Checkpoint {
     pub path: PathBuf,
     /// Default [`Resume::Auto`].
     pub resume: Resume,
-    /// Least time between two writes while the run goes on; default 0.2 s. The end of a run is always written.
+    /// Least time between two writes while the run goes on; default 0.2 s. The end of a run is always
+    /// written.
     pub interval: Duration,
     /// Further identity of the run, by name: what the objective is made from, for example.
     pub tags: Vec<(String, String)>,
@@ -94,8 +96,9 @@ impl Checkpoint {
         }
     }
 
-    /// Says by what the code of the objective is known. With [`Resume::Auto`] a file of other code is refused, and so is any file where
-    /// the code is not known; with [`Resume::Require`] the user says that it is the right one.
+    /// Says by what the code of the objective is known. With [`Resume::Auto`] a file of other code is
+    /// refused, and so is any file where the code is not known; with [`Resume::Require`] the user says that
+    /// it is the right one.
     #[must_use]
     pub fn code(mut self, code: Code) -> Self {
         self.code = Some(code);
@@ -350,8 +353,9 @@ impl Writer {
         Instant::now() >= self.next
     }
 
-    /// Writes a whole file and puts it in the place of the old one. `known`: what is known of the batch that the
-    /// method waits for; `observed`: the iteration that the observer saw last, and where the trace stood then.
+    /// Writes a whole file and puts it in the place of the old one. `known`: what is known of the batch that
+    /// the method waits for; `observed`: the iteration that the observer saw last, and where the trace stood
+    /// then.
     pub(crate) fn write<M: Method + ?Sized>(
         &mut self,
         method: &M,

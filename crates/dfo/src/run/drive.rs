@@ -1,5 +1,5 @@
-//! The only loop: ask -> evaluate -> tell -> observe -> stop? It takes answers as they come and goes on when those are there that
-//! the path needs.
+//! The only loop: ask -> evaluate -> tell -> observe -> stop? It takes answers as they come and goes on when
+//! those are there that the path needs.
 
 use crate::error::Error;
 use crate::evaluation::ledger::Ledger;
@@ -59,7 +59,8 @@ pub(crate) struct Drive<M> {
     /// Why the checkpoint could not be written.
     pub(crate) unsaved: Option<Error>,
     stage: Stage,
-    /// The points asked for, the answers to those of them that are evaluated, and how many of these are missing.
+    /// The points asked for, the answers to those of them that are evaluated, and how many of these are
+    /// missing.
     batch: Batch,
     answers: Vec<Answer>,
     n_missing: usize,
@@ -177,8 +178,8 @@ impl<M: Method> Drive<M> {
         Ok(Report { method_reason: self.method_reason.clone(), resumed: self.resumed.clone(), ..report })
     }
 
-    /// Goes on as far as the answers reach that are there. Whether it is over; if not, answers are awaited that only come from
-    /// outside.
+    /// Goes on as far as the answers reach that are there. Whether it is over; if not, answers are awaited
+    /// that only come from outside.
     pub(crate) fn advance(&mut self, around: &mut Around<'_, '_, '_>) -> Result<bool, Error> {
         loop {
             match self.stage {
@@ -346,7 +347,8 @@ impl<M: Method> Drive<M> {
         }
     }
 
-    /// Puts an answer to its place. After one that ends the run nothing more begins, and only what comes before it is awaited.
+    /// Puts an answer to its place. After one that ends the run nothing more begins, and only what comes
+    /// before it is awaited.
     fn fill(&mut self, k: usize, answer: Answer, evaluator: &mut dyn Evaluator) {
         self.answers[k] = answer;
         if k > self.end {
@@ -477,8 +479,8 @@ impl<M: Method> Drive<M> {
         self.save(&known);
     }
 
-    /// A file that cannot be written, on a full disk for example, is said once and tried again; where the last one fails, the run says so at
-    /// its end.
+    /// A file that cannot be written, on a full disk for example, is said once and tried again; where the
+    /// last one fails, the run says so at its end.
     fn save(&mut self, known: &[Early]) {
         let seconds = self.elapsed();
         let Some(writer) = &mut self.writer else { return };

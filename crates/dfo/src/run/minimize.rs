@@ -48,7 +48,8 @@ pub fn minimize<'a>(objective: impl Objective + 'a) -> Minimize<'a, NelderMead> 
     Minimize::new(Driven { loss, ..Driven::new(Source::Objective(Box::new(objective))) })
 }
 
-/// Minimises the sum of the squares of residuals: `minimize(residuals(function)).method(LeastSquares::default())`.
+/// Minimises the sum of the squares of residuals:
+/// `minimize(residuals(function)).method(LeastSquares::default())`.
 ///
 /// ```
 /// use dfo::least_squares;
@@ -66,12 +67,12 @@ pub fn least_squares<'a>(function: impl ResidualFunction + 'a) -> Minimize<'a, L
     minimize(residuals(function)).method(LeastSquares::default())
 }
 
-/// Minimises by a function that evaluates whole batches on the calling thread and returns one outcome per point, in
-/// order: for vectorised functions and for an executor of the caller's.
+/// Minimises by a function that evaluates whole batches on the calling thread and returns one outcome per
+/// point, in order: for vectorised functions and for an executor of the caller's.
 ///
-/// [`Minimize::workers`] then only says how many points such a batch should have. A function that was interrupted
-/// returns [`Outcome::Skipped`] for what it left out, which ends the run. After a panic it is given the points of the
-/// batch one by one: those that it panics at have failed.
+/// [`Minimize::workers`] then only says how many points such a batch should have. A function that was
+/// interrupted returns [`Outcome::Skipped`] for what it left out, which ends the run. After a panic it is
+/// given the points of the batch one by one: those that it panics at have failed.
 ///
 /// ```
 /// use dfo::{BatchView, Outcome, minimize_batches};
@@ -89,8 +90,9 @@ pub fn minimize_batches<'a>(
     Minimize::new(Driven::new(Source::Batches(Box::new(function))))
 }
 
-/// Minimises by an [`Evaluator`] of one's own, which takes points one by one and answers in any order: an executor, a cluster, a
-/// laboratory. Points that are needed go first; where its [`width`](Evaluator::width) leaves room, others follow that may be needed.
+/// Minimises by an [`Evaluator`] of one's own, which takes points one by one and answers in any order: an
+/// executor, a cluster, a laboratory. Points that are needed go first; where its [`width`](Evaluator::width)
+/// leaves room, others follow that may be needed.
 pub fn minimize_by<'a>(evaluator: impl Evaluator + 'a) -> Minimize<'a, NelderMead> {
     Minimize::new(Driven::new(Source::Evaluator(Box::new(evaluator))))
 }
@@ -154,8 +156,8 @@ impl<'a> Driven<'a> {
 #[derive(Debug, Clone, Copy)]
 pub struct ByHand;
 
-/// A minimisation being described; made by [`minimize`], [`minimize_batches`], [`minimize_by`] or [`by_hand`], ended by
-/// [`run`](Self::run) or [`optimizer`](Self::optimizer).
+/// A minimisation being described; made by [`minimize`], [`minimize_batches`], [`minimize_by`] or
+/// [`by_hand`], ended by [`run`](Self::run) or [`optimizer`](Self::optimizer).
 #[must_use = "nothing happens before run()"]
 pub struct Minimize<'a, M, D = Driven<'a>> {
     description: Description<M>,
@@ -220,9 +222,10 @@ impl<'a, M, D> Minimize<'a, M, D> {
         self.options(options).transforms(&scale).known_scales(&nominal).kinds(&kinds)
     }
 
-    /// Evaluations that may run at once, on threads of our own with 16 MiB of stack; 1 (the default): on the calling
-    /// thread. The result does not depend on it. Evaluations that are too short to be worth handing over stay on the
-    /// calling thread; so does the first one, which shows that, unless its [`context`](Self::context) has a function.
+    /// Evaluations that may run at once, on threads of our own with 16 MiB of stack; 1 (the default): on the
+    /// calling thread. The result does not depend on it. Evaluations that are too short to be worth handing
+    /// over stay on the calling thread; so does the first one, which shows that, unless its
+    /// [`context`](Self::context) has a function.
     pub fn workers(mut self, workers: usize) -> Self {
         self.description.options.workers = Some(workers);
         self
@@ -231,8 +234,8 @@ impl<'a, M, D> Minimize<'a, M, D> {
     /// Limit of evaluations of the path, exact even inside a batch. At least 1.
     ///
     /// Without any of the three limits (evaluations, iterations, time) the method's defaults hold
-    /// ([`MethodOptions::default_limits`]), for Nelder-Mead `1000 (n + 1)` iterations or `5000 (n + 1)` evaluations, `n`
-    /// being the number of free parameters. Setting one lifts these defaults.
+    /// ([`MethodOptions::default_limits`]), for Nelder-Mead `1000 (n + 1)` iterations or `5000 (n + 1)`
+    /// evaluations, `n` being the number of free parameters. Setting one lifts these defaults.
     pub fn max_evaluations(mut self, n: usize) -> Self {
         self.description.options.limits.max_evaluations = Some(n);
         self
@@ -251,7 +254,8 @@ impl<'a, M, D> Minimize<'a, M, D> {
         self
     }
 
-    /// Ends the run with the first evaluation of the path whose cost is at or below this, see [`Limits::target`].
+    /// Ends the run with the first evaluation of the path whose cost is at or below this, see
+    /// [`Limits::target`].
     pub fn target(mut self, cost: f64) -> Self {
         self.description.options.limits.target = Some(cost);
         self
@@ -306,8 +310,9 @@ impl<'a, M, D> Minimize<'a, M, D> {
     }
 
     /// Typical sizes of the parameters, positive: the unit of a relative `x_tol`. Default: see
-    /// [`typical_size`](crate::typical_size), else what the method finds out (see [`InitialSimplex::Auto`](crate::InitialSimplex::Auto)). For a logarithmic
-    /// parameter in units of `ln x`.
+    /// [`typical_size`](crate::typical_size), else what the method finds out (see
+    /// [`InitialSimplex::Auto`](crate::InitialSimplex::Auto)). For a logarithmic parameter in units of `ln
+    /// x`.
     pub fn scales(self, sizes: &[f64]) -> Self {
         let sizes: Vec<_> = sizes.iter().copied().map(Some).collect();
         self.known_scales(&sizes)
@@ -334,12 +339,12 @@ impl<'a, M, D> Minimize<'a, M, D> {
         self
     }
 
-    /// Starts from what an earlier run has learnt: its points, as far as they lie in the box and have the values of the
-    /// fixed parameters. The best of them is the start point, and populations begin with the best of them. What had
-    /// failed, or was given up above a cutoff, is left out.
+    /// Starts from what an earlier run has learnt: its points, as far as they lie in the box and have the
+    /// values of the fixed parameters. The best of them is the start point, and populations begin with the
+    /// best of them. What had failed, or was given up above a cutoff, is left out.
     ///
-    /// Where both runs name the same [`problem`](Self::problem), none of the points is evaluated again. Else their costs
-    /// only say where to start.
+    /// Where both runs name the same [`problem`](Self::problem), none of the points is evaluated again. Else
+    /// their costs only say where to start.
     pub fn warm_start(self, trace: &Trace) -> Self {
         let problem = trace.problem().map(str::to_owned);
         let known = |e: TraceEntry<'_>| {
@@ -380,7 +385,8 @@ impl<'a, M, D> Minimize<'a, M, D> {
         self
     }
 
-    /// Continuous, integer or categorical, per parameter. Default all continuous; not every method takes the others.
+    /// Continuous, integer or categorical, per parameter. Default all continuous; not every method takes the
+    /// others.
     pub fn kinds(mut self, kinds: &[Kind]) -> Self {
         self.description.kinds = kinds.to_vec();
         self
@@ -401,22 +407,23 @@ impl<'a, M> Minimize<'a, M> {
     }
 
     /// Who may interrupt the run: no further evaluation starts then, and running ones see
-    /// [`Query::cancelled`](crate::Query::cancelled). The function of the context is called on the calling thread between evaluations,
-    /// with workers at least every 50 ms. Several runs can share a flag. The time that the context has left ends the run as
-    /// [`max_time`](Self::max_time) does, if it ends sooner.
+    /// [`Query::cancelled`](crate::Query::cancelled). The function of the context is called on the calling
+    /// thread between evaluations, with workers at least every 50 ms. Several runs can share a flag. The time
+    /// that the context has left ends the run as [`max_time`](Self::max_time) does, if it ends sooner.
     pub fn context(mut self, context: RunContext<'a>) -> Self {
         self.driver.context = context;
         self
     }
 
-    /// Says whether a function of [`minimize_batches`] gives up above cutoffs: then a cost above one counts as given up, whoever
-    /// evaluates.
+    /// Says whether a function of [`minimize_batches`] gives up above cutoffs: then a cost above one counts
+    /// as given up, whoever evaluates.
     pub fn gives_up(mut self, gives_up: GivesUp) -> Self {
         self.driver.gives_up = gives_up;
         self
     }
 
-    /// Says whether an [`Evaluator`] of one's own gives residuals: then a method that is chosen for the problem may ask for them.
+    /// Says whether an [`Evaluator`] of one's own gives residuals: then a method that is chosen for the
+    /// problem may ask for them.
     pub fn with_residuals(mut self, has_residuals: bool) -> Self {
         self.driver.has_residuals = has_residuals;
         self
@@ -441,8 +448,8 @@ impl<M: MethodOptions> Minimize<'_, M> {
     /// Runs.
     ///
     /// # Errors
-    /// Options that cannot be used; an objective that failed at every starting point; a run that was ended before any
-    /// point had a finite cost. Every other end is a [`Report`].
+    /// Options that cannot be used; an objective that failed at every starting point; a run that was ended
+    /// before any point had a finite cost. Every other end is a [`Report`].
     pub fn run(mut self) -> Result<Report, Error> {
         let Driven { mut source, context, mut observer, has_residuals, gives_up, loss, spent } = self.driver;
         if let Source::Evaluator(evaluator) = &source {

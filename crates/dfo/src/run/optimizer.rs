@@ -38,12 +38,12 @@ impl Point {
     }
 }
 
-/// A run whose evaluations the caller makes: the same trace as [`minimize`](crate::minimize) makes, whatever the order of the
-/// answers.
+/// A run whose evaluations the caller makes: the same trace as [`minimize`](crate::minimize) makes, whatever
+/// the order of the answers.
 ///
-/// Methods work in rounds, so [`ask`](Self::ask) has nothing to give while the last answers of a round are missing.
-/// Made by [`by_hand`](crate::by_hand), which has an example. With a checkpoint the state is written as answers come (not too
-/// often), at the end, and by [`save`](Self::save).
+/// Methods work in rounds, so [`ask`](Self::ask) has nothing to give while the last answers of a round are
+/// missing. Made by [`by_hand`](crate::by_hand), which has an example. With a checkpoint the state is written
+/// as answers come (not too often), at the end, and by [`save`](Self::save).
 #[derive(Debug)]
 pub struct Optimizer {
     drive: Drive<BoxedMethod>,
@@ -83,8 +83,8 @@ impl Optimizer {
         self.drive.unsaved.take().map_or(Ok(()), Err)
     }
 
-    /// Points to evaluate, at most so many; none while the answers to all points of a round are awaited, and none after
-    /// the end.
+    /// Points to evaluate, at most so many; none while the answers to all points of a round are awaited, and
+    /// none after the end.
     pub fn ask(&mut self, at_most: usize) -> Vec<Point> {
         let mut points = Vec::new();
         while self.drive.ended().is_none()
@@ -97,12 +97,13 @@ impl Optimizer {
         points
     }
 
-    /// The answer to a point: its outcome, and the residuals where they are wanted. [`Outcome::Skipped`] and cancelled evaluations give the point back: it is handed out
-    /// again where it is still needed. [`Outcome::Abort`] ends the run. After the end an answer changes nothing.
+    /// The answer to a point: its outcome, and the residuals where they are wanted. [`Outcome::Skipped`] and
+    /// cancelled evaluations give the point back: it is handed out again where it is still needed.
+    /// [`Outcome::Abort`] ends the run. After the end an answer changes nothing.
     ///
     /// # Errors
-    /// An id that was not handed out, or was answered already; a checkpoint that cannot be written (the answer counts
-    /// all the same).
+    /// An id that was not handed out, or was answered already; a checkpoint that cannot be written (the
+    /// answer counts all the same).
     pub fn tell(&mut self, id: u64, answer: impl Into<Answer>) -> Result<(), Error> {
         let mut answer = answer.into();
         let Some(handed) = self.hand.take_back(id) else { return Err(Error::UnknownPoint { id }) };
@@ -124,8 +125,8 @@ impl Optimizer {
         })
     }
 
-    /// Ends the run: [`termination`](Self::termination) is [`Termination::Interrupted`] then, if it was not over
-    /// already. What was told of an incomplete round is entered.
+    /// Ends the run: [`termination`](Self::termination) is [`Termination::Interrupted`] then, if it was not
+    /// over already. What was told of an incomplete round is entered.
     ///
     /// # Errors
     /// The checkpoint cannot be written.

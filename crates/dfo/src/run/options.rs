@@ -26,7 +26,8 @@ pub struct Known {
     pub problem: Option<String>,
 }
 
-/// All that may be chosen about a run but its objective and the parameters that it searches. No limit is `None`.
+/// All that may be chosen about a run but its objective and the parameters that it searches. No limit is
+/// `None`.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RunOptions<M = NelderMead> {
@@ -125,8 +126,8 @@ pub struct AskedRun {
 }
 
 impl AskedRun {
-    /// The run of a record, over `n` parameters; `options` holds where the record says nothing, or none. What every run has stands in
-    /// the record beside the options of the method.
+    /// The run of a record, over `n` parameters; `options` holds where the record says nothing, or none. What
+    /// every run has stands in the record beside the options of the method.
     ///
     /// # Errors
     /// An option that there is not, or a value that it cannot have.

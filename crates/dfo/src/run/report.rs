@@ -46,11 +46,12 @@ pub struct Report {
     pub n_batches: usize,
     /// Failed evaluations of the path.
     pub n_failed: usize,
-    /// Answers that count as no evaluation, because the point was known already. Where only that it lies above a lower
-    /// cutoff was known, it is evaluated all the same, outside of budget and trace: so cutoffs change no count.
+    /// Answers that count as no evaluation, because the point was known already. Where only that it lies
+    /// above a lower cutoff was known, it is evaluated all the same, outside of budget and trace: so cutoffs
+    /// change no count.
     pub n_cached: usize,
-    /// Further calls of the objective: made ahead of need, and not needed. May depend on the number of workers and on how
-    /// long evaluations take.
+    /// Further calls of the objective: made ahead of need, and not needed. May depend on the number of
+    /// workers and on how long evaluations take.
     pub n_speculative: usize,
     /// Why the run ended.
     pub termination: Termination,
@@ -74,7 +75,8 @@ pub struct Report {
     pub workers: usize,
     /// The stages of a sequential barrier search: barrier parameter, barrier, point and cost of each.
     pub schedule: Vec<BarrierStage>,
-    /// The distinct minima that searches from several starts ended at, the best first, with how many starts reached each.
+    /// The distinct minima that searches from several starts ended at, the best first, with how many starts
+    /// reached each.
     pub optima: Vec<Optimum>,
     /// The population at the end, for methods that have one.
     pub final_population: Option<Simplex>,
@@ -82,12 +84,14 @@ pub struct Report {
     pub seed: Option<u64>,
     /// Wall-clock seconds.
     pub seconds: f64,
-    /// The residuals at the best point, where its evaluation was asked for them: the plain ones, whatever the loss.
+    /// The residuals at the best point, where its evaluation was asked for them: the plain ones, whatever the
+    /// loss.
     pub residuals: Option<Vec<f64>>,
-    /// Their derivatives by the parameters, row by row (m x n, the user's units and order, those by fixed parameters zero), as
-    /// the model of the method has them at the end.
+    /// Their derivatives by the parameters, row by row (m x n, the user's units and order, those by fixed
+    /// parameters zero), as the model of the method has them at the end.
     pub jacobian: Option<Vec<f64>>,
-    /// With a Jacobian: -1 where a parameter lies at its lower bound (a fixed one, too), 1 at its upper, else 0. Else empty.
+    /// With a Jacobian: -1 where a parameter lies at its lower bound (a fixed one, too), 1 at its upper,
+    /// else 0. Else empty.
     pub active: Vec<i8>,
     /// Loss that was applied to the residuals in [`fun`](Self::fun).
     pub loss: RobustLoss,
@@ -159,8 +163,8 @@ impl Report {
     /// `s^2 = r' r / (m - n)`, over the free parameters that lie at no bound. `None` without residuals or
     /// Jacobian.
     ///
-    /// With a loss, r and J are those of the residuals as they counted (see [`RobustLoss`]), so that an outlier adds as
-    /// little to s as it did to the cost.
+    /// With a loss, r and J are those of the residuals as they counted (see [`RobustLoss`]), so that an
+    /// outlier adds as little to s as it did to the cost.
     pub fn covariance(&self) -> Option<Covariance> {
         let (residuals, jacobian) = (self.residuals.as_ref()?, self.jacobian.as_ref()?);
         let counted: Vec<f64> = residuals.iter().map(|r| self.loss.transform(*r)).collect();

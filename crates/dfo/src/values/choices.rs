@@ -1,4 +1,5 @@
-//! Choices by name: how a parameter is searched, how the search is kept in its bounds, how tolerances are measured.
+//! Choices by name: how a parameter is searched, how the search is kept in its bounds, how tolerances are
+//! measured.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -42,11 +43,12 @@ impl fmt::Display for Kind {
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum BoundsHandling {
-    /// There are no such points: the search runs over an angle whose sine gives the place between two bounds, and over a
-    /// hyperbola for one bound (James and Roos, Comput. Phys. Commun. 10, 1975: MINUIT). A cost that goes down towards a
-    /// bound is smooth over the angle, with its minimum where the bound is reached; mirrored it has a kink there, and
-    /// a simplex clamped to bounds becomes flat. Of 126 runs in boxes (`benches/simplex.rs`) 125 are solved with a mean
-    /// of 788 evaluations; mirrored 94 with 5385, clamped 84 with 4578.
+    /// There are no such points: the search runs over an angle whose sine gives the place between two bounds,
+    /// and over a hyperbola for one bound (James and Roos, Comput. Phys. Commun. 10, 1975: MINUIT). A cost
+    /// that goes down towards a bound is smooth over the angle, with its minimum where the bound is reached;
+    /// mirrored it has a kink there, and a simplex clamped to bounds becomes flat. Of 126 runs in boxes
+    /// (`benches/simplex.rs`) 125 are solved with a mean of 788 evaluations; mirrored 94 with 5385, clamped
+    /// 84 with 4578.
     #[default]
     Sine,
     /// Mirrored at the bound, repeatedly if need be.

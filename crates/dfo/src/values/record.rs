@@ -1,4 +1,5 @@
-//! Options by name: plain data from Python, a file or a command line, and how it becomes the serde types of this workspace.
+//! Options by name: plain data from Python, a file or a command line, and how it becomes the serde types of
+//! this workspace.
 
 use crate::values::number::Number;
 use serde::de::value::{MapAccessDeserializer, SeqDeserializer};
@@ -41,8 +42,8 @@ pub enum Value {
 }
 
 impl Value {
-    /// Converts the value to a type that serde can read. Names of variants are taken in any case and with `_` for `-`; counts also from
-    /// numbers like 1e4.
+    /// Converts the value to a type that serde can read. Names of variants are taken in any case and with `_`
+    /// for `-`; counts also from numbers like 1e4.
     ///
     /// # Errors
     /// A [`RecordError`] that calls the value `name`.
@@ -67,7 +68,8 @@ impl Value {
         self.read::<String>(name)?.parse().map_err(|error: T::Err| RecordError::message(error.to_string()))
     }
 
-    /// Converts to a limit: a whole number from `least` on; `None`, infinity and what no machine counts are no limit.
+    /// Converts to a limit: a whole number from `least` on; `None`, infinity and what no machine counts are
+    /// no limit.
     ///
     /// # Errors
     /// Another number, or another type.
@@ -87,7 +89,8 @@ impl Value {
         Ok(usize::try_from(count).ok().filter(|count| *count < usize::MAX / 2))
     }
 
-    /// Converts to a limit of wall-clock time from seconds; `None`, infinity and 30 million years are no limit.
+    /// Converts to a limit of wall-clock time from seconds; `None`, infinity and 30 million years are no
+    /// limit.
     ///
     /// # Errors
     /// No positive number, or another type.

@@ -13,7 +13,8 @@ use std::path::PathBuf;
 /// Local times before and after, and whether an hour is doubled: see [`ClockChange`].
 type Change = (String, String, bool);
 
-/// Position of the column of times among columns of these names, and the length of its unit in s as a fraction.
+/// Position of the column of times among columns of these names, and the length of its unit in s as a
+/// fraction.
 #[pyfunction]
 #[pyo3(signature = (names, time=None))]
 pub(crate) fn find_time(names: Vec<String>, time: Option<&str>) -> PyResult<(usize, (f64, f64))> {
@@ -27,8 +28,8 @@ pub(crate) fn find_column(names: Vec<String>, wanted: &str) -> PyResult<usize> {
     calibration::find_column(names.iter().map(String::as_str), wanted).map_err(PyValueError::new_err)
 }
 
-/// Dates and times of day in s since the first, and what is said about an hour that is missing in them; the name of the column may say
-/// what two numbers (`10:02`) are.
+/// Dates and times of day in s since the first, and what is said about an hour that is missing in them; the
+/// name of the column may say what two numbers (`10:02`) are.
 #[pyfunction]
 pub(crate) fn date_seconds<'py>(
     py: Python<'py>,
@@ -80,7 +81,8 @@ pub(crate) struct PyTable {
 
 #[pymethods]
 impl PyTable {
-    /// Columns of which one, `time`, holds the times; the names of others; an hour that is missing in the times.
+    /// Columns of which one, `time`, holds the times; the names of others; an hour that is missing in the
+    /// times.
     #[new]
     fn new(
         py: Python<'_>,
@@ -98,7 +100,8 @@ impl PyTable {
         Ok(Self { inner: inner.left_out(left_out).with_clock_change(change) })
     }
 
-    /// The times and those columns of a CSV text that are needed; the names of others that it was made without.
+    /// The times and those columns of a CSV text that are needed; the names of others that it was made
+    /// without.
     #[staticmethod]
     fn from_csv(
         py: Python<'_>,

@@ -1,4 +1,5 @@
-//! `Calibration`: a model, measurements and parameters; costs, residuals and fits without the interpreter lock.
+//! `Calibration`: a model, measurements and parameters; costs, residuals and fits without the interpreter
+//! lock.
 
 use crate::calibration::cost::{self, CostFields};
 use crate::calibration::experiment::{ExperimentFields, PyParameter, SignalFunctions};
@@ -48,8 +49,8 @@ impl PyCalibration {
         Self { inner, last: Arc::default(), callbacks: Callbacks::default() }
     }
 
-    /// Evaluates without the interpreter lock: on the calling thread if the last evaluation was short. Ctrl-C ends it at
-    /// the next step.
+    /// Evaluates without the interpreter lock: on the calling thread if the last evaluation was short. Ctrl-C
+    /// ends it at the next step.
     pub(crate) fn compute<T: Send + 'static>(
         &self,
         py: Python<'_>,
@@ -89,7 +90,8 @@ impl PyCalibration {
         }
     }
 
-    /// The same on another thread; the work ends on its own when Ctrl-C asks for it. Whether it did comes with its result.
+    /// The same on another thread; the work ends on its own when Ctrl-C asks for it. Whether it did comes
+    /// with its result.
     pub(crate) fn compute_to_end<T: Send + 'static>(
         &self,
         py: Python<'_>,
@@ -371,7 +373,8 @@ impl PyCalibration {
         Ok(PyArray1::from_vec(py, residuals))
     }
 
-    /// Per experiment, or of one of them, `time` and the compared outputs, at the measured times or at those given.
+    /// Per experiment, or of one of them, `time` and the compared outputs, at the measured times or at those
+    /// given.
     #[pyo3(signature = (x, times=None, experiment=None))]
     fn simulate<'py>(
         &self,

@@ -11,7 +11,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
 
-/// `Fit.profile`, to an extent of a level, whether it is corrected for autocorrelated residuals, and a number of points per side; an interrupt carries the fields of what there is.
+/// `Fit.profile`, to an extent of a level, whether it is corrected for autocorrelated residuals, and a number
+/// of points per side; an interrupt carries the fields of what there is.
 #[pyfunction]
 pub(crate) fn profile<'py>(
     py: Python<'py>,

@@ -11,7 +11,8 @@ use numpy::PyArray1;
 use pyo3::prelude::*;
 use std::path::PathBuf;
 
-/// The findings of a check, the same as a table, how many evaluations were made, and whether there are notes only.
+/// The findings of a check, the same as a table, how many evaluations were made, and whether there are notes
+/// only.
 #[pyfunction]
 pub(crate) fn check(
     py: Python<'_>,

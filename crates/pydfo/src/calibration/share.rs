@@ -38,8 +38,8 @@ pub(crate) fn functions_of_fit(py: Python<'_>, path: PathBuf) -> PyResult<Vec<(u
     Ok(lost.collect())
 }
 
-/// A fit from a file, or from its bytes, with its model: the one given, else the one at its place if that has the content. Its
-/// calibration, and what a `pydfo.Fit` is made of.
+/// A fit from a file, or from its bytes, with its model: the one given, else the one at its place if that has
+/// the content. Its calibration, and what a `pydfo.Fit` is made of.
 #[pyfunction]
 #[pyo3(signature = (path, content=None, model=None, functions=Vec::new()))]
 pub(crate) fn load_fit<'py>(
@@ -70,7 +70,8 @@ pub(crate) fn load_fit<'py>(
     Ok((calibration, result))
 }
 
-/// The place of the model of a calibration, and the arguments of the `pydfo.Parameter` of each of its parameters.
+/// The place of the model of a calibration, and the arguments of the `pydfo.Parameter` of each of its
+/// parameters.
 #[pyfunction]
 pub(crate) fn parameters_of<'py>(
     py: Python<'py>,

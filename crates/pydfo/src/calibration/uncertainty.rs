@@ -1,4 +1,5 @@
-//! `Uncertainty` and the preflight: the uncertainty of a fit, and what is found before it; `pydfo.Uncertainty` and `pydfo.Preflight` in Python.
+//! `Uncertainty` and the preflight: the uncertainty of a fit, and what is found before it;
+//! `pydfo.Uncertainty` and `pydfo.Preflight` in Python.
 
 use crate::calibration::fit::PyFit;
 use crate::calibration::native::PyCalibration;
@@ -164,7 +165,8 @@ impl PyUncertainty {
         Ok(fields)
     }
 
-    /// Lower and upper ends, n x 2; not `corrected`: with the standard errors that suppose independent residuals.
+    /// Lower and upper ends, n x 2; not `corrected`: with the standard errors that suppose independent
+    /// residuals.
     fn intervals<'py>(
         &self,
         py: Python<'py>,

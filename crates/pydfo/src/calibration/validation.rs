@@ -142,7 +142,8 @@ pub(crate) fn cross_validate<'py>(
     Ok(fields)
 }
 
-/// `Fit.prediction_band`: per experiment and output, to an extent of a level and whether it is corrected for autocorrelated residuals.
+/// `Fit.prediction_band`: per experiment and output, to an extent of a level and whether it is corrected for
+/// autocorrelated residuals.
 #[pyfunction]
 pub(crate) fn prediction_bands<'py>(
     py: Python<'py>,

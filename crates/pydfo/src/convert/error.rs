@@ -1,5 +1,5 @@
-//! Errors of optimisers and calibrations as Python exceptions, and how a run ends for the user. (Errors of models:
-//! `fmu_error`.) The exception classes themselves are defined, and documented, in `pydfo/_errors.py`.
+//! Errors of optimisers and calibrations as Python exceptions, and how a run ends for the user. (Errors of
+//! models: `fmu_error`.) The exception classes themselves are defined, and documented, in `pydfo/_errors.py`.
 
 use crate::convert::fmu_error;
 use crate::interrupt::watch::EndRequest;

@@ -1,4 +1,5 @@
-//! Errors of models as Python exceptions: a class for each sort of mistake, and numbers to work with where there are any.
+//! Errors of models as Python exceptions: a class for each sort of mistake, and numbers to work with where
+//! there are any.
 
 use calibration::visible;
 use fmi::FmiError;

@@ -101,9 +101,9 @@ pub(crate) fn dtypes() -> HashMap<&'static str, &'static str> {
     DTYPES.iter().map(|(kind, dtype)| (kind.name(), *dtype)).collect()
 }
 
-/// The value given for a variable, or an element of one: a Python or NumPy scalar, or one such in an array, list or tuple;
-/// for an array (`whole`) its elements, in its shape or one after the other. An item of an enumeration may be given by its
-/// name.
+/// The value given for a variable, or an element of one: a Python or NumPy scalar, or one such in an array,
+/// list or tuple; for an array (`whole`) its elements, in its shape or one after the other. An item of an
+/// enumeration may be given by its name.
 fn from_python(
     description: &ModelDescription,
     variable: &Variable,

@@ -1,6 +1,7 @@
 //! Log lines of the libraries (warnings about models, mostly) go to Python's `logging`, logger "pydfo".
 //!
-//! Lines are kept until the next return to Python: the threads that simulate must not wait for the interpreter lock.
+//! Lines are kept until the next return to Python: the threads that simulate must not wait for the
+//! interpreter lock.
 
 use crate::interrupt::threads::lock;
 use calibration::SETUP_LOG_TARGET;

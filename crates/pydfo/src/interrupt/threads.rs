@@ -1,5 +1,5 @@
-//! Threads with large stacks that native work is handed to; idle ones wait for the next piece, which is faster than
-//! starting one for each simulation of a few microseconds.
+//! Threads with large stacks that native work is handed to; idle ones wait for the next piece, which is
+//! faster than starting one for each simulation of a few microseconds.
 
 use std::io;
 use std::process;
@@ -14,14 +14,15 @@ const STACK_SIZE: usize = 16 << 20;
 /// Idle threads beyond this end.
 const MOST_IDLE: usize = 4;
 
-/// So long a thread looks for more before it sleeps: about as long as it takes to be woken, so that at most twice the
-/// least time is spent. Who simulates in a loop has the next run ready by then.
+/// So long a thread looks for more before it sleeps: about as long as it takes to be woken, so that at most
+/// twice the least time is spent. Who simulates in a loop has the next run ready by then.
 const AWAKE: Duration = Duration::from_micros(250);
 
 /// Looks between two readings of the clock, each of which offers the core to others.
 const LOOKS: u32 = 16;
 
-/// A piece of work. It returns what is to be done once its thread waits for more: the announcement that it is done.
+/// A piece of work. It returns what is to be done once its thread waits for more: the announcement that it is
+/// done.
 pub(crate) type Work = Box<dyn FnOnce() -> Box<dyn FnOnce()> + Send>;
 
 struct Helper {

@@ -1,10 +1,10 @@
-//! Ctrl-C: the calling thread looks for Python's signals while work goes on elsewhere, between two steps of a short
-//! simulation, or inside of a Python function.
+//! Ctrl-C: the calling thread looks for Python's signals while work goes on elsewhere, between two steps of a
+//! short simulation, or inside of a Python function.
 //!
-//! While there is a [`Watch`], SIGINT is handled by us: the first one raises a flag, so that no further evaluation starts
-//! and simulations stop at their next step, while a Python function that is running is left to end; from the second
-//! one on KeyboardInterrupt is raised, as always. A handler of the user's is left in place. Work that runs inside of
-//! other work (a simulation inside of an objective) stops with it.
+//! While there is a [`Watch`], SIGINT is handled by us: the first one raises a flag, so that no further
+//! evaluation starts and simulations stop at their next step, while a Python function that is running is left
+//! to end; from the second one on KeyboardInterrupt is raised, as always. A handler of the user's is left in
+//! place. Work that runs inside of other work (a simulation inside of an objective) stops with it.
 
 use crate::interrupt::threads::{self, lock};
 use calibration::RunContext;
@@ -26,11 +26,12 @@ const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Shortest time between two reports of progress on the calling thread.
 const TICK: Duration = Duration::from_millis(250);
 
-/// Work that took less than this the last time is done on the calling thread: handing it to another one takes up to 0.5 ms.
+/// Work that took less than this the last time is done on the calling thread: handing it to another one takes
+/// up to 0.5 ms.
 const SHORT: Duration = Duration::from_millis(50);
 
-/// Stack that the calling thread must have left for that: what 8 MiB, the usual limit of a main thread, leave when an
-/// interpreter has used some.
+/// Stack that the calling thread must have left for that: what 8 MiB, the usual limit of a main thread, leave
+/// when an interpreter has used some.
 const LEAST_STACK: usize = 7 << 20;
 
 /// True if work that took this long the last time (`None`: it was never done) can be done on the calling
@@ -96,8 +97,8 @@ pub(crate) struct EndRequest {
 }
 
 impl EndRequest {
-    /// The flag for optimisers and simulations to look at. Work may raise it to end itself (an input function that
-    /// raised an exception); it is never lowered.
+    /// The flag for optimisers and simulations to look at. Work may raise it to end itself (an input function
+    /// that raised an exception); it is never lowered.
     pub(crate) fn flag(&self) -> Arc<AtomicBool> {
         Arc::clone(&self.flag)
     }
@@ -176,7 +177,8 @@ impl Drop for Inside {
     }
 }
 
-/// Python's handling of SIGINT: the C module under `signal`, whose wrappers in Python cost as much as a short simulation.
+/// Python's handling of SIGINT: the C module under `signal`, whose wrappers in Python cost as much as a short
+/// simulation.
 struct Signals {
     module: Py<PyModule>,
     sigint: Py<PyAny>,
@@ -239,8 +241,8 @@ pub(crate) struct Watch<'py> {
 }
 
 impl<'py> Watch<'py> {
-    /// Leaves SIGINT to the handler that is there: for work that calls no Python function, on the calling thread, which
-    /// looks for signals itself and otherwise leaves them to whatever comes next.
+    /// Leaves SIGINT to the handler that is there: for work that calls no Python function, on the calling
+    /// thread, which looks for signals itself and otherwise leaves them to whatever comes next.
     pub(crate) fn without_handler(py: Python<'py>) -> Self {
         Self::with_flag(py, Arc::default())
     }
@@ -291,8 +293,9 @@ impl<'py> Watch<'py> {
         self.stop.take_raised().unwrap_or_else(|| PyKeyboardInterrupt::new_err(()))
     }
 
-    /// Runs `work` on a thread of its own without the interpreter lock, while this thread handles signals and does
-    /// what `work` asks for at the [`CallingThread`]. `None`: the user has interrupted it twice; `work` will end on its own some time.
+    /// Runs `work` on a thread of its own without the interpreter lock, while this thread handles signals and
+    /// does what `work` asks for at the [`CallingThread`]. `None`: the user has interrupted it twice; `work`
+    /// will end on its own some time.
     pub(crate) fn run<T: Send + 'static>(
         &self,
         work: impl FnOnce(&CallingThread) -> T + Send + 'static,

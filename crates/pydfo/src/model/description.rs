@@ -1,5 +1,5 @@
-//! The model description for Python: plain dictionaries, made when they are asked for; `_description.py` gives them
-//! their classes.
+//! The model description for Python: plain dictionaries, made when they are asked for; `_description.py`
+//! gives them their classes.
 
 use crate::convert::dict::dict;
 use crate::convert::fmu_error;
@@ -133,7 +133,8 @@ impl Fmu {
         })
     }
 
-    /// Raises what keeps the FMU from being simulated in this way, as far as its description tells; else "ME" or "CS".
+    /// Raises what keeps the FMU from being simulated in this way, as far as its description tells; else "ME"
+    /// or "CS".
     fn check_runnable(&self, py: Python<'_>, kind: &str) -> PyResult<&'static str> {
         let chosen = kind.parse().and_then(|kind| self.fmu.check_runnable_as(kind));
         match chosen.map_err(|e| fmu_error::raise(py, &e))? {
@@ -229,8 +230,8 @@ impl Fmu {
             .collect()
     }
 
-    /// Kind, message and line (None: the file as a whole) of each departure from the standard: those of the description,
-    /// and those that have shown when the FMU was run.
+    /// Kind, message and line (None: the file as a whole) of each departure from the standard: those of the
+    /// description, and those that have shown when the FMU was run.
     fn quirks(&self) -> Vec<(String, String, Option<u32>)> {
         let quirks = self.description().quirks.iter().cloned().chain(self.fmu.quirks_seen());
         quirks.map(|q| (q.kind.to_string(), q.message, Some(q.line).filter(|line| *line > 0))).collect()

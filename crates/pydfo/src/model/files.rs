@@ -19,8 +19,8 @@ static OPEN: LazyLock<FmuCache> = LazyLock::new(|| FmuCache::new(KEPT_OPEN));
 /// So long the calling thread tries to open a file, without looking for signals: most files take less.
 const SHORT: Duration = Duration::from_millis(20);
 
-/// The FMU at `path`, opened now or before with the same options. What takes long is opened while this thread looks for
-/// signals: small files can hold large descriptions.
+/// The FMU at `path`, opened now or before with the same options. What takes long is opened while this thread
+/// looks for signals: small files can hold large descriptions.
 pub(crate) fn open(py: Python<'_>, path: PathBuf, options: &OpenOptions) -> PyResult<fmi::Fmu> {
     try_open(py, path, options)?.map_err(|e| fmu_error::raise(py, &e))
 }
@@ -53,7 +53,8 @@ pub(crate) fn watched<T: Send + 'static>(
     watch.run_briefly(move || work(cancel))?.ok_or_else(|| watch.interrupted())
 }
 
-/// Forgets the FMUs that were kept open; called when the interpreter ends, so that no unpacked folder stays behind.
+/// Forgets the FMUs that were kept open; called when the interpreter ends, so that no unpacked folder stays
+/// behind.
 #[pyfunction]
 pub(crate) fn close_unused(py: Python<'_>) {
     py.detach(|| OPEN.clear());

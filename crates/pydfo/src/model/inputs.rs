@@ -1,4 +1,5 @@
-//! Inputs from Python: tables as arrays, and functions that are called with the interpreter lock taken only inside.
+//! Inputs from Python: tables as arrays, and functions that are called with the interpreter lock taken only
+//! inside.
 
 use crate::interrupt::threads::lock;
 use fmi::{Inputs, Value};
@@ -73,8 +74,8 @@ impl Callbacks {
         self.all.iter().find_map(|callback| lock(&callback.raised).take())
     }
 
-    /// Releases the functions. What a simulation leaves behind shall not keep alive what the functions refer to (the
-    /// model itself, perhaps).
+    /// Releases the functions. What a simulation leaves behind shall not keep alive what the functions refer
+    /// to (the model itself, perhaps).
     pub(crate) fn release(&self) {
         for callback in &self.all {
             drop(lock(&callback.function).take());

@@ -25,14 +25,15 @@ use std::sync::{Arc, Mutex};
 
 pyo3::import_exception!(pydfo._errors, Interrupted);
 
-/// A model with the values set since it was opened or reset. Whatever waits for its session, or frees an instance, does so
-/// without the lock of the interpreter, which the functions of a simulation may need.
+/// A model with the values set since it was opened or reset. Whatever waits for its session, or frees an
+/// instance, does so without the lock of the interpreter, which the functions of a simulation may need.
 #[pyclass(frozen, module = "pydfo._core")]
 pub(crate) struct Model {
     fmu: fmi::Fmu,
     kind: InterfaceKind,
     slot: Arc<Mutex<Slot>>,
-    /// Ends a simulation on the calling thread; the same for all of them, so that the next one has the same options.
+    /// Ends a simulation on the calling thread; the same for all of them, so that the next one has the same
+    /// options.
     flag: Arc<AtomicBool>,
     /// Processes of their own, started when the first simulation asks for one.
     apart: Arc<Mutex<Option<ModelProcess>>>,

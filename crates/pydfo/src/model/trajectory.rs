@@ -40,9 +40,9 @@ impl<'py> IntoPyObject<'py> for Counts {
     }
 }
 
-/// Fields of `pydfo._model.trajectory.SimulationResult`: of each variable its type, its unit, its columns (arrays
-/// have one for each element) and its extents; of each row a flag for the limit from the left; of each tick
-/// of a clock its time and its clock.
+/// Fields of `pydfo._model.trajectory.SimulationResult`: of each variable its type, its unit, its columns
+/// (arrays have one for each element) and its extents; of each row a flag for the limit from the left; of
+/// each tick of a clock its time and its clock.
 pub(crate) fn record<'py>(
     py: Python<'py>,
     description: &ModelDescription,
@@ -91,7 +91,8 @@ pub(crate) fn record<'py>(
     ))
 }
 
-/// A column of 64-bit integers as an array of them, one of texts or bytes as an array of objects, of which each value has one.
+/// A column of 64-bit integers as an array of them, one of texts or bytes as an array of objects, of which
+/// each value has one.
 fn exactly<'py>(py: Python<'py>, kind: VariableKind, column: &ValueColumn) -> PyResult<Bound<'py, PyAny>> {
     let integer = |value: &Value| if let Value::Integer(i) = value { *i } else { 0 };
     Ok(match kind {

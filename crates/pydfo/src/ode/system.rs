@@ -1,5 +1,5 @@
-//! A hybrid system written in Python: right-hand side, events, Jacobian as functions. Called on the thread that holds the
-//! interpreter lock.
+//! A hybrid system written in Python: right-hand side, events, Jacobian as functions. Called on the thread
+//! that holds the interpreter lock.
 
 use crate::interrupt::watch::{EndRequest, Inside};
 use crate::optimize::objective::number;

@@ -1,5 +1,5 @@
-//! An executor of Python's as an evaluator: points go to it one by one, for a function of the user's or for the simulations of a
-//! fit.
+//! An executor of Python's as an evaluator: points go to it one by one, for a function of the user's or for
+//! the simulations of a fit.
 
 use crate::interrupt::watch::{EndRequest, Inside};
 use crate::optimize::objective::PyObjective;

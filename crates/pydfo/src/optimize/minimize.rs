@@ -1,4 +1,5 @@
-//! Minimising a Python function: on the calling thread, on threads of a pool, or in batches that it takes as a whole.
+//! Minimising a Python function: on the calling thread, on threads of a pool, or in batches that it takes as
+//! a whole.
 
 use crate::convert::error;
 use crate::convert::record::PyRecord;
@@ -55,10 +56,10 @@ impl RunSetup {
     }
 }
 
-/// Minimises a Python function. With one worker it is called on the calling thread, with more on threads of a pool;
-/// with `batches` it takes whole batches on the calling thread, see [`PyObjective::evaluate_batch`], or points one by one, see
-/// [`PyEvaluator`]; with `cutoffs` it is
-/// told the cutoff of each point; with a `loss` and its scale among the options it returns residuals.
+/// Minimises a Python function. With one worker it is called on the calling thread, with more on threads of a
+/// pool; with `batches` it takes whole batches on the calling thread, see [`PyObjective::evaluate_batch`], or
+/// points one by one, see [`PyEvaluator`]; with `cutoffs` it is told the cutoff of each point; with a `loss`
+/// and its scale among the options it returns residuals.
 #[pyfunction]
 #[pyo3(signature = (
     func, x0, lower, upper, options, *, tolerant=false, observer=None, detail=false, batches=false, cutoffs=false

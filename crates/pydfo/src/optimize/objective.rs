@@ -1,4 +1,5 @@
-//! A Python function as an objective: called with the lock held only inside of it, from whatever thread evaluates.
+//! A Python function as an objective: called with the lock held only inside of it, from whatever thread
+//! evaluates.
 
 use crate::interrupt::threads::lock;
 use crate::interrupt::watch::{EndRequest, Inside};
@@ -9,7 +10,8 @@ use pyo3::prelude::*;
 use pyo3::types::{PyCFunction, PyDict, PyFloat, PyTuple};
 use std::sync::{Arc, Mutex};
 
-/// A Python function `f(x) -> float`, or `f(x, *, cutoff) -> float | Above`, or one that returns a vector of residuals.
+/// A Python function `f(x) -> float`, or `f(x, *, cutoff) -> float | Above`, or one that returns a vector of
+/// residuals.
 pub(crate) struct PyObjective {
     function: Py<PyAny>,
     /// True if an exception counts as a failed evaluation instead of ending the run.
@@ -19,7 +21,8 @@ pub(crate) struct PyObjective {
     /// Loss function of the residuals; `None`: the function returns a cost.
     loss: Option<RobustLoss>,
     stop: Arc<EndRequest>,
-    /// Exceptions, by the points at which they were raised: the run ends with that of the first point of its path.
+    /// Exceptions, by the points at which they were raised: the run ends with that of the first point of its
+    /// path.
     raised: Mutex<Vec<(Vec<u64>, PyErr)>>,
 }
 
@@ -108,9 +111,9 @@ impl PyObjective {
         answer.outcome = self.outcome(py, x, returned, &mut answer.residuals);
     }
 
-    /// Outcomes of a batch from a function that takes all its points, shape (points, parameters), their cutoffs, and a
-    /// function that says whether to stop; it returns for each point a cost, the exception that was raised, or Ellipsis for
-    /// a point that was left out. Called on the calling thread.
+    /// Outcomes of a batch from a function that takes all its points, shape (points, parameters), their
+    /// cutoffs, and a function that says whether to stop; it returns for each point a cost, the exception
+    /// that was raised, or Ellipsis for a point that was left out. Called on the calling thread.
     pub(crate) fn evaluate_batch(&self, py: Python<'_>, batch: &BatchView<'_>) -> Vec<Outcome> {
         let _inside = Inside::new(&self.stop);
         let mut outcomes = vec![Outcome::Skipped; batch.len()];
@@ -201,7 +204,8 @@ fn is_above(value: &Bound<'_, PyAny>) -> bool {
     !value.is_instance_of::<PyFloat>() && class().and_then(|class| value.is_instance(&class)).unwrap_or(false)
 }
 
-/// The residuals that a Python function returned, into `out`: whatever NumPy makes a one-dimensional array of.
+/// The residuals that a Python function returned, into `out`: whatever NumPy makes a one-dimensional array
+/// of.
 ///
 /// # Errors
 /// TypeError: something else.

@@ -53,8 +53,9 @@ impl PyOptimizer {
         ))
     }
 
-    /// The value of a point: a number, or a vector of residuals where the method wants these, None or an exception (it failed), Ellipsis (it is given back), or `above`: the
-    /// number is one that the cost exceeds.
+    /// The value of a point: a number, or a vector of residuals where the method wants these, None or an
+    /// exception (it failed), Ellipsis (it is given back), or `above`: the number is one that the cost
+    /// exceeds.
     fn tell(&self, py: Python<'_>, id: u64, value: &Bound<'_, PyAny>, above: bool) -> PyResult<()> {
         let mut answer = Answer::default();
         answer.outcome = if above {

@@ -4,11 +4,11 @@ use crate::cost::calibration::Calibration;
 use dfo::{Answer, Evaluator, Query, RobustLoss};
 use ode::Stats;
 
-/// Simulates the points of a fit, wherever it likes: each as [`Calibration::answer_counted`] does with the same calibration, for
-/// residuals.
+/// Simulates the points of a fit, wherever it likes: each as [`Calibration::answer_counted`] does with the
+/// same calibration, for residuals.
 pub trait Engine: Evaluator {
-    /// The points from here on are of this calibration, which has chosen its solver: that of the fit, or the same with other weights or
-    /// tolerances. What is robust counts by this loss.
+    /// The points from here on are of this calibration, which has chosen its solver: that of the fit, or the
+    /// same with other weights or tolerances. What is robust counts by this loss.
     fn begin(&mut self, calibration: &Calibration, loss: RobustLoss);
 
     /// Statistics of the simulations whose answers have come since the last call.

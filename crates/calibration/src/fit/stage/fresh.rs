@@ -1,4 +1,5 @@
-//! The best point of a fit, evaluated again in a process that was never asked before: whether its cost depends on what ran before it.
+//! The best point of a fit, evaluated again in a process that was never asked before: whether its cost
+//! depends on what ran before it.
 
 use crate::cost::calibration::Calibration;
 use crate::cost::failure::NoCost;
@@ -25,8 +26,8 @@ pub(super) enum Fresh {
 type Known<'a> = (&'a [f64], &'a [f64]);
 
 impl Calibration {
-    /// Does `work` while a point is evaluated again; `best`: the point, and its residuals as they count. Where these are others, each
-    /// evaluation has a process of its own from now on.
+    /// Does `work` while a point is evaluated again; `best`: the point, and its residuals as they count.
+    /// Where these are others, each evaluation has a process of its own from now on.
     pub(super) fn beside_fresh_process<T>(
         &self,
         best: Option<Known<'_>>,

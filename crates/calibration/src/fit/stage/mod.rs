@@ -53,18 +53,19 @@ fn loose(tolerances: &Tolerances) -> Option<Finding> {
 impl Calibration {
     /// Fits the parameters.
     ///
-    /// Simulations run on threads of their own where they are long enough for that; the calling thread observes and polls.
-    /// Evaluations that can no longer matter are given up early (see [`dfo::Outcome::Above`]); this changes no decision.
+    /// Simulations run on threads of their own where they are long enough for that; the calling thread
+    /// observes and polls. Evaluations that can no longer matter are given up early (see
+    /// [`dfo::Outcome::Above`]); this changes no decision.
     ///
     /// # Errors
-    /// Options that cannot be used, simulations that fail at every starting point, a run ended before any point had a
-    /// cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
+    /// Options that cannot be used, simulations that fail at every starting point, a run ended before any
+    /// point had a cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
     pub fn fit<'a>(&self, options: impl Into<FitOptions<'a>>) -> Result<Fit, CalibrationError> {
         self.fit_and_keep(options.into(), None).map(|(fit, _)| fit)
     }
 
-    /// The same, with the residuals that the run has computed, by the weights of this calibration; within a time that has begun
-    /// already, or begins now.
+    /// The same, with the residuals that the run has computed, by the weights of this calibration; within a
+    /// time that has begun already, or begins now.
     pub(crate) fn fit_and_keep(
         &self,
         options: FitOptions<'_>,
@@ -185,8 +186,8 @@ impl Calibration {
         Ok((fit, residuals))
     }
 
-    /// The root of the mean squared residual of the measurements by the weights of this calibration, as they count, from residuals by
-    /// other weights.
+    /// The root of the mean squared residual of the measurements by the weights of this calibration, as they
+    /// count, from residuals by other weights.
     pub(crate) fn rms_of(&self, residuals: &[f64], weights: &ResidualLayout) -> f64 {
         let own = self.residual_layout().reweighed(residuals, weights);
         let n = self.n_measurements();
@@ -254,8 +255,8 @@ impl Calibration {
         }
     }
 
-    /// The size that was given for a parameter on a linear scale: what the user said, else the model's nominal value, but no more
-    /// than the width of the bounds.
+    /// The size that was given for a parameter on a linear scale: what the user said, else the model's
+    /// nominal value, but no more than the width of the bounds.
     fn given_size(&self, parameter: &Parameter) -> Option<f64> {
         if parameter.scale_kind() == Scale::Log {
             return None;
@@ -268,8 +269,9 @@ impl Calibration {
         parameter.nominal_size().or(of_model).map(f64::abs).filter(|size| size.is_finite() && *size > 0.0)
     }
 
-    /// Typical size of a parameter near a value, by the rule of the search ([`dfo::typical_size`]); of its logarithm on a logarithmic
-    /// scale; 1 where nothing is known. A value that has come near zero has the size that it had at the start.
+    /// Typical size of a parameter near a value, by the rule of the search ([`dfo::typical_size`]); of its
+    /// logarithm on a logarithmic scale; 1 where nothing is known. A value that has come near zero has the
+    /// size that it had at the start.
     pub(crate) fn size_of(&self, parameter: &Parameter, at: f64) -> f64 {
         let (bounds, given) = ((parameter.lower(), parameter.upper()), self.given_size(parameter));
         let largest = at.abs().max(parameter.start().abs());

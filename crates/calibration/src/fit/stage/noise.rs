@@ -1,7 +1,7 @@
 //! Noise of the measurements: stated by their weights, or estimated with the parameters.
 //!
-//! A prior counts in units of its own standard deviation, so the measurements have to count in units of theirs. Where their weights do
-//! not say so, fits take turns with estimates of the noise.
+//! A prior counts in units of its own standard deviation, so the measurements have to count in units of
+//! theirs. Where their weights do not say so, fits take turns with estimates of the noise.
 
 use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
@@ -19,14 +19,16 @@ use std::fmt;
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum NoiseRule {
-    /// As [`Estimated`](Self::Estimated) for outputs whose weights state no noise (1, or the inverse of a scale), in a fit of the sum of
-    /// squares with priors and without a robust loss; else as [`Stated`](Self::Stated).
+    /// As [`Estimated`](Self::Estimated) for outputs whose weights state no noise (1, or the inverse of a
+    /// scale), in a fit of the sum of squares with priors and without a robust loss; else as
+    /// [`Stated`](Self::Stated).
     #[default]
     Auto,
     /// Weights are 1 over the standard deviation of the noise, also a weight of 1.
     Stated,
-    /// Estimated for all outputs. Weights are relative: the standard deviation of a measurement is that of its output over its weight.
-    /// The fit minimises the sum of squares without a robust loss, with priors or without.
+    /// Estimated for all outputs. Weights are relative: the standard deviation of a measurement is that of
+    /// its output over its weight. The fit minimises the sum of squares without a robust loss, with priors or
+    /// without.
     Estimated,
 }
 
@@ -37,8 +39,8 @@ pub enum NoiseRule {
 pub enum FitNoise {
     /// The weights: 1 over its standard deviation.
     Stated,
-    /// It was estimated. The fit's own weights are then those over the estimates, and its cost, residuals, derivatives and covariance
-    /// are those with its own weights.
+    /// It was estimated. The fit's own weights are then those over the estimates, and its cost, residuals,
+    /// derivatives and covariance are those with its own weights.
     Estimated(EstimatedNoise),
 }
 
@@ -69,12 +71,13 @@ impl fmt::Display for FitNoise {
 
 /// The noise of the measurements, estimated with the parameters of a fit.
 ///
-/// The first estimate is that of the differences between neighbouring measurements: the median size of `y_i` less the line through its
-/// two neighbours, or the cubic through four, whichever leaves less of the signal (pseudo-residuals: Gasser, Sroka and Jennen-Steinmetz,
-/// Biometrika 73, 1986). Each fit
-/// then has the weights over the last estimate, and its residuals give the next one: with N of an output, the mean of their squares is
-/// `s^2 (N - h)`, h being the sum of the diagonal of `J (J'J)^-1 J'` over them, where J has the rows of the priors, too (the equation of
-/// the evidence: MacKay, Neural Computation 4, 1992, page 426). It ends when no estimate changes by more than 1 %.
+/// The first estimate is that of the differences between neighbouring measurements: the median size of `y_i`
+/// less the line through its two neighbours, or the cubic through four, whichever leaves less of the signal
+/// (pseudo-residuals: Gasser, Sroka and Jennen-Steinmetz, Biometrika 73, 1986). Each fit then has the weights
+/// over the last estimate, and its residuals give the next one: with N of an output, the mean of their
+/// squares is `s^2 (N - h)`, h being the sum of the diagonal of `J (J'J)^-1 J'` over them, where J has the
+/// rows of the priors, too (the equation of the evidence: MacKay, Neural Computation 4, 1992, page 426). It
+/// ends when no estimate changes by more than 1 %.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct EstimatedNoise {
@@ -94,7 +97,8 @@ pub struct EstimatedNoise {
 pub struct OutputNoise {
     /// The variable.
     pub variable: String,
-    /// The standard deviation of a measurement, in the unit of the variable; where its weights state something, times the weight.
+    /// The standard deviation of a measurement, in the unit of the variable; where its weights state
+    /// something, times the weight.
     pub sd: f64,
     /// True if the noise is that of the residuals; else it is that of the differences between neighbouring
     /// measurements: there are too few residuals, or the search was ended.
@@ -111,7 +115,8 @@ pub(super) const MOST_ROUNDS: usize = 10;
 const FEWEST: f64 = 2.0;
 
 impl EstimatedNoise {
-    /// The first estimate, from the differences between neighbouring measurements; `None`: there is nothing to estimate.
+    /// The first estimate, from the differences between neighbouring measurements; `None`: there is nothing
+    /// to estimate.
     pub(super) fn first(calibration: &Calibration, rule: NoiseRule) -> Option<Self> {
         let mut own = Self {
             outputs: Vec::new(),
@@ -146,7 +151,8 @@ impl EstimatedNoise {
         (!own.outputs.is_empty()).then_some(own)
     }
 
-    /// The next estimate, from the residuals of a fit with this one, and how much each of them is fitted (see [`leverages`]).
+    /// The next estimate, from the residuals of a fit with this one, and how much each of them is fitted (see
+    /// [`leverages`]).
     pub(super) fn next(&self, calibration: &Calibration, residuals: &[f64], leverages: &[f64]) -> Self {
         let (problem, layout) = (calibration.problem(), calibration.residual_layout());
         let mut next = self.clone();
@@ -324,8 +330,8 @@ fn base(problem: &Problem, output: &OutputResiduals, k: usize) -> f64 {
     }
 }
 
-/// The size of each measurement less the polynomial through so many neighbours on each side of it, over the standard deviation that
-/// noise of `1 / base` leaves of that.
+/// The size of each measurement less the polynomial through so many neighbours on each side of it, over the
+/// standard deviation that noise of `1 / base` leaves of that.
 fn pseudo_residuals(problem: &Problem, output: &OutputResiduals, on_side: usize) -> Vec<f64> {
     let (times, y) = (&output.times, &output.measured);
     let variance = |k: usize| base(problem, output, k).powi(-2);

@@ -18,11 +18,11 @@ pub type FitObserver<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
 
 /// Options of a fit.
 pub struct FitOptions<'a> {
-    /// The method, tolerances, limits, workers (default: all cores), checkpoint and so on. The time limit holds for the whole fit, from
-    /// the choice of a solver to the standard errors: where it is over before any evaluation has ended, the result is the start,
-    /// with a cost of NaN. Model, data, parameters and settings
-    /// of the calibration identify the fit's problem: a checkpoint of another one is refused, and points that are known
-    /// from another one are evaluated again.
+    /// The method, tolerances, limits, workers (default: all cores), checkpoint and so on. The time limit
+    /// holds for the whole fit, from the choice of a solver to the standard errors: where it is over before
+    /// any evaluation has ended, the result is the start, with a cost of NaN. Model, data, parameters and
+    /// settings of the calibration identify the fit's problem: a checkpoint of another one is refused, and
+    /// points that are known from another one are evaluated again.
     pub run: RunOptions<AnyMethod>,
     /// Where to start; default: the parameters' start values.
     pub start: Option<Vec<f64>>,
@@ -37,13 +37,14 @@ pub struct FitOptions<'a> {
     /// [`Fit::cost`](crate::Fit::cost) is the sum of these contributions, also where the method sees costs
     /// alone.
     pub loss: RobustLoss,
-    /// Where the noise of the measurements is taken from, beside which [priors](crate::Prior) count; default: it is estimated with the
-    /// parameters where there are priors and the weights do not state it. See [`EstimatedNoise`](crate::EstimatedNoise) for how: the search
-    /// is made several times, each from where the last one ended, and the limits hold for all together. A checkpoint has a file for each:
+    /// Where the noise of the measurements is taken from, beside which [priors](crate::Prior) count; default:
+    /// it is estimated with the parameters where there are priors and the weights do not state it. See
+    /// [`EstimatedNoise`](crate::EstimatedNoise) for how: the search is made several times, each from where
+    /// the last one ended, and the limits hold for all together. A checkpoint has a file for each:
     /// `fit.ckpt`, `fit.ckpt.round2` and so on.
     pub noise: NoiseRule,
-    /// The start is looked at first, see [`Calibration::preflight`](crate::Calibration::preflight); `f_tol` below the noise of the simulations is raised to it, with
-    /// a word in the message. Default: no.
+    /// The start is looked at first, see [`Calibration::preflight`](crate::Calibration::preflight); `f_tol`
+    /// below the noise of the simulations is raised to it, with a word in the message. Default: no.
     pub preflight: bool,
     /// Options of the uncertainty, which is estimated after the run: standard errors, correlation, parameters
     /// that the data do not determine. Takes at least two simulations for each parameter and one that is more
@@ -52,19 +53,21 @@ pub struct FitOptions<'a> {
     pub uncertainty: Option<UncertaintyOptions>,
     /// Called after each iteration, on the calling thread.
     pub observer: Option<Box<FitObserver<'a>>>,
-    /// Who may interrupt the fit: within a step of the simulations that are running. Its function is called on the calling thread at least
-    /// every 50 ms. The time limit is that of [`run`](Self::run), or of the context, if that ends sooner.
+    /// Who may interrupt the fit: within a step of the simulations that are running. Its function is called
+    /// on the calling thread at least every 50 ms. The time limit is that of [`run`](Self::run), or of the
+    /// context, if that ends sooner.
     pub context: RunContext<'a>,
-    /// Who makes the simulations of the search; default: workers of this machine, as many as [`run`](Self::run) says. What comes before
-    /// and after the search is simulated here.
+    /// Who makes the simulations of the search; default: workers of this machine, as many as
+    /// [`run`](Self::run) says. What comes before and after the search is simulated here.
     pub engine: Option<Rc<RefCell<dyn Engine>>>,
     /// Where the fit says what it does.
     pub phase: Arc<CurrentPhase>,
 }
 
 impl FitOptions<'_> {
-    /// The run of a fit by default: the method for residuals that [`AnyMethod::chosen_for`] chooses, tolerances of 1e-4 each, `x_tol` in units of the parameters' sizes and `f_tol` as a
-    /// fraction of the cost, for a cost made of simulations is seldom smooth below that; all else as [`dfo::minimize`] has
+    /// The run of a fit by default: the method for residuals that [`AnyMethod::chosen_for`] chooses,
+    /// tolerances of 1e-4 each, `x_tol` in units of the parameters' sizes and `f_tol` as a fraction of the
+    /// cost, for a cost made of simulations is seldom smooth below that; all else as [`dfo::minimize`] has
     /// it.
     pub fn default_run() -> RunOptions<AnyMethod> {
         let tolerances = Tolerances { x_tol: 1e-4, f_tol: 1e-4, measure: Measure::Relative, stop: Stop::All };
@@ -73,8 +76,8 @@ impl FitOptions<'_> {
 }
 
 impl FitOptions<'_> {
-    /// A fit of `n` parameters as a record asks for it: `loss`, `f_scale`, `noise`, `preflight`, `covariance`, and the options of its
-    /// run. What it does not say is as by default.
+    /// A fit of `n` parameters as a record asks for it: `loss`, `f_scale`, `noise`, `preflight`,
+    /// `covariance`, and the options of its run. What it does not say is as by default.
     ///
     /// # Errors
     /// An option that there is not, or a value that it cannot have.

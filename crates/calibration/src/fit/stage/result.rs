@@ -36,41 +36,45 @@ pub struct Fit {
     pub bounds: Vec<(f64, f64)>,
     /// Name of the model.
     pub model: String,
-    /// Why the FMU ran in this process, where one of its own was asked for (see [`Calibration::isolation`](crate::Calibration::isolation)).
+    /// Why the FMU ran in this process, where one of its own was asked for (see
+    /// [`Calibration::isolation`](crate::Calibration::isolation)).
     #[serde(default)]
     pub in_this_process: Option<String>,
     /// Number of measurements that count.
     pub n_measurements: usize,
-    /// Cost there: the sum of the squared weighted residuals, by the weights of the [noise](Self::noise) where that was estimated; with a
-    /// loss, of what they count.
+    /// Cost there: the sum of the squared weighted residuals, by the weights of the [noise](Self::noise)
+    /// where that was estimated; with a loss, of what they count.
     pub cost: f64,
-    /// Root of the mean squared weighted residual of the measurements there, by the weights of the calibration; with a loss, of what they
-    /// count.
+    /// Root of the mean squared weighted residual of the measurements there, by the weights of the
+    /// calibration; with a loss, of what they count.
     pub rms: f64,
     /// Name of the cost, see [`CostKind::name`](crate::CostKind::name).
     pub objective: String,
-    /// Where the noise of the measurements was taken from, beside which priors count; `None`: nothing depended on it (no priors, or a cost
-    /// that is no sum of squares), or there was no time for a search.
+    /// Where the noise of the measurements was taken from, beside which priors count; `None`: nothing
+    /// depended on it (no priors, or a cost that is no sum of squares), or there was no time for a search.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise: Option<FitNoise>,
-    /// The relative tolerance that was chosen for the simulations; `None`: it was given, or that of the calibration.
+    /// The relative tolerance that was chosen for the simulations; `None`: it was given, or that of the
+    /// calibration.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tolerance: Option<ChosenTolerance>,
     /// Cost at the start, if the simulation did not fail there.
     pub start_cost: Option<f64>,
     /// RMS at the start, if the simulation did not fail there.
     pub start_rms: Option<f64>,
-    /// The fit of each stage, see [`Calibration::fit_stages`](crate::Calibration::fit_stages); empty if there were none.
+    /// The fit of each stage, see [`Calibration::fit_stages`](crate::Calibration::fit_stages); empty if there
+    /// were none.
     pub stages: Vec<Fit>,
     /// Parameters that ended at a bound, by number: the best values may lie beyond.
     pub at_bound: Vec<(usize, BoundSide)>,
-    /// Parameters that did not change the cost (by more than the relative tolerance of the simulations), by number: their
-    /// values say nothing.
+    /// Parameters that did not change the cost (by more than the relative tolerance of the simulations), by
+    /// number: their values say nothing.
     pub without_effect: Vec<usize>,
-    /// Simulations made after the run to find out about both: at the bound, for each parameter that ended as near to it as
-    /// `x_tol`; with the parameter moved, for each that no evaluation has shown to change the cost (those of a first simplex
-    /// show it, because they differ in one parameter alone). They are none of the run's evaluations, which its budget
-    /// counts, are not made after an interrupt or when the time is up, and are part of `stats`.
+    /// Simulations made after the run to find out about both: at the bound, for each parameter that ended as
+    /// near to it as `x_tol`; with the parameter moved, for each that no evaluation has shown to change the
+    /// cost (those of a first simplex show it, because they differ in one parameter alone). They are none of
+    /// the run's evaluations, which its budget counts, are not made after an interrupt or when the time is
+    /// up, and are part of `stats`.
     pub n_checks: usize,
     /// Quality of fit of each output, in the order of the residual vector; empty where the run was ended from
     /// outside.
@@ -145,7 +149,8 @@ impl Fit {
         all
     }
 
-    /// The RMS over that at the start, on the same measurements; `None` if the simulation failed at the start.
+    /// The RMS over that at the start, on the same measurements; `None` if the simulation failed at the
+    /// start.
     pub fn scaled_rms(&self) -> Option<f64> {
         self.start_rms.map(|start| self.rms / start)
     }

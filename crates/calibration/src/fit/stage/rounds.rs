@@ -31,8 +31,8 @@ impl Made {
     }
 }
 
-/// The checkpoint of a part of a fit that has several: the file of the fit with `.stage2`, `.round2` and so on appended. Later parts of a
-/// file that is required may not have begun.
+/// The checkpoint of a part of a fit that has several: the file of the fit with `.stage2`, `.round2` and so
+/// on appended. Later parts of a file that is required may not have begun.
 pub(crate) fn checkpoint_of(fit: &Checkpoint, part: &str, is_first: bool) -> Checkpoint {
     let mut path = fit.path.clone().into_os_string();
     path.push(part);
@@ -293,9 +293,9 @@ impl Calibration {
         Ok(Made { own: Some(own), searched, noise: Some(FitNoise::Estimated(noise)), tolerance: None })
     }
 
-    /// Derivatives of the residuals at the end of a search, m x n: those that it had, else of one step of each parameter. They say how many
-    /// of the residuals are fitted, for which the length of a step does not matter. `None`: the search was interrupted meanwhile, or
-    /// simulations fail.
+    /// Derivatives of the residuals at the end of a search, m x n: those that it had, else of one step of
+    /// each parameter. They say how many of the residuals are fitted, for which the length of a step does not
+    /// matter. `None`: the search was interrupted meanwhile, or simulations fail.
     fn jacobian_at(
         &self,
         searched: &Searched,

@@ -259,8 +259,8 @@ pub(super) struct Searched {
 }
 
 impl Calibration {
-    /// The search for the best point, with what comes before it. `at_start`: the residuals at the start, as they count, where they are
-    /// known.
+    /// The search for the best point, with what comes before it. `at_start`: the residuals at the start, as
+    /// they count, where they are known.
     pub(super) fn search(
         &self,
         job: &Job<'_>,

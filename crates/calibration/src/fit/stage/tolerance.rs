@@ -16,11 +16,13 @@ use serde::{Deserialize, Serialize};
 
 /// The relative tolerance that was chosen for the simulations of a fit, where it was not given.
 ///
-/// The start is simulated with the tolerance T of the calibration (that of the model, but at most 1e-6) and with a tenth of it; the
-/// residuals differ by `d`, which is about the error of the first. Near the best values, where the residuals are noise of the size s, that makes the cost
-/// uncertain by `2 d / (N s) + d^2 / (N s^2)` of itself (its error and the noise are independent): the tolerance is the first of T, T / 10,
-/// T / 100 and so on for which that is below 0.3 `f_tol`, with d in proportion. s is estimated from the differences between neighbouring
-/// measurements. Where `f_tol` is 100 times the tolerance of the model or more, nothing is simulated, and T is used.
+/// The start is simulated with the tolerance T of the calibration (that of the model, but at most 1e-6) and
+/// with a tenth of it; the residuals differ by `d`, which is about the error of the first. Near the best
+/// values, where the residuals are noise of the size s, that makes the cost uncertain by `2 d / (N s) + d^2 /
+/// (N s^2)` of itself (its error and the noise are independent): the tolerance is the first of T, T / 10, T /
+/// 100 and so on for which that is below 0.3 `f_tol`, with d in proportion. s is estimated from the
+/// differences between neighbouring measurements. Where `f_tol` is 100 times the tolerance of the model or
+/// more, nothing is simulated, and T is used.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct ChosenTolerance {
@@ -31,7 +33,8 @@ pub struct ChosenTolerance {
     /// Relative uncertainty of the cost near the best values with T; `None`: it was not estimated, or the
     /// start cannot be simulated.
     pub noise: Option<f64>,
-    /// Simulations of the start that were made for it, and that the search could not use. They are part of the fit's `stats`.
+    /// Simulations of the start that were made for it, and that the search could not use. They are part of
+    /// the fit's `stats`.
     pub n_simulations: usize,
 }
 
@@ -66,9 +69,9 @@ impl ChosenTolerance {
 }
 
 impl Calibration {
-    /// Chooses the tolerance of a fit from this start, with the residuals there, as they count, where they are known with the tolerance of
-    /// the calibration; hands on those that are known with the chosen one. `None`: it was given, a co-simulation has its own, the step is fixed, or `f_tol`
-    /// is zero.
+    /// Chooses the tolerance of a fit from this start, with the residuals there, as they count, where they
+    /// are known with the tolerance of the calibration; hands on those that are known with the chosen one.
+    /// `None`: it was given, a co-simulation has its own, the step is fixed, or `f_tol` is zero.
     pub(crate) fn choose_tolerance(
         &self,
         (start, known): (&[f64], AtStart),
@@ -127,7 +130,8 @@ impl Calibration {
         Ok(Some((chosen, known)))
     }
 
-    /// The sum of the squared residuals that noise leaves, by the differences between neighbouring measurements.
+    /// The sum of the squared residuals that noise leaves, by the differences between neighbouring
+    /// measurements.
     fn squares_of_noise(&self, loss: RobustLoss) -> f64 {
         let Some(noise) = EstimatedNoise::first(self, NoiseRule::Estimated) else { return 0.0 };
         let of = |output: &OutputResiduals| {

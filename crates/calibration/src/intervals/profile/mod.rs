@@ -1,4 +1,5 @@
-//! Profile likelihood: how the cost rises as one parameter is held away from its best value and the others are fitted again.
+//! Profile likelihood: how the cost rises as one parameter is held away from its best value and the others
+//! are fitted again.
 
 mod refit;
 mod result;
@@ -34,8 +35,8 @@ pub struct ProfileOptions {
     pub level: f64,
     /// True to correct for autocorrelated residuals, as [`Uncertainty::covariance`] does; default: true.
     pub is_corrected: bool,
-    /// Points on each side of the optimum before a side that has not crossed the threshold is said to be open; default 20. Refits that
-    /// find the crossing come on top.
+    /// Points on each side of the optimum before a side that has not crossed the threshold is said to be
+    /// open; default 20. Refits that find the crossing come on top.
     pub max_points: usize,
     /// Sides that are walked at once; default: all cores. The result does not depend on it.
     pub workers: Option<usize>,
@@ -58,26 +59,30 @@ impl Default for ProfileOptions {
 
 impl Calibration {
     /// The profile likelihoods of parameters of a fit, and their confidence intervals: unlike those of
-    /// [`Uncertainty::confidence_intervals`](crate::Uncertainty::confidence_intervals) they need not be symmetric, and they are open where the data
-    /// do not bound a parameter.
+    /// [`Uncertainty::confidence_intervals`](crate::Uncertainty::confidence_intervals) they need not be
+    /// symmetric, and they are open where the data do not bound a parameter.
     ///
-    /// Each parameter is held at values farther and farther from the optimum, and the others are fitted again by least squares. The
-    /// statistic is the rise of the cost that the fit minimised, with its weights and loss, in units in which it is the square of the
-    /// distance in standard errors where the cost is quadratic: with one variance `s^2` for all residuals the rise over `s^2`; with
-    /// variances of each output, a robust loss, or autocorrelated residuals the rise times the parameter's entry of the inverse of half the
-    /// second derivatives over its variance in [`Uncertainty::covariance`] (Rotnitzky and Jewell, Biometrika 77, 1990; Pace, Salvan and Sartori,
-    /// Statistica Sinica 21, 2011). An interval ends where the statistic is the quantile of F with 1 and N - p degrees of freedom, the
-    /// square of that of Student's t (Bates and Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1; Raue et al.,
-    /// Bioinformatics 25, 2009, with the quantile of chi-square, its limit for many measurements). It is about the optimum of the cost,
-    /// which is found more accurately first. For a linear model the interval is that of the covariance.
+    /// Each parameter is held at values farther and farther from the optimum, and the others are fitted again
+    /// by least squares. The statistic is the rise of the cost that the fit minimised, with its weights and
+    /// loss, in units in which it is the square of the distance in standard errors where the cost is
+    /// quadratic: with one variance `s^2` for all residuals the rise over `s^2`; with variances of each
+    /// output, a robust loss, or autocorrelated residuals the rise times the parameter's entry of the inverse
+    /// of half the second derivatives over its variance in [`Uncertainty::covariance`] (Rotnitzky and Jewell,
+    /// Biometrika 77, 1990; Pace, Salvan and Sartori, Statistica Sinica 21, 2011). An interval ends where the
+    /// statistic is the quantile of F with 1 and N - p degrees of freedom, the square of that of Student's t
+    /// (Bates and Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1; Raue et al.,
+    /// Bioinformatics 25, 2009, with the quantile of chi-square, its limit for many measurements). It is
+    /// about the optimum of the cost, which is found more accurately first. For a linear model the interval
+    /// is that of the covariance.
     ///
-    /// The sides of the parameters run in parallel. The context is looked at on the calling thread; after the optimum is found, an
-    /// interrupt leaves what is there in hand ([`Profile::is_interrupted`]).
+    /// The sides of the parameters run in parallel. The context is looked at on the calling thread; after the
+    /// optimum is found, an interrupt leaves what is there in hand ([`Profile::is_interrupted`]).
     ///
     /// # Errors
-    /// Parameters that there are not, or that were not fitted; a level that does not lie between 0 and 1; a fit of something else than
-    /// a sum of squares; residuals that are all zero, or no more of them than parameters; no optimum; a file of another problem,
-    /// or that cannot be read or written; [`CalibrationError::Cancelled`] before there is an optimum.
+    /// Parameters that there are not, or that were not fitted; a level that does not lie between 0 and 1; a
+    /// fit of something else than a sum of squares; residuals that are all zero, or no more of them than
+    /// parameters; no optimum; a file of another problem, or that cannot be read or written;
+    /// [`CalibrationError::Cancelled`] before there is an optimum.
     pub fn profile(
         &self,
         fit: &Fit,

@@ -11,8 +11,8 @@ use dfo::{
 use ode::Stats;
 use std::sync::Mutex;
 
-/// The first radius of a refit, and where it ends, in standard errors: the statistic is quadratic in them, so that the second leaves
-/// an error of 1e-4 in it.
+/// The first radius of a refit, and where it ends, in standard errors: the statistic is quadratic in them, so
+/// that the second leaves an error of 1e-4 in it.
 const RADIUS: f64 = 0.3;
 const X_TOL: f64 = 0.01;
 
@@ -59,7 +59,8 @@ impl Objective for Refits<'_> {
 }
 
 impl Refits<'_> {
-    /// The best values with `index` held where `start` has it, and the cost there; an `index` that there is not: none is held.
+    /// The best values with `index` held where `start` has it, and the cost there; an `index` that there is
+    /// not: none is held.
     pub(super) fn refit(
         &self,
         start: &[f64],

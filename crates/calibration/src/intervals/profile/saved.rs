@@ -35,7 +35,8 @@ pub(super) struct SavedSides {
 }
 
 impl SavedSides {
-    /// Those of the file, if there is one; it is written at once, so that a path that cannot be written is found before the work.
+    /// Those of the file, if there is one; it is written at once, so that a path that cannot be written is
+    /// found before the work.
     pub(super) fn open(path: Option<&Path>, problem: String, n: usize) -> Result<Self, CalibrationError> {
         let mut own =
             Self { format: FORMAT.to_owned(), problem, sides: Vec::new(), path: path.map(Path::to_owned) };

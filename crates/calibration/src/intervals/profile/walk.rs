@@ -21,11 +21,12 @@ const BELOW: f64 = 0.05;
 /// The crossing is known where the statistic is this near to the threshold, as a part of it.
 const CROSSING: f64 = 1e-3;
 
-/// ... or lies between two points that are this near to each other, as a part of their distance from the optimum.
+/// ... or lies between two points that are this near to each other, as a part of their distance from the
+/// optimum.
 const WIDTH: f64 = 1e-3;
 
-/// Refits that look for the crossing between two points: two, unless the statistic is no parabola there, for another parameter has come
-/// to its bound.
+/// Refits that look for the crossing between two points: two, unless the statistic is no parabola there, for
+/// another parameter has come to its bound.
 const REFINEMENTS: usize = 16;
 
 /// After a failure a shorter step is made, so often.
@@ -39,8 +40,8 @@ pub(super) struct Origin<'a> {
     /// The statistic that a rise of the cost by one is.
     pub(super) per_rise: f64,
     pub(super) max_points: usize,
-    /// The first step that makes the statistic one, in the coordinates of the search, and the changes of all parameters with the
-    /// parameter, there.
+    /// The first step that makes the statistic one, in the coordinates of the search, and the changes of all
+    /// parameters with the parameter, there.
     pub(super) standard_error: f64,
     pub(super) direction: Vec<f64>,
 }

@@ -1,4 +1,5 @@
-//! Residuals that follow first-order autoregressions: what they make of the covariance of the parameters, and how well that is known.
+//! Residuals that follow first-order autoregressions: what they make of the covariance of the parameters, and
+//! how well that is known.
 
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
@@ -15,8 +16,8 @@ pub(crate) struct Group {
     pub(crate) is_rounding: bool,
 }
 
-/// Twice the rise of the logarithm of the likelihood from which on an autocorrelation is no chance: of independent residuals one in forty
-/// has a larger one, and a positive autocorrelation.
+/// Twice the rise of the logarithm of the likelihood from which on an autocorrelation is no chance: of
+/// independent residuals one in forty has a larger one, and a positive autocorrelation.
 const SIGNIFICANT: f64 = 3.84;
 
 /// The autocorrelation is searched by its Fisher transform `artanh rho`, up to rho = 0.9993, in these steps.
@@ -35,7 +36,8 @@ pub(crate) struct Dependence<'a> {
     groups: &'a [Group],
     /// Of each group: logarithm of the variance, `artanh rho`.
     found: Vec<(f64, f64)>,
-    /// Covariance of these: logarithms of the variances, then transforms of those groups that are autocorrelated.
+    /// Covariance of these: logarithms of the variances, then transforms of those groups that are
+    /// autocorrelated.
     uncertainty: DMatrix<f64>,
     /// `U' S U` of what belongs to no group.
     rest: DMatrix<f64>,
@@ -127,10 +129,11 @@ impl Likelihood {
 }
 
 impl<'a> Dependence<'a> {
-    /// Variance and autocorrelation of each group by restricted maximum likelihood, from residuals r and an orthonormal base U of the
-    /// changes that the parameters make of them: unlike the autocorrelation of the residuals, which the fit has made smaller, they are
-    /// nearly free of bias. `None` where no group has an autocorrelation that is no chance (by the ratio of the likelihoods). Residuals
-    /// of no group are independent with their variances.
+    /// Variance and autocorrelation of each group by restricted maximum likelihood, from residuals r and an
+    /// orthonormal base U of the changes that the parameters make of them: unlike the autocorrelation of the
+    /// residuals, which the fit has made smaller, they are nearly free of bias. `None` where no group has an
+    /// autocorrelation that is no chance (by the ratio of the likelihoods). Residuals of no group are
+    /// independent with their variances.
     pub(crate) fn find(
         (base, residuals): (&'a DMatrix<f64>, &[f64]),
         groups: &'a [Group],
@@ -223,9 +226,10 @@ impl<'a> Dependence<'a> {
         middle * (self.found[g].0.exp() * self.groups[g].correction)
     }
 
-    /// The covariance `G U'S U G'` of least squares with such residuals (Seber and Wild, Nonlinear Regression, 1989, chapter 6), and the
-    /// degrees of freedom of each of its variances v: `2 / var(ln v)` with the uncertainty of what was found, at most `most`
-    /// (Satterthwaite, Biometrics Bulletin 2, 1946; Kenward and Roger, Biometrics 53, 1997).
+    /// The covariance `G U'S U G'` of least squares with such residuals (Seber and Wild, Nonlinear
+    /// Regression, 1989, chapter 6), and the degrees of freedom of each of its variances v: `2 / var(ln v)`
+    /// with the uncertainty of what was found, at most `most` (Satterthwaite, Biometrics Bulletin 2, 1946;
+    /// Kenward and Roger, Biometrics 53, 1997).
     pub(crate) fn covariance(&self, inverse: &DMatrix<f64>, most: f64) -> (DMatrix<f64>, Vec<f64>) {
         let n = self.found.len();
         let middles: Vec<DMatrix<f64>> = (0..n).map(|g| self.middle(g, self.found[g].1)).collect();
@@ -276,7 +280,8 @@ fn uncertainty(likelihood: &Likelihood, at: &[(f64, f64)]) -> DMatrix<f64> {
     axes.recompose()
 }
 
-/// Adds to each sum the values that come before it in this order, each with the power of rho that its distance is.
+/// Adds to each sum the values that come before it in this order, each with the power of rho that its
+/// distance is.
 fn add_neighbours(
     rho: f64,
     values: &nalgebra::DVectorView<'_, f64>,

@@ -1,21 +1,24 @@
-//! Outputs whose residuals show something that lasts only because the weights of other outputs keep the parameters off.
+//! Outputs whose residuals show something that lasts only because the weights of other outputs keep the
+//! parameters off.
 
 use super::residual_check::ResidualCheck;
 use nalgebra::{DMatrix, DVector};
 
-/// An output takes part that has at least so many residuals for each parameter: of fewer the parameters explain too much.
+/// An output takes part that has at least so many residuals for each parameter: of fewer the parameters
+/// explain too much.
 const RESIDUALS_PER_PARAMETER: usize = 4;
 
 /// Largest rise of the squares of other outputs, over their variance, in standard deviations of a chi-squared
 /// number: as many parameters as they were fitted with have moved.
 const BY_CHANCE: f64 = 4.0;
 
-/// Marks the outputs with systematic residuals that one step of least squares, with the residuals of each output in units of their
-/// noise instead of the weights, brings to reproduce their measurements, while the others are reproduced as well as before. Outputs that
-/// contradict each other are none. `jacobian`: of the residuals (m) by the free parameters (p), m x p.
+/// Marks the outputs with systematic residuals that one step of least squares, with the residuals of each
+/// output in units of their noise instead of the weights, brings to reproduce their measurements, while the
+/// others are reproduced as well as before. Outputs that contradict each other are none. `jacobian`: of the
+/// residuals (m) by the free parameters (p), m x p.
 ///
-/// `n`: how many of the residuals are those of measurements. An output that is as good without the priors, by the same weights, is kept
-/// away by these.
+/// `n`: how many of the residuals are those of measurements. An output that is as good without the priors, by
+/// the same weights, is kept away by these.
 pub(super) fn mark(checks: &mut [ResidualCheck], (residuals, n): (&[f64], usize), jacobian: &DMatrix<f64>) {
     let p = jacobian.ncols();
     let mut variables: Vec<(String, Vec<usize>)> = Vec::new();
@@ -109,8 +112,8 @@ mod tests {
         2.0 * ((12.9898 * (k as f64 + 1.0)).sin() * 43_758.547).fract().abs() - 1.0
     }
 
-    /// The least squares fit of `large = 100 k t` and `small = 0.01 k t + shift t`, k = 1, with noise of a tenth of `large`, and of `relative` of `small`;
-    /// all weights 1.
+    /// The least squares fit of `large = 100 k t` and `small = 0.01 k t + shift t`, k = 1, with noise of a
+    /// tenth of `large`, and of `relative` of `small`; all weights 1.
     fn checks(shift: f64, relative: f64) -> Vec<ResidualCheck> {
         let n = 100;
         let t = |k: usize| (k % n) as f64 / n as f64;

@@ -1,4 +1,5 @@
-//! The covariance of the parameters from the changes of the residuals, with the variances of the residuals that an estimator supposes.
+//! The covariance of the parameters from the changes of the residuals, with the variances of the residuals
+//! that an estimator supposes.
 
 use super::autocorrelation::Group;
 use super::differences::Differences;
@@ -10,10 +11,12 @@ use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-/// A parameter with more than this share in a combination that the residuals do not determine is not determined itself.
+/// A parameter with more than this share in a combination that the residuals do not determine is not
+/// determined itself.
 const SHARE: f64 = 0.03;
 
-/// A variance without bias that is below this part of the mean square is that of chance: a group says nothing of its own.
+/// A variance without bias that is below this part of the mean square is that of chance: a group says nothing
+/// of its own.
 const LEAST: f64 = 0.05;
 
 /// Assumptions on the noise of the residuals.
@@ -36,9 +39,9 @@ pub(crate) struct Factors {
     pub(crate) is_undetermined: Vec<bool>,
 }
 
-/// Outputs that share a variance, by number: those of a variable of the model, over all of its recordings with the same weight
-/// ([`Estimator::Sandwich`]) or with any (the likelihood); one group of all with [`Estimator::Pooled`], and where all residuals are
-/// rounding.
+/// Outputs that share a variance, by number: those of a variable of the model, over all of its recordings
+/// with the same weight ([`Estimator::Sandwich`]) or with any (the likelihood); one group of all with
+/// [`Estimator::Pooled`], and where all residuals are rounding.
 pub(super) fn groups(
     layout: &ResidualLayout,
     residuals: &[f64],
@@ -59,10 +62,12 @@ pub(super) fn groups(
 }
 
 impl Noise {
-    /// The variances of the groups are without bias: of residuals `r = M e` with `M = I - U U'`, U an orthonormal base of the changes that
-    /// the parameters make, the mean of `r_g'r_g` is the sum over the groups of their variances times `tr(M_gh M_hg)` (Searle, Casella and
-    /// McCulloch, Variance Components, 1992, section 5.2). Of one group it is `r'r / (N - p)`. Where this leaves no variance to one of
-    /// several, all are `r'r / N_g N / (N - p)`. Residuals of priors have the variance 1: they are measured in standard deviations.
+    /// The variances of the groups are without bias: of residuals `r = M e` with `M = I - U U'`, U an
+    /// orthonormal base of the changes that the parameters make, the mean of `r_g'r_g` is the sum over the
+    /// groups of their variances times `tr(M_gh M_hg)` (Searle, Casella and McCulloch, Variance Components,
+    /// 1992, section 5.2). Of one group it is `r'r / (N - p)`. Where this leaves no variance to one of
+    /// several, all are `r'r / N_g N / (N - p)`. Residuals of priors have the variance 1: they are measured
+    /// in standard deviations.
     pub(crate) fn estimate(
         (layout, plain): (&ResidualLayout, &[f64]),
         working: &Working,
@@ -178,8 +183,8 @@ impl Factors {
     }
 }
 
-/// Recordings that share a variance: those of a variable with the same constant weight, which states how large the noise is, and those
-/// whose samples have weights of their own.
+/// Recordings that share a variance: those of a variable with the same constant weight, which states how
+/// large the noise is, and those whose samples have weights of their own.
 fn group(output: &OutputResiduals) -> (&str, Option<u64>) {
     let first = output.weights.first();
     let constant = first.filter(|first| output.weights.iter().all(|weight| weight == *first));

@@ -1,9 +1,10 @@
-//! Changes of the residuals over steps of about one standard error along the principal axes of the covariance: the Jacobian, and what
-//! of it is noise.
+//! Changes of the residuals over steps of about one standard error along the principal axes of the
+//! covariance: the Jacobian, and what of it is noise.
 //!
-//! Differences over steps that are short against the standard error hold the noise of the simulations (rounding, step control, event
-//! location) as if it were information. Over one standard error along a principal axis the residuals change by the standard deviation
-//! of a residual, whichever the axis, so the ratio of signal to noise is the same for all.
+//! Differences over steps that are short against the standard error hold the noise of the simulations
+//! (rounding, step control, event location) as if it were information. Over one standard error along a
+//! principal axis the residuals change by the standard deviation of a residual, whichever the axis, so the
+//! ratio of signal to noise is the same for all.
 
 use crate::cost::batch::{Found, Point, Simulations};
 use crate::error::CalibrationError;
@@ -11,7 +12,8 @@ use crate::problem::parameter::Parameter;
 use crate::uncertainty::bounds::{inner, outer};
 use nalgebra::{DMatrix, DVector};
 
-/// Steps are no longer than this part of a parameter (of its size, where it is zero; on a log scale: of its factor)...
+/// Steps are no longer than this part of a parameter (of its size, where it is zero; on a log scale: of its
+/// factor)...
 const USUAL: f64 = 0.01;
 
 /// ... except where the residuals change by less than noise: then up to this part.
@@ -122,8 +124,8 @@ impl Center<'_> {
         (backward, forward)
     }
 
-    /// From where to where a step goes, as multiples of its direction: to both sides as far, to one side where the other has no
-    /// room. `None`: there is none on either side.
+    /// From where to where a step goes, as multiples of its direction: to both sides as far, to one side
+    /// where the other has no room. `None`: there is none on either side.
     fn span(&self, step: &Step) -> Option<(f64, f64)> {
         let ((backward, forward), t) = (self.room(step), step.length);
         let least = TOO_NARROW * t;
@@ -150,10 +152,12 @@ impl Center<'_> {
 }
 
 impl Differences {
-    /// `jacobian`: m x p, a first guess, by the coordinates of the search; by [`FIRST`] differences where there is none.
+    /// `jacobian`: m x p, a first guess, by the coordinates of the search; by [`FIRST`] differences where
+    /// there is none.
     ///
     /// # Errors
-    /// Cancelled, or no simulation can be made any more; `Ok(Err(..))`: simulations fail on both sides of the point.
+    /// Cancelled, or no simulation can be made any more; `Ok(Err(..))`: simulations fail on both sides of the
+    /// point.
     pub(crate) fn around(
         center: &Center<'_>,
         jacobian: Option<DMatrix<f64>>,
@@ -265,8 +269,8 @@ impl Differences {
         Ok(Err(reason))
     }
 
-    /// Steps that were made long, so that changes stand out from the noise, are made half as long as well: what grows with the third
-    /// power of the step is taken away (Richardson's extrapolation).
+    /// Steps that were made long, so that changes stand out from the noise, are made half as long as well:
+    /// what grows with the third power of the step is taken away (Richardson's extrapolation).
     fn without_cubic_terms(
         mut self,
         center: &Center<'_>,
@@ -315,8 +319,8 @@ fn first_reason(found: &[Found]) -> Option<String> {
     found.iter().find_map(|found| found.as_ref().err().cloned())
 }
 
-/// Steps along the principal axes of the covariance that this Jacobian stands for, each of about one standard error, and whether
-/// it was made longer than usual.
+/// Steps along the principal axes of the covariance that this Jacobian stands for, each of about one standard
+/// error, and whether it was made longer than usual.
 fn principal_steps(
     center: &Center<'_>,
     jacobian: &DMatrix<f64>,

@@ -43,8 +43,8 @@ pub(crate) use verdict::SEARCH;
 pub(crate) struct KnownPoint<'a> {
     /// Plain residuals.
     pub(crate) residuals: Option<&'a [f64]>,
-    /// Their derivatives in the user's units, m x n: where the differences begin. The derivatives of a search come from points as it
-    /// happened to try them, so they never replace differences.
+    /// Their derivatives in the user's units, m x n: where the differences begin. The derivatives of a search
+    /// come from points as it happened to try them, so they never replace differences.
     pub(crate) jacobian: Option<&'a [f64]>,
     /// Parameters that lie at a bound, or are held.
     pub(crate) held: Vec<usize>,
@@ -64,7 +64,8 @@ impl Calibration {
     /// first round). Simulations run in parallel. The context is looked at on the calling thread.
     ///
     /// # Errors
-    /// The wrong number of values; the simulation fails there, or on all sides around it; [`CalibrationError::Cancelled`].
+    /// The wrong number of values; the simulation fails there, or on all sides around it;
+    /// [`CalibrationError::Cancelled`].
     pub fn uncertainty(
         &self,
         x: &[f64],
@@ -95,8 +96,8 @@ impl Calibration {
         self.uncertainty_and_curvature(x, estimator, known, simulations).map(|(uncertainty, _)| uncertainty)
     }
 
-    /// The same with the diagonal of the inverse of half the cost's second derivatives, in the user's units; infinite where there is
-    /// none.
+    /// The same with the diagonal of the inverse of half the cost's second derivatives, in the user's units;
+    /// infinite where there is none.
     pub(crate) fn uncertainty_and_curvature(
         &self,
         x: &[f64],
@@ -274,10 +275,12 @@ impl Calibration {
     }
 }
 
-/// A step of least squares that takes away less than this part of the cost, or is shorter than a standard error, is none.
+/// A step of least squares that takes away less than this part of the cost, or is shorter than a standard
+/// error, is none.
 const LEAST_GAIN: f64 = 0.01;
 
-/// The part of the squares of these residuals that lies along the changes which the parameters make, by an orthonormal base of them.
+/// The part of the squares of these residuals that lies along the changes which the parameters make, by an
+/// orthonormal base of them.
 fn left_to_gain(base: &DMatrix<f64>, residuals: &[f64]) -> f64 {
     let all = sum_of_squares(residuals);
     let along = (base.transpose() * DVector::from_column_slice(residuals)).norm_squared();

@@ -28,8 +28,9 @@ pub struct PriorConflict {
 }
 
 impl PriorConflict {
-    /// The priors that are contradicted, by the derivatives (m x p, in the coordinates of the search) of the residuals (m), of which those
-    /// of the priors are the last. `slopes`: of the free parameters by these coordinates.
+    /// The priors that are contradicted, by the derivatives (m x p, in the coordinates of the search) of the
+    /// residuals (m), of which those of the priors are the last. `slopes`: of the free parameters by these
+    /// coordinates.
     pub(super) fn all(
         layout: &ResidualLayout,
         (parameters, x): (&[Parameter], &[f64]),

@@ -6,7 +6,8 @@ use crate::findings::finding::{Finding, Severity};
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
 use serde::{Deserialize, Serialize};
 
-/// Residuals farther than this many robust standard deviations from their median are outliers, from so many residuals on.
+/// Residuals farther than this many robust standard deviations from their median are outliers, from so many
+/// residuals on.
 const OUTLIER: [(usize, f64); 2] = [(20, 4.0), (8, 10.0)];
 
 /// That many of them, in percent, are no chance: of normally distributed ones 0.006 % lie there.
@@ -24,8 +25,8 @@ const BY_CHANCE: f64 = 4.0;
 /// Residuals below this part of the size of the measurements are rounding.
 const ROUNDING: f64 = 1e-10;
 
-/// The residuals of one output of one experiment, times their weights. Recordings of an output whose weights differ are looked at, and
-/// have their variances, apart: see [`Estimator`](super::Estimator).
+/// The residuals of one output of one experiment, times their weights. Recordings of an output whose weights
+/// differ are looked at, and have their variances, apart: see [`Estimator`](super::Estimator).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct ResidualCheck {

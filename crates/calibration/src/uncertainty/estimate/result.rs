@@ -16,9 +16,10 @@ use std::fmt;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Estimator {
-    /// `(J'J)^-1 J'SJ (J'J)^-1` with one residual variance per output of the model, over all of its recordings with the same weight
-    /// (a weight states the noise: recordings with different ones have variances of their own), estimated without bias. As
-    /// [`Pooled`](Self::Pooled) where all residuals are rounding.
+    /// `(J'J)^-1 J'SJ (J'J)^-1` with one residual variance per output of the model, over all of its
+    /// recordings with the same weight (a weight states the noise: recordings with different ones have
+    /// variances of their own), estimated without bias. As [`Pooled`](Self::Pooled) where all residuals are
+    /// rounding.
     #[default]
     Sandwich,
     /// `s^2 (J'J)^-1` with one variance for all residuals: `r'r / (N - p)`.
@@ -50,10 +51,12 @@ impl fmt::Display for Estimator {
 pub struct UncertaintyOptions {
     /// Estimator of the covariance.
     pub estimator: Estimator,
-    /// Simulations that run at once; default: all cores, in a fit: as many as its evaluations. The result does not depend on it.
+    /// Simulations that run at once; default: all cores, in a fit: as many as its evaluations. The result
+    /// does not depend on it.
     pub workers: Option<usize>,
-    /// Parameters that are taken as known, by number, besides those that are fixed or lie at a bound: the standard errors of the others
-    /// are conditional then. In a fit: those that it [holds](crate::FitOptions::held), too.
+    /// Parameters that are taken as known, by number, besides those that are fixed or lie at a bound: the
+    /// standard errors of the others are conditional then. In a fit: those that it
+    /// [holds](crate::FitOptions::held), too.
     pub held: Vec<usize>,
     /// Loss function: the contribution of a residual to the cost; in a fit: as there. With a robust loss the
     /// covariance is that of an M-estimator, `mean psi^2 / (mean psi')^2 (J'J)^-1` for each output (Huber,
@@ -72,8 +75,8 @@ impl UncertaintyOptions {
 
 /// Uncertainty of a fit, with checks of its residuals.
 ///
-/// From central differences over steps of about one standard error (see the source of `differences`); never from second
-/// derivatives. Residuals of priors count, with the variance 1.
+/// From central differences over steps of about one standard error (see the source of `differences`); never
+/// from second derivatives. Residuals of priors count, with the variance 1.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Uncertainty {
@@ -86,28 +89,33 @@ pub struct Uncertainty {
     /// True for each parameter that is searched by its logarithm: its
     /// [confidence interval](Self::confidence_intervals) is symmetric there.
     pub is_log: Vec<bool>,
-    /// Covariance of the parameters, n x n, row by row, in the user's units, with the residuals of outputs that are autocorrelated taken
-    /// for a first-order autoregression (see [`autocorrelations`](Self::autocorrelations)). Zero for parameters that are [held](Self::held); infinite on
-    /// the diagonal, NaN beside it, for those that the data do not [determine](Self::undetermined).
+    /// Covariance of the parameters, n x n, row by row, in the user's units, with the residuals of outputs
+    /// that are autocorrelated taken for a first-order autoregression (see
+    /// [`autocorrelations`](Self::autocorrelations)). Zero for parameters that are [held](Self::held);
+    /// infinite on the diagonal, NaN beside it, for those that the data do not
+    /// [determine](Self::undetermined).
     pub covariance: Vec<f64>,
     /// Standard errors: the roots of its diagonal.
     pub standard_errors: Vec<f64>,
     /// Correlation of the parameters, n x n, row by row; NaN where a standard error is zero or infinite.
     pub correlation: Vec<f64>,
-    /// The covariance that supposes independent residuals; `None` where no output has autocorrelated ones, and it is the same. See
-    /// [`uncorrected`](Self::uncorrected).
+    /// The covariance that supposes independent residuals; `None` where no output has autocorrelated ones,
+    /// and it is the same. See [`uncorrected`](Self::uncorrected).
     pub uncorrected_covariance: Option<Vec<f64>>,
-    /// The autocorrelation rho at lag one that the covariance supposes of the residuals of each output of each experiment, `s^2 rho^|i -
-    /// j|`, in the order of the residual vector: by restricted maximum likelihood; zero where it is no more than chance.
+    /// The autocorrelation rho at lag one that the covariance supposes of the residuals of each output of
+    /// each experiment, `s^2 rho^|i - j|`, in the order of the residual vector: by restricted maximum
+    /// likelihood; zero where it is no more than chance.
     pub autocorrelations: Vec<f64>,
-    /// Degrees of freedom of the quantile of Student's t for each parameter: fewer than [`degrees_of_freedom`](Self::degrees_of_freedom)
-    /// where residuals are autocorrelated and the standard error is known less well (Satterthwaite).
+    /// Degrees of freedom of the quantile of Student's t for each parameter: fewer than
+    /// [`degrees_of_freedom`](Self::degrees_of_freedom) where residuals are autocorrelated and the standard
+    /// error is known less well (Satterthwaite).
     pub effective_degrees_of_freedom: Vec<f64>,
     /// The residuals of each output of each experiment, in the order of the residual vector.
     pub residual_checks: Vec<ResidualCheck>,
     /// Number of residuals less that of the parameters that are not held.
     pub degrees_of_freedom: usize,
-    /// Parameters that are fixed, held, lie at a bound, or are no continuous numbers, by number: taken as known.
+    /// Parameters that are fixed, held, lie at a bound, or are no continuous numbers, by number: taken as
+    /// known.
     pub held: Vec<usize>,
     /// Parameters that the data do not determine, by number.
     pub undetermined: Vec<usize>,
@@ -117,15 +125,17 @@ pub struct Uncertainty {
     pub confounded: Vec<(usize, usize, f64)>,
     /// The parameters of the combination that the data determine worst, where there are three or more in it.
     pub weakest: Vec<usize>,
-    /// Parameters that this data can tell, by number: the longest beginning of the order in which the columns of the scaled Jacobian are
-    /// most independent (QR with column pivoting; Burth, Verghese and Velez-Reyes, IEEE Trans. Power Systems 14, 1999) that has relative
-    /// standard errors below 50 % and no correlation of 0.9 or more, the others held.
+    /// Parameters that this data can tell, by number: the longest beginning of the order in which the columns
+    /// of the scaled Jacobian are most independent (QR with column pivoting; Burth, Verghese and Velez-Reyes,
+    /// IEEE Trans. Power Systems 14, 1999) that has relative standard errors below 50 % and no correlation of
+    /// 0.9 or more, the others held.
     pub identifiable: Vec<usize>,
     /// Findings about the uncertainty, the residuals and the cost.
     pub findings: Vec<Finding>,
     /// The cost, as the fit has it.
     pub cost: f64,
-    /// The cost with a hundredth of the relative tolerance, or with half the step; `None` where that simulation failed.
+    /// The cost with a hundredth of the relative tolerance, or with half the step; `None` where that
+    /// simulation failed.
     pub accurate_cost: Option<f64>,
     /// The method has a fixed step: the accurate cost is that with half of it.
     #[serde(default)]
@@ -133,8 +143,9 @@ pub struct Uncertainty {
     /// True if the residuals are within ten relative tolerances of the measurements: the data hold no noise,
     /// and the accuracy of the cost does not matter.
     pub is_exact: bool,
-    /// The part of the cost that one more step of least squares would take away: 0 at a minimum. 0 too where that step is within the
-    /// standard errors, and where the measurements are reproduced [exactly](Self::is_exact).
+    /// The part of the cost that one more step of least squares would take away: 0 at a minimum. 0 too where
+    /// that step is within the standard errors, and where the measurements are reproduced
+    /// [exactly](Self::is_exact).
     #[serde(default)]
     pub left_to_gain: f64,
     /// Priors that the measurements contradict.
@@ -143,7 +154,8 @@ pub struct Uncertainty {
     /// The cost has a robust loss.
     #[serde(default)]
     pub has_loss: bool,
-    /// Derivatives of the residuals by the parameters, m x n, row by row, in the user's units; zero for those that are held.
+    /// Derivatives of the residuals by the parameters, m x n, row by row, in the user's units; zero for those
+    /// that are held.
     pub jacobian: Vec<f64>,
     /// The residuals, m, before a loss.
     pub residuals: Vec<f64>,
@@ -153,8 +165,9 @@ pub struct Uncertainty {
 
 impl Uncertainty {
     /// Confidence intervals of the parameters, lower and upper end, by Student's t with the [degrees of
-    /// freedom](Self::effective_degrees_of_freedom) of each: `x -+ t s`, of a parameter that is searched by its logarithm `x exp(-+ t s / x)`. Those of
-    /// held parameters are points, those of undetermined ones have no ends. `level`: 0.95, for example.
+    /// freedom](Self::effective_degrees_of_freedom) of each: `x -+ t s`, of a parameter that is searched by
+    /// its logarithm `x exp(-+ t s / x)`. Those of held parameters are points, those of undetermined ones
+    /// have no ends. `level`: 0.95, for example.
     ///
     /// # Errors
     /// A level that does not lie between 0 and 1.
@@ -171,7 +184,8 @@ impl Uncertainty {
         (0..self.x.len()).map(interval).collect()
     }
 
-    /// The same with covariance, standard errors, correlation and degrees of freedom that suppose independent residuals.
+    /// The same with covariance, standard errors, correlation and degrees of freedom that suppose independent
+    /// residuals.
     pub fn uncorrected(&self) -> Self {
         let mut own = self.clone();
         if let Some(covariance) = own.uncorrected_covariance.take() {
@@ -263,7 +277,8 @@ impl fmt::Display for Uncertainty {
     }
 }
 
-/// The roots of the diagonal of an n x n covariance, and the correlation: NaN where a root is zero or infinite.
+/// The roots of the diagonal of an n x n covariance, and the correlation: NaN where a root is zero or
+/// infinite.
 pub(super) fn errors_and_correlation(covariance: &[f64], n: usize) -> (Vec<f64>, Vec<f64>) {
     let errors: Vec<f64> = (0..n).map(|i| covariance[i * n + i].max(0.0).sqrt()).collect();
     let correlation = |k: usize| {
@@ -292,12 +307,13 @@ pub(crate) fn check_level(level: f64, degrees_of_freedom: f64) -> Result<f64, Ca
     Ok(student_quantile(0.5 + 0.5 * level, degrees_of_freedom))
 }
 
-/// From so many degrees of freedom on the expansion is accurate to rounding; far beyond, an inversion of the distribution loses its
-/// digits.
+/// From so many degrees of freedom on the expansion is accurate to rounding; far beyond, an inversion of the
+/// distribution loses its digits.
 const MANY: f64 = 1000.0;
 
-/// The quantile of Student's t: by inversion of the distribution; for many degrees of freedom by the Cornish-Fisher expansion about that
-/// of the normal distribution (Abramowitz and Stegun, Handbook of Mathematical Functions, 1964, 26.7.5).
+/// The quantile of Student's t: by inversion of the distribution; for many degrees of freedom by the
+/// Cornish-Fisher expansion about that of the normal distribution (Abramowitz and Stegun, Handbook of
+/// Mathematical Functions, 1964, 26.7.5).
 fn student_quantile(probability: f64, degrees_of_freedom: f64) -> f64 {
     let nu = degrees_of_freedom;
     if nu < MANY {

@@ -11,7 +11,8 @@ use dfo::RobustLoss;
 pub(crate) enum Criterion {
     /// The sum of what they count.
     Loss(RobustLoss),
-    /// The likelihood with an unknown standard deviation for each output, see [`NamedCost`](crate::NamedCost).
+    /// The likelihood with an unknown standard deviation for each output, see
+    /// [`NamedCost`](crate::NamedCost).
     Likelihood,
 }
 
@@ -31,9 +32,9 @@ impl Criterion {
     }
 }
 
-/// The residuals of a problem of linear least squares with the same solution and the same curvature as the fit's: with the scores
-/// `psi(r)` (half the derivative of what a residual counts) and their mean slope `l` over an output, its residuals are `psi / sqrt(l)`
-/// and its rows those of the Jacobian times `sqrt(l)`.
+/// The residuals of a problem of linear least squares with the same solution and the same curvature as the
+/// fit's: with the scores `psi(r)` (half the derivative of what a residual counts) and their mean slope `l`
+/// over an output, its residuals are `psi / sqrt(l)` and its rows those of the Jacobian times `sqrt(l)`.
 pub(crate) struct Working {
     pub(crate) residuals: Vec<f64>,
     /// `sqrt(l)` of each residual.
@@ -43,11 +44,12 @@ pub(crate) struct Working {
 }
 
 impl Working {
-    /// For an M-estimator with these losses the covariance `mean psi^2 / (mean psi')^2 (J'J)^-1` comes out, times the square of
-    /// `1 + p/N var(psi') / (mean psi')^2` (Huber, Robust Statistics, 1981, section 7.6), p parameters and N residuals. The slope of the
-    /// mean score is taken over the bandwidth of a density estimate (Silverman, Density Estimation, 1986, section 3.4: `0.9 s N^(-1/5)`)
-    /// to both sides: where the loss is narrow against the noise, slopes at the few residuals that lie within are much too steep.
-    /// With the likelihood an output counts by the inverse of its variance, which is Fisher's information.
+    /// For an M-estimator with these losses the covariance `mean psi^2 / (mean psi')^2 (J'J)^-1` comes out,
+    /// times the square of `1 + p/N var(psi') / (mean psi')^2` (Huber, Robust Statistics, 1981, section 7.6),
+    /// p parameters and N residuals. The slope of the mean score is taken over the bandwidth of a density
+    /// estimate (Silverman, Density Estimation, 1986, section 3.4: `0.9 s N^(-1/5)`) to both sides: where the
+    /// loss is narrow against the noise, slopes at the few residuals that lie within are much too steep. With
+    /// the likelihood an output counts by the inverse of its variance, which is Fisher's information.
     pub(crate) fn new(
         criterion: Criterion,
         (layout, plain): (&ResidualLayout, &[f64]),

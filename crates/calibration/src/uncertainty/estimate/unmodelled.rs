@@ -42,7 +42,8 @@ pub struct Unmodelled {
 }
 
 impl Unmodelled {
-    /// The best explanation of the residuals (m) of an output, beside an orthonormal base (m x q) of the changes that the parameters make.
+    /// The best explanation of the residuals (m) of an output, beside an orthonormal base (m x q) of the
+    /// changes that the parameters make.
     pub(super) fn find(output: &OutputResiduals, residuals: &[f64], base: &DMatrix<f64>) -> Option<Self> {
         let OutputResiduals { range, times, measured, weights, .. } = output;
         if range.len() < FEWEST {

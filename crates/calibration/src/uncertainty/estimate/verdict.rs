@@ -10,19 +10,21 @@ use crate::findings::finding::{Finding, Severity};
 use nalgebra::DMatrix;
 use std::ops::Range;
 
-/// Parameters with a correlation of this size or more move the outputs the same way: less than a fifth of the variance of either is
-/// its own.
+/// Parameters with a correlation of this size or more move the outputs the same way: less than a fifth of the
+/// variance of either is its own.
 const CONFOUNDED: f64 = 0.9;
 
-/// Condition index of the Jacobian with columns of length one from which on a dependency among its columns harms, and the share of a
-/// parameter's variance that makes it a part of that (Belsley, Kuh and Welsch, Regression Diagnostics, 1980, section 3.2).
+/// Condition index of the Jacobian with columns of length one from which on a dependency among its columns
+/// harms, and the share of a parameter's variance that makes it a part of that (Belsley, Kuh and Welsch,
+/// Regression Diagnostics, 1980, section 3.2).
 const CONDITION_INDEX: f64 = 10.0;
 const VARIANCE_SHARE: f64 = 0.5;
 
 /// A standard error above this part of its parameter says that the data hardly tell it.
 const RELATIVE_ERROR: f64 = 0.5;
 
-/// A parameter moves an output if it moves it by more than this part of what the strongest does, each moved by its size.
+/// A parameter moves an output if it moves it by more than this part of what the strongest does, each moved
+/// by its size.
 const MOVES: f64 = 1e-8;
 
 /// The data do not move a parameter off its prior whose derivatives are below this part of that of the prior.
@@ -74,8 +76,8 @@ impl Uncertainty {
         (0..self.n()).filter(|i| !self.held.contains(i)).filter(is_prior_alone).collect()
     }
 
-    /// Pairs with a high correlation, of those that move an output both: that of independent residuals, for how alike they move the
-    /// outputs has nothing to do with the noise.
+    /// Pairs with a high correlation, of those that move an output both: that of independent residuals, for
+    /// how alike they move the outputs has nothing to do with the noise.
     pub(super) fn find_confounded(&mut self) {
         let n = self.n();
         let correlation = match &self.uncorrected_covariance {
@@ -93,8 +95,8 @@ impl Uncertainty {
         self.confounded = found;
     }
 
-    /// The combination of parameters that the data determine worst, by the singular values of the Jacobian (m x p) with columns of
-    /// length one.
+    /// The combination of parameters that the data determine worst, by the singular values of the Jacobian (m
+    /// x p) with columns of length one.
     pub(super) fn find_weakest(&mut self, jacobian: &DMatrix<f64>, free: &[usize]) {
         let told: Vec<usize> = (0..free.len()).filter(|k| !self.undetermined.contains(&free[*k])).collect();
         let p = told.len();
@@ -233,7 +235,8 @@ impl Uncertainty {
         })
     }
 
-    /// A cost that another accuracy of the simulations changes by more than counts; not one that is all error of the simulations.
+    /// A cost that another accuracy of the simulations changes by more than counts; not one that is all error
+    /// of the simulations.
     fn accuracy_finding(&self, f_tol: f64) -> Option<Finding> {
         let accurate = self.accurate_cost?;
         let difference = (accurate - self.cost).abs();

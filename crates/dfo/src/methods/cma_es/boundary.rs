@@ -1,19 +1,23 @@
-//! A map of the whole line into the bounds of a coordinate, so that a distribution without bounds can be drawn from.
+//! A map of the whole line into the bounds of a coordinate, so that a distribution without bounds can be
+//! drawn from.
 //!
-//! It is the identity but near the bounds: within a margin it is a parabola whose vertex lies at the bound, and beyond that all
-//! is mirrored (the boundary transformation of Hansen's C implementation, c-cmaes). A cost that goes down towards the bound has
-//! a smooth minimum there, and a valley inside is not bent, as it would be by a sine over the whole box.
+//! It is the identity but near the bounds: within a margin it is a parabola whose vertex lies at the bound,
+//! and beyond that all is mirrored (the boundary transformation of Hansen's C implementation, c-cmaes). A
+//! cost that goes down towards the bound has a smooth minimum there, and a valley inside is not bent, as it
+//! would be by a sine over the whole box.
 
 use super::options::CmaBounds;
 use crate::problem::space::{Space, fold};
 
-/// The margin as a fraction of the size of the parameter or of the width of the box, whichever is smaller. Tuned on turned
-/// ellipsoids and Rosenbrock's function with 5 and 10 parameters, half of them at a bound in the minimum (`benches/dfo/cma_es.py`
-/// has these problems with 2, 3 and 8): c-cmaes has 1/20, which bends valleys inside and is no better where the cost goes down
-/// towards the bound; smaller ones come to what a mirror is, two to three times slower there, and faster where it is level.
+/// The margin as a fraction of the size of the parameter or of the width of the box, whichever is smaller.
+/// Tuned on turned ellipsoids and Rosenbrock's function with 5 and 10 parameters, half of them at a bound in
+/// the minimum (`benches/dfo/cma_es.py` has these problems with 2, 3 and 8): c-cmaes has 1/20, which bends
+/// valleys inside and is no better where the cost goes down towards the bound; smaller ones come to what a
+/// mirror is, two to three times slower there, and faster where it is level.
 const MARGIN: f64 = 0.005;
 
-/// The bounds of a coordinate, and the margin in which the map is a parabola; 0: none, so that the bound is a mirror.
+/// The bounds of a coordinate, and the margin in which the map is a parabola; 0: none, so that the bound is a
+/// mirror.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Boundary {
     lower: f64,
@@ -31,7 +35,8 @@ impl Boundary {
         Self { lower, upper, margin }
     }
 
-    /// The coordinate that a number stands for. `fallback`, another such number, stands in for what is not finite.
+    /// The coordinate that a number stands for. `fallback`, another such number, stands in for what is not
+    /// finite.
     pub(super) fn bend(self, v: f64, fallback: f64) -> f64 {
         let Self { lower, upper, margin } = self;
         let fallback = if fallback.is_finite() { fallback } else { 0.0 };

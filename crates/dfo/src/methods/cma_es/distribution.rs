@@ -6,7 +6,8 @@ use crate::methods::shared::dot::dot;
 use nalgebra::{DMatrix, SymmetricEigen};
 use serde::{Deserialize, Serialize};
 
-/// A larger condition number of the covariance matrix has no accurate decomposition (Hansen 2009: ConditionCov).
+/// A larger condition number of the covariance matrix has no accurate decomposition (Hansen 2009:
+/// ConditionCov).
 const LARGEST_CONDITION: f64 = 1e14;
 
 /// Beyond this and its inverse the largest variance goes over into the step size.
@@ -59,7 +60,8 @@ impl Distribution {
         }
     }
 
-    /// Draws a step `y` of `N(0, C)`, equation 39; returns the squared length of `C^(-1/2) y`. `normals` is overwritten.
+    /// Draws a step `y` of `N(0, C)`, equation 39; returns the squared length of `C^(-1/2) y`. `normals` is
+    /// overwritten.
     pub(super) fn draw(&self, stream: &mut Stream, normals: &mut [f64], step: &mut [f64]) -> f64 {
         normals.iter_mut().for_each(|z| *z = stream.normal(0.0, 1.0));
         let squared = normals.iter().map(|z| z * z).sum();
@@ -75,8 +77,8 @@ impl Distribution {
         self.sigma * self.covariance[k * (self.mean.len() + 1)].sqrt()
     }
 
-    /// Moves towards the better steps, given best first with the squared lengths that [`draw`](Self::draw) returned; `size`
-    /// is that of a coordinate. Steps of failed individuals are not among them.
+    /// Moves towards the better steps, given best first with the squared lengths that [`draw`](Self::draw)
+    /// returned; `size` is that of a coordinate. Steps of failed individuals are not among them.
     pub(super) fn update<'a, I>(&mut self, weights: &Weights, ranked: I, size: impl Fn(usize) -> f64)
     where
         I: Iterator<Item = (&'a [f64], f64)> + Clone,
@@ -154,7 +156,8 @@ impl Distribution {
         self.sigma *= 0.5;
     }
 
-    /// Decomposes the covariance matrix if it is time to. False: the distribution has no extent that numbers could resolve.
+    /// Decomposes the covariance matrix if it is time to. False: the distribution has no extent that numbers
+    /// could resolve.
     pub(super) fn refresh(&mut self, weights: &Weights) -> bool {
         if self.n_since >= weights.interval {
             self.n_since = 0;

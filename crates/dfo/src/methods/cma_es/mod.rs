@@ -1,19 +1,21 @@
-//! CMA-ES: a normal distribution whose mean, step size and covariance matrix follow the best points of each generation
-//! (Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772, 2016; equation numbers are those of the tutorial),
-//! with negative weights for the worst (Jastrebski and Arnold, CEC 2006) and restarts with other populations (IPOP: Auger
-//! and Hansen, CEC 2005; BIPOP: Hansen, GECCO workshop 2009).
+//! CMA-ES: a normal distribution whose mean, step size and covariance matrix follow the best points of each
+//! generation (Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772, 2016; equation numbers are
+//! those of the tutorial), with negative weights for the worst (Jastrebski and Arnold, CEC 2006) and restarts
+//! with other populations (IPOP: Auger and Hansen, CEC 2005; BIPOP: Hansen, GECCO workshop 2009).
 //!
-//! A generation is one batch. Each individual is drawn from a stream of its own, so the number of workers changes nothing.
-//! The distribution is over the working coordinates in units of their sizes, so that parameters of any magnitude are alike.
+//! A generation is one batch. Each individual is drawn from a stream of its own, so the number of workers
+//! changes nothing. The distribution is over the working coordinates in units of their sizes, so that
+//! parameters of any magnitude are alike.
 //!
-//! **Bounds.** No point outside is evaluated, and none is drawn twice: the distribution has no bounds, and a map that is the
-//! identity but near the bounds ([`CmaBounds`]) brings what is drawn inside.
+//! **Bounds.** No point outside is evaluated, and none is drawn twice: the distribution has no bounds, and a
+//! map that is the identity but near the bounds ([`CmaBounds`]) brings what is drawn inside.
 //!
-//! **Failures.** A failed individual ranks last and enters neither the mean nor the covariance matrix, the negative weights
-//! included; the positive weights of those that are left sum to 1. After a generation without any cost the mean goes back to
-//! the best point of the run, with half the step size.
+//! **Failures.** A failed individual ranks last and enters neither the mean nor the covariance matrix, the
+//! negative weights included; the positive weights of those that are left sum to 1. After a generation
+//! without any cost the mean goes back to the best point of the run, with half the step size.
 //!
-//! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, is moved alone first (`shared/sizes.rs`).
+//! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, is moved
+//! alone first (`shared/sizes.rs`).
 //!
 //! **Cutoffs**: none, for every rank counts.
 

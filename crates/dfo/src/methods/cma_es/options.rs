@@ -15,8 +15,8 @@ pub enum Restarts {
     None,
     /// With twice the population each time (Auger and Hansen, CEC 2005).
     Ipop,
-    /// With twice the population, or with a small one and a small step size, whichever kind has had fewer evaluations (Hansen,
-    /// GECCO workshop 2009).
+    /// With twice the population, or with a small one and a small step size, whichever kind has had fewer
+    /// evaluations (Hansen, GECCO workshop 2009).
     Bipop,
 }
 
@@ -25,8 +25,8 @@ pub enum Restarts {
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum CmaBounds {
-    /// Mirrored, with a parabola within a margin at the bound, so that a cost that goes down towards it has a smooth minimum
-    /// there (c-cmaes, boundary transformation).
+    /// Mirrored, with a parabola within a margin at the bound, so that a cost that goes down towards it has a
+    /// smooth minimum there (c-cmaes, boundary transformation).
     #[default]
     Smooth,
     /// Mirrored.
@@ -35,10 +35,11 @@ pub enum CmaBounds {
 
 /// Options of CMA-ES.
 ///
-/// It starts from the start point, which is the first individual; without one, from the middle of the box. Of the points of an
-/// earlier run it takes the best. With restarts it goes on until a limit ends the
-/// run (at the latest when the population has been doubled nine times), from points drawn in the box; along a parameter
-/// without a box they are drawn around the start point, with the size of the parameter as standard deviation.
+/// It starts from the start point, which is the first individual; without one, from the middle of the box. Of
+/// the points of an earlier run it takes the best. With restarts it goes on until a limit ends the run (at
+/// the latest when the population has been doubled nine times), from points drawn in the box; along a
+/// parameter without a box they are drawn around the start point, with the size of the parameter as standard
+/// deviation.
 ///
 /// ```
 /// use dfo::{CmaEs, minimize};
@@ -51,11 +52,13 @@ pub enum CmaBounds {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct CmaEs {
-    /// Individuals of a generation, at least 2; default `4 + floor(3 ln n)` for `n` free parameters (tutorial, table 1).
+    /// Individuals of a generation, at least 2; default `4 + floor(3 ln n)` for `n` free parameters
+    /// (tutorial, table 1).
     pub population: Option<usize>,
-    /// The first standard deviation along each parameter, in units of its size: the nominal value where one was given, else the
-    /// width of the box, else |x0|, else 1. One unit for all, so that it is a pure number and the unit of `x_tol`. Default
-    /// 0.3, as the tutorial (section B.2) advises for the width of a box, and as Nelder-Mead takes it for its first simplex.
+    /// The first standard deviation along each parameter, in units of its size: the nominal value where one
+    /// was given, else the width of the box, else |x0|, else 1. One unit for all, so that it is a pure number
+    /// and the unit of `x_tol`. Default 0.3, as the tutorial (section B.2) advises for the width of a box,
+    /// and as Nelder-Mead takes it for its first simplex.
     pub sigma: f64,
     /// Restarts of the search when it has come to an end; default [`Restarts::None`]: where a simulation
     /// takes minutes, a run that has converged must end, and other minima are searched for on request only.

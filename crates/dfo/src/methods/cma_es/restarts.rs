@@ -19,7 +19,8 @@ pub(super) struct Schedule {
     n_doubled: u32,
     /// True if the run under way is one with a small population.
     is_small: bool,
-    /// Evaluations of the runs with large and with small populations, and of the last one with a large population.
+    /// Evaluations of the runs with large and with small populations, and of the last one with a large
+    /// population.
     n_large: usize,
     n_small: usize,
     n_last_large: usize,
@@ -50,7 +51,8 @@ impl Schedule {
         self.kind != Restarts::None && (spent || n_generations as f64 > most)
     }
 
-    /// Population and step size of the next run, if there is to be one. `n_evaluations`: of the run that has ended.
+    /// Population and step size of the next run, if there is to be one. `n_evaluations`: of the run that has
+    /// ended.
     pub(super) fn next(&mut self, n_evaluations: usize, stream: &mut Stream) -> Option<(usize, f64)> {
         if self.kind == Restarts::None {
             return None;
@@ -80,8 +82,8 @@ impl Schedule {
     }
 }
 
-/// A point to begin anew from, in working coordinates: uniform in the box; along a parameter without a box normally
-/// distributed around the start point, with the size of the parameter as standard deviation.
+/// A point to begin anew from, in working coordinates: uniform in the box; along a parameter without a box
+/// normally distributed around the start point, with the size of the parameter as standard deviation.
 pub(super) fn draw_start(space: &Space, stream: &mut Stream, u: &mut [f64]) {
     space.to_working(space.x0(), u);
     for (k, u) in u.iter_mut().enumerate() {

@@ -22,7 +22,8 @@ pub struct CmaRules {
     handling: CmaBounds,
     weights: Weights,
     distribution: Distribution,
-    /// The steps of the individuals, one after the other, and their squared lengths in units of the distribution.
+    /// The steps of the individuals, one after the other, and their squared lengths in units of the
+    /// distribution.
     steps: Vec<f64>,
     squared: Vec<f64>,
     normals: Vec<f64>,
@@ -30,7 +31,8 @@ pub struct CmaRules {
     /// The best point since the last restart, in working coordinates.
     best: Vec<f64>,
     best_cost: f64,
-    /// Generations since the last restart, those of them since the best point changed, and the last ones without a cost.
+    /// Generations since the last restart, those of them since the best point changed, and the last ones
+    /// without a cost.
     n_generations: usize,
     idle: usize,
     barren: usize,
@@ -139,8 +141,8 @@ impl CmaRules {
         }
     }
 
-    /// Generations without a better point after which a run is stuck: those of the stagnation test of Hansen (2009), with
-    /// equal costs those of its test for equal function values.
+    /// Generations without a better point after which a run is stuck: those of the stagnation test of Hansen
+    /// (2009), with equal costs those of its test for equal function values.
     fn most_idle(&self, n: usize, members: usize, is_flat: bool) -> usize {
         let rate = (30 * n).div_ceil(members);
         if is_flat { 10 + rate } else { 120 + rate + self.n_generations / 5 }

@@ -19,8 +19,8 @@ pub(super) struct Weights {
     pub(super) interval: u64,
 }
 
-/// Changes of the covariance matrix by less than this share wait for its decomposition, for at most `n / 2` generations: so an evaluation takes
-/// O(n^2) operations.
+/// Changes of the covariance matrix by less than this share wait for its decomposition, for at most `n / 2`
+/// generations: so an evaluation takes O(n^2) operations.
 const UNSEEN: f64 = 0.02;
 
 /// Variance effective selection mass, equation 8.

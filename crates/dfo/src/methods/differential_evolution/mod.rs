@@ -1,25 +1,28 @@
-//! Differential evolution: the form of Storn and Price (J. Global Optim. 11, 1997) with its usual variants, and
-//! L-SHADE (Tanabe and Fukunaga, CEC 2014), which sets its own factors and shrinks its population.
+//! Differential evolution: the form of Storn and Price (J. Global Optim. 11, 1997) with its usual variants,
+//! and L-SHADE (Tanabe and Fukunaga, CEC 2014), which sets its own factors and shrinks its population.
 //!
-//! **Lag.** A generation is one batch, whose answers are selected from in order. With `lag` 1 a trial of the next generation is made after
-//! each: trial `i` of generation `g + 1` when the trials up to `i` of generation `g` have been selected from. So it is certain, and can be
-//! evaluated, while later trials of generation `g` are still under way, and a long evaluation does not hold up the others. The rule
-//! counts answers, not workers: their number changes nothing. What L-SHADE learns from a generation is used from its end on. Trials of
-//! the first generation are made from the first population after half of it is known. With `lag` 0 a generation is made when the one before
-//! it is known whole, as in the papers. On twelve functions in the manner of BBOB lag 1 takes about 5 % more
-//! evaluations (solved within 1000 n of them, 40 seeds each: n = 2: 99.8 % with lag 1, 100 % with lag 0; n = 5: 85.6 and 87.7 %; n = 10:
-//! 42.1 and 45.4 %). Where one in ten evaluations takes ten times as long, 16 workers are 5.5 times as fast as one with lag 0,
-//! 7.5 times with 1, 11 times with 2 (simulated clock, n = 5, 5000 evaluations).
+//! **Lag.** A generation is one batch, whose answers are selected from in order. With `lag` 1 a trial of the
+//! next generation is made after each: trial `i` of generation `g + 1` when the trials up to `i` of
+//! generation `g` have been selected from. So it is certain, and can be evaluated, while later trials of
+//! generation `g` are still under way, and a long evaluation does not hold up the others. The rule counts
+//! answers, not workers: their number changes nothing. What L-SHADE learns from a generation is used from its
+//! end on. Trials of the first generation are made from the first population after half of it is known. With
+//! `lag` 0 a generation is made when the one before it is known whole, as in the papers. On twelve functions
+//! in the manner of BBOB lag 1 takes about 5 % more evaluations (solved within 1000 n of them, 40 seeds each:
+//! n = 2: 99.8 % with lag 1, 100 % with lag 0; n = 5: 85.6 and 87.7 %; n = 10: 42.1 and 45.4 %). Where one in
+//! ten evaluations takes ten times as long, 16 workers are 5.5 times as fast as one with lag 0, 7.5 times
+//! with 1, 11 times with 2 (simulated clock, n = 5, 5000 evaluations).
 //!
-//! **Selection.** A trial takes the place of its target when its cost is not above the target's; a failed or given-up
-//! trial never does. An evaluation may stop above the target's cost (the cutoff); a failed target sets none.
+//! **Selection.** A trial takes the place of its target when its cost is not above the target's; a failed or
+//! given-up trial never does. An evaluation may stop above the target's cost (the cutoff); a failed target
+//! sets none.
 //!
-//! **L-SHADE.** Trials are `x_i + F (x_pbest - x_i) + F (x_r1 - x_r2)` with `x_pbest` among the best `p N`, and
-//! `x_r2` from population and archive. `F` and `CR` are drawn around memories of what succeeded, weighted by how
-//! much the cost fell; a success over a failed target says nothing about how much, so it enters no memory, and a
-//! failed target enters no archive. The population shrinks linearly with the evaluations made, so the budget matters:
-//! that of the run, or [`DifferentialEvolution::budget`]. Members beyond the last slot that is left move to the slots of those that go; a trial
-//! competes with whoever stands in its slot then.
+//! **L-SHADE.** Trials are `x_i + F (x_pbest - x_i) + F (x_r1 - x_r2)` with `x_pbest` among the best `p N`,
+//! and `x_r2` from population and archive. `F` and `CR` are drawn around memories of what succeeded, weighted
+//! by how much the cost fell; a success over a failed target says nothing about how much, so it enters no
+//! memory, and a failed target enters no archive. The population shrinks linearly with the evaluations made,
+//! so the budget matters: that of the run, or [`DifferentialEvolution::budget`]. Members beyond the last slot
+//! that is left move to the slots of those that go; a trial competes with whoever stands in its slot then.
 
 mod adaptation;
 mod operators;

@@ -143,12 +143,12 @@ pub struct DifferentialEvolution {
     /// True if the start point, if one was given, is a member of the first population; default true, for
     /// [`classic`](Self::classic) false.
     pub include_start: bool,
-    /// Evaluations over which L-SHADE shrinks its population; default the limit of the run, without one `2000 (n + 1)`. A
-    /// plan, not a limit: after it the run goes on with the last members.
+    /// Evaluations over which L-SHADE shrinks its population; default the limit of the run, without one `2000
+    /// (n + 1)`. A plan, not a limit: after it the run goes on with the last members.
     pub budget: Option<usize>,
-    /// So many trials are made ahead of selection at any time, in units of the members; default 0: a generation is made when the one
-    /// before it is known whole. With 1 and more, workers are busy although some evaluations take long, and a run takes some 5 % more
-    /// evaluations (docs/scaling.md).
+    /// So many trials are made ahead of selection at any time, in units of the members; default 0: a
+    /// generation is made when the one before it is known whole. With 1 and more, workers are busy although
+    /// some evaluations take long, and a run takes some 5 % more evaluations (docs/scaling.md).
     pub lag: f64,
 }
 
@@ -167,8 +167,9 @@ impl Default for DifferentialEvolution {
 }
 
 impl DifferentialEvolution {
-    /// The method as Gedda et al. (2012, section 4.2.1) write it: rand/1/bin with constant weight and probability, the
-    /// first population uniform in the box. Weight 0.8 and probability 0.9 (Storn and Price 1997).
+    /// The method as Gedda et al. (2012, section 4.2.1) write it: rand/1/bin with constant weight and
+    /// probability, the first population uniform in the box. Weight 0.8 and probability 0.9 (Storn and Price
+    /// 1997).
     pub fn classic() -> Self {
         Self {
             scheme: Scheme::Classic {
@@ -275,9 +276,9 @@ impl DifferentialEvolution {
     }
 }
 
-/// Evaluations that L-SHADE plans with where they are not limited, for `n` free parameters. Its authors have 10 000 n
-/// (Tanabe and Fukunaga, CEC 2014), on functions that cost nothing; with a fifth of that it finds the minima of the
-/// shifted Rastrigin, Rosenbrock and ellipsoid functions with 5 and 10 parameters.
+/// Evaluations that L-SHADE plans with where they are not limited, for `n` free parameters. Its authors have
+/// 10 000 n (Tanabe and Fukunaga, CEC 2014), on functions that cost nothing; with a fifth of that it finds
+/// the minima of the shifted Rastrigin, Rosenbrock and ellipsoid functions with 5 and 10 parameters.
 pub(super) fn planned(n: usize) -> usize {
     2000usize.saturating_mul(n + 1)
 }

@@ -31,7 +31,8 @@ pub struct DifferentialRules {
     /// Trials that are not candidates yet, in their order: working coordinates one after the other, the rest.
     ahead: VecDeque<f64>,
     ahead_made: VecDeque<Made>,
-    /// The generation that trials are made for, its members, those made, and the members of all generations before it.
+    /// The generation that trials are made for, its members, those made, and the members of all generations
+    /// before it.
     generation: u64,
     members: usize,
     n_made: usize,
@@ -157,7 +158,8 @@ impl DifferentialRules {
         }
     }
 
-    /// Takes a candidate into the population if it is not worse than the member in its slot, and makes the trials that follow.
+    /// Takes a candidate into the population if it is not worse than the member in its slot, and makes the
+    /// trials that follow.
     fn take(
         &mut self,
         slot: usize,

@@ -7,11 +7,12 @@ use crate::methods::shared::ranked_points::RankedPoints;
 /// The share of the fitness of the best that members without any fitness of their own keep.
 const FLOOR: f64 = 1e-3;
 
-/// Running sums of the fitness of all members; the last is the total. Fitness is how far a cost lies below the 70 % quantile
-/// of the costs. Measured from the worst, a few mutants far off make all others equally fit, and the population never
-/// converges: of a sphere in ten parameters on [-5, 5] 0.26 is left after 10 000 evaluations (median of 10 seeds), with
-/// quantiles of 80, 70, 60 and 50 % 5e-3, 5e-4, 3e-5 and 3e-6. The lower the quantile, the sooner diversity is lost:
-/// Rosenbrock's function in two parameters is left at 7e-4, 2e-5, 1e-4, 9e-3 and 9e-3.
+/// Running sums of the fitness of all members; the last is the total. Fitness is how far a cost lies below
+/// the 70 % quantile of the costs. Measured from the worst, a few mutants far off make all others equally
+/// fit, and the population never converges: of a sphere in ten parameters on [-5, 5] 0.26 is left after 10
+/// 000 evaluations (median of 10 seeds), with quantiles of 80, 70, 60 and 50 % 5e-3, 5e-4, 3e-5 and 3e-6. The
+/// lower the quantile, the sooner diversity is lost: Rosenbrock's function in two parameters is left at 7e-4,
+/// 2e-5, 1e-4, 9e-3 and 9e-3.
 pub(super) fn fitness_sums(population: &RankedPoints, out: &mut Vec<f64>) {
     let cost = |rank: usize| population.cost(population.order()[rank]).value().unwrap_or(0.0);
     let (low, high) = match population.n_finite() {

@@ -10,7 +10,8 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Selection {
-    /// With probabilities proportional to fitness: how far the cost lies below the 70 % quantile of the population.
+    /// With probabilities proportional to fitness: how far the cost lies below the 70 % quantile of the
+    /// population.
     #[default]
     FitnessProportional,
     /// The best of so many members drawn at random (with repetition).
@@ -19,13 +20,14 @@ pub enum Selection {
 
 /// Options of the genetic algorithm.
 ///
-/// Every free parameter needs two finite bounds; parameters may be integers or choices. The tolerance tests measure
-/// the best points of all generations, each once, as many as an eighth of the population, at least n + 1 and at most
-/// 100: copies of one point take a population over long before the minimum is found, and mutation always leaves some
-/// members far from the best. With integers or choices they measure the best eighth of the population. Neighbouring
-/// codes are 1.5e-5 of the width of the box apart unless `resolution` says otherwise: smaller distances cannot be
-/// seen, so a relative `x_tol` below that never passes, and such a run ends as stalled. To 1e-6 of a quadratic it
-/// takes about 1200 evaluations per parameter up to ten parameters, more beyond.
+/// Every free parameter needs two finite bounds; parameters may be integers or choices. The tolerance tests
+/// measure the best points of all generations, each once, as many as an eighth of the population, at least
+/// n + 1 and at most 100: copies of one point take a population over long before the minimum is found, and
+/// mutation always leaves some members far from the best. With integers or choices they measure the best
+/// eighth of the population. Neighbouring codes are 1.5e-5 of the width of the box apart unless `resolution`
+/// says otherwise: smaller distances cannot be seen, so a relative `x_tol` below that never passes, and such
+/// a run ends as stalled. To 1e-6 of a quadratic it takes about 1200 evaluations per parameter up to ten
+/// parameters, more beyond.
 ///
 /// ```
 /// use dfo::{Genetic, Kind, minimize};
@@ -56,9 +58,9 @@ pub struct Genetic {
     pub elite: usize,
     /// True if numbers are in Gray code; default true.
     pub gray: bool,
-    /// Steps wanted per parameter (user's order; of `ln x` on a logarithmic scale): bits are taken until neighbouring
-    /// values are no farther apart. Empty (the default): 16 bits each. Discrete parameters have as many bits as their
-    /// values need.
+    /// Steps wanted per parameter (user's order; of `ln x` on a logarithmic scale): bits are taken until
+    /// neighbouring values are no farther apart. Empty (the default): 16 bits each. Discrete parameters have
+    /// as many bits as their values need.
     pub resolution: Vec<f64>,
     /// Sampling of the first population; default uniform.
     pub sampling: Sampling,

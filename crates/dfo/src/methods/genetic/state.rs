@@ -176,8 +176,9 @@ impl GenerationRules for GeneticRules {
         Extent::BestEighth
     }
 
-    /// The population itself says little: copies of one point take it over long before the minimum is found, and later most
-    /// children differ from their parents in a bit that matters. Of whole numbers there may be too few to compare.
+    /// The population itself says little: copies of one point take it over long before the minimum is found,
+    /// and later most children differ from their parents in a bit that matters. Of whole numbers there may be
+    /// too few to compare.
     fn judge_best_seen(&self, setup: &Setup, f_0: f64) -> Option<Tests> {
         let space = &setup.space;
         let continuous = (0..space.n_free()).all(|k| space.kind(k) == Kind::Continuous);

@@ -1,4 +1,5 @@
-//! Steps on regression models of all points around, for residuals with noise: the more points, the less of it is left in the model.
+//! Steps on regression models of all points around, for residuals with noise: the more points, the less of it
+//! is left in the model.
 
 use super::model::Regression;
 use super::points::{difference, distance, norm, sum};
@@ -12,7 +13,8 @@ const WIDEST: f64 = 10.0;
 const SMALLEST: f64 = 1e-15;
 /// The smallest radius to begin with, in units of the first one.
 const SMALLEST_SHARE: f64 = 1e-9;
-/// F statistics of the terms of second degree from which on the radius is made smaller, and below which it may grow.
+/// F statistics of the terms of second degree from which on the radius is made smaller, and below which it
+/// may grow.
 const BENT: f64 = 4.0;
 const STRAIGHT: f64 = 1.5;
 /// Predicted decrease up to which the run may end, in units of the best cost.
@@ -23,7 +25,8 @@ const FEWEST: usize = 5;
 const MOST_SWEEPS: usize = 100;
 
 impl LeastSquaresState {
-    /// The points around the centre, with their weights, nearest first: those within two radii, and as many more as a model needs.
+    /// The points around the centre, with their weights, nearest first: those within two radii, and as many
+    /// more as a model needs.
     fn around(&self, averaging: &Averaging) -> Vec<(usize, f64)> {
         let far = |k: usize| distance(&self.points[k].z, &averaging.centre) / (2.0 * averaging.radius);
         let mut near: Vec<(usize, f64)> = (0..self.points.len()).map(|k| (k, far(k))).collect();

@@ -1,6 +1,7 @@
-//! Linear interpolation of the residuals on n + 1 points. A new point changes the model by a matrix of rank one: the Lagrange polynomials
-//! and the QR factors of the Jacobian follow it, so that a step costs O(mn + n^2). The Jacobian itself is never formed where there are at least as
-//! many residuals as parameters: its products are those of the residuals with the gradients of the Lagrange polynomials.
+//! Linear interpolation of the residuals on n + 1 points. A new point changes the model by a matrix of rank
+//! one: the Lagrange polynomials and the QR factors of the Jacobian follow it, so that a step costs O(mn +
+//! n^2). The Jacobian itself is never formed where there are at least as many residuals as parameters: its
+//! products are those of the residuals with the gradients of the Lagrange polynomials.
 
 use super::points::{axpy, difference, distance, dot, norm};
 use super::subproblem::{Cancelled, Linear};
@@ -11,10 +12,12 @@ use serde::{Deserialize, Serialize};
 
 /// Points less far out of the plane of the others, in units of their distance, lie in it.
 const IN_PLANE: f64 = 1e-12;
-/// The least ratio of the diagonal of `R` at which a change of the factors is accurate: the normal equations square it.
+/// The least ratio of the diagonal of `R` at which a change of the factors is accurate: the normal equations
+/// square it.
 const LEAST_RATIO: f64 = 1e-7;
-/// Below this ratio, or where so large a share of the change lies in the range of the Jacobian, it is made accurate by a second
-/// solution (the corrected seminormal equations: Björck, Linear Algebra Appl. 88/89, 1987, 31).
+/// Below this ratio, or where so large a share of the change lies in the range of the Jacobian, it is made
+/// accurate by a second solution (the corrected seminormal equations: Björck, Linear Algebra Appl. 88/89,
+/// 1987, 31).
 const GOOD_RATIO: f64 = 1e-3;
 const IN_RANGE: f64 = 0.99;
 /// The largest error of the gradient by the factors, in units of the residuals and the Jacobian.
@@ -37,8 +40,8 @@ pub(super) struct Interpolation {
 pub(super) type Place<'a> = (&'a [f64], &'a [f64]);
 
 impl Interpolation {
-    /// Interpolates; `None` where the points lie in a plane up to rounding. The context is looked at now and then where there are many
-    /// residuals.
+    /// Interpolates; `None` where the points lie in a plane up to rounding. The context is looked at now and
+    /// then where there are many residuals.
     pub(super) fn new(
         points: &[Place<'_>],
         base: usize,
@@ -127,8 +130,9 @@ impl Interpolation {
         }
     }
 
-    /// Takes a new point into the set in the place of another. `residuals`: of the points of the set; `misfit`: how far those of the new
-    /// point are off the model. False where the factors would not be accurate any more: then the model is to be made again.
+    /// Takes a new point into the set in the place of another. `residuals`: of the points of the set;
+    /// `misfit`: how far those of the new point are off the model. False where the factors would not be
+    /// accurate any more: then the model is to be made again.
     pub(super) fn exchange(
         &mut self,
         place: usize,

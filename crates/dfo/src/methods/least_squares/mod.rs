@@ -1,11 +1,13 @@
-//! Gauss-Newton in a trust region on linear interpolation models of the residuals (Zhang, Conn and Scheinberg 2010; Cartis, Fiala,
-//! Marteau and Roberts, ACM TOMS 45, 2019): n + 1 points, each evaluated once, make a model of every residual; its sum of squares
-//! is smallest at the next trial point, within a radius that grows and shrinks with the success of the predictions
-//! (`trust_region.rs`). The new point changes the model by a matrix of rank one, which costs O(mn + n^2) (`interpolation.rs`, `triangle.rs`).
-//! With rounds of several points the others are trial points at other radii, and neighbours of the first one,
-//! so that its Jacobian is known in the same round. Where a point next to the best one shows noise, the models are regressions on
-//! all points around, one new point at a time (`averaging.rs`). Steps keep to the side of a plane between points that failed and the others;
-//! where that leads nowhere, Nelder-Mead takes over from a good point that lies away from them.
+//! Gauss-Newton in a trust region on linear interpolation models of the residuals (Zhang, Conn and Scheinberg
+//! 2010; Cartis, Fiala, Marteau and Roberts, ACM TOMS 45, 2019): n + 1 points, each evaluated once, make a
+//! model of every residual; its sum of squares is smallest at the next trial point, within a radius that
+//! grows and shrinks with the success of the predictions (`trust_region.rs`). The new point changes the model
+//! by a matrix of rank one, which costs O(mn + n^2) (`interpolation.rs`, `triangle.rs`). With rounds of
+//! several points the others are trial points at other radii, and neighbours of the first one, so that its
+//! Jacobian is known in the same round. Where a point next to the best one shows noise, the models are
+//! regressions on all points around, one new point at a time (`averaging.rs`). Steps keep to the side of a
+//! plane between points that failed and the others; where that leads nowhere, Nelder-Mead takes over from a
+//! good point that lies away from them.
 
 mod averaging;
 mod interpolation;

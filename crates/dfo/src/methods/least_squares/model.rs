@@ -7,15 +7,16 @@ use nalgebra::{DMatrix, DVector};
 /// Steps to the minimum of a quadratic model of the residuals.
 const MOST_INNER: usize = 30;
 
-/// Regression around a centre, the points weighted by their distances: linear, with squares, or quadratic, as the points allow.
+/// Regression around a centre, the points weighted by their distances: linear, with squares, or quadratic, as
+/// the points allow.
 pub(super) struct Regression {
     /// Coefficients of 1, the coordinates, their squares, their products; turned so that as few numbers as
     /// possible are left of the residuals. One column for each.
     coefficients: DMatrix<f64>,
     /// The unit of the coordinates.
     length: f64,
-    /// The variance of the residuals about the model that the terms of second degree explain, per term, in units of what
-    /// they leave: near 1 for noise alone (the F statistic). `None`: too few points to tell.
+    /// The variance of the residuals about the model that the terms of second degree explain, per term, in
+    /// units of what they leave: near 1 for noise alone (the F statistic). `None`: too few points to tell.
     pub(super) bent: Option<f64>,
     /// True if all products of coordinates are part of the model.
     pub(super) is_quadratic: bool,
@@ -33,8 +34,8 @@ fn terms(w: &[f64], length: f64) -> impl Iterator<Item = f64> {
 }
 
 impl Regression {
-    /// Fits the coefficients; `None` where the points do not determine those of first degree. `points`: displacements from the
-    /// centre, weights, residuals.
+    /// Fits the coefficients; `None` where the points do not determine those of first degree. `points`:
+    /// displacements from the centre, weights, residuals.
     pub(super) fn new(points: &[(Vec<f64>, f64, &[f64])]) -> Option<Self> {
         let (w, _, first) = points.first()?;
         let (n, m, len) = (w.len(), first.len(), points.len());
@@ -108,7 +109,8 @@ impl Regression {
         if smallest > 0.0 { self.excess.sqrt() / smallest } else { f64::INFINITY }
     }
 
-    /// The displacement within a ball and a box at which the model is smallest, and the decrease from the centre.
+    /// The displacement within a ball and a box at which the model is smallest, and the decrease from the
+    /// centre.
     pub(super) fn minimise(&self, radius: f64, lower: &[f64], upper: &[f64]) -> (Vec<f64>, f64) {
         let n = lower.len();
         let first = self.residuals(&vec![0.0; n]).norm_squared();

@@ -3,10 +3,11 @@
 use crate::error::Error;
 use serde::{Deserialize, Serialize};
 
-/// Options of the Gauss-Newton method on interpolation models, for objectives with residuals (see [`residuals`](crate::residuals)).
+/// Options of the Gauss-Newton method on interpolation models, for objectives with residuals (see
+/// [`residuals`](crate::residuals)).
 ///
-/// The x test measures the radius within which the model is trusted, or the step to the model's minimum with the error that the
-/// model may have, where that is less; the f test the decrease that the model predicts.
+/// The x test measures the radius within which the model is trusted, or the step to the model's minimum with
+/// the error that the model may have, where that is less; the f test the decrease that the model predicts.
 ///
 /// ```
 /// use dfo::{LeastSquares, minimize, residuals};

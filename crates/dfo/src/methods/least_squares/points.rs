@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Of a point that lies this far out of the plane of those chosen before it, in units of its distance, something is learned.
+/// Of a point that lies this far out of the plane of those chosen before it, in units of its distance,
+/// something is learned.
 const INDEPENDENT: f64 = 0.03;
 /// The same where nothing better is there.
 const BARELY_INDEPENDENT: f64 = 1e-7;

@@ -8,12 +8,14 @@ use crate::methods::nelder_mead::SimplexSearch;
 use crate::outcome::answer::Answers;
 use crate::outcome::termination::Termination;
 
-/// A simplex that ends at a cost larger than the best one by more than this share of it has not found the way.
+/// A simplex that ends at a cost larger than the best one by more than this share of it has not found the
+/// way.
 const WORSE: f64 = 1e-3;
 
 impl LeastSquaresState {
-    /// Points fail around the best one, and a model tells nothing of that: a simplex search, which keeps off such places, takes over from
-    /// the best of the points that lie a first radius away from them. Right beside them a simplex collapses.
+    /// Points fail around the best one, and a model tells nothing of that: a simplex search, which keeps off
+    /// such places, takes over from the best of the points that lie a first radius away from them. Right
+    /// beside them a simplex collapses.
     pub(super) fn begin_simplex(&mut self) {
         let is_away = |k: &usize| {
             let near = |failed: &Vec<f64>| distance(failed, &self.points[*k].z) < self.options.radius;
@@ -37,7 +39,8 @@ impl LeastSquaresState {
         };
     }
 
-    /// The simplex search has ended at a worse point than the best one: another one from the start. False where this was it.
+    /// The simplex search has ended at a worse point than the best one: another one from the start. False
+    /// where this was it.
     fn begin_again(&mut self) -> bool {
         let Phase::Simplex(simplex) = &self.phase else { return false };
         let x0 = self.setup.space.x0().to_vec();

@@ -1,5 +1,6 @@
-//! The state machine: which points are asked for, and what becomes of their residuals. How the next points are chosen stands in
-//! `trust_region.rs`; in `averaging.rs` once noise has been found; in `simplex_search.rs` where points fail.
+//! The state machine: which points are asked for, and what becomes of their residuals. How the next points
+//! are chosen stands in `trust_region.rs`; in `averaging.rs` once noise has been found; in
+//! `simplex_search.rs` where points fail.
 
 use super::interpolation::Interpolation;
 use super::options::LeastSquares;
@@ -25,7 +26,8 @@ const MOST_RESIZED: u32 = 8;
 const MOST_KEPT: usize = 20;
 /// Fewer where they have more residuals than this in all.
 const MOST_NUMBERS: usize = 1 << 27;
-/// From so many parameters on the start is evaluated alone: it tells whether the residuals of the others fit into memory.
+/// From so many parameters on the start is evaluated alone: it tells whether the residuals of the others fit
+/// into memory.
 const LARGE: usize = 500;
 
 /// Points that failed are remembered up to this number.
@@ -81,7 +83,8 @@ pub(super) enum Role {
     Geometry { instead: usize },
     /// A point that makes the model better.
     Near,
-    /// A point next to the best one, which shows whether residuals are noisy or only curved: how far the model was off.
+    /// A point next to the best one, which shows whether residuals are noisy or only curved: how far the
+    /// model was off.
     Probe { misfit: f64 },
 }
 
@@ -116,7 +119,8 @@ pub struct LeastSquaresState {
     /// Of these the n + 1 that the model interpolates; fewer where the others failed.
     pub(super) set: Vec<usize>,
     pub(super) best_seen: Best,
-    /// The trust region, and the resolution that it is not smaller than: both in units of the parameters' sizes.
+    /// The trust region, and the resolution that it is not smaller than: both in units of the parameters'
+    /// sizes.
     pub(super) delta: f64,
     pub(super) rho: f64,
     pub(super) phase: Phase,
@@ -136,7 +140,8 @@ pub struct LeastSquaresState {
     n_resized: u32,
     /// The cost of the start.
     pub(super) f_0: f64,
-    /// Of the last step that failed: the distance of the residuals from the model, and the size of step and set.
+    /// Of the last step that failed: the distance of the residuals from the model, and the size of step and
+    /// set.
     pub(super) failure: Option<(f64, f64)>,
     /// Points that failed, the last ones.
     pub(super) failed: Vec<Vec<f64>>,
@@ -250,7 +255,8 @@ impl LeastSquaresState {
             }
     }
 
-    /// The start itself, or its neighbour along a coordinate: on the side with more space, on the other, nearer, and so on.
+    /// The start itself, or its neighbour along a coordinate: on the side with more space, on the other,
+    /// nearer, and so on.
     fn neighbour(&self, coordinate: Option<usize>, retries: u32) -> Vec<f64> {
         let mut z = vec![0.0; self.n()];
         if let Some(k) = coordinate {
@@ -323,7 +329,8 @@ impl LeastSquaresState {
         self.best_of(self.set.iter().copied()).unwrap_or(0)
     }
 
-    /// Takes what is known of a point that was asked for. A neighbour of the start that failed is tried elsewhere.
+    /// Takes what is known of a point that was asked for. A neighbour of the start that failed is tried
+    /// elsewhere.
     fn take(&mut self, place: usize, answer: Option<(f64, &[f64])>) {
         let Candidate { role, z, x, retries, .. } = &self.round[place];
         if answer.is_none() {
@@ -366,8 +373,9 @@ impl LeastSquaresState {
         self.forget();
     }
 
-    /// Sizes that nothing tells are found by steps along the coordinates: in units of its size a parameter changes the residuals by
-    /// about as much as they are. Asks for such steps again; false if there is nothing to find.
+    /// Sizes that nothing tells are found by steps along the coordinates: in units of its size a parameter
+    /// changes the residuals by about as much as they are. Asks for such steps again; false if there is
+    /// nothing to find.
     fn resized(&mut self, round: &[Candidate]) -> bool {
         let Some(start) = self.points.first().filter(|_| self.n_resized < MOST_RESIZED) else { return false };
         let mut found = Vec::new();
@@ -418,7 +426,8 @@ impl LeastSquaresState {
         }
     }
 
-    /// Forgets the points that lie farthest, where there are too many: a part of them, so that this is not to be done again at once.
+    /// Forgets the points that lie farthest, where there are too many: a part of them, so that this is not to
+    /// be done again at once.
     pub(super) fn forget(&mut self) {
         let m = self.points.first().map_or(1, |point| point.residuals.len().max(1));
         let most = (MOST_KEPT * (self.n() + 1)).min(MOST_NUMBERS / m).max(2 * (self.n() + 1));

@@ -9,11 +9,13 @@ use std::borrow::Cow;
 
 /// Newton steps for the multiplier of the ball: from a good bracket it takes three or four.
 const MOST_STEPS: usize = 60;
-/// Singular values below this share of the largest are rounding: differences of residuals have lost some digits.
+/// Singular values below this share of the largest are rounding: differences of residuals have lost some
+/// digits.
 const RANK: f64 = 1e-13;
 /// Sweeps for each singular value: a few are enough.
 const MOST_SWEEPS: usize = 100;
-/// Up to so many parameters the ball's step is exact; else it is the best one in a subspace of so many dimensions.
+/// Up to so many parameters the ball's step is exact; else it is the best one in a subspace of so many
+/// dimensions.
 const SUBSPACE: usize = 12;
 /// Steps to the smallest singular value of a triangle.
 const INVERSE_STEPS: usize = 10;
@@ -22,9 +24,9 @@ const INVERSE_STEPS: usize = 10;
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Cancelled;
 
-/// Residuals as a linear function of the displacement `s` from a base point, turned so that only n numbers are left of them:
-/// `|r + J s|^2 = |c + F s|^2 + constant`. With at least as many residuals as parameters `F` is the triangle of the QR factorisation of `J`,
-/// else `J` itself.
+/// Residuals as a linear function of the displacement `s` from a base point, turned so that only n numbers
+/// are left of them: `|r + J s|^2 = |c + F s|^2 + constant`. With at least as many residuals as parameters
+/// `F` is the triangle of the QR factorisation of `J`, else `J` itself.
 #[derive(Debug, Clone)]
 pub(super) struct Linear {
     pub(super) factor: DMatrix<f64>,
@@ -36,7 +38,8 @@ impl Linear {
         Self { factor: DMatrix::zeros(0, 0), reached: DVector::zeros(0) }
     }
 
-    /// Turns residuals and their Jacobian, m x n, block of rows by block of rows. The context is looked at before each block but the first.
+    /// Turns residuals and their Jacobian, m x n, block of rows by block of rows. The context is looked at
+    /// before each block but the first.
     pub(super) fn new(
         m: usize,
         n: usize,
@@ -99,10 +102,12 @@ impl Linear {
     }
 }
 
-/// A step from the best point: `|s| <= radius` and `lower <= s <= upper`, such that `|r + J s|` is (nearly) smallest.
+/// A step from the best point: `|s| <= radius` and `lower <= s <= upper`, such that `|r + J s|` is (nearly)
+/// smallest.
 ///
-/// The problem in the ball alone is solved exactly by the singular values of `J` (Moré and Sorensen 1983, with `J'J` in place of the
-/// Hessian). Where the solution leaves the box, the coordinate that reaches its bound first is set there, and the rest is solved again.
+/// The problem in the ball alone is solved exactly by the singular values of `J` (Moré and Sorensen 1983,
+/// with `J'J` in place of the Hessian). Where the solution leaves the box, the coordinate that reaches its
+/// bound first is set there, and the rest is solved again.
 pub(super) struct Subproblem<'a> {
     pub(super) linear: &'a Linear,
     pub(super) radius: f64,
@@ -186,9 +191,9 @@ fn transposed_product(a: &DMatrix<f64>, r: &DVector<f64>) -> DVector<f64> {
     if a.is_square() { DVector::from_vec(times_transposed(a, r.as_slice())) } else { a.tr_mul(r) }
 }
 
-/// An orthonormal basis of directions along which the best step within any ball is (nearly) to be found: powers of `A'A` times the
-/// gradient, for small balls, and of its inverse times the step without a ball, for large ones (an extended Krylov space: Druskin and
-/// Knizhnerman, SIAM J. Matrix Anal. Appl. 19, 1998, 755).
+/// An orthonormal basis of directions along which the best step within any ball is (nearly) to be found:
+/// powers of `A'A` times the gradient, for small balls, and of its inverse times the step without a ball, for
+/// large ones (an extended Krylov space: Druskin and Knizhnerman, SIAM J. Matrix Anal. Appl. 19, 1998, 755).
 fn subspace(a: &DMatrix<f64>, r: &DVector<f64>) -> DMatrix<f64> {
     let n = a.ncols();
     let least = RANK * a.norm();
@@ -227,7 +232,8 @@ fn subspace(a: &DMatrix<f64>, r: &DVector<f64>) -> DMatrix<f64> {
     if basis.is_empty() { DMatrix::zeros(n, 1) } else { DMatrix::from_columns(&basis) }
 }
 
-/// The smallest singular value of a triangle, by inverse iteration (Golub and Van Loan, section 8.2.2) where it is large; 0 where there is none.
+/// The smallest singular value of a triangle, by inverse iteration (Golub and Van Loan, section 8.2.2) where
+/// it is large; 0 where there is none.
 pub(super) fn smallest_singular_value(r: &DMatrix<f64>) -> f64 {
     let n = r.ncols();
     if !r.iter().all(|r| r.is_finite()) {
@@ -320,8 +326,8 @@ fn on_the_ball(a: DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> {
     v_t.tr_mul(&part)
 }
 
-/// The point of a ball and a box where `|g s|` is largest: along `g` or against it, coordinates that reach their bounds set there.
-/// `other`: on the other side.
+/// The point of a ball and a box where `|g s|` is largest: along `g` or against it, coordinates that reach
+/// their bounds set there. `other`: on the other side.
 pub(super) fn longest(g: &[f64], radius: f64, (lower, upper): (&[f64], &[f64]), other: bool) -> Vec<f64> {
     let along = |sign: f64| {
         let mut step = vec![0.0; g.len()];

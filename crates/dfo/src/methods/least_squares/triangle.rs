@@ -1,5 +1,5 @@
-//! An upper triangular factor that rows are added to, and that follows a change of rank one (Golub and Van Loan, Matrix Computations,
-//! 4th edition, sections 5.2 and 6.5.1).
+//! An upper triangular factor that rows are added to, and that follows a change of rank one (Golub and Van
+//! Loan, Matrix Computations, 4th edition, sections 5.2 and 6.5.1).
 
 use super::points::{axpy, dot};
 use nalgebra::{DMatrix, DVector};
@@ -55,8 +55,8 @@ impl Triangle {
         }
     }
 
-    /// Becomes the factor of `J + e g'` and `r + gamma e`: `e = Q w + rho q` with a direction `q` outside of `Q`, along which `r` has the part
-    /// `tau`.
+    /// Becomes the factor of `J + e g'` and `r + gamma e`: `e = Q w + rho q` with a direction `q` outside of
+    /// `Q`, along which `r` has the part `tau`.
     pub(super) fn change(&mut self, w: &[f64], (rho, tau): (f64, f64), (g, gamma): (&[f64], f64)) {
         let n = w.len();
         let mut up = vec![(1.0, 0.0); n];
@@ -133,7 +133,8 @@ pub(super) fn add_product(r: &DMatrix<f64>, x: &[f64], y: &mut [f64]) {
     }
 }
 
-/// A triangular matrix without the columns that are not listed, turned until it is triangular; and what is reached.
+/// A triangular matrix without the columns that are not listed, turned until it is triangular; and what is
+/// reached.
 pub(super) fn without(
     a: &DMatrix<f64>,
     kept: &[usize],

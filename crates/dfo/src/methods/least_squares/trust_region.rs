@@ -1,4 +1,5 @@
-//! Steps on interpolation models: the next points from the model, and radius, resolution and set from what they gave.
+//! Steps on interpolation models: the next points from the model, and radius, resolution and set from what
+//! they gave.
 
 use super::interpolation::{Interpolation, Place, combine};
 use super::points::{Selection, difference, distance, dot, norm, sum};
@@ -11,8 +12,8 @@ use base::RunContext;
 
 /// A radius below this cannot be resolved.
 const SMALLEST: f64 = 1e-15;
-/// A sum of squares below this share of the first one is zero (the default `model.rel_tol` of DFO-LS: Cartis, Fiala, Marteau and
-/// Roberts 2019, section 4).
+/// A sum of squares below this share of the first one is zero (the default `model.rel_tol` of DFO-LS: Cartis,
+/// Fiala, Marteau and Roberts 2019, section 4).
 const ZERO: f64 = 1e-20;
 /// Turns without a point to ask for: the resolution has come to its end long before.
 const MOST_TURNS: usize = 200;
@@ -24,8 +25,9 @@ const STUCK: f64 = 1e-4;
 const NEAR: f64 = 4.0;
 /// Curvature across the plane to failed points, in units of the largest of the model.
 const AVOIDANCE: f64 = 100.0;
-/// Of two steps that failed the later one is so much shorter at least, points of the set included; the model of smooth residuals is
-/// then nearer to them by the square of that, and what is not nearer by this factor at least is noise.
+/// Of two steps that failed the later one is so much shorter at least, points of the set included; the model
+/// of smooth residuals is then nearer to them by the square of that, and what is not nearer by this factor at
+/// least is noise.
 const NEARER: f64 = 0.25;
 const SMALLER: f64 = 0.5;
 /// So often in a row.
@@ -445,8 +447,8 @@ impl LeastSquaresState {
         self.set.iter().map(|k| &self.points[*k].residuals[..]).collect()
     }
 
-    /// Takes a new point into the model; false where it is not accurate any more. `values`: the step to it from the base point, those of
-    /// the Lagrange polynomials, and how far it is off the model.
+    /// Takes a new point into the model; false where it is not accurate any more. `values`: the step to it
+    /// from the base point, those of the Lagrange polynomials, and how far it is off the model.
     fn follow(
         &self,
         model: &mut Interpolation,
@@ -459,7 +461,8 @@ impl LeastSquaresState {
         model.exchange(place, (step, lagrange), &self.residuals_of_set(), (new, misfit), is_better)
     }
 
-    /// The place of the point that a new one takes: one that lies far away, or that the new one tells most of.
+    /// The place of the point that a new one takes: one that lies far away, or that the new one tells most
+    /// of.
     fn replaced(&self, base: usize, new: usize, lagrange: &[f64]) -> Option<usize> {
         let better = self.points[new].cost < self.points[base].cost;
         let from = if better { new } else { base };
@@ -472,8 +475,8 @@ impl LeastSquaresState {
         (most.1 > 0.0).then_some(most.0)
     }
 
-    /// The model's best step from `z`, and the decrease that it predicts: on the side of the points with residuals, where points around
-    /// have failed.
+    /// The model's best step from `z`, and the decrease that it predicts: on the side of the points with
+    /// residuals, where points around have failed.
     fn best_step(
         &self,
         z: &[f64],

@@ -1,5 +1,6 @@
-//! Searches that run ahead of the path. The path goes through all searches in turn, a batch of each at a time; a search whose answers
-//! have come need not wait for the others: a copy of it asks for what the path will come to.
+//! Searches that run ahead of the path. The path goes through all searches in turn, a batch of each at a
+//! time; a search whose answers have come need not wait for the others: a copy of it asks for what the path
+//! will come to.
 
 use crate::method::interface::{Batch, Method, Status};
 use crate::outcome::answer::{Answer, Answers};
@@ -58,7 +59,8 @@ impl Ahead {
         }
     }
 
-    /// Goes on while all `answers` to what it asks for are there, by its batch, the place in it, and whether its search asks the same.
+    /// Goes on while all `answers` to what it asks for are there, by its batch, the place in it, and whether
+    /// its search asks the same.
     pub(super) fn advance(&mut self, answer: &dyn Fn(&Batch, usize, bool) -> Option<Answer>) {
         while !self.is_over && self.told.len() < MOST_BATCHES {
             let mut answers = Answers::default();

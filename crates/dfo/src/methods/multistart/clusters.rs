@@ -5,7 +5,8 @@ use crate::method::interface::Optimum;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::problem::space::Space;
 
-/// The share of the sample that is looked at (gamma), and sigma of the critical distance: Rinnooy Kan and Timmer's.
+/// The share of the sample that is looked at (gamma), and sigma of the critical distance: Rinnooy Kan and
+/// Timmer's.
 const LOOKED_AT: f64 = 0.2;
 const SIGMA: f64 = 4.0;
 
@@ -42,8 +43,8 @@ fn distance(space: &Space, u: &[f64], v: &[f64]) -> f64 {
     u.iter().zip(v).enumerate().map(share).sum::<f64>().sqrt()
 }
 
-/// The points that start a search: among the best fifth and not yet used, none better within the critical distance. Needs
-/// up-to-date ranks.
+/// The points that start a search: among the best fifth and not yet used, none better within the critical
+/// distance. Needs up-to-date ranks.
 pub(super) fn starts(space: &Space, sample: &RankedPoints, used: &[bool]) -> Vec<usize> {
     let critical = critical_distance(space.n_free(), sample.len());
     let looked_at = &sample.order()[..n_looked_at(sample.len())];

@@ -25,9 +25,10 @@ pub enum Polish {
     CmaEs,
 }
 
-/// Up to so many free parameters Nelder-Mead polishes, and half of the budget explores; above, CMA-ES polishes, and three tenths
-/// explore. The even BBOB functions of `benches/dfo` have chosen this: of shares 0.3, 0.5, 0.7 with either method, solved within
-/// 1000 n evaluations n = 2: 100 %, n = 5: 89 %, n = 10: 83 %.
+/// Up to so many free parameters Nelder-Mead polishes, and half of the budget explores; above, CMA-ES
+/// polishes, and three tenths explore. The even BBOB functions of `benches/dfo` have chosen this: of shares
+/// 0.3, 0.5, 0.7 with either method, solved within 1000 n evaluations n = 2: 100 %, n = 5: 89 %, n = 10: 83
+/// %.
 const FEW: usize = 5;
 
 /// Options of the search from several starts.
@@ -53,13 +54,15 @@ pub struct Multistart {
     pub sampling: Option<Sampling>,
     /// The method of the local searches.
     pub polish: Polish,
-    /// Local searches that run at once, their points in one batch; default 4, and 1 after an exploration until that search has ended. Part
-    /// of the path: it does not follow the workers. Until the first of them has ended, the others have at most half of a limit of evaluations.
+    /// Local searches that run at once, their points in one batch; default 4, and 1 after an exploration
+    /// until that search has ended. Part of the path: it does not follow the workers. Until the first of them
+    /// has ended, the others have at most half of a limit of evaluations.
     pub side_by_side: Option<usize>,
     /// Most local searches; default no limit but the budget.
     pub max_starts: Option<usize>,
-    /// Share of the budget for differential evolution before the local searches, from 0 to below 1; default 0 with least squares, else
-    /// 0.5 for up to five free parameters and 0.3 for more. Nothing where there is no limit of evaluations.
+    /// Share of the budget for differential evolution before the local searches, from 0 to below 1; default 0
+    /// with least squares, else 0.5 for up to five free parameters and 0.3 for more. Nothing where there is
+    /// no limit of evaluations.
     pub exploration: Option<f64>,
 }
 

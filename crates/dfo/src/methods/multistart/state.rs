@@ -385,8 +385,8 @@ impl MultistartState {
         if self.searches.len() < before { self.next() } else { Ok(()) }
     }
 
-    /// Until the first local search has ended, all else has at most half of the budget: where the points of the other searches would be
-    /// more, these wait.
+    /// Until the first local search has ended, all else has at most half of the budget: where the points of
+    /// the other searches would be more, these wait.
     fn leave_half_to_the_first(&mut self) {
         let Core { n_elsewhere, setup, .. } = &self.core;
         let Some(budget) = setup.max_evaluations.filter(|_| !self.first_has_ended()) else { return };

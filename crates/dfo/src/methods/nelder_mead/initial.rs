@@ -8,8 +8,8 @@ use crate::methods::shared::sizes::{Found, SizeSearch};
 use crate::problem::space::Space;
 use crate::values::choices::Transform;
 
-/// Side of the simplex as a fraction of the width of the box. With sides from 0.03 to 0.3 of it 124 to 126 of the 126 runs in
-/// boxes that tune (`benches/simplex.rs`) are solved, in 474 to 526 evaluations (median).
+/// Side of the simplex as a fraction of the width of the box. With sides from 0.03 to 0.3 of it 124 to 126 of
+/// the 126 runs in boxes that tune (`benches/simplex.rs`) are solved, in 474 to 526 evaluations (median).
 const BOX_FRACTION: f64 = 0.1;
 /// Side of the simplex without a box, in units of the size of the parameter.
 const FREE_FRACTION: f64 = 0.3;
@@ -44,12 +44,13 @@ fn is_open(space: &Space) -> bool {
     (0..space.n_free()).all(|k| space.is_open(k))
 }
 
-/// The start point and the other corners of a simplex that is regular, with edges `FREE_FRACTION` long, where each
-/// coordinate is measured in its size (Spendley, Hext and Himsworth, Technometrics 4, 1962). It points away from zero.
+/// The start point and the other corners of a simplex that is regular, with edges `FREE_FRACTION` long, where
+/// each coordinate is measured in its size (Spendley, Hext and Himsworth, Technometrics 4, 1962). It points
+/// away from zero.
 ///
 /// Sizes from |x0| make the path independent of the units of the parameters. Of the fits that tune
-/// (`benches/simplex.rs`) 69 or 70 of 72 are solved for any fraction from 0.1 to 0.5; 0.3 takes the fewest evaluations (194,
-/// median; the others 195 to 211).
+/// (`benches/simplex.rs`) 69 or 70 of 72 are solved for any fraction from 0.1 to 0.5; 0.3 takes the fewest
+/// evaluations (194, median; the others 195 to 211).
 fn regular(space: &Space) -> RankedPoints {
     let n = space.n_free();
     let root = (n as f64 + 1.0).sqrt();
@@ -80,7 +81,8 @@ fn regular(space: &Space) -> RankedPoints {
     simplex
 }
 
-/// The size of coordinate `k`, signed so that a step leads away from zero: that of `-x` is the step of `x` mirrored.
+/// The size of coordinate `k`, signed so that a step leads away from zero: that of `-x` is the step of `x`
+/// mirrored.
 fn outward(space: &Space, k: usize) -> f64 {
     let negative = space.transform(k) == Transform::Linear && space.x0()[space.free()[k]] < 0.0;
     if negative { -space.size(k) } else { space.size(k) }
@@ -91,8 +93,8 @@ fn default_steps(space: &Space) -> Vec<f64> {
     (0..space.n_free()).map(step).collect()
 }
 
-/// The point that a search for sizes started from, the steps that it found, and usual ones along the other axes. The space
-/// takes the sizes.
+/// The point that a search for sizes started from, the steps that it found, and usual ones along the other
+/// axes. The space takes the sizes.
 pub(super) fn around(space: &mut Space, search: &SizeSearch) -> RankedPoints {
     let found = search.found(space);
     found.iter().for_each(|found| space.set_unit(found.k, found.size));
@@ -133,8 +135,8 @@ fn from_steps(space: &Space, steps: &[f64]) -> RankedPoints {
     simplex
 }
 
-/// `u + step` if that is in the bounds, else `u - step`, else the bound that is farther away; without two bounds the next
-/// that can be seen beside `u`.
+/// `u + step` if that is in the bounds, else `u - step`, else the bound that is farther away; without two
+/// bounds the next that can be seen beside `u`.
 pub(super) fn stepped(u: f64, step: f64, (lower, upper): (f64, f64)) -> f64 {
     let good = |v: &f64| lower <= *v && *v <= upper && v.is_finite() && *v != u;
     if let Some(found) = [u + step, u - step].into_iter().find(good) {
@@ -186,8 +188,8 @@ fn from_vertices(space: &Space, vertices: &[Vec<f64>]) -> Result<RankedPoints, E
     Ok(simplex)
 }
 
-/// Number of dimensions spanned by the edges from vertex 0, each measured in the sizes of the parameters: Gaussian
-/// elimination with complete pivoting.
+/// Number of dimensions spanned by the edges from vertex 0, each measured in the sizes of the parameters:
+/// Gaussian elimination with complete pivoting.
 fn rank(space: &Space, simplex: &RankedPoints) -> usize {
     let n = space.n_free();
     let mut edges: Vec<Vec<f64>> = (1..=n)

@@ -1,4 +1,5 @@
-//! One iteration: which trial point is needed next, what the known ones decide, and what follows from a finished one.
+//! One iteration: which trial point is needed next, what the known ones decide, and what follows from a
+//! finished one.
 
 use super::initial;
 use super::restart;
@@ -23,8 +24,8 @@ impl NelderMeadState {
         }
     }
 
-    /// The cost above which no point is accepted, now or in the iterations to come; infinite while the worst vertex has
-    /// failed.
+    /// The cost above which no point is accepted, now or in the iterations to come; infinite while the worst
+    /// vertex has failed.
     pub(super) fn worst_cost(&self) -> f64 {
         self.simplex.cost(self.simplex.worst()).value().unwrap_or(f64::INFINITY)
     }
@@ -56,8 +57,8 @@ impl NelderMeadState {
         }
     }
 
-    /// The decision of an iteration (Lagarias et al. 1998, section 2, steps 2 to 5): the point to accept, or none for
-    /// a shrink. `Err`: this point is needed.
+    /// The decision of an iteration (Lagarias et al. 1998, section 2, steps 2 to 5): the point to accept, or
+    /// none for a shrink. `Err`: this point is needed.
     fn accepted_trial(&self) -> Result<Option<(Trial, f64)>, Trial> {
         let [best, second_worst, worst] =
             [self.simplex.best(), self.simplex.second_worst(), self.simplex.worst()]

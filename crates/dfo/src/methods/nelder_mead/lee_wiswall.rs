@@ -1,10 +1,11 @@
-//! The parallel simplex of Lee and Wiswall (Comput. Econ. 30, 2007): the `p` worst vertices move at once, each
-//! reflected through the centroid of the others and then expanded or contracted on its own account.
+//! The parallel simplex of Lee and Wiswall (Comput. Econ. 30, 2007): the `p` worst vertices move at once,
+//! each reflected through the centroid of the others and then expanded or contracted on its own account.
 //!
-//! This is another path than the serial one. Left alone it is quick at first and slow at last, so `p` is halved whenever
-//! the best vertex has not improved for five iterations; with one vertex it is the serial method. On the problems of
-//! Moré and Wild with four parameters or more it needs 14, 53 and 150 rounds (median) to tau = 1e-1, 1e-3 and 1e-5,
-//! the serial plan 44, 158 and 363, and it solves as many (98 %); without the fall-back it solves 83 %.
+//! This is another path than the serial one. Left alone it is quick at first and slow at last, so `p` is
+//! halved whenever the best vertex has not improved for five iterations; with one vertex it is the serial
+//! method. On the problems of Moré and Wild with four parameters or more it needs 14, 53 and 150 rounds
+//! (median) to tau = 1e-1, 1e-3 and 1e-5, the serial plan 44, 158 and 363, and it solves as many (98 %);
+//! without the fall-back it solves 83 %.
 
 use super::options::CoefficientValues;
 use super::trial::{Frame, Seen, Trial, TrialPoint};

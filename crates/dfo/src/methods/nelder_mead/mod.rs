@@ -1,38 +1,42 @@
-//! Bounded Nelder-Mead with batches: the n+1 vertices at once, a shrink at once, and the points of this iteration and the
-//! next ones ahead of need.
+//! Bounded Nelder-Mead with batches: the n+1 vertices at once, a shrink at once, and the points of this
+//! iteration and the next ones ahead of need.
 //!
-//! The rules are those of Lagarias, Reeds, Wright and Wright (SIAM J. Optim. 9, 1998, section 2), ties included: a
-//! vertex that comes later ranks behind older ones of the same cost. For five and more dimensions the coefficients
-//! are those of Gao and Han (Comput. Optim. Appl. 51, 2012). Bounds: see [`BoundsHandling`](crate::BoundsHandling).
+//! The rules are those of Lagarias, Reeds, Wright and Wright (SIAM J. Optim. 9, 1998, section 2), ties
+//! included: a vertex that comes later ranks behind older ones of the same cost. For five and more dimensions
+//! the coefficients are those of Gao and Han (Comput. Optim. Appl. 51, 2012). Bounds: see
+//! [`BoundsHandling`](crate::BoundsHandling).
 //!
-//! **Failures.** A failed vertex ranks behind every vertex with a cost; among failed ones the youngest ranks last.
-//! The last vertex is replaced as always, but the centroid is that of the finite ones among the other vertices
-//! (at least the best is finite). The centroid still lies in the plane through the vertices that stay, so the new
-//! simplex has volume whenever the old one had. A failed trial point is treated like one that is too bad.
+//! **Failures.** A failed vertex ranks behind every vertex with a cost; among failed ones the youngest ranks
+//! last. The last vertex is replaced as always, but the centroid is that of the finite ones among the other
+//! vertices (at least the best is finite). The centroid still lies in the plane through the vertices that
+//! stay, so the new simplex has volume whenever the old one had. A failed trial point is treated like one
+//! that is too bad.
 //!
-//! **Plans.** An iteration needs its points one after the other: the reflection, then perhaps one more. A plan says how
-//! many points are evaluated at once ([`BatchPlan`]). The others are guessed: half of all iterations accept the
-//! reflection as it is, a quarter contract inside and a quarter try an expansion, so the most probable next point is the
-//! reflection of the next iteration. Every plan takes the same path: the method is told what it would have been told one
-//! point at a time.
+//! **Plans.** An iteration needs its points one after the other: the reflection, then perhaps one more. A
+//! plan says how many points are evaluated at once ([`BatchPlan`]). The others are guessed: half of all
+//! iterations accept the reflection as it is, a quarter contract inside and a quarter try an expansion, so
+//! the most probable next point is the reflection of the next iteration. Every plan takes the same path: the
+//! method is told what it would have been told one point at a time.
 //!
-//! One further plan, `lee-wiswall`, takes **another path**: it moves the n/2 worst vertices at once and comes down to
-//! the serial method when that stops paying. It is never chosen automatically, and its name is in the report.
+//! One further plan, `lee-wiswall`, takes **another path**: it moves the n/2 worst vertices at once and comes
+//! down to the serial method when that stops paying. It is never chosen automatically, and its name is in the
+//! report.
 //!
-//! **Restarts.** When the tests pass although the simplex has become flat (as in McKinnon's example, SIAM J. Optim. 9,
-//! 1998), a new one with edges along the axes is built around its best vertex, each edge pointing to where the costs
-//! seen say that it goes down (Kelley, SIAM J. Optim. 10, 1999). A simplex that is flat because it lies on a bound is
-//! left alone.
+//! **Restarts.** When the tests pass although the simplex has become flat (as in McKinnon's example, SIAM J.
+//! Optim. 9, 1998), a new one with edges along the axes is built around its best vertex, each edge pointing
+//! to where the costs seen say that it goes down (Kelley, SIAM J. Optim. 10, 1999). A simplex that is flat
+//! because it lies on a bound is left alone.
 //!
-//! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, says nothing about its
-//! magnitude. Before the first simplex is built each is moved alone, by steps of powers of ten, to where the cost is least
-//! along it. When the tests pass such steps are made once more from the best vertex; where one finds a lower cost, a new
-//! simplex is built from it.
+//! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, says nothing
+//! about its magnitude. Before the first simplex is built each is moved alone, by steps of powers of ten, to
+//! where the cost is least along it. When the tests pass such steps are made once more from the best vertex;
+//! where one finds a lower cost, a new simplex is built from it.
 //!
-//! **Cutoffs** (where they change no decision): reflection and inside contraction: the worst cost; expansion and outside
-//! contraction: the cost of the reflection. Ahead of need: the worst cost, for the expansion of this iteration the best.
-//! None while the worst vertex has failed, and none for starting and shrinking vertices. Steps that look for sizes: twice
-//! the cost they start from, or the lowest found along the parameter.
+//! **Cutoffs** (where they change no decision): reflection and inside contraction: the worst cost; expansion
+//! and outside contraction: the cost of the reflection. Ahead of need: the worst cost, for the expansion of
+//! this iteration the best. None while the worst vertex has failed, and none for starting and shrinking
+//! vertices. Steps that look for sizes: twice the cost they start from, or the lowest found along the
+//! parameter.
 
 mod initial;
 mod iteration;

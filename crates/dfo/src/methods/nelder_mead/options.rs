@@ -12,8 +12,8 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum BatchPlan {
-    /// At most as many as there are workers: so many that the path advances fastest. That is measured while the run goes
-    /// on; where evaluations are too short to be handed over, it is one.
+    /// At most as many as there are workers: so many that the path advances fastest. That is measured while
+    /// the run goes on; where evaluations are too short to be handed over, it is one.
     #[default]
     Auto,
     /// One point at a time: never an evaluation too many.
@@ -26,9 +26,10 @@ pub enum BatchPlan {
     TwoAhead,
     /// As many points as there are workers, however short an evaluation is.
     Ahead,
-    /// Another path: the n/2 worst vertices move at once, fewer when that stops paying, in the end one (Lee and Wiswall
-    /// 2007), from where on points are evaluated ahead as in [`Auto`](Self::Auto). Fewer rounds at first, more evaluations
-    /// in all. The report calls the plan `lee-wiswall`, and `lee-wiswall, then serial` once it has come down to one vertex.
+    /// Another path: the n/2 worst vertices move at once, fewer when that stops paying, in the end one (Lee
+    /// and Wiswall 2007), from where on points are evaluated ahead as in [`Auto`](Self::Auto). Fewer rounds
+    /// at first, more evaluations in all. The report calls the plan `lee-wiswall`, and `lee-wiswall, then
+    /// serial` once it has come down to one vertex.
     LeeWiswall,
 }
 
@@ -66,8 +67,9 @@ pub enum Coefficients {
     /// [`Standard`](Self::Standard) below five free parameters, [`Adaptive`](Self::Adaptive) from there on.
     #[default]
     Auto,
-    /// Reflection 1, expansion 2, contraction 1/2, shrink 1/2: those of Nelder and Mead (Comput. J. 7, 1965), and of Table 1
-    /// of Gedda et al. (Modelica Conference 2012); Python's `fmin` takes them for any number of parameters.
+    /// Reflection 1, expansion 2, contraction 1/2, shrink 1/2: those of Nelder and Mead (Comput. J. 7, 1965),
+    /// and of Table 1 of Gedda et al. (Modelica Conference 2012); Python's `fmin` takes them for any number
+    /// of parameters.
     Standard,
     /// 1, 1 + 2/n, 3/4 - 1/(2n), 1 - 1/n: those of Gao and Han (Comput. Optim. Appl. 51, 2012).
     Adaptive,
@@ -141,21 +143,21 @@ impl Coefficients {
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum InitialSimplex {
-    /// From the sizes of the parameters: the nominal value where one was given, else the width of the box if it tells one
-    /// (see [`typical_size`](crate::typical_size)), else |x0|.
-    /// Where x0 is zero and nothing else is known, the size is looked for first, by steps of powers of ten along the
-    /// parameter: the one at which the cost is least becomes a vertex. That takes some ten evaluations per such
-    /// parameter at the start, and some at the end; nominal values save them. Without any bound: a regular simplex
-    /// with edges of `0.3 * size`, away from zero, so that multiplying a parameter by a constant changes nothing.
-    /// Else one step along each free parameter: a tenth of the width of the box where that tells a size, else `0.3 *
-    /// size` (a logarithmic parameter has the size 1 of its logarithm).
+    /// From the sizes of the parameters: the nominal value where one was given, else the width of the box if
+    /// it tells one (see [`typical_size`](crate::typical_size)), else |x0|. Where x0 is zero and nothing else
+    /// is known, the size is looked for first, by steps of powers of ten along the parameter: the one at
+    /// which the cost is least becomes a vertex. That takes some ten evaluations per such parameter at the
+    /// start, and some at the end; nominal values save them. Without any bound: a regular simplex with edges
+    /// of `0.3 * size`, away from zero, so that multiplying a parameter by a constant changes nothing. Else
+    /// one step along each free parameter: a tenth of the width of the box where that tells a size, else
+    /// `0.3 * size` (a logarithmic parameter has the size 1 of its logarithm).
     #[default]
     Auto,
-    /// These steps, one per parameter in the user's order; a step of a logarithmic parameter is one of `ln x`, one of
-    /// a fixed parameter is ignored.
+    /// These steps, one per parameter in the user's order; a step of a logarithmic parameter is one of `ln
+    /// x`, one of a fixed parameter is ignored.
     Steps(Vec<f64>),
-    /// These vertices, one more than there are free parameters, each a whole point in the user's units. The start
-    /// point is then not evaluated unless it is among them.
+    /// These vertices, one more than there are free parameters, each a whole point in the user's units. The
+    /// start point is then not evaluated unless it is among them.
     Vertices(Vec<Vec<f64>>),
 }
 

@@ -69,8 +69,8 @@ fn eliminate(rows: &mut [Vec<f64>], step: usize, columns: usize) -> Option<f64> 
     Some(pivot)
 }
 
-/// Builds a simplex around the best vertex, with one edge along each coordinate, pointing down the costs of the old
-/// one. `extent` is the size of the old simplex in units of the sizes.
+/// Builds a simplex around the best vertex, with one edge along each coordinate, pointing down the costs of
+/// the old one. `extent` is the size of the old simplex in units of the sizes.
 pub(super) fn orient(simplex: &mut RankedPoints, space: &Space, extent: f64) {
     let n = space.n_free();
     let best = simplex.best();

@@ -19,7 +19,8 @@ impl RankedPoints {
         self.order[self.n.saturating_sub(1)]
     }
 
-    /// Ranks all vertices anew; equal costs keep their order (insertion sort: stable, and it allocates nothing).
+    /// Ranks all vertices anew; equal costs keep their order (insertion sort: stable, and it allocates
+    /// nothing).
     pub(super) fn sort(&mut self) {
         for i in 1..self.order.len() {
             let mut k = i;
@@ -42,8 +43,8 @@ impl RankedPoints {
         }
     }
 
-    /// Centroid of all vertices but the worst, failed ones left out. Summed in the order of the slots, so that it can
-    /// be known before the ranks are.
+    /// Centroid of all vertices but the worst, failed ones left out. Summed in the order of the slots, so
+    /// that it can be known before the ranks are.
     pub(super) fn centroid(&self, out: &mut [f64]) {
         let counts = |slot: &usize| *slot != self.worst() && self.costs[*slot].value().is_some();
         Self::centroid_of((0..=self.n).filter(counts).map(|slot| self.u(slot)), out);
@@ -117,8 +118,9 @@ impl RankedPoints {
         self.order[1..].iter().map(distance).fold(0.0, f64::max)
     }
 
-    /// The smallest |cost| that is not zero; 0 where there is none. Of the initial vertices it is that of the start, or of a
-    /// better neighbour: a first step that is far too long, with a cost of many magnitudes, does not count.
+    /// The smallest |cost| that is not zero; 0 where there is none. Of the initial vertices it is that of the
+    /// start, or of a better neighbour: a first step that is far too long, with a cost of many magnitudes,
+    /// does not count.
     pub(super) fn smallest_cost(&self) -> f64 {
         let sizes = self.values.iter().flatten().map(|cost| cost.abs()).filter(|size| *size > 0.0);
         sizes.min_by(f64::total_cmp).unwrap_or(0.0)

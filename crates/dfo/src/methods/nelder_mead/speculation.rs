@@ -1,8 +1,8 @@
 //! The points that the path may need after the one it needs now, the most probable first.
 //!
-//! What an iteration does is not known before its costs are, but most simplices that can follow are few and their points
-//! can be computed: an accepted reflection replaces the worst vertex, and the next worst is the second worst of today.
-//! The guesses are followed best first, over as many iterations as points are wanted.
+//! What an iteration does is not known before its costs are, but most simplices that can follow are few and
+//! their points can be computed: an accepted reflection replaces the worst vertex, and the next worst is the
+//! second worst of today. The guesses are followed best first, over as many iterations as points are wanted.
 
 use super::options::CoefficientValues;
 use super::trial::{Frame, Trial, TrialPoint};
@@ -36,7 +36,8 @@ type Known<'a> = &'a dyn Fn(&[f64]) -> bool;
 #[derive(Debug, Clone, Copy)]
 struct Node {
     parent: usize,
-    /// The slot of the vertex that is replaced, and the number of the point that takes it; none for the present simplex.
+    /// The slot of the vertex that is replaced, and the number of the point that takes it; none for the
+    /// present simplex.
     replaced: Option<(usize, usize)>,
     /// Number of the reflection, once it is placed.
     reflection: usize,
@@ -63,8 +64,8 @@ pub(super) struct Speculation {
 }
 
 impl Speculation {
-    /// Finds up to `wanted` points that are not `known`, after `trial`, which the path needs now; `found` is given each,
-    /// and whether it is the expansion of this iteration.
+    /// Finds up to `wanted` points that are not `known`, after `trial`, which the path needs now; `found` is
+    /// given each, and whether it is the expansion of this iteration.
     pub(super) fn look(
         &mut self,
         problem: &Problem<'_>,

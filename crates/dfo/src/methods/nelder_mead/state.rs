@@ -1,7 +1,7 @@
 //! The state machine: which points are asked for, and what follows from their outcomes.
 //!
-//! There is one decision procedure. It runs over the trial points as far as they are known; where it meets an unknown
-//! one, that point is what the next batch asks for.
+//! There is one decision procedure. It runs over the trial points as far as they are known; where it meets an
+//! unknown one, that point is what the next batch asks for.
 
 use super::lee_wiswall::{LeeWiswall, Verdict};
 use super::options::{BatchPlan, CoefficientValues};

@@ -104,8 +104,8 @@ fn brought_onto(u: f64, raw: f64, centroid: f64) -> bool {
     u != raw && (u - centroid).abs() <= 1e-3 * (raw - centroid).abs()
 }
 
-/// Where such a coordinate goes instead: onto the bound that was crossed, half as far from the centroid as the point
-/// would have been without bounds; if the centroid lies there itself, into the middle of the box.
+/// Where such a coordinate goes instead: onto the bound that was crossed, half as far from the centroid as
+/// the point would have been without bounds; if the centroid lies there itself, into the middle of the box.
 fn beside(space: &Space, k: usize, raw: f64, centroid: f64) -> f64 {
     let (lower, upper) = space.working_bounds(k);
     let bound = if raw.is_finite() { raw.clamp(lower, upper) } else { centroid.clamp(lower, upper) };

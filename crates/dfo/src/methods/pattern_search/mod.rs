@@ -1,35 +1,39 @@
-//! Pattern search: a mesh adaptive direct search that polls along orthogonal directions (Audet and Dennis, SIAM J. Optim. 17,
-//! 2006; Abramson, Audet, Dennis and Le Digabel, SIAM J. Optim. 20, 2009: OrthoMADS).
+//! Pattern search: a mesh adaptive direct search that polls along orthogonal directions (Audet and Dennis,
+//! SIAM J. Optim. 17, 2006; Abramson, Audet, Dennis and Le Digabel, SIAM J. Optim. 20, 2009: OrthoMADS).
 //!
-//! It is for costs with kinks, steps or failures, and few parameters. It is not for smooth costs: its directions know nothing of the
-//! curvature, and where the cost lies in a narrow valley it needs several times the evaluations of
-//! [`QuadraticModel`](crate::QuadraticModel) (of the 53 smooth problems of Moré and Wild it solves 57 % within 100 (n + 1)
-//! evaluations, that one 92 %: `benches/dfo`).
+//! It is for costs with kinks, steps or failures, and few parameters. It is not for smooth costs: its
+//! directions know nothing of the curvature, and where the cost lies in a narrow valley it needs several
+//! times the evaluations of [`QuadraticModel`](crate::QuadraticModel) (of the 53 smooth problems of Moré and
+//! Wild it solves 57 % within 100 (n + 1) evaluations, that one 92 %: `benches/dfo`).
 //!
-//! A poll looks at the `2 n` points of a frame around the best point, along both ways of `n` orthogonal directions, rounded to
-//! a mesh that becomes finer than the frame as that shrinks. The first better point in the order of the poll is taken, and the
-//! step to it is doubled for as long as that gains; three doublings double the frame. After a poll without a better point
-//! the frame has half the size.
+//! A poll looks at the `2 n` points of a frame around the best point, along both ways of `n` orthogonal
+//! directions, rounded to a mesh that becomes finer than the frame as that shrinks. The first better point in
+//! the order of the poll is taken, and the step to it is doubled for as long as that gains; three doublings
+//! double the frame. After a poll without a better point the frame has half the size.
 //!
-//! **Directions.** A Householder reflection turns one of the coordinate axes along the way that the best point has gone since
-//! the frame last shrank, and the polls begin with the directions nearest to that way (Rosenbrock, Comput. J. 3, 1960, turns
-//! his axes for the same reason: steps along a valley). Where it has not moved, the reflection is that of the next point of
-//! Halton's sequence, as in OrthoMADS, so that the directions become dense on the sphere; with the first frame the axes
-//! stay as they are. The search is deterministic.
+//! **Directions.** A Householder reflection turns one of the coordinate axes along the way that the best
+//! point has gone since the frame last shrank, and the polls begin with the directions nearest to that way
+//! (Rosenbrock, Comput. J. 3, 1960, turns his axes for the same reason: steps along a valley). Where it has
+//! not moved, the reflection is that of the next point of Halton's sequence, as in OrthoMADS, so that the
+//! directions become dense on the sphere; with the first frame the axes stay as they are. The search is
+//! deterministic.
 //!
-//! **Restarts.** When the tests have passed, the search goes on with the first frame and new directions until that gains nothing
-//! any more: where the cost has kinks, few directions lead down, and the frame may have shrunk before one was met.
+//! **Restarts.** When the tests have passed, the search goes on with the first frame and new directions until
+//! that gains nothing any more: where the cost has kinks, few directions lead down, and the frame may have
+//! shrunk before one was met.
 //!
 //! **Bounds.** A point outside is moved onto the bound.
 //!
 //! **Failures** are points that are no better. Where the start has failed, the first poll must find a cost.
 //!
-//! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, is moved alone first (`shared/sizes.rs`).
+//! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, is moved
+//! alone first (`shared/sizes.rs`).
 //!
-//! **Plan.** The path takes one point after the other. Ahead of need, the points that follow in the poll are evaluated, then
-//! those of the next poll ([`PollPlan`]). **Cutoff**: the cost of the best point.
+//! **Plan.** The path takes one point after the other. Ahead of need, the points that follow in the poll are
+//! evaluated, then those of the next poll ([`PollPlan`]). **Cutoff**: the cost of the best point.
 //!
-//! **Tests.** The x test measures the frame of a poll that failed, the f test what the last four frames have gained.
+//! **Tests.** The x test measures the frame of a poll that failed, the f test what the last four frames have
+//! gained.
 
 mod options;
 mod poll;

@@ -9,7 +9,8 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum PollPlan {
-    /// At most as many as there are workers: so many that the path advances fastest, as measured while the run goes on.
+    /// At most as many as there are workers: so many that the path advances fastest, as measured while the
+    /// run goes on.
     #[default]
     Auto,
     /// One point at a time: never an evaluation too many.
@@ -42,8 +43,8 @@ impl PollPlan {
 }
 
 /// Options of pattern search, for costs with kinks, steps or failures and few parameters; for smooth ones
-/// [`QuadraticModel`](crate::QuadraticModel) takes a fraction of the evaluations. It starts from the start point; without one, from the
-/// middle of the box.
+/// [`QuadraticModel`](crate::QuadraticModel) takes a fraction of the evaluations. It starts from the start
+/// point; without one, from the middle of the box.
 ///
 /// ```
 /// use dfo::{PatternSearch, minimize};
@@ -58,12 +59,13 @@ impl PollPlan {
 pub struct PatternSearch {
     /// Number of points that are evaluated at once; default [`PollPlan::Auto`].
     pub batch: PollPlan,
-    /// The first distance of the poll points from the best point along each parameter, in units of its size: the nominal value
-    /// where one was given, else the width of the box, else |x0|, else 1. Default 0.3.
+    /// The first distance of the poll points from the best point along each parameter, in units of its size:
+    /// the nominal value where one was given, else the width of the box, else |x0|, else 1. Default 0.3.
     pub frame: f64,
-    /// When the tests have passed, the search begins anew with the first frame and new directions, until so many such searches
-    /// in a row have gained nothing (no more than the f test allows); default 2. Where the cost has kinks few directions lead
-    /// down, and a frame may shrink before one is met. 0: the first search is the only one.
+    /// When the tests have passed, the search begins anew with the first frame and new directions, until so
+    /// many such searches in a row have gained nothing (no more than the f test allows); default 2. Where the
+    /// cost has kinks few directions lead down, and a frame may shrink before one is met. 0: the first search
+    /// is the only one.
     pub restarts: usize,
 }
 

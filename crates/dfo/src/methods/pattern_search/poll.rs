@@ -28,7 +28,8 @@ impl Poll {
         poll
     }
 
-    /// With one direction along `way`, and the directions nearest to it first. Along the axes where it has no length.
+    /// With one direction along `way`, and the directions nearest to it first. Along the axes where it has no
+    /// length.
     pub(super) fn along(way: &[f64]) -> Self {
         let mut poll = Self::along_axes(way.len());
         poll.normal.copy_from_slice(way);

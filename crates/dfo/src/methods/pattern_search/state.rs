@@ -57,7 +57,8 @@ pub struct Polling {
     n_doubled: u32,
     /// The best cost when each of the last frames shrank.
     gains: Vec<f64>,
-    /// So many restarts in a row must gain nothing; how many have, and the best cost when the search last began.
+    /// So many restarts in a row must gain nothing; how many have, and the best cost when the search last
+    /// began.
     restarts: usize,
     n_idle: usize,
     f_begin: f64,
@@ -144,7 +145,8 @@ impl Polling {
         out.iter_mut().for_each(|d| *d = self.first * mesh * (scale * *d / mesh).round());
     }
 
-    /// The point at a step from the best one, in working coordinates and the user's; false where it is the best one itself.
+    /// The point at a step from the best one, in working coordinates and the user's; false where it is the
+    /// best one itself.
     fn place(&self, step: &[f64], (u, x): &mut (Vec<f64>, Vec<f64>)) -> bool {
         let space = &self.setup.space;
         for (k, (u, step)) in u.iter_mut().zip(step).enumerate() {
@@ -163,7 +165,8 @@ impl Polling {
         is_new
     }
 
-    /// The poll from the best point, given how often the frame has shrunk and whether the point has moved since.
+    /// The poll from the best point, given how often the frame has shrunk and whether the point has moved
+    /// since.
     fn next_poll(&self, n_refined: u64, has_moved: bool) -> Poll {
         let (space, n) = (&self.setup.space, self.step.len());
         let way = |k: usize| (self.best.u(0)[k] - self.reference[k]) / space.size(k);
@@ -184,8 +187,8 @@ impl Polling {
         self.go_to(0);
     }
 
-    /// Goes to the first place of the poll from here on that holds another point than the best one; where there is none, the
-    /// poll has failed.
+    /// Goes to the first place of the poll from here on that holds another point than the best one; where
+    /// there is none, the poll has failed.
     fn go_to(&mut self, from: usize) {
         let mut step = std::mem::take(&mut self.step);
         let found = (from..self.poll.len()).find(|&place| {

@@ -10,8 +10,9 @@ use crate::methods::shared::cost::Cost;
 pub(super) const MOST_REFUSED: usize = 4;
 /// The curvature is compared with that of so many resolutions before.
 const RESOLUTIONS: usize = 2;
-/// The least power of 1/rho with which it grows at a kink (there it is 1, at noise 2, where the cost is smooth 0). Like the number of
-/// resolutions chosen with `benches/choice.rs` at seed 0, and looked at with seeds 1 and 2.
+/// The least power of 1/rho with which it grows at a kink (there it is 1, at noise 2, where the cost is
+/// smooth 0). Like the number of resolutions chosen with `benches/choice.rs` at seed 0, and looked at with
+/// seeds 1 and 2.
 const GROWTH: f64 = 0.5;
 /// Least change of the cost by the curvature within rho that counts, as a share of the cost.
 const VISIBLE: f64 = 1e3 * f64::EPSILON;
@@ -27,8 +28,9 @@ impl QuadraticModelState {
         Ok(())
     }
 
-    /// Looks for noise and kinks when a resolution is exhausted. Where the cost has kinks the model bends as much as the slope
-    /// changes within its region, so that its curvature grows with 1/rho; what noise adds to it grows with 1/rho^2.
+    /// Looks for noise and kinks when a resolution is exhausted. Where the cost has kinks the model bends as
+    /// much as the slope changes within its region, so that its curvature grows with 1/rho; what noise adds
+    /// to it grows with 1/rho^2.
     pub(super) fn look_for_roughness(&mut self) {
         let curvature = self.model.hessian.iter().map(|h| h * h).sum::<f64>().sqrt();
         self.curvatures.push((self.rho, curvature));

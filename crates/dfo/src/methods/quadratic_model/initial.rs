@@ -1,4 +1,5 @@
-//! Where the first points lie: the start, two along each axis, and more in the planes between axes where they are wanted.
+//! Where the first points lie: the start, two along each axis, and more in the planes between axes where they
+//! are wanted.
 
 use crate::problem::space::Space;
 
@@ -8,8 +9,8 @@ fn margins(space: &Space, u: &[f64], k: usize) -> (f64, f64) {
     ((u[k] - lower).max(0.0), (upper - u[k]).max(0.0))
 }
 
-/// Two displacements of coordinate `k` from `u` of about this length: one to each side where there is as much, else the
-/// bound takes the place of one, or both lie on the side with more.
+/// Two displacements of coordinate `k` from `u` of about this length: one to each side where there is as
+/// much, else the bound takes the place of one, or both lie on the side with more.
 fn pair(space: &Space, u: &[f64], k: usize, length: f64) -> [f64; 2] {
     let (below, above) = margins(space, u, k);
     let (side, near, far) = if above >= below { (1.0, below, above) } else { (-1.0, above, below) };
@@ -21,8 +22,9 @@ fn pair(space: &Space, u: &[f64], k: usize, length: f64) -> [f64; 2] {
     [side * 0.5 * far, side * far]
 }
 
-/// The point of this number: 0 is `centre`, the next n one step along each axis, the next n the second step, then pairs of steps.
-/// `shortened`: how often it has failed; it is as many times halved, on alternating sides where the box has both.
+/// The point of this number: 0 is `centre`, the next n one step along each axis, the next n the second step,
+/// then pairs of steps. `shortened`: how often it has failed; it is as many times halved, on alternating
+/// sides where the box has both.
 pub(super) fn place(
     space: &Space,
     centre: &[f64],

@@ -1,15 +1,17 @@
-//! The inverse of the matrix of the interpolation conditions, kept up as points are exchanged: of O((m + n)^2) operations for each, where
-//! solving the conditions takes O(m^3). For models of many parameters.
+//! The inverse of the matrix of the interpolation conditions, kept up as points are exchanged: of O((m +
+//! n)^2) operations for each, where solving the conditions takes O(m^3). For models of many parameters.
 
 use super::model::{GRADIENT_WEIGHT, SHIFTS};
 use crate::methods::shared::dot::dot;
 use nalgebra::{Cholesky, DMatrix};
 use serde::{Deserialize, Serialize};
 
-/// The matrix `W` has the rows `[-D, X; X', A]` with `X_j = (1, y_j)`, `A_ij = (y_i'y_j)^2 / 2` for displacements `y_j` of the points from an
-/// origin. Its inverse `H` holds the Lagrange polynomials of the points: column `j` has the value and the gradient at the origin and, after
-/// these, the weights of the `y_k y_k'` in the Hessian (Powell, Math. Program. 100, 2004, section 2). With `D = 0` the models change by the
-/// least Frobenius norm; the small `D` of [`super::model::Interpolation`] makes `W` regular for any number of points.
+/// The matrix `W` has the rows `[-D, X; X', A]` with `X_j = (1, y_j)`, `A_ij = (y_i'y_j)^2 / 2` for
+/// displacements `y_j` of the points from an origin. Its inverse `H` holds the Lagrange polynomials of the
+/// points: column `j` has the value and the gradient at the origin and, after these, the weights of the `y_k
+/// y_k'` in the Hessian (Powell, Math. Program. 100, 2004, section 2). With `D = 0` the models change by the
+/// least Frobenius norm; the small `D` of [`super::model::Interpolation`] makes `W` regular for any number of
+/// points.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Inverse {
     n: usize,
@@ -25,7 +27,8 @@ pub(super) struct Inverse {
     n_exchanged: usize,
 }
 
-/// The accuracy is looked at when so large a share of the points has been exchanged: what it costs to make all anew is little then.
+/// The accuracy is looked at when so large a share of the points has been exchanged: what it costs to make
+/// all anew is little then.
 const LOOKED_AFTER: f64 = 0.25;
 
 /// A displacement from a point of the interpolation, as the formulas for an exchange need it.
@@ -48,7 +51,8 @@ fn add(to: &mut [f64], weight: f64, v: &[f64]) {
 }
 
 impl Inverse {
-    /// From scratch: `displacements` of these slots from the origin, one after the other. `None` where numbers end.
+    /// From scratch: `displacements` of these slots from the origin, one after the other. `None` where
+    /// numbers end.
     pub(super) fn new(slots: Vec<usize>, displacements: &[f64], n: usize) -> Option<Self> {
         let m = slots.len();
         let scale = median(displacements.chunks_exact(n).map(|y| dot(y, y).sqrt()));
@@ -126,8 +130,8 @@ impl Inverse {
         dot(self.point(place), self.point(place)).sqrt() * self.scale
     }
 
-    /// A displacement from the point `from`. The products are those of its difference from the point, where they are one by definition
-    /// (Powell, report DAMTP 2004/NA08, section 4).
+    /// A displacement from the point `from`. The products are those of its difference from the point, where
+    /// they are one by definition (Powell, report DAMTP 2004/NA08, section 4).
     pub(super) fn step(&self, from: usize, displacement: &[f64]) -> Step {
         let base = self.point(from);
         let d: Vec<f64> = displacement.iter().map(|d| d / self.scale).collect();
@@ -145,7 +149,8 @@ impl Inverse {
         Step { hw, beta, end }
     }
 
-    /// The factors by which the determinant of `W` grows if a point is replaced by the end of a step: Powell 2004, equation 2.12.
+    /// The factors by which the determinant of `W` grows if a point is replaced by the end of a step: Powell
+    /// 2004, equation 2.12.
     pub(super) fn factors(&self, step: &Step) -> Vec<f64> {
         let of = |(k, tau): (usize, &f64)| self.row(self.n + 1 + k)[self.n + 1 + k] * step.beta + tau * tau;
         step.hw[self.n + 1..].iter().enumerate().map(of).collect()
@@ -169,8 +174,9 @@ impl Inverse {
         values.iter().enumerate().all(|(k, v)| (v - f64::from(k == at)).abs() < tolerance)
     }
 
-    /// The end of a step takes the place of a point: Powell 2004, equation 2.11. False where the numbers are not enough for it: in
-    /// exact ones the denominator is at least `tau^2`. The Hessian of the model takes what the point had in it.
+    /// The end of a step takes the place of a point: Powell 2004, equation 2.11. False where the numbers are
+    /// not enough for it: in exact ones the denominator is at least `tau^2`. The Hessian of the model takes
+    /// what the point had in it.
     pub(super) fn exchange(&mut self, place: usize, step: &Step, hessian: &mut [f64]) -> bool {
         let t = self.n + 1 + place;
         let column = self.row(t).to_vec();
@@ -220,7 +226,8 @@ impl Inverse {
         add(&mut self.weights, 1.0, &weights);
     }
 
-    /// The quadratic of least norm that has these values at the points: its gradient at `base`, and the weights in its Hessian.
+    /// The quadratic of least norm that has these values at the points: its gradient at `base`, and the
+    /// weights in its Hessian.
     pub(super) fn least_norm(&self, values: &[f64], base: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let mut coefficients = vec![0.0; self.n + 1 + self.slots.len()];
         for (k, value) in values.iter().enumerate().filter(|(_, value)| **value != 0.0) {
@@ -243,8 +250,9 @@ impl Inverse {
         slope
     }
 
-    /// The displacement of at most this length, within the bounds, from the point `from` at which the Lagrange polynomial of a point is
-    /// large: along its gradient, or towards another point (BOBYQA's ALTMOV: Powell, report DAMTP 2009/NA06, section 3).
+    /// The displacement of at most this length, within the bounds, from the point `from` at which the
+    /// Lagrange polynomial of a point is large: along its gradient, or towards another point (BOBYQA's
+    /// ALTMOV: Powell, report DAMTP 2009/NA06, section 3).
     pub(super) fn far_from_zero(
         &self,
         place: usize,
@@ -281,8 +289,8 @@ mod tests {
         (*state >> 11) as f64 / (1u64 << 53) as f64 - 0.5
     }
 
-    /// After twice as many exchanges as there are points the polynomials are those of the points, and the model that follows a quadratic
-    /// by its values interpolates it.
+    /// After twice as many exchanges as there are points the polynomials are those of the points, and the
+    /// model that follows a quadratic by its values interpolates it.
     #[test]
     fn exchanges_keep_the_lagrange_polynomials() {
         let (n, m, mut state) = (6, 13, 11);

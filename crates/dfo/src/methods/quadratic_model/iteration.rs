@@ -19,11 +19,13 @@ const REDUCTION: f64 = 0.2;
 /// Points that lie farther off than so many radii and so many resolutions leave the model.
 const FAR: f64 = 10.0;
 const FAR_RESOLUTIONS: f64 = 200.0;
-/// The least spread of the points along any direction, in units of the radius, with which they determine the gradient.
+/// The least spread of the points along any direction, in units of the radius, with which they determine the
+/// gradient.
 const POISED: f64 = 0.3;
 /// A decrease of the cost below this share of it is none.
 const NO_PROGRESS: f64 = 1e-9;
-/// Steps that failed are shortened to this share: less would lead straight to where the objective fails, more costs evaluations.
+/// Steps that failed are shortened to this share: less would lead straight to where the objective fails, more
+/// costs evaluations.
 const SHORTENED: f64 = 0.8;
 /// Failed points farther off than so many radii are not looked at.
 const NEAR: f64 = 4.0;
@@ -96,8 +98,8 @@ impl QuadraticModelState {
         }
     }
 
-    /// Takes the model of least norm where its slope is much less than that of the updated one (Powell, NA06, section 6, waits for
-    /// three times in a row).
+    /// Takes the model of least norm where its slope is much less than that of the updated one (Powell, NA06,
+    /// section 6, waits for three times in a row).
     fn compare_with_least_norm(&mut self) {
         if self.has_many() {
             self.compare_inverse_with_least_norm();
@@ -269,8 +271,9 @@ impl QuadraticModelState {
         true
     }
 
-    /// Removes points that lie too far off; then asks for one along the direction in which the rest determine the gradient of the model
-    /// worst, if they do so badly at this radius (Conn, Scheinberg and Vicente 2009, chapter 6: the model is to be fully linear).
+    /// Removes points that lie too far off; then asks for one along the direction in which the rest determine
+    /// the gradient of the model worst, if they do so badly at this radius (Conn, Scheinberg and Vicente
+    /// 2009, chapter 6: the model is to be fully linear).
     fn improve_geometry(&mut self) -> bool {
         if self.has_many() {
             return self.replace_farthest();
@@ -342,7 +345,8 @@ impl QuadraticModelState {
         self.take_trial(&from, &s, cost < self.cost(base));
     }
 
-    /// The trial point becomes one of the model, which is fitted anew; `s` is its displacement from the base point at `from`.
+    /// The trial point becomes one of the model, which is fitted anew; `s` is its displacement from the base
+    /// point at `from`.
     fn take_trial(&mut self, from: &[f64], s: &[f64], better: bool) {
         if self.has_many() {
             return self.exchange(s, better);
@@ -391,8 +395,8 @@ impl QuadraticModelState {
         }
     }
 
-    /// The slot that the trial point takes: an empty one, else that without which the others determine a model best; far ones sooner
-    /// (Powell, NA06, equation 6.1 and its weights).
+    /// The slot that the trial point takes: an empty one, else that without which the others determine a
+    /// model best; far ones sooner (Powell, NA06, equation 6.1 and its weights).
     fn slot_to_replace(&mut self, s: &[f64], better: bool) -> Option<usize> {
         if let Some(slot) = self.unused_slot() {
             return Some(slot);
@@ -414,7 +418,8 @@ impl QuadraticModelState {
         empty
     }
 
-    /// Of slots with the factors by which the determinant of the conditions grows the one to be replaced by the trial point.
+    /// Of slots with the factors by which the determinant of the conditions grows the one to be replaced by
+    /// the trial point.
     pub(super) fn most_dispensable(
         &self,
         factors: impl Iterator<Item = (usize, f64)>,

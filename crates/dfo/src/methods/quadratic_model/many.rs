@@ -8,7 +8,8 @@ use super::options::MOST_FROM_SCRATCH;
 use super::state::{Phase, QuadraticModelState};
 use crate::methods::shared::dot::dot;
 
-/// The inverse is made anew when the base point is farther from its origin than so many trust regions: numbers lose the square of it,
+/// The inverse is made anew when the base point is farther from its origin than so many trust regions:
+/// numbers lose the square of it,
 const FROM_ORIGIN: f64 = 1e3;
 /// and when its Lagrange polynomials are off by so much.
 const INACCURATE: f64 = 0.1;
@@ -142,7 +143,8 @@ impl QuadraticModelState {
         }
     }
 
-    /// Asks for a point near the base point in place of the farthest, if that is too far off: where its Lagrange polynomial is large.
+    /// Asks for a point near the base point in place of the farthest, if that is too far off: where its
+    /// Lagrange polynomial is large.
     pub(super) fn replace_farthest(&mut self) -> bool {
         let base = self.base();
         let Some(inverse) = &self.inverse else { return false };

@@ -1,31 +1,37 @@
-//! A trust region on quadratic interpolation models of the cost, with bounds: the class of BOBYQA (Powell, report DAMTP 2009/NA06) and
-//! COBYQA (Ragonneau, thesis, Hong Kong 2022).
+//! A trust region on quadratic interpolation models of the cost, with bounds: the class of BOBYQA (Powell,
+//! report DAMTP 2009/NA06) and COBYQA (Ragonneau, thesis, Hong Kong 2022).
 //!
-//! 2n + 1 points, asked for as one batch, begin a model: of all quadratics through the points the one that changes least from the model
-//! before (`model.rs`). Its smallest value within a radius and the bounds gives the next trial point (`subproblem.rs`); the radius follows
-//! the success of the prediction. Points stay in the model as long as they lie near, up to 4n + 1 or as many as a quadratic has
-//! coefficients: what was paid for is used, and fits take half of the evaluations that they take with 2n + 1 points. Then a new point
-//! replaces one which the others do without best. Where the points that are left determine a direction of the gradient badly, one is placed
-//! along it. When the model is exhausted at a radius, the smallest radius, the resolution, is reduced (Powell's rules, NA06, sections 2
-//! and 6; Conn, Scheinberg and Vicente, Introduction to Derivative-Free Optimization, 2009, chapters 5, 6 and 10).
+//! 2n + 1 points, asked for as one batch, begin a model: of all quadratics through the points the one that
+//! changes least from the model before (`model.rs`). Its smallest value within a radius and the bounds gives
+//! the next trial point (`subproblem.rs`); the radius follows the success of the prediction. Points stay in
+//! the model as long as they lie near, up to 4n + 1 or as many as a quadratic has coefficients: what was paid
+//! for is used, and fits take half of the evaluations that they take with 2n + 1 points. Then a new point
+//! replaces one which the others do without best. Where the points that are left determine a direction of the
+//! gradient badly, one is placed along it. When the model is exhausted at a radius, the smallest radius, the
+//! resolution, is reduced (Powell's rules, NA06, sections 2 and 6; Conn, Scheinberg and Vicente, Introduction
+//! to Derivative-Free Optimization, 2009, chapters 5, 6 and 10).
 //!
-//! **Tests.** The x test measures the resolution, the f test the decrease that the model predicts; they are looked at when a resolution is
-//! exhausted.
+//! **Tests.** The x test measures the resolution, the f test the decrease that the model predicts; they are
+//! looked at when a resolution is exhausted.
 //!
-//! **Restarts.** Where steps fail at several resolutions although the model promises a decrease, there is noise or a kink: new points are
-//! placed around the best one, as far away as the first (restarts: Cartis, Fiala, Marteau and Roberts, ACM TOMS 45, 2019).
+//! **Restarts.** Where steps fail at several resolutions although the model promises a decrease, there is
+//! noise or a kink: new points are placed around the best one, as far away as the first (restarts: Cartis,
+//! Fiala, Marteau and Roberts, ACM TOMS 45, 2019).
 //!
-//! **Noise and kinks.** Where the cost is smooth the curvature of the model settles as the resolution shrinks; where it grows all the
-//! same there is a kink or noise, and passed tests mean nothing: the search starts anew, too, or hands over to a simplex search
-//! (`hand_over.rs`, `nelder_mead/simplex_search.rs`), which goes on from the best point as Nelder-Mead does from a start.
+//! **Noise and kinks.** Where the cost is smooth the curvature of the model settles as the resolution
+//! shrinks; where it grows all the same there is a kink or noise, and passed tests mean nothing: the search
+//! starts anew, too, or hands over to a simplex search (`hand_over.rs`, `nelder_mead/simplex_search.rs`),
+//! which goes on from the best point as Nelder-Mead does from a start.
 //!
-//! **Failures.** A failed point enters no model. The step is shortened, and later steps keep to the side of a plane between
-//! failed points and those of the model (`shared/failures.rs`). Of the first points a failed one is tried nearer to the start and on its other side.
+//! **Failures.** A failed point enters no model. The step is shortened, and later steps keep to the side of a
+//! plane between failed points and those of the model (`shared/failures.rs`). Of the first points a failed
+//! one is tried nearer to the start and on its other side.
 //!
-//! **Cutoffs**: none, since a model needs the value of every point. **Time**: O((4n)^3) operations per point up to 20 parameters: 11 microseconds
-//! for 2, 0.2 ms for 10, 0.6 ms for 20. For more parameters the inverse of the interpolation conditions is updated as points are exchanged, the
-//! steps are those of truncated conjugate gradients, and the model keeps 2n + 1 points (`many.rs`, `inverse.rs`, `truncated.rs`), as in NEWUOA:
-//! O(n^2) operations per point (`benches/overhead.rs`).
+//! **Cutoffs**: none, since a model needs the value of every point. **Time**: O((4n)^3) operations per point
+//! up to 20 parameters: 11 microseconds for 2, 0.2 ms for 10, 0.6 ms for 20. For more parameters the inverse
+//! of the interpolation conditions is updated as points are exchanged, the steps are those of truncated
+//! conjugate gradients, and the model keeps 2n + 1 points (`many.rs`, `inverse.rs`, `truncated.rs`), as in
+//! NEWUOA: O(n^2) operations per point (`benches/overhead.rs`).
 
 mod hand_over;
 mod initial;

@@ -1,12 +1,13 @@
-//! Quadratic interpolation on fewer points than a quadratic has coefficients: of all models through the points the one that
-//! changes least from the model before.
+//! Quadratic interpolation on fewer points than a quadratic has coefficients: of all models through the
+//! points the one that changes least from the model before.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 /// Weight of a change of the gradient against one of the Hessian, see [`Interpolation`].
 pub(super) const GRADIENT_WEIGHT: f64 = 1e3;
-/// Shares of the diagonal that are added to it where the points are too close to a degenerate set for their values.
+/// Shares of the diagonal that are added to it where the points are too close to a degenerate set for their
+/// values.
 pub(super) const SHIFTS: [f64; 5] = [0.0, 1e-14, 1e-12, 1e-10, 1e-8];
 
 /// `g's + s'Bs/2`: what the cost at the displacement `s` from the base point has more than there.
@@ -64,11 +65,12 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 
 /// Where a model interpolates: displacements `y_j` from the base point, at which it has the cost as well.
 ///
-/// Of all changes `D = g's + s'Bs/2` that take given values at the `y_j` the least is the one with the smallest
-/// `|B|_F^2 / 4 + |g|^2 / (2 w)`, lengths in units of the farthest `y_j`. For `w` towards infinity that is the least Frobenius norm
-/// update of Powell (Math. Program. 100, 2004, section 3); the term with `g` (Zhang, Math. Program. 146, 2014: Sobolev seminorms)
-/// makes it unique for any number of points. It is `g = w sum l_j y_j`, `B = sum l_j y_j y_j'` with `K l = values`,
-/// `K_ij = (y_i'y_j)^2 / 2 + w y_i'y_j`, a matrix that is positive definite where no two points coincide.
+/// Of all changes `D = g's + s'Bs/2` that take given values at the `y_j` the least is the one with the
+/// smallest `|B|_F^2 / 4 + |g|^2 / (2 w)`, lengths in units of the farthest `y_j`. For `w` towards infinity
+/// that is the least Frobenius norm update of Powell (Math. Program. 100, 2004, section 3); the term with `g`
+/// (Zhang, Math. Program. 146, 2014: Sobolev seminorms) makes it unique for any number of points. It is `g =
+/// w sum l_j y_j`, `B = sum l_j y_j y_j'` with `K l = values`, `K_ij = (y_i'y_j)^2 / 2 + w y_i'y_j`, a matrix
+/// that is positive definite where no two points coincide.
 #[derive(Debug, Clone)]
 pub(super) struct Interpolation {
     /// Slots of the points, and their displacements in units of `scale`, a row each.
@@ -79,7 +81,8 @@ pub(super) struct Interpolation {
 }
 
 impl Interpolation {
-    /// Through the base point and these slots, with displacements one after the other. `None` where numbers end.
+    /// Through the base point and these slots, with displacements one after the other. `None` where numbers
+    /// end.
     pub(super) fn new(n: usize, slots: Vec<usize>, displacements: &[f64]) -> Option<Self> {
         let m = slots.len();
         let lengths = displacements.chunks_exact(n).map(|y| dot(y, y));
@@ -109,7 +112,8 @@ impl Interpolation {
         inverse.iter().all(|v| v.is_finite()).then_some(Self { slots, y, scale, inverse })
     }
 
-    /// Changes a model so that it has these values at the points, as little as possible; whether there are numbers for it.
+    /// Changes a model so that it has these values at the points, as little as possible; whether there are
+    /// numbers for it.
     pub(super) fn update(&self, model: &mut Quadratic, values: &[f64]) -> bool {
         let n = self.y.ncols();
         let mut s = vec![0.0; n];
@@ -133,8 +137,9 @@ impl Interpolation {
         (k, kernel(s.norm_squared()))
     }
 
-    /// The Lagrange polynomials of the slots at a displacement, that of the base point last, and for each the factor by which
-    /// the determinant of the interpolation equations grows in size if the point is replaced by this one (Powell 2004, equation 2.12).
+    /// The Lagrange polynomials of the slots at a displacement, that of the base point last, and for each the
+    /// factor by which the determinant of the interpolation equations grows in size if the point is replaced
+    /// by this one (Powell 2004, equation 2.12).
     pub(super) fn lagrange(&self, step: &[f64]) -> impl Iterator<Item = (f64, f64)> {
         let (k, own) = self.products(step);
         let values = &self.inverse * &k;

@@ -4,12 +4,14 @@ use crate::error::Error;
 use crate::problem::space::Space;
 use serde::{Deserialize, Serialize};
 
-/// Up to so many parameters the interpolation conditions are solved anew at each step, which costs little, and loses no digits.
+/// Up to so many parameters the interpolation conditions are solved anew at each step, which costs little,
+/// and loses no digits.
 pub(super) const MOST_FROM_SCRATCH: usize = 20;
 
 /// Options of the trust region on quadratic interpolation models, for costs that are smooth but for noise.
 ///
-/// The x test measures the smallest trust region at which the model was exhausted, the f test the decrease that it still predicts there.
+/// The x test measures the smallest trust region at which the model was exhausted, the f test the decrease
+/// that it still predicts there.
 ///
 /// ```
 /// use dfo::{QuadraticModel, minimize};
@@ -22,11 +24,12 @@ pub(super) const MOST_FROM_SCRATCH: usize = 20;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct QuadraticModel {
-    /// The first trust region, in units of the sizes of the parameters; default 0.2 in a box, 0.1 where a parameter has no or one bound.
+    /// The first trust region, in units of the sizes of the parameters; default 0.2 in a box, 0.1 where a
+    /// parameter has no or one bound.
     pub radius: Option<f64>,
-    /// The most points that the model interpolates, from n + 2 to (n + 1)(n + 2)/2 for n free parameters. The search begins with
-    /// at most 2n + 1 and keeps later ones as long as there is room. Default 4n + 1, but not more than there may be, and 2n + 1 for more than
-    /// 20 parameters.
+    /// The most points that the model interpolates, from n + 2 to (n + 1)(n + 2)/2 for n free parameters. The
+    /// search begins with at most 2n + 1 and keeps later ones as long as there is room. Default 4n + 1, but
+    /// not more than there may be, and 2n + 1 for more than 20 parameters.
     pub points: Option<usize>,
     /// Number of times in a row that the search starts anew around its best point, with the first trust
     /// region, where steps that the model takes for good do not lower the cost (noise, kinks), before it
@@ -62,21 +65,24 @@ impl QuadraticModel {
         self
     }
 
-    /// Sets the number of restarts in a row that may bring nothing, see [`QuadraticModel::restarts`](field@Self::restarts).
+    /// Sets the number of restarts in a row that may bring nothing, see
+    /// [`QuadraticModel::restarts`](field@Self::restarts).
     #[must_use]
     pub fn restarts(mut self, restarts: usize) -> Self {
         self.restarts = restarts;
         self
     }
 
-    /// Sets whether Nelder-Mead takes over where noise or kinks show, see [`QuadraticModel::hand_over`](field@Self::hand_over).
+    /// Sets whether Nelder-Mead takes over where noise or kinks show, see
+    /// [`QuadraticModel::hand_over`](field@Self::hand_over).
     #[must_use]
     pub fn hand_over(mut self, hand_over: bool) -> Self {
         self.hand_over = hand_over;
         self
     }
 
-    /// The first trust region in this space. Without far bounds: in a box the sizes are widths, else they are magnitudes.
+    /// The first trust region in this space. Without far bounds: in a box the sizes are widths, else they are
+    /// magnitudes.
     pub(super) fn first_radius(&self, space: &Space) -> f64 {
         let boxed = (0..space.n_free()).all(|k| space.width(k).is_some());
         self.radius.unwrap_or(if boxed { 0.2 } else { 0.1 })

@@ -72,7 +72,8 @@ pub struct QuadraticModelState {
     /// row.
     pub(super) is_refused: bool,
     pub(super) n_refused: usize,
-    /// The radius of the last start; restarts in a row that brought nothing; the best cost when the last began.
+    /// The radius of the last start; restarts in a row that brought nothing; the best cost when the last
+    /// began.
     pub(super) radius: f64,
     pub(super) n_useless: usize,
     pub(super) f_restart: f64,
@@ -85,7 +86,8 @@ pub struct QuadraticModelState {
     pub(super) hand_over: bool,
     #[serde(default)]
     pub(super) simplex: Option<SimplexSearch>,
-    /// The resolutions since the last start, and the size of the curvature of the model when they were exhausted.
+    /// The resolutions since the last start, and the size of the curvature of the model when they were
+    /// exhausted.
     #[serde(default)]
     pub(super) curvatures: Vec<(f64, f64)>,
     /// Evidence of noise or kinks when the last resolution was exhausted.

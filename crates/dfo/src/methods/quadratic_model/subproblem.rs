@@ -24,9 +24,10 @@ struct Part {
 
 /// The step in the region at which a model is (nearly) smallest.
 ///
-/// In the ball alone the problem is solved exactly (Moré and Sorensen, SIAM J. Sci. Stat. Comput. 4, 1983) by the eigenvalues of the Hessian.
-/// Where the solution leaves the box, the coordinate that reaches its bound first is set there and the rest is solved again;
-/// one whose slope at the end leads back inside is set free again.
+/// In the ball alone the problem is solved exactly (Moré and Sorensen, SIAM J. Sci. Stat. Comput. 4, 1983) by
+/// the eigenvalues of the Hessian. Where the solution leaves the box, the coordinate that reaches its bound
+/// first is set there and the rest is solved again; one whose slope at the end leads back inside is set free
+/// again.
 pub(super) fn minimize(model: &Quadratic, region: Region<'_>) -> Vec<f64> {
     let n = model.gradient.len();
     let Region { radius, lower, upper } = region;

@@ -1,14 +1,16 @@
-//! The step of a quadratic model of many parameters within a ball and a box: by conjugate gradients, of O(n^2) operations for each.
+//! The step of a quadratic model of many parameters within a ball and a box: by conjugate gradients, of
+//! O(n^2) operations for each.
 
 use super::subproblem::Region;
 use crate::methods::shared::dot::dot;
 
-/// A step that brings less than this share of the decrease so far ends the search, and so does a gradient as small as this beside the
-/// first (Powell, report DAMTP 2004/NA08, section 5).
+/// A step that brings less than this share of the decrease so far ends the search, and so does a gradient as
+/// small as this beside the first (Powell, report DAMTP 2004/NA08, section 5).
 const LITTLE: f64 = 0.01;
 
-/// The step in the region at which the model is small (Steihaug, SIAM J. Numer. Anal. 20, 1983). Where it reaches a bound, the coordinate is
-/// set there and the search begins anew with the others. `product`: of the Hessian with a vector.
+/// The step in the region at which the model is small (Steihaug, SIAM J. Numer. Anal. 20, 1983). Where it
+/// reaches a bound, the coordinate is set there and the search begins anew with the others. `product`: of the
+/// Hessian with a vector.
 pub(super) fn minimize(
     product: impl Fn(&[f64]) -> Vec<f64>,
     gradient: &[f64],

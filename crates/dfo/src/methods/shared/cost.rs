@@ -15,7 +15,8 @@ pub enum Cost {
 }
 
 impl Cost {
-    /// The cost by an outcome that is known. What was given up above the cost that it had to reach has none, like what failed.
+    /// The cost by an outcome that is known. What was given up above the cost that it had to reach has none,
+    /// like what failed.
     pub(crate) fn of(outcome: &Outcome) -> Self {
         outcome.value().map_or(Self::Failed, Self::Value)
     }

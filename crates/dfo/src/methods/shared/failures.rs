@@ -3,10 +3,12 @@
 /// Steps of the search for a plane, and the gap to the widest one at which it ends.
 const MOST_STEPS: usize = 300;
 const GAP: f64 = 1e-2;
-/// Where in the gap the plane lies: nearer to the points with a cost, so that steps along it stay off the failed ones.
+/// Where in the gap the plane lies: nearer to the points with a cost, so that steps along it stay off the
+/// failed ones.
 const SHARE: f64 = 0.25;
 
-/// `normal's <= limit` for the displacements `s` that lie on the side of the points with a cost; the normal has length 1.
+/// `normal's <= limit` for the displacements `s` that lie on the side of the points with a cost; the normal
+/// has length 1.
 pub(crate) struct Plane {
     pub(crate) normal: Vec<f64>,
     pub(crate) limit: f64,
@@ -22,10 +24,11 @@ fn farthest<'a>(points: &'a [Vec<f64>], direction: &[f64]) -> (&'a [f64], f64) {
     along.fold((&[][..], f64::NEG_INFINITY), |far, other| if other.1 > far.1 { other } else { far })
 }
 
-/// The plane between two sets of points, in the widest gap between them; of the failed ones those that come first are
-/// kept where not all can be parted from the others. The origin must be among the `good` points.
+/// The plane between two sets of points, in the widest gap between them; of the failed ones those that come
+/// first are kept where not all can be parted from the others. The origin must be among the `good` points.
 ///
-/// The gap is that between the nearest points of the two convex hulls, approached by the steps of Gilbert (SIAM J. Control 4, 1966).
+/// The gap is that between the nearest points of the two convex hulls, approached by the steps of Gilbert
+/// (SIAM J. Control 4, 1966).
 pub(crate) fn plane(good: &[Vec<f64>], failed: &[Vec<f64>]) -> Option<Plane> {
     let mut failed = failed;
     while let Some(first) = failed.first() {

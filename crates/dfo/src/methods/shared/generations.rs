@@ -39,8 +39,9 @@ pub trait GenerationRules: Serialize + DeserializeOwned {
         Lookahead::None
     }
 
-    /// Gives the candidates of later generations that are certain by now, in their order and with their cutoffs, to `found`, until it
-    /// returns false. `cost` is that of a member of the first population, while this `is_first`, or of a candidate, as far as it has come.
+    /// Gives the candidates of later generations that are certain by now, in their order and with their
+    /// cutoffs, to `found`, until it returns false. `cost` is that of a member of the first population, while
+    /// this `is_first`, or of a candidate, as far as it has come.
     fn look_ahead(
         &mut self,
         pool: &Populations,
@@ -51,7 +52,8 @@ pub trait GenerationRules: Serialize + DeserializeOwned {
         let _ = (pool, is_first, cost, found);
     }
 
-    /// Why the run is over after a generation whose tests did not pass, if it is. `best`: the smallest cost so far.
+    /// Why the run is over after a generation whose tests did not pass, if it is. `best`: the smallest cost
+    /// so far.
     fn ended(&mut self, pool: &Populations, best: f64) -> Option<Termination>;
 
     /// Part of the population that the tolerance tests measure.
@@ -59,7 +61,8 @@ pub trait GenerationRules: Serialize + DeserializeOwned {
         Extent::Population
     }
 
-    /// The tolerance tests over the best points of all generations, where the population says nothing about convergence.
+    /// The tolerance tests over the best points of all generations, where the population says nothing about
+    /// convergence.
     fn judge_best_seen(&self, setup: &Setup, f_0: f64) -> Option<Tests> {
         let _ = (setup, f_0);
         None
@@ -72,7 +75,8 @@ pub trait GenerationRules: Serialize + DeserializeOwned {
         false
     }
 
-    /// Begins anew, with another population perhaps, if the search is to go on although it has come to an end.
+    /// Begins anew, with another population perhaps, if the search is to go on although it has come to an
+    /// end.
     fn restart(&mut self, pool: &Populations) -> bool {
         let _ = pool;
         false
@@ -294,7 +298,8 @@ impl<B: GenerationRules> Method for Generations<B> {
 }
 
 impl Populations {
-    /// The first population, sampled; what is known and the start point stand first. Returns how many those are.
+    /// The first population, sampled; what is known and the start point stand first. Returns how many those
+    /// are.
     pub(crate) fn new(
         setup: Setup,
         seed: u64,

@@ -1,4 +1,5 @@
-//! Ranked points as the population of an evolutionary method: how members are placed, ranked, judged and replaced.
+//! Ranked points as the population of an evolutionary method: how members are placed, ranked, judged and
+//! replaced.
 
 use crate::method::interface::Setup;
 use crate::method::tolerances::{Extent, Tests, Tolerances, typical};
@@ -27,8 +28,8 @@ impl RankedPoints {
         self.set_cost(slot, Cost::Pending);
     }
 
-    /// Puts what is known in the place of the first sampled members: the start point, if wanted and given, then the
-    /// best points of an earlier run, at most half of the members. Returns how many.
+    /// Puts what is known in the place of the first sampled members: the start point, if wanted and given,
+    /// then the best points of an earlier run, at most half of the members. Returns how many.
     pub(crate) fn seed_with(&mut self, setup: &Setup, include_start: bool) -> usize {
         let space = &setup.space;
         let mut next = 0;
@@ -65,8 +66,8 @@ impl RankedPoints {
         self.order.insert(rank, slot);
     }
 
-    /// Keeps the `len` best members. Those in the first `len` slots stay there; those beyond take the slots of members that go, in
-    /// the order of the slots. Needs up-to-date ranks, and leaves them.
+    /// Keeps the `len` best members. Those in the first `len` slots stay there; those beyond take the slots
+    /// of members that go, in the order of the slots. Needs up-to-date ranks, and leaves them.
     pub(crate) fn keep_best(&mut self, len: usize) {
         if self.order.len() <= len {
             return;
@@ -105,8 +106,8 @@ impl RankedPoints {
         }
     }
 
-    /// The tolerance tests over so much of the population, the best first: largest distance of a member from the best,
-    /// largest minus smallest cost.
+    /// The tolerance tests over so much of the population, the best first: largest distance of a member from
+    /// the best, largest minus smallest cost.
     pub(crate) fn judge(&self, extent: Extent, space: &Space, tolerances: &Tolerances, f_0: f64) -> Tests {
         let counted = match extent {
             // One member alone has nothing to be compared with.

@@ -1,5 +1,5 @@
-//! Points in slots, with costs and ranks: the vertices of a simplex, the members of a population. What only one of the two
-//! needs stands with it (`nelder_mead/simplex.rs`, `population.rs`).
+//! Points in slots, with costs and ranks: the vertices of a simplex, the members of a population. What only
+//! one of the two needs stands with it (`nelder_mead/simplex.rs`, `population.rs`).
 
 use crate::method::interface::SimplexView;
 use crate::methods::shared::cost::Cost;
@@ -113,7 +113,8 @@ impl RankedPoints {
         (0..self.len()).all(|slot| space.is_same(self.u(slot), best))
     }
 
-    /// Largest minus smallest cost of these slots, the best first and the worst last; `None` while one of them has none.
+    /// Largest minus smallest cost of these slots, the best first and the worst last; `None` while one of
+    /// them has none.
     pub(crate) fn f_spread(&self, slots: &[usize]) -> Option<f64> {
         match (self.costs[*slots.first()?], self.costs[*slots.last()?]) {
             (Cost::Value(best), Cost::Value(worst)) => Some(worst - best),

@@ -1,4 +1,5 @@
-//! A search that begins with a look for the sizes that nothing tells (`sizes.rs`), for methods that start from a point.
+//! A search that begins with a look for the sizes that nothing tells (`sizes.rs`), for methods that start
+//! from a point.
 
 use super::sizes::{Found, SizeSearch};
 use crate::error::Error;

@@ -1,9 +1,11 @@
-//! Sizes of parameters of which nothing is known: they start at zero, without a nominal value and without a box.
+//! Sizes of parameters of which nothing is known: they start at zero, without a nominal value and without a
+//! box.
 //!
-//! Zero does not say how large a parameter is, and a simplex whose sides are wrong by many magnitudes ends at wrong points.
-//! So each such parameter is moved alone, by steps that grow or shrink tenfold, to where the cost is least along it; where
-//! no step lowers the cost, to where it changes by no more than its own size. What such a search has found is looked at once
-//! more from the point where the tests pass: a parameter that did not matter at the start may matter there.
+//! Zero does not say how large a parameter is, and a simplex whose sides are wrong by many magnitudes ends at
+//! wrong points. So each such parameter is moved alone, by steps that grow or shrink tenfold, to where the
+//! cost is least along it; where no step lowers the cost, to where it changes by no more than its own size.
+//! What such a search has found is looked at once more from the point where the tests pass: a parameter that
+//! did not matter at the start may matter there.
 
 use crate::method::interface::Batch;
 use crate::problem::space::Space;
@@ -16,7 +18,8 @@ const RATIO: f64 = 10.0;
 const LARGEST: i32 = 12;
 /// Number of smaller ones where the simplex has shrunk to a point, and has seen small steps itself.
 const SMALLEST_BESIDE: i32 = -2;
-/// A change of the cost below this share of it counts as none: simulations at usual tolerances change it by as much.
+/// A change of the cost below this share of it counts as none: simulations at usual tolerances change it by
+/// as much.
 const NO_CHANGE: f64 = 1e-6;
 
 /// Effect of a step on the cost, compared with the least seen along the parameter.
@@ -83,9 +86,10 @@ impl SizeSearch {
         Self::new(space, (x0, f_0), NO_CHANGE * f_0.abs(), -LARGEST)
     }
 
-    /// From the best vertex of a simplex that has become small: with steps of the sizes and smaller, and larger ones where
-    /// these change nothing. `threshold` is the spread of costs at which the tests pass. A parameter that an earlier search
-    /// found to matter, and that has come to a value of about its size, needs no further look.
+    /// From the best vertex of a simplex that has become small: with steps of the sizes and smaller, and
+    /// larger ones where these change nothing. `threshold` is the spread of costs at which the tests pass. A
+    /// parameter that an earlier search found to matter, and that has come to a value of about its size,
+    /// needs no further look.
     pub(crate) fn beside(space: &Space, best: (&[f64], f64), threshold: f64, earlier: Option<&Self>) -> Self {
         let mut search = Self::new(space, best, threshold, SMALLEST_BESIDE);
         let matters = |k: usize| earlier.is_some_and(|e| e.lines.iter().all(|l| l.k != k || l.has_effect));
@@ -175,7 +179,8 @@ impl SizeSearch {
         self.skip(number, space);
     }
 
-    /// Passes over steps that lead out of the bounds or are too small to be seen beside the base: they change nothing.
+    /// Passes over steps that lead out of the bounds or are too small to be seen beside the base: they change
+    /// nothing.
     fn skip(&mut self, number: usize, space: &Space) {
         let line = &mut self.lines[number];
         let i = space.free()[line.k];
@@ -225,8 +230,8 @@ impl Line {
         }
     }
 
-    /// The smallest step that changes the cost, where none lowers it or raises it moderately; the first, where all of them
-    /// do.
+    /// The smallest step that changes the cost, where none lowers it or raises it moderately; the first,
+    /// where all of them do.
     fn last_with_effect(&self) -> i32 {
         match self.trend {
             -1 if self.exponent < self.smallest => 0,

@@ -1,12 +1,12 @@
-//! A space whose coordinates are angles: the place between two bounds is a sine, the place above or below one bound lies on
-//! a hyperbola ([`BoundsHandling::Sine`](crate::BoundsHandling::Sine)).
+//! A space whose coordinates are angles: the place between two bounds is a sine, the place above or below one
+//! bound lies on a hyperbola ([`BoundsHandling::Sine`](crate::BoundsHandling::Sine)).
 
 use super::coordinates::Space;
 use std::f64::consts::PI;
 
 impl Space {
-    /// The same problem over angles. Working coordinates of this space have no bounds; their sizes are such that a distance
-    /// in them is at least that of the point, in units of its size.
+    /// The same problem over angles. Working coordinates of this space have no bounds; their sizes are such
+    /// that a distance in them is at least that of the point, in units of its size.
     pub(crate) fn with_sine(&self) -> Self {
         let mut space = self.clone();
         for k in 0..self.n_free() {

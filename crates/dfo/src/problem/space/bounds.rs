@@ -5,8 +5,9 @@ use serde::{Deserialize, Serialize};
 
 /// Lower and upper bounds per parameter; infinite where there is none; equal where the parameter is fixed.
 ///
-/// A box that is more than 100 times as wide as the parameter is large (as given, else |x0|) tells nothing of its size. Methods that
-/// start from a point take bounds from 1e10 times that on as none, but for keeping to them; those that sample a box search all of it.
+/// A box that is more than 100 times as wide as the parameter is large (as given, else |x0|) tells nothing of
+/// its size. Methods that start from a point take bounds from 1e10 times that on as none, but for keeping to
+/// them; those that sample a box search all of it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Bounds {
     lower: Vec<f64>,
@@ -17,7 +18,8 @@ impl Bounds {
     /// Bounds in the user's units.
     ///
     /// # Errors
-    /// Different lengths, NaN, a lower bound of +inf or an upper bound of -inf, a lower bound above the upper one.
+    /// Different lengths, NaN, a lower bound of +inf or an upper bound of -inf, a lower bound above the upper
+    /// one.
     pub fn new(lower: &[f64], upper: &[f64]) -> Result<Self, Error> {
         if lower.len() != upper.len() {
             return Err(Error::Length { what: "upper bounds", expected: lower.len(), got: upper.len() });
@@ -73,8 +75,8 @@ impl Bounds {
     }
 }
 
-/// Mirrors `u` at the bounds, as often as needed, until it lies inside. `fallback`, a point inside, stands in where
-/// the arithmetic overflows.
+/// Mirrors `u` at the bounds, as often as needed, until it lies inside. `fallback`, a point inside, stands in
+/// where the arithmetic overflows.
 pub(crate) fn fold(u: f64, lower: f64, upper: f64, fallback: f64) -> f64 {
     if !u.is_finite() {
         return fallback;

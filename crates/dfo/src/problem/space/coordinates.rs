@@ -49,8 +49,9 @@ impl PartialEq for Local {
 /// A box that is so many times wider than the parameter is large tells nothing of its size.
 const WIDE: f64 = 100.0;
 
-/// A bound that lies so many times farther than what is known of a parameter counts as none. Beyond that the rounding of an
-/// angle between the bounds (1e-16 of the width) is more than the default `x_tol` of 1e-6 near the start.
+/// A bound that lies so many times farther than what is known of a parameter counts as none. Beyond that the
+/// rounding of an angle between the bounds (1e-16 of the width) is more than the default `x_tol` of 1e-6 near
+/// the start.
 const FAR: f64 = 1e10;
 
 /// Logarithms of about the smallest and the largest normal number, with room for rounding.
@@ -59,9 +60,10 @@ const LN_RANGE: (f64, f64) = (-708.0, 709.0);
 /// Up to here every whole number is a number of its own.
 const LARGEST_WHOLE: f64 = 9_007_199_254_740_992.0;
 
-/// Typical size of a parameter on its scale, as far as something tells it: the given size; else the width of the box, unless it is
-/// more than 100 times |start|; else |start|, or on a logarithmic scale 1. A logarithmic box tells a size where it reaches over at
-/// most a factor of 100 to each side of its middle. Of a parameter that starts at zero a box tells the size up to a width of 100.
+/// Typical size of a parameter on its scale, as far as something tells it: the given size; else the width of
+/// the box, unless it is more than 100 times |start|; else |start|, or on a logarithmic scale 1. A
+/// logarithmic box tells a size where it reaches over at most a factor of 100 to each side of its middle. Of
+/// a parameter that starts at zero a box tells the size up to a width of 100.
 ///
 /// The same rule as in [`Space`], for whoever moves parameters by a share of their size.
 pub fn typical_size(
@@ -87,12 +89,12 @@ fn widest(transform: Transform, magnitude: f64) -> f64 {
 }
 
 impl Space {
-    /// Checks everything. `transforms` and `sizes` may be empty (all linear, all sizes by default); a size of a
-    /// logarithmic parameter is in units of `ln x`.
+    /// Checks everything. `transforms` and `sizes` may be empty (all linear, all sizes by default); a size of
+    /// a logarithmic parameter is in units of `ln x`.
     ///
     /// # Errors
-    /// Lengths that differ, a start point that is empty, not finite or outside, a logarithmic parameter that is not
-    /// positive, a size that is not positive and finite.
+    /// Lengths that differ, a start point that is empty, not finite or outside, a logarithmic parameter that
+    /// is not positive, a size that is not positive and finite.
     pub fn new(
         x0: &[f64],
         bounds: Bounds,
@@ -187,9 +189,10 @@ impl Space {
         Ok(())
     }
 
-    /// The same problem for a search that starts from a point: a box that is too wide to tell a size has no [`width`](Self::width).
-    /// Bounds of a linear parameter from 1e10 times the largest of 1, |x0| and the given size on stand for "none": the
-    /// coordinates are those of a parameter without them, and points are clamped to them.
+    /// The same problem for a search that starts from a point: a box that is too wide to tell a size has no
+    /// [`width`](Self::width). Bounds of a linear parameter from 1e10 times the largest of 1, |x0| and the
+    /// given size on stand for "none": the coordinates are those of a parameter without them, and points are
+    /// clamped to them.
     pub(crate) fn without_far_bounds(&self) -> Self {
         let mut space = Self { is_local: Local(true), ..self.clone() };
         for (k, &i) in self.free.iter().enumerate().filter(|(k, _)| self.transforms[*k] == Transform::Linear)
@@ -219,13 +222,14 @@ impl Space {
         (lower == f64::NEG_INFINITY || self.far[k][0]) && (upper == f64::INFINITY || self.far[k][1])
     }
 
-    /// Makes parameters discrete, one kind per parameter. Working coordinates of discrete parameters stay real;
-    /// [`to_user`](Self::to_user) rounds, and a linear range reaches half a unit beyond its ends, so that each whole
-    /// number has the same share of it.
+    /// Makes parameters discrete, one kind per parameter. Working coordinates of discrete parameters stay
+    /// real; [`to_user`](Self::to_user) rounds, and a linear range reaches half a unit beyond its ends, so
+    /// that each whole number has the same share of it.
     ///
     /// # Errors
-    /// Another number of kinds than parameters; a discrete parameter whose start value is not whole, between whose bounds
-    /// there is no whole number, or whose bounds lie beyond the numbers that are told apart from their neighbours (2^53).
+    /// Another number of kinds than parameters; a discrete parameter whose start value is not whole, between
+    /// whose bounds there is no whole number, or whose bounds lie beyond the numbers that are told apart from
+    /// their neighbours (2^53).
     pub fn with_kinds(mut self, kinds: &[Kind]) -> Result<Self, Error> {
         if kinds.len() != self.n() {
             return Err(Error::Length { what: "kinds", expected: self.n(), got: kinds.len() });
@@ -404,8 +408,8 @@ impl Space {
         }
     }
 
-    /// Width of the box along working coordinate `k`, if the user's bounds make it finite; for a search that starts from a point,
-    /// if it also tells the size of the parameter.
+    /// Width of the box along working coordinate `k`, if the user's bounds make it finite; for a search that
+    /// starts from a point, if it also tells the size of the parameter.
     pub fn width(&self, k: usize) -> Option<f64> {
         (self.boxed[k] && !(self.is_local.0 && self.is_wide(k))).then(|| self.upper[k] - self.lower[k])
     }
@@ -440,7 +444,8 @@ impl Space {
         }
     }
 
-    /// The user's bounds in the linear or logarithmic scale of a coordinate; infinite where there is none that counts.
+    /// The user's bounds in the linear or logarithmic scale of a coordinate; infinite where there is none
+    /// that counts.
     pub(crate) fn limits_of(&self, k: usize) -> (f64, f64) {
         let i = self.free[k];
         let (lower, upper) = (self.bounds.lower()[i], self.bounds.upper()[i]);
@@ -453,8 +458,9 @@ impl Space {
         (lower, if upper.is_infinite() || far_above { f64::INFINITY } else { self.upper[k] })
     }
 
-    /// The largest distance from `centre` that coordinate `k` has on the way to any of the `others`, all of them pairs of a
-    /// working coordinate and the user's: over angles the way may lead to a bound and back, and one place has many angles.
+    /// The largest distance from `centre` that coordinate `k` has on the way to any of the `others`, all of
+    /// them pairs of a working coordinate and the user's: over angles the way may lead to a bound and back,
+    /// and one place has many angles.
     pub(crate) fn extent<I>(&self, k: usize, centre: (f64, f64), others: I, measure: Measure) -> f64
     where
         I: Iterator<Item = (f64, f64)> + Clone,
@@ -483,7 +489,8 @@ impl Space {
         }
     }
 
-    /// Brings working coordinate `k` into its bounds; `fallback`, a value inside, stands in for what is not finite.
+    /// Brings working coordinate `k` into its bounds; `fallback`, a value inside, stands in for what is not
+    /// finite.
     pub fn bring_inside(&self, k: usize, u: f64, fallback: f64, handling: BoundsHandling) -> f64 {
         match handling {
             BoundsHandling::Mirror => fold(u, self.lower[k], self.upper[k], fallback),
