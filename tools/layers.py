@@ -45,7 +45,7 @@ LAYERS = {
         fmu
         fmu_cache instance
         simulation
-        simulators start_values
+        simulators write_start_values
         session
     """,
     "ode": """

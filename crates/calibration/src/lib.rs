@@ -6,13 +6,11 @@
 //! [`Problem`], plain data that can be stored and sent to other processes. A [`Calibration`] is a problem
 //! with its model loaded: [`Calibration::cost`], [`Calibration::residuals`] and [`Calibration::fit`].
 //!
-//! Modules, from the lowest: `data`, `parameter`, `experiment`, `problem`; `column_units` (recordings in the
-//! units of the model); `measurements` (which of them count), `residual` (measured against simulated),
-//! `assignment` (what an entry of `x` sets), `simulation` (of an experiment), `evaluate` (residuals and cost
-//! at a point), `objective` (other costs); `race` and `solver` (which method integrates); `calibration`;
-//! `check` (what does not fit, before a fit); `effect` (checks after a fit), `fit`, `stages`, `prediction`,
-//! `profile` (how the cost rises beside the optimum), `validation`, `cross_validation`; `report` (what it
-//! found, for people); `export` (files, tables, other programs).
+//! Folders, from the lowest: `data` (recordings, units, dates); `problem` (parameters, experiments, priors,
+//! settings, the fingerprint); `cost` (simulations, residuals and cost, worker processes, the choice of the
+//! solver); `check` (mistakes in a set-up), `uncertainty` (covariance, residual tests, active bounds, the
+//! same before a fit); `fit` (one stage, several stages); `intervals` (profiles, bands), `validation`;
+//! `report` (pages and figures), `export` (files, tables, other programs).
 #![forbid(unsafe_code)]
 
 mod check;
@@ -64,7 +62,7 @@ pub use problem::prior::Prior;
 pub use problem::residual_layout::{OutputResiduals, PriorResidual, ResidualLayout};
 pub use problem::warning::{SETUP_LOG_TARGET, SetupWarning};
 pub use report::{ExperimentCurves, OutputCurves, Signal};
-pub use uncertainty::bounds::BoundSide;
+pub use uncertainty::active_bounds::BoundSide;
 pub use uncertainty::estimate::{
     Estimator, PriorConflict, ResidualCheck, Uncertainty, UncertaintyOptions, Unmodelled, UnmodelledKind,
 };

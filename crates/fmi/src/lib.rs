@@ -5,9 +5,10 @@
 //! A module imports from those below it only (`tools/layers.py` checks that), from top to bottom:
 //!
 //! - `session`: one model as scripts use it: set, simulate, get
-//! - `start_values`: a copy of an FMU with other start values
+//! - `write_start_values`: a copy of an FMU with other start values
 //! - `simulators/`: a plan that is run many times: its instance, brought back to its start, and the check of that
 //! - `simulation/`: options, the plan that resolves them, the start of an instance, the run, what is recorded
+//! - `worker/`: processes in which FMUs run: start, protocol, limits, folder, supervision
 //! - `instance/`: the phases of an instance as types, its values
 //! - `fmu`, `fmu_cache`, `open_options`: an opened FMU: its file, its description, its library
 //! - `libraries/`: the loaded copy of a library that an opened FMU has for itself
@@ -44,10 +45,10 @@ mod session;
 mod simulation;
 mod simulators;
 mod source;
-mod start_values;
 mod sys;
 mod value;
 pub mod worker;
+mod write_start_values;
 
 pub use self::log::LogFilter;
 pub use archive::{Archive, ArchiveLimits};

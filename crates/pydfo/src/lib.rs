@@ -24,6 +24,11 @@ mod core_module {
     #[pymodule_export]
     use super::calibration::experiment::check_parameter;
     #[pymodule_export]
+    use super::calibration::export::{
+        export_fmu, export_ssv, fit_to_bytes, fit_to_csv, fit_to_json, functions_of_fit, load_fit,
+        parameters_of, save_fit, simulate_variables, variable_values,
+    };
+    #[pymodule_export]
     use super::calibration::fit::PyFit;
     #[pymodule_export]
     use super::calibration::native::PyCalibration;
@@ -34,11 +39,6 @@ mod core_module {
     #[pymodule_export]
     use super::calibration::report::{
         fit_curves, fit_findings, fit_html, fit_outputs, fit_report, fit_sensitivities, fit_text,
-    };
-    #[pymodule_export]
-    use super::calibration::share::{
-        export_fmu, export_ssv, fit_to_bytes, fit_to_csv, fit_to_json, functions_of_fit, load_fit,
-        parameters_of, save_fit, simulate_variables, variable_values,
     };
     #[pymodule_export]
     use super::calibration::uncertainty::{

@@ -52,8 +52,8 @@ impl Calibration {
         options: &CheckOptions,
         context: &RunContext<'_>,
     ) -> Result<Check, CalibrationError> {
-        let context = context.within(options.max_time);
-        let mut evaluations = Evaluations { context, n: 0, stats: Stats::default() };
+        let limited = context.within(options.max_time);
+        let mut evaluations = Evaluations { context: limited, n: 0, stats: Stats::default() };
         let subjects = self.subjects();
         let mut findings = model::construction_warnings(self.warnings());
         findings.extend(self.findings_of_description_and_data(&subjects, &self.start()));

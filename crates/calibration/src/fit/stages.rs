@@ -7,11 +7,13 @@ use crate::findings::finding::{Finding, Severity};
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::FitPhase;
 use crate::fit::stage::{Fit, FitOptions, add_earlier, checkpoint_of, ended_by};
-use crate::uncertainty::bounds::{Findings, is_over};
+use crate::uncertainty::active_bounds::{Findings, is_over};
 use crate::uncertainty::estimate::UncertaintyOptions;
-use dfo::{AnyMethod, AskedRun, Limits, Progress, Record, Report, RunOptions, Termination, Tolerances};
+use base::RunContext;
+use dfo::{AnyMethod, AskedRun, Limits, Progress, Record, RunOptions, Termination, Tolerances};
 use ode::Stats;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// One stage of a fit.
 ///
@@ -102,6 +104,59 @@ fn least<T: PartialOrd>(a: Option<T>, b: Option<T>) -> Option<T> {
     }
 }
 
+/// Part of the limits of a fit that its first stages have left.
+#[derive(Debug, Clone, Copy)]
+struct Left {
+    n_evaluations: usize,
+    n_iterations: usize,
+    limits: Limits,
+}
+
+impl Left {
+    fn after(fits: &[Fit], limits: &Limits, context: &RunContext<'_>) -> Self {
+        let n_evaluations = fits.iter().map(|fit| fit.report.n_evaluations).sum();
+        let n_iterations = fits.iter().map(|fit| fit.report.n_iterations).sum();
+        let limits = Limits {
+            max_evaluations: limits.max_evaluations.map(|n| n.saturating_sub(n_evaluations)),
+            max_iterations: limits.max_iterations.map(|n| n.saturating_sub(n_iterations)),
+            max_time: context.left(),
+            ..*limits
+        };
+        Self { n_evaluations, n_iterations, limits }
+    }
+
+    /// The limit of which nothing is left.
+    fn reached(&self) -> Option<Termination> {
+        match (self.limits.max_evaluations, self.limits.max_iterations, self.limits.max_time) {
+            (Some(0), ..) => Some(Termination::MaxEvaluations),
+            (_, Some(0), _) => Some(Termination::MaxIterations),
+            (.., Some(time)) if time.is_zero() => Some(Termination::MaxTime),
+            _ => None,
+        }
+    }
+
+    /// The run of a stage, and the stage's own limit of time where that is the shorter one.
+    fn run(&self, run: &RunOptions<AnyMethod>, stage: &Stage) -> (RunOptions<AnyMethod>, Option<Duration>) {
+        let mut own = run.clone();
+        // The limit that ends the stage is the one that its message names.
+        let of_stage =
+            stage.limits.max_time.filter(|limit| self.limits.max_time.is_none_or(|time| *limit < time));
+        if let Some(method) = &stage.method {
+            (own.method, own.method_reason) = (method.clone(), stage.method_reason.clone());
+        }
+        own.tolerances = stage.tolerances.unwrap_or(run.tolerances);
+        own.limits = Limits {
+            max_failed: own.limits.max_failed,
+            max_evaluations: least(stage.limits.max_evaluations, self.limits.max_evaluations),
+            max_iterations: least(stage.limits.max_iterations, self.limits.max_iterations),
+            max_time: of_stage.or(run.limits.max_time),
+            // What a target says of one window says nothing of another.
+            target: stage.limits.target.or(run.limits.target.filter(|_| stage.windows.is_empty())),
+        };
+        (own, of_stage)
+    }
+}
+
 impl Calibration {
     /// Fits in stages. Each frees its parameters, from where the last stage left them, and holds the others;
     /// those that no stage frees stay at the start.
@@ -181,36 +236,12 @@ impl Calibration {
         let (mut x, mut fits, mut ended) = (start.clone(), Vec::<Fit>::new(), None);
         let (mut first_kept, mut last_kept) = (KeptResiduals::default(), KeptResiduals::default());
         for (k, stage) in stages.iter().enumerate() {
-            let spent = |count: fn(&Report) -> usize| fits.iter().map(|f| count(&f.report)).sum::<usize>();
-            let (n_evaluations, n_iterations) = (spent(|r| r.n_evaluations), spent(|r| r.n_iterations));
-            let evaluations = run.limits.max_evaluations.map(|n| n.saturating_sub(n_evaluations));
-            let iterations = run.limits.max_iterations.map(|n| n.saturating_sub(n_iterations));
-            let time = context.left();
-            ended = match (evaluations, iterations, time) {
-                _ if k == 0 => None,
-                (Some(0), ..) => Some(Termination::MaxEvaluations),
-                (_, Some(0), _) => Some(Termination::MaxIterations),
-                (.., Some(time)) if time.is_zero() => Some(Termination::MaxTime),
-                _ => None,
-            };
+            let left = Left::after(&fits, &run.limits, &context);
+            ended = left.reached().filter(|_| k > 0);
             if ended.is_some() {
                 break;
             }
-            let mut own = run.clone();
-            // The limit that ends the stage is the one that its message names.
-            let of_stage = stage.limits.max_time.filter(|limit| time.is_none_or(|time| *limit < time));
-            if let Some(method) = &stage.method {
-                (own.method, own.method_reason) = (method.clone(), stage.method_reason.clone());
-            }
-            own.tolerances = stage.tolerances.unwrap_or(run.tolerances);
-            own.limits = Limits {
-                max_failed: own.limits.max_failed,
-                max_evaluations: least(stage.limits.max_evaluations, evaluations),
-                max_iterations: least(stage.limits.max_iterations, iterations),
-                max_time: of_stage.or(run.limits.max_time),
-                // What a target says of one window says nothing of another.
-                target: stage.limits.target.or(run.limits.target.filter(|_| stage.windows.is_empty())),
-            };
+            let (mut own, of_stage) = left.run(&run, stage);
             let part = format!(".stage{}", k + 1);
             own.checkpoint = run.checkpoint.as_ref().map(|c| checkpoint_of(c, &part, k == 0));
             let before = context.elapsed().as_secs_f64();
@@ -228,8 +259,8 @@ impl Calibration {
                 observer: observer.as_mut().map(|observer| {
                     Box::new(move |progress: &Progress<'_>| {
                         let mut progress = *progress;
-                        progress.n_evaluations += n_evaluations;
-                        progress.n_iterations += n_iterations;
+                        progress.n_evaluations += left.n_evaluations;
+                        progress.n_iterations += left.n_iterations;
                         progress.seconds += before;
                         observer(&progress)
                     }) as Box<crate::fit::stage::FitObserver<'_>>

@@ -5,7 +5,7 @@ use crate::cost::parallel;
 use crate::error::CalibrationError;
 use crate::fit::stage::{Fit, FitNoise};
 use crate::problem::parameter::Parameter;
-use crate::uncertainty::bounds::{inner, outer};
+use crate::uncertainty::active_bounds::{inner, outer};
 use crate::uncertainty::estimate::{Uncertainty, check_level};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};

@@ -3,7 +3,7 @@
 use super::number::{rounded, with_error};
 use crate::findings::finding::{Finding, counts};
 use crate::fit::stage::Fit;
-use crate::uncertainty::bounds::BoundSide;
+use crate::uncertainty::active_bounds::BoundSide;
 use crate::uncertainty::estimate::Uncertainty;
 use dfo::Termination;
 use ode::Number;

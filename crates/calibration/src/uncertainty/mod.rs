@@ -1,5 +1,5 @@
 //! Uncertainty of the parameters: covariance, residual tests, active bounds, the same before a fit.
 
-pub(crate) mod bounds;
+pub(crate) mod active_bounds;
 pub(crate) mod estimate;
 pub(crate) mod preflight;

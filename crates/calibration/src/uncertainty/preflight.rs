@@ -7,7 +7,7 @@ use crate::cost::calibration::Calibration;
 use crate::cost::residual::sum_of_squares;
 use crate::error::CalibrationError;
 use crate::problem::parameter::Parameter;
-use crate::uncertainty::bounds::{inner, outer};
+use crate::uncertainty::active_bounds::{inner, outer};
 use crate::uncertainty::estimate::digits;
 use base::RunContext;
 use dfo::{Kind, RobustLoss};

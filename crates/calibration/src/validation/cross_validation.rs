@@ -116,18 +116,19 @@ impl Calibration {
         self.solver(context)?;
         self.prepare()?;
         let workers = options.run.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
+        let end = context.within(options.run.limits.max_time).end();
         let task = |fold: usize, context: &RunContext<'_>| {
+            let context = context.until(end);
             let mut run = options.run.clone();
             (run.workers, run.checkpoint) = (Some((workers / k).max(1)), None);
             run.limits.max_time = context.left().map(|left| left.max(Duration::from_millis(1)));
-            match self.fold((fold, k), run, options, context) {
+            match self.fold((fold, k), run, options, &context) {
                 // What it was when the time was up says nothing.
                 _ if context.is_late() && !context.is_cancelled() => Ok(None),
                 fold => fold.map(Some),
             }
         };
-        let made =
-            parallel::map((k, workers), &context.within(options.run.limits.max_time), &task).into_iter();
+        let made = parallel::map((k, workers), context, &task).into_iter();
         let made: Vec<Option<Fold>> =
             made.map(|fold| fold.unwrap_or(Err(CalibrationError::Cancelled))).collect::<Result<_, _>>()?;
         let names = self.problem().experiment_names();

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from ._optimize.progress import Progress
     from ._optimize.result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
     from ._optimize.scipy import scipy_method
-    from ._calibration.share import load_fit
+    from ._calibration.export import load_fit
     from ._calibration.stages import Stage
     from ._model.trajectory import SimulationResult
     from ._calibration.validation import CrossValidation, Fold, PredictionBand, ValidatedOutput, Validation
@@ -78,7 +78,7 @@ _HOMES = {
     "_optimize.progress": "Progress",
     "_optimize.result": "BarrierStage LeastSquaresResult OptimizeResult Trace",
     "_optimize.scipy": "scipy_method",
-    "_calibration.share": "load_fit",
+    "_calibration.export": "load_fit",
     "_calibration.stages": "Stage",
     "_model.trajectory": "SimulationResult",
     "_calibration.validation": "CrossValidation Fold PredictionBand ValidatedOutput Validation",

@@ -1,4 +1,4 @@
-//! The model description for Python: plain dictionaries, made when they are asked for; `_description.py`
+//! The model description for Python: plain dictionaries, made when they are asked for; `_model/description.py`
 //! gives them their classes.
 
 use crate::convert::dict::dict;

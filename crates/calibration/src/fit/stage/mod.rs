@@ -26,7 +26,7 @@ use crate::fit::phase::FitPhase;
 use crate::problem::objective::CostKind;
 use crate::problem::parameter::{Parameter, Scale};
 use crate::problem::residual_layout::ResidualLayout;
-use crate::uncertainty::bounds::{Findings, is_over};
+use crate::uncertainty::active_bounds::{Findings, is_over};
 use crate::uncertainty::estimate::{KnownPoint, SEARCH, Uncertainty, UncertaintyOptions};
 use base::RunContext;
 use dfo::{Measure, Report, RobustLoss, Termination, Tolerances, typical_size};

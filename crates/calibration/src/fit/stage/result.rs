@@ -7,7 +7,7 @@ use crate::cost::solver::Solver;
 use crate::findings::finding::{Finding, Severity};
 use crate::fit::output_fit::OutputFit;
 use crate::problem::residual_layout::ResidualLayout;
-use crate::uncertainty::bounds::BoundSide;
+use crate::uncertainty::active_bounds::BoundSide;
 use crate::uncertainty::estimate::Uncertainty;
 use crate::uncertainty::preflight::Preflight;
 use dfo::Report;

@@ -15,7 +15,7 @@ use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::{CurrentPhase, FitPhase};
 use crate::problem::objective::CostKind;
 use crate::problem::parameter::{Parameter, Scale};
-use crate::uncertainty::bounds::Findings;
+use crate::uncertainty::active_bounds::Findings;
 use crate::uncertainty::estimate::{UncertaintyOptions, digits};
 use crate::uncertainty::preflight::{Preflight, PreflightOptions};
 use base::RunContext;

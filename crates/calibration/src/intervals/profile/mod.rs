@@ -13,7 +13,7 @@ use crate::error::CalibrationError;
 use crate::fit::stage::Fit;
 use crate::problem::objective::CostKind;
 use crate::problem::parameter::Parameter;
-use crate::uncertainty::bounds::{AT, BoundSide, inner};
+use crate::uncertainty::active_bounds::{AT, BoundSide, inner};
 use crate::uncertainty::estimate::{Criterion, KnownPoint, Uncertainty, check_level};
 use base::RunContext;
 use dfo::{Kind, RobustLoss};

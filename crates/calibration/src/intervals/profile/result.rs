@@ -1,6 +1,6 @@
 //! The numbers of a profile likelihood, and how they are printed.
 
-use crate::uncertainty::bounds::BoundSide;
+use crate::uncertainty::active_bounds::BoundSide;
 use crate::uncertainty::estimate::digits;
 use ode::{Number, Stats};
 use serde::{Deserialize, Serialize};

@@ -2,7 +2,7 @@
 
 use super::result::{ProfileEnd, ProfilePoint};
 use crate::error::CalibrationError;
-use crate::uncertainty::bounds::BoundSide;
+use crate::uncertainty::active_bounds::BoundSide;
 use fmi::FmiError;
 use fmi::platform::write_whole;
 use serde::{Deserialize, Serialize};

@@ -3,7 +3,7 @@
 use super::refit::{NoFit, Refits};
 use super::result::{ProfileEnd, ProfilePoint};
 use super::saved::Side;
-use crate::uncertainty::bounds::{AT, BoundSide, inner, outer};
+use crate::uncertainty::active_bounds::{AT, BoundSide, inner, outer};
 use base::RunContext;
 
 /// By how much a step may grow, and shrink.

@@ -9,7 +9,7 @@
 use crate::cost::batch::{Found, Point, Simulations};
 use crate::error::CalibrationError;
 use crate::problem::parameter::Parameter;
-use crate::uncertainty::bounds::{inner, outer};
+use crate::uncertainty::active_bounds::{inner, outer};
 use nalgebra::{DMatrix, DVector};
 
 /// Steps are no longer than this part of a parameter (of its size, where it is zero; on a log scale: of its

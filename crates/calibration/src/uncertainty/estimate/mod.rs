@@ -6,25 +6,26 @@ mod by_weights;
 mod covariance;
 mod differences;
 mod digits;
+mod identifiability;
 mod prior_check;
 mod residual_check;
 mod result;
 mod scores;
 mod unmodelled;
-mod verdict;
 
 use crate::cost::batch::{Point, Simulations};
 use crate::cost::calibration::Calibration;
 use crate::cost::residual::sum_of_squares;
 use crate::error::CalibrationError;
 use crate::problem::parameter::{Parameter, Scale};
-use crate::uncertainty::bounds::{AT, inner};
+use crate::uncertainty::active_bounds::{AT, inner};
 use autocorrelation::Dependence;
 use base::RunContext;
 use covariance::{Factors, Noise, groups};
 use dfo::{Kind, RobustLoss};
 use differences::{Center, Differences};
 pub(crate) use digits::digits;
+pub(crate) use identifiability::SEARCH;
 use nalgebra::{DMatrix, DVector};
 pub use prior_check::PriorConflict;
 pub use residual_check::ResidualCheck;
@@ -36,7 +37,6 @@ pub(crate) use scores::Criterion;
 use scores::Working;
 use std::thread::available_parallelism;
 pub use unmodelled::{Unmodelled, UnmodelledKind};
-pub(crate) use verdict::SEARCH;
 
 /// Data at a point that are known before its uncertainty is estimated.
 #[derive(Default)]

@@ -5,7 +5,7 @@ use crate::findings::finding::{Finding, Severity};
 use crate::problem::parameter::Parameter;
 use crate::problem::prior::Prior;
 use crate::problem::residual_layout::ResidualLayout;
-use crate::uncertainty::bounds::{inner, outer};
+use crate::uncertainty::active_bounds::{inner, outer};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 

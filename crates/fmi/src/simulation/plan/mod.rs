@@ -2,12 +2,12 @@
 
 mod communication;
 mod jacobian;
-mod parameters;
 mod read_back;
+mod run_values;
 
 pub(crate) use communication::Communication;
-pub(crate) use parameters::RunValues;
 pub(crate) use read_back::ReadBackBuffers;
+pub(crate) use run_values::RunValues;
 
 use crate::cancel::Cancel;
 use crate::description::{ModelDescription, QuirkKind, Structure};
@@ -93,7 +93,7 @@ impl SimulationPlan {
         }
         let method = options.method_options(&description.default_experiment);
         method.check()?;
-        let (given, structure) = parameters::resolve_start_values(description, &options.start_values)?;
+        let (given, structure) = run_values::resolve_start_values(description, &options.start_values)?;
         let starts = Starts { description, structure: &structure, given: &given };
         let no_inputs = Inputs::default();
         let inputs =

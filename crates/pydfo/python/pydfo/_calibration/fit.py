@@ -12,14 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core
-from . import profile as _profile, share as _share, validation as _validation, uncertainty as _uncertainty
+from . import profile as _profile, export as _export, validation as _validation, uncertainty as _uncertainty
 from .check import Finding
 from .._errors import CalibrationError
 from .experiment import Experiment
 from .._args.keywords import also_called
 from .profile import Profile
 from .._optimize.result import OptimizeResult
-from .share import PathLike
+from .export import PathLike
 from .stages import Windows
 from .._model.trajectory import SimulationStats
 from .validation import Validation
@@ -455,10 +455,10 @@ class Fit(OptimizeResult):
         OSError
             The file cannot be written.
         """
-        _core.save_fit(_share.native_of(self), os.fspath(path))
+        _core.save_fit(_export.native_of(self), os.fspath(path))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _share.pickled(self)
+        return _export.pickled(self)
 
     def parameters_of(self, experiment: str | None = None) -> dict[str, float]:
         """The variables of the model that the parameters set, with their values in the units of the model: what ``model.set`` takes.
@@ -491,7 +491,7 @@ class Fit(OptimizeResult):
 
     def to_json(self) -> str:
         """The same as a text in JSON."""
-        return _core.fit_to_json(_share.native_of(self))
+        return _core.fit_to_json(_export.native_of(self))
 
     def to_csv(
         self, path: PathLike, what: Literal["parameters", "trajectories", "trace"] = "parameters"
@@ -514,11 +514,11 @@ class Fit(OptimizeResult):
         OSError
             The file cannot be written.
         """
-        _core.fit_to_csv(_share.native_of(self), what, os.fspath(path))
+        _core.fit_to_csv(_export.native_of(self), what, os.fspath(path))
 
     def to_dataframe(self, what: Literal["parameters", "trajectories", "trace"] = "parameters") -> Any:
         """The same table as a pandas.DataFrame. Needs pandas."""
-        return _share.dataframe(self, what)
+        return _export.dataframe(self, what)
 
     def export_ssv(self, path: PathLike, experiment: str | None = None) -> Path:
         """Writes the fitted values as an SSP parameter file (System Structure Parameter Values 1.0), which tools for system structures
@@ -543,7 +543,7 @@ class Fit(OptimizeResult):
         ValueError
             As `parameters_of`; `path` has another suffix.
         """
-        _core.export_ssv(_share.native_of(self), os.fspath(path), experiment)
+        _core.export_ssv(_export.native_of(self), os.fspath(path), experiment)
         return Path(path)
 
     def export_fmu(self, path: PathLike, experiment: str | None = None, *, keep: bool = False) -> Path:
@@ -576,7 +576,7 @@ class Fit(OptimizeResult):
         ValueError
             As `parameters_of`; `path` has another suffix, or is that of the model.
         """
-        return _share.export_fmu(self, path, experiment, keep)
+        return _export.export_fmu(self, path, experiment, keep)
 
     def __getitem__(self, key: Any) -> Any:
         if key in ("parameters", "cost", "rms", "stderr", "covariance", "correlation", "start_rms", "scaled_rms"):

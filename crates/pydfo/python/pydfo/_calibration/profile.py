@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core
-from . import share as _share
+from . import export as _export
 from .._args import options as _options
 from .._errors import BadCalibrationError, Interrupted
 from .._model.trajectory import SimulationStats
@@ -137,7 +137,7 @@ def of_fit(
     try:
         fields = _core.profile(
             fit._calibration._native,
-            _share.native_of(fit),
+            _export.native_of(fit),
             chosen,
             (_options.number("level", level), _options.flag("corrected", corrected), _options.limit("max_points", max_points, 1)),
             _options.worker_count("workers", workers, None),
