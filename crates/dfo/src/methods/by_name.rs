@@ -71,7 +71,7 @@ pub(super) fn tagged(option: &str, value: Value) -> Value {
             Value::Text("fitness-proportional".to_owned())
         }
         ("weight", value @ (Value::Count(_) | Value::Number(_))) => variant("fixed", value),
-        ("weight", value @ Value::List(_)) => variant("dither", value),
+        ("weight", Value::List(values)) if values.len() == 2 => variant("dither", Value::List(values)),
         // A number that is not finite is none of an option.
         (_, Value::Number(number)) if !number.is_finite() => Value::Other(number.to_string()),
         (_, value) => value,

@@ -123,7 +123,10 @@ fn file(action: &str, path: &Path, error: &io::Error) -> PyErr {
 
 /// `Interrupted` with the best point in hand.
 pub(crate) fn interrupted(py: Python<'_>, result: Option<&Bound<'_, PyAny>>, cause: Option<PyErr>) -> PyErr {
-    let exception = Interrupted::new_err("interrupted; what there was so far is in .result");
+    let exception = Interrupted::new_err(match result {
+        Some(_) => "interrupted; the result so far is in .result",
+        None => "interrupted; there is no result yet",
+    });
     exception.set_cause(py, cause);
     match exception.value(py).setattr("result", result) {
         Ok(()) => exception,

@@ -246,6 +246,19 @@ def limit(name: str, value: SupportsFloat | None, least: int) -> int | None:
     return int(count) if count <= sys.maxsize else None
 
 
+def index(name: str, value: SupportsIndex) -> int:
+    """A whole number."""
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise TypeError(f"{name} must be whole numbers, not {show(value)}") from None
+
+
+def folded(value: Any) -> Any:
+    """A word in lower case; anything else as it is."""
+    return value.lower() if isinstance(value, str) else value
+
+
 def worker_count(name: str, value: SupportsIndex | None, default: int | None) -> int | None:
     """A number of workers: None stands for `default`, -1 for all cores that this process may use."""
     if value is None:

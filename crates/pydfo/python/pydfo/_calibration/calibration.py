@@ -394,6 +394,8 @@ class Calibration(Point):
         executor = _evaluate.executor_of(given)
         engine = None if executor is None else _engine.Simulations(self, executor)
         count = engine.width if engine else _options.worker_count("workers", given, None)
+        if "batch" in own:
+            own["batch"] = _options.folded(own["batch"])
         if own.get("batch") == "workers":
             own["batch"] = count or _options.all_cores()
         cost = _objective.built(objective, self)

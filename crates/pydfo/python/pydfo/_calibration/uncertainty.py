@@ -228,7 +228,7 @@ def at(
     """Uncertainty of a point."""
     held: list[int] = []
     if parameters is not None:
-        free = _options.names("parameters", parameters)
+        free = _options.names("parameters", [parameters] if isinstance(parameters, str) else parameters)
         if unknown := [name for name in free if name not in calibration.names]:
             raise BadCalibrationError(f"there is no parameter '{unknown[0]}'; there are: {', '.join(calibration.names)}")
         held = [i for i, name in enumerate(calibration.names) if name not in free]

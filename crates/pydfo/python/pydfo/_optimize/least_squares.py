@@ -136,6 +136,8 @@ def least_squares(
             raise ValueError("vectorized=True evaluates whole batches itself; workers must be a number then")
         batches = _evaluate.vectorized(called, of_residuals=True)
     given = given_once(_options.dictionary(options), least_squares, x_tol=x_tol, f_tol=f_tol, batch=batch)
+    if "batch" in given:
+        given["batch"] = _options.folded(given["batch"])
     if given.get("batch") == "workers":
         given["batch"] = count
     bounds = _options.bounds_of_least_squares(bounds, start)

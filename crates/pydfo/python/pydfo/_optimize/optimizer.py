@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 import os
 from collections.abc import Iterable, Mapping
 from typing import Any, Literal, NamedTuple, SupportsFloat, SupportsIndex
@@ -117,7 +116,7 @@ class Optimizer:
 
     def ask(self, k: SupportsIndex | None = None) -> Asked:
         """Points to evaluate, at most `k` (None: all of the round); none while answers are awaited, and after the end."""
-        at_most = None if k is None else _options.limit("k", k.__index__(), 0)
+        at_most = None if k is None else _options.limit("k", _options.index("k", k), 0)
         return Asked(*self._native.ask(at_most))
 
     def tell(self, ids: SupportsIndex | Iterable[SupportsIndex], values: Any) -> None:
@@ -141,9 +140,9 @@ class Optimizer:
         if type(ids) is np.ndarray and ids.ndim == 1:
             numbers = ids.tolist()
         elif isinstance(ids, Iterable):
-            numbers = [operator.index(i) for i in ids]
+            numbers = [_options.index("ids", i) for i in ids]
         else:
-            numbers, values = [operator.index(ids)], [values]
+            numbers, values = [_options.index("ids", ids)], [values]
         costs = list(values)
         tell = self._native.tell
         if len(numbers) != len(costs):
