@@ -54,7 +54,7 @@ const BYTES_PER_VALUE: u64 = 4;
 /// fit.save(&calibration, &path)?;
 /// let saved = SavedFit::load(&path)?;
 /// assert_eq!(saved.fit, fit);
-/// assert_eq!(saved.calibration()?.cost(&saved.fit.x)?, fit.cost);
+/// assert_eq!(saved.calibration()?.cost(&saved.fit.x, &calibration::RunContext::new())?, fit.cost);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone)]

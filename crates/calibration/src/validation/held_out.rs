@@ -132,7 +132,8 @@ impl Calibration {
     ///     .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
     ///     .build()?;
     /// let fit = calibration.fit(FitOptions::default())?;
-    /// let validation = calibration.validate(&fit, &ValidationSet::Windows(vec![(1.0, 1.5)]))?;
+    /// let window = ValidationSet::Windows(vec![(1.0, 1.5)]);
+    /// let validation = calibration.validate(&fit, &window, &calibration::RunContext::new())?;
     /// assert!(validation.rms < 1e-3 && validation.scaled_rms() < Some(0.01));
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
