@@ -4,7 +4,7 @@ use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Under what conditions work goes on: until somebody asks for its end, and until its time is over. It is
+/// The conditions under which work goes on: until it is cancelled, and until its time is over. It is
 /// passed by reference to everything that takes long, which looks at [`is_over`](Self::is_over) between its
 /// steps.
 ///
@@ -61,7 +61,7 @@ impl<'a> RunContext<'a> {
         Self { end, ..self }
     }
 
-    /// Somebody asks for the end.
+    /// True if the work was cancelled, by the flag or by the function.
     pub fn is_cancelled(&self) -> bool {
         self.flag.is_some_and(|flag| flag.load(Ordering::Relaxed)) || self.function().is_some_and(|ask| ask())
     }
@@ -76,12 +76,12 @@ impl<'a> RunContext<'a> {
         self.flag
     }
 
-    /// The time is over.
+    /// True if the time is over.
     pub fn is_late(&self) -> bool {
         self.end.is_some_and(|end| Instant::now() >= end)
     }
 
-    /// The work is to end: it was cancelled, or its time is over.
+    /// True if the work is to end: it was cancelled, or its time is over.
     pub fn is_over(&self) -> bool {
         self.is_late() || self.is_cancelled()
     }
@@ -91,7 +91,7 @@ impl<'a> RunContext<'a> {
         self.end.map(|end| end.saturating_duration_since(Instant::now()))
     }
 
-    /// When the time is over; `None` without a limit.
+    /// Moment at which the time is over; `None` without a limit.
     pub fn end(&self) -> Option<Instant> {
         self.end
     }

@@ -176,7 +176,9 @@ impl DifferentialRules {
             }
             population.set(slot, candidates.u(slot), candidates.x(slot));
             population.set_cost(slot, cost);
-            population.rank_again(slot);
+            if self.options.lag > 0.0 {
+                population.rank_again(slot);
+            }
         }
         let members = candidates.len();
         self.make_up_to(self.lag(members), members - 1 - slot, problem, population);
@@ -231,6 +233,8 @@ impl GenerationRules for DifferentialRules {
         for slot in 0..candidates.len() {
             self.take(slot, candidates.cost(slot), (setup, *seed), (population, candidates));
         }
+        // Where nothing is made in between, the ranks are needed only now: each of them takes time that grows with the members.
+        population.rank();
         if let Some(adaptation) = &mut self.adaptation {
             adaptation.learn();
         }
@@ -241,9 +245,11 @@ impl GenerationRules for DifferentialRules {
         self.foreseen = None;
         let Populations { setup, seed, population, .. } = pool;
         let members = population.len();
-        let mut known = without_costs(population);
-        for slot in 0..members {
-            self.enter(slot, population.cost(slot), (setup, *seed), &mut known);
+        if self.options.lag > 0.0 {
+            let mut known = without_costs(population);
+            for slot in 0..members {
+                self.enter(slot, population.cost(slot), (setup, *seed), &mut known);
+            }
         }
         self.n_evaluated = members;
     }
