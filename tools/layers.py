@@ -34,6 +34,7 @@ LAYERS = {
         run
     """,
     "fmi": """
+        words
         value
         error
         cancel gate log platform

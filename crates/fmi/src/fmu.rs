@@ -77,11 +77,9 @@ impl std::str::FromStr for Kind {
             "auto" => Ok(Kind::Auto),
             "me" | "modelexchange" => Ok(Kind::ModelExchange),
             "cs" | "cosimulation" => Ok(Kind::CoSimulation),
-            _ => Err(FmiError::BadSetting {
-                problem: format!(
-                    "kind = '{text}' is none of 'auto', 'ME' (ModelExchange), 'CS' (CoSimulation)"
-                ),
-            }),
+            _ => Err(FmiError::BadSetting(format!(
+                "kind = '{text}' is none of 'auto', 'ME' (ModelExchange), 'CS' (CoSimulation)"
+            ))),
         }
     }
 }

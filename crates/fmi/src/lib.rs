@@ -17,8 +17,9 @@
 //! - `sys/`: what touches foreign code and raw pointers; versions of FMI stop here
 //! - `description/`: what `modelDescription.xml` says, whatever the version
 //! - `archive/`: the files of an FMU
-//! - `platform/`, `gate`, `log`, `cancel`, `error/`, `value`: operating systems and files, who may be inside
-//!   of a library, the log of an instance, ending early, errors, types of variables
+//! - `platform/`, `gate`, `log`, `cancel`, `error/`, `value`, `words`: operating systems and files, who may be
+//!   inside of a library, the log of an instance, ending early, errors, types of variables, enumerations with
+//!   words
 //!
 //! A right-hand side passes four functions on its way from the stepper to the FMU: `derivatives` of the
 //! system (`simulation/model_exchange.rs`), `Current::call` (`simulation/running.rs`: what a refused call
@@ -50,6 +51,7 @@ mod simulators;
 mod source;
 mod sys;
 mod value;
+mod words;
 pub mod worker;
 mod write_start_values;
 

@@ -107,11 +107,8 @@ pub enum FmiError {
         message: String,
     },
     /// A version of the standard that does not exist yet.
-    #[error("the FMU follows FMI {version}; known are 1.0, 2.0 and 3.0")]
-    UnknownVersion {
-        /// As written in the file.
-        version: String,
-    },
+    #[error("the FMU follows FMI {0}; known are 1.0, 2.0 and 3.0")]
+    UnknownVersion(String),
     /// `modelDescription.xml` is well formed but leaves the standard, and strict reading was asked for.
     #[error(
         "the model description departs from the FMI standard in {count} places, first (line {line}): {first}"
@@ -197,29 +194,20 @@ pub enum FmiError {
         symbol: &'static str,
     },
     /// An optional function was called that the library does not have.
-    #[error("the FMU has no function {function}")]
-    MissingFunction {
-        /// The function.
-        function: &'static str,
-    },
-    /// A call of the instance's loaded library returned `Fatal`: the standard lets nothing of it be called
-    /// after that.
-    #[error("{} is unusable since one of its calls returned fatal; new instances and simulations have a newly loaded copy", library.display())]
-    LibraryUnusable {
-        /// The library.
-        library: PathBuf,
-    },
+    #[error("the FMU has no function {0}")]
+    MissingFunction(&'static str),
+    /// A call of the instance's loaded library, of this file, returned `Fatal`: the standard lets nothing of
+    /// it be called after that.
+    #[error("{} is unusable since one of its calls returned fatal; new instances and simulations have a newly loaded copy", .0.display())]
+    LibraryUnusable(PathBuf),
     /// A call into the FMU failed.
     #[error(transparent)]
     Call(Box<CallFailure>),
-    /// A call of an instance made by hand after one that returned `Error`; the FMU was not called.
+    /// A call of an instance made by hand after this one had returned `Error`; the FMU was not called.
     #[error(
-        "after {call} returned error nothing is left but to reset the instance, restore a saved state or free it"
+        "after {0} returned error nothing is left but to reset the instance, restore a saved state or free it"
     )]
-    AfterError {
-        /// The call that returned `Error`.
-        call: &'static str,
-    },
+    AfterError(&'static str),
     /// Slices of different lengths, or a vector that has not the model's size; the FMU was not called.
     #[error("{call}: {found} values where {expected} are needed")]
     Length {
@@ -351,12 +339,9 @@ pub enum FmiError {
         /// The problem, with numbers.
         problem: String,
     },
-    /// Settings of a simulation that do not make sense.
-    #[error("{problem}")]
-    BadSetting {
-        /// The problem, with numbers.
-        problem: String,
-    },
+    /// Settings of a simulation that do not make sense: the problem, with numbers.
+    #[error("{0}")]
+    BadSetting(String),
     /// An option of the integration method that cannot be used.
     #[error(transparent)]
     Options(#[from] ode::OptionsError),
@@ -407,7 +392,7 @@ impl FmiError {
             | FmiError::NotFinite { .. }
             | FmiError::NotAnOutput { .. }
             | FmiError::BadInput { .. }
-            | FmiError::BadSetting { .. }
+            | FmiError::BadSetting(_)
             | FmiError::Options(_) => (ToldKind::Setting, None),
             FmiError::Call(failure) if failure.call.contains("nstantiate") => (ToldKind::Model, failure.time),
             FmiError::Call(failure) => (ToldKind::Simulation, failure.time),

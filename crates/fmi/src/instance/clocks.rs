@@ -31,7 +31,7 @@ impl<P: Readable, K> Instance<P, K> {
         let fmu = core.fmu().clone();
         let variable = &fmu.description().variables[resolve(fmu.description(), name)?];
         let Some(timing) = &variable.clock else {
-            return Err(FmiError::BadSetting { problem: format!("{name} is no clock") });
+            return Err(FmiError::BadSetting(format!("{name} is no clock")));
         };
         let (reference, fraction) = (variable.value_reference, timing.supports_fraction);
         let answer = core.call(|raw| raw.get_interval(reference, fraction))?;
@@ -55,5 +55,5 @@ pub(crate) fn check_interval(variable: &Variable, interval: Interval) -> Result<
         Some(_) => return Ok(()),
         None => "it is no clock that the importer activates".to_owned(),
     };
-    Err(FmiError::BadSetting { problem: format!("{name} cannot be given an interval: {problem}") })
+    Err(FmiError::BadSetting(format!("{name} cannot be given an interval: {problem}")))
 }

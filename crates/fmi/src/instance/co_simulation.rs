@@ -34,15 +34,16 @@ pub struct StepOutcome {
 const POLL: Duration = Duration::from_micros(100);
 
 impl Core {
-    /// One communication step: time and length. A step that goes on in the background is waited for until
+    /// One communication step from `time` on. A step that goes on in the background is waited for until
     /// `keep_waiting` gives an error, and then cancelled.
     pub(crate) fn do_step(
         &mut self,
-        span: (f64, f64),
+        time: f64,
+        step: f64,
         keep_waiting: &dyn Fn() -> Result<(), Stopped>,
     ) -> Result<StepOutcome, FmiError> {
         let mut info = StepInfo::default();
-        let mut complete = self.call(|raw| raw.do_step(span, &mut info))?;
+        let mut complete = self.call(|raw| raw.do_step(time, step, &mut info))?;
         while info.pending {
             if let Err(stopped) = keep_waiting() {
                 self.raw.abandon_step();
@@ -106,7 +107,7 @@ impl Instance<StepMode, CoSimulation> {
     /// # Errors
     /// The FMU refuses. A step that it computes in part or not at all is no error: see [`StepOutcome`].
     pub fn do_step(&mut self, time: f64, step: f64) -> Result<StepOutcome, FmiError> {
-        self.core().do_step((time, step), &|| Ok(()))
+        self.core().do_step(time, step, &|| Ok(()))
     }
 
     /// Lets the model's events at `time`, where it stands, happen; after a step whose outcome asks for it.

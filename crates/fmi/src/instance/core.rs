@@ -4,7 +4,7 @@
 use super::assignments::{self, Assignments};
 use super::integer_codec;
 use crate::description::{ModelDescription, Structure, Value, Variable, VariableKind};
-use crate::error::{CallFailure, FmiError, Status};
+use crate::error::{FmiError, Status};
 use crate::fmu::Fmu;
 use crate::libraries::LoadedLibrary;
 use crate::sys::{Fault, RawInstance, Sizes};
@@ -51,16 +51,15 @@ impl Core {
         references: &[u32],
         is: impl Fn(VariableKind) -> bool,
     ) -> FmiError {
-        let failed = match fault {
-            Fault::Discard(call) => self.raw.failed(call, Status::Discard),
-            Fault::Failed(failed) => *failed,
-            Fault::Unusable(library) => return FmiError::LibraryUnusable { library },
-            Fault::AfterError(call) => return FmiError::AfterError { call },
-            Fault::Missing(function) => return FmiError::MissingFunction { function },
+        let mut failure = match fault {
+            Fault::Discard(call) => Box::new(self.raw.failure(call, Status::Discard)),
+            Fault::Failed(failure) => failure,
+            Fault::Unusable(library) => return FmiError::LibraryUnusable(library),
+            Fault::AfterError(call) => return FmiError::AfterError(call),
+            Fault::Missing(function) => return FmiError::MissingFunction(function),
             Fault::TooLarge { call, size } => return FmiError::TooLarge { call, size },
             Fault::Length { call, expected, found } => return FmiError::Length { call, expected, found },
         };
-        let mut failure = CallFailure::from(failed);
         let variables = &self.fmu.description().variables;
         failure.variables = references
             .iter()
@@ -72,7 +71,7 @@ impl Core {
                 line.text = expand_references(&line.text, self.fmu.description());
             }
         }
-        FmiError::Call(Box::new(failure))
+        FmiError::Call(failure)
     }
 
     /// Switches logging on, of these categories (of all, if there are none), or off.
@@ -84,7 +83,7 @@ impl Core {
         if let Some(name) = categories.iter().find(is_unknown) {
             let known: Vec<&str> = known().map(String::as_str).collect();
             let problem = format!("there is no log category \"{name}\"; there are: {}", known.join(", "));
-            return Err(FmiError::BadSetting { problem });
+            return Err(FmiError::BadSetting(problem));
         }
         self.raw.keep_log_categories(categories);
         let names: Vec<CString> =
@@ -142,12 +141,10 @@ impl Core {
         let promised =
             Sizes { states: self.structure.states(model), indicators: self.structure.indicators(model) };
         match self.call(RawInstance::ask_sizes)? {
-            Some(found) if found != promised => Err(FmiError::BadSetting {
-                problem: format!(
-                    "the description promises {} states and {} event indicators, the FMU has {} and {}",
-                    promised.states, promised.indicators, found.states, found.indicators
-                ),
-            }),
+            Some(found) if found != promised => Err(FmiError::BadSetting(format!(
+                "the description promises {} states and {} event indicators, the FMU has {} and {}",
+                promised.states, promised.indicators, found.states, found.indicators
+            ))),
             _ => Ok(()),
         }
     }

@@ -351,7 +351,7 @@ impl<P: Phase, K> Instance<P, K> {
         }
         let mut structure = self.core.structure.clone();
         structure.set(index, &value);
-        structure.check(fmu.description()).map_err(|(_, problem)| FmiError::BadSetting { problem })?;
+        structure.check(fmu.description()).map_err(|(_, problem)| FmiError::BadSetting(problem))?;
         if P::is_configuration() {
             self.core.apply(&values)?;
             self.core.restructure(&structure);

@@ -14,7 +14,7 @@ fn enter<P, K>(mut instance: Instance<P, K>) -> Result<Instance<Reconfiguration,
         let model = &instance.fmu().description().model_name;
         let problem =
             format!("{model} has no tunable structural parameters: there is nothing to reconfigure");
-        return Err(FmiError::BadSetting { problem });
+        return Err(FmiError::BadSetting(problem));
     }
     instance.core().call(RawInstance::enter_configuration)?;
     Ok(instance.into_phase())

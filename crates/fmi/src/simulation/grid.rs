@@ -89,7 +89,7 @@ pub(crate) struct Grid {
 }
 
 fn setting(problem: String) -> FmiError {
-    FmiError::BadSetting { problem }
+    FmiError::BadSetting(problem)
 }
 
 /// `n` equal intervals: `start + k h`, never a sum, and the end itself; fewer where the rows could not be

@@ -348,7 +348,7 @@ pub(crate) fn unbox(error: Box<dyn std::error::Error + Send + Sync>) -> FmiError
     match error.downcast::<FmiError>().map_err(|error| error.downcast::<Stopped>()) {
         Ok(error) => *error,
         Err(Ok(stopped)) => FmiError::Stopped(*stopped),
-        Err(Err(other)) => FmiError::BadSetting { problem: other.to_string() },
+        Err(Err(other)) => FmiError::BadSetting(other.to_string()),
     }
 }
 

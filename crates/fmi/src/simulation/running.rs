@@ -220,5 +220,5 @@ impl Running {
 
 #[cold]
 pub(crate) fn no_instance() -> FmiError {
-    FmiError::BadSetting { problem: "there is no running instance".to_owned() }
+    FmiError::BadSetting("there is no running instance".to_owned())
 }

@@ -63,5 +63,5 @@ fn check_clocks(plan: &SimulationPlan, core: &mut Core) -> Result<(), FmiError> 
     }
     let problem = "the model has clocks, which tick in event mode; its description promises that mode, and the model \
                    refuses to be instantiated with it";
-    Err(FmiError::BadSetting { problem: problem.to_owned() })
+    Err(FmiError::BadSetting(problem.to_owned()))
 }

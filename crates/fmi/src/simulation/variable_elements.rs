@@ -87,7 +87,7 @@ impl<'a> Starts<'a> {
                     "one element of {} is given; the others need start values, and there are {found} for {n} elements",
                     array.name
                 );
-                Err(FmiError::BadSetting { problem })
+                Err(FmiError::BadSetting(problem))
             }
         }
     }

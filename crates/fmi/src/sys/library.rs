@@ -4,7 +4,7 @@ use super::callbacks::Callbacks;
 use super::environment::Inside;
 use super::fmi1_fmi2_values::ScalarValues;
 use super::function::Function;
-use super::functions::{CommonFunctions, Functions, PointFunctions, StepFunctions, Text};
+use super::functions::{Functions, Text};
 use super::platform::{self, Handle, LoaderOptions};
 use super::symbols::{Dialect, Symbols};
 use super::types::InterfaceKind;
@@ -78,28 +78,24 @@ impl Library {
             _ => Dialect::Fmi3,
         };
         let prefix = (version.major == 1).then_some(model_identifier);
-        let symbols = Symbols { handle: &handle, path, prefix, dialect, is_unused: false };
+        let symbols = Symbols { handle: &handle, path, prefix, dialect, kind, is_unused: false };
         // SAFETY: the description says that the library follows this version of the standard.
         unsafe {
             let (version, values): (Box<dyn Version>, Box<dyn Values>) = match dialect {
                 Dialect::Fmi1 | Dialect::Fmi1Slave => (
-                    Box::new(fmi1::Fmi1::load(&symbols, kind)?),
+                    Box::new(fmi1::Fmi1::load(&symbols)?),
                     Box::new(ScalarValues::<fmi1::Boolean>::load(&symbols)?),
                 ),
                 Dialect::Fmi2 => (
-                    Box::new(fmi2::Fmi2::load(&symbols, kind)?),
+                    Box::new(fmi2::Fmi2::load(&symbols)?),
                     Box::new(ScalarValues::<fmi2::Boolean>::load(&symbols)?),
                 ),
                 Dialect::Fmi3 => {
-                    (Box::new(fmi3::Fmi3::load(&symbols, kind)?), Box::new(fmi3::Fmi3Values::load(&symbols)?))
+                    (Box::new(fmi3::Fmi3::load(&symbols)?), Box::new(fmi3::Fmi3Values::load(&symbols)?))
                 }
             };
-            let functions = Functions {
-                common: CommonFunctions::load(&symbols)?,
-                point: PointFunctions::load(&symbols.used(kind == InterfaceKind::ModelExchange))?,
-                steps: StepFunctions::load(&symbols.used(kind == InterfaceKind::CoSimulation))?,
-            };
-            check_types(&functions.common, path)?;
+            let functions = Functions::load(&symbols)?;
+            check_types(&functions, path)?;
             let (path, retired) = (path.to_owned(), Mutex::default());
             let logs_by_thread = prefix.is_some();
             Ok(Self { functions, values, version, path, logs_by_thread, retired, handle })
@@ -107,8 +103,8 @@ impl Library {
     }
 
     fn load(path: &Path, gate: &Arc<Gate>, options: &LoaderOptions) -> Result<Arc<Handle>, FmiError> {
-        platform::check(options).map_err(|option| FmiError::BadSetting {
-            problem: format!("the loader of this system has no option {option}"),
+        platform::check(options).map_err(|option| {
+            FmiError::BadSetting(format!("the loader of this system has no option {option}"))
         })?;
         check_length(path)?;
         let _inside = Inside::enter(gate);
@@ -120,7 +116,7 @@ impl Library {
 
     /// The version of FMI that it says it follows, where it has the function for that.
     pub(crate) fn version_text(&self) -> Option<String> {
-        text_of(&self.functions.common.get_version)
+        text_of(&self.functions.get_version)
     }
 
     /// Who is inside of it has a turn of this.
@@ -183,7 +179,7 @@ impl Drop for Library {
 
 /// Refuses a library whose types are those of another platform than that of the standard's headers (FMI 1.0
 /// and 2.0): the calls would pass other types than it takes.
-fn check_types(functions: &CommonFunctions, path: &Path) -> Result<(), FmiError> {
+fn check_types(functions: &Functions, path: &Path) -> Result<(), FmiError> {
     match text_of(&functions.get_types_platform) {
         Some(platform) if !["standard32", "default", ""].contains(&platform.as_str()) => {
             let message = format!(

@@ -30,17 +30,13 @@ pub(crate) fn build_sets(bytes: &[u8], model_identifier: &str) -> Result<Option<
     let text = encoding::decode(bytes.into(), &mut Quirks::default());
     let mut xml = Xml::new(&text, BUILD_DESCRIPTION, Rc::default())?;
     let root = xml.root()?;
-    while let Some(configuration) = xml.child(root.level)? {
-        if configuration.name() != "BuildConfiguration"
-            || Attributes::of(&configuration)?.get("modelIdentifier") != Some(model_identifier)
-        {
+    while let Some(configuration) = xml.named(root.level, &["BuildConfiguration"])? {
+        if Attributes::of(&configuration)?.get("modelIdentifier") != Some(model_identifier) {
             continue;
         }
         let mut set = BuildSet::default();
-        while let Some(child) = xml.child(configuration.level)? {
-            if child.name() == "SourceFileSet" {
-                source_file_set(&mut xml, child.level, &mut set)?;
-            }
+        while let Some(child) = xml.named(configuration.level, &["SourceFileSet"])? {
+            source_file_set(&mut xml, child.level, &mut set)?;
         }
         return Ok(Some(set));
     }

@@ -8,17 +8,6 @@ use crate::description::model::QuirkKind;
 use crate::description::quirks::Quirks;
 use std::collections::HashMap;
 
-const CLOCK_KINDS: &[(&str, ClockKind)] = &[
-    ("constant", ClockKind::Constant),
-    ("fixed", ClockKind::Fixed),
-    // A word of drafts of the standard; the interval is asked for, as where `fixed` has none.
-    ("calculated", ClockKind::Fixed),
-    ("tunable", ClockKind::Tunable),
-    ("changing", ClockKind::Changing),
-    ("countdown", ClockKind::Countdown),
-    ("triggered", ClockKind::Triggered),
-];
-
 /// The attributes as they are written.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ClockAttributes {
@@ -58,7 +47,11 @@ impl ClockAttributes {
         let counters = (counter("intervalCounter"), counter("shiftCounter"));
         Self {
             line: attributes.line,
-            kind: attributes.choice("intervalVariability", CLOCK_KINDS, quirks),
+            kind: match attributes.get("intervalVariability") {
+                // A word of drafts of the standard; the interval is asked for, as where `fixed` has none.
+                Some("calculated") => Some(ClockKind::Fixed),
+                _ => attributes.choice("intervalVariability", ClockKind::WORDS, quirks),
+            },
             can_be_deactivated: attributes.boolean("canBeDeactivated", quirks),
             supports_fraction: attributes.boolean("supportsFraction", quirks),
             resolution,

@@ -4,7 +4,7 @@
 use super::attributes::Attributes;
 use super::shared;
 use super::xml::{Element, Xml};
-use crate::description::draft::{Draft, Flags};
+use crate::description::draft::Draft;
 use crate::description::model::{Capabilities, Interface};
 use crate::description::unit::{DisplayUnit, Unit};
 use crate::description::variable::{Causality, Initial, Variability, Variable};
@@ -45,10 +45,8 @@ fn implementation(
     let mut capabilities = Capabilities::default();
     while let Some(element) = xml.child(parent.level)? {
         let needs_tool = element.name() == "CoSimulation_Tool";
-        while let Some(child) = xml.child(element.level)? {
-            if child.name() == "Capabilities" {
-                capabilities = shared::capabilities(&Attributes::of(&child)?, draft);
-            }
+        while let Some(child) = xml.named(element.level, &["Capabilities"])? {
+            capabilities = shared::capabilities(&Attributes::of(&child)?, draft);
         }
         capabilities.needs_execution_tool = needs_tool;
     }
@@ -57,26 +55,19 @@ fn implementation(
 
 /// `<BaseUnit unit="rad/s"><DisplayUnitDefinition displayUnit="rpm" gain="9.55"/></BaseUnit>`
 fn units(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
-    while let Some(element) = xml.child(parent.level)? {
-        if element.name() != "BaseUnit" {
-            continue;
-        }
+    while let Some(element) = xml.named(parent.level, &["BaseUnit"])? {
         let name = Attributes::of(&element)?.required("unit")?.to_owned();
         let mut display_units = Vec::new();
-        while let Some(child) = xml.child(element.level)? {
+        while let Some(child) = xml.named(element.level, &["DisplayUnitDefinition"])? {
             let attributes = Attributes::of(&child)?;
-            if child.name() == "DisplayUnitDefinition" {
-                draft.budget.take_text(attributes.get("displayUnit").unwrap_or_default());
-                draft.budget.push(
-                    &mut display_units,
-                    DisplayUnit {
-                        name: attributes.required("displayUnit")?.to_owned(),
-                        factor: attributes.real("gain", &mut draft.quirks).unwrap_or(1.0),
-                        offset: attributes.real("offset", &mut draft.quirks).unwrap_or(0.0),
-                        inverse: false,
-                    },
-                );
-            }
+            draft.budget.take_text(attributes.get("displayUnit").unwrap_or_default());
+            let display_unit = DisplayUnit {
+                name: attributes.required("displayUnit")?.to_owned(),
+                factor: attributes.real("gain", &mut draft.quirks).unwrap_or(1.0),
+                offset: attributes.real("offset", &mut draft.quirks).unwrap_or(0.0),
+                inverse: false,
+            };
+            draft.budget.push(&mut display_units, display_unit);
         }
         draft.budget.push(&mut draft.model.units, Unit { name, base: None, display_units });
     }
@@ -84,41 +75,26 @@ fn units(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<(
 }
 
 fn variables(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
-    while let Some(element) = xml.child(parent.level)? {
-        if element.name() != "ScalarVariable" {
-            continue;
-        }
+    while let Some(element) = xml.named(parent.level, &["ScalarVariable"])? {
         let attributes = Attributes::of(&element)?;
         let mut typed = None;
         while let Some(child) = xml.child(element.level)? {
             if let Some(kind) = shared::scalar_kind(child.name()) {
                 let mut variable = shared::plain_variable(&attributes, kind)?;
-                let fixed = values(&Attributes::of(&child)?, &mut variable, draft);
-                typed = Some((variable, fixed));
+                let (values, quirks) = (Attributes::of(&child)?, &mut draft.quirks);
+                let flags = shared::value_attributes(&values, &mut variable, quirks);
+                variable.start = values.start(variable.kind, false, quirks);
+                let fixed = values.boolean("fixed", quirks).unwrap_or(true);
+                typed = Some((variable, flags, fixed));
             }
         }
-        let Some((mut variable, fixed)) = typed else {
+        let Some((mut variable, flags, fixed)) = typed else {
             return Err(attributes.error("a variable without type".to_owned()));
         };
         roles(&attributes, &mut variable, fixed, draft);
-        draft.add_variable(variable, Flags::default());
+        draft.add_variable(variable, flags);
     }
     Ok(())
-}
-
-/// Attributes of the type element; returns whether the start value is exact.
-fn values(attributes: &Attributes<'_>, variable: &mut Variable, draft: &mut Draft) -> bool {
-    let quirks = &mut draft.quirks;
-    variable.declared_type = attributes.text("declaredType");
-    variable.quantity = attributes.text("quantity");
-    variable.unit = attributes.text("unit");
-    variable.display_unit = attributes.text("displayUnit");
-    variable.relative_quantity = attributes.flag("relativeQuantity", quirks);
-    variable.min = attributes.real("min", quirks);
-    variable.max = attributes.real("max", quirks);
-    variable.nominal = attributes.real("nominal", quirks);
-    variable.start = attributes.start(variable.kind, false, quirks);
-    attributes.boolean("fixed", quirks).unwrap_or(true)
 }
 
 /// FMI 1.0 calls parameters a variability and knows no `initial` (specification 1.0, chapter 3.1).

@@ -4,10 +4,9 @@ use super::attributes::Attributes;
 use super::shared;
 use super::xml::{Element, Xml};
 use crate::description::draft::{Draft, Flags, StructureList};
-use crate::description::model::{Interface, QuirkKind, Unknown};
+use crate::description::model::{DependencyKind, Interface, QuirkKind, Unknown};
 use crate::description::variable::Variable;
 use crate::error::FmiError;
-use crate::value::VariableKind;
 
 pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
     shared::header(&Attributes::of(root)?, "guid", draft)?;
@@ -32,16 +31,11 @@ fn interface(xml: &mut Xml<'_>, element: &Element<'_>, draft: &mut Draft) -> Res
     let model_identifier = shared::model_identifier(&attributes)?;
     let capabilities = shared::capabilities(&attributes, draft);
     let mut source_files = Vec::new();
-    while let Some(child) = xml.child(element.level)? {
-        if child.name() != "SourceFiles" {
-            continue;
-        }
-        while let Some(file) = xml.child(child.level)? {
-            if file.name() == "File" {
-                let name = Attributes::of(&file)?.required("name")?.to_owned();
-                draft.budget.take_text(&name);
-                draft.budget.push(&mut source_files, name);
-            }
+    while let Some(child) = xml.named(element.level, &["SourceFiles"])? {
+        while let Some(file) = xml.named(child.level, &["File"])? {
+            let name = Attributes::of(&file)?.required("name")?.to_owned();
+            draft.budget.take_text(&name);
+            draft.budget.push(&mut source_files, name);
         }
     }
     Ok(Interface { model_identifier, capabilities, source_files })
@@ -79,7 +73,10 @@ fn variable(
             continue;
         }
         let mut variable = shared::plain_variable(&attributes, kind)?;
-        let flags = value_attributes(&Attributes::of(&child)?, &mut variable, draft);
+        let (values, quirks) = (Attributes::of(&child)?, &mut draft.quirks);
+        let flags = shared::value_attributes(&values, &mut variable, quirks);
+        variable.start = values.start(kind, false, quirks);
+        variable.derivative = values.count("derivative", quirks).map(shared::position);
         typed = Some((variable, flags));
     }
     let Some((mut variable, flags)) = typed else {
@@ -89,35 +86,7 @@ fn variable(
         );
     };
     shared::roles(&attributes, &mut variable, draft);
-    variable.can_handle_multiple_set_per_time_instant =
-        attributes.boolean("canHandleMultipleSetPerTimeInstant", &mut draft.quirks).unwrap_or(true);
     Ok((variable, flags))
-}
-
-/// Parses the attributes of the element that names the type.
-fn value_attributes(attributes: &Attributes<'_>, variable: &mut Variable, draft: &mut Draft) -> Flags {
-    let quirks = &mut draft.quirks;
-    variable.declared_type = attributes.text("declaredType");
-    variable.start = attributes.start(variable.kind, false, quirks);
-    if matches!(variable.kind, VariableKind::Boolean | VariableKind::String) {
-        return Flags::default();
-    }
-    variable.quantity = attributes.text("quantity");
-    variable.min = attributes.real("min", quirks);
-    variable.max = attributes.real("max", quirks);
-    if variable.kind != VariableKind::Real {
-        return Flags::default();
-    }
-    variable.unit = attributes.text("unit");
-    variable.display_unit = attributes.text("displayUnit");
-    variable.nominal = attributes.real("nominal", quirks);
-    variable.derivative = attributes.count("derivative", quirks).map(shared::position);
-    variable.reinit = attributes.flag("reinit", quirks);
-    let relative_quantity = attributes.boolean("relativeQuantity", quirks);
-    let unbounded = attributes.boolean("unbounded", quirks);
-    variable.relative_quantity = relative_quantity.unwrap_or(false);
-    variable.unbounded = unbounded.unwrap_or(false);
-    Flags { relative_quantity: relative_quantity.is_some(), unbounded: unbounded.is_some() }
 }
 
 fn structure(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
@@ -128,11 +97,9 @@ fn structure(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Resu
             "InitialUnknowns" => StructureList::InitialUnknowns,
             _ => continue,
         };
-        while let Some(child) = xml.child(element.level)? {
-            if child.name() == "Unknown" {
-                let unknown = unknown(&Attributes::of(&child)?, draft)?;
-                draft.add_unknown(list, unknown, child.line);
-            }
+        while let Some(child) = xml.named(element.level, &["Unknown"])? {
+            let unknown = unknown(&Attributes::of(&child)?, draft)?;
+            draft.add_unknown(list, unknown, child.line);
         }
     }
     Ok(())
@@ -148,6 +115,6 @@ fn unknown(attributes: &Attributes<'_>, draft: &mut Draft) -> Result<Unknown, Fm
     Ok(Unknown {
         index,
         dependencies: dependencies.map(|list| list.into_iter().map(shared::position).collect()),
-        kinds: attributes.choices("dependenciesKind", shared::DEPENDENCY_KINDS, quirks).unwrap_or_default(),
+        kinds: attributes.choices("dependenciesKind", DependencyKind::WORDS, quirks).unwrap_or_default(),
     })
 }

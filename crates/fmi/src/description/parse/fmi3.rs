@@ -6,8 +6,8 @@ use super::clocks::{ClockAttributes, Clocks};
 use super::shared;
 use super::xml::{Element, Xml};
 use crate::description::clock::ClockTiming;
-use crate::description::draft::{Draft, Flags, NOWHERE, StructureList};
-use crate::description::model::{Interface, QuirkKind, Unknown};
+use crate::description::draft::{Draft, NOWHERE, StructureList};
+use crate::description::model::{DependencyKind, Interface, QuirkKind, Unknown};
 use crate::description::quirks::Quirks;
 use crate::description::variable::{Alias, Dimension, Variable};
 use crate::error::FmiError;
@@ -138,7 +138,9 @@ fn variables(
         };
         let mut variable = shared::plain_variable(&attributes, kind)?;
         let position = draft.model.variables.len();
-        let flags = scalar_attributes(&attributes, &mut variable, draft);
+        shared::roles(&attributes, &mut variable, draft);
+        let flags = shared::value_attributes(&attributes, &mut variable, &mut draft.quirks);
+        variable.intermediate_update = attributes.flag("intermediateUpdate", &mut draft.quirks);
         if kind == VariableKind::Clock {
             // And its timing.
             draft.budget.take(size_of::<ClockTiming>() + 16);
@@ -201,27 +203,6 @@ fn start_of_texts(mut values: Vec<Value>, is_array: bool) -> Option<Value> {
         (false, true) => Some(Value::Array(values)),
         (false, false) => Some(values.swap_remove(0)),
     }
-}
-
-fn scalar_attributes(attributes: &Attributes<'_>, variable: &mut Variable, draft: &mut Draft) -> Flags {
-    shared::roles(attributes, variable, draft);
-    let quirks = &mut draft.quirks;
-    variable.declared_type = attributes.text("declaredType");
-    variable.quantity = attributes.text("quantity");
-    variable.unit = attributes.text("unit");
-    variable.display_unit = attributes.text("displayUnit");
-    variable.min = attributes.real("min", quirks);
-    variable.max = attributes.real("max", quirks);
-    variable.nominal = attributes.real("nominal", quirks);
-    variable.reinit = attributes.flag("reinit", quirks);
-    variable.intermediate_update = attributes.flag("intermediateUpdate", quirks);
-    variable.can_handle_multiple_set_per_time_instant =
-        attributes.boolean("canHandleMultipleSetPerTimeInstant", quirks).unwrap_or(true);
-    let relative_quantity = attributes.boolean("relativeQuantity", quirks);
-    let unbounded = attributes.boolean("unbounded", quirks);
-    variable.relative_quantity = relative_quantity.unwrap_or(false);
-    variable.unbounded = unbounded.unwrap_or(false);
-    Flags { relative_quantity: relative_quantity.is_some(), unbounded: unbounded.is_some() }
 }
 
 /// `<Dimension>`, `<Alias>`, and `<Start value="..."/>` of texts and binary variables, which is returned.
@@ -295,7 +276,7 @@ fn structure(
         // One that is left out makes the list incomplete, and what depends on an unknown set depends on all.
         let dependencies: Option<Vec<usize>> =
             references.and_then(|list| list.iter().map(position).collect());
-        let kinds = attributes.choices("dependenciesKind", shared::DEPENDENCY_KINDS, &mut draft.quirks);
+        let kinds = attributes.choices("dependenciesKind", DependencyKind::WORDS, &mut draft.quirks);
         let kinds = kinds.filter(|_| dependencies.is_some()).unwrap_or_default();
         draft.add_unknown(list, Unknown { index, dependencies, kinds }, element.line);
     }

@@ -41,16 +41,11 @@ pub(super) fn parse(
     let text = encoding::decode(bytes, &mut quirks);
     budget.take(text.len());
     let mut xml = Xml::new(&text, MODEL_DESCRIPTION, Rc::clone(&budget))?;
-    let root = xml.root()?;
-    if root.name() != "fmiModelDescription" {
-        return Err(
-            xml.error(format!("<{}> is the outermost element, not <fmiModelDescription>", root.name()))
-        );
-    }
+    let root = xml.root_named("fmiModelDescription")?;
     let version = version(&Attributes::of(&root)?)?;
     let major = version.major;
     let mut draft = Draft {
-        model: ModelDescription::empty(version),
+        model: ModelDescription { fmi_version: version, ..ModelDescription::default() },
         quirks,
         budget,
         flags: Vec::new(),
@@ -60,7 +55,7 @@ pub(super) fn parse(
         1 => fmi1::parse,
         2 => fmi2::parse,
         3 => fmi3::parse,
-        _ => return Err(FmiError::UnknownVersion { version: draft.model.fmi_version.text }),
+        _ => return Err(FmiError::UnknownVersion(draft.model.fmi_version.text)),
     };
     parse_version(&mut xml, &root, &mut draft)?;
     Ok(draft)

@@ -3,22 +3,15 @@
 
 use super::attributes::Attributes;
 use super::xml::{Element, Xml};
-use crate::description::draft::{Draft, NOWHERE};
-use crate::description::model::{Capabilities, DependencyKind, LogCategory, QuirkKind};
+use crate::description::draft::{Draft, Flags, NOWHERE};
+use crate::description::model::{Capabilities, LogCategory, QuirkKind};
+use crate::description::quirks::Quirks;
 use crate::description::unit::{BaseUnit, DisplayUnit, Unit};
 use crate::description::variable::{
     Causality, EnumerationItem, Initial, TypeDefinition, Variability, Variable,
 };
 use crate::error::FmiError;
 use crate::value::VariableKind;
-
-pub(super) const DEPENDENCY_KINDS: &[(&str, DependencyKind)] = &[
-    ("dependent", DependencyKind::Dependent),
-    ("constant", DependencyKind::Constant),
-    ("fixed", DependencyKind::Fixed),
-    ("tunable", DependencyKind::Tunable),
-    ("discrete", DependencyKind::Discrete),
-];
 
 /// Attributes of the root element except those only one version has.
 pub(super) fn header(root: &Attributes<'_>, token: &str, draft: &mut Draft) -> Result<(), FmiError> {
@@ -103,10 +96,7 @@ pub(super) fn capabilities(attributes: &Attributes<'_>, draft: &mut Draft) -> Ca
 
 /// `<UnitDefinitions>` of FMI 2.0 and 3.0.
 pub(super) fn units(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
-    while let Some(element) = xml.child(parent.level)? {
-        if element.name() != "Unit" {
-            continue;
-        }
+    while let Some(element) = xml.named(parent.level, &["Unit"])? {
         let name = Attributes::of(&element)?.required("name")?.to_owned();
         let mut unit = Unit { name, base: None, display_units: Vec::new() };
         while let Some(child) = xml.child(element.level)? {
@@ -160,13 +150,11 @@ pub(super) fn log_categories(
     parent: &Element<'_>,
     draft: &mut Draft,
 ) -> Result<(), FmiError> {
-    while let Some(element) = xml.child(parent.level)? {
-        if element.name() == "Category" {
-            let attributes = Attributes::of(&element)?;
-            let name = attributes.expected("name", &mut draft.quirks);
-            let category = LogCategory { name, description: attributes.text("description") };
-            draft.budget.push(&mut draft.model.log_categories, category);
-        }
+    while let Some(element) = xml.named(parent.level, &["Category"])? {
+        let attributes = Attributes::of(&element)?;
+        let name = attributes.expected("name", &mut draft.quirks);
+        let category = LogCategory { name, description: attributes.text("description") };
+        draft.budget.push(&mut draft.model.log_categories, category);
     }
     Ok(())
 }
@@ -189,10 +177,7 @@ pub(super) fn items(
     draft: &mut Draft,
 ) -> Result<Vec<EnumerationItem>, FmiError> {
     let mut items = Vec::new();
-    while let Some(element) = xml.child(parent.level)? {
-        if element.name() != "Item" {
-            continue;
-        }
+    while let Some(element) = xml.named(parent.level, &["Item"])? {
         let attributes = Attributes::of(&element)?;
         let next = items.len() as i64 + 1;
         let item = EnumerationItem {
@@ -249,10 +234,7 @@ pub(super) fn scalar_types(
     parent: &Element<'_>,
     draft: &mut Draft,
 ) -> Result<(), FmiError> {
-    while let Some(element) = xml.child(parent.level)? {
-        if !matches!(element.name(), "Type" | "SimpleType") {
-            continue;
-        }
+    while let Some(element) = xml.named(parent.level, &["Type", "SimpleType"])? {
         let outer = Attributes::of(&element)?;
         let name = outer.required_text("name")?;
         let mut definition = None;
@@ -282,35 +264,34 @@ pub(super) fn plain_variable(attributes: &Attributes<'_>, kind: VariableKind) ->
         value_reference: attributes.value_reference()?,
         description: attributes.text("description"),
         kind,
-        causality: Causality::Local,
-        variability: Variability::Continuous,
-        initial: None,
         can_handle_multiple_set_per_time_instant: true,
         line: attributes.line,
-        declared_type: None,
-        quantity: None,
-        unit: None,
-        display_unit: None,
-        relative_quantity: false,
-        unbounded: false,
-        min: None,
-        max: None,
-        nominal: None,
-        start: None,
-        derivative: None,
-        reinit: false,
-        is_narrow: false,
-        negated: false,
-        dimensions: Vec::new(),
-        aliases: Vec::new(),
-        clocks: Vec::new(),
-        clock: None,
-        intermediate_update: false,
-        max_size: None,
+        ..Variable::default()
     })
 }
 
-/// Causality, variability and initial as given, else as the standard fills them in.
+/// The attributes of a value, which the versions share.
+pub(super) fn value_attributes(
+    attributes: &Attributes<'_>,
+    variable: &mut Variable,
+    quirks: &mut Quirks,
+) -> Flags {
+    variable.declared_type = attributes.text("declaredType");
+    variable.quantity = attributes.text("quantity");
+    variable.unit = attributes.text("unit");
+    variable.display_unit = attributes.text("displayUnit");
+    variable.min = attributes.real("min", quirks);
+    variable.max = attributes.real("max", quirks);
+    variable.nominal = attributes.real("nominal", quirks);
+    variable.reinit = attributes.flag("reinit", quirks);
+    let relative_quantity = attributes.boolean("relativeQuantity", quirks);
+    let unbounded = attributes.boolean("unbounded", quirks);
+    variable.relative_quantity = relative_quantity.unwrap_or(false);
+    variable.unbounded = unbounded.unwrap_or(false);
+    Flags { relative_quantity: relative_quantity.is_some(), unbounded: unbounded.is_some() }
+}
+
+/// Causality, variability and initial as given, else as the standard fills them in; how often it may be set.
 pub(super) fn roles(attributes: &Attributes<'_>, variable: &mut Variable, draft: &mut Draft) {
     let quirks = &mut draft.quirks;
     variable.causality = attributes.choice("causality", Causality::WORDS, quirks).unwrap_or(Causality::Local);
@@ -328,6 +309,8 @@ pub(super) fn roles(attributes: &Attributes<'_>, variable: &mut Variable, draft:
     variable.initial = attributes
         .choice("initial", Initial::WORDS, quirks)
         .or_else(|| Initial::default_for(variable.causality, variable.variability));
+    variable.can_handle_multiple_set_per_time_instant =
+        attributes.boolean("canHandleMultipleSetPerTimeInstant", quirks).unwrap_or(true);
 }
 
 /// Turns a position counted from 1 into one counted from 0.

@@ -20,20 +20,11 @@ pub(crate) fn terminals(bytes: &[u8], limits: &DescriptionLimits) -> Result<Vec<
     let text = encoding::decode(bytes.into(), &mut Quirks::default());
     let budget = Rc::new(Budget::new(limits, &Cancel::default()));
     let mut xml = Xml::new(&text, TERMINALS, budget)?;
-    let root = xml.root()?;
-    if root.name() != "fmiTerminalsAndIcons" {
-        let name = root.name();
-        return Err(xml.error(format!("<{name}> is the outermost element, not <fmiTerminalsAndIcons>")));
-    }
+    let root = xml.root_named("fmiTerminalsAndIcons")?;
     let mut found = Vec::new();
-    while let Some(list) = xml.child(root.level)? {
-        if list.name() != "Terminals" {
-            continue;
-        }
-        while let Some(element) = xml.child(list.level)? {
-            if element.name() == "Terminal" {
-                found.push(terminal(&mut xml, &element)?);
-            }
+    while let Some(list) = xml.named(root.level, &["Terminals"])? {
+        while let Some(element) = xml.named(list.level, &["Terminal"])? {
+            found.push(terminal(&mut xml, &element)?);
         }
     }
     Ok(found)

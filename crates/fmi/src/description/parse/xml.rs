@@ -59,6 +59,15 @@ impl<'a> Xml<'a> {
         }
     }
 
+    /// The root element, which must have this name.
+    pub(super) fn root_named(&mut self, name: &str) -> Result<Element<'a>, FmiError> {
+        let root = self.root()?;
+        if root.name() == name {
+            return Ok(root);
+        }
+        Err(self.error(format!("<{}> is the outermost element, not <{name}>", root.name())))
+    }
+
     /// The next child of the element at `level`, or `None` at its end. Whatever is left of the child returned
     /// last is skipped.
     pub(super) fn child(&mut self, level: usize) -> Result<Option<Element<'a>>, FmiError> {
@@ -108,6 +117,16 @@ impl<'a> Xml<'a> {
                     let at = self.reader.error_position().max(before);
                     return Err(self.error_at(at, error.to_string()));
                 }
+            }
+        }
+    }
+
+    /// The next child of the element at `level` that has one of these names.
+    pub(super) fn named(&mut self, level: usize, names: &[&str]) -> Result<Option<Element<'a>>, FmiError> {
+        loop {
+            match self.child(level)? {
+                Some(element) if !names.contains(&element.name()) => {}
+                found => return Ok(found),
             }
         }
     }

@@ -160,7 +160,7 @@ impl ClockPlan {
         } else {
             return Ok(Self::default());
         };
-        Err(FmiError::BadSetting { problem })
+        Err(FmiError::BadSetting(problem))
     }
 
     /// True if there are no clocks to handle.
@@ -221,12 +221,10 @@ impl Timed {
             return Ok(());
         }
         let least = if positive { "positive" } else { "not negative" };
-        Err(FmiError::BadSetting {
-            problem: format!(
-                "the {} clock {} has an interval or shift of {interval:?}: it must be finite and {least}",
-                self.timing.kind.name(),
-                self.name
-            ),
-        })
+        Err(FmiError::BadSetting(format!(
+            "the {} clock {} has an interval or shift of {interval:?}: it must be finite and {least}",
+            self.timing.kind.name(),
+            self.name
+        )))
     }
 }

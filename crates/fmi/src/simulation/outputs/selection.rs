@@ -81,7 +81,7 @@ impl Selection {
             } else if name.contains(['*', '?']) {
                 if selection.add_matching(context, name, &mut known) == 0 {
                     let problem = format!("the pattern \"{name}\" fits the name of no variable");
-                    return Err(FmiError::BadSetting { problem });
+                    return Err(FmiError::BadSetting(problem));
                 }
             } else if name != "time" {
                 // Time is always there; models may or may not have a variable for it.

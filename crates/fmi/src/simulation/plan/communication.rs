@@ -53,7 +53,7 @@ impl Communication {
                 Number(grid.start),
                 Number(grid.end)
             );
-            return Err(FmiError::BadSetting { problem });
+            return Err(FmiError::BadSetting(problem));
         }
         let variable = capabilities.can_handle_variable_communication_step_size;
         let suggested = experiment.step_size.filter(makes_sense);
@@ -86,7 +86,7 @@ impl Communication {
             let problem = format!(
                 "a communication step of {step} is no multiple of the model's own step {internal}; next to it: {next}"
             );
-            return Err(FmiError::BadSetting { problem });
+            return Err(FmiError::BadSetting(problem));
         }
         let communication = Self {
             step,
@@ -135,7 +135,7 @@ impl Communication {
                 let problem = format!(
                     "{what}, and rows between steps are to be refused: ask for rows at multiples of the step"
                 );
-                Err(FmiError::BadSetting { problem })
+                Err(FmiError::BadSetting(problem))
             }
         }
     }

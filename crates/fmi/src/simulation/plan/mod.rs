@@ -150,7 +150,7 @@ impl SimulationPlan {
         plan.take_outputs(description, options.outputs.as_deref(), &states)?;
         if !has_events && !plan.outputs.plan.clocks.is_empty() {
             let problem = "clocks are recorded, which tick in event mode, and this co-simulation has none";
-            return Err(FmiError::BadSetting { problem: problem.to_owned() });
+            return Err(FmiError::BadSetting(problem.to_owned()));
         }
         Ok(plan)
     }

@@ -107,7 +107,7 @@ impl RunValues {
                         format!("parameter {name} is the same variable as {first}, which is given too")
                     }
                 };
-                return Err(FmiError::BadSetting { problem });
+                return Err(FmiError::BadSetting(problem));
             }
             if driven.iter().any(is_same) {
                 return Err(assignments::not_settable(variable, "it is driven by the inputs"));
@@ -299,7 +299,7 @@ pub(super) fn resolve_start_values(
             }
         }
     }
-    structure.check(description).map_err(|(_, problem)| FmiError::BadSetting { problem })?;
+    structure.check(description).map_err(|(_, problem)| FmiError::BadSetting(problem))?;
     for (name, value) in values {
         let VariableElement { variable: index, element } =
             VariableElement::of_name(description, &structure, name)?;
