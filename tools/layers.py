@@ -34,7 +34,7 @@ LAYERS = {
         run
     """,
     "fmi": """
-        words
+        macros
         value
         error
         cancel gate log platform

@@ -1,6 +1,6 @@
 //! The types of variables, and their values.
 
-use crate::words::words;
+use crate::macros::words;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 

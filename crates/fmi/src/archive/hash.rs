@@ -1,7 +1,7 @@
 //! Content hashes: SHA-256 of an archive, or of the sorted names and contents of a folder.
 
 use super::limits::ArchiveLimits;
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use base::files::open_regular;
 use sha2::{Digest, Sha256};
 use std::fs;
@@ -55,7 +55,7 @@ impl io::Write for Hashing {
 
 /// Hash of all files below a folder: for each, in the order of the paths, path and content, each after its
 /// length.
-pub(super) fn of_folder(root: &Path, limits: &ArchiveLimits) -> Result<String, FmiError> {
+pub(super) fn of_folder(root: &Path, limits: &ArchiveLimits) -> Result<String> {
     let mut hashing = Hashing::default();
     for (name, path) in files_below(root, limits.entries)? {
         let mut file = open_regular(&path).map_err(FmiError::io("open", &path))?;
@@ -79,7 +79,7 @@ pub(crate) fn of_texts(texts: impl IntoIterator<Item: AsRef<str>>) -> String {
 /// Files below a folder as (path with slashes relative to it, path), sorted by the former. Links to files
 /// count as files; links to folders are refused: what is behind them can change unseen, and may lead round in
 /// a circle.
-pub(crate) fn files_below(root: &Path, limit: u64) -> Result<Vec<(String, PathBuf)>, FmiError> {
+pub(crate) fn files_below(root: &Path, limit: u64) -> Result<Vec<(String, PathBuf)>> {
     let mut files = Vec::new();
     let mut folders = vec![(String::new(), root.to_owned())];
     let mut seen = 0;

@@ -1,6 +1,6 @@
 //! When clocks tick, as far as the description says it (FMI 3.0.x, section 2.2.8.3).
 
-use crate::words::words;
+use crate::macros::words;
 use serde::{Deserialize, Serialize};
 
 /// Timing of a clock, from the model description.

@@ -5,7 +5,7 @@ use super::names::NameIndex;
 use super::unit::Unit;
 use super::variable::{TypeDefinition, Variable};
 use super::version::FmiVersion;
-use crate::words::words;
+use crate::macros::words;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::fmt;

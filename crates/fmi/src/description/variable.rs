@@ -1,8 +1,8 @@
 //! Variables and their types: name, value reference, causality, variability, start value.
 
 use super::clock::ClockTiming;
+use crate::macros::words;
 use crate::value::{Value, VariableKind};
-use crate::words::words;
 
 /// A variable of the model: one value, or an array of them. Attributes that a type definition supplies are
 /// already filled in.

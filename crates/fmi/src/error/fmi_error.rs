@@ -8,6 +8,9 @@ use ode::Number;
 use std::io;
 use std::path::{Path, PathBuf};
 
+/// Outcome of what may fail with an [`FmiError`].
+pub type Result<T, E = FmiError> = std::result::Result<T, E>;
+
 /// Why an FMU could not be opened, understood, built or run.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]

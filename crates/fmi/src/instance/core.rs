@@ -4,7 +4,7 @@
 use super::assignments::{self, Assignments};
 use super::integer_codec;
 use crate::description::{ModelDescription, Structure, Value, Variable, VariableKind};
-use crate::error::{FmiError, Status};
+use crate::error::{FmiError, Result, Status};
 use crate::fmu::Fmu;
 use crate::libraries::LoadedLibrary;
 use crate::sys::{Fault, RawInstance, Sizes};
@@ -75,7 +75,7 @@ impl Core {
     }
 
     /// Switches logging on, of these categories (of all, if there are none), or off.
-    pub(crate) fn set_logging(&mut self, on: bool, categories: &[String]) -> Result<(), FmiError> {
+    pub(crate) fn set_logging(&mut self, on: bool, categories: &[String]) -> Result<()> {
         let model = self.fmu.description();
         let known = || model.log_categories.iter().map(|category| &category.name);
         // FMI 1.0 has no list of them.
@@ -92,7 +92,7 @@ impl Core {
     }
 
     /// Sets values, one call per type.
-    pub(crate) fn apply(&mut self, values: &Assignments) -> Result<(), FmiError> {
+    pub(crate) fn apply(&mut self, values: &Assignments) -> Result<()> {
         let Assignments { reals, packed, strings, binaries } = values;
         self.set_reals(&reals.0, &reals.1)?;
         for (kind, references, words) in packed {
@@ -115,7 +115,7 @@ impl Core {
 
     /// Gives structural parameters their values (in configuration mode, before everything else), and makes
     /// the sizes of the model's vectors those that follow.
-    pub(crate) fn configure(&mut self, values: &Assignments, structure: &Structure) -> Result<(), FmiError> {
+    pub(crate) fn configure(&mut self, values: &Assignments, structure: &Structure) -> Result<()> {
         if !values.is_empty() {
             self.call(RawInstance::enter_configuration)?;
             let applied = self.apply(values);
@@ -136,7 +136,7 @@ impl Core {
     }
 
     /// Compares the sizes that the description promises with those the FMU says.
-    pub(crate) fn check_sizes(&mut self) -> Result<(), FmiError> {
+    pub(crate) fn check_sizes(&mut self) -> Result<()> {
         let model = self.fmu.description();
         let promised =
             Sizes { states: self.structure.states(model), indicators: self.structure.indicators(model) };
@@ -150,7 +150,7 @@ impl Core {
     }
 
     /// Sets real variables.
-    pub(crate) fn set_reals(&mut self, references: &[u32], values: &[f64]) -> Result<(), FmiError> {
+    pub(crate) fn set_reals(&mut self, references: &[u32], values: &[f64]) -> Result<()> {
         if references.is_empty() && values.is_empty() {
             return Ok(());
         }
@@ -163,12 +163,7 @@ impl Core {
     /// many elements as these have values: where a reference may stand for an array, only the description
     /// knows how many.
     #[inline]
-    pub(crate) fn check_reals(
-        &self,
-        call: &'static str,
-        references: &[u32],
-        found: usize,
-    ) -> Result<(), FmiError> {
+    pub(crate) fn check_reals(&self, call: &'static str, references: &[u32], found: usize) -> Result<()> {
         self.fmu.check_real_references(call, references)?;
         let model = self.fmu.description();
         let expected = if model.has_arrays {
@@ -187,7 +182,7 @@ impl Core {
     }
 
     /// Reads a variable.
-    pub(crate) fn value(&mut self, variable: &Variable) -> Result<Value, FmiError> {
+    pub(crate) fn value(&mut self, variable: &Variable) -> Result<Value> {
         let references = [variable.value_reference];
         let kind = variable.kind;
         let elements = self.elements(variable);
@@ -231,10 +226,7 @@ impl Core {
     }
 
     /// Runs a raw call and words its error.
-    pub(crate) fn call<T>(
-        &mut self,
-        call: impl FnOnce(&mut RawInstance) -> Result<T, Fault>,
-    ) -> Result<T, FmiError> {
+    pub(crate) fn call<T>(&mut self, call: impl FnOnce(&mut RawInstance) -> Result<T, Fault>) -> Result<T> {
         call(&mut self.raw).map_err(|fault| self.error(fault))
     }
 }

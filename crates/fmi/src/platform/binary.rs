@@ -1,8 +1,8 @@
 //! Headers of shared libraries: which operating system and which processors they are made for, and how long
 //! their files are.
 
-use crate::error::FmiError;
-use crate::words::words;
+use crate::error::{FmiError, Result};
+use crate::macros::words;
 use base::files::open_regular;
 use object::elf;
 use object::read::elf::{FileHeader, ProgramHeader};
@@ -135,7 +135,7 @@ impl fmt::Display for BinaryHeader {
 ///
 /// # Errors
 /// [`FmiError::LoadFailed`] with both lengths; the file cannot be read.
-pub(crate) fn check_length(library: &Path) -> Result<(), FmiError> {
+pub(crate) fn check_length(library: &Path) -> Result<()> {
     let io_error = FmiError::io("read", library);
     let (length, data) = match open_regular(library).and_then(|file| Ok((file.metadata()?.len(), file))) {
         Ok((length, file)) => (length, ReadCache::new(file)),

@@ -1,7 +1,7 @@
 //! A model-exchange instance as the hybrid system that the driver integrates, in FMI's order of calls.
 
 use crate::description::Variable;
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::instance::{Core, Initialization, Instance};
 use crate::simulation::inputs::{InputPlan, InputState};
 use crate::simulation::outside::Outside;
@@ -89,7 +89,7 @@ impl System {
     }
 
     /// Brings a fresh instance into event mode at the start time: values, inputs, initialization.
-    pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<(), FmiError> {
+    pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<()> {
         let (start, end) = (self.running.plan.start, self.running.plan.end);
         let instance: Instance<Initialization> = self.running.begin(raw, input, Some(end))?;
         self.sent.clone_from(&self.running.inputs.continuous);
@@ -104,7 +104,7 @@ impl System {
     }
 
     /// Value of a variable at the point last committed.
-    pub(crate) fn value(&mut self, variable: &Variable) -> Result<crate::Value, FmiError> {
+    pub(crate) fn value(&mut self, variable: &Variable) -> Result<crate::Value> {
         self.running.current.trusted()?;
         let (time, states) = (self.last_time, self.last_states.clone());
         match self.set_point(time, &states) {
@@ -329,7 +329,7 @@ fn has(sent: &[f64], inputs: &[f64]) -> bool {
 }
 
 /// Sets the continuous inputs, unless the FMU has them already.
-fn send(plan: &InputPlan, inputs: &InputState, sent: &mut Vec<f64>, core: &mut Core) -> Result<(), FmiError> {
+fn send(plan: &InputPlan, inputs: &InputState, sent: &mut Vec<f64>, core: &mut Core) -> Result<()> {
     if has(sent, &inputs.continuous) {
         return Ok(());
     }
@@ -374,7 +374,7 @@ impl DerefMut for Integration<'_> {
 
 impl Integration<'_> {
     /// Lets the initial events happen, for those who only want initial values.
-    pub(crate) fn initial_events(&mut self) -> Result<(), FmiError> {
+    pub(crate) fn initial_events(&mut self) -> Result<()> {
         let mut states = vec![0.0; self.running.plan.n_states];
         let start = self.running.plan.start;
         match self.start(start, &mut states) {

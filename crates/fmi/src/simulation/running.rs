@@ -1,7 +1,7 @@
 //! State of a run, for both interfaces: an instance, in its current phase, and the buffers written during the
 //! run.
 
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::instance::{CoSimulation, ContinuousTime, Core, EventMode, Instance, StepMode};
 use crate::simulation::clocks::{ClockState, Tick};
 use crate::simulation::digest::Digest;
@@ -42,7 +42,7 @@ impl Current {
     /// # Errors
     /// There is none.
     #[inline]
-    pub(crate) fn core(&mut self) -> Result<&mut Core, FmiError> {
+    pub(crate) fn core(&mut self) -> Result<&mut Core> {
         match &mut self.phase {
             Phase::Event(instance) => Ok(instance.core()),
             Phase::Continuous(instance) => Ok(instance.core()),
@@ -55,7 +55,7 @@ impl Current {
     ///
     /// # Errors
     /// There is none, or it broke.
-    pub(crate) fn trusted(&mut self) -> Result<&mut Core, FmiError> {
+    pub(crate) fn trusted(&mut self) -> Result<&mut Core> {
         if self.broken {
             return Err(no_instance());
         }
@@ -66,7 +66,7 @@ impl Current {
     ///
     /// # Errors
     /// It is not.
-    pub(crate) fn in_event_mode(&mut self) -> Result<&mut Core, FmiError> {
+    pub(crate) fn in_event_mode(&mut self) -> Result<&mut Core> {
         match &mut self.phase {
             Phase::Event(instance) => Ok(instance.core()),
             _ => Err(no_instance()),
@@ -94,7 +94,7 @@ impl Current {
     }
 
     /// Takes the instance to another phase; where that fails it is gone.
-    pub(crate) fn change(&mut self, to: impl FnOnce(Phase) -> Result<Phase, FmiError>) -> CallResult<()> {
+    pub(crate) fn change(&mut self, to: impl FnOnce(Phase) -> Result<Phase>) -> CallResult<()> {
         match to(std::mem::replace(&mut self.phase, Phase::Gone)) {
             Ok(phase) => {
                 self.phase = phase;

@@ -1,7 +1,7 @@
 //! Start of a run of an FMU, for both interfaces: values, initialization mode, inputs at the start time,
 //! clocks.
 
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::instance::{Core, Initialization, Instance, Instantiated};
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::{Current, Running};
@@ -20,7 +20,7 @@ impl Running {
         raw: RawInstance,
         input: RunInput<'_>,
         stop: Option<f64>,
-    ) -> Result<Instance<Initialization, K>, FmiError> {
+    ) -> Result<Instance<Initialization, K>> {
         self.current = Current::default();
         self.buffers.begin();
         let Self { plan, inputs, clocks, signed, .. } = self;
@@ -57,7 +57,7 @@ impl Running {
 }
 
 /// Clocks tick in event mode: refuses a run with clocks on an instance that would not be made with one.
-fn check_clocks(plan: &SimulationPlan, core: &mut Core) -> Result<(), FmiError> {
+fn check_clocks(plan: &SimulationPlan, core: &mut Core) -> Result<()> {
     if plan.kind == InterfaceKind::ModelExchange || core.raw.has_event_mode() || plan.clocks.is_empty() {
         return Ok(());
     }

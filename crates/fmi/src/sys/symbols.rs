@@ -4,7 +4,7 @@ use super::function::Function;
 use super::last_call;
 use super::platform::Handle;
 use super::types::InterfaceKind;
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use std::path::Path;
 
 /// Whose names for the functions a library has; the number is the place of a name in the row of a table.
@@ -59,7 +59,7 @@ impl Symbols<'_> {
     ///
     /// # Safety
     /// `F` is a function pointer type that fits the symbol, and is not called after the library is closed.
-    pub(super) unsafe fn required<F: Copy>(&self, names: &[&'static str]) -> Result<Function<F>, FmiError> {
+    pub(super) unsafe fn required<F: Copy>(&self, names: &[&'static str]) -> Result<Function<F>> {
         // SAFETY: handed on to the caller.
         let function = unsafe { self.optional(names) }?;
         if function.pointer.is_none() && !self.is_unused && is_symbol(function.name) {
@@ -72,7 +72,7 @@ impl Symbols<'_> {
     ///
     /// # Safety
     /// As for [`required`](Self::required).
-    pub(super) unsafe fn optional<F: Copy>(&self, names: &[&'static str]) -> Result<Function<F>, FmiError> {
+    pub(super) unsafe fn optional<F: Copy>(&self, names: &[&'static str]) -> Result<Function<F>> {
         let name = self.name(names);
         // SAFETY: handed on to the caller.
         let find = |name: &str| unsafe { self.handle.get::<F>(name) }.ok().map(|symbol| *symbol);

@@ -3,7 +3,7 @@
 use crate::description::{DependencyKind, Interval};
 use crate::error::Status;
 use crate::log::LogFilter;
-use crate::words::words;
+use crate::macros::words;
 use std::ffi::{CStr, CString, c_void};
 use std::path::Path;
 

@@ -6,7 +6,7 @@ use super::encoding;
 use super::xml::Xml;
 use crate::description::limits::{DescriptionLimits, check_size};
 use crate::description::quirks::Quirks;
-use crate::error::FmiError;
+use crate::error::Result;
 use std::rc::Rc;
 
 /// Name of the file in `sources/`.
@@ -25,7 +25,7 @@ pub(crate) struct BuildSet {
 
 /// The first build configuration for a model identifier: its C source sets as one. Compiler options are left
 /// out: they are written for one compiler, and not every option is harmless.
-pub(crate) fn build_sets(bytes: &[u8], model_identifier: &str) -> Result<Option<BuildSet>, FmiError> {
+pub(crate) fn build_sets(bytes: &[u8], model_identifier: &str) -> Result<Option<BuildSet>> {
     check_size(bytes, BUILD_DESCRIPTION, &DescriptionLimits::default())?;
     let text = encoding::decode(bytes.into(), &mut Quirks::default());
     let mut xml = Xml::new(&text, BUILD_DESCRIPTION, Rc::default())?;
@@ -43,7 +43,7 @@ pub(crate) fn build_sets(bytes: &[u8], model_identifier: &str) -> Result<Option<
     Ok(None)
 }
 
-fn source_file_set(xml: &mut Xml<'_>, level: usize, set: &mut BuildSet) -> Result<(), FmiError> {
+fn source_file_set(xml: &mut Xml<'_>, level: usize, set: &mut BuildSet) -> Result<()> {
     while let Some(element) = xml.child(level)? {
         let attributes = Attributes::of(&element)?;
         let name = || attributes.required("name").map(str::to_owned);

@@ -2,7 +2,7 @@
 //! initialization.
 
 use crate::description::Variable;
-use crate::error::FmiError;
+use crate::error::Result;
 use crate::instance::Core;
 use crate::simulation::outside::Outside;
 use crate::simulation::plan::SimulationPlan;
@@ -41,7 +41,7 @@ impl Stepping {
     }
 
     /// Brings a fresh instance to the start time: values, inputs, initialization.
-    pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<(), FmiError> {
+    pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<()> {
         let plan = &self.running.plan;
         let ends_exactly = plan.communication.as_ref().is_some_and(|c| c.ends_exactly);
         let stop = ends_exactly.then_some(plan.end);
@@ -51,18 +51,14 @@ impl Stepping {
     }
 
     /// Lets the initial events happen, where there is an event mode.
-    pub(crate) fn run_initial_events(&mut self, outside: &Outside<'_>) -> Result<EventOutcome, FmiError> {
+    pub(crate) fn run_initial_events(&mut self, outside: &Outside<'_>) -> Result<EventOutcome> {
         let start = self.running.plan.start;
         let has_event_mode = self.running.current.core()?.raw.has_event_mode();
         if has_event_mode { self.run_event_mode(start, outside) } else { Ok(EventOutcome::default()) }
     }
 
     /// The events of an instant, in event mode, and back to step mode.
-    pub(super) fn run_event_mode(
-        &mut self,
-        time: f64,
-        outside: &Outside<'_>,
-    ) -> Result<EventOutcome, FmiError> {
+    pub(super) fn run_event_mode(&mut self, time: f64, outside: &Outside<'_>) -> Result<EventOutcome> {
         let Running { plan, current, clocks, buffers, .. } = &mut self.running;
         let events = |core: &mut Core, time| {
             let recorded = (&*plan.outputs().clocks, buffers);
@@ -75,7 +71,7 @@ impl Stepping {
     }
 
     /// Value of a variable at the last communication point.
-    pub(crate) fn value(&mut self, variable: &Variable) -> Result<crate::Value, FmiError> {
+    pub(crate) fn value(&mut self, variable: &Variable) -> Result<crate::Value> {
         self.running.current.trusted()?.value(variable)
     }
 }

@@ -2,7 +2,7 @@
 //! row like those of any other input.
 
 use crate::description::{Value, Variable, VariableKind};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::instance::Core;
 use std::collections::HashMap;
 use std::ffi::CString;
@@ -25,7 +25,7 @@ impl TextInput {
     ///
     /// # Errors
     /// [`FmiError::WrongType`] where the variable or a value is of another type; a text has a NUL in it.
-    pub(crate) fn new(variable: &Variable, rows: &[Value]) -> Result<(Self, Vec<f64>), FmiError> {
+    pub(crate) fn new(variable: &Variable, rows: &[Value]) -> Result<(Self, Vec<f64>)> {
         let bad = |problem: String| FmiError::BadInput { name: variable.name.clone(), problem };
         let wrong = |value: &Value| FmiError::WrongType {
             name: variable.name.clone(),
@@ -72,7 +72,7 @@ impl TextInput {
     }
 
     /// Sets the value of this number.
-    pub(crate) fn set(&self, core: &mut Core, number: usize) -> Result<(), FmiError> {
+    pub(crate) fn set(&self, core: &mut Core, number: usize) -> Result<()> {
         let one = number..number + 1;
         match &self.values {
             Values::Texts(values) => core.call(|raw| raw.set_string(&[self.reference], &values[one])),

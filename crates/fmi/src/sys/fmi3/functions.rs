@@ -40,9 +40,9 @@ type InstantiateCoSimulation = unsafe extern "C" fn(
 ) -> Component;
 
 table! {
-    /// The functions of one library whose types are those of FMI 3.0. The standard demands nearly all of them;
-    /// FMUs that leave out the functions they do not need are known, so only those that every simulation needs
-    /// are required.
+    /// The functions of one library whose types are those of FMI 3.0. The standard demands nearly all of
+    /// them; FMUs that leave out the functions they do not need are known, so only those that every
+    /// simulation needs are required.
     pub(crate) struct Fmi3 {
         both {
             enter_initialization(bool, f64, f64, bool, f64) = required "fmi3EnterInitializationMode";

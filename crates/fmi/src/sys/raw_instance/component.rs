@@ -4,7 +4,8 @@ use super::buffers::ValueBuffers;
 use super::fault::{Fault, Outcome, Sizes};
 use super::slots::SavedStates;
 use crate::description::DependencyKind;
-use crate::error::{CallFailure, FmiError, LogLine, Status};
+use crate::error::{CallFailure, FmiError, LogLine, Result, Status};
+use crate::macros::getters;
 use crate::sys::callbacks::Callbacks;
 use crate::sys::environment::{Inside, OneCall, restore_default};
 use crate::sys::function::{Answer, Function, call};
@@ -96,8 +97,22 @@ macro_rules! plain {
 }
 
 impl RawInstance {
+    getters! {
+        /// True if a call of this instance, or of another of the same loaded copy of the library, returned
+        /// `Fatal`.
+        pub(crate) is_fatal(self) -> bool = self.fatal.is_some() || self.library.is_fatal();
+        /// Co-simulation: whether it was made to have its events handled between steps.
+        pub(crate) has_event_mode(self) -> bool = self.event_mode;
+        /// The time last set.
+        pub(crate) time(self) -> Option<f64> = self.time;
+        /// The file of its library.
+        pub(crate) library_path(self) -> PathBuf = self.library.path().to_owned();
+        /// The last lines the FMU logged, and how many earlier ones were dropped.
+        pub(crate) log(self) -> (Vec<LogLine>, u64) = self.callbacks.log().last(usize::MAX);
+    }
+
     /// Makes a component.
-    pub(crate) fn new(library: &Arc<Library>, request: &Request<'_>, sizes: Sizes) -> Result<Self, FmiError> {
+    pub(crate) fn new(library: &Arc<Library>, request: &Request<'_>, sizes: Sizes) -> Result<Self> {
         let _inside = Inside::enter(library.gate());
         if library.is_fatal() {
             return Err(FmiError::LibraryUnusable(library.path().to_owned()));
@@ -132,12 +147,6 @@ impl RawInstance {
         })
     }
 
-    /// True if a call of this instance, or of another of the same loaded copy of the library, returned
-    /// `Fatal`.
-    pub(crate) fn is_fatal(&self) -> bool {
-        self.fatal.is_some() || self.library.is_fatal()
-    }
-
     /// Makes it refuse calls after an `Error`, as the standard demands. Simulations look after that
     /// themselves: what a model cannot do at one point they may do without.
     pub(crate) fn set_by_hand(&mut self) {
@@ -154,31 +163,11 @@ impl RawInstance {
         outcome
     }
 
-    /// The file of its library.
-    pub(crate) fn library_path(&self) -> PathBuf {
-        self.library.path().to_owned()
-    }
-
-    /// Co-simulation: whether it was made to have its events handled between steps.
-    pub(crate) fn has_event_mode(&self) -> bool {
-        self.event_mode
-    }
-
-    /// The time last set.
-    pub(crate) fn time(&self) -> Option<f64> {
-        self.time
-    }
-
     /// Notes the time of the calls that follow.
     #[inline]
     pub(super) fn set_time_told(&mut self, time: f64) {
         self.time = Some(time);
         last_call::note_time(time);
-    }
-
-    /// The last lines the FMU logged, and how many earlier ones were dropped.
-    pub(crate) fn log(&self) -> (Vec<LogLine>, u64) {
-        self.callbacks.log().last(usize::MAX)
     }
 
     /// Forgets the log.

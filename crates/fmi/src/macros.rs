@@ -1,4 +1,4 @@
-//! Enumerations whose values have words: those of the standard, of a file or of a message.
+//! Declarations by macro: enumerations whose values have words, functions that return a part of a value.
 
 /// Declares an enumeration with its words: `WORDS`, `name` and `Display`.
 macro_rules! words {
@@ -27,3 +27,14 @@ macro_rules! words {
     };
 }
 pub(crate) use words;
+
+/// Declares functions that return a part of the value.
+macro_rules! getters {
+    ($($(#[$meta:meta])* $vis:vis $name:ident($self:ident) -> $type:ty = $value:expr;)+) => {$(
+        $(#[$meta])*
+        $vis fn $name(&$self) -> $type {
+            $value
+        }
+    )+};
+}
+pub(crate) use getters;
