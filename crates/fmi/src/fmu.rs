@@ -358,12 +358,11 @@ impl Fmu {
             let library = self.binary(interface, cancel)?;
             let archive = self.archive();
             if let Some(file) = archive.changed_library() {
-                let path = self.path().to_owned();
                 let name = file.strip_prefix(archive.unpack()?).unwrap_or(file).display();
                 let reason = format!(
                     "{name} was written over or removed after the folder had been opened; open it again"
                 );
-                return Err(FmiError::BadArchive { path, reason });
+                return Err(FmiError::bad_archive(self.path(), reason));
             }
             Ok((library, archive.unpack_part(Part::Running, cancel)?))
         };
@@ -385,19 +384,10 @@ impl Fmu {
         self.inner.libraries.give_up(library);
     }
 
-    /// Checks that the FMU can be simulated by one of its interfaces; returns the interface that would be
-    /// used.
+    /// Checks that the FMU can be simulated in this way; returns the interface that would be used.
     ///
     /// # Errors
     /// [`FmiError::NotOffered`], [`FmiError::NeedsExecutionTool`].
-    pub fn check_runnable(&self) -> Result<&Interface> {
-        self.check_interface(self.choose(Kind::Auto)?)
-    }
-
-    /// As [`check_runnable`](Self::check_runnable), for one way of running it.
-    ///
-    /// # Errors
-    /// As [`check_runnable`](Self::check_runnable).
     pub fn check_runnable_as(&self, kind: Kind) -> Result<InterfaceKind> {
         let kind = self.choose(kind)?;
         self.check_interface(kind).map(|_| kind)
@@ -419,25 +409,21 @@ impl Fmu {
         if self.interface(wanted).is_some() {
             return Ok(wanted);
         }
+        Err(self.not_offered(match kind {
+            Kind::Auto => "model exchange nor co-simulation".to_owned(),
+            _ => wanted.to_string(),
+        }))
+    }
+
+    fn not_offered(&self, wanted: String) -> FmiError {
         let description = self.description();
-        let known = [InterfaceKind::ModelExchange, InterfaceKind::CoSimulation];
-        let mut offered: Vec<String> = known
-            .into_iter()
-            .filter(|kind| self.interface(*kind).is_some())
-            .map(|kind| kind.to_string())
-            .collect();
+        let known = InterfaceKind::WORDS.iter().filter(|(_, kind)| self.interface(*kind).is_some());
+        let mut offered: Vec<&str> = known.map(|(word, _)| *word).collect();
         if description.offers_scheduled_execution {
-            offered.push("scheduled execution".to_owned());
+            offered.push("scheduled execution");
         }
-        Err(FmiError::NotOffered {
-            model: description.model_name.clone(),
-            wanted: if kind == Kind::Auto {
-                "model exchange nor co-simulation".to_owned()
-            } else {
-                wanted.to_string()
-            },
-            offered: if offered.is_empty() { "nothing".to_owned() } else { offered.join(" and ") },
-        })
+        let offered = if offered.is_empty() { "nothing".to_owned() } else { offered.join(" and ") };
+        FmiError::NotOffered { model: description.model_name.clone(), wanted, offered }
     }
 
     pub(crate) fn interface(&self, kind: InterfaceKind) -> Option<&Interface> {
@@ -450,11 +436,7 @@ impl Fmu {
     /// Checks that the FMU can be run by this interface, and returns it.
     pub(crate) fn check_interface(&self, kind: InterfaceKind) -> Result<&Interface> {
         let description = self.description();
-        let interface = self.interface(kind).ok_or_else(|| FmiError::NotOffered {
-            model: description.model_name.clone(),
-            wanted: kind.to_string(),
-            offered: "the other interface".to_owned(),
-        })?;
+        let interface = self.interface(kind).ok_or_else(|| self.not_offered(kind.to_string()))?;
         if interface.capabilities.needs_execution_tool && !self.inner.options.tool_is_present {
             return Err(FmiError::NeedsExecutionTool {
                 model: description.model_name.clone(),
@@ -487,10 +469,9 @@ impl Fmu {
         let hash = archive.present_hash()?;
         let check = || match archive.present_hash()? {
             now if now == hash => Ok(()),
-            _ => Err(FmiError::BadArchive {
-                path: self.path().to_owned(),
-                reason: "its files were changed while its library was built".to_owned(),
-            }),
+            _ => {
+                Err(FmiError::bad_archive(self.path(), "its files were changed while its library was built"))
+            }
         };
         match source::build_unchanged(
             &root,

@@ -139,43 +139,33 @@ impl fmt::Display for Value {
     }
 }
 
-impl From<f64> for Value {
-    fn from(value: f64) -> Self {
-        Value::Real(value)
-    }
-}
-
-macro_rules! from_integers {
-    ($($integer:ty),+) => {
-        $(impl From<$integer> for Value {
-            fn from(value: $integer) -> Self {
-                Value::Integer(value.into())
+macro_rules! from {
+    ($($type:ty => |$value:ident| $made:expr;)+) => {
+        $(impl From<$type> for Value {
+            fn from($value: $type) -> Self {
+                $made
             }
         })+
     };
 }
-from_integers!(i8, u8, i16, u16, i32, u32, i64, u64, i128);
+from! {
+    f64 => |x| Value::Real(x);
+    i8 => |i| Value::Integer(i.into());
+    u8 => |i| Value::Integer(i.into());
+    i16 => |i| Value::Integer(i.into());
+    u16 => |i| Value::Integer(i.into());
+    i32 => |i| Value::Integer(i.into());
+    u32 => |i| Value::Integer(i.into());
+    i64 => |i| Value::Integer(i.into());
+    u64 => |i| Value::Integer(i.into());
+    i128 => |i| Value::Integer(i);
+    bool => |truth| Value::Boolean(truth);
+    &str => |text| Value::String(text.to_owned());
+    String => |text| Value::String(text);
+}
 
 impl<T: Into<Value>> From<Vec<T>> for Value {
     fn from(values: Vec<T>) -> Self {
         Value::Array(values.into_iter().map(Into::into).collect())
-    }
-}
-
-impl From<bool> for Value {
-    fn from(value: bool) -> Self {
-        Value::Boolean(value)
-    }
-}
-
-impl From<&str> for Value {
-    fn from(value: &str) -> Self {
-        Value::String(value.to_owned())
-    }
-}
-
-impl From<String> for Value {
-    fn from(value: String) -> Self {
-        Value::String(value)
     }
 }

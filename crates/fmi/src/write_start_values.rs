@@ -45,10 +45,7 @@ impl Fmu {
         let file = open_regular(path).map_err(FmiError::io("open", path))?;
         let known = self.content_hash()?;
         if Fmu::open_with(path, self.options())?.content_hash()? != known {
-            return Err(FmiError::BadArchive {
-                path: path.to_owned(),
-                reason: "it was written over since it was opened".to_owned(),
-            });
+            return Err(FmiError::bad_archive(path, "it was written over since it was opened"));
         }
         let mut packed = ZipArchive::new(file).map_err(failed)?;
         archive.set_raw_comment(packed.comment().into()).map_err(failed)?;

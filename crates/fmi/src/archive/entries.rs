@@ -74,7 +74,7 @@ pub(super) fn list(
 fn unreadable_at(path: &Path, error: Unreadable) -> FmiError {
     match error {
         Unreadable::Io(error) => FmiError::io("read", path)(error),
-        Unreadable::Damaged(reason) => FmiError::BadArchive { path: path.to_owned(), reason },
+        Unreadable::Damaged(reason) => FmiError::bad_archive(path, reason),
     }
 }
 

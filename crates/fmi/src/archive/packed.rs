@@ -173,13 +173,12 @@ impl Packed {
             );
         }
         let again = |error: FmiError| match n_removed > 0 {
-            true => FmiError::BadArchive {
-                path: self.path.clone(),
-                reason: format!(
-                    "files were removed from {}, and unpacking them again failed: {error}",
-                    root.display()
-                ),
-            },
+            true => {
+                let root = root.display();
+                let reason =
+                    format!("files were removed from {root}, and unpacking them again failed: {error}");
+                FmiError::bad_archive(&self.path, reason)
+            }
             false => error,
         };
         self.check_unchanged().map_err(again)?;
@@ -203,8 +202,7 @@ impl Packed {
         if platform::file_identity(&now).same_content(&self.identity) {
             return Ok(());
         }
-        let reason = "it was written over after it had been opened; open it again".to_owned();
-        Err(FmiError::BadArchive { path: self.path.clone(), reason })
+        Err(FmiError::bad_archive(&self.path, "it was written over after it had been opened; open it again"))
     }
 }
 

@@ -51,7 +51,7 @@ pub struct ModelDescription {
     pub log_categories: Vec<LogCategory>,
     /// Suggested span, tolerance and step.
     pub default_experiment: DefaultExperiment,
-    /// Variables in the order of the file. After a change call [`ModelDescription::rebuild_index`].
+    /// Variables in the order of the file.
     pub variables: Vec<Variable>,
     /// Outputs, derivatives, initial unknowns.
     pub structure: ModelStructure,
@@ -93,12 +93,6 @@ impl ModelDescription {
     /// At most `n` names of variables that `name` may have been meant for, the most similar first.
     pub fn nearest_names(&self, name: &str, n: usize) -> Vec<&str> {
         names::nearest(name, self.names().map(|(name, _)| name), n)
-    }
-
-    /// Makes lookups by name see changes of [`variables`](Self::variables).
-    pub fn rebuild_index(&mut self) {
-        self.names = NameIndex::build(&self.variables, |_, _| {});
-        self.aliases = names::aliases(&self.variables, &self.names, |_, _, _| {});
     }
 }
 

@@ -437,6 +437,11 @@ impl FmiError {
         FmiError::LoadFailed { library: library.to_owned(), message: message.to_owned() }
     }
 
+    /// An archive, or a folder that should be one, that cannot be used.
+    pub(crate) fn bad_archive(path: impl Into<PathBuf>, reason: impl Into<String>) -> FmiError {
+        FmiError::BadArchive { path: path.into(), reason: reason.into() }
+    }
+
     /// Wraps an error of the operating system with what was tried on which path.
     pub fn io(action: &'static str, path: impl Into<PathBuf>) -> impl FnOnce(io::Error) -> FmiError {
         let path = path.into();

@@ -23,12 +23,7 @@ pub(crate) fn resolve(description: &ModelDescription, name: &str) -> Result<usiz
 /// # Errors
 /// [`FmiError::WrongType`], and [`FmiError::NotFinite`] for NaN and infinities.
 pub(crate) fn convert(variable: &Variable, value: &Value, elements: Option<usize>) -> Result<Value> {
-    let wrong = |given| FmiError::WrongType {
-        name: variable.name.clone(),
-        kind: variable.kind,
-        value: value.clone(),
-        given,
-    };
+    let wrong = |given| wrong_type(variable, value, given);
     let Some(elements) = elements else { return convert_one(variable, value) };
     match value {
         Value::Array(values) if values.len() == elements => values
@@ -50,8 +45,7 @@ pub(crate) fn convert_one(variable: &Variable, value: &Value) -> Result<Value> {
         return Err(FmiError::NotFinite { name: variable.name.clone(), value: *x });
     }
     let kind = variable.kind;
-    let wrong =
-        |given| FmiError::WrongType { name: variable.name.clone(), kind, value: value.clone(), given };
+    let wrong = |given| wrong_type(variable, value, given);
     let in_range = |i: i128| match variable.integer_range() {
         Some((least, most)) if (least..=most).contains(&i) => Ok(Value::Integer(i)),
         _ => Err(out_of_range(variable, value)),
@@ -69,6 +63,12 @@ pub(crate) fn convert_one(variable: &Variable, value: &Value) -> Result<Value> {
         },
         _ => Err(wrong(value.kind_name())),
     }
+}
+
+/// The error for a value that does not fit a variable; `given`: the word for its type.
+pub(crate) fn wrong_type(variable: &Variable, value: &Value, given: &'static str) -> FmiError {
+    let (name, value) = (variable.name.clone(), value.clone());
+    FmiError::WrongType { name, kind: variable.kind, value, given }
 }
 
 fn out_of_range(variable: &Variable, value: &Value) -> FmiError {
@@ -210,12 +210,11 @@ impl Assignments {
 
     fn push_value(&mut self, variable: &Variable, value: &Value) -> Result<()> {
         let kind = variable.kind;
-        let wrong =
-            |given| FmiError::WrongType { name: variable.name.clone(), kind, value: value.clone(), given };
         match (kind, value) {
             (VariableKind::Real, Value::Real(x)) => self.reals.1.push(*x),
             (VariableKind::String, Value::String(text)) => {
-                let text = CString::new(text.as_str()).map_err(|_| wrong("text with a NUL character"))?;
+                let text = CString::new(text.as_str())
+                    .map_err(|_| wrong_type(variable, value, "text with a NUL character"))?;
                 self.strings.1.push(text);
             }
             (VariableKind::Binary, Value::Binary(bytes)) => self.binaries.1.push(bytes.clone()),

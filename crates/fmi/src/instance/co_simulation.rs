@@ -85,19 +85,14 @@ impl Instance<Initialization, CoSimulation> {
     /// # Errors
     /// The FMU refuses.
     pub fn exit_initialization(self) -> Result<Instance<StepMode, CoSimulation>> {
-        let mut instance = self.leave_initialization()?;
+        let mut instance: Instance<StepMode, CoSimulation> =
+            self.step_to(RawInstance::exit_initialization)?;
         let core = instance.core();
         let time = core.raw.time().unwrap_or(0.0);
         if core.raw.has_event_mode() {
             core.run_event_mode(time, just_events)?;
         }
         Ok(instance)
-    }
-
-    /// Ends the initialization; where there is an event mode the instance is in it, and its initial events
-    /// are to come.
-    pub(crate) fn leave_initialization(self) -> Result<Instance<StepMode, CoSimulation>> {
-        self.step_to(RawInstance::exit_initialization)
     }
 }
 

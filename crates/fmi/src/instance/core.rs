@@ -4,7 +4,7 @@
 use super::assignments::{self, Assignments};
 use super::integer_codec;
 use crate::description::{ModelDescription, Structure, Value, Variable, VariableKind};
-use crate::error::{FmiError, Result, Status};
+use crate::error::{FmiError, LogLine, Result, Status};
 use crate::fmu::Fmu;
 use crate::libraries::LoadedLibrary;
 use crate::sys::{Fault, RawInstance, Sizes};
@@ -72,6 +72,31 @@ impl Core {
             }
         }
         FmiError::Call(failure)
+    }
+
+    /// The last lines that were logged, with the names of the variables, and how many others there were.
+    pub(super) fn log(&self) -> (Vec<LogLine>, u64) {
+        let (mut lines, dropped) = self.raw.log();
+        for line in &mut lines {
+            line.text = expand_references(&line.text, self.fmu.description());
+        }
+        (lines, dropped)
+    }
+
+    /// Hands what the FMU has logged to the program's logger, outside of any call of the FMU.
+    pub(crate) fn pass_log_on(&self) {
+        let level = self.fmu.log_level();
+        if !log::log_enabled!(level) {
+            return;
+        }
+        let (lines, dropped) = self.log();
+        let model = &self.fmu.description().model_name;
+        if dropped > 0 {
+            log::log!(level, "{model}: {dropped} other lines were not kept");
+        }
+        for line in lines {
+            log::log!(level, "{model}: {line}");
+        }
     }
 
     /// Switches logging on, of these categories (of all, if there are none), or off.
@@ -233,7 +258,7 @@ impl Core {
 
 /// Replaces `#r12#` (type letter and value reference) by the name of the variable and `##` by `#`
 /// (FMI 2.0.x, section 2.1.5); anything else stays.
-pub(crate) fn expand_references(text: &str, description: &ModelDescription) -> String {
+fn expand_references(text: &str, description: &ModelDescription) -> String {
     let mut out = String::with_capacity(text.len());
     let mut rest = text;
     while let Some(at) = rest.find('#') {

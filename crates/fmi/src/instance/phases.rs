@@ -1,7 +1,7 @@
 //! The phases of the life of an instance, as types, and what can be done in each of them.
 
 use super::assignments::{self, Assignments};
-use super::core::{Core, expand_references};
+use super::core::Core;
 use crate::description::{Causality, Structure, Value, Variable, VariableKind};
 use crate::error::{FmiError, LogLine, Result};
 use crate::fmu::Fmu;
@@ -184,27 +184,7 @@ impl<P, K> Instance<P, K> {
     /// The last lines the FMU logged, oldest first, and the number of others that were not kept: earlier
     /// ones, and those beyond the rate limit (see [`InstanceOptions`](crate::InstanceOptions)).
     pub fn log(&self) -> (Vec<LogLine>, u64) {
-        let (mut lines, dropped) = self.core.raw.log();
-        for line in &mut lines {
-            line.text = expand_references(&line.text, self.fmu().description());
-        }
-        (lines, dropped)
-    }
-
-    /// Hands what the FMU has logged to the program's logger, outside of any call of the FMU.
-    pub(crate) fn pass_log_on(&self) {
-        let level = self.fmu().log_level();
-        if !log::log_enabled!(level) {
-            return;
-        }
-        let (lines, dropped) = self.log();
-        let model = &self.fmu().description().model_name;
-        if dropped > 0 {
-            log::log!(level, "{model}: {dropped} other lines were not kept");
-        }
-        for line in lines {
-            log::log!(level, "{model}: {line}");
-        }
+        self.core.log()
     }
 
     /// Switches the FMU's logging on or off, of all categories.
@@ -399,26 +379,11 @@ impl<K> Instance<Instantiated, K> {
         stop_time: Option<f64>,
         relative_tolerance: Option<f64>,
     ) -> Result<Instance<Initialization, K>> {
-        self.set_up_experiment(start_time, stop_time, relative_tolerance)?;
+        let experiment = Experiment { tolerance: relative_tolerance, start: start_time, stop: stop_time };
+        self.core.call(|raw| raw.setup_experiment(&experiment))?;
         // What the call above has made anew gets the values that were set before it.
         let set = std::mem::take(&mut self.core.set_before_setup);
         self.core.apply(&set)?;
-        self.enter_initialization_mode()
-    }
-
-    /// Tells the model about the experiment. Some models make their data in this call (FMI 2.0), so values
-    /// are set after it.
-    pub(crate) fn set_up_experiment(
-        &mut self,
-        start: f64,
-        stop: Option<f64>,
-        tolerance: Option<f64>,
-    ) -> Result<()> {
-        self.core.call(|raw| raw.setup_experiment(&Experiment { tolerance, start, stop }))
-    }
-
-    /// Enters initialization mode with the experiment that was set up.
-    pub(crate) fn enter_initialization_mode(mut self) -> Result<Instance<Initialization, K>> {
         self.core.check_sizes()?;
         self.step_to(RawInstance::enter_initialization)
     }

@@ -6,7 +6,7 @@ use crate::error::Result;
 use crate::instance::Core;
 use crate::simulation::outside::Outside;
 use crate::simulation::plan::SimulationPlan;
-use crate::simulation::running::{Phase, Running};
+use crate::simulation::running::{Current, Mode, Running};
 use crate::simulation::variable_elements::RunInput;
 use crate::sys::RawInstance;
 use ode::{EventOutcome, Stopwatch};
@@ -45,8 +45,8 @@ impl Stepping {
         let plan = &self.running.plan;
         let ends_exactly = plan.communication.as_ref().is_some_and(|c| c.ends_exactly);
         let stop = ends_exactly.then_some(plan.end);
-        let instance = self.running.begin(raw, input, stop)?.leave_initialization()?;
-        self.running.current.phase = Phase::Stepping(instance);
+        let core = Some(self.running.begin(raw, input, stop)?);
+        self.running.current = Current { core, mode: Mode::Step, ..Current::default() };
         Ok(())
     }
 

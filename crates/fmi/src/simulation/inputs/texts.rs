@@ -3,7 +3,7 @@
 
 use crate::description::{Value, Variable, VariableKind};
 use crate::error::{FmiError, Result};
-use crate::instance::Core;
+use crate::instance::{Core, assignments::wrong_type};
 use std::collections::HashMap;
 use std::ffi::CString;
 
@@ -27,12 +27,7 @@ impl TextInput {
     /// [`FmiError::WrongType`] where the variable or a value is of another type; a text has a NUL in it.
     pub(crate) fn new(variable: &Variable, rows: &[Value]) -> Result<(Self, Vec<f64>)> {
         let bad = |problem: String| FmiError::BadInput { name: variable.name.clone(), problem };
-        let wrong = |value: &Value| FmiError::WrongType {
-            name: variable.name.clone(),
-            kind: variable.kind,
-            value: value.clone(),
-            given: value.kind_name(),
-        };
+        let wrong = |value: &Value| wrong_type(variable, value, value.kind_name());
         let mut values = match (variable.kind, rows.first()) {
             (VariableKind::String, _) => Values::Texts(Vec::new()),
             (VariableKind::Binary, _) => Values::Bytes(Vec::new()),
