@@ -301,8 +301,7 @@ impl<M: Method> Drive<M> {
             self.look_ahead(around, true);
         }
         if self.n_unsaved > 0 && self.n_missing > 0 && self.writer.as_ref().is_some_and(Writer::is_due) {
-            let known = self.round.known(&self.batch, &self.answers);
-            self.save(&known);
+            self.save_now();
             self.n_unsaved = 0;
         }
         false

@@ -1,21 +1,18 @@
 //! Differential evolution: the form of Storn and Price (J. Global Optim. 11, 1997) with its usual variants,
 //! and L-SHADE (Tanabe and Fukunaga, CEC 2014), which sets its own factors and shrinks its population.
 //!
-//! **Lag.** A generation is one batch, whose answers are selected from in order. With `lag` 1 a trial of the
-//! next generation is made after each: trial `i` of generation `g + 1` when the trials up to `i` of
-//! generation `g` have been selected from. So it is certain, and can be evaluated, while later trials of
-//! generation `g` are still under way, and a long evaluation does not hold up the others. The rule counts
-//! answers, not workers: their number changes nothing. What L-SHADE learns from a generation is used from its
-//! end on. Trials of the first generation are made from the first population after half of it is known. With
-//! `lag` 0 a generation is made when the one before it is known whole, as in the papers. On twelve functions
-//! in the manner of BBOB lag 1 takes about 5 % more evaluations (solved within 1000 n of them, 40 seeds each:
-//! n = 2: 99.8 % with lag 1, 100 % with lag 0; n = 5: 85.6 and 87.7 %; n = 10: 42.1 and 45.4 %). Where one in
-//! ten evaluations takes ten times as long, 16 workers are 5.5 times as fast as one with lag 0, 7.5 times
-//! with 1, 11 times with 2 (simulated clock, n = 5, 5000 evaluations).
+//! **Lag.** A generation is one batch, whose answers are selected from in order. With a lag `L` the next trial
+//! is made after each: trial `k` from the population after selection from all trials before `k - L`. So it is
+//! certain, and can be evaluated, while trials before it are still under way, and a long evaluation does not
+//! hold up the others. The rule counts answers, not workers: their number changes nothing. What L-SHADE
+//! learns from a generation is used from its end on. Trials of the first generation are made from the first
+//! population after half of it is known. With lag 0 a generation is made when the one before it is known
+//! whole, as in the papers: that takes fewer evaluations, and is best for one worker.
 //!
 //! **Selection.** A trial takes the place of its target when its cost is not above the target's; a failed or
-//! given-up trial never does. An evaluation may stop above the target's cost (the cutoff); a failed target
-//! sets none.
+//! given-up trial never does. Where another trial has replaced the target since, one that beats the target
+//! alone takes the place of the worst member if it is better. An evaluation may stop above the target's cost
+//! (the cutoff); a failed target sets none.
 //!
 //! **L-SHADE.** Trials are `x_i + F (x_pbest - x_i) + F (x_r1 - x_r2)` with `x_pbest` among the best `p N`,
 //! and `x_r2` from population and archive. `F` and `CR` are drawn around memories of what succeeded, weighted
@@ -58,18 +55,19 @@ impl MethodOptions for DifferentialEvolution {
             });
         }
         let n = space.n_free();
-        let (default, least) = match self.scheme {
-            Scheme::Adaptive(a) => (18 * n, a.final_population),
-            Scheme::Classic { strategy, .. } => (10 * n, strategy.n_drawn() + 1),
+        let least = match self.scheme {
+            Scheme::Adaptive(a) => a.final_population,
+            Scheme::Classic { strategy, .. } => strategy.n_drawn() + 1,
         };
-        let members = self.population.unwrap_or(default.max(20));
+        let budget = self.budget.or(setup.max_evaluations).unwrap_or_else(|| planned(n));
+        let members = self.population_of(n, budget);
         if !(least..=MAX_MEMBERS).contains(&members) {
             let range = "large enough for the strategy (rand/1: 4, rand/2: 6, L-SHADE: its final population), at most \
                          a million";
             return Err(Error::Option { name: "population", value: members as f64, range });
         }
         let members = if n == 0 { 1 } else { members };
-        DifferentialRules::begin(self, setup.clone(), members, setup.seed.unwrap_or_else(draw_seed))
+        DifferentialRules::begin(self, setup.clone(), (members, budget), setup.seed.unwrap_or_else(draw_seed))
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<DifferentialEvolutionState, Error> {

@@ -2,7 +2,7 @@
 
 use super::adaptation::Adaptation;
 use super::operators::{cross, different, donor, repair};
-use super::options::{Crossover, DifferentialEvolution, Scheme, Weight, planned};
+use super::options::{Crossover, DifferentialEvolution, Scheme, Weight};
 use crate::error::Error;
 use crate::method::interface::{Lookahead, Setup};
 use crate::method::rng::{Purpose, Stream};
@@ -22,9 +22,11 @@ pub type DifferentialEvolutionState = Generations<DifferentialRules>;
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct DifferentialRules {
     options: DifferentialEvolution,
-    /// `F` and `CR` of each candidate.
-    factors: Vec<(f64, f64)>,
+    /// How each candidate was made.
+    made: Vec<Made>,
     adaptation: Option<Adaptation>,
+    /// Trials that are made ahead of selection.
+    lag: usize,
     trial: Vec<f64>,
     /// Members evaluated in complete generations.
     n_evaluated: usize,
@@ -49,6 +51,20 @@ struct Made {
     slot: usize,
     weight: f64,
     probability: f64,
+    /// The cost of the target then.
+    cost: Cost,
+}
+
+impl Made {
+    /// The cost of the target: what is above it is not selected, for a slot is only taken by what is not worse.
+    fn cutoff(&self) -> f64 {
+        self.cost.value().unwrap_or(f64::INFINITY)
+    }
+
+    /// True if these may be `F` and `CR` of a trial: what comes from a file may not.
+    fn is_sound(&self) -> bool {
+        (0.0..=1.0).contains(&self.weight) && (0.0..=1.0).contains(&self.probability)
+    }
 }
 
 /// The state after the first so many answers to a generation.
@@ -63,21 +79,19 @@ impl DifferentialRules {
     pub(super) fn begin(
         options: &DifferentialEvolution,
         setup: Setup,
-        members: usize,
+        (members, budget): (usize, usize),
         seed: u64,
     ) -> Result<DifferentialEvolutionState, Error> {
         let n = setup.space.n_free();
         let adaptation = match options.scheme {
             Scheme::Classic { .. } => None,
-            Scheme::Adaptive(adaptive) => {
-                let budget = options.budget.or(setup.max_evaluations).unwrap_or_else(|| planned(n));
-                Some(Adaptation::new(adaptive, members, budget, n))
-            }
+            Scheme::Adaptive(adaptive) => Some(Adaptation::new(adaptive, members, budget, n)),
         };
         let rules = Self {
             options: options.clone(),
-            factors: vec![(0.0, 0.0); members],
+            made: vec![Made { slot: 0, weight: 0.0, probability: 0.0, cost: Cost::Pending }; members],
             adaptation,
+            lag: options.lag_of(n),
             trial: vec![0.0; n],
             n_evaluated: 0,
             ahead: VecDeque::new(),
@@ -114,7 +128,7 @@ impl DifferentialRules {
         self.n_made += 1;
         let mut stream = Stream::new(seed, Purpose::Individual, generation, slot);
         let (target, trial) = (population.u(slot), &mut self.trial[..]);
-        let mut made = Made { slot, weight: 0.0, probability: 0.0 };
+        let mut made = Made { slot, weight: 0.0, probability: 0.0, cost: population.cost(slot) };
         match (self.options.scheme, &self.adaptation) {
             (Scheme::Classic { strategy, crossover, weight, probability }, _) => {
                 let weight = match weight {
@@ -146,20 +160,16 @@ impl DifferentialRules {
         self.adaptation.as_ref().map_or(self.members, |a| a.population_after(n_evaluated))
     }
 
-    /// Trials that are made ahead of selection where there are so many members.
-    fn lag(&self, members: usize) -> usize {
-        (self.options.lag * members as f64).round() as usize
-    }
-
-    /// Makes trials until so many are not selected from; `n_left` of them are candidates.
-    fn make_up_to(&mut self, lag: usize, n_left: usize, problem: (&Setup, u64), population: &RankedPoints) {
-        while self.ahead_made.len() + n_left < lag && problem.0.space.n_free() > 0 {
+    /// Makes trials until `n` are not selected from, `n_left` of which are candidates.
+    fn make_up_to(&mut self, n: usize, n_left: usize, problem: (&Setup, u64), population: &RankedPoints) {
+        while self.ahead_made.len() + n_left < n && problem.0.space.n_free() > 0 {
             self.make(problem, population);
         }
     }
 
-    /// Takes a candidate into the population if it is not worse than the member in its slot, and makes the
-    /// trials that follow.
+    /// Takes a candidate into the population, and makes the trials that follow. It takes its slot if it is not
+    /// worse than the member there; if it beats its target but not the member that has replaced the target
+    /// since the candidate was made, it competes with the worst member.
     fn take(
         &mut self,
         slot: usize,
@@ -167,21 +177,25 @@ impl DifferentialRules {
         problem: (&Setup, u64),
         (population, candidates): (&mut RankedPoints, &RankedPoints),
     ) {
-        let old = population.cost(slot);
+        let made = self.made[slot];
+        let is_late = population.cost(slot).better_than(cost) && cost.better_than(made.cost);
+        let place = if is_late { population.worst() } else { slot };
+        let old = population.cost(place);
         if let (Cost::Value(f), false) = (cost, old.better_than(cost)) {
-            if let (Some(adaptation), Cost::Value(before)) = (&mut self.adaptation, old)
+            let before = if place == slot { old } else { made.cost };
+            if let (Some(adaptation), Cost::Value(before)) = (&mut self.adaptation, before)
                 && f < before
             {
-                adaptation.succeeded(self.factors[slot], before - f, population.u(slot));
+                adaptation.succeeded((made.weight, made.probability), before - f, population.u(place));
             }
-            population.set(slot, candidates.u(slot), candidates.x(slot));
-            population.set_cost(slot, cost);
-            if self.options.lag > 0.0 {
-                population.rank_again(slot);
+            population.set(place, candidates.u(slot), candidates.x(slot));
+            population.set_cost(place, cost);
+            if self.lag > 0 {
+                population.rank_again(place);
             }
         }
         let members = candidates.len();
-        self.make_up_to(self.lag(members), members - 1 - slot, problem, population);
+        self.make_up_to(self.lag, members - 1 - slot, problem, population);
     }
 
     /// Enters the cost of a member of the first population, and makes the trials that follow.
@@ -189,7 +203,7 @@ impl DifferentialRules {
         population.set_cost(slot, cost);
         population.rank_again(slot);
         let members = population.len();
-        let lag = self.lag(members).min(members.div_ceil(2));
+        let lag = self.lag.min(members.div_ceil(2));
         self.make_up_to(lag, members - 1 - slot, problem, population);
     }
 }
@@ -206,7 +220,7 @@ impl GenerationRules for DifferentialRules {
             let members = adaptation.population_after(self.n_evaluated).min(population.len());
             population.keep_best(members);
             candidates.resize(members);
-            self.factors.resize(members, (0.0, 0.0));
+            self.made.truncate(members);
             adaptation.trim_archive(members, &mut Stream::new(*seed, Purpose::Generation, generation, 0));
         }
         let n = setup.space.n_free();
@@ -214,17 +228,16 @@ impl GenerationRules for DifferentialRules {
             if self.ahead_made.is_empty() {
                 self.make((setup, *seed), population);
             }
-            let Some(Made { weight, probability, .. }) = self.ahead_made.pop_front() else { return };
-            self.factors[slot] = (weight, probability);
+            let Some(made) = self.ahead_made.pop_front() else { return };
+            self.made[slot] = made;
             self.trial.clear();
             self.trial.extend(self.ahead.drain(..n));
             candidates.place(slot, &self.trial, &setup.space);
         }
     }
 
-    /// The cost of the target: what is above it is not selected.
-    fn cutoff(&self, pool: &Populations, candidate: usize) -> f64 {
-        cost_as_cutoff(&pool.population, candidate)
+    fn cutoff(&self, _: &Populations, candidate: usize) -> f64 {
+        self.made[candidate].cutoff()
     }
 
     fn select(&mut self, pool: &mut Populations) {
@@ -245,7 +258,7 @@ impl GenerationRules for DifferentialRules {
         self.foreseen = None;
         let Populations { setup, seed, population, .. } = pool;
         let members = population.len();
-        if self.options.lag > 0.0 {
+        if self.lag > 0 {
             let mut known = without_costs(population);
             for slot in 0..members {
                 self.enter(slot, population.cost(slot), (setup, *seed), &mut known);
@@ -255,7 +268,7 @@ impl GenerationRules for DifferentialRules {
     }
 
     fn lookahead(&self) -> Lookahead {
-        if self.options.lag == 0.0 { Lookahead::None } else { Lookahead::Measured }
+        if self.lag == 0 { Lookahead::None } else { Lookahead::Measured }
     }
 
     fn look_ahead(
@@ -286,13 +299,7 @@ impl GenerationRules for DifferentialRules {
             rules.trial.clear();
             rules.trial.extend(rules.ahead.range(k * n..(k + 1) * n));
             space.to_user(&rules.trial, &mut x);
-            // The cost of the target falls from here on.
-            let cutoff = if made.slot < population.len() {
-                cost_as_cutoff(population, made.slot)
-            } else {
-                f64::INFINITY
-            };
-            if !found(&x, cutoff) {
+            if !found(&x, made.cutoff()) {
                 break;
             }
         }
@@ -317,15 +324,15 @@ impl GenerationRules for DifferentialRules {
         };
         let least = if n == 0 { 1 } else { least };
         members >= least
-            && (pool.candidates.len(), self.factors.len()) == (members, members)
+            && (pool.candidates.len(), self.made.len()) == (members, members)
             && self.trial.len() == n
             && self.ahead.len() == self.ahead_made.len() * n
             && self.ahead.iter().enumerate().all(|(k, u)| {
                 let (lower, upper) = space.working_bounds(k % n);
                 lower <= *u && *u <= upper
             })
-            && self.ahead_made.iter().all(|made| are_factors((made.weight, made.probability)))
-            && self.factors.iter().all(|factors| are_factors(*factors))
+            && self.ahead_made.iter().chain(&self.made).all(Made::is_sound)
+            && self.lag == self.options.lag_of(n)
             && (least..=members).contains(&self.members)
             && self.generation < 1 << 60
             && self.n_made <= self.members
@@ -334,20 +341,10 @@ impl GenerationRules for DifferentialRules {
     }
 }
 
-/// Whether these may be `F` and `CR` of a trial: what comes from a file may not.
-fn are_factors((weight, probability): (f64, f64)) -> bool {
-    (0.0..=1.0).contains(&weight) && (0.0..=1.0).contains(&probability)
-}
-
 /// A population whose members have no costs yet.
 fn without_costs(population: &RankedPoints) -> RankedPoints {
     let mut unknown = population.clone();
     (0..unknown.len()).for_each(|slot| unknown.set_cost(slot, Cost::Pending));
     unknown.rank();
     unknown
-}
-
-/// The cost of a member as a cutoff for what would take its place.
-fn cost_as_cutoff(population: &RankedPoints, member: usize) -> f64 {
-    population.cost(member).value().unwrap_or(f64::INFINITY)
 }

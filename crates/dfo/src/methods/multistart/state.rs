@@ -423,11 +423,16 @@ impl MultistartState {
             }
             self.ahead.push(ahead);
         }
+        // The first search after an exploration may need the rest of the budget: then no other is certain.
+        let is_alone = self.needs_the_rest();
+        if is_alone {
+            batch.all_certain();
+            self.guess(left, known, batch);
+        }
         // The next in the queue, unless the budget ends before.
-        let budget = self.core.setup.max_evaluations.map_or(usize::MAX, |most| {
+        let mut budget = self.core.setup.max_evaluations.map_or(usize::MAX, |most| {
             most.saturating_sub(self.core.n_points as usize + self.asked.len() + n_ahead)
         });
-        let mut budget = if self.needs_the_rest() { 0 } else { budget };
         for k in 0..self.core.queue.len() {
             if left == 0 || budget == 0 {
                 break;
@@ -450,10 +455,17 @@ impl MultistartState {
             }
             self.ahead.push(ahead);
         }
-        batch.all_certain();
+        if !is_alone {
+            batch.all_certain();
+            self.guess(left, known, batch);
+        }
+    }
+
+    /// Points that the searches under way may need, the same number for each.
+    fn guess(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
         for search in &self.searches {
             if let Some(ahead) = self.ahead.iter_mut().find(|ahead| ahead.start == search.start) {
-                ahead.method.speculate(left.div_ceil(self.searches.len()), known, batch);
+                ahead.method.speculate(wanted.div_ceil(self.searches.len()), known, batch);
             }
         }
     }

@@ -9,6 +9,8 @@ use super::trial::{Frame, Trial, TrialPoint};
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::problem::space::Space;
 use crate::values::choices::BoundsHandling;
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
 
 /// Frequency of reflections that are accepted as they are, that are followed by an expansion, by an inside
 /// and by an outside contraction, and of expansions that are accepted: counted over the 53 problems of Moré
@@ -20,6 +22,9 @@ const OUTSIDE: f64 = 0.04;
 const EXPANDED: f64 = 0.11 / 0.23;
 /// Frequency of contracted points that are not the worst vertex of the new simplex.
 const BETTER_THAN_WORST: f64 = 0.8;
+
+/// A point that the path needs with less probability is not worth its evaluation, however many are wanted.
+const LEAST_PROBABILITY: f64 = 1e-3;
 
 /// The simplex and what its trial points are made with.
 pub(super) struct Problem<'a> {
@@ -49,7 +54,30 @@ struct Guess {
     node: usize,
     trial: Trial,
     probability: f64,
+    /// Guesses before it.
+    number: usize,
 }
+
+impl Ord for Guess {
+    /// The most probable is the greatest, of equal ones the first.
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.probability.total_cmp(&other.probability).then(other.number.cmp(&self.number))
+    }
+}
+
+impl PartialOrd for Guess {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Guess {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other) == Ordering::Equal
+    }
+}
+
+impl Eq for Guess {}
 
 /// Buffers that are used over and over: looking ahead allocates nothing once they are large enough.
 #[derive(Debug, Clone, Default)]
@@ -57,7 +85,8 @@ pub(super) struct Speculation {
     nodes: Vec<Node>,
     /// The slots of each node by rank, one node after the other.
     orders: Vec<usize>,
-    guesses: Vec<Guess>,
+    guesses: BinaryHeap<Guess>,
+    n_guesses: usize,
     points: Vec<TrialPoint>,
     n_points: usize,
     centroid: Vec<f64>,
@@ -79,18 +108,18 @@ impl Speculation {
         self.orders.clear();
         self.orders.extend_from_slice(problem.simplex.order());
         self.centroid.resize(space.n_free(), 0.0);
-        self.n_points = 0;
+        (self.n_points, self.n_guesses) = (0, 0);
         let reflection = self.copy(space, &placed[Trial::Reflection as usize]);
         let current = self.copy(space, &placed[trial as usize]);
         self.nodes.push(Node { parent: 0, replaced: None, reflection });
-        self.expand(problem, Guess { node: 0, trial, probability: 1.0 }, current);
+        self.expand(problem, Guess { node: 0, trial, probability: 1.0, number: 0 }, current);
         let mut n_found = 0;
         // Guesses whose points are known already cost time, too.
         for _ in 0..4 * wanted {
             if n_found == wanted {
                 return;
             }
-            let Some(guess) = self.most_probable() else { return };
+            let Some(guess) = self.guesses.pop() else { return };
             let number = self.place(problem, guess);
             let x = &self.points[number].x;
             let is_new = self.points[..number].iter().all(|p| p.x != *x) && !known(x);
@@ -102,15 +131,11 @@ impl Speculation {
         }
     }
 
-    /// The first of the most probable guesses.
-    fn most_probable(&mut self) -> Option<Guess> {
-        let mut best = 0;
-        for (k, guess) in self.guesses.iter().enumerate() {
-            if guess.probability > self.guesses[best].probability {
-                best = k;
-            }
+    fn guess(&mut self, node: usize, trial: Trial, probability: f64) {
+        if probability >= LEAST_PROBABILITY {
+            self.guesses.push(Guess { node, trial, probability, number: self.n_guesses });
+            self.n_guesses += 1;
         }
-        (best < self.guesses.len()).then(|| self.guesses.remove(best))
     }
 
     fn new_point(&mut self, space: &Space) -> usize {
@@ -184,14 +209,14 @@ impl Speculation {
     /// Adds the points that the path may need after a point.
     fn expand(&mut self, problem: &Problem<'_>, guess: Guess, point: usize) {
         let n = problem.space.n_free();
-        let Guess { node, trial, probability } = guess;
+        let Guess { node, trial, probability, .. } = guess;
         let reflection = self.nodes[node].reflection;
         match trial {
             Trial::Reflection => {
                 for (trial, share) in
                     [(Trial::Inside, INSIDE), (Trial::Expansion, EXPANDING), (Trial::Outside, OUTSIDE)]
                 {
-                    self.guesses.push(Guess { node, trial, probability: share * probability });
+                    self.guess(node, trial, share * probability);
                 }
                 self.follow(n, node, point, n / 2, ACCEPTED * probability);
             }
@@ -213,6 +238,6 @@ impl Speculation {
         let slot = self.orders[start + n];
         self.orders[start + rank..].rotate_right(1);
         self.nodes.push(Node { parent: node, replaced: Some((slot, point)), reflection: point });
-        self.guesses.push(Guess { node: self.nodes.len() - 1, trial: Trial::Reflection, probability });
+        self.guess(self.nodes.len() - 1, Trial::Reflection, probability);
     }
 }

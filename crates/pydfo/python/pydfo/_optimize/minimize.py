@@ -115,7 +115,7 @@ def minimize(
         vertices nearly in a plane, is built anew around its best vertex; a sound one is not, so this finds no other
         minima). Barrier: ``batch``, ``coefficients``, ``mu``, ``factor``. DE: ``population``, ``sampling``
         ("uniform", "latin-hypercube", "sobol"), ``repair`` ("midpoint", "mirror", "clamp", "resample"), ``include_start``,
-        ``lag`` (0: a whole generation at a time; 1 or more: so many trials are made ahead of selection, in units of the members);
+        ``lag`` (number of trials made ahead of selection; 0: a whole generation at a time, best for one worker);
         L-SHADE also ``budget``, ``p_best``, ``memory``, ``archive``, ``final_population``; classic also ``strategy``
         ("rand1", "best1", "current-to-best1", "rand2"), ``crossover`` ("binomial", "exponential"), ``weight`` (a number,
         or a pair to draw from), ``probability``. GA: ``population``, ``selection`` ("fitness", or the size of a
