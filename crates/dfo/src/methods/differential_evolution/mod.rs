@@ -1,13 +1,13 @@
 //! Differential evolution: the form of Storn and Price (J. Global Optim. 11, 1997) with its usual variants,
 //! and L-SHADE (Tanabe and Fukunaga, CEC 2014), which sets its own factors and shrinks its population.
 //!
-//! **Lag.** A generation is one batch, whose answers are selected from in order. With a lag `L` the next trial
-//! is made after each: trial `k` from the population after selection from all trials before `k - L`. So it is
-//! certain, and can be evaluated, while trials before it are still under way, and a long evaluation does not
-//! hold up the others. The rule counts answers, not workers: their number changes nothing. What L-SHADE
-//! learns from a generation is used from its end on. Trials of the first generation are made from the first
-//! population after half of it is known. With lag 0 a generation is made when the one before it is known
-//! whole, as in the papers: that takes fewer evaluations, and is best for one worker.
+//! **Lag.** A generation is one batch, whose answers are selected from in order. With a lag `L` the next
+//! trial is made after each: trial `k` from the population after selection from all trials before `k - L`. So
+//! it is certain, and can be evaluated, while trials before it are still under way, and a long evaluation
+//! does not hold up the others. The rule counts answers, not workers: their number changes nothing. What
+//! L-SHADE learns from a generation is used from its end on. Trials of the first generation are made from the
+//! first population after half of it is known. With lag 0 a generation is made when the one before it is
+//! known whole, as in the papers: that takes fewer evaluations, and is best for one worker.
 //!
 //! **Selection.** A trial takes the place of its target when its cost is not above the target's; a failed or
 //! given-up trial never does. Where another trial has replaced the target since, one that beats the target

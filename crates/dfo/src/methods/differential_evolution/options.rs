@@ -134,8 +134,8 @@ pub enum Scheme {
 pub struct DifferentialEvolution {
     /// Scheme for trial vectors; default L-SHADE.
     pub scheme: Scheme,
-    /// Members of the (first) population, at least 20 by default: for L-SHADE `18 n (b / 10 000)^0.3`, at most
-    /// 18 n, where `b n` evaluations are planned, else 10 n.
+    /// Members of the (first) population, at least 20 by default: for L-SHADE `18 n (b / 10 000)^0.3`, at
+    /// most 18 n, where `b n` evaluations are planned, else 10 n.
     pub population: Option<usize>,
     /// Sampling of the first population; default Latin hypercube, for [`classic`](Self::classic) uniform.
     pub sampling: Sampling,
@@ -147,8 +147,8 @@ pub struct DifferentialEvolution {
     /// Evaluations over which L-SHADE shrinks its population; default the limit of the run, without one `2000
     /// (n + 1)`. A plan, not a limit: after it the run goes on with the last members.
     pub budget: Option<usize>,
-    /// Number of trials that are made ahead of selection at any time; default 15 n, at most 75, for L-SHADE, 0
-    /// for [`classic`](Self::classic): a generation is made when the one before it is known whole.
+    /// Number of trials that are made ahead of selection at any time; default 15 n, at most 75, for L-SHADE,
+    /// 0 for [`classic`](Self::classic): a generation is made when the one before it is known whole.
     pub lag: Option<usize>,
 }
 

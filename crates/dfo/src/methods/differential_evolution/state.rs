@@ -56,7 +56,8 @@ struct Made {
 }
 
 impl Made {
-    /// The cost of the target: what is above it is not selected, for a slot is only taken by what is not worse.
+    /// The cost of the target: what is above it is not selected, for a slot is only taken by what is not
+    /// worse.
     fn cutoff(&self) -> f64 {
         self.cost.value().unwrap_or(f64::INFINITY)
     }
@@ -167,9 +168,9 @@ impl DifferentialRules {
         }
     }
 
-    /// Takes a candidate into the population, and makes the trials that follow. It takes its slot if it is not
-    /// worse than the member there; if it beats its target but not the member that has replaced the target
-    /// since the candidate was made, it competes with the worst member.
+    /// Takes a candidate into the population, and makes the trials that follow. It takes its slot if it is
+    /// not worse than the member there; if it beats its target but not the member that has replaced the
+    /// target since the candidate was made, it competes with the worst member.
     fn take(
         &mut self,
         slot: usize,
