@@ -9,6 +9,7 @@ use dfo::{
     Answers, Batch, Bounds, Checkpoint, Error, LeastSquares, Method, MethodOptions, Minimize, Objective,
     Outcome, Report, RunContext, Setup, Space, Termination, by_hand, minimize, residuals,
 };
+use problems::nist::regressions;
 use problems::{instances, residuals as more_wild};
 use std::cell::Cell;
 use std::ops::ControlFlow;
@@ -200,6 +201,23 @@ fn smooth_problems_take_few_evaluations() {
         println!("tau {tau:e}: {within_25:.0} % within 25, {within_100:.0} % within 100, median {median:.1}");
         assert!(within_25 >= soon && within_100 >= in_all && median <= most);
     }
+}
+
+/// Evaluations up to the end by the default tolerances in units of n + 1; SciPy's `least_squares(method="trf")` takes 8.7.
+#[test]
+fn the_end_is_not_late() {
+    let mut units = Vec::new();
+    for regression in regressions() {
+        for start in &regression.starts {
+            let f = |x: &[f64], out: &mut Vec<f64>| out.extend(regression.residuals(x));
+            let run = minimize(residuals(f)).start(start).method(LeastSquares::default());
+            let report = run.max_evaluations(200 * (start.len() + 1)).run().unwrap();
+            units.push(report.n_evaluations as f64 / (start.len() + 1) as f64);
+        }
+    }
+    let (_, _, median) = profile(units);
+    println!("to the end: median {median:.1}");
+    assert!(median <= 8.7);
 }
 
 #[test]

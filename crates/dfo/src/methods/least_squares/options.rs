@@ -6,8 +6,9 @@ use serde::{Deserialize, Serialize};
 /// Options of the Gauss-Newton method on interpolation models, for objectives with residuals (see
 /// [`residuals`](crate::residuals)).
 ///
-/// The x test measures the radius within which the model is trusted, or the step to the model's minimum with
-/// the error that the model may have, where that is less; the f test the decrease that the model predicts.
+/// The x test measures the resolution of the model, or the step to the model's minimum where that is longer; or
+/// that step with the error that the model may have, where that is less. The f test measures the decrease that
+/// the model predicts.
 ///
 /// ```
 /// use dfo::{LeastSquares, minimize, residuals};

@@ -137,7 +137,7 @@ impl LeastSquaresState {
             let (step, predicted) = self.best_step(&z, &model.linear, self.delta, (&lower, &upper));
             let length = norm(&step);
             let f = self.points[base].cost;
-            let mut tests = self.judge(self.rho, predicted, f);
+            let mut tests = self.judge(self.rho.max(length), predicted, f);
             if !tests.x_passed && self.judge(length, predicted, f).x_passed {
                 let (x_size, gain) = self.uncertainty(base, &model.linear, length, predicted);
                 tests = self.judge(x_size, gain, f);
@@ -280,11 +280,19 @@ impl LeastSquaresState {
             && self.best_step(z, linear, self.options.radius.max(self.delta), (lower, upper)).1 <= rounding
     }
 
-    /// A smaller resolution: a tenth, or the distance at which the minimum may lie where that is less.
+    /// A smaller resolution: a tenth, or the distance at which the minimum may lie where that is less; near
+    /// the x test's limit that is reached without a short last stage (Powell's rule in BOBYQA: report
+    /// DAMTP 2009/NA06, section 6).
     fn refine(&mut self, x_size: f64) {
         self.n_geometry = 0;
         self.delta = 0.5 * self.rho;
-        self.rho = (0.1 * self.rho).min(x_size).max(0.1 * SMALLEST);
+        let end = self.x_limit();
+        let next = match self.rho / end {
+            ratio if ratio > 16.0 && ratio <= 250.0 => ratio.sqrt() * end,
+            ratio if ratio > 1.0 && ratio <= 16.0 => end,
+            _ => 0.1 * self.rho,
+        };
+        self.rho = next.min(x_size).max(0.1 * SMALLEST);
         self.delta = self.delta.max(self.rho);
     }
 
