@@ -550,7 +550,7 @@ impl Method for LeastSquaresState {
             n_iterations: self.n_iterations,
             operation: self.operation,
             tests: self.tests,
-            plan: if self.options.batch.is_some_and(|batch| batch > 1) { "rounds" } else { "serial" },
+            plan: if self.options.batch.width(self.n()) > 1 { "rounds" } else { "serial" },
             ..Details::default()
         };
         match &self.phase {

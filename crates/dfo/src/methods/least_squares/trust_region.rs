@@ -160,9 +160,14 @@ impl LeastSquaresState {
             // would be followed for ever.
             let rounding = 4.0 * self.points[base].residuals.len() as f64 * f64::EPSILON * f;
             let nothing = rounding.max(1e-7 * tests.f_limit);
-            if tests.passed || f <= ZERO * self.f_0 {
+            // Equal residuals at all points are no minimum where others are known: a simplex looks beyond them.
+            let is_plateau = tests.passed
+                && f > ZERO * self.f_0
+                && self.set.iter().all(|k| self.points[*k].residuals == self.points[base].residuals)
+                && self.points.iter().any(|point| point.residuals != self.points[base].residuals);
+            if (tests.passed && !is_plateau) || f <= ZERO * self.f_0 {
                 self.phase = Phase::Ended(Termination::Converged);
-            } else if is_kept_off || (self.n_failed > 0 && self.delta < STUCK) {
+            } else if is_kept_off || is_plateau || (self.n_failed > 0 && self.delta < STUCK) {
                 self.begin_simplex();
             } else if self.rho < SMALLEST {
                 self.phase = Phase::Ended(Termination::Collapsed);
@@ -197,9 +202,8 @@ impl LeastSquaresState {
                 self.model = Some(model);
             } else {
                 self.ask_for(sum(&z, &step), Role::Trial { predicted, radius: self.delta });
-                if let Some(more) =
-                    self.options.batch.map(|batch| batch.saturating_sub(1)).filter(|more| *more > 0)
-                {
+                let more = self.options.batch.width(self.n()) - 1;
+                if more > 0 {
                     self.widen(&z, &step, &model.linear, more);
                 }
                 self.model = Some(model);
