@@ -409,6 +409,20 @@ fn hundreds_of_parameters() {
     assert!(report.fun < 0.02 * report.trace.iter().next().unwrap().outcome.value().unwrap(), "{report}");
 }
 
+/// A linear problem ends with the step that solves it, although its points make no further model.
+#[test]
+fn hundreds_of_linear_residuals_end_with_their_solution() {
+    let n = 600;
+    let linear = |x: &[f64], out: &mut Vec<f64>| {
+        let term = |k: usize, scale: f64, j: usize| scale * (x[k] - 1.0) + 0.3 * (x[j % n] - 1.0);
+        out.extend((0..2 * n).map(|i| term(i % n, 1.0 + (i % n) as f64 / n as f64, 7 * (i % n) + i)));
+    };
+    let start: Vec<f64> = (0..n).map(|k| if k % 2 == 0 { -1.2 } else { 1.0 }).collect();
+    let run = minimize(residuals(linear)).start(&start).method(LeastSquares::default());
+    let report = run.max_evaluations(n + 30).run().unwrap();
+    assert!(report.is_success() && report.fun < 1e-12, "{report}");
+}
+
 /// The search goes on beside a region that fails, from the best point and not from the start.
 #[test]
 fn a_wall_is_followed() {

@@ -102,6 +102,13 @@ impl LeastSquaresState {
                 break;
             }
             let base = self.base();
+            let f = self.points[base].cost;
+            if f <= ZERO * self.f_0 {
+                // The points need not make a model any more.
+                self.tests = Some(self.judge(self.rho, f, f));
+                self.phase = Phase::Ended(Termination::Converged);
+                break;
+            }
             if self.set.len() <= self.n() && (self.completed.0 != base || self.completed.1 < MOST_TRIES) {
                 self.complete(base);
                 continue;
@@ -136,7 +143,6 @@ impl LeastSquaresState {
             let (lower, upper) = self.space_around(&z);
             let (step, predicted) = self.best_step(&z, &model.linear, self.delta, (&lower, &upper));
             let length = norm(&step);
-            let f = self.points[base].cost;
             let mut tests = self.judge(self.rho.max(length), predicted, f);
             if !tests.x_passed && self.judge(length, predicted, f).x_passed {
                 let (x_size, gain) = self.uncertainty(base, &model.linear, length, predicted);
@@ -162,10 +168,9 @@ impl LeastSquaresState {
             let nothing = rounding.max(1e-7 * tests.f_limit);
             // Equal residuals at all points are no minimum where others are known: a simplex looks beyond them.
             let is_plateau = tests.passed
-                && f > ZERO * self.f_0
                 && self.set.iter().all(|k| self.points[*k].residuals == self.points[base].residuals)
                 && self.points.iter().any(|point| point.residuals != self.points[base].residuals);
-            if (tests.passed && !is_plateau) || f <= ZERO * self.f_0 {
+            if tests.passed && !is_plateau {
                 self.phase = Phase::Ended(Termination::Converged);
             } else if is_kept_off || is_plateau || (self.n_failed > 0 && self.delta < STUCK) {
                 self.begin_simplex();
