@@ -265,7 +265,7 @@ mod tests {
     use super::*;
     use crate::problem::space::Bounds;
 
-    fn covariance(residuals: &[f64], jacobian: &[f64], active: &[i8]) -> Covariance {
+    fn computed(residuals: &[f64], jacobian: &[f64], active: &[i8]) -> Covariance {
         Covariance::new(residuals, jacobian, active, &RunContext::new()).unwrap()
     }
 
@@ -279,13 +279,13 @@ mod tests {
         let jacobian: Vec<f64> = (0..4).flat_map(|t| [1.0, f64::from(t)]).collect();
         let residuals = [0.1, -0.2, 0.3, -0.1];
         let s2 = 0.15 / 2.0;
-        let covariance = covariance(&residuals, &jacobian, &[0, 0]);
+        let covariance = computed(&residuals, &jacobian, &[0, 0]);
         for (got, expected) in covariance.matrix.iter().zip([0.7, -0.3, -0.3, 0.2]) {
             assert!((got - s2 * expected).abs() < 1e-15, "{covariance:?}");
         }
         assert_eq!((covariance.degrees_of_freedom, said(&covariance)), (2, String::new()));
         // With b at a bound: the variance of a mean.
-        let covariance = covariance(&residuals, &jacobian, &[0, 1]);
+        let covariance = computed(&residuals, &jacobian, &[0, 1]);
         assert!((covariance.matrix[0] - 0.05 / 4.0).abs() < 1e-15 && covariance.matrix[1..] == [0.0; 3]);
         assert_eq!(said(&covariance), "at a bound or fixed, taken as known: x[1]");
     }
@@ -293,7 +293,7 @@ mod tests {
     #[test]
     fn scales_make_no_difference() {
         let jacobian: Vec<f64> = (0..4).flat_map(|t| [1e200, 1e-200 * f64::from(t)]).collect();
-        let matrix = covariance(&[0.1, -0.2, 0.3, -0.1], &jacobian, &[0, 0]).matrix;
+        let matrix = computed(&[0.1, -0.2, 0.3, -0.1], &jacobian, &[0, 0]).matrix;
         assert!((matrix[1] / (-0.3 * 0.075) - 1.0).abs() < 1e-12 && matrix[3] == f64::INFINITY, "{matrix:?}");
     }
 
@@ -301,17 +301,17 @@ mod tests {
     fn what_is_not_determined_is_infinite_and_named() {
         // a + b only, and c.
         let jacobian: Vec<f64> = (0..5).flat_map(|t| [1.0, 1.0, f64::from(t)]).collect();
-        let covariance = covariance(&[1.0, -1.0, 0.5, 0.5, -1.0], &jacobian, &[0, 0, 0]);
+        let covariance = computed(&[1.0, -1.0, 0.5, 0.5, -1.0], &jacobian, &[0, 0, 0]);
         let of = |i: usize, j: usize| covariance.matrix[3 * i + j];
         assert!(of(0, 0) == f64::INFINITY && of(1, 1) == f64::INFINITY && of(0, 1).is_nan());
         assert!(of(2, 2).is_finite() && of(0, 2).is_finite());
         assert_eq!(covariance.undetermined, [0, 1]);
         assert!(said(&covariance).ends_with("fits as well): x[0], x[1]"), "{}", said(&covariance));
-        let none = covariance(&[1.0, 2.0], &[1.0, 0.0, 0.0, 1.0], &[0, 0]);
+        let none = computed(&[1.0, 2.0], &[1.0, 0.0, 0.0, 1.0], &[0, 0]);
         assert!(none.matrix[0] == f64::INFINITY && none.matrix[1].is_nan() && none.variance.is_nan());
-        let zero = covariance(&[1.0, 2.0], &[1.0, 0.0, 1.0, 0.0], &[0, 0]);
+        let zero = computed(&[1.0, 2.0], &[1.0, 0.0, 1.0, 0.0], &[0, 0]);
         assert_eq!(zero.undetermined, [1]);
-        assert_eq!(covariance(&[], &[], &[-1]).matrix, [0.0]);
+        assert_eq!(computed(&[], &[], &[-1]).matrix, [0.0]);
     }
 
     #[test]

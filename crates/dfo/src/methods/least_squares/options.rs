@@ -13,8 +13,8 @@ pub enum StepPlan {
     #[default]
     Serial,
     /// n + 4 points: the model's best points within four radii, and the n neighbours of the first of them for
-    /// its Jacobian. The fewest rounds, for as many workers or more; with fewer it takes longer than one point
-    /// at a time.
+    /// its Jacobian. The fewest rounds, for as many workers or more; with fewer it takes longer than one
+    /// point at a time.
     Rounds,
     /// So many points: first trial points, then neighbours.
     #[serde(untagged)]
@@ -35,9 +35,9 @@ impl StepPlan {
 /// Options of the Gauss-Newton method on interpolation models, for objectives with residuals (see
 /// [`residuals`](crate::residuals)).
 ///
-/// The x test measures the resolution of the model, or the step to the model's minimum where that is longer; or
-/// that step with the error that the model may have, where that is less. The f test measures the decrease that
-/// the model predicts.
+/// The x test measures the resolution of the model, or the step to the model's minimum where that is longer;
+/// or that step with the error that the model may have, where that is less. The f test measures the decrease
+/// that the model predicts.
 ///
 /// ```
 /// use dfo::{LeastSquares, minimize, residuals};
