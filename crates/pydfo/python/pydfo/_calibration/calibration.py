@@ -185,6 +185,9 @@ class Calibration(Point):
         mask: Any = None,
         resample: SupportsFloat | None = None,
     ) -> None:
+        if isolation == "process":
+            # An interpreter starts while data and model are read.
+            _core.start_worker_ahead()
         own: dict[str, Any] = {
             "window": window,
             "weights": weights,
