@@ -245,6 +245,7 @@ impl Process {
         if status.is_none() && !is_over_within(self.end.as_ref(), Duration::ZERO) {
             // The template has ended.
             let _ = kill_process(self.pid, Signal::KILL);
+            is_over_within(self.end.as_ref(), Duration::from_secs(1));
         }
         status
     }

@@ -326,7 +326,8 @@ class Calibration(Point):
         rng : int or numpy.random.Generator, optional
             The seed of what is random, or a generator to draw it from; None draws one. It stands in the fit (``seed``).
         options : dict, optional
-            What else the method can be told, see `minimize` (scales and sizes are those of the parameters).
+            What else the method can be told, see `minimize` (scales and sizes are those of the parameters). ``max_failed``: the share of
+            evaluations whose failure ends the fit, with its best point.
         checkpoint, resume : optional
             A file for the state of the fit, and whether to continue from it; see `minimize`. A file that belongs to
             another model, other data, parameters, settings or, where `objective` is a function, of other code is refused, saying what
