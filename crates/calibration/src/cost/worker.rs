@@ -18,8 +18,8 @@ use std::io;
 use std::ops::ControlFlow;
 
 /// Serves as the template of worker processes, if this process was started as one: then it ends here when
-/// nobody needs it any more. Otherwise returns at once, and from then on this program starts itself for the processes in which
-/// FMUs run.
+/// nobody needs it any more. Otherwise returns at once, and from then on this program starts itself for the
+/// processes in which FMUs run.
 ///
 /// Belongs at the begin of `main`, before any other thread is started. A program that does not call it, and
 /// does not name another one that does (see [`Launcher`](fmi::worker::Launcher)), runs FMUs in its own
@@ -72,7 +72,7 @@ impl Service for Server {
         context: &RunContext<'_>,
         answer: &mut Frame,
     ) -> Result<(), FmiError> {
-        let unsaid = |error: io::Error| FmiError::BadSetting { problem: error.to_string() };
+        let unsaid = |error: io::Error| FmiError::BadSetting(error.to_string());
         match asked.head::<Job>().map_err(unsaid)? {
             Job::Load(loaded) => self.load(*loaded).map_err(model_error)?,
             Job::Open(model, options) => drop(self.open(model, &options).map_err(model_error)?),
@@ -104,7 +104,7 @@ impl Service for Server {
 
 fn not_loaded() -> FmiError {
     let problem = "a worker process was asked before it had loaded anything".to_owned();
-    FmiError::BadSetting { problem }
+    FmiError::BadSetting(problem)
 }
 
 /// Result of a job.
@@ -175,6 +175,6 @@ fn model_error(error: CalibrationError) -> FmiError {
     match error {
         CalibrationError::Model(error) => error,
         CalibrationError::Cancelled => FmiError::Cancelled,
-        other => FmiError::BadSetting { problem: other.to_string() },
+        other => FmiError::BadSetting(other.to_string()),
     }
 }

@@ -4,7 +4,8 @@ use rustix::process::Pid;
 use std::ffi::CStr;
 use std::io;
 
-/// Copies this process: its child goes on from here with this thread alone. The child's number; `None` in the child.
+/// Copies this process: its child goes on from here with this thread alone. The child's number; `None` in the
+/// child.
 pub(crate) fn fork() -> io::Result<Option<Pid>> {
     // SAFETY: numbers only. The end of a child is kept for who waits for it, whatever this process has inherited.
     unsafe { libc::signal(libc::SIGCHLD, libc::SIG_DFL) };
@@ -15,8 +16,9 @@ pub(crate) fn fork() -> io::Result<Option<Pid>> {
     }
 }
 
-/// Writes another value of the same length over that of an environment variable, where it stands: who reads the environment of this
-/// process from outside (`/proc/<pid>/environ`) finds it as well, other than after `setenv`.
+/// Writes another value of the same length over that of an environment variable, where it stands: who reads
+/// the environment of this process from outside (`/proc/<pid>/environ`) finds it as well, other than after
+/// `setenv`.
 pub(crate) fn overwrite_variable(name: &CStr, value: &[u8]) -> io::Result<()> {
     // SAFETY: a C string; the answer is null or a C string.
     let place = unsafe { libc::getenv(name.as_ptr()) };

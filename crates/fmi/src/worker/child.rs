@@ -3,9 +3,10 @@
 use super::folder::{leave_for, remove, worker_folder};
 use super::frame::Frame;
 use super::limits::WorkerLimits;
-use super::serve::respond;
+use super::notes::{Notes, take_lines};
 use super::service::Service;
 use super::template::{DESCRIPTORS, Start};
+use crate::error::{Told, ToldKind};
 use crate::sys::{Page, tell_calls};
 use base::RunContext;
 use rustix::event::{PollFd, PollFlags, poll};
@@ -15,6 +16,7 @@ use std::fs::File;
 use std::io::{self, BufReader, Write};
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::time::Duration;
 
@@ -102,7 +104,38 @@ fn serve(
     }
 }
 
-/// Ends the process when the other end is closed, whatever the FMU does at that moment, and removes its folder.
+/// Has the service answer, and adds what is to be said beside that. A panic is an error of it.
+pub(super) fn respond(
+    service: &mut dyn Service,
+    asked: &Frame,
+    context: &RunContext<'_>,
+    answer: &mut Frame,
+) -> io::Result<()> {
+    let served = catch_unwind(AssertUnwindSafe(|| service.answer(asked, context, answer)));
+    let told = match served {
+        Ok(Ok(())) => None,
+        Ok(Err(error)) => Some(error.told()),
+        Err(panic) => {
+            let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
+            let text = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
+            let message = format!("panic in the worker process: {text}");
+            Some(Told { message, kind: ToldKind::Model, time: None, status: None, log: Vec::new() })
+        }
+    };
+    if let Some(told) = told {
+        answer.numbers.clear();
+        answer.set_head(&told)?;
+        answer.is_error = true;
+    }
+    let notes = Notes { lines: take_lines(), quirks: service.new_quirks() };
+    if !notes.is_empty() {
+        ciborium::into_writer(&notes, &mut answer.notes).map_err(io::Error::other)?;
+    }
+    Ok(())
+}
+
+/// Ends the process when the other end is closed, whatever the FMU does at that moment, and removes its
+/// folder.
 fn end_with(socket: &UnixStream, folder: &Path) {
     loop {
         let mut ends = [PollFd::new(socket, PollFlags::empty())];
@@ -136,7 +169,8 @@ fn limit_self(limits: &WorkerLimits) -> io::Result<()> {
     Ok(())
 }
 
-/// Lets this thread, and all that it starts, write below this folder only, and make no TCP connections (from Linux 6.7 on).
+/// Lets this thread, and all that it starts, write below this folder only, and make no TCP connections (from
+/// Linux 6.7 on).
 #[cfg(all(target_os = "linux", feature = "sandbox"))]
 fn confine(folder: &Path) -> io::Result<()> {
     use landlock::{

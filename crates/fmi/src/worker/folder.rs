@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::SystemTime;
 
-/// The folder of a process, which makes it; it is removed when this is dropped by the process that has named it.
+/// The folder of a process, which makes it; it is removed when this is dropped by the process that has named
+/// it.
 #[derive(Debug)]
 pub(super) struct Folder {
     path: PathBuf,

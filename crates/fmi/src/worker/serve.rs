@@ -1,13 +1,12 @@
 //! The process that worker processes are copied from: it takes its orders until the other end is closed.
 
-use super::child;
+use super::child::{self, respond};
 use super::folder::{enter, remove, worker_folder};
 use super::frame::Frame;
-use super::notes::{Notes, keep_lines, take_lines};
+use super::notes::keep_lines;
 use super::service::Service;
 use super::settings::{ASKED, FOLDER, LEVEL, VERSION};
 use super::template::{DESCRIPTORS, Order, Start};
-use crate::error::{Told, ToldKind};
 use crate::sys::{close_inherited, fork};
 use base::RunContext;
 use rustix::net::{RecvAncillaryBuffer, RecvAncillaryMessage, RecvFlags, recvmsg};
@@ -17,11 +16,10 @@ use std::mem::MaybeUninit;
 use std::os::fd::OwnedFd;
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::net::UnixStream;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
-/// Serves until nobody needs it any more, if this process was started for that; then the process ends, and this does not return. Belongs at
-/// the begin of `main`, before any other thread is started.
+/// Serves until nobody needs it any more, if this process was started for that; then the process ends, and
+/// this does not return. Belongs at the begin of `main`, before any other thread is started.
 pub fn serve_if_asked(service: impl FnOnce() -> Box<dyn Service + Send>) {
     super::launcher::know_this_program();
     let Some(version) = std::env::var_os(ASKED) else { return };
@@ -133,8 +131,9 @@ impl Workers {
         status
     }
 
-    /// Ends processes that workers had started and have left behind, wherever these are: when their parents end they become children of this one.
-    /// Who has started them their environment says, by the worker's folder; others are ended with the last worker.
+    /// Ends processes that workers had started and have left behind, wherever these are: when their parents
+    /// end they become children of this one. Who has started them their environment says, by the worker's
+    /// folder; others are ended with the last worker.
     fn end_orphans(&self, folder: &Path) {
         let marker = [FOLDER.to_bytes(), b"=", folder.as_os_str().as_bytes()].concat();
         let is_marked = |pid: i32| {
@@ -160,34 +159,4 @@ fn kill(child: Pid) -> i32 {
     let _ = kill_process(child, Signal::KILL);
     let waited = rustix::io::retry_on_intr(|| waitpid(Some(child), WaitOptions::empty()));
     waited.ok().flatten().map_or(0, |(_, status)| status.as_raw())
-}
-
-/// Has the service answer, and adds what is to be said beside that. A panic is an error of it.
-pub(super) fn respond(
-    service: &mut dyn Service,
-    asked: &Frame,
-    context: &RunContext<'_>,
-    answer: &mut Frame,
-) -> io::Result<()> {
-    let served = catch_unwind(AssertUnwindSafe(|| service.answer(asked, context, answer)));
-    let told = match served {
-        Ok(Ok(())) => None,
-        Ok(Err(error)) => Some(error.told()),
-        Err(panic) => {
-            let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
-            let text = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
-            let message = format!("panic in the worker process: {text}");
-            Some(Told { message, kind: ToldKind::Model, time: None, status: None, log: Vec::new() })
-        }
-    };
-    if let Some(told) = told {
-        answer.numbers.clear();
-        answer.set_head(&told)?;
-        answer.is_error = true;
-    }
-    let notes = Notes { lines: take_lines(), quirks: service.new_quirks() };
-    if !notes.is_empty() {
-        ciborium::into_writer(&notes, &mut answer.notes).map_err(io::Error::other)?;
-    }
-    Ok(())
 }

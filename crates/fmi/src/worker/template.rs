@@ -1,7 +1,8 @@
 //! The process that worker processes are copied from, as the process sees it that has started it.
 //!
-//! It starts the program and loads a problem once, which takes longer than a short evaluation; a copy of it takes a millisecond. It runs
-//! no foreign code, has one thread, and is the parent of its copies and of whatever they leave behind.
+//! It starts the program and loads a problem once, which takes longer than a short evaluation; a copy of it
+//! takes a millisecond. It runs no foreign code, has one thread, and is the parent of its copies and of
+//! whatever they leave behind.
 
 use super::folder::{Folder, remove, worker_folder};
 use super::frame::Frame;

@@ -1,4 +1,5 @@
-//! Worker processes for as many threads as ask for something: started when they are needed, replaced when they end or grow.
+//! Worker processes for as many threads as ask for something: started when they are needed, replaced when
+//! they end or grow.
 
 use super::frame::Frame;
 use super::launcher::Launcher;
@@ -51,7 +52,8 @@ impl Workers {
         &self.limits
     }
 
-    /// Starts the program of the workers, and has it load this in the background: both take longer than a short evaluation.
+    /// Starts the program of the workers, and has it load this in the background: both take longer than a
+    /// short evaluation.
     pub fn prepare(&self, load: &Load) {
         // Who needs a worker meets the same error.
         let _ = self.template(load);
@@ -66,7 +68,8 @@ impl Workers {
         }
     }
 
-    /// A process that was never asked for anything. An FMU may have ended the template: then there is another one.
+    /// A process that was never asked for anything. An FMU may have ended the template: then there is another
+    /// one.
     fn new_process(&self, load: &Load, context: &RunContext<'_>) -> Result<Process, FmiError> {
         let template = self.template(load)?;
         match Process::start(&template, &self.limits, context) {
@@ -77,9 +80,10 @@ impl Workers {
         }
     }
 
-    /// Asks a worker that has loaded `load`, and returns the quirks of the model that it has found. The context is looked at every 10 ms, and the worker has 0.25 s to answer
-    /// after that; a single simulation that takes longer than `run_limit` and 0.25 s ends the worker. Where a worker dies, the same is asked once more in a fresh one;
-    /// with `is_fresh` the first one is new, too, and is all.
+    /// Asks a worker that has loaded `load`, and returns the quirks of the model that it has found. The
+    /// context is looked at every 10 ms, and the worker has 0.25 s to answer after that; a single simulation
+    /// that takes longer than `run_limit` and 0.25 s ends the worker. Where a worker dies, the same is asked
+    /// once more in a fresh one; with `is_fresh` the first one is new, too, and is all.
     ///
     /// # Errors
     /// [`FmiError::Told`]: what the worker says; [`FmiError::WorkerEnded`]: it ended twice, or once by the time limit; [`FmiError::NoWorker`]; [`FmiError::Cancelled`].
