@@ -1,6 +1,6 @@
 //! Times in another unit than s, as the response of the model tells.
 
-use super::series::{Evaluations, Outputs, Series, all_series, rounded, unexplained};
+use super::series::{Evaluations, Outputs, Series, all_series, rounded, rounded_time, unexplained};
 use super::subject::Subject;
 use crate::cost::calibration::Calibration;
 use crate::cost::failure::NoCost;
@@ -114,7 +114,7 @@ fn in_milliseconds(
             format!(
                 "it lasts {} s; with times a thousandth as long the simulation at the start values is {} times closer: the times look as if \
                  they were in ms",
-                Number(duration),
+                Number(rounded_time(duration)),
                 Number(rounded((as_given / in_ms).sqrt()))
             ),
             "state the unit in the name of the column: 'time [ms]'",
