@@ -45,10 +45,8 @@ pub(super) fn findings(
         return Ok(Vec::new());
     }
     let far = subjects.iter().filter_map(far_from_default_experiment);
-    Ok(far
-        .filter(|(_, ratio)| is_open || outputs.may_have_taken(*ratio))
-        .map(|(finding, _)| finding)
-        .collect())
+    let far = far.filter(|(_, ratio)| is_open || outputs.may_have_taken(*ratio)).map(|(finding, _)| finding);
+    Ok(far.collect())
 }
 
 /// A recording that lasts much longer or shorter than the experiment that the model suggests, and the ratio;

@@ -66,15 +66,6 @@ pub(super) fn findings(subject: &Subject<'_>) -> Vec<Finding> {
             format!("state the unit in the name of the column: 'time [{unit}]'"),
         );
     }
-    // Of rows every second that is true, too: a note.
-    let is_row = |(k, t): (usize, &f64)| t - first == k as f64;
-    if (first == 0.0 || first == 1.0) && time.len() > 2 && time.iter().enumerate().all(is_row) {
-        find(
-            Severity::Note,
-            "its times are the numbers of its rows, and are taken as s".to_owned(),
-            "if the rows are not 1 s apart, give their times".to_owned(),
-        );
-    }
     if let Some((found, remedy)) = months(time, interval) {
         find(Severity::Warning, found, remedy.to_owned());
     }

@@ -209,10 +209,10 @@ fn tolerances_that_mean_nothing_are_named() {
         let fit = calibration.fit(run).unwrap();
         assert_eq!(warns(&fit.findings(), "the search may end far from the minimum"), is_loose, "{fit}");
     }
-    for (x_tol, is_loose) in [(1e-3, false), (0.5, true)] {
+    for (x_tol, is_loose) in [(1e-3, false), (2.0, true)] {
         let tolerances = Tolerances { x_tol, f_tol: 1e-3, measure: Measure::Absolute, stop: Stop::All };
         let fit = calibration.fit(RunOptions { tolerances, ..FitOptions::default_run() }).unwrap();
-        assert_eq!(warns(&fit.findings(), "x_tol 0.5 is absolute, k has the size"), is_loose, "{fit}");
+        assert_eq!(warns(&fit.findings(), "x_tol 2 is absolute, k has the size"), is_loose, "{fit}");
     }
 }
 
@@ -321,16 +321,6 @@ fn a_fit_without_time_says_what_needs_no_simulation() {
     let limits = Limits { max_time: Some(Duration::from_nanos(1)), ..Limits::default() };
     let fit = calibration.fit(RunOptions { limits, ..FitOptions::default_run() }).unwrap();
     assert!(warns(&fit.findings(), "start 2000 is 2000 times the model's own value 1"), "{fit}");
-}
-
-#[test]
-fn times_that_are_rows_are_a_note() {
-    let check = |t: &[f64]| {
-        let calibration =
-            calibration(vec![recording(t, decay(t, 2.0, 1e-3))], k(), SimulationSettings::default());
-        calibration.check().to_string().contains("its times are the numbers of its rows")
-    };
-    assert!(check(&times(20, 1.0)) && !check(&times(20, 0.5)));
 }
 
 #[test]
