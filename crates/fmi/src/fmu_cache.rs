@@ -2,19 +2,20 @@
 
 use crate::archive::Archive;
 use crate::cancel::Cancel;
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::fmu::Fmu;
 use crate::open_options::OpenOptions;
 use crate::platform;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-/// Opens each content once: as long as a file does not change, [`open`](Self::open) returns the same [`Fmu`] for the same
-/// options, and so it does for files of the same content.
+/// Opens each content once: as long as a file does not change, [`open`](Self::open) returns the same [`Fmu`]
+/// for the same options, and so it does for files of the same content.
 ///
-/// A file counts as unchanged while its path, identity on the disk, size and time of modification are the same; it is
-/// not read for that. Of a folder, `modelDescription.xml`, its libraries and the folder itself are looked at. Another file is compared by
-/// the directory of the archive, and where that is the same by the SHA-256 of its bytes.
+/// A file counts as unchanged while its path, identity on the disk, size and time of modification are the
+/// same; it is not read for that. Of a folder, `modelDescription.xml`, its libraries and the folder itself
+/// are looked at. Another file is compared by the directory of the archive, and where that is the same by the
+/// SHA-256 of its bytes.
 #[derive(Debug)]
 pub struct FmuCache {
     capacity: usize,
@@ -34,7 +35,8 @@ struct Entry {
 type Key = (PathBuf, platform::FileIdentity, Option<platform::FileIdentity>);
 
 impl FmuCache {
-    /// A cache that holds at most `capacity` FMUs (at least one); the one not used for the longest time goes first.
+    /// A cache that holds at most `capacity` FMUs (at least one); the one not used for the longest time goes
+    /// first.
     pub fn new(capacity: usize) -> Self {
         Self { capacity: capacity.max(1), entries: Mutex::new(Vec::new()) }
     }
@@ -43,7 +45,7 @@ impl FmuCache {
     ///
     /// # Errors
     /// As [`Fmu::open`].
-    pub fn open(&self, path: impl AsRef<Path>) -> Result<Fmu, FmiError> {
+    pub fn open(&self, path: impl AsRef<Path>) -> Result<Fmu> {
         self.open_with(path, &OpenOptions::default())
     }
 
@@ -51,7 +53,7 @@ impl FmuCache {
     ///
     /// # Errors
     /// As [`Fmu::open_with`].
-    pub fn open_with(&self, path: impl AsRef<Path>, options: &OpenOptions) -> Result<Fmu, FmiError> {
+    pub fn open_with(&self, path: impl AsRef<Path>, options: &OpenOptions) -> Result<Fmu> {
         let path = path.as_ref();
         let key = key_of(path)?;
         if let Some(fmu) = self.find(&key, options) {
@@ -119,7 +121,7 @@ impl FmuCache {
     }
 }
 
-fn key_of(path: &Path) -> Result<Key, FmiError> {
+fn key_of(path: &Path) -> Result<Key> {
     let canonical = path.canonicalize().map_err(FmiError::io("open", path))?;
     let metadata = canonical.metadata().map_err(FmiError::io("open", path))?;
     let inner = if metadata.is_dir() {

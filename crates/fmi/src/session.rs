@@ -1,7 +1,7 @@
 //! One model as scripts use it: set values, simulate, look at the values, set others, simulate again.
 
 use crate::description::{Causality, Structure, Value, VariableKind};
-use crate::error::FmiError;
+use crate::error::Result;
 use crate::fmu::{Fmu, Kind};
 use crate::instance::assignments::{check_settable_at_start, convert};
 use crate::simulation::SimulateOptions;
@@ -13,10 +13,11 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// A model with the values set since it was loaded or reset. Every simulation starts from a freshly reset model with all
-/// these values, so that a second one gives the same bits.
+/// A model with the values set since it was loaded or reset. Every simulation starts from a freshly reset
+/// model with all these values, so that a second one gives the same bits.
 ///
-/// Sessions of one [`Fmu`] have instances of their own in one loaded library; making a session costs next to nothing.
+/// Sessions of one [`Fmu`] have instances of their own in one loaded library; making a session costs next to
+/// nothing.
 #[derive(Debug)]
 pub struct Session {
     fmu: Fmu,
@@ -58,7 +59,7 @@ impl Session {
     ///
     /// # Errors
     /// Unknown name (with the nearest names), wrong type, NaN or infinity, or a variable that cannot be set.
-    pub fn set(&mut self, name: &str, value: impl Into<Value>) -> Result<(), FmiError> {
+    pub fn set(&mut self, name: &str, value: impl Into<Value>) -> Result<()> {
         let fmu = self.fmu.clone();
         let description = fmu.description();
         let structure = self.structure();
@@ -94,7 +95,7 @@ impl Session {
     ///
     /// # Errors
     /// As [`set`](Self::set).
-    pub fn set_all<'a>(&mut self, given: impl IntoIterator<Item = (&'a str, Value)>) -> Result<(), FmiError> {
+    pub fn set_all<'a>(&mut self, given: impl IntoIterator<Item = (&'a str, Value)>) -> Result<()> {
         let mut given = given.into_iter();
         if given.size_hint() == (1, Some(1)) {
             return given.try_for_each(|(name, value)| self.set(name, value));
@@ -113,12 +114,12 @@ impl Session {
         self.values.iter().map(|(index, value)| (variables[*index].name.as_str(), value))
     }
 
-    /// Value of a variable: after a simulation its final value, unless it has been set since; before, the value set or the
-    /// start value, or what the initialization makes of them.
+    /// Value of a variable: after a simulation its final value, unless it has been set since; before, the
+    /// value set or the start value, or what the initialization makes of them.
     ///
     /// # Errors
     /// Unknown name; the model cannot be initialized.
-    pub fn get(&mut self, name: &str) -> Result<Value, FmiError> {
+    pub fn get(&mut self, name: &str) -> Result<Value> {
         let VariableElement { variable: index, element } =
             VariableElement::of_name(self.fmu.description(), &self.structure(), name)?;
         let set = |values: &[(usize, Value)]| {
@@ -142,12 +143,12 @@ impl Session {
         self.initial_value(name)
     }
 
-    /// Number of elements of an array in each direction, with the structural parameters that were set; empty for a
-    /// single value.
+    /// Number of elements of an array in each direction, with the structural parameters that were set; empty
+    /// for a single value.
     ///
     /// # Errors
     /// Unknown name.
-    pub fn extents(&self, name: &str) -> Result<Vec<usize>, FmiError> {
+    pub fn extents(&self, name: &str) -> Result<Vec<usize>> {
         let description = self.fmu.description();
         let structure = self.structure();
         let place = VariableElement::of_name(description, &structure, name)?;
@@ -168,7 +169,7 @@ impl Session {
         structure
     }
 
-    fn initial_value(&mut self, name: &str) -> Result<Value, FmiError> {
+    fn initial_value(&mut self, name: &str) -> Result<Value> {
         let mut simulator = match self.initial.take() {
             Some(simulator) => simulator,
             None => {
@@ -189,17 +190,18 @@ impl Session {
         *self = Self::of_kind(self.fmu.clone(), self.kind);
     }
 
-    /// Simulates from a freshly reset model with all values set; `start_values` of the options count on top of them for
-    /// this simulation only.
+    /// Simulates from a freshly reset model with all values set; `start_values` of the options count on top
+    /// of them for this simulation only.
     ///
     /// # Errors
     /// As [`Fmu::simulate`].
-    pub fn simulate(&mut self, options: &SimulateOptions) -> Result<Trajectory, FmiError> {
+    pub fn simulate(&mut self, options: &SimulateOptions) -> Result<Trajectory> {
         self.simulate_with(options, &mut || ControlFlow::Continue(()))
     }
 
-    /// As [`simulate`](Self::simulate); `poll` is asked before every step, and `Break` ends the simulation there, with the
-    /// rows so far and [`Termination::StoppedByObserver`](ode::Termination::StoppedByObserver).
+    /// As [`simulate`](Self::simulate); `poll` is asked before every step, and `Break` ends the simulation
+    /// there, with the rows so far and
+    /// [`Termination::StoppedByObserver`](ode::Termination::StoppedByObserver).
     ///
     /// # Errors
     /// As [`Fmu::simulate`].
@@ -207,7 +209,7 @@ impl Session {
         &mut self,
         options: &SimulateOptions,
         poll: &mut dyn FnMut() -> ControlFlow<()>,
-    ) -> Result<Trajectory, FmiError> {
+    ) -> Result<Trajectory> {
         let (asked, values) = self.with_parameters(self.with_values(options));
         self.initial = None;
         let mut simulator = match self.last.take() {
@@ -229,8 +231,9 @@ impl Session {
         Ok(trajectory)
     }
 
-    /// Start values that may differ from run to run of one plan become its parameters: so a simulation that differs from the
-    /// last one only by them needs no new plan. `None`: the parameters have the values that the plan says.
+    /// Start values that may differ from run to run of one plan become its parameters: so a simulation that
+    /// differs from the last one only by them needs no new plan. `None`: the parameters have the values that
+    /// the plan says.
     fn with_parameters(&self, mut options: SimulateOptions) -> (SimulateOptions, Option<Vec<f64>>) {
         if !options.parameters.is_empty() {
             return (options, None);
@@ -288,11 +291,12 @@ impl Fmu {
     ///
     /// # Errors
     /// Options that do not fit the model, and everything that can go wrong in a simulation.
-    pub fn simulate(&self, options: &SimulateOptions) -> Result<Trajectory, FmiError> {
+    pub fn simulate(&self, options: &SimulateOptions) -> Result<Trajectory> {
         self.simulate_with(options, &mut || ControlFlow::Continue(()))
     }
 
-    /// As [`simulate`](Self::simulate); `poll` is asked before every step, and `Break` ends the simulation there.
+    /// As [`simulate`](Self::simulate); `poll` is asked before every step, and `Break` ends the simulation
+    /// there.
     ///
     /// # Errors
     /// As [`simulate`](Self::simulate).
@@ -300,7 +304,7 @@ impl Fmu {
         &self,
         options: &SimulateOptions,
         poll: &mut dyn FnMut() -> ControlFlow<()>,
-    ) -> Result<Trajectory, FmiError> {
+    ) -> Result<Trajectory> {
         let plan = Arc::new(SimulationPlan::new(self, options)?);
         Simulator::new(Arc::clone(&plan))?.trajectory_with(plan.parameter_starts(), poll)
     }

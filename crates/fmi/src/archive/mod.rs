@@ -1,5 +1,6 @@
-//! The files of an FMU: a `.fmu` archive, unpacked part by part into a private folder that goes when the value goes,
-//! or an unpacked folder as it is. Archives whose entries are not what FMUs hold are refused before anything is written.
+//! The files of an FMU: a `.fmu` archive, unpacked part by part into a private folder that goes when the
+//! value goes, or an unpacked folder as it is. Archives whose entries are not what FMUs hold are refused
+//! before anything is written.
 
 mod directory;
 mod entries;
@@ -18,7 +19,7 @@ pub(crate) use packed::Part;
 pub(crate) use private::PrivateFolder;
 
 use crate::cancel::Cancel;
-use crate::error::{EntryProblem, FmiError};
+use crate::error::{EntryProblem, FmiError, Result};
 use crate::platform::{FileIdentity, LIBRARY_EXTENSION, file_identity};
 use base::files::open_regular;
 use packed::Packed;
@@ -47,8 +48,8 @@ pub(crate) fn is_inside(path: &str) -> bool {
 
 /// An opened FMU: a `.fmu` file or a folder with `modelDescription.xml` at its root.
 ///
-/// Of a file, the directory is read and checked when it is opened. Its contents are unpacked, and checked against their
-/// sizes and checksums, when they are needed.
+/// Of a file, the directory is read and checked when it is opened. Its contents are unpacked, and checked
+/// against their sizes and checksums, when they are needed.
 #[derive(Debug)]
 pub struct Archive {
     content: Content,
@@ -87,7 +88,7 @@ impl Archive {
     ///
     /// # Errors
     /// As [`open_with`](Self::open_with).
-    pub fn open(path: impl AsRef<Path>) -> Result<Archive, FmiError> {
+    pub fn open(path: impl AsRef<Path>) -> Result<Archive> {
         Archive::open_with(path, &ArchiveLimits::default(), &Cancel::default())
     }
 
@@ -97,11 +98,7 @@ impl Archive {
     /// [`FmiError::Io`] for what the system refuses; [`FmiError::BadArchive`], [`FmiError::BadEntry`]
     /// and [`FmiError::ArchiveLimit`] for archives that are damaged, contradict themselves or are too large;
     /// [`FmiError::NoModelDescription`] for other archives and folders; [`FmiError::Cancelled`].
-    pub fn open_with(
-        path: impl AsRef<Path>,
-        limits: &ArchiveLimits,
-        cancel: &Cancel,
-    ) -> Result<Archive, FmiError> {
+    pub fn open_with(path: impl AsRef<Path>, limits: &ArchiveLimits, cancel: &Cancel) -> Result<Archive> {
         let path = path.as_ref();
         let metadata = path.metadata().map_err(FmiError::io("open", path))?;
         let content = match metadata.is_dir() {
@@ -111,8 +108,8 @@ impl Archive {
         Ok(Archive { content, content_hash: OnceLock::new() })
     }
 
-    /// An archive of which only the description is available: it was at `path` with this content, and no other
-    /// file of it can be read.
+    /// An archive of which only the description is available: it was at `path` with this content, and no
+    /// other file of it can be read.
     pub(crate) fn absent(path: &Path, description: Vec<u8>, content_hash: String, reason: String) -> Archive {
         let content = Content::Absent(Absent { path: path.to_owned(), description, reason });
         Archive { content, content_hash: content_hash.into() }
@@ -133,14 +130,15 @@ impl Archive {
     /// `modelDescription.xml`, an absolute path. An unpacked folder is returned as it is.
     ///
     /// # Errors
-    /// [`FmiError::BadEntry`] for contents that are not what the directory of the archive says, [`FmiError::Io`];
-    /// [`FmiError::BadArchive`] if the file was written over since it was opened. Nothing is left behind.
-    pub fn unpack(&self) -> Result<PathBuf, FmiError> {
+    /// [`FmiError::BadEntry`] for contents that are not what the directory of the archive says,
+    /// [`FmiError::Io`]; [`FmiError::BadArchive`] if the file was written over since it was opened. Nothing
+    /// is left behind.
+    pub fn unpack(&self) -> Result<PathBuf> {
         self.unpack_part(Part::All, &Cancel::default())
     }
 
     /// Unpacks a part of it; what is there already stays, and what somebody has removed is unpacked again.
-    pub(crate) fn unpack_part(&self, part: Part, cancel: &Cancel) -> Result<PathBuf, FmiError> {
+    pub(crate) fn unpack_part(&self, part: Part, cancel: &Cancel) -> Result<PathBuf> {
         match &self.content {
             Content::Packed(packed) => packed.unpack(part, cancel),
             Content::Folder(Folder { root, .. }) => {
@@ -152,7 +150,7 @@ impl Archive {
     }
 
     /// The bytes of `modelDescription.xml`.
-    pub(crate) fn description(&self, limit: u64, cancel: &Cancel) -> Result<Vec<u8>, FmiError> {
+    pub(crate) fn description(&self, limit: u64, cancel: &Cancel) -> Result<Vec<u8>> {
         let path = || match &self.content {
             Content::Packed(packed) => packed.path(),
             Content::Folder(folder) => &folder.root,
@@ -162,8 +160,9 @@ impl Archive {
         bytes.ok_or_else(|| FmiError::NoModelDescription { path: path().to_owned(), hint: None })
     }
 
-    /// The bytes of a file, no more than `limit` (of an unpacked folder: one more); `None` if there is none of this name.
-    pub(crate) fn read(&self, name: &str, limit: u64, cancel: &Cancel) -> Result<Option<Vec<u8>>, FmiError> {
+    /// The bytes of a file, no more than `limit` (of an unpacked folder: one more); `None` if there is none
+    /// of this name.
+    pub(crate) fn read(&self, name: &str, limit: u64, cancel: &Cancel) -> Result<Option<Vec<u8>>> {
         match &self.content {
             Content::Packed(packed) => packed.read(name, limit, cancel),
             Content::Absent(absent) => Ok((name == MODEL_DESCRIPTION).then(|| absent.description.clone())),
@@ -182,12 +181,12 @@ impl Archive {
         }
     }
 
-    /// SHA-256 of the archive file, or of all names and contents of a folder, in hexadecimal digits; computed when it is
-    /// first asked for.
+    /// SHA-256 of the archive file, or of all names and contents of a folder, in hexadecimal digits; computed
+    /// when it is first asked for.
     ///
     /// # Errors
     /// The files cannot be read any more, or the archive was written over since it was opened.
-    pub fn content_hash(&self) -> Result<&str, FmiError> {
+    pub fn content_hash(&self) -> Result<&str> {
         if let Some(known) = self.content_hash.get() {
             return Ok(known);
         }
@@ -199,7 +198,8 @@ impl Archive {
         Ok(self.content_hash.get_or_init(|| hash))
     }
 
-    /// A hash of the directory of an archive (names, sizes and checksums); a folder, which can be edited, has none.
+    /// A hash of the directory of an archive (names, sizes and checksums); a folder, which can be edited, has
+    /// none.
     pub(crate) fn fingerprint(&self) -> Option<String> {
         match &self.content {
             Content::Packed(packed) => Some(packed.fingerprint()),
@@ -226,15 +226,15 @@ impl Archive {
     }
 
     /// The hash of the content as it is at present: a folder that is not private may have been edited.
-    pub(crate) fn present_hash(&self) -> Result<String, FmiError> {
+    pub(crate) fn present_hash(&self) -> Result<String> {
         match &self.content {
             Content::Packed(_) | Content::Absent(_) => self.content_hash().map(str::to_owned),
             Content::Folder(folder) => hash::of_folder(&folder.root, &folder.limits),
         }
     }
 
-    /// A library in a folder that is not any more what it was when the folder was opened: its description may be that of
-    /// another version.
+    /// A library in a folder that is not any more what it was when the folder was opened: its description may
+    /// be that of another version.
     pub(crate) fn changed_library(&self) -> Option<&Path> {
         let Content::Folder(folder) = &self.content else { return None };
         let is_changed = |(path, then): &&(PathBuf, FileIdentity)| {
@@ -244,7 +244,7 @@ impl Archive {
     }
 
     /// The files of a folder by their names in an archive; `None` for a file, which is one archive.
-    pub(crate) fn loose_files(&self) -> Result<Option<Vec<(String, PathBuf)>>, FmiError> {
+    pub(crate) fn loose_files(&self) -> Result<Option<Vec<(String, PathBuf)>>> {
         match &self.content {
             Content::Folder(Folder { root, limits, .. }) => files_below(root, limits.entries).map(Some),
             Content::Packed(_) => Ok(None),
@@ -260,7 +260,7 @@ impl Archive {
 
 impl Folder {
     /// A folder whose files are fit to be those of an FMU.
-    fn open(path: &Path, limits: &ArchiveLimits) -> Result<Self, FmiError> {
+    fn open(path: &Path, limits: &ArchiveLimits) -> Result<Self> {
         let root = std::path::absolute(path).map_err(FmiError::io("find", path))?;
         if !root.join(MODEL_DESCRIPTION).is_file() {
             return Err(FmiError::NoModelDescription { path: path.to_owned(), hint: None });

@@ -1,9 +1,10 @@
 //! Private folders for unpacked archives: gone when the value goes, swept up later if the process was killed.
 //!
-//! Layout: `fmufit-unpacked-XXXXXX/fmu/` is what is handed out; `fmufit-unpacked-XXXXXX/lock` says in words that the folder is ours, and is
-//! locked by the process that owns it. Nothing is swept that has not exactly this layout.
+//! Layout: `fmufit-unpacked-XXXXXX/fmu/` is what is handed out; `fmufit-unpacked-XXXXXX/lock` says in words
+//! that the folder is ours, and is locked by the process that owns it. Nothing is swept that has not exactly
+//! this layout.
 
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::platform;
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
@@ -33,7 +34,7 @@ pub(crate) struct PrivateFolder {
 
 impl PrivateFolder {
     /// Makes an empty folder. The first call in a process removes what killed processes left behind.
-    pub(crate) fn create() -> Result<Self, FmiError> {
+    pub(crate) fn create() -> Result<Self> {
         static SWEPT: Once = Once::new();
         let base = platform::unpack_base();
         SWEPT.call_once(|| sweep(&base));
@@ -41,7 +42,7 @@ impl PrivateFolder {
     }
 
     /// Makes the folder again whose [`path`](Self::path) was this one, which nothing may have taken since.
-    pub(crate) fn create_again(path: &Path) -> Result<Self, FmiError> {
+    pub(crate) fn create_again(path: &Path) -> Result<Self> {
         let (base, name) = match path.parent().and_then(|outer| Some((outer.parent()?, outer.file_name()?))) {
             Some((base, name)) if path.ends_with(INSIDE) => (base, name),
             _ => return Err(FmiError::io("create", path)(std::io::ErrorKind::InvalidInput.into())),
@@ -49,11 +50,11 @@ impl PrivateFolder {
         Self::create_with(tempfile::Builder::new().prefix(name).rand_bytes(0), base)
     }
 
-    fn create_in(base: &Path) -> Result<Self, FmiError> {
+    fn create_in(base: &Path) -> Result<Self> {
         Self::create_with(tempfile::Builder::new().prefix(PREFIX), base)
     }
 
-    fn create_with(builder: &mut tempfile::Builder<'_, '_>, base: &Path) -> Result<Self, FmiError> {
+    fn create_with(builder: &mut tempfile::Builder<'_, '_>, base: &Path) -> Result<Self> {
         let folder = builder.tempdir_in(base).map_err(FmiError::io("create a folder in", base))?;
         let lock = take_lock(&folder.path().join(LOCK));
         let inside = folder.path().join(INSIDE);
@@ -66,7 +67,7 @@ impl PrivateFolder {
     }
 
     /// Makes the folder again at the same place where somebody has removed it, or parts of it.
-    pub(crate) fn restore(&mut self) -> Result<(), FmiError> {
+    pub(crate) fn restore(&mut self) -> Result<()> {
         let Some(folder) = &self.folder else { return Ok(()) };
         let outer = folder.path();
         // In a place that is open to everybody, another folder may have taken the name: that is refused.
@@ -98,16 +99,17 @@ impl Drop for PrivateFolder {
     }
 }
 
-/// Locks that are held, with the process that made them and one of their names. Those of a process are one file with many
-/// names where the file system has such: its folders take one file handle, however many there are.
+/// Locks that are held, with the process that made them and one of their names. Those of a process are one
+/// file with many names where the file system has such: its folders take one file handle, however many there
+/// are.
 static LOCKS: Mutex<Vec<(u32, PathBuf, Arc<File>)>> = Mutex::new(Vec::new());
 
 fn locks() -> MutexGuard<'static, Vec<(u32, PathBuf, Arc<File>)>> {
     LOCKS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Gives a locked file this name, or creates one that is locked from the moment it has its name; nothing stays if it cannot
-/// be locked.
+/// Gives a locked file this name, or creates one that is locked from the moment it has its name; nothing
+/// stays if it cannot be locked.
 fn take_lock(path: &Path) -> Option<Arc<File>> {
     let mut locks = locks();
     let process = std::process::id();
@@ -136,8 +138,9 @@ fn new_lock(path: &Path) -> Option<File> {
 /// Age at which a folder without a lock was left behind by a process that was killed while making it.
 const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 
-/// Removes the folders in `base` that have a lock of ours which nobody holds: their processes are gone. Folders of other users, those in
-/// the making, which have no lock yet and are young, and whatever has another layout are left alone.
+/// Removes the folders in `base` that have a lock of ours which nobody holds: their processes are gone.
+/// Folders of other users, those in the making, which have no lock yet and are young, and whatever has
+/// another layout are left alone.
 fn sweep(base: &Path) {
     let Ok(own) = platform::own_file() else { return };
     for entry in fs::read_dir(base).into_iter().flatten().flatten() {
@@ -181,8 +184,8 @@ fn has_our_layout(folder: &Path) -> bool {
     fs::read_dir(folder).is_ok_and(|mut entries| entries.all(is_ours))
 }
 
-/// Removes what was left behind by a process that was killed while making a folder: empty folders, and a lock without its name. On a file
-/// system without locks the folder in use is not empty.
+/// Removes what was left behind by a process that was killed while making a folder: empty folders, and a lock
+/// without its name. On a file system without locks the folder in use is not empty.
 fn remove_begun(folder: &Path) {
     let unnamed = folder.join(NEW_LOCK);
     let length =

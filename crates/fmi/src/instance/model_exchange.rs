@@ -2,7 +2,7 @@
 
 use super::core::Core;
 use super::phases::{ContinuousTime, EventMode, Instance, Readable, Running, Terminated};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::sys::{EventInfo, RawInstance};
 use ode::EventOutcome;
 
@@ -10,16 +10,17 @@ use ode::EventOutcome;
 pub const MAX_EVENT_ITERATIONS: u32 = 100;
 
 impl Core {
-    /// Updates the discrete states until they settle. What the model says in any of the rounds counts: flags of
-    /// early rounds are not lost. A next event time that is `time` itself is one more round; one that lies before
-    /// `time` by more than `tolerance` is passed on. `before_round` looks at the model, and may end the iteration.
+    /// Updates the discrete states until they settle. What the model says in any of the rounds counts: flags
+    /// of early rounds are not lost. A next event time that is `time` itself is one more round; one that lies
+    /// before `time` by more than `tolerance` is passed on. `before_round` looks at the model, and may end
+    /// the iteration.
     pub(crate) fn iterate_events(
         &mut self,
         time: f64,
         tolerance: f64,
         limit: u32,
-        before_round: &mut dyn FnMut(&mut Core) -> Result<(), FmiError>,
-    ) -> Result<EventOutcome, FmiError> {
+        before_round: &mut dyn FnMut(&mut Core) -> Result<()>,
+    ) -> Result<EventOutcome> {
         let mut outcome = EventOutcome::default();
         for _ in 0..limit {
             before_round(self)?;
@@ -42,12 +43,13 @@ impl Core {
 }
 
 impl<P: Readable> Instance<P> {
-    /// Names of the continuous states, in the order of the state vector; `None` for those that are no variables. In FMI 1.0 the FMU is asked (`fmiGetStateValueReferences`), and may answer otherwise
-    /// after an event; in the others the description says it.
+    /// Names of the continuous states, in the order of the state vector; `None` for those that are no
+    /// variables. In FMI 1.0 the FMU is asked (`fmiGetStateValueReferences`), and may answer otherwise after
+    /// an event; in the others the description says it.
     ///
     /// # Errors
     /// The FMU refuses, or has no such function.
-    pub fn state_names(&mut self) -> Result<Vec<Option<String>>, FmiError> {
+    pub fn state_names(&mut self) -> Result<Vec<Option<String>>> {
         let fmu = self.fmu().clone();
         if fmu.description().fmi_version.major > 1 {
             let names = fmu.description().state_names().into_iter();
@@ -64,7 +66,7 @@ impl<P: Running> Instance<P> {
     ///
     /// # Errors
     /// The slice has not the length of the state vector; the FMU refuses.
-    pub fn get_continuous_states(&mut self, states: &mut [f64]) -> Result<(), FmiError> {
+    pub fn get_continuous_states(&mut self, states: &mut [f64]) -> Result<()> {
         self.core().call(|raw| raw.get_continuous_states(states))
     }
 
@@ -72,7 +74,7 @@ impl<P: Running> Instance<P> {
     ///
     /// # Errors
     /// The slice has not as many elements as there are indicators; the FMU refuses.
-    pub fn get_event_indicators(&mut self, indicators: &mut [f64]) -> Result<(), FmiError> {
+    pub fn get_event_indicators(&mut self, indicators: &mut [f64]) -> Result<()> {
         self.core().call(|raw| raw.get_event_indicators(indicators))
     }
 
@@ -80,7 +82,7 @@ impl<P: Running> Instance<P> {
     ///
     /// # Errors
     /// The FMU refuses.
-    pub fn terminate(self) -> Result<Instance<Terminated>, FmiError> {
+    pub fn terminate(self) -> Result<Instance<Terminated>> {
         self.step_to(RawInstance::terminate)
     }
 }
@@ -90,7 +92,7 @@ impl Instance<EventMode> {
     ///
     /// # Errors
     /// [`FmiError::EventIteration`] when they do not settle; the FMU refuses.
-    pub fn update_discrete_states(&mut self, limit: u32) -> Result<EventOutcome, FmiError> {
+    pub fn update_discrete_states(&mut self, limit: u32) -> Result<EventOutcome> {
         let time = self.core().raw.time().unwrap_or(0.0);
         self.core().iterate_events(time, 0.0, limit, &mut |_| Ok(()))
     }
@@ -99,7 +101,7 @@ impl Instance<EventMode> {
     ///
     /// # Errors
     /// The slice has not the length of the state vector; the FMU refuses.
-    pub fn get_nominals(&mut self, nominals: &mut [f64]) -> Result<(), FmiError> {
+    pub fn get_nominals(&mut self, nominals: &mut [f64]) -> Result<()> {
         self.core().call(|raw| raw.get_nominals(nominals))
     }
 
@@ -107,7 +109,7 @@ impl Instance<EventMode> {
     ///
     /// # Errors
     /// The FMU refuses.
-    pub fn enter_continuous_time(self) -> Result<Instance<ContinuousTime>, FmiError> {
+    pub fn enter_continuous_time(self) -> Result<Instance<ContinuousTime>> {
         self.step_to(RawInstance::enter_continuous_time_mode)
     }
 }
@@ -117,7 +119,7 @@ impl Instance<ContinuousTime> {
     ///
     /// # Errors
     /// The FMU refuses.
-    pub fn set_time(&mut self, time: f64) -> Result<(), FmiError> {
+    pub fn set_time(&mut self, time: f64) -> Result<()> {
         self.core().call(|raw| raw.set_time(time))
     }
 
@@ -125,20 +127,16 @@ impl Instance<ContinuousTime> {
     ///
     /// # Errors
     /// The slice has not the length of the state vector; the FMU refuses.
-    pub fn set_continuous_states(&mut self, states: &[f64]) -> Result<(), FmiError> {
+    pub fn set_continuous_states(&mut self, states: &[f64]) -> Result<()> {
         self.core().call(|raw| raw.set_continuous_states(states))
     }
 
-    /// Sets time and states, and computes the derivatives: what an integrator wants, in one go. Inputs stay as they are.
+    /// Sets time and states, and computes the derivatives: what an integrator wants, in one go. Inputs stay
+    /// as they are.
     ///
     /// # Errors
     /// A slice has not the length of the state vector; the FMU refuses.
-    pub fn right_hand_side(
-        &mut self,
-        time: f64,
-        states: &[f64],
-        derivatives: &mut [f64],
-    ) -> Result<(), FmiError> {
+    pub fn right_hand_side(&mut self, time: f64, states: &[f64], derivatives: &mut [f64]) -> Result<()> {
         self.core().call(|raw| raw.right_hand_side(time, states, derivatives))
     }
 
@@ -146,16 +144,16 @@ impl Instance<ContinuousTime> {
     ///
     /// # Errors
     /// The slice has not the length of the state vector; the FMU refuses.
-    pub fn get_derivatives(&mut self, derivatives: &mut [f64]) -> Result<(), FmiError> {
+    pub fn get_derivatives(&mut self, derivatives: &mut [f64]) -> Result<()> {
         self.core().call(|raw| raw.get_derivatives(derivatives))
     }
 
-    /// Says that a step has been completed, and that the instance will not be taken back behind it. Returns whether the
-    /// model wants to enter event mode, and whether it wants to end the simulation.
+    /// Says that a step has been completed, and that the instance will not be taken back behind it. Returns
+    /// whether the model wants to enter event mode, and whether it wants to end the simulation.
     ///
     /// # Errors
     /// The FMU refuses.
-    pub fn completed_integrator_step(&mut self) -> Result<(bool, bool), FmiError> {
+    pub fn completed_integrator_step(&mut self) -> Result<(bool, bool)> {
         self.core().call(RawInstance::completed_integrator_step)
     }
 
@@ -163,7 +161,7 @@ impl Instance<ContinuousTime> {
     ///
     /// # Errors
     /// The FMU refuses.
-    pub fn enter_event_mode(self) -> Result<Instance<EventMode>, FmiError> {
+    pub fn enter_event_mode(self) -> Result<Instance<EventMode>> {
         self.step_to(RawInstance::enter_event_mode)
     }
 }

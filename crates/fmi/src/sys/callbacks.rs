@@ -1,12 +1,14 @@
 //! Callbacks of an FMU: the logger and the memory functions.
 //!
-//! The loggers of FMI 1.0 and 2.0 are variadic, which stable Rust can call but not define. Of the two ways out, a fixed-arity
-//! function in its place loses the arguments (messages keep their `%s`), so a C shim (`logger.c`) expands the message
-//! with `vsnprintf` and passes plain bytes to [`sink`]. FMI 1.0 has no environment for its callbacks either: a message
-//! goes to the instance that is being called on the thread it comes from; messages from threads of the FMU's own are lost.
+//! The loggers of FMI 1.0 and 2.0 are variadic, which stable Rust can call but not define. Of the two ways
+//! out, a fixed-arity function in its place loses the arguments (messages keep their `%s`), so a C shim
+//! (`logger.c`) expands the message with `vsnprintf` and passes plain bytes to [`sink`]. FMI 1.0 has no
+//! environment for its callbacks either: a message goes to the instance that is being called on the thread it
+//! comes from; messages from threads of the FMU's own are lost.
 
 use super::types;
 use crate::log::{Log, LogFilter};
+use crate::macros::getters;
 use std::any::Any;
 use std::collections::VecDeque;
 use std::ffi::{CStr, c_char, c_int, c_void};
@@ -17,8 +19,9 @@ use std::sync::{Arc, OnceLock};
 /// Bytes of a message that are kept.
 const LONGEST_TEXT: usize = 2047;
 
-/// Everything that an FMU is given for calling back. FMUs are known whose threads log on when their instance is gone, so none
-/// of it is ever freed: the library hands it on to its next instance ([`Library`](super::Library)), which gets such lines.
+/// Everything that an FMU is given for calling back. FMUs are known whose threads log on when their instance
+/// is gone, so none of it is ever freed: the library hands it on to its next instance
+/// ([`Library`](super::Library)), which gets such lines.
 #[derive(Debug)]
 pub(super) struct Callbacks {
     environment: Arc<Environment>,
@@ -30,17 +33,17 @@ pub(super) struct Callbacks {
 }
 
 impl Callbacks {
+    getters! {
+        pub(super) environment(self) -> &Environment = &self.environment;
+        pub(super) log(self) -> &Log = &self.log;
+        /// Whether [something](Self::enter) has to live while the instance is called.
+        #[inline]
+        pub(super) is_by_thread(self) -> bool = self.by_thread;
+    }
+
     pub(super) fn new(filter: LogFilter, by_thread: bool) -> Self {
         let log = Arc::new(Log::new(filter));
         Self { environment: Arc::new(Environment::new(&log)), keep: OnceLock::new(), log, by_thread }
-    }
-
-    pub(super) fn environment(&self) -> &Environment {
-        &self.environment
-    }
-
-    pub(super) fn log(&self) -> &Log {
-        &self.log
     }
 
     /// What has to live while the instance is called.
@@ -48,12 +51,6 @@ impl Callbacks {
     pub(super) fn enter(&self) -> Option<Current> {
         // SAFETY: the environment is kept until the component is gone (invariant 3).
         self.by_thread.then(|| unsafe { Current::set(&raw const *self.environment) })
-    }
-
-    /// Whether [something](Self::enter) has to live while the instance is called.
-    #[inline]
-    pub(super) fn is_by_thread(&self) -> bool {
-        self.by_thread
     }
 
     /// What the version keeps, made if there is nothing yet.
@@ -92,7 +89,8 @@ unsafe impl Send for Environment {}
 unsafe impl Sync for Environment {}
 
 impl Environment {
-    /// An environment whose messages go to `log`, which must outlive every component that knows the environment.
+    /// An environment whose messages go to `log`, which must outlive every component that knows the
+    /// environment.
     pub(super) fn new(log: &Log) -> Self {
         Self { admits, sink, data: std::ptr::from_ref(log).cast_mut().cast() }
     }
@@ -112,7 +110,8 @@ unsafe extern "C" fn admits(data: *mut c_void, status: c_int) -> c_int {
 /// Takes a message from the C shim.
 ///
 /// # Safety
-/// `data` is the address of a live [`Log`]; `category` and `text` point to as many bytes as their lengths say.
+/// `data` is the address of a live [`Log`]; `category` and `text` point to as many bytes as their lengths
+/// say.
 unsafe extern "C" fn sink(
     data: *mut c_void,
     status: c_int,
@@ -173,7 +172,8 @@ pub(super) unsafe extern "C" fn fmi3_log(
     }
 }
 
-/// Makes an environment that of this thread while it lives: FMI 1.0's logger is not told whose message it takes.
+/// Makes an environment that of this thread while it lives: FMI 1.0's logger is not told whose message it
+/// takes.
 #[derive(Debug)]
 pub(super) struct Current(*mut c_void);
 

@@ -1,13 +1,14 @@
 //! Clocks of model exchange and co-simulation: who ticks when, and what happens at a tick.
 //!
-//! The importer activates input clocks, all that are due at an instant in one visit of event mode, together with every
-//! other event of that instant. Ticks of periodic clocks are `start + shift + k * interval`, never sums; fractions are
-//! multiplied out before they are divided. The rules are those of FMI 3.0.x, sections 2.2.8.3 and 2.3.5.
+//! The importer activates input clocks, all that are due at an instant in one visit of event mode, together
+//! with every other event of that instant. Ticks of periodic clocks are `start + shift + k * interval`, never
+//! sums; fractions are multiplied out before they are divided. The rules are those of FMI 3.0.x, sections
+//! 2.2.8.3 and 2.3.5.
 
 use super::plan::ClockPlan;
 use super::schedule::Schedule;
 use crate::description::{ClockKind, Interval, VariableKind};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::instance::{Core, MAX_EVENT_ITERATIONS};
 use crate::simulation::outputs::OutputBuffers;
 use crate::simulation::outside::Outside;
@@ -53,9 +54,9 @@ impl ClockState {
         timed.chain(triggered).next()
     }
 
-    /// Before the initialization ends: learns the intervals that only the model knows, and sets clocked inputs, which
-    /// may be set once more here without a tick.
-    pub(crate) fn begin(&mut self, plan: &ClockPlan, core: &mut Core, start: f64) -> Result<(), FmiError> {
+    /// Before the initialization ends: learns the intervals that only the model knows, and sets clocked
+    /// inputs, which may be set once more here without a tick.
+    pub(crate) fn begin(&mut self, plan: &ClockPlan, core: &mut Core, start: f64) -> Result<()> {
         self.ticks.clear();
         self.schedules.clear();
         self.passed.clear();
@@ -86,7 +87,8 @@ impl ClockState {
         timed.chain(triggered).min_by(f64::total_cmp)
     }
 
-    /// Notes and lists the clocks that are due, with the exact times of their ticks, and plans their next ones.
+    /// Notes and lists the clocks that are due, with the exact times of their ticks, and plans their next
+    /// ones.
     fn take_due(&mut self, plan: &ClockPlan, t: f64) {
         self.ticked.clear();
         self.active.clear();
@@ -112,9 +114,10 @@ impl ClockState {
         }
     }
 
-    /// The events of an instant, in event mode: activates the clocks that are due, updates the discrete states until they
-    /// settle, and notes what ticks follow. `next_time` of the outcome is the next event that the model announced or the
-    /// next tick; that of the model alone comes second. Each round may be ended from `outside`.
+    /// The events of an instant, in event mode: activates the clocks that are due, updates the discrete
+    /// states until they settle, and notes what ticks follow. `next_time` of the outcome is the next event
+    /// that the model announced or the next tick; that of the model alone comes second. Each round may be
+    /// ended from `outside`.
     pub(crate) fn iterate_events(
         &mut self,
         plan: &ClockPlan,
@@ -122,7 +125,7 @@ impl ClockState {
         t: f64,
         outputs: (&[u32], &mut OutputBuffers),
         outside: &Outside<'_>,
-    ) -> Result<(EventOutcome, Option<f64>), FmiError> {
+    ) -> Result<(EventOutcome, Option<f64>)> {
         let first = self.ticks.len();
         let mut total = EventOutcome::default();
         for _ in 0..MAX_EVENT_ITERATIONS {
@@ -163,7 +166,7 @@ impl ClockState {
     }
 
     /// Sets the clocks that tick, and the inputs that belong to them.
-    fn activate(&mut self, plan: &ClockPlan, core: &mut Core, t: f64) -> Result<(), FmiError> {
+    fn activate(&mut self, plan: &ClockPlan, core: &mut Core, t: f64) -> Result<()> {
         if self.active.is_empty() {
             return Ok(());
         }
@@ -180,7 +183,7 @@ impl ClockState {
     }
 
     /// Notes the clocks that the model has activated.
-    fn watch(&mut self, plan: &ClockPlan, core: &mut Core, t: f64) -> Result<(), FmiError> {
+    fn watch(&mut self, plan: &ClockPlan, core: &mut Core, t: f64) -> Result<()> {
         if plan.watched.is_empty() {
             return Ok(());
         }
@@ -197,7 +200,7 @@ impl ClockState {
     }
 
     /// Asks for the intervals that may have changed in this visit.
-    fn learn(&mut self, plan: &ClockPlan, core: &mut Core, t: f64) -> Result<(), FmiError> {
+    fn learn(&mut self, plan: &ClockPlan, core: &mut Core, t: f64) -> Result<()> {
         for (i, clock) in plan.timed.iter().enumerate() {
             let tick = self.ticked.iter().find(|(clock, _)| *clock == i).map(|(_, time)| *time);
             let asks = match clock.timing.kind {

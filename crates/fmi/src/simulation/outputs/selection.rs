@@ -2,11 +2,12 @@
 
 use super::buffers::{OutputContext, OutputPlan, element_of};
 use crate::description::{Causality, ModelDescription, Structure, Variability, Variable};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::instance::assignments::resolve;
 use std::collections::HashSet;
 
-/// Where a model declares neither outputs nor states, everything that changes is recorded, if it is not more than this.
+/// Where a model declares neither outputs nor states, everything that changes is recorded, if it is not more
+/// than this.
 const MOST_UNASKED: usize = 10_000;
 
 /// The name that stands for all variables, where none has it.
@@ -61,7 +62,7 @@ impl Selection {
     ///
     /// # Errors
     /// A name is unknown; a pattern fits nothing.
-    pub(crate) fn of_names<'a>(context: &OutputContext<'a>, names: &'a [String]) -> Result<Self, FmiError> {
+    pub(crate) fn of_names<'a>(context: &OutputContext<'a>, names: &'a [String]) -> Result<Self> {
         let (model, structure) = (context.model, context.structure);
         let mut selection = Self::default();
         // Those recorded as a whole.
@@ -80,7 +81,7 @@ impl Selection {
             } else if name.contains(['*', '?']) {
                 if selection.add_matching(context, name, &mut known) == 0 {
                     let problem = format!("the pattern \"{name}\" fits the name of no variable");
-                    return Err(FmiError::BadSetting { problem });
+                    return Err(FmiError::BadSetting(problem));
                 }
             } else if name != "time" {
                 // Time is always there; models may or may not have a variable for it.
@@ -91,7 +92,8 @@ impl Selection {
         Ok(selection)
     }
 
-    /// Adds the variables that fit a pattern by one of their names, under that name, and are not there yet; how many fit.
+    /// Adds the variables that fit a pattern by one of their names, under that name, and are not there yet;
+    /// how many fit.
     fn add_matching<'a>(
         &mut self,
         context: &OutputContext<'a>,
@@ -118,8 +120,8 @@ impl Selection {
     }
 }
 
-/// The positions of the state variables in the order of the state vector; `None` where the description does not say which
-/// variable a derivative belongs to. An array stands there once for each element.
+/// The positions of the state variables in the order of the state vector; `None` where the description does
+/// not say which variable a derivative belongs to. An array stands there once for each element.
 pub(crate) fn states(description: &ModelDescription, structure: &Structure) -> Vec<Option<usize>> {
     let mut states = Vec::new();
     for unknown in &description.structure.derivatives {

@@ -1,14 +1,15 @@
 //! The communication points of a co-simulation.
 //!
-//! Regular points are `start + k * step`, never sums, and the step is passed as the same constant each time: a
-//! difference of times, wrong in its last digit, makes some FMUs slow and changes the results of others. Where the FMU
-//! takes steps of any length, requested times and the instants of inputs are communication points too; where it does
-//! not, samples between two points are interpolated, and the last step may reach beyond the final time. Where it steps
-//! from one multiple of a step of its own to the next (`fixedInternalStepSize`, FMI 3.0) and so keeps its values in between,
-//! communication points are such multiples only: for what lies between two of them both.
+//! Regular points are `start + k * step`, never sums, and the step is passed as the same constant each time:
+//! a difference of times, wrong in its last digit, makes some FMUs slow and changes the results of others.
+//! Where the FMU takes steps of any length, requested times and the instants of inputs are communication
+//! points too; where it does not, samples between two points are interpolated, and the last step may reach
+//! beyond the final time. Where it steps from one multiple of a step of its own to the next
+//! (`fixedInternalStepSize`, FMI 3.0) and so keeps its values in between, communication points are such
+//! multiples only: for what lies between two of them both.
 
 use crate::description::{Capabilities, DefaultExperiment};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::simulation::grid::Grid;
 use crate::simulation::options::{BetweenSteps, SimulateOptions};
 use ode::Number;
@@ -41,7 +42,7 @@ impl Communication {
         experiment: &DefaultExperiment,
         capabilities: &Capabilities,
         grid: &Grid,
-    ) -> Result<Self, FmiError> {
+    ) -> Result<Self> {
         let span = grid.end - grid.start;
         let makes_sense =
             |step: &f64| step.is_finite() && *step > grid.time_tolerance && span / *step <= MAX_STEPS;
@@ -52,7 +53,7 @@ impl Communication {
                 Number(grid.start),
                 Number(grid.end)
             );
-            return Err(FmiError::BadSetting { problem });
+            return Err(FmiError::BadSetting(problem));
         }
         let variable = capabilities.can_handle_variable_communication_step_size;
         let suggested = experiment.step_size.filter(makes_sense);
@@ -85,7 +86,7 @@ impl Communication {
             let problem = format!(
                 "a communication step of {step} is no multiple of the model's own step {internal}; next to it: {next}"
             );
-            return Err(FmiError::BadSetting { problem });
+            return Err(FmiError::BadSetting(problem));
         }
         let communication = Self {
             step,
@@ -102,13 +103,14 @@ impl Communication {
         Ok(Self { ends_exactly: variable && !ends_between, ..communication })
     }
 
-    /// The multiples of the model's own step next to `time`, before and after it; none where it is one, or the model has no
-    /// such step.
+    /// The multiples of the model's own step next to `time`, before and after it; none where it is one, or
+    /// the model has no such step.
     pub(crate) fn steps_around(&self, start: f64, time: f64, time_tolerance: f64) -> Option<(f64, f64)> {
         around(self.internal?, start, time, time_tolerance)
     }
 
-    /// The steps between which the model cannot stop: its own, or the communication step if that is the only one.
+    /// The steps between which the model cannot stop: its own, or the communication step if that is the only
+    /// one.
     fn fixed_step(&self) -> Option<f64> {
         if self.variable { self.internal } else { self.step }
     }
@@ -117,7 +119,7 @@ impl Communication {
     ///
     /// # Errors
     /// They are to be refused: the first one, with its neighbours.
-    pub(crate) fn check_rows(&self, grid: &Grid, between: BetweenSteps) -> Result<Option<String>, FmiError> {
+    pub(crate) fn check_rows(&self, grid: &Grid, between: BetweenSteps) -> Result<Option<String>> {
         let Some(step) = self.fixed_step() else { return Ok(None) };
         let beside =
             |time: &f64| around(step, grid.start, *time, grid.time_tolerance).map(|pair| (*time, pair));
@@ -133,7 +135,7 @@ impl Communication {
                 let problem = format!(
                     "{what}, and rows between steps are to be refused: ask for rows at multiples of the step"
                 );
-                Err(FmiError::BadSetting { problem })
+                Err(FmiError::BadSetting(problem))
             }
         }
     }
@@ -152,7 +154,8 @@ impl Communication {
     }
 }
 
-/// The multiples of `step` from `start` on that are next to `time`, before and after it; none where it is one.
+/// The multiples of `step` from `start` on that are next to `time`, before and after it; none where it is
+/// one.
 fn around(step: f64, start: f64, time: f64, time_tolerance: f64) -> Option<(f64, f64)> {
     let steps = (time - start) / step;
     let point = |steps: f64| start + steps * step;
@@ -172,11 +175,7 @@ mod tests {
         Capabilities { can_handle_variable_communication_step_size: variable, ..Capabilities::default() }
     }
 
-    fn communication(
-        step: Option<f64>,
-        suggested: Option<f64>,
-        variable: bool,
-    ) -> Result<Communication, FmiError> {
+    fn communication(step: Option<f64>, suggested: Option<f64>, variable: bool) -> Result<Communication> {
         let options = SimulateOptions { step_size: step, ..SimulateOptions::default() };
         let experiment = DefaultExperiment { step_size: suggested, ..DefaultExperiment::default() };
         Communication::new(&options, &experiment, &capabilities(variable), &grid())
