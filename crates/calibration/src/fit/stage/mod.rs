@@ -38,8 +38,8 @@ use search::{Job, Searched};
 const LOOSE: f64 = 0.1;
 
 impl Calibration {
-    /// Tolerances of the search that mean nothing. An absolute `f_tol` may be above the cost, which is 0 where
-    /// there is no noise.
+    /// Tolerances of the search that mean nothing. An absolute `f_tol` may be above the cost, which is 0
+    /// where there is no noise.
     fn loose(&self, tolerances: &Tolerances, x: &[f64]) -> Option<Finding> {
         let Tolerances { x_tol, f_tol, measure, .. } = *tolerances;
         let said: Vec<String> = match measure {
