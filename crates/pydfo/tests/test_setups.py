@@ -346,7 +346,7 @@ def bowl(x):
         (lambda: decay({"time": TIME, "x": DECAY}, weights=2.0), "weights must be a dict of outputs and numbers, or a number per"),
         (lambda: decay({"time": TIME, "x": DECAY}, inputs={"u"}), "inputs must be a dict of variable and column, or a list"),
         (lambda: decay({"time": TIME, "x": DECAY}).cost("2"), "x must be numbers, not '2'"),
-        (lambda: decay({"time": TIME, "x": DECAY}).fit(start=["1"]), r"x must be numbers, not \['1'\]"),
+        (lambda: decay({"time": TIME, "x": DECAY}).fit(start=["1"]), r"start must be numbers, not \['1'\]"),
         (lambda: pydfo.fmin(bowl, [0.0], plot="no"), "plot must be True or False, not 'no'"),
     ],
 )

@@ -271,7 +271,7 @@ fn load(options: &Checkpoint) -> Result<Option<Snapshot>, Error> {
 }
 
 /// The words of users for what identifies a run.
-fn words(name: &str) -> &str {
+pub(crate) fn words(name: &str) -> &str {
     match name {
         "measure" => "tolerances",
         "sizes" => "sizes of the parameters (nominal, start or bounds)",

@@ -150,7 +150,9 @@ impl<M: MethodOptions> Description<M> {
             before: 0.0,
             needs_residuals: method.needs_residuals(),
             method_reason: options.method_reason,
-            options: method.describe().into_iter().chain(option_texts::fields(&options.tolerances)).collect(),
+            options: (method.describe().into_iter().chain(option_texts::fields(&options.tolerances)))
+                .map(|(name, value)| (checkpoint::words(&name).to_owned(), value))
+                .collect(),
             resumed: None,
         };
         started.round.ledger.trace.set_problem(options.problem.clone());
