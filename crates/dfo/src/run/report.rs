@@ -171,11 +171,19 @@ impl Report {
     /// With a loss, r and J are those of the residuals as they counted (see [`RobustLoss`]), so that an
     /// outlier adds as little to s as it did to the cost.
     pub fn covariance(&self) -> Option<Covariance> {
+        self.covariance_unless(&RunContext::new())
+    }
+
+    /// The same; `None`, too, where there are many residuals and the context is over.
+    pub fn covariance_unless(&self, context: &RunContext<'_>) -> Option<Covariance> {
         let (residuals, jacobian) = (self.residuals.as_ref()?, self.jacobian.as_ref()?);
+        if self.loss.is_linear() {
+            return Covariance::new(residuals, jacobian, &self.active, context);
+        }
         let counted: Vec<f64> = residuals.iter().map(|r| self.loss.transform(*r)).collect();
         let n = self.x.len();
         let weighted = jacobian.iter().enumerate().map(|(k, j)| j * self.loss.slope(residuals[k / n]));
-        Some(Covariance::new(&counted, &weighted.collect::<Vec<_>>(), &self.active))
+        Covariance::new(&counted, &weighted.collect::<Vec<_>>(), &self.active, context)
     }
 
     /// The sum of the squares of the plain residuals: with the linear loss the cost.

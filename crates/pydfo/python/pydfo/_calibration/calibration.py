@@ -305,8 +305,8 @@ class Calibration(Point):
         stop : {"all", "any"}, optional
             Whether both tests must hold (the default), or one ends the fit.
         batch : {"auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"}, "workers" or int
-            Nelder-Mead and barrier: how many trial points are simulated at once in an iteration; see `fmin`. Least squares: a
-            number of points, or "workers"; see `least_squares`.
+            Nelder-Mead and barrier: how many trial points are simulated at once in an iteration; see `fmin`. Least squares:
+            "serial", "rounds", a number of points, or "workers"; see `least_squares`.
         disp : bool, optional
             True: show a line that follows the fit where standard error is a terminal or a notebook (by rich or tqdm, where one is
             installed), else print a line per iteration, as `fmin` does; and how the fit ended. False: show nothing. None: show the
