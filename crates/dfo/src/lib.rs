@@ -70,7 +70,7 @@ pub use methods::{
     Coefficients, Crossover, DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState,
     InitialSimplex, LeastSquares, LeastSquaresState, Multistart, MultistartState, NelderMead,
     NelderMeadState, PatternSearch, PatternSearchState, Polish, PollPlan, QuadraticModel,
-    QuadraticModelState, Repair, Restarts, Scheme, Selection, Strategy, Weight,
+    QuadraticModelState, Repair, Restarts, Scheme, Selection, StepPlan, Strategy, Weight,
 };
 pub use outcome::answer::{Answer, Answers, Failure, FailureKind, Outcome, Want};
 pub use outcome::termination::Termination;

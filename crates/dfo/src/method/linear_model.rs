@@ -32,6 +32,9 @@ const NOISE: [f64; 4] = [1e-8, 1e-6, 1e-4, 1e-2];
 /// Differences of residuals that are looked at together.
 const AT_ONCE: usize = 1 << 18;
 
+/// Rows of the Jacobian that are factorised together: those of ten columns fit into a cache.
+const ROWS_AT_ONCE: usize = 1 << 12;
+
 /// Curvature over the size of a parameter relative to the derivatives, up to which a misfit is no noise.
 const BENT: f64 = 10.0;
 
@@ -146,7 +149,14 @@ impl Covariance {
     /// `s^2 (J' J)^-1` of the parameters that are not held, with `s^2 = r' r / (m - n)` (Seber and Wild,
     /// Nonlinear Regression, 1989, section 2.1.2), by the singular values of J with its columns scaled to
     /// length one.
-    pub(crate) fn new(residuals: &[f64], jacobian: &[f64], active: &[i8]) -> Self {
+    ///
+    /// `None` where there are many residuals and the context is over.
+    pub(crate) fn new(
+        residuals: &[f64],
+        jacobian: &[f64],
+        active: &[i8],
+        context: &RunContext<'_>,
+    ) -> Option<Self> {
         let (m, n) = (residuals.len(), active.len());
         let (free, held): (Vec<usize>, Vec<usize>) = (0..n).partition(|&index| active[index] == 0);
         let p = free.len();
@@ -156,21 +166,31 @@ impl Covariance {
         } else {
             residuals.iter().map(|r| r * r).sum::<f64>() / degrees_of_freedom as f64
         };
-        let mut columns = DMatrix::from_fn(m, p, |i, k| jacobian[i * n + free[k]]);
         // Lengths without overflow; a column of zeros stays one.
-        let lengths: Vec<f64> = columns
-            .column_iter_mut()
-            .map(|mut column| {
-                let largest = column.amax();
-                if largest == 0.0 {
-                    return 1.0;
-                }
-                column.iter_mut().for_each(|c| *c /= largest);
-                let length = column.norm();
-                column /= length;
-                largest * length
-            })
-            .collect();
+        let (mut largest, mut squares) = (vec![0.0f64; p], vec![0.0; p]);
+        for row in jacobian.chunks_exact(n) {
+            free.iter().zip(&mut largest).for_each(|(k, most)| *most = most.max(row[*k].abs()));
+        }
+        largest.iter_mut().filter(|most| **most == 0.0).for_each(|most| *most = 1.0);
+        for row in jacobian.chunks_exact(n) {
+            let of_row = free.iter().zip(&largest).map(|(k, most)| row[*k] / most);
+            squares.iter_mut().zip(of_row).for_each(|(sum, share)| *sum += share * share);
+        }
+        let length = |(most, sum): (&f64, &f64)| if *sum > 0.0 { most * sum.sqrt() } else { 1.0 };
+        let lengths: Vec<f64> = largest.iter().zip(&squares).map(length).collect();
+        // The triangle of a QR factorisation, rows added block by block, has the same singular values.
+        let mut columns = DMatrix::zeros(0, p);
+        for (block, rows) in jacobian.chunks(ROWS_AT_ONCE * n).enumerate().filter(|_| p > 0) {
+            if block > 0 && context.is_over() {
+                return None;
+            }
+            let above = columns.nrows();
+            let stacked = DMatrix::from_fn(above + rows.len() / n, p, |i, k| match i.checked_sub(above) {
+                Some(i) => rows[i * n + free[k]] / lengths[k],
+                None => columns[(i, k)],
+            });
+            columns = stacked.qr().r();
+        }
         let (inverse, determined) = inverse_of_normal_matrix(columns, p);
         let mut matrix = vec![0.0; n * n];
         for (a, &i) in free.iter().enumerate() {
@@ -185,7 +205,7 @@ impl Covariance {
         }
         let undetermined: Vec<usize> =
             free.iter().zip(&determined).filter(|(_, known)| !**known).map(|(index, _)| *index).collect();
-        Self { matrix, variance, degrees_of_freedom, undetermined, held }
+        Some(Self { matrix, variance, degrees_of_freedom, undetermined, held })
     }
 
     /// Remarks on the covariance, with these names for the parameters; empty if there are none.
@@ -245,6 +265,10 @@ mod tests {
     use super::*;
     use crate::problem::space::Bounds;
 
+    fn computed(residuals: &[f64], jacobian: &[f64], active: &[i8]) -> Covariance {
+        Covariance::new(residuals, jacobian, active, &RunContext::new()).unwrap()
+    }
+
     fn said(covariance: &Covariance) -> String {
         covariance.message(|index| format!("x[{index}]"))
     }
@@ -255,13 +279,13 @@ mod tests {
         let jacobian: Vec<f64> = (0..4).flat_map(|t| [1.0, f64::from(t)]).collect();
         let residuals = [0.1, -0.2, 0.3, -0.1];
         let s2 = 0.15 / 2.0;
-        let covariance = Covariance::new(&residuals, &jacobian, &[0, 0]);
+        let covariance = computed(&residuals, &jacobian, &[0, 0]);
         for (got, expected) in covariance.matrix.iter().zip([0.7, -0.3, -0.3, 0.2]) {
             assert!((got - s2 * expected).abs() < 1e-15, "{covariance:?}");
         }
         assert_eq!((covariance.degrees_of_freedom, said(&covariance)), (2, String::new()));
         // With b at a bound: the variance of a mean.
-        let covariance = Covariance::new(&residuals, &jacobian, &[0, 1]);
+        let covariance = computed(&residuals, &jacobian, &[0, 1]);
         assert!((covariance.matrix[0] - 0.05 / 4.0).abs() < 1e-15 && covariance.matrix[1..] == [0.0; 3]);
         assert_eq!(said(&covariance), "at a bound or fixed, taken as known: x[1]");
     }
@@ -269,7 +293,7 @@ mod tests {
     #[test]
     fn scales_make_no_difference() {
         let jacobian: Vec<f64> = (0..4).flat_map(|t| [1e200, 1e-200 * f64::from(t)]).collect();
-        let matrix = Covariance::new(&[0.1, -0.2, 0.3, -0.1], &jacobian, &[0, 0]).matrix;
+        let matrix = computed(&[0.1, -0.2, 0.3, -0.1], &jacobian, &[0, 0]).matrix;
         assert!((matrix[1] / (-0.3 * 0.075) - 1.0).abs() < 1e-12 && matrix[3] == f64::INFINITY, "{matrix:?}");
     }
 
@@ -277,17 +301,17 @@ mod tests {
     fn what_is_not_determined_is_infinite_and_named() {
         // a + b only, and c.
         let jacobian: Vec<f64> = (0..5).flat_map(|t| [1.0, 1.0, f64::from(t)]).collect();
-        let covariance = Covariance::new(&[1.0, -1.0, 0.5, 0.5, -1.0], &jacobian, &[0, 0, 0]);
+        let covariance = computed(&[1.0, -1.0, 0.5, 0.5, -1.0], &jacobian, &[0, 0, 0]);
         let of = |i: usize, j: usize| covariance.matrix[3 * i + j];
         assert!(of(0, 0) == f64::INFINITY && of(1, 1) == f64::INFINITY && of(0, 1).is_nan());
         assert!(of(2, 2).is_finite() && of(0, 2).is_finite());
         assert_eq!(covariance.undetermined, [0, 1]);
         assert!(said(&covariance).ends_with("fits as well): x[0], x[1]"), "{}", said(&covariance));
-        let none = Covariance::new(&[1.0, 2.0], &[1.0, 0.0, 0.0, 1.0], &[0, 0]);
+        let none = computed(&[1.0, 2.0], &[1.0, 0.0, 0.0, 1.0], &[0, 0]);
         assert!(none.matrix[0] == f64::INFINITY && none.matrix[1].is_nan() && none.variance.is_nan());
-        let zero = Covariance::new(&[1.0, 2.0], &[1.0, 0.0, 1.0, 0.0], &[0, 0]);
+        let zero = computed(&[1.0, 2.0], &[1.0, 0.0, 1.0, 0.0], &[0, 0]);
         assert_eq!(zero.undetermined, [1]);
-        assert_eq!(Covariance::new(&[], &[], &[-1]).matrix, [0.0]);
+        assert_eq!(computed(&[], &[], &[-1]).matrix, [0.0]);
     }
 
     #[test]

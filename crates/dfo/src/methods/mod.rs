@@ -18,7 +18,7 @@ pub use differential_evolution::{
     Adaptive, Crossover, DifferentialEvolution, DifferentialEvolutionState, Repair, Scheme, Strategy, Weight,
 };
 pub use genetic::{Genetic, GeneticState, Selection};
-pub use least_squares::{LeastSquares, LeastSquaresState};
+pub use least_squares::{LeastSquares, LeastSquaresState, StepPlan};
 pub use multistart::{Multistart, MultistartState, Polish};
 pub use nelder_mead::{BatchPlan, Coefficients, InitialSimplex, NelderMead, NelderMeadState};
 pub use pattern_search::{PatternSearch, PatternSearchState, PollPlan};
@@ -489,7 +489,7 @@ impl Auto {
         let mut reason = reason.to_owned();
         let own = method.option_names()?;
         let plan = match self.options.get("batch") {
-            Some(Value::Text(plan)) if plan != "workers" => Some(plan),
+            Some(Value::Text(plan)) if plan != "workers" && plan != "rounds" => Some(plan),
             _ => None,
         };
         if can_take_simplex && let Some(plan) = plan {

@@ -8,6 +8,7 @@ use crate::method::tolerances::{Limits, Tests};
 use crate::outcome::termination::{Termination, UNBOUNDED};
 use crate::outcome::trace::Trace;
 use crate::problem::loss::RobustLoss;
+use crate::values::number::Number;
 use base::RunContext;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -69,6 +70,9 @@ pub struct Report {
     pub method: Cow<'static, str>,
     /// Why it was chosen, where the user left the choice open.
     pub method_reason: Option<String>,
+    /// Options of the method and the tolerances, by name, as text.
+    #[serde(default)]
+    pub options: Vec<(String, String)>,
     /// Batch plan of the method.
     pub batch: Cow<'static, str>,
     /// Evaluations that could run at once.
@@ -133,6 +137,7 @@ impl Report {
             seed: None,
             method: method.to_owned().into(),
             method_reason: None,
+            options: Vec::new(),
             batch: String::new().into(),
             workers: 1,
             seconds,
@@ -166,11 +171,19 @@ impl Report {
     /// With a loss, r and J are those of the residuals as they counted (see [`RobustLoss`]), so that an
     /// outlier adds as little to s as it did to the cost.
     pub fn covariance(&self) -> Option<Covariance> {
+        self.covariance_unless(&RunContext::new())
+    }
+
+    /// The same; `None`, too, where there are many residuals and the context is over.
+    pub fn covariance_unless(&self, context: &RunContext<'_>) -> Option<Covariance> {
         let (residuals, jacobian) = (self.residuals.as_ref()?, self.jacobian.as_ref()?);
+        if self.loss.is_linear() {
+            return Covariance::new(residuals, jacobian, &self.active, context);
+        }
         let counted: Vec<f64> = residuals.iter().map(|r| self.loss.transform(*r)).collect();
         let n = self.x.len();
         let weighted = jacobian.iter().enumerate().map(|(k, j)| j * self.loss.slope(residuals[k / n]));
-        Some(Covariance::new(&counted, &weighted.collect::<Vec<_>>(), &self.active))
+        Covariance::new(&counted, &weighted.collect::<Vec<_>>(), &self.active, context)
     }
 
     /// The sum of the squares of the plain residuals: with the linear loss the cost.
@@ -199,7 +212,7 @@ impl fmt::Display for Report {
         if let Some(reason) = &self.method_reason {
             writeln!(f, "  chosen       {reason}")?;
         }
-        writeln!(f, "  cost         {:e}", self.fun)?;
+        writeln!(f, "  cost         {}", Number(self.fun))?;
         writeln!(f, "  x            {:?}", self.x)?;
         writeln!(f, "  iterations   {}", self.n_iterations)?;
         write!(f, "  evaluations  {} in {} batches", self.n_evaluations, self.n_batches)?;
@@ -259,6 +272,7 @@ pub(crate) fn conclude<M: Method + ?Sized>(
         seed: details.seed,
         method: method.name().into(),
         method_reason: None,
+        options: Vec::new(),
         batch: details.plan.into(),
         workers,
         seconds,
@@ -290,14 +304,17 @@ fn message<M: Method + ?Sized>(
             with_tests(format!("{ended} {why}"))
         }
         Termination::Target => {
-            format!("target reached: cost {fun:e} <= {:e}", limits.target.unwrap_or(f64::NAN))
+            let target = Number(limits.target.unwrap_or(f64::NAN));
+            format!("target reached: cost {} <= {target}", Number(fun))
         }
         Termination::ConstantCost => with_tests(
             "nothing was learned: the search came to its end, but the cost did not change".to_owned(),
         ),
         Termination::Unbounded => {
             format!(
-                "the cost has no minimum: it fell to {fun:e}, below {UNBOUNDED:e}, and would fall further"
+                "the cost has no minimum: it fell to {}, below {}, and would fall further",
+                Number(fun),
+                Number(UNBOUNDED)
             )
         }
         Termination::Collapsed => with_tests(
@@ -342,7 +359,7 @@ fn message<M: Method + ?Sized>(
         _ => message,
     };
     if let Some(cost) = ledger.trace.constant() {
-        format!("{message}; the cost was {cost:e} at all {} points", ledger.n_evaluations)
+        format!("{message}; the cost was {} at all {} points", Number(cost), ledger.n_evaluations)
     } else if details.without_effect.is_empty() {
         message
     } else {

@@ -6,9 +6,12 @@ use crate::problems;
 
 use common::{probe_fails, rosenbrock, timeless};
 use dfo::{
-    Answers, Batch, Bounds, Checkpoint, Error, LeastSquares, Method, MethodOptions, Minimize, Objective,
-    Outcome, Report, RunContext, Setup, Space, Termination, by_hand, minimize, residuals,
+    Answers, AnyMethod, Batch, Bounds, Checkpoint, Error, LeastSquares, Method, MethodOptions, Minimize,
+    Objective, Outcome, Record, Report, RunContext, Setup, Space, Termination, Value, by_hand, minimize,
+    residuals,
 };
+use problems::calibration::fits;
+use problems::nist::regressions;
 use problems::{instances, residuals as more_wild};
 use std::cell::Cell;
 use std::ops::ControlFlow;
@@ -202,6 +205,23 @@ fn smooth_problems_take_few_evaluations() {
     }
 }
 
+/// Evaluations up to the end by the default tolerances in units of n + 1; SciPy's `least_squares(method="trf")` takes 8.7.
+#[test]
+fn the_end_is_not_late() {
+    let mut units = Vec::new();
+    for regression in regressions() {
+        for start in &regression.starts {
+            let f = |x: &[f64], out: &mut Vec<f64>| out.extend(regression.residuals(x));
+            let run = minimize(residuals(f)).start(start).method(LeastSquares::default());
+            let report = run.max_evaluations(200 * (start.len() + 1)).run().unwrap();
+            units.push(report.n_evaluations as f64 / (start.len() + 1) as f64);
+        }
+    }
+    let (_, _, median) = profile(units);
+    println!("to the end: median {median:.1}");
+    assert!(median <= 8.7);
+}
+
 #[test]
 fn rounds_of_many_points_are_few() {
     type Width = fn(usize) -> usize;
@@ -211,6 +231,47 @@ fn rounds_of_many_points_are_few() {
         let (_, solved, median) = profile(units(1e-5, width, true, None));
         println!("rounds of {name}: {solved:.0} % solved, median {median}");
         assert!(solved >= 90.0 && median <= most);
+    }
+    let mut rounds = Vec::new();
+    for fit in fits() {
+        for start in fit.starts() {
+            let f = |x: &[f64], out: &mut Vec<f64>| out.extend(fit.residuals(x));
+            let run = minimize(residuals(f)).start(&start).x_tol(0.0).f_tol(0.0);
+            let run = run.method(LeastSquares::default().rounds()).max_evaluations(100 * (start.len() + 1));
+            let (report, goal) = (run.run().unwrap(), 1e-5 * fit.cost(&start));
+            let solved = report.trace.iter().find(|e| e.outcome.value().is_some_and(|f| f <= goal));
+            rounds.push(solved.map_or(f64::INFINITY, |e| (e.batch + 1) as f64));
+        }
+    }
+    let (_, solved, median) = profile(rounds);
+    println!("rounds of fits: {solved:.0} % solved, median {median}");
+    assert!(solved >= 95.0 && median <= 8.0);
+}
+
+/// The plan of rounds takes n + 4 points, also by its name.
+#[test]
+fn a_plan_of_rounds_is_chosen_by_name() {
+    let by_name = |plan: &str| {
+        let options = Record::from([("batch".to_owned(), Value::Text(plan.to_owned()))]);
+        "least-squares".parse::<AnyMethod>().unwrap().with_options(&options)
+    };
+    let run =
+        |method: AnyMethod| minimize(residuals(chained)).start(&[-1.2, 1.0]).method(method).run().unwrap();
+    let rounds = run(by_name("rounds").unwrap());
+    assert_eq!(rounds.batch, "rounds");
+    assert_eq!(told(&rounds), told(&run(LeastSquares::default().rounds().into())));
+    assert_eq!(told(&rounds), told(&run(LeastSquares::default().batch(6).into())));
+    assert_eq!(told(&run(by_name("serial").unwrap())), told(&run(LeastSquares::default().into())));
+    assert!(by_name("four").is_err());
+}
+
+/// Equal residuals at all points of the model are no minimum.
+#[test]
+fn a_plateau_is_left() {
+    let stairs = |x: &[f64], out: &mut Vec<f64>| out.push((10.0 * rosenbrock(x)).floor() / 10.0);
+    for (start, most) in [([-1.2, 1.0], 4.0), ([0.3, -0.5], 0.3), ([2.0, 2.0], 0.2)] {
+        let report = minimize(residuals(stairs)).start(&start).method(LeastSquares::default()).run().unwrap();
+        assert!(report.fun < most, "{report}");
     }
 }
 
@@ -346,6 +407,20 @@ fn hundreds_of_parameters() {
     let run = minimize(residuals(chained)).start(&start).method(LeastSquares::default());
     let report = run.max_evaluations(n + 81).run().unwrap();
     assert!(report.fun < 0.02 * report.trace.iter().next().unwrap().outcome.value().unwrap(), "{report}");
+}
+
+/// A linear problem ends with the step that solves it, although its points make no further model.
+#[test]
+fn hundreds_of_linear_residuals_end_with_their_solution() {
+    let n = 600;
+    let linear = |x: &[f64], out: &mut Vec<f64>| {
+        let term = |k: usize, scale: f64, j: usize| scale * (x[k] - 1.0) + 0.3 * (x[j % n] - 1.0);
+        out.extend((0..2 * n).map(|i| term(i % n, 1.0 + (i % n) as f64 / n as f64, 7 * (i % n) + i)));
+    };
+    let start: Vec<f64> = (0..n).map(|k| if k % 2 == 0 { -1.2 } else { 1.0 }).collect();
+    let run = minimize(residuals(linear)).start(&start).method(LeastSquares::default());
+    let report = run.max_evaluations(n + 30).run().unwrap();
+    assert!(report.is_success() && report.fun < 1e-12, "{report}");
 }
 
 /// The search goes on beside a region that fails, from the best point and not from the start.

@@ -2,11 +2,12 @@
 
 use crate::interrupt::threads::lock;
 use crate::interrupt::watch::CallingThread;
+use base::RunContext;
 use dfo::{Outcome, Progress, Report, Simplex, Termination, Tests, Trace, TraceEntry};
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::PyStopIteration;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyTuple};
+use pyo3::types::{IntoPyDict, PyDict, PyTuple};
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex};
 
@@ -196,6 +197,7 @@ pub(crate) fn to_python<'py>(
     py: Python<'py>,
     report: &Report,
     kind: ResultKind,
+    is_over: &dyn Fn() -> bool,
 ) -> PyResult<Bound<'py, PyAny>> {
     let fields = PyDict::new(py);
     fields.set_item("x", PyArray1::from_slice(py, &report.x))?;
@@ -233,6 +235,7 @@ pub(crate) fn to_python<'py>(
     fields.set_item("trace", trace(py, &report.trace)?)?;
     fields.set_item("method", &*report.method)?;
     fields.set_item("method_reason", report.method_reason.as_deref())?;
+    fields.set_item("options", report.options.iter().cloned().into_py_dict(py)?)?;
     let optima = report.optima.iter().map(|o| (PyArray1::from_slice(py, &o.x), o.cost, o.n_starts));
     fields.set_item("optima", optima.collect::<Vec<_>>())?;
     fields.set_item("batch", &*report.batch)?;
@@ -244,7 +247,7 @@ pub(crate) fn to_python<'py>(
         fields
             .set_item("active_mask", PyArray1::from_iter(py, report.active.iter().map(|a| i64::from(*a))))?;
     }
-    if let Some(covariance) = report.covariance() {
+    if let Some(covariance) = report.covariance_unless(&RunContext::new().asking(is_over)) {
         fields.set_item("cov_message", covariance.message(|index| format!("x[{index}]")))?;
         fields.set_item("cov", PyArray1::from_vec(py, covariance.matrix).reshape([n, n])?)?;
     }

@@ -20,7 +20,7 @@ mod subproblem;
 mod triangle;
 mod trust_region;
 
-pub use options::LeastSquares;
+pub use options::{LeastSquares, StepPlan};
 pub use state::LeastSquaresState;
 
 use crate::error::Error;

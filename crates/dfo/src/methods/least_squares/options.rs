@@ -3,11 +3,41 @@
 use crate::error::Error;
 use serde::{Deserialize, Serialize};
 
+/// Number of points that least squares evaluates at once after the first n + 1. Each plan takes a path of its
+/// own, the same for any number of workers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum StepPlan {
+    /// One point: the fewest evaluations.
+    #[default]
+    Serial,
+    /// n + 4 points: the model's best points within four radii, and the n neighbours of the first of them for
+    /// its Jacobian. The fewest rounds, for as many workers or more; with fewer it takes longer than one
+    /// point at a time.
+    Rounds,
+    /// So many points: first trial points, then neighbours.
+    #[serde(untagged)]
+    Points(usize),
+}
+
+impl StepPlan {
+    /// Number of points for `n` parameters.
+    pub(super) fn width(self, n: usize) -> usize {
+        match self {
+            Self::Serial => 1,
+            Self::Rounds => n + 4,
+            Self::Points(points) => points,
+        }
+    }
+}
+
 /// Options of the Gauss-Newton method on interpolation models, for objectives with residuals (see
 /// [`residuals`](crate::residuals)).
 ///
-/// The x test measures the radius within which the model is trusted, or the step to the model's minimum with
-/// the error that the model may have, where that is less; the f test the decrease that the model predicts.
+/// The x test measures the resolution of the model, or the step to the model's minimum where that is longer;
+/// or that step with the error that the model may have, where that is less. The f test measures the decrease
+/// that the model predicts.
 ///
 /// ```
 /// use dfo::{LeastSquares, minimize, residuals};
@@ -22,13 +52,13 @@ use serde::{Deserialize, Serialize};
 pub struct LeastSquares {
     /// The first radius, in units of the sizes of the parameters; default 0.1.
     pub radius: f64,
-    /// Points evaluated at once after the first n + 1; default one.
-    pub batch: Option<usize>,
+    /// Points evaluated at once after the first n + 1; default [`StepPlan::Serial`].
+    pub batch: StepPlan,
 }
 
 impl Default for LeastSquares {
     fn default() -> Self {
-        Self { radius: 0.1, batch: None }
+        Self { radius: 0.1, batch: StepPlan::Serial }
     }
 }
 
@@ -43,12 +73,19 @@ impl LeastSquares {
     /// Sets the number of points that are evaluated at once.
     #[must_use]
     pub fn batch(mut self, points: usize) -> Self {
-        self.batch = Some(points);
+        self.batch = StepPlan::Points(points);
+        self
+    }
+
+    /// Evaluates n + 4 points at once ([`StepPlan::Rounds`]).
+    #[must_use]
+    pub fn rounds(mut self) -> Self {
+        self.batch = StepPlan::Rounds;
         self
     }
 
     pub(super) fn check(&self) -> Result<(), Error> {
-        if self.batch == Some(0) {
+        if self.batch == StepPlan::Points(0) {
             return Err(Error::Option { name: "batch", value: 0.0, range: "at least 1" });
         }
         if self.radius > 0.0 && self.radius.is_finite() {

@@ -299,14 +299,23 @@ impl LeastSquaresState {
         (u - self.origin[k]) / self.setup.space.size(k)
     }
 
-    /// The tolerance tests, for a distance in units of the sizes and a decrease.
-    pub(super) fn judge(&self, distance: f64, decrease: f64, f: f64) -> Tests {
-        let Setup { space, tolerances, .. } = &self.setup;
-        let unit = match tolerances.measure {
+    /// The unit of `x_tol`, in units of the sizes.
+    fn x_unit(&self) -> f64 {
+        let space = &self.setup.space;
+        match self.setup.tolerances.measure {
             Measure::Relative => 1.0,
             Measure::Absolute => (0..space.n_free()).map(|k| space.size(k)).fold(0.0, f64::max),
-        };
-        let tests = tolerances.judge(distance * unit, Some(decrease), f, self.f_0);
+        }
+    }
+
+    /// The largest distance that passes the x test, in units of the sizes.
+    pub(super) fn x_limit(&self) -> f64 {
+        self.setup.tolerances.x_tol / self.x_unit()
+    }
+
+    /// The tolerance tests, for a distance in units of the sizes and a decrease.
+    pub(super) fn judge(&self, distance: f64, decrease: f64, f: f64) -> Tests {
+        let tests = self.setup.tolerances.judge(distance * self.x_unit(), Some(decrease), f, self.f_0);
         Tests { extent: Extent::Model, ..tests }
     }
 
@@ -541,7 +550,7 @@ impl Method for LeastSquaresState {
             n_iterations: self.n_iterations,
             operation: self.operation,
             tests: self.tests,
-            plan: if self.options.batch.is_some_and(|batch| batch > 1) { "rounds" } else { "serial" },
+            plan: if self.options.batch.width(self.n()) > 1 { "rounds" } else { "serial" },
             ..Details::default()
         };
         match &self.phase {

@@ -102,6 +102,13 @@ impl LeastSquaresState {
                 break;
             }
             let base = self.base();
+            let f = self.points[base].cost;
+            if f <= ZERO * self.f_0 {
+                // The points need not make a model any more.
+                self.tests = Some(self.judge(self.rho, f, f));
+                self.phase = Phase::Ended(Termination::Converged);
+                break;
+            }
             if self.set.len() <= self.n() && (self.completed.0 != base || self.completed.1 < MOST_TRIES) {
                 self.complete(base);
                 continue;
@@ -136,8 +143,7 @@ impl LeastSquaresState {
             let (lower, upper) = self.space_around(&z);
             let (step, predicted) = self.best_step(&z, &model.linear, self.delta, (&lower, &upper));
             let length = norm(&step);
-            let f = self.points[base].cost;
-            let mut tests = self.judge(self.rho, predicted, f);
+            let mut tests = self.judge(self.rho.max(length), predicted, f);
             if !tests.x_passed && self.judge(length, predicted, f).x_passed {
                 let (x_size, gain) = self.uncertainty(base, &model.linear, length, predicted);
                 tests = self.judge(x_size, gain, f);
@@ -160,9 +166,13 @@ impl LeastSquaresState {
             // would be followed for ever.
             let rounding = 4.0 * self.points[base].residuals.len() as f64 * f64::EPSILON * f;
             let nothing = rounding.max(1e-7 * tests.f_limit);
-            if tests.passed || f <= ZERO * self.f_0 {
+            // Equal residuals at all points are no minimum where others are known: a simplex looks beyond them.
+            let is_plateau = tests.passed
+                && self.set.iter().all(|k| self.points[*k].residuals == self.points[base].residuals)
+                && self.points.iter().any(|point| point.residuals != self.points[base].residuals);
+            if tests.passed && !is_plateau {
                 self.phase = Phase::Ended(Termination::Converged);
-            } else if is_kept_off || (self.n_failed > 0 && self.delta < STUCK) {
+            } else if is_kept_off || is_plateau || (self.n_failed > 0 && self.delta < STUCK) {
                 self.begin_simplex();
             } else if self.rho < SMALLEST {
                 self.phase = Phase::Ended(Termination::Collapsed);
@@ -197,9 +207,8 @@ impl LeastSquaresState {
                 self.model = Some(model);
             } else {
                 self.ask_for(sum(&z, &step), Role::Trial { predicted, radius: self.delta });
-                if let Some(more) =
-                    self.options.batch.map(|batch| batch.saturating_sub(1)).filter(|more| *more > 0)
-                {
+                let more = self.options.batch.width(self.n()) - 1;
+                if more > 0 {
                     self.widen(&z, &step, &model.linear, more);
                 }
                 self.model = Some(model);
@@ -280,11 +289,19 @@ impl LeastSquaresState {
             && self.best_step(z, linear, self.options.radius.max(self.delta), (lower, upper)).1 <= rounding
     }
 
-    /// A smaller resolution: a tenth, or the distance at which the minimum may lie where that is less.
+    /// A smaller resolution: a tenth, or the distance at which the minimum may lie where that is less; near
+    /// the x test's limit that is reached without a short last stage (Powell's rule in BOBYQA: report
+    /// DAMTP 2009/NA06, section 6).
     fn refine(&mut self, x_size: f64) {
         self.n_geometry = 0;
         self.delta = 0.5 * self.rho;
-        self.rho = (0.1 * self.rho).min(x_size).max(0.1 * SMALLEST);
+        let end = self.x_limit();
+        let next = match self.rho / end {
+            ratio if ratio > 16.0 && ratio <= 250.0 => ratio.sqrt() * end,
+            ratio if ratio > 1.0 && ratio <= 16.0 => end,
+            _ => 0.1 * self.rho,
+        };
+        self.rho = next.min(x_size).max(0.1 * SMALLEST);
         self.delta = self.delta.max(self.rho);
     }
 

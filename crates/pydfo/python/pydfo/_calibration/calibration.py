@@ -308,8 +308,8 @@ class Calibration(Point):
         stop : {"all", "any"}, optional
             Whether both tests must hold (the default), or one ends the fit.
         batch : {"auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"}, "workers" or int
-            Nelder-Mead and barrier: how many trial points are simulated at once in an iteration; see `fmin`. Least squares: a
-            number of points, or "workers"; see `least_squares`.
+            Nelder-Mead and barrier: how many trial points are simulated at once in an iteration; see `fmin`. Least squares:
+            "serial", "rounds", a number of points, or "workers"; see `least_squares`.
         disp : bool, optional
             True: show a line that follows the fit where standard error is a terminal or a notebook (by rich or tqdm, where one is
             installed), else print a line per iteration, as `fmin` does; and how the fit ended. False: show nothing. None: show the
@@ -433,7 +433,7 @@ class Calibration(Point):
             noise=noise,
         )
         of_stages = None if stages is None else _stages.records(_stages.collected(stages), method, own, record)
-        begin = self._values(start)
+        begin = self._values(start, "start")
         printer = Printer(self.names)
         shown = disp if disp is None else _options.flag("disp", disp)
         live: LiveLine | None = None
@@ -541,7 +541,7 @@ class Calibration(Point):
         ValueError, TypeError
             Arguments that cannot be used.
         """
-        return _uncertainty.before(self, self._values(start), workers)
+        return _uncertainty.before(self, self._values(start, "start"), workers)
 
     @explained
     def uncertainty(

@@ -82,10 +82,10 @@ def least_squares(
         Further arguments of `fun`.
     workers : int, map-like or executor
         As in `minimize`.
-    batch : "auto", "workers" or int
-        How many points the method asks for at once. "auto" takes a path that depends on n alone: the first stencil at
-        once, then one point after the other; a number takes another path, in fewer rounds with more evaluations; "workers" is
-        the number of workers.
+    batch : "auto", "serial", "rounds", "workers" or int
+        How many points the method asks for at once after the first n + 1. "auto" and "serial": one, with the fewest evaluations.
+        "rounds": n + 4, with about half as many rounds and some 1.5 times the evaluations; take it where there are n + 1 workers or
+        more. Either takes one path for any number of workers. A number: so many; "workers": the number of workers.
     callback, rng, checkpoint, resume, on_error : optional
         As in `minimize`; ``fun`` of a `Progress` is the cost.
     options : dict, optional
