@@ -31,7 +31,7 @@ impl FromStr for Isolation {
     type Err = crate::error::FmiError;
 
     fn from_str(name: &str) -> Result<Self, Self::Err> {
-        let found = Self::NAMES.iter().find(|(known, _)| *known == name);
+        let found = Self::NAMES.iter().find(|(known, _)| known.eq_ignore_ascii_case(name));
         found.map(|(_, isolation)| *isolation).ok_or_else(|| {
             crate::error::FmiError::BadSetting(format!(
                 "isolation = \"{name}\"; there are: \"process\", \"none\""

@@ -429,7 +429,7 @@ class Calibration(Point):
             noise=noise,
         )
         of_stages = None if stages is None else _stages.records(_stages.collected(stages), method, own, record)
-        begin = self._values(start)
+        begin = self._values(start, "start")
         printer = Printer(self.names)
         shown = disp if disp is None else _options.flag("disp", disp)
         live: LiveLine | None = None
@@ -537,7 +537,7 @@ class Calibration(Point):
         ValueError, TypeError
             Arguments that cannot be used.
         """
-        return _uncertainty.before(self, self._values(start), workers)
+        return _uncertainty.before(self, self._values(start, "start"), workers)
 
     @explained
     def uncertainty(
