@@ -6,8 +6,11 @@
 mod support;
 
 use calibration::RunContext;
-use calibration::{Calibration, Data, Experiment, FitOptions, ModelProcess, Parameter, SimulationSettings};
-use dfo::{Checkpoint, DifferentialEvolution, Limits, RunOptions};
+use calibration::{
+    Calibration, Data, Experiment, FitOptions, ModelProcess, Parameter, ProfileOptions, SimulationSettings,
+    ValidationSet,
+};
+use dfo::{Checkpoint, DifferentialEvolution, Limits, RunOptions, Termination};
 use fmi::worker::{Isolation, Launcher, WorkerLimits};
 use fmi::{Fmu, SimulateOptions};
 use std::path::{Path, PathBuf};
@@ -405,4 +408,99 @@ fn twenty_thousand_runs_with_a_state_that_no_variable_shows() {
     }
     let grown = own_size().saturating_sub(before);
     assert!(grown < 8 << 20, "{grown} bytes");
+}
+
+/// Faults in C, each for points above a bound.
+const ZOO: [(&str, &str); 25] = [
+    ("handles SIGINT", "signal(SIGINT, SIG_IGN)"),
+    ("handles SIGSEGV and hangs", "(signal(SIGSEGV, (void (*)(int))hang), raise(SIGSEGV))"),
+    ("ignores SIGABRT and aborts", "(signal(SIGABRT, SIG_IGN), abort())"),
+    ("closes descriptors", "close_all()"),
+    ("lowers limits", "syscall(302, 0, 7, (unsigned long[2]){0, 0}, 0)"),
+    ("leaves a thread", "{ int pthread_create(); pthread_create(&(long){0}, 0, pause, 0); }"),
+    ("overflows its stack", "overflow(m->time)"),
+    ("takes all memory", "fill_memory()"),
+    ("takes shared memory", "fill_shared_memory()"),
+    ("writes everywhere", "for (int i = 0; i < 20; i++) (void)!write(i, all_faults, 80)"),
+    ("prints for ever", "print_for_ever()"),
+    ("prints much", "for (int i = 0; i < 100000; i++) puts(\"much\")"),
+    ("copies itself", "copy_itself()"),
+    ("leaves a daemon", "leave_daemon()"),
+    (
+        "leaves a daemon without environment",
+        "if (fork() == 0) { setsid(); if (fork() == 0) execle(\"/bin/sleep\", \"sleep\", \"600\", (char *)0, (char *[]){0}); _exit(0); }",
+    ),
+    ("changes the locale", "setlocale(LC_ALL, \"de_DE.UTF-8\")"),
+    ("traps exceptions", "{ unsigned c = 0; __asm__ volatile(\"ldmxcsr %0\" : : \"m\"(c)); }"),
+    ("jumps away", "__builtin_longjmp((void **)calloc(64, 1), 1)"),
+    ("leaves with 0", "_exit(0)"),
+    ("ends its thread", "{ void pthread_exit(void *); pthread_exit(0); }"),
+    ("ends its group", "kill(0, SIGKILL)"),
+    ("stops itself", "raise(SIGSTOP)"),
+    ("sets an alarm", "alarm(1)"),
+    ("removes its folder", "remove_folder()"),
+    ("goes elsewhere", "(void)!chdir(\"/\")"),
+];
+
+/// What is left of this process's workers: processes and folders.
+fn left_behind() -> Vec<String> {
+    let own = std::process::id();
+    let prefix = format!("fmufit-worker-{own}-");
+    let names = std::fs::read_dir(std::env::temp_dir()).unwrap().flatten();
+    let mut left: Vec<_> = names.filter_map(|entry| entry.file_name().into_string().ok()).collect();
+    left.retain(|name| name.starts_with(&prefix));
+    left.extend(processes_of(&std::env::temp_dir().join(prefix)));
+    left
+}
+
+/// Fit, profile, validation and report end with the optimum or an error that says why, and leave nothing.
+#[test]
+#[ignore = "takes long"]
+fn a_zoo_of_faults() {
+    for (name, fault) in ZOO {
+        for bound in [4.755, 2.55] {
+            let began = Instant::now();
+            let folder = faulty(&[&format!("FAULT_ABOVE={bound}"), &format!("FAULT={fault}")]);
+            let limited = SimulationSettings {
+                timeout: Some(Duration::from_millis(300)),
+                memory_limit: Some(500 << 20),
+                ..settings(Isolation::Process)
+            };
+            let calibration = decay(open(&folder), limited);
+            let found = fit(&calibration, 2, 60);
+            assert!((found.x[0] - 1.7).abs() < 0.1, "{name}: {found}");
+            let context = RunContext::new();
+            let profile = calibration.profile(&found, &ProfileOptions::default(), &context);
+            let windows = ValidationSet::Windows(vec![(0.2, 0.8)]);
+            let validation = calibration.validate(&found, &windows, &context);
+            let far = calibration.cost(&[4.9], &context).map_err(|error| error.to_string());
+            println!(
+                "{name}, {bound}: {} of {} failed; profile {:?}, validation {:?}, far {far:?}; {:.1} s",
+                found.report.n_failed,
+                found.report.n_evaluations,
+                profile.map(drop).map_err(|error| error.to_string()),
+                validation.map(drop).map_err(|error| error.to_string()),
+                began.elapsed().as_secs_f64()
+            );
+            // The points of a fit were evaluated.
+            calibration.report(&found, folder.path().join("report.html"), &context).unwrap();
+            drop(calibration);
+            assert_eq!(left_behind(), [""; 0], "{name}");
+        }
+    }
+}
+
+#[test]
+fn a_stated_share_of_failures_ends_a_fit() {
+    let folder = faulty(&["FAULT_ABOVE=2.2", "FAULT=raise(SIGSEGV)"]);
+    let run = RunOptions {
+        method: DifferentialEvolution::default().into(),
+        limits: Limits { max_failed: Some(0.3), ..Limits::default() },
+        seed: Some(5),
+        ..FitOptions::default_run()
+    };
+    let found = decay(open(&folder), settings(Isolation::Process)).fit(run).unwrap();
+    assert_eq!(found.report.termination, Termination::TooManyFailed);
+    assert!(found.cost.is_finite() && found.report.n_evaluations < 100, "{found}");
+    assert!(found.report.message.contains("more than the share of 0.3"), "{}", found.report.message);
 }

@@ -134,7 +134,7 @@ impl FromStr for ChatteringPolicy {
     type Err = OptionsError;
 
     fn from_str(name: &str) -> Result<Self, OptionsError> {
-        match name {
+        match name.to_ascii_lowercase().as_str() {
             "error" => Ok(Self::Error),
             "warn" => Ok(Self::Warn),
             "slide" => Ok(Self::Slide),

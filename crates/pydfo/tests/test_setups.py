@@ -346,7 +346,7 @@ def bowl(x):
         (lambda: decay({"time": TIME, "x": DECAY}, weights=2.0), "weights must be a dict of outputs and numbers, or a number per"),
         (lambda: decay({"time": TIME, "x": DECAY}, inputs={"u"}), "inputs must be a dict of variable and column, or a list"),
         (lambda: decay({"time": TIME, "x": DECAY}).cost("2"), "x must be numbers, not '2'"),
-        (lambda: decay({"time": TIME, "x": DECAY}).fit(start=["1"]), r"x must be numbers, not \['1'\]"),
+        (lambda: decay({"time": TIME, "x": DECAY}).fit(start=["1"]), r"start must be numbers, not \['1'\]"),
         (lambda: pydfo.fmin(bowl, [0.0], plot="no"), "plot must be True or False, not 'no'"),
     ],
 )
@@ -515,3 +515,34 @@ def test_columns_with_a_unit_in_brackets_are_said_to_be_converted():
     fit = calibration.fit()
     assert said in str(calibration.check()) and said in str(fit) and fit.x[0] == pytest.approx(-9.81, rel=1e-3)
     assert [f.severity for f in fit.findings if said in f.sentence] == ["note"]
+
+
+# --- Arguments of a wrong type or name --------------------------------------------------------------------------------
+
+
+def test_arguments_are_named_in_what_is_wrong_with_them():
+    calibration = decay({"time": TIME, "x": DECAY})
+    fit = calibration.fit()
+    for call, said in [
+        (lambda: calibration.fit(checkpoint=3), "checkpoint must be a path, not 3"),
+        (lambda: fit.profile(checkpoint=3), "checkpoint must be a path, not 3"),
+        (lambda: fit.save(3), "path must be a path, not 3"),
+        (lambda: fit.report(None), "path must be a path, not None"),
+        (lambda: pydfo.load_fit(3), "path must be a path, not 3"),
+        (lambda: pydfo.Stage(["k"], optoins={}), "did you mean options"),
+        (lambda: fit.profile(points=3), "did you mean max_points"),
+        (lambda: calibration.fit(start="x"), "start must be numbers, not 'x'"),
+        (lambda: calibration.fit("ga", options={"resolution": []}), "'resolution' of ga must be one number per parameter"),
+        (lambda: calibration.fit("de", options={"mutation": 0.5}), "'de-classic' has the option weight"),
+    ]:
+        with pytest.raises((TypeError, ValueError)) as info:
+            call()
+        assert said in str(info.value)
+
+
+def test_words_are_taken_in_any_case_and_options_stand_in_the_fit():
+    data = {"time": TIME, "x": DECAY}
+    fit = decay(data, chattering="Error", isolation="None", weights="SD").fit("Nelder-Mead", f_tol=1e-3)
+    assert fit.options["f_tol"] == "0.001" and fit.options["bounds_handling"] == "sine"
+    assert fit.to_dict()["options"] == fit.options
+    assert "e0" not in fit.message

@@ -139,6 +139,13 @@ impl Calibration {
         doubts
     }
 
+    /// Findings beyond notes that need no simulation.
+    pub(crate) fn check_of_setup(&self, x: &[f64]) -> Vec<Finding> {
+        let mut doubts = self.findings_of_description_and_data(&self.subjects(), x);
+        doubts.retain(|finding| finding.severity != Severity::Note);
+        doubts
+    }
+
     /// A fixed step that is too large at the result of a fit whose uncertainty, which compares with half of
     /// it, is not known.
     pub(crate) fn large_step_after_fit(

@@ -110,13 +110,25 @@ pub(super) fn size_of_difference(measured: &[f64], simulated: impl Iterator<Item
     size(differences.into_iter())
 }
 
-/// Three digits.
+/// A number with three digits.
 pub(super) fn rounded(value: f64) -> f64 {
+    with_digits(3, value)
+}
+
+/// A time with as many digits as tell rows apart.
+pub(super) fn rounded_time(value: f64) -> f64 {
+    with_digits(9, value)
+}
+
+fn with_digits(digits: i32, value: f64) -> f64 {
     if value == 0.0 {
         return value;
     }
-    let ten = 10f64.powi(2 - value.abs().log10().floor() as i32);
-    if ten.is_finite() && ten > 0.0 { (value * ten).round() / ten } else { value }
+    let exponent = digits - 1 - value.abs().log10().floor() as i32;
+    // A power of ten with a negative exponent is none exactly.
+    let ten = 10f64.powi(exponent.abs());
+    let rounded = if exponent >= 0 { (value * ten).round() / ten } else { (value / ten).round() * ten };
+    if rounded.is_finite() { rounded } else { value }
 }
 
 /// Share of the variance of the measurements that is left in the residuals, averaged over the outputs.

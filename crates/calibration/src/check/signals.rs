@@ -2,7 +2,7 @@
 //! frozen, wrapped at a full turn.
 
 use super::columns::longest_run;
-use super::series::{Outputs, Place, Series, range, rounded, size_of_difference};
+use super::series::{Outputs, Place, Series, range, rounded, rounded_time, size_of_difference};
 use super::subject::Subject;
 use crate::findings::finding::{Finding, Severity};
 use crate::problem::column_units::declared;
@@ -10,7 +10,7 @@ use ode::Number;
 use std::f64::consts::TAU;
 use std::ops::Range;
 
-/// Of fewer measurements correlations and deviations say little.
+/// Of fewer measurements correlations say little.
 const FEWEST: usize = 10;
 
 /// Measured and simulated values with a correlation below this go opposite ways.
@@ -74,7 +74,7 @@ fn worse_than_a_constant(series: &Series<'_>) -> Option<(String, &'static str)> 
     let (rms, sd) = (size_of_difference(measured, series.simulated.iter().copied()), deviation(measured));
     let by_chance = 4.0 * (2.0 / measured.len() as f64).sqrt();
     let is_worse = sd > 0.0 && rms > WORSE * sd && (rms / sd).powi(2) > 1.0 + by_chance;
-    (measured.len() >= FEWEST && is_worse).then(|| {
+    is_worse.then(|| {
         let sentence = format!(
             "the fit is worse than a constant: its residuals have an RMS of {}, the measurements a standard deviation of {}",
             Number(rounded(rms)),
@@ -95,8 +95,8 @@ fn frozen(series: &Series<'_>) -> Option<(String, &'static str)> {
         let sentence = format!(
             "it is exactly {} from {} s to {} s, where the simulation at the fitted values moves by {}: frozen?",
             Number(measured[start]),
-            Number(times[start]),
-            Number(times[end - 1]),
+            Number(rounded_time(times[start])),
+            Number(rounded_time(times[end - 1])),
             Number(rounded(moved))
         );
         (sentence, "leave the rows of a sensor that stood still empty (NaN), or mask them")
@@ -128,7 +128,7 @@ fn wrapped(series: &Series<'_>, subject: &Subject<'_>) -> Option<(String, &'stat
                     1 => "once".to_owned(),
                     n => format!("{n} times"),
                 },
-                Number(series.of.times[first + 1]),
+                Number(rounded_time(series.of.times[first + 1])),
                 if which == "measured" { "simulated" } else { "measured" }
             );
             return Some((sentence, "unwrap the column (numpy.unwrap), or take another output of the model"));
@@ -151,7 +151,9 @@ fn jumps(values: &[f64], turn: f64) -> Vec<usize> {
         let near = [k.checked_sub(1), Some(k + 1)].into_iter().flatten().filter_map(|k| steps.get(k));
         near.map(|step| step.abs()).filter(|step| *step < 0.5 * turn).fold(usual, f64::max)
     };
-    let is_jump = |k: &usize| (steps[*k].abs() - turn).abs() <= 3.0 * beside(*k) + 0.01 * turn;
+    // Beside spikes the steps are large, too.
+    let is_jump =
+        |k: &usize| (steps[*k].abs() - turn).abs() <= (3.0 * beside(*k) + 0.01 * turn).min(0.25 * turn);
     (0..steps.len()).filter(is_jump).collect()
 }
 
@@ -170,5 +172,8 @@ mod tests {
         // a step of the signal, which is no turn
         let step: Vec<f64> = (0..200).map(|k| if k < 100 { 0.0 } else { 5.0 }).collect();
         assert!(jumps(&step, TAU).is_empty());
+        let spikes: Vec<f64> =
+            (0..200).map(|k| if k % 9 == 4 { 3.0 } else { 0.001 * f64::from(k) }).collect();
+        assert!(jumps(&spikes, TAU).is_empty());
     }
 }

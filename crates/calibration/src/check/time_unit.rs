@@ -1,6 +1,6 @@
 //! Times in another unit than s, as the response of the model tells.
 
-use super::series::{Evaluations, Outputs, Series, all_series, rounded, unexplained};
+use super::series::{Evaluations, Outputs, Series, all_series, rounded, rounded_time, unexplained};
 use super::subject::Subject;
 use crate::cost::calibration::Calibration;
 use crate::cost::failure::NoCost;
@@ -45,10 +45,8 @@ pub(super) fn findings(
         return Ok(Vec::new());
     }
     let far = subjects.iter().filter_map(far_from_default_experiment);
-    Ok(far
-        .filter(|(_, ratio)| is_open || outputs.may_have_taken(*ratio))
-        .map(|(finding, _)| finding)
-        .collect())
+    let far = far.filter(|(_, ratio)| is_open || outputs.may_have_taken(*ratio)).map(|(finding, _)| finding);
+    Ok(far.collect())
 }
 
 /// A recording that lasts much longer or shorter than the experiment that the model suggests, and the ratio;
@@ -114,7 +112,7 @@ fn in_milliseconds(
             format!(
                 "it lasts {} s; with times a thousandth as long the simulation at the start values is {} times closer: the times look as if \
                  they were in ms",
-                Number(duration),
+                Number(rounded_time(duration)),
                 Number(rounded((as_given / in_ms).sqrt()))
             ),
             "state the unit in the name of the column: 'time [ms]'",

@@ -1,5 +1,6 @@
 //! Checks of the times of a recording: gaps, duplicate rows, another unit, months taken for days.
 
+use super::series::{rounded, rounded_time};
 use super::subject::Subject;
 use crate::data::sampling_interval;
 use crate::findings::finding::{Finding, Severity};
@@ -56,7 +57,7 @@ pub(super) fn findings(subject: &Subject<'_>) -> Vec<Finding> {
         findings.push(Finding::new(severity, name.clone(), sentence, remedy));
     };
     if let Some((unit, (duration, asked))) = unit_by_duration(subject).zip(subject.durations()) {
-        let [duration, asked] = [duration, asked].map(Number);
+        let [duration, asked] = [duration, asked].map(|seconds| Number(rounded(seconds)));
         find(
             Severity::Warning,
             format!(
@@ -69,7 +70,7 @@ pub(super) fn findings(subject: &Subject<'_>) -> Vec<Finding> {
         find(Severity::Warning, found, remedy.to_owned());
     }
     if first - start_time > 1.5 * interval && experiment.windows.is_empty() {
-        let [first, start] = [first, *start_time].map(Number);
+        let [first, start] = [first, *start_time].map(|time| Number(rounded_time(time)));
         find(
             Severity::Warning,
             format!("its first row is at {first} s, the simulation starts at {start} s"),
@@ -85,7 +86,7 @@ pub(super) fn findings(subject: &Subject<'_>) -> Vec<Finding> {
         time.windows(2).filter(|pair| pair[1] - pair[0] > GAP * interval).map(|pair| (pair[0], pair[1]));
     let gap = gap.max_by(|a, b| (a.1 - a.0).total_cmp(&(b.1 - b.0)));
     if let Some((from, to)) = gap {
-        let [from, to, interval] = [from, to, interval].map(Number);
+        let [from, to, interval] = [from, to, interval].map(|time| Number(rounded_time(time)));
         find(
             Severity::Note,
             format!("there are no rows from {from} s to {to} s, elsewhere one every {interval} s"),

@@ -106,7 +106,7 @@ const START: Duration = Duration::from_millis(20);
 struct Processes {
     fmu: Fmu,
     workers: Arc<Workers>,
-    load: Arc<Load>,
+    load: Load,
     /// Each question has a process of its own.
     is_always_fresh: AtomicBool,
     /// True after the test for answers that depend on earlier requests.
@@ -122,8 +122,8 @@ impl Processes {
     fn new(fmu: &Fmu, limits: WorkerLimits, load: &Job) -> Result<Self, FmiError> {
         let workers =
             fmu.workers(limits).ok_or_else(|| FmiError::NoWorker { reason: NO_LAUNCHER.to_owned() })?;
-        let load = Arc::new(Load::new(Frame::of(load).map_err(unsaid)?));
-        workers.start_ahead(&load, 1, 0);
+        let load = Load::new(Frame::of(load).map_err(unsaid)?);
+        workers.prepare(&load);
         Ok(Self {
             fmu: fmu.clone(),
             workers,
@@ -152,9 +152,6 @@ impl Processes {
             self.call(&asked, &mut answer, (is_fresh, limit), context)?;
         } else {
             self.ask_checked(&asked, &mut answer, limit, context)?;
-        }
-        if process == Asked::Checked && !is_checked() || self.is_always_fresh.load(Ordering::Relaxed) {
-            self.workers.start_ahead(&self.load, 0, 1);
         }
         let used = use_answer(&mut answer).map_err(unsaid);
         frames().push((asked, answer));
@@ -262,11 +259,9 @@ impl Remote {
         Ok(Self { processes, run_limit })
     }
 
-    /// Starts the processes of a fit in the background: for its threads, and the one in which its result is
-    /// evaluated again.
-    pub(crate) fn start_ahead(&self, n_threads: usize) {
+    /// A fit evaluates its best point in a fresh process: its evaluations need no check of their own.
+    pub(crate) fn set_checked(&self) {
         self.processes.is_checked.store(true, Ordering::Relaxed);
-        self.processes.workers.start_ahead(&self.processes.load, n_threads, 1);
     }
 
     /// Evaluates each point in a process of its own from now on.

@@ -17,9 +17,9 @@ use ode::{Method, Stats};
 use std::io;
 use std::ops::ControlFlow;
 
-/// Serves as a worker process, if this process was started as one: then it ends here when nobody needs it any
-/// more. Otherwise returns at once, and from then on this program starts itself for the processes in which
-/// FMUs run.
+/// Serves as the template of worker processes, if this process was started as one: then it ends here when
+/// nobody needs it any more. Otherwise returns at once, and from then on this program starts itself for the
+/// processes in which FMUs run.
 ///
 /// Belongs at the begin of `main`, before any other thread is started. A program that does not call it, and
 /// does not name another one that does (see [`Launcher`](fmi::worker::Launcher)), runs FMUs in its own

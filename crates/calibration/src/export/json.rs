@@ -8,6 +8,7 @@ use crate::error::CalibrationError;
 use crate::fit::stage::Fit;
 use crate::uncertainty::estimate::Uncertainty;
 use serde_json::{Value as Json, json};
+use std::collections::BTreeMap;
 
 impl Fit {
     /// Results of the fit as JSON: parameters with errors, start, bounds and units, those that are tied last;
@@ -80,6 +81,7 @@ impl Fit {
             "message": report.message,
             "findings": serde_json::to_value(self.findings())?,
             "method": report.method,
+            "options": report.options.iter().cloned().collect::<BTreeMap<_, _>>(),
             "solver": self.solver.method.name(),
             "n_evaluations": report.n_evaluations,
             "n_iterations": report.n_iterations,

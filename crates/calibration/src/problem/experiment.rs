@@ -106,7 +106,7 @@ impl OutputScale {
     /// A name that is none.
     pub fn named(name: &str) -> Result<Self, CalibrationError> {
         let known = [Self::Range, Self::Mean, Self::Sd];
-        known.into_iter().find(|scale| scale.name() == name).ok_or_else(|| {
+        known.into_iter().find(|scale| scale.name().eq_ignore_ascii_case(name)).ok_or_else(|| {
             let known = known.map(|scale| format!("'{}'", scale.name())).join(", ");
             CalibrationError::Setup(format!(
                 "weights = '{name}' is none of {known}; give one of them, or numbers for the outputs"

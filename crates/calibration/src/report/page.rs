@@ -200,6 +200,8 @@ fn settings(calibration: &Calibration, fit: &Fit) -> Vec<Fact> {
     let plan = calibration.evaluator().simulations.first().map(|simulation| simulation.pool.plan());
     let mut facts = vec![("method", report.method.clone().into_owned())];
     facts.extend(report.method_reason.iter().map(|reason| ("reason for the method", reason.clone())));
+    let options: Vec<String> = report.options.iter().map(|(name, value)| format!("{name} {value}")).collect();
+    facts.push(("options", options.join("; ")));
     facts.push(("end", report.message.clone()));
     facts.push(("loss", report.loss.to_string()));
     facts.extend(report.seed.map(|seed| ("seed", seed.to_string())));

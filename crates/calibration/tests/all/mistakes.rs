@@ -209,6 +209,11 @@ fn tolerances_that_mean_nothing_are_named() {
         let fit = calibration.fit(run).unwrap();
         assert_eq!(warns(&fit.findings(), "the search may end far from the minimum"), is_loose, "{fit}");
     }
+    for (x_tol, is_loose) in [(1e-3, false), (2.0, true)] {
+        let tolerances = Tolerances { x_tol, f_tol: 1e-3, measure: Measure::Absolute, stop: Stop::All };
+        let fit = calibration.fit(RunOptions { tolerances, ..FitOptions::default_run() }).unwrap();
+        assert_eq!(warns(&fit.findings(), "x_tol 2 is absolute, k has the size"), is_loose, "{fit}");
+    }
 }
 
 #[test]
@@ -253,6 +258,13 @@ fn a_recording_that_is_there_twice_is_named_and_parts_of_one_are_not() {
     );
     let fit = two(sound(1e-3).window(0.0, 1.0), sound(1e-3).window(1.05, 3.0));
     assert!(warnings(&fit.findings()).is_empty(), "{fit}");
+    let fit = two(sound(1e-3).window(0.0, 2.0), sound(1e-3).window(1.5, 3.0));
+    assert!(warns(&fit.findings(), "output 'x' has the same 11 measurements in both"), "{fit}");
+    let t = times(61, 0.05);
+    let late = t.iter().map(|t| t + 10.0).collect::<Vec<f64>>();
+    let later = recording(&late, decay(&t, 2.0, 1e-3)).start_time(10.0);
+    let fit = two(sound(1e-3), later);
+    assert!(warns(&fit.findings(), "output 'x' has the same 61 measurements in both"), "{fit}");
     let t = times(61, 0.05);
     let columns = ["x", "copy"].map(|name| (name.to_owned(), decay(&t, 2.0, 1e-3)));
     let one = Experiment::new(Data::from_columns(t.clone(), columns).unwrap())
@@ -303,6 +315,15 @@ fn starts_and_bounds_far_from_the_models_own_are_named() {
 }
 
 #[test]
+fn a_fit_without_time_says_what_needs_no_simulation() {
+    let parameter = Parameter::new("k", 2e3).bounds(1.0, 1e4);
+    let calibration = calibration(vec![sound(1e-3)], parameter, SimulationSettings::default());
+    let limits = Limits { max_time: Some(Duration::from_nanos(1)), ..Limits::default() };
+    let fit = calibration.fit(RunOptions { limits, ..FitOptions::default_run() }).unwrap();
+    assert!(warns(&fit.findings(), "start 2000 is 2000 times the model's own value 1"), "{fit}");
+}
+
+#[test]
 fn a_check_ends_by_its_time() {
     let calibration = calibration(vec![sound(1e-3)], k(), SimulationSettings::default());
     let options = CheckOptions { max_time: Some(Duration::from_nanos(1)), ..CheckOptions::default() };
@@ -318,6 +339,9 @@ fn outputs_that_a_fit_misses_are_named() {
     let mirrored = decay(&t, 2.0, 1e-3).iter().map(|x| -x).collect();
     let fit = fitted(recording(&t, mirrored), k());
     assert!(warns(&fit.findings(), "measured and simulated values go opposite ways"), "{fit}");
+    let few = times(6, 0.5);
+    let fit = fitted(recording(&few, few.iter().map(|t| 5.0 + (7.0 * t).sin()).collect()), k());
+    assert!(warns(&fit.findings(), "the fit is worse than a constant"), "{fit}");
     let other = t.iter().enumerate().map(|(i, t)| 5.0 + (7.0 * t).sin() + 0.1 * noise(i)).collect();
     let fit = fitted(recording(&t, other), k());
     assert!(warns(&fit.findings(), "the fit is worse than a constant"), "{fit}");

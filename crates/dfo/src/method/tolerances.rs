@@ -2,6 +2,7 @@
 
 use crate::error::Error;
 use crate::values::choices::{Measure, Stop};
+use crate::values::number::Number;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::time::Duration;
@@ -194,11 +195,12 @@ impl fmt::Display for Tests {
         let x = relation(self.x_passed);
         write!(
             f,
-            "x test {}: {}{} {:.3e} {x} x_tol {x_tol:e}{unit}",
+            "x test {}: {}{} {:.4} {x} x_tol {}{unit}",
             verb(self.x_passed),
             self.extent.name(),
             if self.extent == Extent::Model { "" } else { " size" },
-            self.x_size
+            Number(self.x_size),
+            Number(x_tol)
         )?;
         let spread_name = if self.extent == Extent::Model { "predicted decrease" } else { "spread" };
         match self.f_spread {
@@ -207,15 +209,19 @@ impl fmt::Display for Tests {
                 let r = relation(self.f_passed);
                 write!(
                     f,
-                    "; f test {}: {spread_name} {spread:.3e} {r} {:.3e}",
+                    "; f test {}: {spread_name} {:.4} {r} {:.4}",
                     verb(self.f_passed),
-                    self.f_limit
+                    Number(spread),
+                    Number(self.f_limit)
                 )?;
                 match measure {
                     Measure::Relative if self.f_limit > f_tol * self.f_best.abs() => {
-                        write!(f, " (f_tol {f_tol:e} of {ZERO_COST:.1e} times the initial cost)")
+                        let zero = Number(ZERO_COST);
+                        write!(f, " (f_tol {} of {zero:.2} times the initial cost)", Number(f_tol))
                     }
-                    Measure::Relative => write!(f, " (f_tol {f_tol:e} of f_best {:.6e})", self.f_best),
+                    Measure::Relative => {
+                        write!(f, " (f_tol {} of f_best {:.7})", Number(f_tol), Number(self.f_best))
+                    }
                     Measure::Absolute => write!(f, " (f_tol)"),
                 }
             }
@@ -255,9 +261,7 @@ mod tests {
             assert_eq!(all.judge(x, Some(f), 5.0, 5.0).passed, both);
         }
         assert!(
-            any.judge(1e-7, Some(1.0), 0.0, 1.0)
-                .to_string()
-                .starts_with("x test passed: simplex size 1.000e-7")
+            any.judge(1e-7, Some(1.0), 0.0, 1.0).to_string().starts_with("x test passed: simplex size 1e-7")
         );
     }
 }

@@ -72,6 +72,7 @@ pub(super) fn tagged(option: &str, value: Value) -> Value {
         }
         ("weight", value @ (Value::Count(_) | Value::Number(_))) => variant("fixed", value),
         ("weight", Value::List(values)) if values.len() == 2 => variant("dither", Value::List(values)),
+        ("resolution", Value::List(steps)) if steps.is_empty() => Value::Other("an empty list".to_owned()),
         // A number that is not finite is none of an option.
         (_, Value::Number(number)) if !number.is_finite() => Value::Other(number.to_string()),
         (_, value) => value,

@@ -270,6 +270,16 @@ fn load(options: &Checkpoint) -> Result<Option<Snapshot>, Error> {
     })
 }
 
+/// The words of users for what identifies a run.
+pub(crate) fn words(name: &str) -> &str {
+    match name {
+        "measure" => "tolerances",
+        "sizes" => "sizes of the parameters (nominal, start or bounds)",
+        "option scheme" => "options of differential evolution",
+        _ => name,
+    }
+}
+
 /// Reads the checkpoint that a run is to continue from, if it is to.
 pub(crate) fn read(
     options: &Checkpoint,
@@ -281,7 +291,7 @@ pub(crate) fn read(
     let Some(snapshot) = load(options)? else { return Ok(None) };
     let mismatch = |what: &str, stored: &str, given: &str| Error::CheckpointMismatch {
         path: path.display().to_string(),
-        what: what.to_owned(),
+        what: words(what).to_owned(),
         stored: stored.to_owned(),
         given: given.to_owned(),
     };

@@ -55,6 +55,7 @@ pub(crate) struct Drive<M> {
     before: f64,
     by_hand: bool,
     method_reason: Option<String>,
+    options: Vec<(String, String)>,
     resumed: Option<Resumed>,
     /// Why the checkpoint could not be written.
     pub(crate) unsaved: Option<Error>,
@@ -92,6 +93,7 @@ impl<M: Method> Drive<M> {
             before,
             by_hand,
             method_reason: started.method_reason,
+            options: started.options,
             resumed: started.resumed,
             unsaved: None,
             stage: over.map_or(Stage::Ask, |termination| Stage::Over(Some(termination))),
@@ -161,10 +163,10 @@ impl<M: Method> Drive<M> {
     fn report(mut self, termination: Option<Termination>, context: &RunContext<'_>) -> Result<Report, Error> {
         let seconds = self.elapsed();
         self.round.finish();
-        let Self { method, round, limits, workers, method_reason, resumed, .. } = self;
+        let Self { method, round, limits, workers, method_reason, options, resumed, .. } = self;
         let mut ledger = round.ledger;
         let report = report::conclude(&method, &mut ledger, &limits, workers, termination, seconds, context)?;
-        Ok(Report { method_reason, resumed, ..report })
+        Ok(Report { method_reason, options, resumed, ..report })
     }
 
     /// The result so far, as if the run was interrupted.
@@ -175,7 +177,8 @@ impl<M: Method> Drive<M> {
         let (method, ledger, limits) = (&self.method, &mut round.ledger, &self.limits);
         let report =
             report::conclude(method, ledger, limits, self.workers, termination, seconds, &RunContext::new())?;
-        Ok(Report { method_reason: self.method_reason.clone(), resumed: self.resumed.clone(), ..report })
+        let (method_reason, options) = (self.method_reason.clone(), self.options.clone());
+        Ok(Report { method_reason, options, resumed: self.resumed.clone(), ..report })
     }
 
     /// Goes on as far as the answers reach that are there. Whether it is over; if not, answers are awaited

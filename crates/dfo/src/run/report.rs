@@ -8,6 +8,7 @@ use crate::method::tolerances::{Limits, Tests};
 use crate::outcome::termination::{Termination, UNBOUNDED};
 use crate::outcome::trace::Trace;
 use crate::problem::loss::RobustLoss;
+use crate::values::number::Number;
 use base::RunContext;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -69,6 +70,9 @@ pub struct Report {
     pub method: Cow<'static, str>,
     /// Why it was chosen, where the user left the choice open.
     pub method_reason: Option<String>,
+    /// Options of the method and the tolerances, by name, as text.
+    #[serde(default)]
+    pub options: Vec<(String, String)>,
     /// Batch plan of the method.
     pub batch: Cow<'static, str>,
     /// Evaluations that could run at once.
@@ -133,6 +137,7 @@ impl Report {
             seed: None,
             method: method.to_owned().into(),
             method_reason: None,
+            options: Vec::new(),
             batch: String::new().into(),
             workers: 1,
             seconds,
@@ -207,7 +212,7 @@ impl fmt::Display for Report {
         if let Some(reason) = &self.method_reason {
             writeln!(f, "  chosen       {reason}")?;
         }
-        writeln!(f, "  cost         {:e}", self.fun)?;
+        writeln!(f, "  cost         {}", Number(self.fun))?;
         writeln!(f, "  x            {:?}", self.x)?;
         writeln!(f, "  iterations   {}", self.n_iterations)?;
         write!(f, "  evaluations  {} in {} batches", self.n_evaluations, self.n_batches)?;
@@ -267,6 +272,7 @@ pub(crate) fn conclude<M: Method + ?Sized>(
         seed: details.seed,
         method: method.name().into(),
         method_reason: None,
+        options: Vec::new(),
         batch: details.plan.into(),
         workers,
         seconds,
@@ -298,14 +304,17 @@ fn message<M: Method + ?Sized>(
             with_tests(format!("{ended} {why}"))
         }
         Termination::Target => {
-            format!("target reached: cost {fun:e} <= {:e}", limits.target.unwrap_or(f64::NAN))
+            let target = Number(limits.target.unwrap_or(f64::NAN));
+            format!("target reached: cost {} <= {target}", Number(fun))
         }
         Termination::ConstantCost => with_tests(
             "nothing was learned: the search came to its end, but the cost did not change".to_owned(),
         ),
         Termination::Unbounded => {
             format!(
-                "the cost has no minimum: it fell to {fun:e}, below {UNBOUNDED:e}, and would fall further"
+                "the cost has no minimum: it fell to {}, below {}, and would fall further",
+                Number(fun),
+                Number(UNBOUNDED)
             )
         }
         Termination::Collapsed => with_tests(
@@ -350,7 +359,7 @@ fn message<M: Method + ?Sized>(
         _ => message,
     };
     if let Some(cost) = ledger.trace.constant() {
-        format!("{message}; the cost was {cost:e} at all {} points", ledger.n_evaluations)
+        format!("{message}; the cost was {} at all {} points", Number(cost), ledger.n_evaluations)
     } else if details.without_effect.is_empty() {
         message
     } else {

@@ -8,6 +8,7 @@ use crate::method::interface::{Method, MethodOptions, ProblemClass, Setup};
 use crate::method::tolerances::Limits;
 use crate::methods::NelderMead;
 use crate::outcome::answer::{Answer, Outcome};
+use crate::problem::option_texts;
 use crate::problem::space::Bounds;
 use crate::problem::space::Space;
 use crate::run::checkpoint::{self, Writer};
@@ -41,6 +42,8 @@ pub(crate) struct StartedRun<T> {
     /// True if the method needs residuals; and the reason why it was chosen.
     pub(crate) needs_residuals: bool,
     pub(crate) method_reason: Option<String>,
+    /// Options of the method and tolerances, as text.
+    pub(crate) options: Vec<(String, String)>,
     /// Checkpoint that the run was continued from.
     pub(crate) resumed: Option<Resumed>,
 }
@@ -49,7 +52,7 @@ impl<T> StartedRun<T> {
     /// The same with the method in another form.
     pub(crate) fn map_method<U>(self, form: impl FnOnce(T) -> U) -> StartedRun<U> {
         let Self { method, round, limits, workers, writer, observed, first_recent, .. } = self;
-        let Self { before, needs_residuals, method_reason, resumed, .. } = self;
+        let Self { before, needs_residuals, method_reason, options, resumed, .. } = self;
         StartedRun {
             method: form(method),
             round,
@@ -61,6 +64,7 @@ impl<T> StartedRun<T> {
             before,
             needs_residuals,
             method_reason,
+            options,
             resumed,
         }
     }
@@ -146,6 +150,9 @@ impl<M: MethodOptions> Description<M> {
             before: 0.0,
             needs_residuals: method.needs_residuals(),
             method_reason: options.method_reason,
+            options: (method.describe().into_iter().chain(option_texts::fields(&options.tolerances)))
+                .map(|(name, value)| (checkpoint::words(&name).to_owned(), value))
+                .collect(),
             resumed: None,
         };
         started.round.ledger.trace.set_problem(options.problem.clone());

@@ -3,17 +3,20 @@
 use std::fmt;
 
 /// Shows a number with as many digits as it has, and with an exponent where they would be a long row of
-/// zeros: below 1e-4 and from 1e7 on.
+/// zeros: below 1e-4 and from 1e7 on. A precision asks for so many digits at most.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Number(pub(crate) f64);
 
 impl fmt::Display for Number {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let size = self.0.abs();
+        let rounded =
+            f.precision().and_then(|digits| format!("{:.*e}", digits.max(1) - 1, self.0).parse().ok());
+        let number = rounded.unwrap_or(self.0);
+        let size = number.abs();
         if size.is_finite() && size != 0.0 && !(1e-4..1e7).contains(&size) {
-            write!(f, "{:e}", self.0)
+            write!(f, "{number:e}")
         } else {
-            write!(f, "{}", self.0)
+            write!(f, "{number}")
         }
     }
 }
@@ -52,6 +55,11 @@ mod tests {
             (f64::NAN, "NaN"),
         ] {
             assert_eq!(Number(number).to_string(), text);
+        }
+        for (number, text) in
+            [(5.123_456, "5.123"), (1e-7, "1e-7"), (-123_456_789.0, "-1.235e8"), (f64::NAN, "NaN")]
+        {
+            assert_eq!(format!("{:.4}", Number(number)), text);
         }
     }
 }

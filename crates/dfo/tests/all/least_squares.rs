@@ -262,7 +262,8 @@ fn a_plan_of_rounds_is_chosen_by_name() {
     assert_eq!(told(&rounds), told(&run(LeastSquares::default().rounds().into())));
     assert_eq!(told(&rounds), told(&run(LeastSquares::default().batch(6).into())));
     assert_eq!(told(&run(by_name("serial").unwrap())), told(&run(LeastSquares::default().into())));
-    assert!(by_name("four").is_err());
+    let refused = by_name("four").unwrap_err();
+    assert!(format!("{refused:?}").contains("a whole number, 'serial' or 'rounds'"), "{refused:?}");
 }
 
 /// Equal residuals at all points of the model are no minimum.

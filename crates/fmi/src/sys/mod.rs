@@ -46,6 +46,8 @@ mod fmi1;
 mod fmi1_fmi2_values;
 mod fmi2;
 mod fmi3;
+#[cfg(unix)]
+mod fork;
 mod function;
 mod functions;
 #[cfg(unix)]
@@ -75,6 +77,8 @@ mod version;
 pub(crate) use child_limits::close_inherited;
 pub(crate) use child_limits::limit as limit_child;
 pub(crate) use environment::Inside;
+#[cfg(unix)]
+pub(crate) use fork::{fork, overwrite_variable};
 #[cfg(unix)]
 pub(crate) use last_call::{Page, tell_calls};
 pub(crate) use last_call::{is_worker, note_run};

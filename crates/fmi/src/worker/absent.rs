@@ -6,6 +6,7 @@ use super::load::Load;
 use super::service::Service;
 use crate::description::Quirk;
 use crate::error::FmiError;
+use base::RunContext;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -25,8 +26,8 @@ impl Workers {
     }
 
     /// Not reached.
-    pub fn start_ahead(self: &Arc<Self>, _: &Arc<Load>, _: usize, _: usize) {
-        match **self {}
+    pub fn prepare(&self, _: &Load) {
+        match *self {}
     }
 
     /// Not reached.
@@ -38,7 +39,7 @@ impl Workers {
         _: &Load,
         _: &Frame,
         _: &mut Frame,
-        _: &dyn Fn() -> bool,
+        _: &RunContext<'_>,
         _: Option<Duration>,
         _: bool,
     ) -> Result<Vec<Quirk>, FmiError> {
@@ -47,4 +48,7 @@ impl Workers {
 }
 
 /// Returns at once.
-pub fn serve_if_asked(_: impl FnOnce() -> Box<dyn Service> + Send) {}
+pub fn serve_if_asked(_: impl FnOnce() -> Box<dyn Service + Send>) {}
+
+/// Nothing can be started.
+pub fn start_ahead() {}

@@ -1,13 +1,13 @@
-//! The worker process itself: it takes its socket, limits itself, and answers until the other end is closed.
+//! The worker process itself: it limits itself, and answers until the other end of its socket is closed.
 
-use super::folder::{enter, kill_processes_of, remove};
+use super::folder::{leave_for, remove, worker_folder};
 use super::frame::Frame;
 use super::limits::WorkerLimits;
-use super::notes::{Notes, keep_lines, take_lines};
+use super::notes::{Notes, take_lines};
 use super::service::Service;
-use super::settings::{ASKED, FOLDER, LEVEL, VERSION};
+use super::template::{DESCRIPTORS, Start};
 use crate::error::{Told, ToldKind};
-use crate::sys::{Page, close_inherited, tell_calls};
+use crate::sys::{Page, tell_calls};
 use base::RunContext;
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::fs::{Mode, OFlags};
@@ -17,7 +17,7 @@ use std::io::{self, BufReader, Write};
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
 /// The next question is waited for without sleeping for so long, where the other side allows it.
@@ -29,61 +29,59 @@ const BUFFER: usize = 16 << 10;
 /// The stack of the thread that runs the FMU: compiled models put large arrays there.
 const STACK_SIZE: usize = 64 << 20;
 
-/// Serves until the other end is closed, if this process was started as a worker; then the process ends, and
-/// this does not return. Belongs at the begin of `main`, before any other thread is started.
-pub fn serve_if_asked(service: impl FnOnce() -> Box<dyn Service> + Send) {
-    super::launcher::know_this_program();
-    let Some(limits) = std::env::var(ASKED).ok() else { return };
-    let service = std::thread::scope(|scope| {
-        let serve = || serve(&limits, service());
+/// Serves as a worker, in a copy of the process that worker processes are copied from; then the process ends.
+pub(super) fn run(
+    service: Box<dyn Service + Send>,
+    template: &Path,
+    start: &Start,
+    descriptors: Vec<OwnedFd>,
+) -> ! {
+    let folder = worker_folder(template, start.number);
+    let served = std::thread::scope(|scope| {
+        let serve = || serve(service, &folder, start, descriptors);
         let thread = std::thread::Builder::new().stack_size(STACK_SIZE).spawn_scoped(scope, serve);
         thread.map(|thread| thread.join())
     });
     // The process ends before who watches the socket may be done with that.
-    if let Some(folder) = std::env::var_os(FOLDER) {
-        kill_processes_of(std::process::id(), Path::new(&folder));
-        remove(Path::new(&folder));
-    }
-    match service {
+    remove(&folder);
+    let error = match served {
         Ok(Ok(Ok(()))) => std::process::exit(0),
-        Ok(Ok(Err(error))) => {
-            // Who has started it reads that.
-            let _ = writeln!(io::stderr(), "{error}");
-        }
-        Err(error) => _ = writeln!(io::stderr(), "no thread for the FMU: {error}"),
+        Ok(Ok(Err(error))) => error.to_string(),
+        Err(error) => format!("no thread for the FMU: {error}"),
         // A panic has said so.
-        Ok(Err(_)) => {}
-    }
+        Ok(Err(_)) => String::new(),
+    };
+    // Who has started it reads that.
+    let _ = writeln!(io::stderr(), "{error}");
     std::process::exit(1);
 }
 
-fn serve(limits: &str, mut service: Box<dyn Service>) -> io::Result<()> {
-    let limits = WorkerLimits::from_text(limits).ok_or_else(|| {
-        io::Error::new(io::ErrorKind::InvalidInput, "limits that this version does not know")
-    })?;
-    let folder = std::env::var_os(FOLDER).map(PathBuf::from);
-    folder.as_deref().map_or(Ok(()), enter)?;
-    // 0: the socket; 1: the page; 2: a pipe for what is printed.
-    close_inherited()?;
-    let socket = UnixStream::from(rustix::io::fcntl_dupfd_cloexec(rustix::stdio::stdin(), 3)?);
-    let page = File::from(rustix::io::fcntl_dupfd_cloexec(rustix::stdio::stdout(), 3)?);
-    let nothing: OwnedFd = rustix::fs::open("/dev/null", OFlags::RDONLY | OFlags::CLOEXEC, Mode::empty())?;
-    rustix::stdio::dup2_stdin(&nothing)?;
-    rustix::stdio::dup2_stdout(rustix::stdio::stderr())?;
+fn serve(
+    mut service: Box<dyn Service + Send>,
+    folder: &Path,
+    start: &Start,
+    descriptors: Vec<OwnedFd>,
+) -> io::Result<()> {
+    let Ok([socket, page, output]) = <[OwnedFd; DESCRIPTORS]>::try_from(descriptors) else {
+        return Err(io::ErrorKind::InvalidInput.into());
+    };
+    // Ctrl-C in a terminal, and the end of a worker, go to all processes of a group.
+    rustix::process::setpgid(None, None)?;
+    rustix::stdio::dup2_stdout(&output)?;
+    rustix::stdio::dup2_stderr(output)?;
+    leave_for(folder)?;
+    log::set_max_level(start.level);
+    let (socket, page) = (UnixStream::from(socket), File::from(page));
     let page = tell_calls(Page::of(&page)?).map_err(io::Error::other)?;
-    let (watched, folder_to_remove) = (socket.try_clone()?, folder.clone());
-    std::thread::Builder::new().spawn(move || end_with(&watched, folder_to_remove.as_deref()))?;
-    keep_lines(
-        std::env::var(LEVEL).ok().and_then(|level| level.parse().ok()).unwrap_or(log::LevelFilter::Warn),
-    );
-    limit_self(&limits)?;
-    if limits.sandbox {
-        confine(folder.as_deref())?;
+    let (watched, folder_to_remove) = (socket.try_clone()?, folder.to_owned());
+    std::thread::Builder::new().spawn(move || end_with(&watched, &folder_to_remove))?;
+    limit_self(&start.limits)?;
+    if start.limits.sandbox {
+        confine(folder)?;
     }
 
     let own = std::process::id();
     let (mut asked, mut answer, mut buffer) = (Frame::default(), Frame::default(), Vec::new());
-    answer.set_head(&VERSION)?;
     let (mut questions, mut answers) = (BufReader::with_capacity(BUFFER, &socket), &socket);
     answer.write(0, &mut answers, &mut buffer)?;
     loop {
@@ -93,42 +91,52 @@ fn serve(limits: &str, mut service: Box<dyn Service>) -> io::Result<()> {
             outcome => outcome?,
         }
         answer.clear();
-        let served = catch_unwind(AssertUnwindSafe(|| {
-            service.answer(&asked, &RunContext::new().asking(&|| page.is_cancelled()), &mut answer)
-        }));
-        let told = match served {
-            Ok(Ok(())) => None,
-            Ok(Err(error)) => Some(error.told()),
-            Err(panic) => {
-                let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
-                let text = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
-                let message = format!("panic in the worker process: {text}");
-                Some(Told { message, kind: ToldKind::Model, time: None, status: None, log: Vec::new() })
-            }
-        };
-        if let Some(told) = told {
-            answer.numbers.clear();
-            answer.set_head(&told)?;
-            answer.is_error = true;
-        }
-        let notes = Notes { lines: take_lines(), quirks: service.new_quirks() };
-        if !notes.is_empty() {
-            ciborium::into_writer(&notes, &mut answer.notes).map_err(io::Error::other)?;
-        }
+        let is_cancelled = || page.is_cancelled();
+        respond(&mut *service, &asked, &RunContext::new().asking(&is_cancelled), &mut answer)?;
         if std::process::id() != own {
             // The FMU has forked, and this is the copy.
             std::process::abort();
         }
         // What the model needs may be gone with the folder.
-        answer.is_last |= folder.as_ref().is_some_and(|folder| !folder.is_dir());
+        answer.is_last |= !folder.is_dir();
         answer.write(asked.number, &mut answers, &mut buffer)?;
         page.note_answer(asked.number);
     }
 }
 
+/// Has the service answer, and adds what is to be said beside that. A panic is an error of it.
+pub(super) fn respond(
+    service: &mut dyn Service,
+    asked: &Frame,
+    context: &RunContext<'_>,
+    answer: &mut Frame,
+) -> io::Result<()> {
+    let served = catch_unwind(AssertUnwindSafe(|| service.answer(asked, context, answer)));
+    let told = match served {
+        Ok(Ok(())) => None,
+        Ok(Err(error)) => Some(error.told()),
+        Err(panic) => {
+            let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
+            let text = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
+            let message = format!("panic in the worker process: {text}");
+            Some(Told { message, kind: ToldKind::Model, time: None, status: None, log: Vec::new() })
+        }
+    };
+    if let Some(told) = told {
+        answer.numbers.clear();
+        answer.set_head(&told)?;
+        answer.is_error = true;
+    }
+    let notes = Notes { lines: take_lines(), quirks: service.new_quirks() };
+    if !notes.is_empty() {
+        ciborium::into_writer(&notes, &mut answer.notes).map_err(io::Error::other)?;
+    }
+    Ok(())
+}
+
 /// Ends the process when the other end is closed, whatever the FMU does at that moment, and removes its
 /// folder.
-fn end_with(socket: &UnixStream, folder: Option<&Path>) {
+fn end_with(socket: &UnixStream, folder: &Path) {
     loop {
         let mut ends = [PollFd::new(socket, PollFlags::empty())];
         match poll(&mut ends, None) {
@@ -137,11 +145,15 @@ fn end_with(socket: &UnixStream, folder: Option<&Path>) {
             _ => break,
         }
     }
-    if let Some(folder) = folder {
-        kill_processes_of(std::process::id(), folder);
-        remove(folder);
-    }
+    remove(folder);
     std::process::abort();
+}
+
+/// Nothing is read from the standard input.
+pub(super) fn close_stdin() -> io::Result<()> {
+    let nothing: OwnedFd = rustix::fs::open("/dev/null", OFlags::RDONLY | OFlags::CLOEXEC, Mode::empty())?;
+    rustix::stdio::dup2_stdin(&nothing)?;
+    Ok(())
 }
 
 fn limit_self(limits: &WorkerLimits) -> io::Result<()> {
@@ -160,14 +172,13 @@ fn limit_self(limits: &WorkerLimits) -> io::Result<()> {
 /// Lets this thread, and all that it starts, write below this folder only, and make no TCP connections (from
 /// Linux 6.7 on).
 #[cfg(all(target_os = "linux", feature = "sandbox"))]
-fn confine(folder: Option<&Path>) -> io::Result<()> {
+fn confine(folder: &Path) -> io::Result<()> {
     use landlock::{
         ABI, Access, AccessFs, AccessNet, CompatLevel, Compatible, PathBeneath, PathFd, Ruleset, RulesetAttr,
         RulesetCreatedAttr,
     };
     let write = AccessFs::from_write(ABI::V1);
     let confined = || -> Result<(), Box<dyn std::error::Error>> {
-        let folder = folder.ok_or("the worker has no folder")?;
         Ruleset::default()
             .set_compatibility(CompatLevel::HardRequirement)
             .handle_access(write)?
@@ -185,7 +196,7 @@ fn confine(folder: Option<&Path>) -> io::Result<()> {
 }
 
 #[cfg(not(all(target_os = "linux", feature = "sandbox")))]
-fn confine(_: Option<&Path>) -> io::Result<()> {
+fn confine(_: &Path) -> io::Result<()> {
     let why = match cfg!(target_os = "linux") {
         true => "this build has no sandbox (feature `sandbox`)",
         false => "there is a sandbox on Linux only",

@@ -31,7 +31,7 @@ impl FromStr for Isolation {
     type Err = crate::error::FmiError;
 
     fn from_str(name: &str) -> Result<Self, Self::Err> {
-        let found = Self::NAMES.iter().find(|(known, _)| *known == name);
+        let found = Self::NAMES.iter().find(|(known, _)| known.eq_ignore_ascii_case(name));
         found.map(|(_, isolation)| *isolation).ok_or_else(|| {
             crate::error::FmiError::BadSetting(format!(
                 "isolation = \"{name}\"; there are: \"process\", \"none\""
@@ -71,37 +71,4 @@ fn memory_of_machine() -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
     let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kilobytes << 10)
-}
-
-impl WorkerLimits {
-    /// As it is handed to a worker.
-    pub(super) fn as_text(&self) -> String {
-        let number = |limit: Option<u64>| limit.map_or_else(|| "-".to_owned(), |limit| limit.to_string());
-        format!("{} {} {} {}", number(self.memory), self.growth, number(self.calls), self.sandbox)
-    }
-
-    pub(super) fn from_text(text: &str) -> Option<Self> {
-        let [memory, growth, calls, sandbox] = text.split(' ').collect::<Vec<_>>().try_into().ok()?;
-        let number = |text: &str| if text == "-" { Some(None) } else { text.parse().ok().map(Some) };
-        Some(Self {
-            memory: number(memory)?,
-            growth: growth.parse().ok()?,
-            calls: number(calls)?,
-            sandbox: sandbox.parse().ok()?,
-        })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn limits_arrive_as_they_were_sent() {
-        let limits = WorkerLimits { memory: None, growth: 7, calls: Some(3), sandbox: true };
-        for limits in [limits, WorkerLimits { memory: Some(1 << 40), calls: None, ..limits }] {
-            assert_eq!(WorkerLimits::from_text(&limits.as_text()), Some(limits));
-        }
-        assert_eq!(WorkerLimits::from_text("1"), None);
-    }
 }

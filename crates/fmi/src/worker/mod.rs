@@ -1,11 +1,11 @@
 //! Processes in which FMUs run: what an FMU does to its process, this one does not notice.
 //!
 //! An FMU is foreign machine code: it crashes, hangs, leaks, calls `exit`, keeps values in statics. Whatever
-//! evaluates a model more than once asks [`Workers`] to do it. A worker is a program that calls
-//! [`serve_if_asked`] first in its `main`; it is started with one end of a socket pair as its standard input
-//! (see [`Frame`] for what is said), a folder of its own as working folder and for temporary files, and
-//! limits that it sets on itself. It runs one FMU in one thread. It ends when the socket is closed, at the
-//! latest with the process that has started it.
+//! evaluates a model more than once asks [`Workers`] to do it. A program that calls [`serve_if_asked`] first
+//! in its `main` is started once, as a template: it loads what is to be evaluated, and copies itself whenever
+//! a worker is needed. A worker has a socket pair (see [`Frame`] for what is said), a folder of its own as
+//! working folder and for temporary files, and limits that it sets on itself. It runs one FMU in one thread.
+//! It ends when the socket is closed, at the latest with the process that has started it.
 
 #[cfg(not(unix))]
 mod absent;
@@ -20,21 +20,29 @@ mod load;
 #[cfg(unix)]
 mod notes;
 #[cfg(unix)]
+mod printed;
+#[cfg(unix)]
 mod process;
+#[cfg(unix)]
+mod serve;
 mod service;
 mod settings;
+#[cfg(unix)]
+mod template;
 #[cfg(unix)]
 mod workers;
 
 #[cfg(not(unix))]
-pub use absent::{Workers, serve_if_asked};
-#[cfg(unix)]
-pub use child::serve_if_asked;
+pub use absent::{Workers, serve_if_asked, start_ahead};
 pub use frame::Frame;
 pub use launcher::Launcher;
 pub use limits::{Isolation, WorkerLimits};
 pub use load::Load;
+#[cfg(unix)]
+pub use serve::serve_if_asked;
 pub use service::Service;
 pub use settings::is_asked;
+#[cfg(unix)]
+pub use template::start_ahead;
 #[cfg(unix)]
 pub use workers::Workers;

@@ -1,25 +1,23 @@
 //! One worker process, as the process sees it that has started it.
 
-use super::folder::{Folder, kill_processes_of};
 use super::frame::{Frame, decode};
-use super::launcher::Launcher;
 use super::limits::WorkerLimits;
 use super::notes::Notes;
-use super::settings::{ASKED, FOLDER, LEVEL, VERSION};
+use super::printed::Printed;
+use super::template::{Template, no_worker};
 use crate::description::Quirk;
 use crate::error::{EndKind, FmiError, WorkerEnd};
 use crate::sys::Page;
 use base::RunContext;
-use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
-use std::collections::VecDeque;
-use std::io::{self, BufReader, ErrorKind, Read};
-use std::os::fd::OwnedFd;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::process::{Pid, Signal, kill_process};
+use std::io::{BufReader, ErrorKind};
+use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::net::UnixStream;
-use std::os::unix::process::{CommandExt, ExitStatusExt};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::os::unix::process::ExitStatusExt;
+use std::process::ExitStatus;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, LazyLock, Mutex, PoisonError};
-use std::thread::JoinHandle;
+use std::sync::{Arc, LazyLock};
 use std::thread::available_parallelism;
 use std::time::{Duration, Instant};
 
@@ -45,12 +43,6 @@ static CORES: LazyLock<usize> = LazyLock::new(|| available_parallelism().map_or(
 /// Bytes that are read at once.
 const BUFFER: usize = 64 << 10;
 
-/// Bytes that are kept of what it prints.
-const PRINTED: usize = 16 << 10;
-
-/// Of these, characters that an error carries.
-const PRINTED_IN_ERRORS: usize = 400;
-
 /// Why there is no answer.
 #[derive(Debug)]
 pub(super) enum NoAnswer {
@@ -60,18 +52,18 @@ pub(super) enum NoAnswer {
     Ended(WorkerEnd),
 }
 
-/// So long the last that a process printed is waited for after its end.
-const LAST_WORDS: Duration = Duration::from_millis(100);
-
 /// A worker process. It ends when this is dropped.
 #[derive(Debug)]
 pub(super) struct Process {
-    child: Child,
+    pid: Pid,
+    /// Its number among those of the template.
+    number_of_worker: u32,
+    template: Arc<Template>,
+    /// Readable when it has ended; `None` where the system has no such thing.
+    end: Option<OwnedFd>,
     socket: BufReader<UnixStream>,
     page: Page,
-    printed: Arc<Mutex<VecDeque<u8>>>,
-    /// The thread that reads it, until all who could print have ended.
-    reader: Option<JoinHandle<()>>,
+    printed: Printed,
     buffer: Vec<u8>,
     /// The process that has started it: a child that was forked meanwhile has no workers.
     owner: u32,
@@ -88,73 +80,44 @@ pub(super) struct Process {
     pub(super) first_size: Option<u64>,
     /// Bytes that it may have in memory.
     most_memory: u64,
-    /// Removed last: while files are open, it may be impossible.
-    folder: Folder,
 }
 
 impl Process {
     /// Starts one, and waits until it is there.
     pub(super) fn start(
-        launcher: &Launcher,
+        template: &Arc<Template>,
         limits: &WorkerLimits,
         context: &RunContext<'_>,
     ) -> Result<Self, FmiError> {
-        let no_worker = |error: io::Error| FmiError::NoWorker { reason: error.to_string() };
-        let folder = Folder::named();
         let (socket, theirs) = UnixStream::pair().map_err(no_worker)?;
         socket.set_read_timeout(Some(LOOK)).map_err(no_worker)?;
         let (page, file) = Page::new().map_err(no_worker)?;
-        let mut command = Command::new(&launcher.program);
-        command
-            .args(&launcher.arguments)
-            .env(ASKED, limits.as_text())
-            .env(FOLDER, folder.path())
-            .env(LEVEL, log::max_level().as_str())
-            .env("TMPDIR", folder.path())
-            .stdin(OwnedFd::from(theirs))
-            .stdout(file)
-            .stderr(Stdio::piped())
-            // Ctrl-C in a terminal goes to all processes of a group.
-            .process_group(0);
-        let child = command.spawn().map_err(|error| FmiError::NoWorker {
-            reason: format!("{}: {error}", launcher.program.display()),
-        })?;
-        // It holds the other end of the socket.
-        drop(command);
+        let (printed, pipe) = Printed::pipe().map_err(no_worker)?;
+        let worker = template.worker(limits, [theirs.as_fd(), file.as_fd(), pipe.as_fd()], context)?;
+        // It holds the other ends.
+        drop((theirs, pipe));
         let mut process = Self {
-            child,
+            pid: worker.pid,
+            number_of_worker: worker.number,
+            template: Arc::clone(template),
+            end: end_of(worker.pid),
             socket: BufReader::with_capacity(BUFFER, socket),
             page,
-            printed: Arc::default(),
-            reader: None,
+            printed,
             buffer: Vec::new(),
             owner: std::process::id(),
             has_ended: false,
-            loaded: None,
+            loaded: worker.loaded,
             quirks: Vec::new(),
             n_calls: 0,
             number: 0,
             last_took: Duration::MAX,
             first_size: None,
             most_memory: limits.memory.unwrap_or(u64::MAX),
-            folder,
         };
-        if let Some(output) = process.child.stderr.take() {
-            let printed = Arc::clone(&process.printed);
-            // Without it the process waits when the pipe is full.
-            let reader = std::thread::Builder::new().name("fmufit-worker-output".to_owned());
-            process.reader = Some(reader.spawn(move || keep_printed(output, &printed)).map_err(no_worker)?);
-        }
-        let mut hello = Frame::default();
         let (began, mut none) = (Instant::now(), None);
-        let answered = process.receive(&mut hello, context, &mut none, Some(began + START));
-        match answered {
-            Ok(()) if hello.head::<String>().is_ok_and(|version| version == VERSION) => Ok(process),
-            Ok(()) => {
-                let version = hello.head::<String>().unwrap_or_default();
-                let reason = format!("the program to be started serves version {version:?}, not {}", VERSION);
-                Err(FmiError::NoWorker { reason })
-            }
+        match process.receive(&mut Frame::default(), context, &mut none, Some(began + START)) {
+            Ok(()) => Ok(process),
             Err(NoAnswer::Cancelled) => Err(FmiError::Cancelled),
             Err(NoAnswer::Ended(end)) => Err(FmiError::NoWorker { reason: end.to_string() }),
         }
@@ -206,12 +169,12 @@ impl Process {
         limit: &mut Option<RunLimit>,
         end: Option<Instant>,
     ) -> Result<(), NoAnswer> {
-        let (page, child, most_memory) = (&self.page, &self.child, self.most_memory);
+        let (page, end_of, pid, most_memory) = (&self.page, self.end.as_ref(), self.pid, self.most_memory);
         let (mut asked_to_end, mut why) = (None::<Instant>, None);
         let mut wait = || {
             let now = Instant::now();
             // Processes that it has started may keep its end of the socket open.
-            if is_over(child) {
+            if is_over_within(end_of, Duration::ZERO) {
                 return Err(ErrorKind::UnexpectedEof.into());
             }
             if asked_to_end.is_none() && context.is_over() {
@@ -222,7 +185,7 @@ impl Process {
             let is_hung = limit.as_mut().is_some_and(|limit| limit.is_over(page.runs(), now));
             if is_out_of_grace {
                 why = Some(Stop::Cancelled);
-            } else if size_of(child).is_some_and(|size| size > most_memory) {
+            } else if size_of(pid).is_some_and(|size| size > most_memory) {
                 // What it shares with others the system's limit does not count.
                 why = Some(Stop::Memory);
             } else if is_hung || end.is_some_and(|end| now > end) {
@@ -251,7 +214,7 @@ impl Process {
     fn ended(&mut self, kind: EndKind, detail: &str) -> WorkerEnd {
         let last = self.page.last_call();
         // A process that has closed its socket is about to end.
-        let has_died = kind == EndKind::Died && self.is_over_within(Duration::from_secs(2));
+        let has_died = kind == EndKind::Died && is_over_within(self.end.as_ref(), Duration::from_secs(2));
         let status = self.kill().filter(|_| has_died);
         let what = match (kind, status) {
             (EndKind::Hung, _) => "no answer within the time limit".to_owned(),
@@ -260,37 +223,8 @@ impl Process {
             (EndKind::Died, None) => "no connection any more".to_owned(),
             (EndKind::Died, Some(status)) => in_words(status),
         };
-        // What was printed last arrives after the end. Who else has the pipe open may keep it so.
-        let began = Instant::now();
-        while self.reader.as_ref().is_some_and(|reader| !reader.is_finished()) && began.elapsed() < LAST_WORDS
-        {
-            std::thread::sleep(Duration::from_millis(1));
-        }
         let (function, time) = last.map_or((None, None), |last| (Some(last.function), last.time));
-        WorkerEnd { kind, what, function, time, output: self.output() }
-    }
-
-    fn is_over_within(&self, longest: Duration) -> bool {
-        let began = Instant::now();
-        while !is_over(&self.child) {
-            if began.elapsed() > longest {
-                return false;
-            }
-            std::thread::sleep(Duration::from_millis(1));
-        }
-        true
-    }
-
-    /// The last that it has printed.
-    fn output(&self) -> String {
-        let printed = self.printed.lock().unwrap_or_else(PoisonError::into_inner);
-        let bytes: Vec<u8> = printed.iter().copied().collect();
-        let text = String::from_utf8_lossy(&bytes);
-        let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
-        let text = lines.join(" | ");
-        let n = text.chars().count();
-        let cut: String = text.chars().skip(n.saturating_sub(PRINTED_IN_ERRORS)).collect();
-        if n > PRINTED_IN_ERRORS { format!("... {cut}") } else { cut }
+        WorkerEnd { kind, what, function, time, output: self.printed.last_words() }
     }
 
     /// True if it was ended, or its answer was not valid.
@@ -300,23 +234,21 @@ impl Process {
 
     /// Bytes that it has in memory, where the system tells.
     pub(super) fn size(&self) -> Option<u64> {
-        size_of(&self.child)
+        size_of(self.pid)
     }
 
     /// Ends it, and all processes that it has started; how it has ended.
     fn kill(&mut self) -> Option<ExitStatus> {
-        if self.owner != std::process::id() {
+        if self.has_ended || self.owner != std::process::id() {
             return None;
         }
-        if self.has_ended {
-            return self.child.wait().ok();
-        }
         self.has_ended = true;
-        // It leads the group, and has its number until it is waited for.
-        let _ = kill_process_group(Pid::from_child(&self.child), Signal::KILL);
-        let _ = self.child.kill();
-        let status = self.child.wait().ok();
-        kill_processes_of(self.child.id(), self.folder.path());
+        let status = self.template.end(self.number_of_worker);
+        if status.is_none() && !is_over_within(self.end.as_ref(), Duration::ZERO) {
+            // The template has ended.
+            let _ = kill_process(self.pid, Signal::KILL);
+            is_over_within(self.end.as_ref(), Duration::from_secs(1));
+        }
         status
     }
 }
@@ -327,15 +259,31 @@ impl Drop for Process {
     }
 }
 
-/// True if a process has ended. It keeps its number until it is waited for.
-fn is_over(child: &Child) -> bool {
-    let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
-    matches!(waitid(WaitId::Pid(Pid::from_child(child)), options), Ok(Some(_)))
+/// Readable when a process has ended, which keeps its number until the template is told to end it.
+#[cfg(target_os = "linux")]
+fn end_of(pid: Pid) -> Option<OwnedFd> {
+    rustix::process::pidfd_open(pid, rustix::process::PidfdFlags::empty()).ok()
+}
+
+#[cfg(not(target_os = "linux"))]
+fn end_of(_: Pid) -> Option<OwnedFd> {
+    None
+}
+
+/// True if a process ends within this time. Where nothing tells, only its socket does, and it ends soon after
+/// that.
+fn is_over_within(end: Option<&OwnedFd>, longest: Duration) -> bool {
+    let Some(end) = end else {
+        std::thread::sleep(longest.min(LOOK));
+        return !longest.is_zero();
+    };
+    let longest = Timespec { tv_sec: longest.as_secs() as i64, tv_nsec: longest.subsec_nanos().into() };
+    matches!(poll(&mut [PollFd::new(end, PollFlags::IN)], Some(&longest)), Ok(n) if n > 0)
 }
 
 /// Bytes that a process has in memory, where the system tells.
-fn size_of(child: &Child) -> Option<u64> {
-    let text = std::fs::read_to_string(format!("/proc/{}/statm", child.id())).ok()?;
+fn size_of(pid: Pid) -> Option<u64> {
+    let text = std::fs::read_to_string(format!("/proc/{}/statm", pid.as_raw_nonzero())).ok()?;
     let pages: u64 = text.split(' ').nth(1)?.parse().ok()?;
     Some(pages * rustix::param::page_size() as u64)
 }
@@ -397,23 +345,5 @@ fn in_words(status: ExitStatus) -> String {
         (Some(signal), _) => format!("signal {signal}"),
         (None, Some(code)) => format!("the process was ended with exit({code})"),
         (None, None) => "the process ended".to_owned(),
-    }
-}
-
-/// Keeps the last of what a process prints.
-fn keep_printed(mut from: impl Read, to: &Mutex<VecDeque<u8>>) {
-    let mut buffer = [0; 4096];
-    loop {
-        match from.read(&mut buffer) {
-            Ok(0) => break,
-            Ok(n) => {
-                let mut kept = to.lock().unwrap_or_else(PoisonError::into_inner);
-                kept.extend(&buffer[..n]);
-                let surplus = kept.len().saturating_sub(PRINTED);
-                kept.drain(..surplus);
-            }
-            Err(error) if error.kind() == ErrorKind::Interrupted => {}
-            Err(_) => break,
-        }
     }
 }

@@ -6,19 +6,15 @@ use super::launcher::Launcher;
 use super::limits::WorkerLimits;
 use super::load::Load;
 use super::process::{NoAnswer, Process};
+use super::template::Template;
 use crate::description::Quirk;
 use crate::error::{EndKind, FmiError, Told, ToldKind, WorkerEnd};
 use base::RunContext;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// A worker that nobody has asked for anything for so long is ended.
 const IDLE: Duration = Duration::from_secs(5);
-
-/// Time between two checks, while the start of a process is awaited, for whether it is still needed and
-/// another one is free.
-const LOOK: Duration = Duration::from_micros(500);
 
 /// The memory of a worker is looked at after each so many calls, and after every one that took so long.
 const LOOK_EVERY: u64 = 32;
@@ -36,20 +32,12 @@ pub struct Workers {
 struct Idle {
     /// With the time since when they are; those that were asked last at the end.
     processes: Vec<(Process, Instant)>,
-    /// Processes that are started ahead and were asked for nothing yet.
-    ahead: Vec<Ahead>,
+    /// What they are copied from.
+    template: Option<Arc<Template>>,
     /// Somebody looks after those that are idle for long.
     is_watched: bool,
     /// Whose they are: a child that was forked meanwhile has none.
     owner: u32,
-}
-
-/// A process that is started in the background, as long as this lives.
-#[derive(Debug)]
-struct Ahead {
-    process: Receiver<Process>,
-    is_wanted: Arc<()>,
-    since: Instant,
 }
 
 impl Workers {
@@ -64,31 +52,32 @@ impl Workers {
         &self.limits
     }
 
-    /// Starts processes in the background until so many are there for `n` threads that will ask, and
-    /// `n_fresh` new ones besides, and has them load this: both take longer than a short evaluation.
-    pub fn start_ahead(self: &Arc<Self>, load: &Arc<Load>, n: usize, n_fresh: usize) {
+    /// Starts the program of the workers, and has it load this in the background: both take longer than a
+    /// short evaluation.
+    pub fn prepare(&self, load: &Load) {
+        // Who needs a worker meets the same error.
+        let _ = self.template(load);
+    }
+
+    /// The process that workers are copied from.
+    fn template(&self, load: &Load) -> Result<Arc<Template>, FmiError> {
         let mut idle = self.idle();
-        while idle.ahead.len() < n_fresh + n.saturating_sub(idle.processes.len()) {
-            let (sender, process) = channel();
-            let ahead = Ahead { process, is_wanted: Arc::default(), since: Instant::now() };
-            let is_wanted = Arc::downgrade(&ahead.is_wanted);
-            let (launcher, limits, load) = (self.launcher.clone(), self.limits, Arc::clone(load));
-            let start = move || {
-                let is_unwanted = || is_wanted.strong_count() == 0;
-                let context = RunContext::new().asking(&is_unwanted);
-                // Who needs one meets the same error.
-                let Ok(mut process) = Process::start(&launcher, &limits, &context) else { return };
-                if ask_to_load(&mut process, &load, &mut Frame::default(), &context).is_ok() {
-                    let _ = sender.send(process);
-                }
-            };
-            let thread = std::thread::Builder::new().name("fmufit-worker-start".to_owned()).spawn(start);
-            if thread.is_err() {
-                break;
-            }
-            idle.ahead.push(ahead);
+        match &idle.template {
+            Some(template) if !template.is_broken() => Ok(Arc::clone(template)),
+            _ => Ok(Arc::clone(idle.template.insert(Arc::new(Template::loading(&self.launcher, load)?)))),
         }
-        self.watch(&mut idle);
+    }
+
+    /// A process that was never asked for anything. An FMU may have ended the template: then there is another
+    /// one.
+    fn new_process(&self, load: &Load, context: &RunContext<'_>) -> Result<Process, FmiError> {
+        let template = self.template(load)?;
+        match Process::start(&template, &self.limits, context) {
+            Err(FmiError::NoWorker { .. }) if template.is_broken() => {
+                Process::start(&self.template(load)?, &self.limits, context)
+            }
+            outcome => outcome,
+        }
     }
 
     /// Asks a worker that has loaded `load`, and returns the quirks of the model that it has found. The
@@ -107,10 +96,10 @@ impl Workers {
         run_limit: Option<Duration>,
         is_fresh: bool,
     ) -> Result<Vec<Quirk>, FmiError> {
-        let mut call = |process: Option<Process>, is_new: bool| {
+        let mut call = |process: Option<Process>| {
             let mut process = match process {
                 Some(process) => process,
-                None => self.new_process(load.id, is_new, context)?,
+                None => self.new_process(load, context)?,
             };
             let (quirks, can_go_on) = self.call_in(&mut process, load, asked, answer, context, run_limit);
             // Otherwise it ends here.
@@ -121,7 +110,7 @@ impl Workers {
         };
         let process = if is_fresh { None } else { self.idle_process(load.id) };
         let was_used = process.is_some();
-        let error = match call(process, is_fresh) {
+        let error = match call(process) {
             Err(error) => error,
             outcome => return outcome,
         };
@@ -135,7 +124,7 @@ impl Workers {
             return Err(error);
         }
         log::info!("{error}; the same is tried once more in a fresh process");
-        call(None, true)
+        call(None)
     }
 
     /// The quirks; and whether the process can be asked again.
@@ -181,7 +170,7 @@ impl Workers {
         let this = std::process::id();
         if idle.owner != this {
             idle.processes.clear();
-            idle.ahead.clear();
+            idle.template = None;
             (idle.owner, idle.is_watched) = (this, false);
         }
         idle
@@ -194,30 +183,6 @@ impl Workers {
         let place = idle.processes.iter().rposition(|(process, _)| process.loaded == Some(load));
         let place = place.or(n.checked_sub(1))?;
         Some(idle.processes.remove(place).0)
-    }
-
-    /// A process that was never asked for anything: one that was started ahead if there is any; or, unless it
-    /// has to be new, one that becomes free meanwhile.
-    fn new_process(&self, load: u64, is_new: bool, context: &RunContext<'_>) -> Result<Process, FmiError> {
-        let ahead = self.idle().ahead.pop();
-        let Some(ahead) = ahead else {
-            return Process::start(&self.launcher, &self.limits, context);
-        };
-        loop {
-            match ahead.process.recv_timeout(LOOK) {
-                Ok(process) => return Ok(process),
-                Err(RecvTimeoutError::Timeout) if context.is_over() => return Err(FmiError::Cancelled),
-                Err(RecvTimeoutError::Timeout) => {
-                    if !is_new && let Some(free) = self.idle_process(load) {
-                        self.idle().ahead.push(ahead);
-                        return Ok(free);
-                    }
-                }
-                Err(RecvTimeoutError::Disconnected) => {
-                    return Process::start(&self.launcher, &self.limits, context);
-                }
-            }
-        }
     }
 
     fn give_back(self: &Arc<Self>, process: Process) {
@@ -239,12 +204,11 @@ impl Workers {
                 let mut idle = workers.idle();
                 let old =
                     idle.processes.extract_if(.., |(_, since)| since.elapsed() > IDLE).collect::<Vec<_>>();
-                let too_early =
-                    idle.ahead.extract_if(.., |ahead| ahead.since.elapsed() > IDLE).collect::<Vec<_>>();
-                let is_over = idle.processes.is_empty() && idle.ahead.is_empty();
+                let is_over = idle.processes.is_empty();
+                let template = if is_over { idle.template.take() } else { None };
                 idle.is_watched = !is_over;
                 drop(idle);
-                drop((old, too_early));
+                drop((old, template));
                 if is_over {
                     break;
                 }

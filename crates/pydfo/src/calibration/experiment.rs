@@ -137,7 +137,7 @@ impl ExperimentFields {
         let state = |(name, state): (String, StateFields)| {
             let state = match state {
                 StateFields::Value(value) => InitialState::Value(value),
-                StateFields::Word(word) if word == "measured" => InitialState::Measured,
+                StateFields::Word(word) if word.eq_ignore_ascii_case("measured") => InitialState::Measured,
                 StateFields::Word(word) => {
                     return Err(PyValueError::new_err(format!(
                         "initial_states: '{name}' = '{word}': it must be a number, 'measured' or a Parameter"

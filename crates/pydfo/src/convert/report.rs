@@ -7,7 +7,7 @@ use dfo::{Outcome, Progress, Report, Simplex, Termination, Tests, Trace, TraceEn
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::PyStopIteration;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyTuple};
+use pyo3::types::{IntoPyDict, PyDict, PyTuple};
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex};
 
@@ -235,6 +235,7 @@ pub(crate) fn to_python<'py>(
     fields.set_item("trace", trace(py, &report.trace)?)?;
     fields.set_item("method", &*report.method)?;
     fields.set_item("method_reason", report.method_reason.as_deref())?;
+    fields.set_item("options", report.options.iter().cloned().into_py_dict(py)?)?;
     let optima = report.optima.iter().map(|o| (PyArray1::from_slice(py, &o.x), o.cost, o.n_starts));
     fields.set_item("optima", optima.collect::<Vec<_>>())?;
     fields.set_item("batch", &*report.batch)?;

@@ -27,7 +27,7 @@ use crate::problem::objective::CostKind;
 use crate::problem::parameter::{Parameter, Scale};
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::active_bounds::{Findings, is_over};
-use crate::uncertainty::estimate::{KnownPoint, SEARCH, Uncertainty, UncertaintyOptions};
+use crate::uncertainty::estimate::{KnownPoint, SEARCH, Uncertainty, UncertaintyOptions, digits};
 use base::RunContext;
 use dfo::{Measure, Report, RobustLoss, Termination, Tolerances, typical_size};
 use ode::{Number, Stats};
@@ -37,20 +37,36 @@ use search::{Job, Searched};
 /// With a relative tolerance of this size or more a search ends anywhere.
 const LOOSE: f64 = 0.1;
 
-/// Tolerances of the search that mean nothing.
-fn loose(tolerances: &Tolerances) -> Option<Finding> {
-    let Tolerances { x_tol, f_tol, measure, .. } = *tolerances;
-    let given = [("x_tol", x_tol, "of the size of each parameter"), ("f_tol", f_tol, "of the cost")];
-    let loose = given.into_iter().filter(|(_, tolerance, _)| *tolerance >= LOOSE);
-    let said: Vec<String> =
-        loose.map(|(name, tolerance, of)| format!("{name} {} is a part {of}", Number(tolerance))).collect();
-    (measure == Measure::Relative && !said.is_empty()).then(|| {
-        let sentence = format!("{}: the search may end far from the minimum", said.join(", "));
-        Finding::new(Severity::Warning, "tolerances", sentence, "leave them out, or give 1e-4")
-    })
-}
-
 impl Calibration {
+    /// Tolerances of the search that mean nothing. An absolute `f_tol` may be above the cost, which is 0
+    /// where there is no noise.
+    fn loose(&self, tolerances: &Tolerances, x: &[f64]) -> Option<Finding> {
+        let Tolerances { x_tol, f_tol, measure, .. } = *tolerances;
+        let said: Vec<String> = match measure {
+            Measure::Relative => {
+                let given =
+                    [("x_tol", x_tol, "of the size of each parameter"), ("f_tol", f_tol, "of the cost")];
+                let loose = given.into_iter().filter(|(_, tolerance, _)| *tolerance >= LOOSE);
+                loose
+                    .map(|(name, tolerance, of)| format!("{name} {} is a part {of}", Number(tolerance)))
+                    .collect()
+            }
+            Measure::Absolute => {
+                let free = self.parameters().iter().zip(x).filter(|(p, _)| p.lower() < p.upper());
+                let sizes = free.map(|(p, x)| (p.name(), self.size_of(p, *x)));
+                let loose = sizes.filter(|(_, size)| x_tol >= LOOSE * size);
+                let said = |(name, size)| {
+                    format!("x_tol {} is absolute, {name} has the size {}", Number(x_tol), digits(size))
+                };
+                loose.map(said).collect()
+            }
+        };
+        (!said.is_empty()).then(|| {
+            let sentence = format!("{}: the search may end far from the minimum", said.join(", "));
+            Finding::new(Severity::Warning, "tolerances", sentence, "leave them out, or give 1e-4, relative")
+        })
+    }
+
     /// Fits the parameters.
     ///
     /// Simulations run on threads of their own where they are long enough for that; the calling thread
@@ -88,7 +104,7 @@ impl Calibration {
             let sentence = format!("the FMU ran in this process: {reason}");
             remarks.push(Finding::new(Severity::Note, "isolation", sentence, ""));
         }
-        remarks.extend(loose(&tolerances));
+        remarks.extend(own.loose(&tolerances, &report.x));
         phase.set(FitPhase::Checks);
         let is_whole = uncertainty.is_some() && held.is_empty();
         let (at_start, at_end) =
@@ -96,6 +112,8 @@ impl Calibration {
         if let Some(at_end) = at_end.as_deref().filter(|_| is_whole && is_over(&report.termination)) {
             let (from, to) = ((start.as_slice(), at_start.as_deref()), (report.x.as_slice(), at_end));
             remarks.extend(own.check_after_fit(from, to, context, &mut stats));
+        } else if is_whole && report.termination == Termination::MaxTime {
+            remarks.extend(own.check_of_setup(&report.x));
         }
         if let Some(at_end) = at_end.as_deref().filter(|_| noise == Some(FitNoise::Stated)) {
             remarks.extend(noise::contradictions_of_stated(own, at_end));

@@ -308,8 +308,7 @@ impl Calibration {
         let tolerances = described.tolerances;
         job.phase.set(FitPhase::Search);
         if let Ok(remote) = &self.evaluator().remote {
-            // Now that the first one has answered.
-            remote.start_ahead(job.run.workers.unwrap_or(1).min(2));
+            remote.set_checked();
         }
         let mut observer = job.observer.borrow_mut();
         let mut remark = None;

@@ -1,11 +1,13 @@
 //! Options of least squares.
 
 use crate::error::Error;
-use serde::{Deserialize, Serialize};
+use serde::de::{Unexpected, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
+use std::fmt;
 
 /// Number of points that least squares evaluates at once after the first n + 1. Each plan takes a path of its
 /// own, the same for any number of workers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum StepPlan {
@@ -19,6 +21,33 @@ pub enum StepPlan {
     /// So many points: first trial points, then neighbours.
     #[serde(untagged)]
     Points(usize),
+}
+
+/// Reads a name or a number; an untagged variant would not say what is expected.
+impl<'de> Deserialize<'de> for StepPlan {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct NameOrNumber;
+        impl Visitor<'_> for NameOrNumber {
+            type Value = StepPlan;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a whole number, 'serial' or 'rounds'")
+            }
+
+            fn visit_u64<E: serde::de::Error>(self, points: u64) -> Result<StepPlan, E> {
+                usize::try_from(points).map(StepPlan::Points).map_err(E::custom)
+            }
+
+            fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<StepPlan, E> {
+                match name {
+                    "serial" => Ok(StepPlan::Serial),
+                    "rounds" => Ok(StepPlan::Rounds),
+                    _ => Err(E::invalid_type(Unexpected::Str(name), &self)),
+                }
+            }
+        }
+        deserializer.deserialize_any(NameOrNumber)
+    }
 }
 
 impl StepPlan {

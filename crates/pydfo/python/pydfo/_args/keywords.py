@@ -29,8 +29,6 @@ _FOREIGN: Final[Mapping[str, tuple[str, ...]]] = {
     **dict.fromkeys(("maxtime", "time_limit", "timeout", "max_time"), ("max_time", "timeout")),
     "adaptive": ('options={"coefficients": "adaptive"}',),
     "popsize": ("population",),
-    "mutation": ("weight",),
-    "recombination": ("probability",),
     "init": ("sampling",),
     "disp": ("disp", "callback"),
     "polish": ("method",),
@@ -60,6 +58,8 @@ _FOREIGN: Final[Mapping[str, tuple[str, ...]]] = {
 #: What none of the functions here has, and what to do instead.
 _ABSENT: Final[Mapping[str, str]] = {
     **dict.fromkeys(("gtol", "tr_solver", "tr_options"), "the tests are x_tol and f_tol: leave it out"),
+    "mutation": "method 'de' adapts it; 'de-classic' has the option weight",
+    "recombination": "method 'de' adapts it; 'de-classic' has the option probability",
     "diff_step": "steps follow from the noise and the sizes of the parameters (option nominal): leave it out",
     **dict.fromkeys(("jac", "hess", "hessp", "gradient", "grad"), "no method here uses derivatives: leave it out"),
     **dict.fromkeys(
@@ -163,7 +163,7 @@ def check_options(options: Collection[str], function: Callable[..., Any]) -> Non
             continue
         if name in arguments:
             raise ValueError(f"{name} is an argument of {function.__name__}, not one of the options")
-        if name in _FOREIGN:
+        if name in _FOREIGN or name in _ABSENT:
             raise ValueError(f"there is no option {name!r}{_hint(name, arguments, among_options=True)}")
 
 

@@ -74,7 +74,7 @@ def record(
         check_simplex(asked["initial_simplex"], n)
     asked.update(arguments, method=choice("method", method), seed=seed(rng))
     if checkpoint is not None:
-        asked["checkpoint"] = os.fspath(checkpoint)
+        asked["checkpoint"] = path("checkpoint", checkpoint)
         # A problem with a name is the user's word for what is minimised.
         if function and asked.get("problem") is None:
             text, is_hash = _identity.of_code(*function)
@@ -84,12 +84,15 @@ def record(
 
 def tell_of_checkpoint(checkpoint: str | os.PathLike[str] | None, resume: str, options: Mapping[str, Any] | None) -> None:
     """Logs that a run goes on from a file that nothing binds to what is minimised, for the costs are told by hand."""
-    if checkpoint is None or resume != "auto" or (options or {}).get("problem") is not None or not os.path.isfile(checkpoint):
+    if checkpoint is None or resume != "auto" or (options or {}).get("problem") is not None:
+        return
+    place = path("checkpoint", checkpoint)
+    if not os.path.isfile(place):
         return
     _log.warning(
         "checkpoint %s is there: the run goes on from it, or its result is returned, whatever the function computes now; resume='never' "
         "begins anew, resume='require' or options={'problem': ...} say that this is meant",
-        os.fspath(checkpoint),
+        place,
     )
 
 
@@ -224,6 +227,14 @@ def flag(name: str, value: object) -> bool:
     if isinstance(value, (np.bool_, int, np.integer)) and value in (0, 1):
         return bool(value)
     raise TypeError(f"{name} must be True or False, not {show(value)}")
+
+
+def path(name: str, value: str | os.PathLike[str]) -> str:
+    """The argument `name`, which must be a path."""
+    try:
+        return os.fsdecode(value)
+    except TypeError:
+        raise TypeError(f"{name} must be a path, not {show(value)}") from None
 
 
 def choice(name: str, value: str) -> str:

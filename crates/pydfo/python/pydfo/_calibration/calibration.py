@@ -185,6 +185,9 @@ class Calibration(Point):
         mask: Any = None,
         resample: SupportsFloat | None = None,
     ) -> None:
+        if isolation == "process":
+            # An interpreter starts while data and model are read.
+            _core.start_worker_ahead()
         own: dict[str, Any] = {
             "window": window,
             "weights": weights,
@@ -323,7 +326,8 @@ class Calibration(Point):
         rng : int or numpy.random.Generator, optional
             The seed of what is random, or a generator to draw it from; None draws one. It stands in the fit (``seed``).
         options : dict, optional
-            What else the method can be told, see `minimize` (scales and sizes are those of the parameters).
+            What else the method can be told, see `minimize` (scales and sizes are those of the parameters). ``max_failed``: the share of
+            evaluations whose failure ends the fit, with its best point.
         checkpoint, resume : optional
             A file for the state of the fit, and whether to continue from it; see `minimize`. A file that belongs to
             another model, other data, parameters, settings or, where `objective` is a function, of other code is refused, saying what
@@ -429,7 +433,7 @@ class Calibration(Point):
             noise=noise,
         )
         of_stages = None if stages is None else _stages.records(_stages.collected(stages), method, own, record)
-        begin = self._values(start)
+        begin = self._values(start, "start")
         printer = Printer(self.names)
         shown = disp if disp is None else _options.flag("disp", disp)
         live: LiveLine | None = None
@@ -537,7 +541,7 @@ class Calibration(Point):
         ValueError, TypeError
             Arguments that cannot be used.
         """
-        return _uncertainty.before(self, self._values(start), workers)
+        return _uncertainty.before(self, self._values(start, "start"), workers)
 
     @explained
     def uncertainty(

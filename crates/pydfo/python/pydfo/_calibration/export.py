@@ -62,8 +62,9 @@ def load_fit(path: PathLike, fmu: Any = None, inputs: Inputs | Mapping[str, Inpu
     >>> pydfo.load_fit("furuta.fit").parameters  # doctest: +SKIP
     {'armFriction': 0.010001, 'pendulumFriction': 0.001}
     """
-    functions = _functions(os.fspath(path), {} if inputs is None else inputs)
-    return _loaded(os.fspath(path), None, fmu, getattr(fmu, "_opened", None), functions)
+    place = _options.path("path", path)
+    functions = _functions(place, {} if inputs is None else inputs)
+    return _loaded(place, None, fmu, getattr(fmu, "_opened", None), functions)
 
 
 def _functions(path: str, given: Inputs | Mapping[str, Inputs]) -> list[tuple[int, str, Any]]:
@@ -154,7 +155,7 @@ def dataframe(fit: Fit, what: str) -> Any:
 def export_fmu(fit: Fit, path: PathLike, experiment: str | None, keep: bool) -> Path:
     """Writes a copy of the FMU, or what takes its place."""
     native = native_of(fit)
-    fmu, ssv, warning = _core.export_fmu(native, os.fspath(path), experiment, keep)
+    fmu, ssv, warning = _core.export_fmu(native, _options.path("path", path), experiment, keep)
     if warning is not None:
         warnings.warn(warning, CalibrationWarning, stacklevel=3)
     written = fmu or ssv

@@ -16,7 +16,8 @@ from . import profile as _profile, export as _export, validation as _validation,
 from .check import Finding
 from .._errors import CalibrationError
 from .experiment import Experiment
-from .._args.keywords import also_called
+from .._args import options as _options
+from .._args.keywords import also_called, explained
 from .profile import Profile
 from .._optimize.result import OptimizeResult
 from .export import PathLike
@@ -201,6 +202,7 @@ class Fit(OptimizeResult):
         """Correlation of the parameters, shape (n, n); NaN where a standard error is zero or infinite."""
         return None if self.uncertainty is None else self.uncertainty.correlation
 
+    @explained
     def confidence_intervals(self, level: SupportsFloat = 0.95, *, corrected: bool = True) -> FloatArray:
         """Lower and upper ends of the confidence intervals, shape (n, 2); see `Uncertainty.confidence_intervals`.
 
@@ -240,6 +242,7 @@ class Fit(OptimizeResult):
         """RMS over that at the start, on the same measurements; None if the simulation failed at the start."""
         return None if self.start_rms is None else self.rms / self.start_rms
 
+    @explained
     def simulate(
         self,
         x: npt.ArrayLike | None = None,
@@ -298,6 +301,7 @@ class Fit(OptimizeResult):
         """
         return _validation.validate(self, experiment, windows)
 
+    @explained
     def prediction_band(
         self,
         times: npt.ArrayLike | None = None,
@@ -333,6 +337,7 @@ class Fit(OptimizeResult):
         """
         return _validation.prediction_band(self, times, level, outputs, corrected)
 
+    @explained
     def profile(
         self,
         parameters: str | Sequence[str] | None = None,
@@ -455,7 +460,7 @@ class Fit(OptimizeResult):
         OSError
             The file cannot be written.
         """
-        _core.save_fit(_export.native_of(self), os.fspath(path))
+        _core.save_fit(_export.native_of(self), _options.path("path", path))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _export.pickled(self)
@@ -514,7 +519,7 @@ class Fit(OptimizeResult):
         OSError
             The file cannot be written.
         """
-        _core.fit_to_csv(_export.native_of(self), what, os.fspath(path))
+        _core.fit_to_csv(_export.native_of(self), what, _options.path("path", path))
 
     def to_dataframe(self, what: Literal["parameters", "trajectories", "trace"] = "parameters") -> Any:
         """The same table as a pandas.DataFrame. Needs pandas."""
@@ -543,7 +548,7 @@ class Fit(OptimizeResult):
         ValueError
             As `parameters_of`; `path` has another suffix.
         """
-        _core.export_ssv(_export.native_of(self), os.fspath(path), experiment)
+        _core.export_ssv(_export.native_of(self), _options.path("path", path), experiment)
         return Path(path)
 
     def export_fmu(self, path: PathLike, experiment: str | None = None, *, keep: bool = False) -> Path:
@@ -604,7 +609,7 @@ class Fit(OptimizeResult):
         SimulationError
             A simulation fails that did not in the fit.
         """
-        _core.fit_report(self._of_run("report"), path)
+        _core.fit_report(self._of_run("report"), _options.path("path", path))
 
     def _shown_names(self) -> list[str]:
         """What figures call the parameters."""

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from .. import _core
 from .._args import options as _options
+from .._args.keywords import explained
 from .._errors import BadCalibrationError
 from .parameter import Parameter
 from .._model.trajectory import SimulationResult
@@ -112,7 +113,7 @@ class Point:
         entries = self._native.race()
         return None if entries is None else [Raced(*entry) for entry in entries]
 
-    def _values(self, x: npt.ArrayLike | Mapping[str, float] | None) -> list[float]:
+    def _values(self, x: npt.ArrayLike | Mapping[str, float] | None, argument: str = "x") -> list[float]:
         if x is None or isinstance(x, Mapping):
             values = dict(zip(self.names, self._native.start()))
             given = dict(x or {})
@@ -125,7 +126,7 @@ class Point:
                 if name in tied and not np.isclose(_options.number(name, tied[name]), expected, rtol=1e-9, atol=0.0):
                     raise BadCalibrationError(f"{name} = {tied[name]!r}: it is tied to another parameter, by which it is {expected!r}")
             return list(values.values())
-        return [float(value) for value in _options.vector("x", x)]
+        return [float(value) for value in _options.vector(argument, x)]
 
     def cost(self, x: npt.ArrayLike | Mapping[str, float] | None = None) -> float:
         """The sum of the squared weighted residuals.
@@ -169,6 +170,7 @@ class Point:
         """
         return self._native.residuals(self._values(x))
 
+    @explained
     def simulate(
         self,
         x: npt.ArrayLike | Mapping[str, float] | None = None,

@@ -141,7 +141,7 @@ def of_fit(
             chosen,
             (_options.number("level", level), _options.flag("corrected", corrected), _options.limit("max_points", max_points, 1)),
             _options.worker_count("workers", workers, None),
-            None if checkpoint is None else os.fspath(checkpoint),
+            None if checkpoint is None else _options.path("checkpoint", checkpoint),
         )
     except Interrupted as e:
         # What there is so far, as the class that holds it.

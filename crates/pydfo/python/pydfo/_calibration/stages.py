@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, SupportsFloat
 
 from .._args import options as _options
+from .._args.keywords import explained
 
 #: One window or several, each (from, to) in s.
 Windows = tuple[SupportsFloat, SupportsFloat] | Sequence[tuple[SupportsFloat, SupportsFloat]]
@@ -26,6 +27,7 @@ class Stage:
         Limits of this stage, at which the next one begins; those of the fit hold for all stages together.
     """
 
+    @explained
     def __init__(
         self,
         parameters: Sequence[str],

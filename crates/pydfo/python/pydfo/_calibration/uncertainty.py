@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from .. import _core
 from .._args import options as _options
+from .._args.keywords import explained
 from .check import Finding
 from .._errors import BadCalibrationError
 
@@ -113,6 +114,7 @@ class Uncertainty:
         self.jacobian: FloatArray = fields["jacobian"]
         self.n_simulations: int = fields["n_simulations"]
 
+    @explained
     def confidence_intervals(self, level: SupportsFloat = 0.95, *, corrected: bool = True) -> FloatArray:
         """Confidence intervals by Student's t: ``x -+ t s``, for a parameter on a log scale ``x * exp(-+ t s / x)``.
 

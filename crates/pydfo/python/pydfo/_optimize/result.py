@@ -224,6 +224,8 @@ class OptimizeResult:
         The method, and its plan of which points are evaluated ahead of need.
     method_reason : str or None
         Why the method was chosen, where the choice was left open ("auto").
+    options : dict of str to str
+        The options of the method and the tolerances, by name, as text.
     workers : int
         Evaluations that could run at once.
     figures : tuple of matplotlib figures
@@ -262,6 +264,7 @@ class OptimizeResult:
         schedule: Sequence[tuple[float, float, FloatArray, float, int]] = (),
         optima: Sequence[tuple[FloatArray, float, int]] = (),
         method_reason: str | None = None,
+        options: dict[str, str] | None = None,
         seed: int | None = None,
         failures: dict[str, int] | None = None,
         trace: Trace | None = None,
@@ -294,6 +297,7 @@ class OptimizeResult:
         self.schedule = tuple(BarrierStage(*stage) for stage in schedule)
         self.optima = tuple(Optimum(*optimum) for optimum in optima)
         self.method_reason = method_reason
+        self.options = options or {}
         self.seed = seed
         self.failures = failures or {}
         self.trace = trace

@@ -1,0 +1,36 @@
+//! Copies of this process.
+
+use rustix::process::Pid;
+use std::ffi::CStr;
+use std::io;
+
+/// Copies this process: its child goes on from here with this thread alone. The child's number; `None` in the
+/// child.
+pub(crate) fn fork() -> io::Result<Option<Pid>> {
+    // SAFETY: numbers only. The end of a child is kept for who waits for it, whatever this process has inherited.
+    unsafe { libc::signal(libc::SIGCHLD, libc::SIG_DFL) };
+    // SAFETY: the caller has no other thread that could hold a lock, so all of the child's memory is whole.
+    match unsafe { libc::fork() } {
+        -1 => Err(io::Error::last_os_error()),
+        child => Ok(Pid::from_raw(child)),
+    }
+}
+
+/// Writes another value of the same length over that of an environment variable, where it stands: who reads
+/// the environment of this process from outside (`/proc/<pid>/environ`) finds it as well, other than after
+/// `setenv`.
+pub(crate) fn overwrite_variable(name: &CStr, value: &[u8]) -> io::Result<()> {
+    // SAFETY: a C string; the answer is null or a C string.
+    let place = unsafe { libc::getenv(name.as_ptr()) };
+    // SAFETY: as above.
+    if place.is_null() || unsafe { CStr::from_ptr(place) }.count_bytes() != value.len() {
+        return Err(io::Error::new(
+            io::ErrorKind::InvalidInput,
+            format!("no {name:?} of {} bytes", value.len()),
+        ));
+    }
+    // SAFETY: so many bytes are there, in memory of this process (System V ABI: strings of the initial environment, or allocated by
+    // `setenv`); no other thread reads them, as in `fork`.
+    unsafe { std::ptr::copy_nonoverlapping(value.as_ptr(), place.cast(), value.len()) };
+    Ok(())
+}

@@ -1,0 +1,162 @@
+//! The process that worker processes are copied from: it takes its orders until the other end is closed.
+
+use super::child::{self, respond};
+use super::folder::{enter, remove, worker_folder};
+use super::frame::Frame;
+use super::notes::keep_lines;
+use super::service::Service;
+use super::settings::{ASKED, FOLDER, LEVEL, VERSION};
+use super::template::{DESCRIPTORS, Order, Start};
+use crate::sys::{close_inherited, fork};
+use base::RunContext;
+use rustix::net::{RecvAncillaryBuffer, RecvAncillaryMessage, RecvFlags, recvmsg};
+use rustix::process::{Pid, Signal, WaitOptions, kill_process, kill_process_group, waitpid};
+use std::io::{self, ErrorKind, IoSliceMut, Write};
+use std::mem::MaybeUninit;
+use std::os::fd::OwnedFd;
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+
+/// Serves until nobody needs it any more, if this process was started for that; then the process ends, and
+/// this does not return. Belongs at the begin of `main`, before any other thread is started.
+pub fn serve_if_asked(service: impl FnOnce() -> Box<dyn Service + Send>) {
+    super::launcher::know_this_program();
+    let Some(version) = std::env::var_os(ASKED) else { return };
+    let served = match version == VERSION {
+        true => serve(service()),
+        false => Err(io::Error::other(format!("this program serves version {VERSION}, not {version:?}"))),
+    };
+    if let Err(error) = &served {
+        // Who has started it reads that.
+        let _ = writeln!(io::stderr(), "{error}");
+    }
+    std::process::exit(i32::from(served.is_err()));
+}
+
+fn serve(mut service: Box<dyn Service + Send>) -> io::Result<()> {
+    let named = std::env::var_os(FOLDER.to_str().unwrap_or_default()).map(PathBuf::from);
+    let folder = named.ok_or(ErrorKind::NotFound)?;
+    enter(&folder)?;
+    close_inherited()?;
+    let control = UnixStream::from(rustix::io::fcntl_dupfd_cloexec(rustix::stdio::stdin(), 3)?);
+    child::close_stdin()?;
+    #[cfg(target_os = "linux")]
+    rustix::process::set_child_subreaper(Some(rustix::process::getpid()))?;
+    keep_lines(
+        std::env::var(LEVEL).ok().and_then(|level| level.parse().ok()).unwrap_or(log::LevelFilter::Warn),
+    );
+    let mut workers = Workers { folder, running: Vec::new() };
+    loop {
+        match take_order(&control, &mut *service, &mut workers) {
+            Ok(None) => {}
+            Ok(Some((start, descriptors))) => {
+                drop(control);
+                child::run(service, &workers.folder, &start, descriptors)
+            }
+            // The other end is closed, or says what this version does not know.
+            Err(_) => break,
+        }
+    }
+    while let Some((_, number)) = workers.running.last() {
+        workers.end(*number);
+    }
+    remove(&workers.folder);
+    Ok(())
+}
+
+/// Does what it is told next. In a copy of this process: the worker that it is to be.
+fn take_order(
+    control: &UnixStream,
+    service: &mut dyn Service,
+    workers: &mut Workers,
+) -> io::Result<Option<(Start, Vec<OwnedFd>)>> {
+    let (mut asked, mut answer, mut buffer) = (Frame::default(), Frame::default(), Vec::new());
+    let (order, descriptors) = receive(control)?;
+    asked.read(&mut &*control, &mut buffer, &mut || Ok(()))?;
+    match order {
+        order if order == Order::Load as u8 => {
+            respond(service, &asked, &RunContext::new(), &mut answer)?;
+        }
+        order if order == Order::Start as u8 => {
+            let start: Start = asked.head()?;
+            match fork() {
+                Ok(None) => return Ok(Some((start, descriptors))),
+                Ok(Some(pid)) => {
+                    workers.running.push((pid, start.number));
+                    answer.set_head(&Ok::<_, String>(pid.as_raw_nonzero().get()))?;
+                }
+                Err(error) => answer.set_head(&Err::<i32, _>(error.to_string()))?,
+            }
+        }
+        _ => answer.set_head(&workers.end(asked.head()?))?,
+    }
+    answer.write(0, &mut &*control, &mut buffer)?;
+    Ok(None)
+}
+
+/// The next order, with its descriptors.
+fn receive(control: &UnixStream) -> io::Result<(u8, Vec<OwnedFd>)> {
+    let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(DESCRIPTORS))];
+    let mut ancillary = RecvAncillaryBuffer::new(&mut space);
+    let mut order = [0];
+    let mut to = [IoSliceMut::new(&mut order)];
+    let flags = if cfg!(target_os = "linux") { RecvFlags::CMSG_CLOEXEC } else { RecvFlags::empty() };
+    let received = rustix::io::retry_on_intr(|| recvmsg(control, &mut to, &mut ancillary, flags))?;
+    let rights = ancillary.drain().filter_map(|message| match message {
+        RecvAncillaryMessage::ScmRights(rights) => Some(rights),
+        _ => None,
+    });
+    let descriptors = rights.flatten().collect();
+    if received.bytes == 0 { Err(ErrorKind::UnexpectedEof.into()) } else { Ok((order[0], descriptors)) }
+}
+
+/// The workers that were copied from this process and have not been ended, with their numbers.
+struct Workers {
+    folder: PathBuf,
+    running: Vec<(Pid, u32)>,
+}
+
+impl Workers {
+    /// Ends a worker, with what it has started and left behind; its status.
+    fn end(&mut self, number: u32) -> i32 {
+        let place = self.running.iter().position(|(_, other)| *other == number);
+        let Some((pid, _)) = place.map(|place| self.running.swap_remove(place)) else { return 0 };
+        // It leads the group, and has its number until it is waited for.
+        let _ = kill_process_group(pid, Signal::KILL);
+        let status = kill(pid);
+        let folder = worker_folder(&self.folder, number);
+        self.end_orphans(&folder);
+        remove(&folder);
+        status
+    }
+
+    /// Ends processes that workers had started and have left behind, wherever these are: when their parents
+    /// end they become children of this one. Who has started them their environment says, by the worker's
+    /// folder; others are ended with the last worker.
+    fn end_orphans(&self, folder: &Path) {
+        let marker = [FOLDER.to_bytes(), b"=", folder.as_os_str().as_bytes()].concat();
+        let is_marked = |pid: i32| {
+            let environment = std::fs::read(format!("/proc/{pid}/environ")).unwrap_or_default();
+            environment.split(|byte| *byte == 0).any(|entry| entry == marker)
+        };
+        let is_worker =
+            |pid: i32| self.running.iter().any(|(worker, _)| worker.as_raw_nonzero().get() == pid);
+        // Until there are none: those of an orphan follow it.
+        loop {
+            let children = std::fs::read_to_string("/proc/thread-self/children").unwrap_or_default();
+            let pids = children.split_ascii_whitespace().filter_map(|pid| pid.parse().ok());
+            let orphans = pids.filter(|pid| !is_worker(*pid) && (self.running.is_empty() || is_marked(*pid)));
+            if orphans.filter_map(Pid::from_raw).map(kill).count() == 0 {
+                break;
+            }
+        }
+    }
+}
+
+/// Ends a child of this process; its status.
+fn kill(child: Pid) -> i32 {
+    let _ = kill_process(child, Signal::KILL);
+    let waited = rustix::io::retry_on_intr(|| waitpid(Some(child), WaitOptions::empty()));
+    waited.ok().flatten().map_or(0, |(_, status)| status.as_raw())
+}

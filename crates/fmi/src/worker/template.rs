@@ -1,0 +1,280 @@
+//! The process that worker processes are copied from, as the process sees it that has started it.
+//!
+//! It starts the program and loads a problem once, which takes longer than a short evaluation; a copy of it
+//! takes a millisecond. It runs no foreign code, has one thread, and is the parent of its copies and of
+//! whatever they leave behind.
+
+use super::folder::{Folder, remove, worker_folder};
+use super::frame::Frame;
+use super::launcher::Launcher;
+use super::limits::WorkerLimits;
+use super::load::Load;
+use super::printed::Printed;
+use super::settings::{ASKED, FOLDER, LEVEL, TEMPORARY, VERSION};
+use crate::error::FmiError;
+use base::RunContext;
+use log::LevelFilter;
+use rustix::net::{SendAncillaryBuffer, SendAncillaryMessage, SendFlags, sendmsg};
+use rustix::process::Pid;
+use serde::{Deserialize, Serialize};
+use std::ffi::{CStr, OsStr};
+use std::io::{self, ErrorKind, IoSlice};
+use std::mem::MaybeUninit;
+use std::net::Shutdown;
+use std::os::fd::{BorrowedFd, OwnedFd};
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::net::UnixStream;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Order to the template; its byte goes before the frame, and the descriptors with it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub(super) enum Order {
+    /// To load what the frame says.
+    Load = b'L',
+    /// To start a worker: [`Start`], with [`DESCRIPTORS`]; the answer is its process.
+    Start = b'S',
+    /// To end a worker, by its number, and what it has left behind; the answer is its status.
+    End = b'E',
+}
+
+/// The socket, the shared page, and the pipe for what is printed.
+pub(super) const DESCRIPTORS: usize = 3;
+
+/// A worker to be started.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct Start {
+    pub(super) number: u32,
+    pub(super) limits: WorkerLimits,
+    pub(super) level: LevelFilter,
+}
+
+/// A worker that was started.
+pub(super) struct Worker {
+    pub(super) pid: Pid,
+    pub(super) number: u32,
+    /// What it has loaded.
+    pub(super) loaded: Option<u64>,
+}
+
+/// An order is done after this time.
+const LONGEST: Duration = Duration::from_secs(60);
+
+/// It has so long to end.
+const END: Duration = Duration::from_secs(2);
+
+/// Time between two checks for cancellation while an answer is awaited.
+const LOOK: Duration = Duration::from_millis(10);
+
+/// A process that worker processes are copied from. It ends when this is dropped.
+#[derive(Debug)]
+pub(super) struct Template {
+    child: Child,
+    program: Launcher,
+    printed: Printed,
+    orders: Mutex<Orders>,
+    /// It has ended, or an answer was not waited for.
+    is_broken: AtomicBool,
+    /// The process that has started it.
+    owner: u32,
+    folder: Folder,
+}
+
+#[derive(Debug)]
+struct Orders {
+    socket: UnixStream,
+    buffer: Vec<u8>,
+    answer: Frame,
+    n_started: u32,
+    /// A load whose answer was not read yet.
+    loading: Option<u64>,
+    loaded: Option<u64>,
+}
+
+/// A template that was started before there is a problem to load.
+static SPARE: Mutex<Option<Template>> = Mutex::new(None);
+
+fn spare() -> MutexGuard<'static, Option<Template>> {
+    SPARE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Starts the program of worker processes, which will be needed soon; does not wait for it.
+pub fn start_ahead() {
+    let mut spare = spare();
+    if spare.is_none()
+        && let Some(launcher) = Launcher::known()
+    {
+        // Who needs it meets the same error.
+        *spare = Template::start(&launcher).ok();
+    }
+}
+
+impl Template {
+    /// One that was started before, or is started now, and is to load this.
+    pub(super) fn loading(launcher: &Launcher, load: &Load) -> Result<Self, FmiError> {
+        let spare =
+            spare().take().filter(|spare| spare.owner == std::process::id() && spare.program == *launcher);
+        let template = spare.map_or_else(|| Self::start(launcher), Ok)?;
+        let mut orders = template.orders();
+        orders.send(Order::Load, &load.frame, &[]).map_err(no_worker)?;
+        orders.loading = Some(load.id);
+        drop(orders);
+        Ok(template)
+    }
+
+    fn start(launcher: &Launcher) -> Result<Self, FmiError> {
+        let folder = Folder::named();
+        let (socket, theirs) = UnixStream::pair().map_err(no_worker)?;
+        socket.set_read_timeout(Some(LOOK)).map_err(no_worker)?;
+        socket.set_write_timeout(Some(LONGEST)).map_err(no_worker)?;
+        let (printed, pipe) = Printed::pipe().map_err(no_worker)?;
+        let name = |name: &'static CStr| OsStr::from_bytes(name.to_bytes());
+        let mut command = Command::new(&launcher.program);
+        command
+            .args(&launcher.arguments)
+            .env(ASKED, VERSION)
+            .env(name(FOLDER), folder.path())
+            .env(LEVEL, log::max_level().as_str())
+            .env(name(TEMPORARY), folder.path())
+            .stdin(OwnedFd::from(theirs))
+            .stdout(Stdio::null())
+            .stderr(pipe)
+            // Ctrl-C in a terminal goes to all processes of a group.
+            .process_group(0);
+        let child = command.spawn().map_err(|error| FmiError::NoWorker {
+            reason: format!("{}: {error}", launcher.program.display()),
+        })?;
+        let orders = Orders {
+            socket,
+            buffer: Vec::new(),
+            answer: Frame::default(),
+            n_started: 0,
+            loading: None,
+            loaded: None,
+        };
+        let (program, owner) = (launcher.clone(), std::process::id());
+        Ok(Self {
+            child,
+            program,
+            printed,
+            orders: Mutex::new(orders),
+            is_broken: AtomicBool::new(false),
+            owner,
+            folder,
+        })
+    }
+
+    fn orders(&self) -> MutexGuard<'_, Orders> {
+        self.orders.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// True if it can start no workers any more.
+    pub(super) fn is_broken(&self) -> bool {
+        self.is_broken.load(Ordering::Relaxed)
+    }
+
+    /// Starts a worker with these descriptors.
+    pub(super) fn worker(
+        &self,
+        limits: &WorkerLimits,
+        descriptors: [BorrowedFd<'_>; DESCRIPTORS],
+        context: &RunContext<'_>,
+    ) -> Result<Worker, FmiError> {
+        let mut orders = self.orders();
+        orders.n_started += 1;
+        let start = Start { number: orders.n_started, limits: *limits, level: log::max_level() };
+        let asked = Frame::of(&start).map_err(no_worker)?;
+        let mut ask = || -> io::Result<Pid> {
+            orders.send(Order::Start, &asked, &descriptors)?;
+            if let Some(load) = orders.loading {
+                orders.receive(context)?;
+                // Where it failed, the worker tries again, and says why.
+                orders.loaded = (!orders.answer.is_error).then_some(load);
+                orders.loading = None;
+            }
+            orders.receive(context)?;
+            let pid = orders.answer.head::<Result<i32, String>>()?.map_err(io::Error::other)?;
+            Pid::from_raw(pid).ok_or_else(|| ErrorKind::InvalidData.into())
+        };
+        match ask() {
+            Ok(pid) => Ok(Worker { pid, number: start.number, loaded: orders.loaded }),
+            Err(error) => {
+                self.is_broken.store(true, Ordering::Relaxed);
+                if context.is_over() {
+                    return Err(FmiError::Cancelled);
+                }
+                let printed = self.printed.last_words();
+                let printed = if printed.is_empty() { error.to_string() } else { printed };
+                Err(FmiError::NoWorker { reason: format!("{}: {printed}", self.program.program.display()) })
+            }
+        }
+    }
+
+    /// Ends a worker, and all processes that it has started; how it has ended.
+    pub(super) fn end(&self, number: u32) -> Option<ExitStatus> {
+        let mut orders = self.orders();
+        let mut ask = || -> io::Result<i32> {
+            if self.is_broken() {
+                return Err(ErrorKind::BrokenPipe.into());
+            }
+            orders.send(Order::End, &Frame::of(&number)?, &[])?;
+            orders.receive(&RunContext::new())?;
+            orders.answer.head()
+        };
+        let status = ask();
+        if status.is_err() {
+            self.is_broken.store(true, Ordering::Relaxed);
+            remove(&worker_folder(self.folder.path(), number));
+        }
+        status.ok().map(ExitStatus::from_raw)
+    }
+}
+
+impl Orders {
+    fn send(&mut self, order: Order, frame: &Frame, descriptors: &[BorrowedFd<'_>]) -> io::Result<()> {
+        let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(DESCRIPTORS))];
+        let mut control = SendAncillaryBuffer::new(&mut space);
+        if !descriptors.is_empty() && !control.push(SendAncillaryMessage::ScmRights(descriptors)) {
+            return Err(ErrorKind::InvalidInput.into());
+        }
+        let bytes = [order as u8];
+        let send = || sendmsg(&self.socket, &[IoSlice::new(&bytes)], &mut control, SendFlags::NOSIGNAL);
+        rustix::io::retry_on_intr(send)?;
+        frame.write(0, &mut &self.socket, &mut self.buffer)
+    }
+
+    fn receive(&mut self, context: &RunContext<'_>) -> io::Result<()> {
+        let began = Instant::now();
+        let mut wait = || match context.is_over() || began.elapsed() > LONGEST {
+            true => Err(ErrorKind::TimedOut.into()),
+            false => Ok(()),
+        };
+        self.answer.read(&mut &self.socket, &mut self.buffer, &mut wait)
+    }
+}
+
+impl Drop for Template {
+    fn drop(&mut self) {
+        // A child that was forked meanwhile has no templates.
+        if self.owner != std::process::id() {
+            return;
+        }
+        // It ends what is left of its workers, and itself.
+        let _ = self.orders().socket.shutdown(Shutdown::Both);
+        let began = Instant::now();
+        while matches!(self.child.try_wait(), Ok(None)) && began.elapsed() < END {
+            std::thread::sleep(Duration::from_micros(200));
+        }
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// No worker can be started.
+pub(super) fn no_worker(error: io::Error) -> FmiError {
+    FmiError::NoWorker { reason: error.to_string() }
+}
