@@ -32,8 +32,10 @@ impl Fmu {
         let description = with_start_texts(&bytes, self.description(), &self.start_texts(values)?)?;
         match self.archive().loose_files()? {
             None => self.copy_packed(out, &description),
-            Some(files) => write_archive(out, files, &[(MODEL_DESCRIPTION, &description)])
-                .map_err(|error| error.of("write a copy of", self.path())),
+            Some(files) => {
+                let replaced = [(MODEL_DESCRIPTION, &*description)];
+                write_archive(out, "write a copy of", self.path(), files, &replaced)
+            }
         }
     }
 

@@ -38,29 +38,14 @@ pub(super) struct Record {
     pub(super) header_start: u64,
 }
 
-/// Why a directory cannot be read.
-#[derive(Debug)]
-pub(super) enum Unreadable {
-    Io(io::Error),
-    Damaged(String),
-}
-
-impl From<io::Error> for Unreadable {
-    fn from(error: io::Error) -> Self {
-        match error.kind() {
-            io::ErrorKind::UnexpectedEof => Unreadable::Damaged("it ends inside of its directory".to_owned()),
-            _ => Unreadable::Io(error),
-        }
-    }
-}
-
-fn damaged<T>(reason: impl Into<String>) -> Result<T, Unreadable> {
-    Err(Unreadable::Damaged(reason.into()))
+/// Error for a directory that cannot be read as one.
+fn damaged<T>(reason: impl Into<String>) -> io::Result<T> {
+    Err(io::Error::new(io::ErrorKind::InvalidData, reason.into()))
 }
 
 impl Directory {
     /// Finds the directory by the record at the end of the archive.
-    pub(super) fn find(archive: &mut (impl Read + Seek)) -> Result<Directory, Unreadable> {
+    pub(super) fn find(archive: &mut (impl Read + Seek)) -> io::Result<Directory> {
         let length = archive.seek(SeekFrom::End(0))?;
         let ends_plainly = |tail: &[u8]| tail.starts_with(b"PK\x05\x06") && Fields(tail).half(20) == 0;
         let mut tail_start = length.saturating_sub(END_BYTES);
@@ -107,7 +92,7 @@ impl Directory {
     }
 
     /// Reads all records. The number of entries should have been judged before.
-    pub(super) fn read(&self, archive: &mut (impl Read + Seek)) -> Result<Vec<Record>, Unreadable> {
+    pub(super) fn read(&self, archive: &mut (impl Read + Seek)) -> io::Result<Vec<Record>> {
         archive.seek(SeekFrom::Start(self.start))?;
         let mut archive = archive.take(self.end - self.start);
         let records =
@@ -151,10 +136,7 @@ fn starts_as_zip(archive: &mut (impl Read + Seek)) -> io::Result<bool> {
 }
 
 /// The 64-bit variant of the end record and its position, if its locator stands before the end record.
-fn zip64_end(
-    archive: &mut (impl Read + Seek),
-    end_start: u64,
-) -> Result<Option<(Directory, u64)>, Unreadable> {
+fn zip64_end(archive: &mut (impl Read + Seek), end_start: u64) -> io::Result<Option<(Directory, u64)>> {
     let Some(locator_start) = end_start.checked_sub(LOCATOR_BYTES) else { return Ok(None) };
     let locator = read_at(archive, locator_start, LOCATOR_BYTES)?;
     if !locator.starts_with(b"PK\x06\x07") {
@@ -179,7 +161,7 @@ fn zip64_end(
 }
 
 impl Record {
-    fn read(source: &mut impl Read) -> Result<Record, Unreadable> {
+    fn read(source: &mut impl Read) -> io::Result<Record> {
         let mut bytes = [0; HEADER_BYTES as usize];
         source.read_exact(&mut bytes)?;
         if !bytes.starts_with(b"PK\x01\x02") {
@@ -307,10 +289,7 @@ mod tests {
     }
 
     fn reason(bytes: &[u8]) -> String {
-        match Directory::find(&mut Cursor::new(bytes)).unwrap_err() {
-            Unreadable::Damaged(reason) => reason,
-            Unreadable::Io(error) => panic!("{error}"),
-        }
+        Directory::find(&mut Cursor::new(bytes)).unwrap_err().to_string()
     }
 
     #[test]

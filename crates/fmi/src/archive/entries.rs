@@ -1,6 +1,6 @@
 //! The list of entries of an archive, checked: names, kinds, sizes, and that no byte serves two entries.
 
-use super::directory::{Directory, Fields, Record, Unreadable};
+use super::directory::{Directory, Fields, Record};
 use super::limits::{ArchiveLimits, MODEL_DESCRIPTION};
 use super::names::{self, Names};
 use crate::cancel::Cancel;
@@ -71,10 +71,11 @@ pub(super) fn list(
     Ok(listed)
 }
 
-fn unreadable_at(path: &Path, error: Unreadable) -> FmiError {
-    match error {
-        Unreadable::Io(error) => FmiError::io("read", path)(error),
-        Unreadable::Damaged(reason) => FmiError::bad_archive(path, reason),
+fn unreadable_at(path: &Path, error: io::Error) -> FmiError {
+    match error.kind() {
+        io::ErrorKind::InvalidData => FmiError::bad_archive(path, error.to_string()),
+        io::ErrorKind::UnexpectedEof => FmiError::bad_archive(path, "it ends inside of its directory"),
+        _ => FmiError::io("read", path)(error),
     }
 }
 

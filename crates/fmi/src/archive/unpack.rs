@@ -80,67 +80,64 @@ impl Source<'_> {
     fn copy(self, entry: &Listed, out: &mut dyn Write, target: &Path) -> Result<()> {
         let file = BufReader::with_capacity(BUFFER, Positioned::new(self.file, entry.data_start));
         let mut packed = file.take(entry.compressed_size);
-        let copied = if entry.is_deflated {
-            copy(&mut DeflateDecoder::new(&mut packed), entry, out, self.cancel)
+        if entry.is_deflated {
+            self.copy_from(&mut DeflateDecoder::new(&mut packed), entry, out, target)?;
         } else {
-            copy(&mut packed, entry, out, self.cancel)
-        };
-        copied.and_then(|()| check_all_used(packed.limit(), entry)).map_err(|failure| match failure {
-            Failure::Entry(problem) => refused(self.path, &entry.name, problem),
-            Failure::Write(error) => FmiError::io("write", target)(error),
-            Failure::Cancelled => FmiError::Cancelled,
-        })
-    }
-}
-
-enum Failure {
-    Entry(EntryProblem),
-    Write(io::Error),
-    Cancelled,
-}
-
-/// Copies the contents of an entry; stops as soon as there are more bytes than declared.
-fn copy(source: &mut impl Read, entry: &Listed, out: &mut dyn Write, cancel: &Cancel) -> Result<(), Failure> {
-    let mut buffer = vec![0; BUFFER];
-    let mut found = 0;
-    let mut checksum = crc32fast::Hasher::new();
-    loop {
-        if cancel.is_asked() {
-            return Err(Failure::Cancelled);
+            self.copy_from(&mut packed, entry, out, target)?;
         }
-        let n = match source.read(&mut buffer) {
-            Ok(0) => break,
-            Ok(n) => n,
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
-            Err(error) => return Err(Failure::Entry(EntryProblem::Damaged(error.to_string()))),
-        };
-        found += n as u64;
-        if found > entry.size {
-            return Err(Failure::Entry(EntryProblem::WrongSize { found, declared: entry.size }));
+        // A deflate stream that ends before the packed bytes do was declared too long.
+        match packed.limit() {
+            0 => Ok(()),
+            unused => Err(self.damaged(
+                entry,
+                format!(
+                    "only {} of its {} packed bytes are used",
+                    entry.compressed_size - unused,
+                    entry.compressed_size
+                ),
+            )),
         }
-        checksum.update(&buffer[..n]);
-        out.write_all(&buffer[..n]).map_err(Failure::Write)?;
     }
-    if found < entry.size {
-        return Err(Failure::Entry(EntryProblem::WrongSize { found, declared: entry.size }));
-    }
-    match checksum.finalize() {
-        sum if sum == entry.crc32 => Ok(()),
-        sum => Err(Failure::Entry(EntryProblem::Damaged(format!(
-            "its checksum is {sum:08x} instead of {:08x}",
-            entry.crc32
-        )))),
-    }
-}
 
-/// A deflate stream that ends before the packed bytes do was declared too long.
-fn check_all_used(unused: u64, entry: &Listed) -> Result<(), Failure> {
-    match unused {
-        0 => Ok(()),
-        _ => Err(Failure::Entry(EntryProblem::Damaged(format!(
-            "only {} of its {} packed bytes are used",
-            entry.compressed_size - unused,
-            entry.compressed_size
-        )))),
+    /// Copies the contents of an entry; stops as soon as there are more bytes than declared.
+    fn copy_from(
+        self,
+        source: &mut impl Read,
+        entry: &Listed,
+        out: &mut dyn Write,
+        target: &Path,
+    ) -> Result<()> {
+        let wrong_size = |found| EntryProblem::WrongSize { found, declared: entry.size };
+        let mut buffer = vec![0; BUFFER];
+        let mut found = 0;
+        let mut checksum = crc32fast::Hasher::new();
+        loop {
+            self.cancel.check()?;
+            let n = match source.read(&mut buffer) {
+                Ok(0) => break,
+                Ok(n) => n,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                Err(error) => return Err(self.damaged(entry, error.to_string())),
+            };
+            found += n as u64;
+            if found > entry.size {
+                return Err(refused(self.path, &entry.name, wrong_size(found)));
+            }
+            checksum.update(&buffer[..n]);
+            out.write_all(&buffer[..n]).map_err(FmiError::io("write", target))?;
+        }
+        if found < entry.size {
+            return Err(refused(self.path, &entry.name, wrong_size(found)));
+        }
+        match checksum.finalize() {
+            sum if sum == entry.crc32 => Ok(()),
+            sum => {
+                Err(self.damaged(entry, format!("its checksum is {sum:08x} instead of {:08x}", entry.crc32)))
+            }
+        }
+    }
+
+    fn damaged(self, entry: &Listed, problem: String) -> FmiError {
+        refused(self.path, &entry.name, EntryProblem::Damaged(problem))
     }
 }

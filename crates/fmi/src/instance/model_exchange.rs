@@ -61,21 +61,28 @@ impl<P: Readable> Instance<P> {
     }
 }
 
-impl<P: Running> Instance<P> {
-    /// Reads the continuous states.
-    ///
-    /// # Errors
-    /// The slice has not the length of the state vector; the FMU refuses.
-    pub fn get_continuous_states(&mut self, states: &mut [f64]) -> Result<()> {
-        self.core().call(|raw| raw.get_continuous_states(states))
-    }
+/// Declares methods that make one call.
+macro_rules! calls {
+    ($($(#[$doc:meta])* $name:ident($($argument:ident: $type:ty),*) -> $outcome:ty;)+) => {$(
+        $(#[$doc])*
+        pub fn $name(&mut self, $($argument: $type),*) -> Result<$outcome> {
+            self.core().call(|raw| raw.$name($($argument),*))
+        }
+    )+};
+}
 
-    /// Computes the event indicators.
-    ///
-    /// # Errors
-    /// The slice has not as many elements as there are indicators; the FMU refuses.
-    pub fn get_event_indicators(&mut self, indicators: &mut [f64]) -> Result<()> {
-        self.core().call(|raw| raw.get_event_indicators(indicators))
+impl<P: Running> Instance<P> {
+    calls! {
+        /// Reads the continuous states.
+        ///
+        /// # Errors
+        /// The slice has not the length of the state vector; the FMU refuses.
+        get_continuous_states(states: &mut [f64]) -> ();
+        /// Computes the event indicators.
+        ///
+        /// # Errors
+        /// The slice has not as many elements as there are indicators; the FMU refuses.
+        get_event_indicators(indicators: &mut [f64]) -> ();
     }
 
     /// Ends the simulation.
@@ -97,12 +104,12 @@ impl Instance<EventMode> {
         self.core().iterate_events(time, 0.0, limit, &mut |_| Ok(()))
     }
 
-    /// Reads the nominal values of the states as the FMU gives them.
-    ///
-    /// # Errors
-    /// The slice has not the length of the state vector; the FMU refuses.
-    pub fn get_nominals(&mut self, nominals: &mut [f64]) -> Result<()> {
-        self.core().call(|raw| raw.get_nominals(nominals))
+    calls! {
+        /// Reads the nominal values of the states as the FMU gives them.
+        ///
+        /// # Errors
+        /// The slice has not the length of the state vector; the FMU refuses.
+        get_nominals(nominals: &mut [f64]) -> ();
     }
 
     /// Goes on in continuous time.
@@ -115,46 +122,34 @@ impl Instance<EventMode> {
 }
 
 impl Instance<ContinuousTime> {
-    /// Sets the time.
-    ///
-    /// # Errors
-    /// The FMU refuses.
-    pub fn set_time(&mut self, time: f64) -> Result<()> {
-        self.core().call(|raw| raw.set_time(time))
-    }
-
-    /// Sets the continuous states.
-    ///
-    /// # Errors
-    /// The slice has not the length of the state vector; the FMU refuses.
-    pub fn set_continuous_states(&mut self, states: &[f64]) -> Result<()> {
-        self.core().call(|raw| raw.set_continuous_states(states))
-    }
-
-    /// Sets time and states, and computes the derivatives: what an integrator wants, in one go. Inputs stay
-    /// as they are.
-    ///
-    /// # Errors
-    /// A slice has not the length of the state vector; the FMU refuses.
-    pub fn right_hand_side(&mut self, time: f64, states: &[f64], derivatives: &mut [f64]) -> Result<()> {
-        self.core().call(|raw| raw.right_hand_side(time, states, derivatives))
-    }
-
-    /// Computes the derivatives of the states.
-    ///
-    /// # Errors
-    /// The slice has not the length of the state vector; the FMU refuses.
-    pub fn get_derivatives(&mut self, derivatives: &mut [f64]) -> Result<()> {
-        self.core().call(|raw| raw.get_derivatives(derivatives))
-    }
-
-    /// Says that a step has been completed, and that the instance will not be taken back behind it. Returns
-    /// whether the model wants to enter event mode, and whether it wants to end the simulation.
-    ///
-    /// # Errors
-    /// The FMU refuses.
-    pub fn completed_integrator_step(&mut self) -> Result<(bool, bool)> {
-        self.core().call(RawInstance::completed_integrator_step)
+    calls! {
+        /// Sets the time.
+        ///
+        /// # Errors
+        /// The FMU refuses.
+        set_time(time: f64) -> ();
+        /// Sets the continuous states.
+        ///
+        /// # Errors
+        /// The slice has not the length of the state vector; the FMU refuses.
+        set_continuous_states(states: &[f64]) -> ();
+        /// Sets time and states, and computes the derivatives: what an integrator wants, in one go. Inputs
+        /// stay as they are.
+        ///
+        /// # Errors
+        /// A slice has not the length of the state vector; the FMU refuses.
+        right_hand_side(time: f64, states: &[f64], derivatives: &mut [f64]) -> ();
+        /// Computes the derivatives of the states.
+        ///
+        /// # Errors
+        /// The slice has not the length of the state vector; the FMU refuses.
+        get_derivatives(derivatives: &mut [f64]) -> ();
+        /// Says that a step has been completed, and that the instance will not be taken back behind it.
+        /// Returns whether the model wants to enter event mode, and whether it wants to end the simulation.
+        ///
+        /// # Errors
+        /// The FMU refuses.
+        completed_integrator_step() -> (bool, bool);
     }
 
     /// Enters event mode.

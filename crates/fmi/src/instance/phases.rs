@@ -54,85 +54,54 @@ pub trait Phase: sealed::Sealed {
 /// A phase in which values can be read: all but [`Instantiated`] (FMI 2.0.x, section 3.2.3).
 pub trait Readable: Phase {}
 
-impl Readable for Initialization {}
-impl Readable for EventMode {}
-impl Readable for ContinuousTime {}
-impl Readable for StepMode {}
-impl Readable for Reconfiguration {}
-impl Readable for Terminated {}
-
 /// A mode of model exchange after the initialization.
 pub trait Running: Readable {}
-
-impl Running for EventMode {}
-impl Running for ContinuousTime {}
 
 mod sealed {
     /// Keeps the list of phases complete.
     pub trait Sealed {}
 }
 
-/// Made or reset, not yet initialized: parameters and start values are set here.
-#[derive(Debug)]
-pub enum Instantiated {}
-/// Initialization mode: inputs at the start time are set here.
-#[derive(Debug)]
-pub enum Initialization {}
-/// Event mode: discrete states are updated here.
-#[derive(Debug)]
-pub enum EventMode {}
-/// Continuous-time mode: time, states and continuous inputs are set here.
-#[derive(Debug)]
-pub enum ContinuousTime {}
-/// Between two communication points: inputs are set and steps are made here (co-simulation).
-#[derive(Debug)]
-pub enum StepMode {}
-/// Reconfiguration mode: tunable structural parameters are set here.
-#[derive(Debug)]
-pub enum Reconfiguration {}
-/// Ended: values can be read.
-#[derive(Debug)]
-pub enum Terminated {}
-
-macro_rules! phase {
-    ($phase:ty, |$variable:ident| $check:expr) => {
+/// Declares the phases: their further traits, which variables can be set, what else holds of them.
+macro_rules! phases {
+    ($($(#[$doc:meta])* $phase:ident($($trait:ident),*) |$variable:ident| $check:expr $(, $property:ident)?;)+) => {$(
+        $(#[$doc])*
+        #[derive(Debug)]
+        pub enum $phase {}
         impl sealed::Sealed for $phase {}
         impl Phase for $phase {
             fn check_settable($variable: &Variable) -> Result<()> {
                 $check
             }
+            $(fn $property() -> bool {
+                true
+            })?
         }
-    };
+        $(impl $trait for $phase {})*
+    )+};
 }
-impl sealed::Sealed for Instantiated {}
-impl Phase for Instantiated {
-    fn check_settable(variable: &Variable) -> Result<()> {
-        assignments::check_settable_at_start(variable)
-    }
-    fn is_before_setup() -> bool {
-        true
-    }
+phases! {
+    /// Made or reset, not yet initialized: parameters and start values are set here.
+    Instantiated() |v| assignments::check_settable_at_start(v), is_before_setup;
+    /// Initialization mode: inputs at the start time are set here.
+    Initialization(Readable) |v| assignments::check_settable_in_initialization(v);
+    /// Event mode: discrete states are updated here.
+    EventMode(Readable, Running) |v| assignments::check_settable_when_discrete(
+        v,
+        "in event mode only inputs and tunable parameters can be set",
+    );
+    /// Continuous-time mode: time, states and continuous inputs are set here.
+    ContinuousTime(Readable, Running) |v| assignments::check_settable_in_continuous_time(v);
+    /// Between two communication points: inputs are set and steps are made here (co-simulation).
+    StepMode(Readable) |v| assignments::check_settable_when_discrete(
+        v,
+        "between steps only inputs and tunable parameters can be set",
+    );
+    /// Reconfiguration mode: tunable structural parameters are set here.
+    Reconfiguration(Readable) |v| assignments::check_settable_in_reconfiguration(v), is_configuration;
+    /// Ended: values can be read.
+    Terminated(Readable) |v| Err(assignments::not_settable(v, "the simulation has ended"));
 }
-phase!(Initialization, |v| assignments::check_settable_in_initialization(v));
-phase!(EventMode, |v| assignments::check_settable_when_discrete(
-    v,
-    "in event mode only inputs and tunable parameters can be set"
-));
-phase!(ContinuousTime, |v| assignments::check_settable_in_continuous_time(v));
-phase!(StepMode, |v| assignments::check_settable_when_discrete(
-    v,
-    "between steps only inputs and tunable parameters can be set"
-));
-impl sealed::Sealed for Reconfiguration {}
-impl Phase for Reconfiguration {
-    fn check_settable(variable: &Variable) -> Result<()> {
-        assignments::check_settable_in_reconfiguration(variable)
-    }
-    fn is_configuration() -> bool {
-        true
-    }
-}
-phase!(Terminated, |v| Err(assignments::not_settable(v, "the simulation has ended")));
 
 /// A saved state of an instance, to be brought back by the same instance. When it is dropped, its memory is
 /// used for the next saved state; the instance frees it at its end.

@@ -9,13 +9,11 @@ pub(crate) mod engine;
 mod grid;
 mod inputs;
 mod model_exchange;
-mod no_effect;
 mod options;
 mod outputs;
 mod outside;
 pub(crate) mod plan;
 pub(crate) mod running;
-mod start;
 pub(crate) mod trajectory;
 pub(crate) mod variable_elements;
 

@@ -1,7 +1,7 @@
 //! Packing a folder into an `.fmu`: everything in it, and a library for this platform built from its sources.
 
+use super::build::{COMPILE_TIME, build_unchanged};
 use super::cache;
-use super::library::{COMPILE_TIME, build_unchanged};
 use crate::archive::{Archive, ArchiveLimits, MODEL_DESCRIPTION, check_names, files_below, hash_of_texts};
 use crate::cancel::Cancel;
 use crate::description::{DescriptionLimits, Interface, ModelDescription};
@@ -48,7 +48,7 @@ pub fn pack_unless(folder: &Path, out: &Path, cancel: &Cancel) -> Result<()> {
     })?;
     platform::write_whole(out, |file, path| {
         cancel.check()?;
-        write_archive(file, files, &[]).map_err(|error| error.of("write", path))?;
+        write_archive(file, "write", path, files, &[])?;
         check_result(path, &source, folder)
     })
 }
@@ -98,39 +98,20 @@ fn library_name(description: &ModelDescription, interface: &Interface) -> String
     format!("binaries/{folder}/{}.{}", interface.model_identifier, platform::LIBRARY_EXTENSION)
 }
 
-/// Where writing an archive failed.
-pub(crate) enum WriteError {
-    Read(PathBuf, io::Error),
-    Write(io::Error),
-}
-
-impl From<zip::result::ZipError> for WriteError {
-    fn from(error: zip::result::ZipError) -> Self {
-        WriteError::Write(error.into())
-    }
-}
-
-impl WriteError {
-    /// The error of `action`, to write this archive.
-    pub(crate) fn of(self, action: &'static str, archive: &Path) -> FmiError {
-        match self {
-            WriteError::Read(path, error) => FmiError::io("read", path)(error),
-            WriteError::Write(error) => FmiError::io(action, archive)(error),
-        }
-    }
-}
-
-/// Writes an archive of these files; those in `replaced` with another content.
+/// Writes an archive of these files; those in `replaced` with another content. For errors: `action` on
+/// `path`.
 pub(crate) fn write_archive(
     out: &File,
+    action: &'static str,
+    path: &Path,
     files: impl IntoIterator<Item = (String, PathBuf)>,
     replaced: &[(&str, &[u8])],
-) -> Result<(), WriteError> {
+) -> Result<()> {
+    let failed = |error: zip::result::ZipError| FmiError::io(action, path)(error.into());
     let mut archive = ZipWriter::new(BufWriter::new(out));
-    for (name, path) in files {
-        let read = |error| WriteError::Read(path.clone(), error);
-        let mut file = open_regular(&path).map_err(read)?;
-        let metadata = file.metadata().map_err(read)?;
+    for (name, file) in files {
+        let mut content = open_regular(&file).map_err(FmiError::io("read", &file))?;
+        let metadata = content.metadata().map_err(FmiError::io("read", &file))?;
         let mode = if platform::is_executable(&metadata) { 0o755 } else { 0o644 };
         // No time of last modification: the library then writes the first one the format knows, 1980.
         let options = SimpleFileOptions::default()
@@ -138,15 +119,14 @@ pub(crate) fn write_archive(
             .last_modified_time(zip::DateTime::default())
             .large_file(metadata.len() >= u64::from(u32::MAX))
             .unix_permissions(mode);
-        archive.start_file(name.as_str(), options)?;
-        match replaced.iter().find(|(replaced, _)| *replaced == name) {
+        archive.start_file(name.as_str(), options).map_err(failed)?;
+        let written = match replaced.iter().find(|(replaced, _)| *replaced == name) {
             Some((_, content)) => archive.write_all(content),
-            None => io::copy(&mut file, &mut archive).map(drop),
-        }
-        .map_err(WriteError::Write)?;
+            None => io::copy(&mut content, &mut archive).map(drop),
+        };
+        written.map_err(FmiError::io(action, path))?;
     }
-    let mut buffer = archive.finish()?;
-    buffer.flush().map_err(WriteError::Write)
+    archive.finish().map_err(failed)?.flush().map_err(FmiError::io(action, path))
 }
 
 /// Opens the archive as a user would, and unpacks it.
