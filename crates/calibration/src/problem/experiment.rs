@@ -438,6 +438,7 @@ pub struct SimulationSettings {
     pub kind: fmi::Kind,
     /// Integration method. Default [`ode::Method::Auto`]: the winner of a race between the methods, see
     /// [`Calibration::solver`](crate::Calibration::solver).
+    #[serde(rename = "solver")]
     pub method: ode::Method,
     /// Relative tolerance; default: the model's default experiment, but at most 1e-6, else 1e-6: a fit says
     /// where it is smaller than the model's.

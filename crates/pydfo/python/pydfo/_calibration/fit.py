@@ -440,7 +440,7 @@ class Fit(OptimizeResult):
     def save(self, path: PathLike) -> None:
         """Writes the fit to a file that `load_fit` reads: with all its numbers, bit for bit, its trace, and the calibration.
 
-        The file is written in one step. It is a zip archive of ``fit.json`` and arrays in NumPy's format; it holds the recordings
+        The file is written in one step. It is a document in CBOR (RFC 8949), with a hash of its content; it holds the recordings
         by value, and the FMU by its path, a hash of its content and its model description. Reading it runs no code that it holds, and
         neither functions nor pickles are in it; a pickle of a fit, as any pickle, runs code when it is read: of people that you do not
         trust take files of `save` alone.
