@@ -1,5 +1,5 @@
 """Refuses what must not stand in library code: unfinished work, unchecked unwraps, unsafe outside `sys`, imports from
-higher layers, and tests that are never compiled.
+higher layers, doc comments wider than the line, and tests that are never compiled.
 
 Looks at every Rust source below crates/*/src and src. Test modules (from `#[cfg(test)]` to the end of the file) may
 unwrap; `unsafe` may stand only in crates/fmi/src/sys. A file in a folder tests/all is compiled only if its main.rs names it.
@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 import layers
+import rewrap
 
 ROOT = Path(__file__).resolve().parent.parent
 UNSAFE_ROOM = ROOT / "crates" / "fmi" / "src" / "sys"
@@ -80,7 +81,8 @@ def main() -> int:
     """Prints every finding; the exit status says whether there was one."""
     sources = sorted([*ROOT.glob("src/**/*.rs"), *ROOT.glob("crates/*/src/**/*.rs")])
     found = [line for path in sources for line in findings(path)] + layers.findings()
-    found += [line for crate in sorted(ROOT.glob("crates/*")) for line in questions(crate)] + tests_left_out()
+    found += [line for crate in sorted(ROOT.glob("crates/*")) for line in questions(crate)]
+    found += tests_left_out() + rewrap.findings()
     print("\n".join(found) if found else f"gate: {len(sources)} files are clean")
     return 1 if found else 0
 

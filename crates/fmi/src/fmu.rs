@@ -23,8 +23,8 @@ const STALE_OUTPUTS: &str = "variables read at a new point are those of an earli
 
 /// An opened FMU. Clones share everything and are cheap.
 ///
-/// Opening reads the description and no other file of it. The first instance unpacks what the library may look for and
-/// loads the library. Opening and inspecting run no code of the FMU; loading does.
+/// Opening reads the description and no other file of it. The first instance unpacks what the library may
+/// look for and loads the library. Opening and inspecting run no code of the FMU; loading does.
 #[derive(Debug, Clone)]
 pub struct Fmu {
     inner: Arc<Inner>,
@@ -36,7 +36,8 @@ pub struct Fmu {
 #[derive(Debug)]
 struct Inner {
     libraries: Libraries,
-    /// Of each way of running the model: how long the last simulation of a session took, in ns; 0: there was none.
+    /// Of each way of running the model: how long the last simulation of a session took, in ns; 0: there was
+    /// none.
     last_runs: [AtomicU64; 2],
     /// Who makes one of the simulations that take turns has one.
     turns: Arc<Gate>,
@@ -67,7 +68,8 @@ pub enum Kind {
 impl std::str::FromStr for Kind {
     type Err = FmiError;
 
-    /// `auto`, `me` or `cs`, or the names in full (`ModelExchange`, `co-simulation`), whatever the case of the letters.
+    /// `auto`, `me` or `cs`, or the names in full (`ModelExchange`, `co-simulation`), whatever the case of
+    /// the letters.
     fn from_str(text: &str) -> Result<Self, FmiError> {
         let letters =
             text.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_ascii_lowercase();
@@ -129,9 +131,9 @@ impl Fmu {
         Ok(Fmu { inner: Arc::new(inner), path: path.into() })
     }
 
-    /// The FMU that was at `path` with this content, of which only `modelDescription.xml` is at hand: it can be inspected, and
-    /// simulations of it can be planned. What needs its other files fails with [`FmiError::Absent`].
-    /// `reason`: why it is not at hand, for that error.
+    /// The FMU that was at `path` with this content, of which only `modelDescription.xml` is at hand: it can
+    /// be inspected, and simulations of it can be planned. What needs its other files fails with
+    /// [`FmiError::Absent`]. `reason`: why it is not at hand, for that error.
     ///
     /// # Errors
     /// The description cannot be read as one.
@@ -216,8 +218,8 @@ impl Fmu {
         }
     }
 
-    /// The terminals of the model (`terminalsAndIcons/terminalsAndIcons.xml`), read now; none where it has no such file. Their
-    /// members are names of variables, which need not be there.
+    /// The terminals of the model (`terminalsAndIcons/terminalsAndIcons.xml`), read now; none where it has no
+    /// such file. Their members are names of variables, which need not be there.
     ///
     /// # Errors
     /// [`FmiError::Description`] with a line for a file that is none; those of reading.
@@ -241,8 +243,8 @@ impl Fmu {
         self.inner.archive.unpack()
     }
 
-    /// The folder that holds what the library may look for when it runs; unpacked now if it was not before, or if somebody
-    /// has removed it.
+    /// The folder that holds what the library may look for when it runs; unpacked now if it was not before,
+    /// or if somebody has removed it.
     pub(crate) fn running_root(&self) -> Result<PathBuf, FmiError> {
         self.inner.archive.unpack_part(Part::Running, &Cancel::default())
     }
@@ -255,8 +257,9 @@ impl Fmu {
         self.inner.archive.content_hash()
     }
 
-    /// Worker processes with these limits: those that others have of this FMU where there are any, so that its processes are shared.
-    /// They end when the last of their users drops them. `None`: this program cannot start any (see [`Launcher`](crate::worker::Launcher)).
+    /// Worker processes with these limits: those that others have of this FMU where there are any, so that
+    /// its processes are shared. They end when the last of their users drops them. `None`: this program
+    /// cannot start any (see [`Launcher`](crate::worker::Launcher)).
     pub fn workers(&self, limits: WorkerLimits) -> Option<Arc<Workers>> {
         let mut known = self.inner.workers.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(workers) = known.upgrade().filter(|workers| *workers.limits() == limits) {
@@ -287,8 +290,8 @@ impl Fmu {
         if self.inner.options.logging.shown { log::Level::Info } else { log::Level::Debug }
     }
 
-    /// Lists a departure from the standard that showed in a run among the quirks; one that is new goes to the program's
-    /// logger, too.
+    /// Lists a departure from the standard that showed in a run among the quirks; one that is new goes to the
+    /// program's logger, too.
     pub(crate) fn note_quirk(&self, kind: QuirkKind, message: impl AsRef<str> + Into<String>) {
         let mut seen = self.inner.quirks_seen.lock().unwrap_or_else(PoisonError::into_inner);
         if !seen.iter().any(|quirk| quirk.kind == kind && quirk.message == message.as_ref()) {
@@ -297,7 +300,8 @@ impl Fmu {
         }
     }
 
-    /// Hands a message about its simulations to the program's logger, the first time that there is one on this subject.
+    /// Hands a message about its simulations to the program's logger, the first time that there is one on
+    /// this subject.
     pub(crate) fn say_once(&self, level: log::Level, subject: &'static str, message: &str) {
         let mut said = self.inner.said.lock().unwrap_or_else(PoisonError::into_inner);
         if !said.contains(&subject) {
@@ -349,8 +353,8 @@ impl Fmu {
         &self.inner.turns
     }
 
-    /// Unpacks, compiles and loads what the first simulation needs, so that it is not kept waiting; ends early when
-    /// `cancel` asks for it. **This loads the library and runs its code.**
+    /// Unpacks, compiles and loads what the first simulation needs, so that it is not kept waiting; ends
+    /// early when `cancel` asks for it. **This loads the library and runs its code.**
     ///
     /// # Errors
     /// The FMU cannot be run here (see [`FmiError`]); [`FmiError::Cancelled`].
@@ -358,8 +362,10 @@ impl Fmu {
         self.library(self.choose(kind)?, Some(&[]), cancel, &mut || !cancel.is_asked()).map(|_| ())
     }
 
-    /// The loaded library for this platform, for an instance in which this is going to be set (sorted; `None`: anything, by hand). It is
-    /// compiled before that if the FMU brings sources only; ends early when `cancel` asks for it. Where another thread is making it, waits as long as `wait` (asked every 20 ms) says so.
+    /// The loaded library for this platform, for an instance in which this is going to be set (sorted;
+    /// `None`: anything, by hand). It is compiled before that if the FMU brings sources only; ends early when
+    /// `cancel` asks for it. Where another thread is making it, waits as long as `wait` (asked every 20 ms)
+    /// says so.
     ///
     /// # Errors
     /// The FMU cannot be run here (see [`FmiError`]); [`FmiError::Cancelled`].
@@ -549,7 +555,8 @@ impl Fmu {
         Ok(library)
     }
 
-    /// Says the path the user knows instead of that of the private folder, and why there is nothing to build either.
+    /// Says the path the user knows instead of that of the private folder, and why there is nothing to build
+    /// either.
     fn no_library(&self, no_binary: FmiError, no_sources: &str) -> FmiError {
         match no_binary {
             FmiError::NoBinary { wanted, present, .. } => FmiError::NoBinary {

@@ -9,12 +9,13 @@ use crate::platform;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-/// Opens each content once: as long as a file does not change, [`open`](Self::open) returns the same [`Fmu`] for the same
-/// options, and so it does for files of the same content.
+/// Opens each content once: as long as a file does not change, [`open`](Self::open) returns the same [`Fmu`]
+/// for the same options, and so it does for files of the same content.
 ///
-/// A file counts as unchanged while its path, identity on the disk, size and time of modification are the same; it is
-/// not read for that. Of a folder, `modelDescription.xml`, its libraries and the folder itself are looked at. Another file is compared by
-/// the directory of the archive, and where that is the same by the SHA-256 of its bytes.
+/// A file counts as unchanged while its path, identity on the disk, size and time of modification are the
+/// same; it is not read for that. Of a folder, `modelDescription.xml`, its libraries and the folder itself
+/// are looked at. Another file is compared by the directory of the archive, and where that is the same by the
+/// SHA-256 of its bytes.
 #[derive(Debug)]
 pub struct FmuCache {
     capacity: usize,
@@ -34,7 +35,8 @@ struct Entry {
 type Key = (PathBuf, platform::FileIdentity, Option<platform::FileIdentity>);
 
 impl FmuCache {
-    /// A cache that holds at most `capacity` FMUs (at least one); the one not used for the longest time goes first.
+    /// A cache that holds at most `capacity` FMUs (at least one); the one not used for the longest time goes
+    /// first.
     pub fn new(capacity: usize) -> Self {
         Self { capacity: capacity.max(1), entries: Mutex::new(Vec::new()) }
     }

@@ -12,7 +12,8 @@ const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 type Task = Box<dyn FnOnce() + Send>;
 
-/// Lets one thread in at a time. A thread that is in may enter again: its turns end in any order, the last one lets others in.
+/// Lets one thread in at a time. A thread that is in may enter again: its turns end in any order, the last
+/// one lets others in.
 #[derive(Default)]
 pub(crate) struct Gate {
     state: Mutex<State>,
@@ -81,7 +82,8 @@ impl Gate {
         Some(Turn { gate: Arc::clone(self), _of_thread: PhantomData })
     }
 
-    /// Does something inside: now if nobody else is in, else it is done by the thread that is, at its end. Waits for nobody.
+    /// Does something inside: now if nobody else is in, else it is done by the thread that is, at its end.
+    /// Waits for nobody.
     pub(crate) fn when_free(self: &Arc<Self>, task: impl FnOnce() + Send + 'static) {
         let mut state = self.state();
         let me = thread::current().id();

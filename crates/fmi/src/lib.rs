@@ -6,7 +6,8 @@
 //!
 //! - `session`: one model as scripts use it: set, simulate, get
 //! - `write_start_values`: a copy of an FMU with other start values
-//! - `simulators/`: a plan that is run many times: its instance, brought back to its start, and the check of that
+//! - `simulators/`: a plan that is run many times: its instance, brought back to its start, and the check of
+//!   that
 //! - `simulation/`: options, the plan that resolves them, the start of an instance, the run, what is recorded
 //! - `worker/`: processes in which FMUs run: start, protocol, limits, folder, supervision
 //! - `instance/`: the phases of an instance as types, its values
@@ -16,17 +17,19 @@
 //! - `sys/`: what touches foreign code and raw pointers; versions of FMI stop here
 //! - `description/`: what `modelDescription.xml` says, whatever the version
 //! - `archive/`: the files of an FMU
-//! - `platform/`, `gate`, `log`, `cancel`, `error/`, `value`: operating systems and files, who may be inside of a library, the log of an
-//!   instance, ending early, errors, types of variables
+//! - `platform/`, `gate`, `log`, `cancel`, `error/`, `value`: operating systems and files, who may be inside
+//!   of a library, the log of an instance, ending early, errors, types of variables
 //!
-//! A right-hand side passes four functions on its way from the stepper to the FMU: `derivatives` of the system
-//! (`simulation/model_exchange.rs`), `Current::call` (`simulation/running.rs`: what a refused call means for the run),
-//! `right_hand_side` of the raw instance (`sys/raw_instance/component.rs`: lengths, floating-point mode), the C function, whose
-//! pointer stands in a table that is the same for all versions of FMI: none of the calls between is dynamic.
+//! A right-hand side passes four functions on its way from the stepper to the FMU: `derivatives` of the
+//! system (`simulation/model_exchange.rs`), `Current::call` (`simulation/running.rs`: what a refused call
+//! means for the run), `right_hand_side` of the raw instance (`sys/raw_instance/component.rs`: lengths,
+//! floating-point mode), the C function, whose pointer stands in a table that is the same for all versions of
+//! FMI: none of the calls between is dynamic.
 //!
 //! # Features
 //!
-//! Both are on by default: `sandbox` confines worker processes with Landlock where that is asked for (Linux), `sparse` is that of `ode`.
+//! Both are on by default: `sandbox` confines worker processes with Landlock where that is asked for (Linux),
+//! `sparse` is that of `ode`.
 #![deny(unsafe_code)]
 
 pub mod archive;

@@ -9,7 +9,8 @@ use crate::sys::LoaderOptions;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
-/// Options of [`Fmu::open_with`](crate::Fmu::open_with); the default is what [`Fmu::open`](crate::Fmu::open) does.
+/// Options of [`Fmu::open_with`](crate::Fmu::open_with); the default is what [`Fmu::open`](crate::Fmu::open)
+/// does.
 ///
 /// ```
 /// use fmi::{LoaderOptions, OpenOptions};
@@ -23,8 +24,8 @@ pub struct OpenOptions {
     pub description: DescriptionLimits,
     /// Options of the dynamic loader.
     pub loader: LoaderOptions,
-    /// Run the FMU although it says that it needs the tool that made it (`needsExecutionTool`): the tool is there, or the
-    /// FMU exaggerates.
+    /// Run the FMU although it says that it needs the tool that made it (`needsExecutionTool`): the tool is
+    /// there, or the FMU exaggerates.
     pub tool_is_present: bool,
     /// Log settings of the instances that simulations use.
     pub logging: LogOptions,
@@ -55,7 +56,8 @@ impl Default for OpenOptions {
 pub struct LogOptions {
     /// The FMU is asked to log. FMUs log what they think important without being asked, too.
     pub asked: bool,
-    /// Of which categories, by their names; none: of all (see [`Instance::log_categories`](crate::Instance::log_categories)).
+    /// Of which categories, by their names; none: of all (see
+    /// [`Instance::log_categories`](crate::Instance::log_categories)).
     pub categories: Vec<String>,
     /// Filter for the lines.
     pub filter: LogFilter,

@@ -13,10 +13,11 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// A model with the values set since it was loaded or reset. Every simulation starts from a freshly reset model with all
-/// these values, so that a second one gives the same bits.
+/// A model with the values set since it was loaded or reset. Every simulation starts from a freshly reset
+/// model with all these values, so that a second one gives the same bits.
 ///
-/// Sessions of one [`Fmu`] have instances of their own in one loaded library; making a session costs next to nothing.
+/// Sessions of one [`Fmu`] have instances of their own in one loaded library; making a session costs next to
+/// nothing.
 #[derive(Debug)]
 pub struct Session {
     fmu: Fmu,
@@ -113,8 +114,8 @@ impl Session {
         self.values.iter().map(|(index, value)| (variables[*index].name.as_str(), value))
     }
 
-    /// Value of a variable: after a simulation its final value, unless it has been set since; before, the value set or the
-    /// start value, or what the initialization makes of them.
+    /// Value of a variable: after a simulation its final value, unless it has been set since; before, the
+    /// value set or the start value, or what the initialization makes of them.
     ///
     /// # Errors
     /// Unknown name; the model cannot be initialized.
@@ -142,8 +143,8 @@ impl Session {
         self.initial_value(name)
     }
 
-    /// Number of elements of an array in each direction, with the structural parameters that were set; empty for a
-    /// single value.
+    /// Number of elements of an array in each direction, with the structural parameters that were set; empty
+    /// for a single value.
     ///
     /// # Errors
     /// Unknown name.
@@ -189,8 +190,8 @@ impl Session {
         *self = Self::of_kind(self.fmu.clone(), self.kind);
     }
 
-    /// Simulates from a freshly reset model with all values set; `start_values` of the options count on top of them for
-    /// this simulation only.
+    /// Simulates from a freshly reset model with all values set; `start_values` of the options count on top
+    /// of them for this simulation only.
     ///
     /// # Errors
     /// As [`Fmu::simulate`].
@@ -198,8 +199,9 @@ impl Session {
         self.simulate_with(options, &mut || ControlFlow::Continue(()))
     }
 
-    /// As [`simulate`](Self::simulate); `poll` is asked before every step, and `Break` ends the simulation there, with the
-    /// rows so far and [`Termination::StoppedByObserver`](ode::Termination::StoppedByObserver).
+    /// As [`simulate`](Self::simulate); `poll` is asked before every step, and `Break` ends the simulation
+    /// there, with the rows so far and
+    /// [`Termination::StoppedByObserver`](ode::Termination::StoppedByObserver).
     ///
     /// # Errors
     /// As [`Fmu::simulate`].
@@ -229,8 +231,9 @@ impl Session {
         Ok(trajectory)
     }
 
-    /// Start values that may differ from run to run of one plan become its parameters: so a simulation that differs from the
-    /// last one only by them needs no new plan. `None`: the parameters have the values that the plan says.
+    /// Start values that may differ from run to run of one plan become its parameters: so a simulation that
+    /// differs from the last one only by them needs no new plan. `None`: the parameters have the values that
+    /// the plan says.
     fn with_parameters(&self, mut options: SimulateOptions) -> (SimulateOptions, Option<Vec<f64>>) {
         if !options.parameters.is_empty() {
             return (options, None);
@@ -292,7 +295,8 @@ impl Fmu {
         self.simulate_with(options, &mut || ControlFlow::Continue(()))
     }
 
-    /// As [`simulate`](Self::simulate); `poll` is asked before every step, and `Break` ends the simulation there.
+    /// As [`simulate`](Self::simulate); `poll` is asked before every step, and `Break` ends the simulation
+    /// there.
     ///
     /// # Errors
     /// As [`simulate`](Self::simulate).

@@ -14,16 +14,18 @@ use zip::write::{SimpleFileOptions, ZipWriter};
 use zip::{CompressionMethod, ZipArchive};
 
 impl Fmu {
-    /// Writes an `.fmu` in which these variables, or elements of arrays (`a[2,1]`, counted from 1), have other start values. In
-    /// `modelDescription.xml` nothing changes but their `start` attributes and those of their aliases, which follow; all other
-    /// files are copied as they are packed.
+    /// Writes an `.fmu` in which these variables, or elements of arrays (`a[2,1]`, counted from 1), have
+    /// other start values. In `modelDescription.xml` nothing changes but their `start` attributes and those
+    /// of their aliases, which follow; all other files are copied as they are packed.
     ///
-    /// **Many libraries do not look at the description**: their variables start from values that were compiled into them, unless
-    /// the importing tool sets the start values of the description. (FMI 2.0.4, section 2.2.7.)
+    /// **Many libraries do not look at the description**: their variables start from values that were
+    /// compiled into them, unless the importing tool sets the start values of the description. (FMI 2.0.4,
+    /// section 2.2.7.)
     ///
     /// # Errors
-    /// [`FmiError::UnknownVariable`], [`FmiError::NotSettable`], [`FmiError::WrongType`] and the like for values that cannot be set;
-    /// [`FmiError::BadArchive`] if the file was changed since it was opened; [`FmiError::Io`]. What was written is then no FMU.
+    /// [`FmiError::UnknownVariable`], [`FmiError::NotSettable`], [`FmiError::WrongType`] and the like for
+    /// values that cannot be set; [`FmiError::BadArchive`] if the file was changed since it was opened;
+    /// [`FmiError::Io`]. What was written is then no FMU.
     pub fn write_with_start_values(&self, values: &[(String, f64)], out: &File) -> Result<(), FmiError> {
         let bytes = self.description_file()?;
         let description = with_start_texts(&bytes, self.description(), &self.start_texts(values)?)?;

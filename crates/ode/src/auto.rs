@@ -1,11 +1,12 @@
 //! An explicit method while the system is not stiff, an implicit one while it is.
 //!
-//! What is stiff is found by trial: now and then Radau5 makes a few steps, and goes on if they advance more per right-hand
-//! side than those of the explicit method did. (That counts what matters. Estimates of eigenvalues do not: steps are held back
-//! by stability at one product with the step size where eigenvalues are real, at another one where they are imaginary, and at
-//! smaller ones where the tolerance is tight.) When to try is a question of cost alone: at once where the product
-//! of step size and eigenvalue, which the last two stages tell (E. Hairer, G. Wanner, Solving Ordinary Differential Equations II,
-//! section IV.2), stays at the end of the interval of stability; else when the right-hand sides since the last trial are worth it.
+//! What is stiff is found by trial: now and then Radau5 makes a few steps, and goes on if they advance more
+//! per right-hand side than those of the explicit method did. (That counts what matters. Estimates of
+//! eigenvalues do not: steps are held back by stability at one product with the step size where eigenvalues
+//! are real, at another one where they are imaginary, and at smaller ones where the tolerance is tight.) When
+//! to try is a question of cost alone: at once where the product of step size and eigenvalue, which the last
+//! two stages tell (E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section IV.2), stays at
+//! the end of the interval of stability; else when the right-hand sides since the last trial are worth it.
 
 use crate::error::Undetermined;
 use crate::explicit_rk::{DOP853, ExplicitRk};
@@ -14,33 +15,37 @@ use crate::stepper::{Attempt, Consistency, Equations, Properties, Stepper, Trial
 use crate::system::{CallError, CallResult, HybridSystem};
 use crate::tableau::TSIT5;
 
-/// Below this tolerance DOP853 is the explicit method, which takes fewer right-hand sides from there on (`benches/work_precision.md`).
+/// Below this tolerance DOP853 is the explicit method, which takes fewer right-hand sides from there on
+/// (`benches/work_precision.md`).
 const TIGHT: f64 = 1e-7;
-/// From so many states on BDF takes over from Radau5 where the largest eigenvalue is real and the system is not linear: fewer
-/// right-hand sides and a fifth of the linear algebra for the same error. For linear systems Radau5 needs one iteration a
-/// step and is the better one (dense diffusion and advection of `--tuning` in `benches/auto.rs`: half the right-hand sides),
-/// as it is near the imaginary axis, where BDF of order 3 to 5 is not stable, and for small systems, whose Jacobians cost little.
+/// From so many states on BDF takes over from Radau5 where the largest eigenvalue is real and the system is
+/// not linear: fewer right-hand sides and a fifth of the linear algebra for the same error. For linear
+/// systems Radau5 needs one iteration a step and is the better one (dense diffusion and advection of
+/// `--tuning` in `benches/auto.rs`: half the right-hand sides), as it is near the imaginary axis, where BDF
+/// of order 3 to 5 is not stable, and for small systems, whose Jacobians cost little.
 const LARGE: usize = 16;
 /// Below this product of step size and largest eigenvalue no explicit method is held back by its stability.
 const FREE: f64 = 1.0;
-/// Steps at the limit of stability that make a trial; so many others in a row make them forgotten (6: dopri5.f of Hairer and
-/// Wanner, which has 15 for the former, because it then stops).
+/// Steps at the limit of stability that make a trial; so many others in a row make them forgotten (6:
+/// dopri5.f of Hairer and Wanner, which has 15 for the former, because it then stops).
 const STIFF_STEPS: u32 = 2;
 const CLEAN_STEPS: u32 = 6;
-/// Right-hand sides that a trial is expected to waste, besides those of its Jacobian: four steps of Radau5, less what
-/// they advance. Trials after the first come after as many of the explicit method; each one that is lost makes the next one wait
-/// twice as long.
+/// Right-hand sides that a trial is expected to waste, besides those of its Jacobian: four steps of Radau5,
+/// less what they advance. Trials after the first come after as many of the explicit method; each one that is
+/// lost makes the next one wait twice as long.
 const WASTE: f64 = 30.0;
 /// Right-hand sides before the next trial, at first, as a multiple of those that a trial wastes. For DOP853
 /// once: its interpolant makes errors inside of steps where a fast component follows a slow one.
 const PATIENCE: f64 = 2.5;
-/// Right-hand sides of a Jacobian up to which the first trial does not wait: it bounds what a system that is not stiff can lose.
+/// Right-hand sides of a Jacobian up to which the first trial does not wait: it bounds what a system that is
+/// not stiff can lose.
 const AFFORDABLE: f64 = 100.0;
-/// A trial is won when so many more of its steps advanced more per right-hand side than less, and lost when so many more advanced less:
-/// the first ones must damp what the explicit method has left of fast parts, and then grow.
+/// A trial is won when so many more of its steps advanced more per right-hand side than less, and lost when
+/// so many more advanced less: the first ones must damp what the explicit method has left of fast parts, and
+/// then grow.
 const DECIDED: i32 = 4;
-/// So many steps in which the iterations of Newton's method contract by more than this tell that the system is not linear; of a linear
-/// one rounding leaves some 1e-8, the error of differences in the Jacobian.
+/// So many steps in which the iterations of Newton's method contract by more than this tell that the system
+/// is not linear; of a linear one rounding leaves some 1e-8, the error of differences in the Jacobian.
 const NONLINEAR_STEPS: u32 = 3;
 const LINEAR: f64 = 1e-6;
 /// The cosine between an eigenvector and its image, up to which its eigenvalue counts as real and negative.
@@ -95,13 +100,14 @@ pub(crate) struct Auto {
     bdf_is_next: bool,
     /// The share of a step of Radau5, of order 5, that the first one of BDF, of order 1, begins with.
     first_share: f64,
-    /// Right-hand sides that the explicit method would have saved in the steps of Radau5 so far, by an estimate, and how many times
-    /// more they must be after returns that made things worse.
+    /// Right-hand sides that the explicit method would have saved in the steps of Radau5 so far, by an
+    /// estimate, and how many times more they must be after returns that made things worse.
     saved: f64,
     caution: f64,
     /// Right-hand sides that Radau5 has saved since it took over, its trial included, by the same estimate.
     ledger: f64,
-    /// Means over the last steps of Radau5; their quotient when the explicit method returned, and its steps since.
+    /// Means over the last steps of Radau5; their quotient when the explicit method returned, and its steps
+    /// since.
     radau5_work: f64,
     radau5_advance: f64,
     left_at: Option<f64>,
@@ -168,8 +174,9 @@ macro_rules! active {
 }
 
 impl Auto {
-    /// Right-hand sides of a step of the explicit method, and the end of its interval of stability on the negative axis, or a
-    /// little less, where steps settle that only stability holds back (dopri5.f and dop853.f: 3.25 and 6.1).
+    /// Right-hand sides of a step of the explicit method, and the end of its interval of stability on the
+    /// negative axis, or a little less, where steps settle that only stability holds back (dopri5.f and
+    /// dop853.f: 3.25 and 6.1).
     fn stages_and_limit(&self) -> (f64, f64) {
         if self.explicit == Active::Tsit5 { (6.0, 3.25) } else { (12.0, 6.1) }
     }
@@ -248,7 +255,8 @@ impl Auto {
         self.active = self.explicit;
     }
 
-    /// Where the explicit method advances less since its return than Radau5 did before, the next one must be worth more.
+    /// Where the explicit method advances less since its return than Radau5 did before, the next one must be
+    /// worth more.
     fn judge_return(&mut self) {
         if let Some(rate) = self.left_at.take() {
             let was_right = self.mean_advance >= rate * self.mean_work;
@@ -262,8 +270,8 @@ impl Auto {
         if self.explicit == Active::Tsit5 { 1.5 } else { 3.0 }
     }
 
-    /// Counts a step of Radau5. Returns the right-hand sides that the explicit method would have saved (or needed more, below zero),
-    /// by the steps that its stability and the error test allow it.
+    /// Counts a step of Radau5. Returns the right-hand sides that the explicit method would have saved (or
+    /// needed more, below zero), by the steps that its stability and the error test allow it.
     fn enter(&mut self, work: f64, h: f64) -> f64 {
         let (stages, limit) = self.stages_and_limit();
         let saved = work - stages * (h * self.radau5.spectrum().0 / limit).max(1.0 / self.reach());
@@ -317,7 +325,8 @@ impl Auto {
         proposed
     }
 
-    /// After an accepted step of Radau5: is another method the better one? Returns the step size to go on with.
+    /// After an accepted step of Radau5: is another method the better one? Returns the step size to go on
+    /// with.
     fn watch_radau5(&mut self, work: f64, h: f64, proposed: f64) -> f64 {
         if self.only_radau5 {
             return proposed;

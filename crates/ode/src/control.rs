@@ -8,8 +8,8 @@ const LEAST_ATOL: f64 = 1e-300;
 /// The relative tolerance of unbounded states: what rounding leaves of a difference of large numbers.
 const ROUNDING: f64 = 1e-14;
 
-/// Weights `w_i = atol_i + rtol_i * max(|x_i|, |x_new_i|)` of the root-mean-square norm; `rtol_i` is the relative tolerance,
-/// or next to nothing for unbounded states.
+/// Weights `w_i = atol_i + rtol_i * max(|x_i|, |x_new_i|)` of the root-mean-square norm; `rtol_i` is the
+/// relative tolerance, or next to nothing for unbounded states.
 #[derive(Debug, Default)]
 pub(crate) struct Weights {
     rtol: f64,
@@ -57,8 +57,8 @@ impl Weights {
         self.rtol
     }
 
-    /// The size below which a state counts as small: its nominal value, or less if the absolute tolerance says so (by
-    /// the rule that makes absolute tolerances of nominal values).
+    /// The size below which a state counts as small: its nominal value, or less if the absolute tolerance
+    /// says so (by the rule that makes absolute tolerances of nominal values).
     pub(crate) fn scale(&self, i: usize) -> f64 {
         self.scale[i]
     }
@@ -135,8 +135,8 @@ pub(crate) struct Controller {
 impl Controller {
     const SAFETY: f64 = 0.9;
 
-    /// For methods of order 5: `beta = 0.04`, growth at most 10, reduction at most to a fifth; for those of order 8: no
-    /// memory, growth at most 6, reduction at most to a third.
+    /// For methods of order 5: `beta = 0.04`, growth at most 10, reduction at most to a fifth; for those of
+    /// order 8: no memory, growth at most 6, reduction at most to a third.
     pub(crate) fn new(order: u32) -> Self {
         let (beta, growth, reduction) = if order < 8 { (0.04, 10.0, 0.2) } else { (0.0, 6.0, 1.0 / 3.0) };
         Self {
@@ -176,8 +176,8 @@ impl Controller {
     }
 }
 
-/// First guess of a step size: HNW I, II.4, steps a) and b): an explicit Euler step of this length changes the
-/// solution by a hundredth of its norm.
+/// First guess of a step size: HNW I, II.4, steps a) and b): an explicit Euler step of this length changes
+/// the solution by a hundredth of its norm.
 pub(crate) fn probe_step(weights: &Weights, x: &[f64], dx: &[f64], span: f64) -> f64 {
     let (d0, d1) = (weights.norm(x, x), weights.norm(x, dx));
     if d0 < 1e-5 || d1 < 1e-5 { 1e-6 * span } else { 0.01 * d0 / d1 }

@@ -32,14 +32,16 @@ pub struct Report {
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum ErrorKind {
-    /// The span is not one: a bound that is not finite, or an end before the start of a system that cannot run backward.
+    /// The span is not one: a bound that is not finite, or an end before the start of a system that cannot
+    /// run backward.
     Span {
         /// Start time.
         start: f64,
         /// Final time.
         end: f64,
     },
-    /// The requested sample times are not finite, not in the order of the integration, or outside of the span.
+    /// The requested sample times are not finite, not in the order of the integration, or outside of the
+    /// span.
     SampleTimes {
         /// Position in the list.
         index: usize,
@@ -63,8 +65,8 @@ pub enum ErrorKind {
         /// The model refused the last point that was tried (discard, NaN or infinity).
         discarded: bool,
     },
-    /// The step asked for (that of a method with a fixed step, or the largest one) is not above what tells two instants of
-    /// this span apart.
+    /// The step asked for (that of a method with a fixed step, or the largest one) is not above what tells
+    /// two instants of this span apart.
     StepBelowRounding {
         /// The step.
         step: f64,
@@ -80,7 +82,8 @@ pub enum ErrorKind {
         /// States of the model.
         states: usize,
     },
-    /// An implicit method needs dense matrices of as many rows as there are states, and there is no room for them.
+    /// An implicit method needs dense matrices of as many rows as there are states, and there is no room for
+    /// them.
     TooLargeForDense {
         /// States of the model.
         states: usize,
@@ -89,29 +92,30 @@ pub enum ErrorKind {
     MassMatrixNeedsImplicit,
     /// The model is given by its residual, which only BDF takes.
     ResidualNeedsBdf,
-    /// The equations do not determine some of the states at the start: the index is above 1. [`SimulationError::undetermined`]
-    /// names them.
+    /// The equations do not determine some of the states at the start: the index is above 1.
+    /// [`SimulationError::undetermined`] names them.
     HigherIndex,
-    /// The equations of a singular mass matrix that have no derivative in them do not hold at the start or after an event,
-    /// and no states were found for which they do.
+    /// The equations of a singular mass matrix that have no derivative in them do not hold at the start or
+    /// after an event, and no states were found for which they do.
     Inconsistent {
         /// The equation with the largest residual, seen against the tolerances of the states.
         equation: usize,
         /// Its residual, not zero.
         residual: f64,
     },
-    /// A residual is not zero at the start or after an event, and no slopes (and values of what has no slope) were found from
-    /// those given for which it is.
+    /// A residual is not zero at the start or after an event, and no slopes (and values of what has no slope)
+    /// were found from those given for which it is.
     InconsistentSlopes {
         /// The equation with the largest residual at the values given.
         equation: usize,
         /// The residual.
         residual: f64,
-        /// `dF/dx'` has a smaller rank there than near them, so that it does not show which states have a slope.
+        /// `dF/dx'` has a smaller rank there than near them, so that it does not show which states have a
+        /// slope.
         is_singular: bool,
     },
-    /// The model refused its own starting point (or the point right after an event), or a state or derivative is not
-    /// finite there.
+    /// The model refused its own starting point (or the point right after an event), or a state or derivative
+    /// is not finite there.
     DiscardedAtRestart,
     /// More steps than allowed.
     TooManySteps(u64),
@@ -134,8 +138,8 @@ pub enum ErrorKind {
         /// The indicator that crossed last.
         indicator: usize,
     },
-    /// An event indicator came back to zero sooner after its event than instants can be told apart: its events accumulate
-    /// there (Zeno), and the solution behind would not be that of the model.
+    /// An event indicator came back to zero sooner after its event than instants can be told apart: its
+    /// events accumulate there (Zeno), and the solution behind would not be that of the model.
     EventsAccumulate {
         /// The indicator.
         indicator: usize,
@@ -149,7 +153,8 @@ pub enum ErrorKind {
 }
 
 impl ErrorKind {
-    /// The reason without the numbers that differ from run to run, so that failures of one sort can be counted.
+    /// The reason without the numbers that differ from run to run, so that failures of one sort can be
+    /// counted.
     pub fn summary(&self) -> String {
         match self {
             Self::Span { .. } => "the span is not one".to_owned(),
@@ -248,8 +253,8 @@ pub struct Undetermined {
     pub equation: usize,
     /// The states that are left without an equation.
     pub states: Vec<usize>,
-    /// The largest pivot that is left for them in the Jacobian of the equations without derivatives, in which 1 is the
-    /// largest effect on an equation of a change of a state by its size; below 1e-6.
+    /// The largest pivot that is left for them in the Jacobian of the equations without derivatives, in which
+    /// 1 is the largest effect on an equation of a change of a state by its size; below 1e-6.
     pub pivot: f64,
 }
 
@@ -307,8 +312,8 @@ pub struct SimulationError {
     pub last_event: Option<f64>,
     /// The value that was not finite where the model could not be evaluated, if one was found.
     pub not_finite: Option<NotFinite>,
-    /// Where steps or consistent states of a differential-algebraic system failed: states that its equations do not
-    /// determine, which is so in systems of index 2 or higher.
+    /// Where steps or consistent states of a differential-algebraic system failed: states that its equations
+    /// do not determine, which is so in systems of index 2 or higher.
     pub undetermined: Option<Undetermined>,
     /// Message of the system about the point that it refused, filled in by the maker of the system.
     pub refusal: Option<String>,

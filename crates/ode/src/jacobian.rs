@@ -1,4 +1,5 @@
-//! The Jacobian of the right-hand side: from the model, from directional derivatives, or from coloured differences.
+//! The Jacobian of the right-hand side: from the model, from directional derivatives, or from coloured
+//! differences.
 
 use crate::lu;
 use crate::sparsity::{Groups, JacobianPattern};
@@ -32,8 +33,9 @@ pub(crate) struct Jacobian {
     places: Vec<usize>,
     groups: Groups,
     is_sparse: bool,
-    /// `values[i + n * k]` is the derivative of `f_i` with respect to `x_k`; where they are sparse only the places of the
-    /// pattern and of the diagonal are kept, one after the other: the entries that a sparse decomposition takes.
+    /// `values[i + n * k]` is the derivative of `f_i` with respect to `x_k`; where they are sparse only the
+    /// places of the pattern and of the diagonal are kept, one after the other: the entries that a sparse
+    /// decomposition takes.
     pub(crate) values: Vec<f64>,
     /// Buffer for the system to fill in, where its layout is not that of the values: the entries of the
     /// pattern, or a whole matrix.
@@ -125,7 +127,8 @@ impl Jacobian {
         }
     }
 
-    /// Evaluates it at `(t, x)`, where the right-hand side is `f`. [`CallError::Discard`]: it cannot be had there.
+    /// Evaluates it at `(t, x)`, where the right-hand side is `f`. [`CallError::Discard`]: it cannot be had
+    /// there.
     pub(crate) fn evaluate<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
@@ -215,8 +218,8 @@ impl Jacobian {
         Ok(true)
     }
 
-    /// One group of columns from one difference: forward along the flow, so that the point stays where the model is
-    /// defined; backward or shorter where it is refused there.
+    /// One group of columns from one difference: forward along the flow, so that the point stays where the
+    /// model is defined; backward or shorter where it is refused there.
     fn difference<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,

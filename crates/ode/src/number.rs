@@ -2,8 +2,8 @@
 
 use std::fmt;
 
-/// Shows a number with as many digits as it has, and with an exponent where they would be a long row of zeros: below 1e-4
-/// and from 1e7 on.
+/// Shows a number with as many digits as it has, and with an exponent where they would be a long row of
+/// zeros: below 1e-4 and from 1e7 on.
 #[derive(Debug, Clone, Copy)]
 pub struct Number(pub f64);
 

@@ -38,8 +38,8 @@ pub struct EventRecord {
     pub cause: EventCause,
 }
 
-/// An accepted step, or the part of it before an event, to be looked into: between its ends the solution is as accurate
-/// as at them. What the methods interpolate with are polynomials in time of degree 7 at most.
+/// An accepted step, or the part of it before an event, to be looked into: between its ends the solution is
+/// as accurate as at them. What the methods interpolate with are polynomials in time of degree 7 at most.
 #[derive(Clone, Copy)]
 pub struct StepView<'a> {
     /// Time at its start.
@@ -54,8 +54,8 @@ impl<'a> StepView<'a> {
         Self { start, end, interpolate }
     }
 
-    /// Fills in the states at a time between [`start`](Self::start) and [`end`](Self::end) (the limit from the left
-    /// there, before any event). `states` has one place per state.
+    /// Fills in the states at a time between [`start`](Self::start) and [`end`](Self::end) (the limit from
+    /// the left there, before any event). `states` has one place per state.
     pub fn states_at(&self, time: f64, states: &mut [f64]) {
         (self.interpolate)(time, states);
     }
@@ -88,8 +88,8 @@ pub trait Observer {
         let _ = event;
     }
 
-    /// Asked before every trial step and every sample inside of a step; `Break` ends the run as for a sample. For limits that do
-    /// not wait for one.
+    /// Asked before every trial step and every sample inside of a step; `Break` ends the run as for a sample.
+    /// For limits that do not wait for one.
     fn poll(&mut self) -> ControlFlow<()> {
         ControlFlow::Continue(())
     }

@@ -12,9 +12,9 @@ use std::time::Duration;
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
 pub enum Method {
-    /// [`Tsit5`](Self::Tsit5), below a relative tolerance of 1e-7 [`Dop853`](Self::Dop853); where steps of an implicit method, made on
-    /// trial, advance more per right-hand side, [`Radau5`](Self::Radau5), or, for nonlinear systems of 16 states and more whose
-    /// largest eigenvalue is real, [`Bdf`](Self::Bdf).
+    /// [`Tsit5`](Self::Tsit5), below a relative tolerance of 1e-7 [`Dop853`](Self::Dop853); where steps of an
+    /// implicit method, made on trial, advance more per right-hand side, [`Radau5`](Self::Radau5), or, for
+    /// nonlinear systems of 16 states and more whose largest eigenvalue is real, [`Bdf`](Self::Bdf).
     #[default]
     Auto,
     /// Tsitouras 5(4), explicit, adaptive.
@@ -23,8 +23,8 @@ pub enum Method {
     Dop853,
     /// Radau IIA of order 5, implicit, adaptive: for stiff systems and systems with a mass matrix.
     Radau5,
-    /// Backward differentiation of order 1 to 5, implicit, adaptive: for stiff systems whose right-hand side is expensive
-    /// and whose events are rare.
+    /// Backward differentiation of order 1 to 5, implicit, adaptive: for stiff systems whose right-hand side
+    /// is expensive and whose events are rare.
     Bdf,
     /// The classical Runge-Kutta method of order 4 with a fixed step.
     Rk4,
@@ -96,18 +96,20 @@ pub enum ChatteringPolicy {
     /// End the run with an error that names the indicators.
     #[default]
     Error,
-    /// Go on locating every event, and count it in [`Stats::chattering`](crate::Stats::chattering); an error still where
-    /// time stands still.
+    /// Go on locating every event, and count it in [`Stats::chattering`](crate::Stats::chattering); an error
+    /// still where time stands still.
     Warn,
-    /// Go on in steps of [`SLIDING_STEP`](Self::SLIDING_STEP) of the span, at whose ends the events happen wherever in the
-    /// step the indicators that chatter crossed, each until a hundred such steps have passed without its event. Where the vector fields
-    /// on both sides point to each other, the solution slides between them as Filippov defines it, up to an error of
-    /// the order of this step (A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, 1988, section 8).
-    /// Where events change states and accumulate (bounces), the indicator is held at zero, on the side that it came from in the run,
-    /// whatever its sign: it crosses where it is found on the other side, and is put back to zero where its event leaves it there and has
-    /// not let it pass. For this a hundred such events within ten steps of sliding (at most a thousandth of a unit of time) are too many.
-    /// The other indicators are located
-    /// as ever. Counted in [`Stats::chattering`](crate::Stats::chattering), too. Methods with a fixed step end with the error.
+    /// Go on in steps of [`SLIDING_STEP`](Self::SLIDING_STEP) of the span, at whose ends the events happen
+    /// wherever in the step the indicators that chatter crossed, each until a hundred such steps have passed
+    /// without its event. Where the vector fields on both sides point to each other, the solution slides
+    /// between them as Filippov defines it, up to an error of the order of this step (A. F. Filippov,
+    /// Differential Equations with Discontinuous Righthand Sides, 1988, section 8). Where events change
+    /// states and accumulate (bounces), the indicator is held at zero, on the side that it came from in the
+    /// run, whatever its sign: it crosses where it is found on the other side, and is put back to zero where
+    /// its event leaves it there and has not let it pass. For this a hundred such events within ten steps of
+    /// sliding (at most a thousandth of a unit of time) are too many. The other indicators are located as
+    /// ever. Counted in [`Stats::chattering`](crate::Stats::chattering), too. Methods with a fixed step end
+    /// with the error.
     Slide,
 }
 
@@ -148,8 +150,8 @@ pub enum AbsoluteTolerance {
     /// `0.01 * relative_tolerance * nominal_i`, the rule that users of FMUs know; follows changed nominals.
     #[default]
     FromNominals,
-    /// The same for all states. Zero is a purely relative tolerance: a state of value zero has none then, which is
-    /// [an error](crate::ErrorKind::NoTolerance) when it happens.
+    /// The same for all states. Zero is a purely relative tolerance: a state of value zero has none then,
+    /// which is [an error](crate::ErrorKind::NoTolerance) when it happens.
     Scalar(f64),
     /// One per state, each as above.
     PerState(Vec<f64>),
@@ -160,41 +162,44 @@ pub enum AbsoluteTolerance {
 pub struct Options {
     /// The method; default [`Method::Auto`].
     pub method: Method,
-    /// Relative tolerance of the adaptive methods; default 1e-6. Not of [unbounded](crate::HybridSystem::is_unbounded) states.
-    /// Zero where positive absolute tolerances are given.
+    /// Relative tolerance of the adaptive methods; default 1e-6. Not of
+    /// [unbounded](crate::HybridSystem::is_unbounded) states. Zero where positive absolute tolerances are
+    /// given.
     pub relative_tolerance: f64,
     /// Absolute tolerances; default [`AbsoluteTolerance::FromNominals`].
     pub absolute_tolerance: AbsoluteTolerance,
     /// Step of the fixed-step methods in units of time; default: a 500th of the span.
     pub step_size: Option<f64>,
-    /// Largest step of the adaptive methods; default: the span. One that cannot tell instants of the span apart is an
-    /// [error](crate::ErrorKind::StepBelowRounding) of the run.
+    /// Largest step of the adaptive methods; default: the span. One that cannot tell instants of the span
+    /// apart is an [error](crate::ErrorKind::StepBelowRounding) of the run.
     pub max_step: Option<f64>,
     /// First step of the adaptive methods; default: estimated. Made larger where it would not advance time.
     pub initial_step: Option<f64>,
     /// Also sample both sides of every event.
     pub record_events: bool,
-    /// Points inside each step at which the event indicators are looked at too, so that a crossing and its return do not
-    /// hide in one step; each is compared with the one before. Default: one (three with DOP853 and Radau5, whose steps are long), none
-    /// where an event is known to lie in the step, and up to 32 more where three neighbouring values bend by more than they stay away
-    /// from zero, in the middle of the interval beside them. Whatever
-    /// this is, the turning points of parabolas through three neighbouring values are looked at where they lie near zero (below a
-    /// quarter of these values), again and again while they come nearer; and
-    /// an indicator next to zero after its event, that leads out of its domain, is followed until it is seen there or the
-    /// run ends with [`ErrorKind::EventsAccumulate`](crate::ErrorKind).
+    /// Points inside each step at which the event indicators are looked at too, so that a crossing and its
+    /// return do not hide in one step; each is compared with the one before. Default: one (three with DOP853
+    /// and Radau5, whose steps are long), none where an event is known to lie in the step, and up to 32 more
+    /// where three neighbouring values bend by more than they stay away from zero, in the middle of the
+    /// interval beside them. Whatever this is, the turning points of parabolas through three neighbouring
+    /// values are looked at where they lie near zero (below a quarter of these values), again and again while
+    /// they come nearer; and an indicator next to zero after its event, that leads out of its domain, is
+    /// followed until it is seen there or the run ends with
+    /// [`ErrorKind::EventsAccumulate`](crate::ErrorKind).
     pub interior_samples: Option<u32>,
-    /// Locate indicators that only jump between a value and its negative to `1e-10 max(|t|, step)` instead of to rounding:
-    /// a fifth of the evaluations less, for models that have many such. Default `false`.
+    /// Locate indicators that only jump between a value and its negative to `1e-10 max(|t|, step)` instead of
+    /// to rounding: a fifth of the evaluations less, for models that have many such. Default `false`.
     pub loose_jump_indicators: bool,
-    /// In differential-algebraic systems integrated by [`Method::Bdf`]: leave states that have no derivative in the equations
-    /// out of the error test, but not out of Newton's. Default `false`: in systems of index 1 their errors
-    /// are of the order of the others', and nothing else would limit them.
+    /// In differential-algebraic systems integrated by [`Method::Bdf`]: leave states that have no derivative
+    /// in the equations out of the error test, but not out of Newton's. Default `false`: in systems of index
+    /// 1 their errors are of the order of the others', and nothing else would limit them.
     pub exclude_algebraic: bool,
     /// Limits; default none.
     pub limits: Limits,
     /// Answer to chattering, and to events that accumulate; default an error.
     pub chattering: ChatteringPolicy,
-    /// Set from outside to end the run at its next step, evaluation or sample with [`ErrorKind::Cancelled`](crate::ErrorKind).
+    /// Set from outside to end the run at its next step, evaluation or sample with
+    /// [`ErrorKind::Cancelled`](crate::ErrorKind).
     pub cancel: Option<Arc<AtomicBool>>,
 }
 
@@ -219,8 +224,8 @@ impl Default for Options {
 }
 
 impl Options {
-    /// The relative tolerance, or what stands for it in rules that need one where it is zero: the smallest absolute tolerance, as if states
-    /// were of the size 1.
+    /// The relative tolerance, or what stands for it in rules that need one where it is zero: the smallest
+    /// absolute tolerance, as if states were of the size 1.
     pub(crate) fn rtol_or_like(&self) -> f64 {
         let least = match &self.absolute_tolerance {
             _ if self.relative_tolerance > 0.0 => return self.relative_tolerance,

@@ -25,7 +25,8 @@ pub(crate) struct Here<'a> {
 }
 
 impl Sampler {
-    /// The first time that is not finite, below its predecessor, the third of its kind, or outside of `[lo, hi]`.
+    /// The first time that is not finite, below its predecessor, the third of its kind, or outside of `[lo,
+    /// hi]`.
     pub(crate) fn first_bad_time(times: &[f64], lo: f64, hi: f64) -> Option<usize> {
         (0..times.len()).find(|&i| {
             let t = times[i];
@@ -102,7 +103,8 @@ impl Sampler {
         }
     }
 
-    /// Every requested time that is this instant, after all that happens here; one row at least if `here.record`.
+    /// Every requested time that is this instant, after all that happens here; one row at least if
+    /// `here.record`.
     pub(crate) fn deliver_here(
         &mut self,
         system: &mut (impl HybridSystem + ?Sized),

@@ -10,8 +10,8 @@ pub struct JacobianPattern {
 }
 
 impl JacobianPattern {
-    /// The pattern of `n` states from pairs `(i, k)`: the derivative of state `i` depends on state `k`. Pairs may repeat.
-    /// `None` if an index is not below `n`.
+    /// The pattern of `n` states from pairs `(i, k)`: the derivative of state `i` depends on state `k`. Pairs
+    /// may repeat. `None` if an index is not below `n`.
     ///
     /// ```
     /// let tridiagonal = (0..5usize).flat_map(|k| (k.saturating_sub(1)..(k + 2).min(5)).map(move |i| (i, k)));
@@ -93,9 +93,9 @@ impl JacobianPattern {
     }
 }
 
-/// Columns that share no row, and can be had from one evaluation. A. R. Curtis, M. J. D. Powell, J. K. Reid, On the
-/// estimation of sparse Jacobian matrices, IMA Journal of Applied Mathematics 13 (1974) 117-119; greedy, the columns
-/// with most rows first.
+/// Columns that share no row, and can be had from one evaluation. A. R. Curtis, M. J. D. Powell, J. K. Reid,
+/// On the estimation of sparse Jacobian matrices, IMA Journal of Applied Mathematics 13 (1974) 117-119;
+/// greedy, the columns with most rows first.
 #[derive(Debug, Default)]
 pub(crate) struct Groups {
     /// Group `g` has the columns `columns[starts[g]..starts[g + 1]]`.

@@ -8,8 +8,8 @@ pub(crate) fn terms<'k, const S: usize>(
     weights.iter().map(|(j, w)| (*w, &k[*j][..]))
 }
 
-/// `out_i = finish(sum_j w_j k_j_i, x_i)`, over terms `(w_j, k_j)`: blocks of components are added up at once, each component in the
-/// order of the stages as if it were alone.
+/// `out_i = finish(sum_j w_j k_j_i, x_i)`, over terms `(w_j, k_j)`: blocks of components are added up at
+/// once, each component in the order of the stages as if it were alone.
 #[inline(always)]
 fn sums<'k>(
     out: &mut [f64],

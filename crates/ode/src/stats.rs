@@ -4,12 +4,13 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::ops::AddAssign;
 
-/// Operations of linear algebra that take as long as a right-hand side: a call into a compiled model of few states takes
-/// some 0.3 us, and some 30 ns more per state.
+/// Operations of linear algebra that take as long as a right-hand side: a call into a compiled model of few
+/// states takes some 0.3 us, and some 30 ns more per state.
 const OPERATIONS: f64 = 300.0;
 const OPERATIONS_PER_STATE: f64 = 30.0;
 
-/// Seconds by the clock. All are equal: results are compared by what was computed, and a clock never shows the same twice.
+/// Seconds by the clock. All are equal: results are compared by what was computed, and a clock never shows
+/// the same twice.
 ///
 /// ```
 /// use ode::Seconds;
@@ -51,8 +52,8 @@ impl fmt::Debug for Seconds {
     }
 }
 
-/// Short runs that were made besides those asked for, to find out how a model can be brought back to its start. All are equal: when they
-/// are made depends on the clock, and no result depends on it.
+/// Short runs that were made besides those asked for, to find out how a model can be brought back to its
+/// start. All are equal: when they are made depends on the clock, and no result depends on it.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub struct Checks {
     /// Runs.
@@ -92,11 +93,13 @@ pub struct Stats {
     pub jacobians: u64,
     /// Directional derivatives asked from the model.
     pub directional_derivatives: u64,
-    /// Decompositions of a matrix of the size of the system; the real and the complex one of Radau5 count as two.
+    /// Decompositions of a matrix of the size of the system; the real and the complex one of Radau5 count as
+    /// two.
     pub decompositions: u64,
     /// Iterations of Newton's method.
     pub newton_iterations: u64,
-    /// Floating-point operations of decompositions and solutions, as the sizes and patterns of the matrices let expect.
+    /// Floating-point operations of decompositions and solutions, as the sizes and patterns of the matrices
+    /// let expect.
     pub linear_algebra: u64,
     /// Evaluations of the event indicators.
     pub event_indicators: u64,
@@ -122,15 +125,17 @@ pub struct Stats {
     pub checks: Checks,
     /// Wall-clock time of the run.
     pub seconds: Seconds,
-    /// The part of it that was spent inside of the model: in the calls of the [`HybridSystem`](crate::HybridSystem). An
-    /// estimate: of calls that take less than 1 us only some are timed, see [`Stopwatch`](crate::Stopwatch).
+    /// The part of it that was spent inside of the model: in the calls of the
+    /// [`HybridSystem`](crate::HybridSystem). An estimate: of calls that take less than 1 us only some are
+    /// timed, see [`Stopwatch`](crate::Stopwatch).
     pub seconds_in_model: Seconds,
 }
 
 impl Stats {
-    /// The work in equivalents of a right-hand side of a system of `n_states`, by which methods are compared: right-hand
-    /// sides, directional derivatives and event indicators count one each, linear algebra counts one per 300 operations
-    /// and 30 more for each state. Counted, never measured: the same run is the same work on every machine.
+    /// The work in equivalents of a right-hand side of a system of `n_states`, by which methods are compared:
+    /// right-hand sides, directional derivatives and event indicators count one each, linear algebra counts
+    /// one per 300 operations and 30 more for each state. Counted, never measured: the same run is the same
+    /// work on every machine.
     pub fn work(&self, n_states: usize) -> f64 {
         let calls = self.right_hand_sides + self.directional_derivatives + self.event_indicators;
         calls as f64 + self.linear_algebra as f64 / (OPERATIONS + OPERATIONS_PER_STATE * n_states as f64)

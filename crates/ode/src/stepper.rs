@@ -52,8 +52,8 @@ pub(crate) enum Consistency {
     Impossible { equation: usize, residual: f64 },
     /// They do not decide the states.
     HigherIndex,
-    /// No slopes were found for which a residual is zero: this equation has this residual at the values given. `is_singular`: the
-    /// matrix in front of the slopes has a smaller rank there than near them.
+    /// No slopes were found for which a residual is zero: this equation has this residual at the values
+    /// given. `is_singular`: the matrix in front of the slopes has a smaller rank there than near them.
     NoSlopes { equation: usize, residual: f64, is_singular: bool },
 }
 
@@ -64,8 +64,8 @@ pub(crate) enum StepWithEvent {
     Interpolated,
     /// It is made again up to the event: the method is more exact at the ends of its steps than inside them.
     RepeatedToIt,
-    /// It is made again up to a little before the event: the interpolant has right-hand sides of its own, for which the error
-    /// test does not vouch, and one of them may have seen what is behind the event.
+    /// It is made again up to a little before the event: the interpolant has right-hand sides of its own, for
+    /// which the error test does not vouch, and one of them may have seen what is behind the event.
     RepeatedToBefore,
 }
 
@@ -79,17 +79,18 @@ pub(crate) struct Properties {
     /// It integrates systems with a mass matrix, and those that are given by their residual.
     pub(crate) takes_mass_matrix: bool,
     pub(crate) takes_residual: bool,
-    /// There is no right-hand side to be evaluated in this run: [`Stepper::derivative`] is what there is of slopes.
+    /// There is no right-hand side to be evaluated in this run: [`Stepper::derivative`] is what there is of
+    /// slopes.
     pub(crate) only_own_slopes: bool,
     /// Treatment of a step inside of which an event was located.
     pub(crate) step_with_event: StepWithEvent,
-    /// At how many points inside its steps event indicators are looked at by default: more where steps are longer, as seen
-    /// against the curvature of the solution.
+    /// At how many points inside its steps event indicators are looked at by default: more where steps are
+    /// longer, as seen against the curvature of the solution.
     pub(crate) interior_samples: u32,
     /// It [begins](Stepper::begin_with) with the second derivative where indicators slide.
     pub(crate) wants_second_derivative: bool,
-    /// [`Stepper::derivative`] is the right-hand side itself also where a whole step has led, and not only where it was
-    /// [evaluated](Stepper::evaluate).
+    /// [`Stepper::derivative`] is the right-hand side itself also where a whole step has led, and not only
+    /// where it was [evaluated](Stepper::evaluate).
     pub(crate) evaluates_ends: bool,
     /// It makes use of Jacobians.
     pub(crate) takes_jacobians: bool,
@@ -112,13 +113,15 @@ impl Default for Properties {
     }
 }
 
-/// An integration method. The driver decides where steps end, and whether a step that meets the tolerance stands; the
-/// stepper judges its own error, proposes step sizes, and keeps what the method remembers between steps.
+/// An integration method. The driver decides where steps end, and whether a step that meets the tolerance
+/// stands; the stepper judges its own error, proposes step sizes, and keeps what the method remembers between
+/// steps.
 ///
-/// The order of calls: [`begin`](Self::begin) once a run; [`evaluate`](Self::evaluate) and [`forget`](Self::forget) at
-/// its first point, with [`make_consistent`](Self::make_consistent) between them; trials, of which the last good one may be
-/// looked into and is then accepted; after an event [`evaluate`](Self::evaluate), [`make_consistent`](Self::make_consistent),
-/// and [`forget`](Self::forget) if it changed something.
+/// The order of calls: [`begin`](Self::begin) once a run; [`evaluate`](Self::evaluate) and
+/// [`forget`](Self::forget) at its first point, with [`make_consistent`](Self::make_consistent) between them;
+/// trials, of which the last good one may be looked into and is then accepted; after an event
+/// [`evaluate`](Self::evaluate), [`make_consistent`](Self::make_consistent), and [`forget`](Self::forget) if
+/// it changed something.
 pub(crate) trait Stepper {
     /// Properties of the method that the driver needs.
     fn properties(&self) -> Properties;
@@ -126,8 +129,8 @@ pub(crate) trait Stepper {
     /// Starts a run: makes room, forgets everything. It fails where there is no room for its matrices.
     fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()>;
 
-    /// Takes `(t, x)` as the current point and evaluates the right-hand side there; the step sizes and the slow parts of
-    /// the past (Jacobians, differences) are kept.
+    /// Takes `(t, x)` as the current point and evaluates the right-hand side there; the step sizes and the
+    /// slow parts of the past (Jacobians, differences) are kept.
     fn evaluate<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
@@ -135,8 +138,8 @@ pub(crate) trait Stepper {
         x: &[f64],
     ) -> CallResult<()>;
 
-    /// Sees to it that the algebraic equations of a singular mass matrix hold at `(t, x)`, where the right-hand side has
-    /// just been [evaluated](Self::evaluate), by changing what they decide.
+    /// Sees to it that the algebraic equations of a singular mass matrix hold at `(t, x)`, where the
+    /// right-hand side has just been [evaluated](Self::evaluate), by changing what they decide.
     fn make_consistent<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
@@ -150,14 +153,16 @@ pub(crate) trait Stepper {
     /// The current point has nothing to do with the steps before it.
     fn forget(&mut self);
 
-    /// After [`forget`](Self::forget), while indicators slide: the right-hand side `dx` that the current one leads to after the time `s`. Their difference gives the
-    /// second derivative, with which a multistep method can begin at order 2: its steps of
-    /// order 1 are far shorter than those of sliding where the tolerance is tight.
+    /// After [`forget`](Self::forget), while indicators slide: the right-hand side `dx` that the current one
+    /// leads to after the time `s`. Their difference gives the second derivative, with which a multistep
+    /// method can begin at order 2: its steps of order 1 are far shorter than those of sliding where the
+    /// tolerance is tight.
     fn begin_with(&mut self, s: f64, dx: &[f64]) {
         let _ = (s, dx);
     }
 
-    /// An input changes its slope at the current point, where a step always ends. Returns the step size to go on with.
+    /// An input changes its slope at the current point, where a step always ends. Returns the step size to go
+    /// on with.
     fn kink(&mut self, h: f64) -> f64 {
         h
     }
@@ -165,8 +170,8 @@ pub(crate) trait Stepper {
     /// The next trial is the last one, which was good, with an earlier end.
     fn repeat(&mut self) {}
 
-    /// After a failure at `(t, x)`: states that the equations without derivatives do not determine, neither there nor nearby,
-    /// as in systems of index 2 or higher. `None`: there are none.
+    /// After a failure at `(t, x)`: states that the equations without derivatives do not determine, neither
+    /// there nor nearby, as in systems of index 2 or higher. `None`: there are none.
     fn undetermined<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
@@ -192,7 +197,8 @@ pub(crate) trait Stepper {
     /// The error estimate of the last trial, per state.
     fn error(&self) -> &[f64];
 
-    /// A point of the last trial was refused, or it turned out of no use: returns the step size to go on with.
+    /// A point of the last trial was refused, or it turned out of no use: returns the step size to go on
+    /// with.
     fn refused(&mut self, h: f64) -> f64;
 
     /// Makes ready to look inside the last trial, which was good and ended at `x_new`.
@@ -209,7 +215,7 @@ pub(crate) trait Stepper {
     /// The state at `trial.t + theta * trial.h` inside the last trial step.
     fn interpolate(&self, trial: Trial<'_>, theta: f64, x: &mut [f64]);
 
-    /// The last trial, of size `h`, is accepted up to `theta` (1: as a whole); the next step starts there. Returns the
-    /// step size to go on with.
+    /// The last trial, of size `h`, is accepted up to `theta` (1: as a whole); the next step starts there.
+    /// Returns the step size to go on with.
     fn accept(&mut self, h: f64, theta: f64) -> f64;
 }

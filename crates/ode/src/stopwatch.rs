@@ -40,10 +40,10 @@ impl Tally {
 
 /// Estimates the time that is spent in calls of `KINDS` kinds.
 ///
-/// Reading the clock takes as long as a short call (20 to 30 ns). So after 8 calls of a kind in a row that took less than
-/// 1 us, only one of 61 is timed and stands for those before it, until one takes longer; otherwise each is timed. What the
-/// readings themselves take is measured once and subtracted. A call of more than 0.1 ms among fast ones (the scheduler's
-/// doing, for example) stands for itself alone.
+/// Reading the clock takes as long as a short call (20 to 30 ns). So after 8 calls of a kind in a row that
+/// took less than 1 us, only one of 61 is timed and stands for those before it, until one takes longer;
+/// otherwise each is timed. What the readings themselves take is measured once and subtracted. A call of more
+/// than 0.1 ms among fast ones (the scheduler's doing, for example) stands for itself alone.
 ///
 /// ```
 /// let mut watch = ode::Stopwatch::<1>::new();
@@ -102,14 +102,15 @@ impl<const KINDS: usize> Stopwatch<KINDS> {
         self.start_timed(kind)
     }
 
-    /// A call of this kind begins that is to be timed in any case, because one may take much longer than another.
+    /// A call of this kind begins that is to be timed in any case, because one may take much longer than
+    /// another.
     #[inline(never)]
     pub fn start_timed(&mut self, kind: usize) -> Timing {
         Timing { kind, began: Some(Instant::now()) }
     }
 
-    /// It has ended. Returns what is known of this one call: the seconds it took if it was timed, else those of the last fast
-    /// one that was.
+    /// It has ended. Returns what is known of this one call: the seconds it took if it was timed, else those
+    /// of the last fast one that was.
     #[inline]
     pub fn stop(&mut self, timing: Timing) -> f64 {
         match timing.began {
@@ -149,7 +150,8 @@ impl<const KINDS: usize> Stopwatch<KINDS> {
 mod tests {
     use super::*;
 
-    /// Makes calls that would take these numbers of nanoseconds; returns how many were timed, and the estimate in ns.
+    /// Makes calls that would take these numbers of nanoseconds; returns how many were timed, and the
+    /// estimate in ns.
     fn estimate(calls: impl IntoIterator<Item = f64>) -> (usize, f64) {
         let mut watch = Stopwatch::<2>::new();
         let mut timed = 0;

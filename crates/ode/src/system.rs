@@ -31,8 +31,8 @@ pub enum Direction {
     /// All: the rule of FMI.
     #[default]
     Both,
-    /// All, but an indicator next to zero that a change of states at its event has turned back to where it came from (a bounce)
-    /// has no event when it gets there.
+    /// All, but an indicator next to zero that a change of states at its event has turned back to where it
+    /// came from (a bounce) has no event when it gets there.
     Either,
     /// Those into the domain `z > 0`.
     Up,
@@ -60,8 +60,8 @@ pub struct EventVisit<'a> {
     pub time: f64,
     /// Causes of the event.
     pub cause: EventCause,
-    /// Per event indicator: +1 it became positive, -1 it left the positive domain, 0 it stayed, or it crossed in a
-    /// [direction](HybridSystem::event_direction) that is no event.
+    /// Per event indicator: +1 it became positive, -1 it left the positive domain, 0 it stayed, or it crossed
+    /// in a [direction](HybridSystem::event_direction) that is no event.
     pub crossings: &'a [i8],
 }
 
@@ -107,12 +107,13 @@ pub struct InputStop {
 }
 
 /// A hybrid ordinary differential equation: `x' = f(t, x)` between events, event indicators `z(t, x)` whose
-/// change of domain (`z > 0` against `z <= 0`, the rule of FMI) makes a state event, time events, step events.
+/// change of domain (`z > 0` against `z <= 0`, the rule of FMI) makes a state event, time events, step
+/// events.
 ///
 /// The driver promises the order that FMI wants: [`start`](Self::start) once; then steps, each ended by one
-/// [`step_completed`](Self::step_completed) at its final point, never going back behind one that was completed;
-/// [`handle_event`](Self::handle_event) after it, at the same time and state. The other calls may come at any
-/// time and state of the step that is being tried.
+/// [`step_completed`](Self::step_completed) at its final point, never going back behind one that was
+/// completed; [`handle_event`](Self::handle_event) after it, at the same time and state. The other calls may
+/// come at any time and state of the step that is being tried.
 ///
 /// Slices have the lengths `n_states`, `n_event_indicators` and `n_outputs`; the driver guarantees it.
 pub trait HybridSystem {
@@ -124,8 +125,8 @@ pub trait HybridSystem {
         0
     }
 
-    /// In which direction an indicator must cross for an event. Crossings in the other one end no step, are not counted, and
-    /// are not told of. Read once a run.
+    /// In which direction an indicator must cross for an event. Crossings in the other one end no step, are
+    /// not counted, and are not told of. Read once a run.
     fn event_direction(&self, indicator: usize) -> Direction {
         let _ = indicator;
         Direction::Both
@@ -136,7 +137,8 @@ pub trait HybridSystem {
         0
     }
 
-    /// Fills in the nominal values of the states. Values that are zero, negative or not finite are taken as 1, |v|, 1.
+    /// Fills in the nominal values of the states. Values that are zero, negative or not finite are taken as
+    /// 1, |v|, 1.
     fn nominals(&mut self, nominals: &mut [f64]) -> CallResult<()> {
         nominals.fill(1.0);
         Ok(())
@@ -162,9 +164,9 @@ pub trait HybridSystem {
         None
     }
 
-    /// Fills in the entries of the Jacobian at the places of the [pattern](Self::jacobian_pattern), column by column, the rows
-    /// of each ascending; all are zero when it is called. `Ok(false)`: the model has none (decided once per run). Asked
-    /// where there is a pattern.
+    /// Fills in the entries of the Jacobian at the places of the [pattern](Self::jacobian_pattern), column by
+    /// column, the rows of each ascending; all are zero when it is called. `Ok(false)`: the model has none
+    /// (decided once per run). Asked where there is a pattern.
     fn jacobian_entries(&mut self, t: f64, x: &[f64], entries: &mut [f64]) -> CallResult<bool> {
         let _ = (t, x, entries);
         Ok(false)
@@ -176,16 +178,18 @@ pub trait HybridSystem {
         false
     }
 
-    /// Fills in the whole Jacobian by columns: `j[i + n * k]` is the derivative of `dx[i]` with respect to `x[k]`. All
-    /// entries are zero when it is called. `Ok(false)`: the model has none (decided once per run). Asked where there are no
-    /// [entries](Self::jacobian_entries); of a sparse system only those at the places of the pattern are taken.
+    /// Fills in the whole Jacobian by columns: `j[i + n * k]` is the derivative of `dx[i]` with respect to
+    /// `x[k]`. All entries are zero when it is called. `Ok(false)`: the model has none (decided once per
+    /// run). Asked where there are no [entries](Self::jacobian_entries); of a sparse system only those at the
+    /// places of the pattern are taken.
     fn jacobian(&mut self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
         let _ = (t, x, j);
         Ok(false)
     }
 
-    /// Fills in the Jacobian times `seed`. `Ok(false)`: the model has no directional derivatives (decided once per
-    /// run). Asked where there is no [`jacobian`](Self::jacobian); without either the driver takes differences.
+    /// Fills in the Jacobian times `seed`. `Ok(false)`: the model has no directional derivatives (decided
+    /// once per run). Asked where there is no [`jacobian`](Self::jacobian); without either the driver takes
+    /// differences.
     fn directional_derivative(
         &mut self,
         t: f64,
@@ -197,14 +201,15 @@ pub trait HybridSystem {
         Ok(false)
     }
 
-    /// The constant matrix `M` of `M x' = f(t, x)`, by columns (`n * n` numbers); `None`: the identity. It may be
-    /// singular (a differential-algebraic system of index 1). Then some equations, or sums of them, have no derivative in
-    /// them. Where these do not hold within the tolerances of the states, at the start and after each event, Newton's
-    /// method changes the states until they do, in such a way that `M x` stays as it is: that what the other equations
-    /// say of derivatives goes on from the values given. [`states_corrected`](Self::states_corrected) tells of it;
+    /// The constant matrix `M` of `M x' = f(t, x)`, by columns (`n * n` numbers); `None`: the identity. It
+    /// may be singular (a differential-algebraic system of index 1). Then some equations, or sums of them,
+    /// have no derivative in them. Where these do not hold within the tolerances of the states, at the start
+    /// and after each event, Newton's method changes the states until they do, in such a way that `M x` stays
+    /// as it is: that what the other equations say of derivatives goes on from the values given.
+    /// [`states_corrected`](Self::states_corrected) tells of it;
     /// [`ErrorKind::Inconsistent`](crate::ErrorKind) is what comes of it where there is no such state near.
-    /// Only [`Method::Radau5`](crate::Method), [`Method::Bdf`](crate::Method) and [`Method::Auto`](crate::Method) take a
-    /// mass matrix.
+    /// Only [`Method::Radau5`](crate::Method), [`Method::Bdf`](crate::Method) and
+    /// [`Method::Auto`](crate::Method) take a mass matrix.
     fn mass_matrix(&self) -> Option<&[f64]> {
         None
     }
@@ -221,9 +226,9 @@ pub trait HybridSystem {
         Err(CallError::Discard)
     }
 
-    /// Fills in the Jacobian of the residual with respect to one of its arguments, by columns; all entries are zero when it
-    /// is called. Asked where [`has_jacobian`](Self::has_jacobian). `Ok(false)`: there is none. The
-    /// [pattern](Self::jacobian_pattern) is that of both Jacobians together.
+    /// Fills in the Jacobian of the residual with respect to one of its arguments, by columns; all entries
+    /// are zero when it is called. Asked where [`has_jacobian`](Self::has_jacobian). `Ok(false)`: there is
+    /// none. The [pattern](Self::jacobian_pattern) is that of both Jacobians together.
     fn residual_jacobian(
         &mut self,
         t: f64,
@@ -241,13 +246,14 @@ pub trait HybridSystem {
         false
     }
 
-    /// Fills in what is known of `x'` at the start of a system given by its residual: a guess, zeros when it is called.
+    /// Fills in what is known of `x'` at the start of a system given by its residual: a guess, zeros when it
+    /// is called.
     fn slopes_at_start(&mut self, dx: &mut [f64]) {
         let _ = dx;
     }
 
-    /// Told at the start and after an event, before anything else is asked of it there, if states were changed so that
-    /// the equations without derivatives hold; `x` has all states as they are now.
+    /// Told at the start and after an event, before anything else is asked of it there, if states were
+    /// changed so that the equations without derivatives hold; `x` has all states as they are now.
     fn states_corrected(&mut self, t: f64, x: &[f64]) -> CallResult<()> {
         let _ = (t, x);
         Ok(())
@@ -259,8 +265,8 @@ pub trait HybridSystem {
         Ok(())
     }
 
-    /// Fills in the outputs. Unlike derivatives and indicators they may be NaN or infinite: the observer is given them as
-    /// they are, and judges.
+    /// Fills in the outputs. Unlike derivatives and indicators they may be NaN or infinite: the observer is
+    /// given them as they are, and judges.
     fn outputs(&mut self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
         let _ = (t, x, y);
         Ok(())

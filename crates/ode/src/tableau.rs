@@ -1,10 +1,11 @@
-//! Butcher tableaux as data: coefficients, order, error weights and continuous extension, each with its source.
+//! Butcher tableaux as data: coefficients, order, error weights and continuous extension, each with its
+//! source.
 
 /// The weights that are not zero, with the stages they belong to.
 pub(crate) type Weights = &'static [(usize, f64)];
 
-/// An explicit Runge-Kutta method with `S` stages, of which stage `end` is the right-hand side at the end of the step
-/// (first same as last), so that the next step gets its first stage for nothing.
+/// An explicit Runge-Kutta method with `S` stages, of which stage `end` is the right-hand side at the end of
+/// the step (first same as last), so that the next step gets its first stage for nothing.
 #[derive(Debug)]
 pub(crate) struct Tableau<const S: usize> {
     /// Order of the solution that is propagated.
@@ -28,8 +29,8 @@ pub(crate) enum Estimate {
     None,
     /// Solution minus embedded solution.
     Embedded(Weights),
-    /// Solution minus embedded solutions of order 5 and of order 3: the first, made smaller where the second is larger still
-    /// (Hairer, Norsett, Wanner I, section II.10).
+    /// Solution minus embedded solutions of order 5 and of order 3: the first, made smaller where the second
+    /// is larger still (Hairer, Norsett, Wanner I, section II.10).
     Two(Weights, Weights),
 }
 
@@ -39,13 +40,14 @@ pub(crate) enum Dense<const S: usize> {
     /// Coefficients of `theta, theta^2, theta^3, theta^4` per stage:
     /// `x(t + theta h) = x + h * sum_i (sum_k p[i][k] theta^(k+1)) k_i`.
     Polynomials([[f64; 4]; S]),
-    /// Weights of the four highest of the seven terms of dop853.f, on stages behind the end that are evaluated for steps
-    /// in which samples or events lie.
+    /// Weights of the four highest of the seven terms of dop853.f, on stages behind the end that are
+    /// evaluated for steps in which samples or events lie.
     Terms([Weights; 4]),
 }
 
-/// Tsitouras 5(4): Ch. Tsitouras, Runge-Kutta pairs of order 5(4) satisfying only the first column simplifying
-/// assumption, Computers and Mathematics with Applications 62 (2011) 770-775, with its free interpolant of order 4.
+/// Tsitouras 5(4): Ch. Tsitouras, Runge-Kutta pairs of order 5(4) satisfying only the first column
+/// simplifying assumption, Computers and Mathematics with Applications 62 (2011) 770-775, with its free
+/// interpolant of order 4.
 #[rustfmt::skip]
 pub(crate) static TSIT5: Tableau<7> = Tableau {
     order: 5,
@@ -75,8 +77,8 @@ pub(crate) static TSIT5: Tableau<7> = Tableau {
     ]),
 };
 
-/// The classical method of order 4 (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, table II.1.2)
-/// with the cubic Hermite polynomial through both ends, written as weights of the stages.
+/// The classical method of order 4 (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, table
+/// II.1.2) with the cubic Hermite polynomial through both ends, written as weights of the stages.
 #[rustfmt::skip]
 pub(crate) static RK4: Tableau<5> = Tableau {
     order: 4,

@@ -169,10 +169,10 @@ impl Calibration {
     /// the calibration, and its trace is that of the last stages with one window. A checkpoint has one file
     /// per stage: `fit.ckpt.stage1`, `fit.ckpt.stage2` and so on.
     ///
-    /// The covariance of a method at the end of a stage ([`dfo::Report::covariance`]) is conditional: it takes the
-    /// held parameters as known, and so does the [uncertainty](Fit::uncertainty) of a stage. So the result
-    /// has no Jacobian in its report, only the stages have; its uncertainty is found with all parameters that
-    /// any stage freed.
+    /// The covariance of a method at the end of a stage ([`dfo::Report::covariance`]) is conditional: it
+    /// takes the held parameters as known, and so does the [uncertainty](Fit::uncertainty) of a stage. So the
+    /// result has no Jacobian in its report, only the stages have; its uncertainty is found with all
+    /// parameters that any stage freed.
     ///
     /// # Errors
     /// As [`Calibration::fit`]; no stages, stages without parameters, names that are no parameters or those

@@ -1,7 +1,7 @@
 //! The directory of a zip archive, record by record as it stands in the file (PKWARE APPNOTE 6.3.10).
 //!
-//! Read here rather than by the `zip` library because that one keeps entries by name, so that duplicates vanish
-//! before they can be refused, and reads the whole directory before its length can be judged.
+//! Read here rather than by the `zip` library because that one keeps entries by name, so that duplicates
+//! vanish before they can be refused, and reads the whole directory before its length can be judged.
 
 use std::io::{self, Read, Seek, SeekFrom};
 
@@ -123,8 +123,8 @@ impl Directory {
     }
 }
 
-/// Position of the record that ends the archive: the last one whose comment ends with the archive, else the last
-/// one whose comment fits.
+/// Position of the record that ends the archive: the last one whose comment ends with the archive, else the
+/// last one whose comment fits.
 fn find_end(tail: &[u8]) -> Option<usize> {
     let last = tail.len().checked_sub(END_BYTES as usize)?;
     let mut fits = None;
@@ -204,8 +204,8 @@ impl Record {
         Ok(record)
     }
 
-    /// Takes the sizes and the position that do not fit 32 bits from the extra field made for them, where each
-    /// stands only if its 32-bit place is filled with ones (APPNOTE 4.5.3).
+    /// Takes the sizes and the position that do not fit 32 bits from the extra field made for them, where
+    /// each stands only if its 32-bit place is filled with ones (APPNOTE 4.5.3).
     fn widen(&mut self, extra: &[u8]) {
         let Some(mut data) = extra_field(extra, 0x0001) else { return };
         for value in [&mut self.size, &mut self.compressed_size, &mut self.header_start] {
@@ -231,8 +231,8 @@ fn extra_field(mut extra: &[u8], number: u16) -> Option<&[u8]> {
     None
 }
 
-/// The name: from Info-ZIP's Unicode field if there is a valid one (APPNOTE 4.6.9), else as UTF-8 (declared or
-/// not), else in the alphabet of the first IBM PC, as the format prescribes.
+/// The name: from Info-ZIP's Unicode field if there is a valid one (APPNOTE 4.6.9), else as UTF-8 (declared
+/// or not), else in the alphabet of the first IBM PC, as the format prescribes.
 fn decode_name(raw: &[u8], extra: &[u8]) -> String {
     if let Some([1, c0, c1, c2, c3, unicode @ ..]) = extra_field(extra, 0x7075)
         && u32::from_le_bytes([*c0, *c1, *c2, *c3]) == crc32fast::hash(raw)

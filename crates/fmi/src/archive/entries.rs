@@ -118,8 +118,8 @@ fn repeats(record: &Record, names: &Names, listed: &[Listed]) -> bool {
     })
 }
 
-/// Tells folders from files and refuses everything else. The file type of Unix is looked at whatever system the
-/// entry claims to come from, because programs that unpack do the same.
+/// Tells folders from files and refuses everything else. The file type of Unix is looked at whatever system
+/// the entry claims to come from, because programs that unpack do the same.
 fn is_folder(record: &Record) -> Result<bool, EntryProblem> {
     match record.unix_mode & 0o170_000 {
         0o040_000 => Ok(true),

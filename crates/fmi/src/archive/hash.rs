@@ -53,7 +53,8 @@ impl io::Write for Hashing {
     }
 }
 
-/// Hash of all files below a folder: for each, in the order of the paths, path and content, each after its length.
+/// Hash of all files below a folder: for each, in the order of the paths, path and content, each after its
+/// length.
 pub(super) fn of_folder(root: &Path, limits: &ArchiveLimits) -> Result<String, FmiError> {
     let mut hashing = Hashing::default();
     for (name, path) in files_below(root, limits.entries)? {
@@ -75,9 +76,9 @@ pub(crate) fn of_texts(texts: impl IntoIterator<Item: AsRef<str>>) -> String {
     hashing.finish()
 }
 
-/// Files below a folder as (path with slashes relative to it, path), sorted by the former.
-/// Links to files count as files; links to folders are refused: what is behind them can change unseen, and may lead round
-/// in a circle.
+/// Files below a folder as (path with slashes relative to it, path), sorted by the former. Links to files
+/// count as files; links to folders are refused: what is behind them can change unseen, and may lead round in
+/// a circle.
 pub(crate) fn files_below(root: &Path, limit: u64) -> Result<Vec<(String, PathBuf)>, FmiError> {
     let mut files = Vec::new();
     let mut folders = vec![(String::new(), root.to_owned())];

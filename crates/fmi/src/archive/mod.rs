@@ -1,5 +1,6 @@
-//! The files of an FMU: a `.fmu` archive, unpacked part by part into a private folder that goes when the value goes,
-//! or an unpacked folder as it is. Archives whose entries are not what FMUs hold are refused before anything is written.
+//! The files of an FMU: a `.fmu` archive, unpacked part by part into a private folder that goes when the
+//! value goes, or an unpacked folder as it is. Archives whose entries are not what FMUs hold are refused
+//! before anything is written.
 
 mod directory;
 mod entries;
@@ -47,8 +48,8 @@ pub(crate) fn is_inside(path: &str) -> bool {
 
 /// An opened FMU: a `.fmu` file or a folder with `modelDescription.xml` at its root.
 ///
-/// Of a file, the directory is read and checked when it is opened. Its contents are unpacked, and checked against their
-/// sizes and checksums, when they are needed.
+/// Of a file, the directory is read and checked when it is opened. Its contents are unpacked, and checked
+/// against their sizes and checksums, when they are needed.
 #[derive(Debug)]
 pub struct Archive {
     content: Content,
@@ -111,8 +112,8 @@ impl Archive {
         Ok(Archive { content, content_hash: OnceLock::new() })
     }
 
-    /// An archive of which only the description is available: it was at `path` with this content, and no other
-    /// file of it can be read.
+    /// An archive of which only the description is available: it was at `path` with this content, and no
+    /// other file of it can be read.
     pub(crate) fn absent(path: &Path, description: Vec<u8>, content_hash: String, reason: String) -> Archive {
         let content = Content::Absent(Absent { path: path.to_owned(), description, reason });
         Archive { content, content_hash: content_hash.into() }
@@ -133,8 +134,9 @@ impl Archive {
     /// `modelDescription.xml`, an absolute path. An unpacked folder is returned as it is.
     ///
     /// # Errors
-    /// [`FmiError::BadEntry`] for contents that are not what the directory of the archive says, [`FmiError::Io`];
-    /// [`FmiError::BadArchive`] if the file was written over since it was opened. Nothing is left behind.
+    /// [`FmiError::BadEntry`] for contents that are not what the directory of the archive says,
+    /// [`FmiError::Io`]; [`FmiError::BadArchive`] if the file was written over since it was opened. Nothing
+    /// is left behind.
     pub fn unpack(&self) -> Result<PathBuf, FmiError> {
         self.unpack_part(Part::All, &Cancel::default())
     }
@@ -162,7 +164,8 @@ impl Archive {
         bytes.ok_or_else(|| FmiError::NoModelDescription { path: path().to_owned(), hint: None })
     }
 
-    /// The bytes of a file, no more than `limit` (of an unpacked folder: one more); `None` if there is none of this name.
+    /// The bytes of a file, no more than `limit` (of an unpacked folder: one more); `None` if there is none
+    /// of this name.
     pub(crate) fn read(&self, name: &str, limit: u64, cancel: &Cancel) -> Result<Option<Vec<u8>>, FmiError> {
         match &self.content {
             Content::Packed(packed) => packed.read(name, limit, cancel),
@@ -182,8 +185,8 @@ impl Archive {
         }
     }
 
-    /// SHA-256 of the archive file, or of all names and contents of a folder, in hexadecimal digits; computed when it is
-    /// first asked for.
+    /// SHA-256 of the archive file, or of all names and contents of a folder, in hexadecimal digits; computed
+    /// when it is first asked for.
     ///
     /// # Errors
     /// The files cannot be read any more, or the archive was written over since it was opened.
@@ -199,7 +202,8 @@ impl Archive {
         Ok(self.content_hash.get_or_init(|| hash))
     }
 
-    /// A hash of the directory of an archive (names, sizes and checksums); a folder, which can be edited, has none.
+    /// A hash of the directory of an archive (names, sizes and checksums); a folder, which can be edited, has
+    /// none.
     pub(crate) fn fingerprint(&self) -> Option<String> {
         match &self.content {
             Content::Packed(packed) => Some(packed.fingerprint()),
@@ -233,8 +237,8 @@ impl Archive {
         }
     }
 
-    /// A library in a folder that is not any more what it was when the folder was opened: its description may be that of
-    /// another version.
+    /// A library in a folder that is not any more what it was when the folder was opened: its description may
+    /// be that of another version.
     pub(crate) fn changed_library(&self) -> Option<&Path> {
         let Content::Folder(folder) = &self.content else { return None };
         let is_changed = |(path, then): &&(PathBuf, FileIdentity)| {

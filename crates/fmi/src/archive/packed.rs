@@ -1,5 +1,5 @@
-//! A `.fmu` file: listed and checked when it is opened, unpacked into a private folder part by part when a part is
-//! needed, and again where somebody has removed it.
+//! A `.fmu` file: listed and checked when it is opened, unpacked into a private folder part by part when a
+//! part is needed, and again where somebody has removed it.
 
 use super::entries::{self, Listed, refused};
 use super::hash::{self, Hashing};
@@ -209,8 +209,8 @@ impl Packed {
 }
 
 impl Unpacked {
-    /// Looks whether files were removed, as programs that clean folders for temporary files do, and marks those as not
-    /// unpacked; makes the private folder again where it is gone. How many are missing.
+    /// Looks whether files were removed, as programs that clean folders for temporary files do, and marks
+    /// those as not unpacked; makes the private folder again where it is gone. How many are missing.
     fn look_after(&mut self, entries: &[Listed]) -> Result<usize, FmiError> {
         let Some(folder) = &mut self.folder else { return Ok(0) };
         if self.folders.iter().all(|(folder, known)| known.is_some() && *known == identity(folder)) {

@@ -1,5 +1,5 @@
-//! A file read from any place, without moving the position that all holders of the file share: other threads, and a
-//! forked child.
+//! A file read from any place, without moving the position that all holders of the file share: other threads,
+//! and a forked child.
 
 use crate::platform;
 use std::fs::File;

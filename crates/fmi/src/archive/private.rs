@@ -1,7 +1,8 @@
 //! Private folders for unpacked archives: gone when the value goes, swept up later if the process was killed.
 //!
-//! Layout: `fmufit-unpacked-XXXXXX/fmu/` is what is handed out; `fmufit-unpacked-XXXXXX/lock` says in words that the folder is ours, and is
-//! locked by the process that owns it. Nothing is swept that has not exactly this layout.
+//! Layout: `fmufit-unpacked-XXXXXX/fmu/` is what is handed out; `fmufit-unpacked-XXXXXX/lock` says in words
+//! that the folder is ours, and is locked by the process that owns it. Nothing is swept that has not exactly
+//! this layout.
 
 use crate::error::FmiError;
 use crate::platform;
@@ -98,16 +99,17 @@ impl Drop for PrivateFolder {
     }
 }
 
-/// Locks that are held, with the process that made them and one of their names. Those of a process are one file with many
-/// names where the file system has such: its folders take one file handle, however many there are.
+/// Locks that are held, with the process that made them and one of their names. Those of a process are one
+/// file with many names where the file system has such: its folders take one file handle, however many there
+/// are.
 static LOCKS: Mutex<Vec<(u32, PathBuf, Arc<File>)>> = Mutex::new(Vec::new());
 
 fn locks() -> MutexGuard<'static, Vec<(u32, PathBuf, Arc<File>)>> {
     LOCKS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Gives a locked file this name, or creates one that is locked from the moment it has its name; nothing stays if it cannot
-/// be locked.
+/// Gives a locked file this name, or creates one that is locked from the moment it has its name; nothing
+/// stays if it cannot be locked.
 fn take_lock(path: &Path) -> Option<Arc<File>> {
     let mut locks = locks();
     let process = std::process::id();
@@ -136,8 +138,9 @@ fn new_lock(path: &Path) -> Option<File> {
 /// Age at which a folder without a lock was left behind by a process that was killed while making it.
 const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 
-/// Removes the folders in `base` that have a lock of ours which nobody holds: their processes are gone. Folders of other users, those in
-/// the making, which have no lock yet and are young, and whatever has another layout are left alone.
+/// Removes the folders in `base` that have a lock of ours which nobody holds: their processes are gone.
+/// Folders of other users, those in the making, which have no lock yet and are young, and whatever has
+/// another layout are left alone.
 fn sweep(base: &Path) {
     let Ok(own) = platform::own_file() else { return };
     for entry in fs::read_dir(base).into_iter().flatten().flatten() {
@@ -181,8 +184,8 @@ fn has_our_layout(folder: &Path) -> bool {
     fs::read_dir(folder).is_ok_and(|mut entries| entries.all(is_ours))
 }
 
-/// Removes what was left behind by a process that was killed while making a folder: empty folders, and a lock without its name. On a file
-/// system without locks the folder in use is not empty.
+/// Removes what was left behind by a process that was killed while making a folder: empty folders, and a lock
+/// without its name. On a file system without locks the folder in use is not empty.
 fn remove_begun(folder: &Path) {
     let unnamed = folder.join(NEW_LOCK);
     let length =

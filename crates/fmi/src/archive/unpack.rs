@@ -23,8 +23,8 @@ pub(super) struct Source<'a> {
 }
 
 impl Source<'_> {
-    /// Unpacks an entry below `root`, and notes the folder that holds it. A file that cannot be unpacked whole does not
-    /// stay.
+    /// Unpacks an entry below `root`, and notes the folder that holds it. A file that cannot be unpacked
+    /// whole does not stay.
     pub(super) fn unpack<T: Default>(
         self,
         entry: &Listed,

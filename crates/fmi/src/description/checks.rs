@@ -1,7 +1,7 @@
 //! Checks that need the whole description: references between its parts, and the quirk report.
 //!
-//! Everything that can be worked with is tolerated and reported (FMUs in the wild leave the standard in many small
-//! ways); only what would make a run wrong or unsafe is an error.
+//! Everything that can be worked with is tolerated and reported (FMUs in the wild leave the standard in many
+//! small ways); only what would make a run wrong or unsafe is an error.
 
 use super::draft::Draft;
 use super::limits::Budget;
@@ -80,7 +80,8 @@ pub(super) fn require_conforming(quirks: &[Quirk]) -> Result<(), FmiError> {
     }
 }
 
-/// Longest text that variables inherit: each has a copy, so that a long one in a small file could fill the memory.
+/// Longest text that variables inherit: each has a copy, so that a long one in a small file could fill the
+/// memory.
 const LONGEST_INHERITED: usize = 1024;
 
 /// Fills in what variables leave to their types.
@@ -188,8 +189,8 @@ fn resolve_dimensions(draft: &mut Draft) -> Result<(), FmiError> {
     Ok(())
 }
 
-/// Brings all indices of the model structure into range. An unknown derivative or event indicator cannot be left out,
-/// because their numbers would not be the model's.
+/// Brings all indices of the model structure into range. An unknown derivative or event indicator cannot be
+/// left out, because their numbers would not be the model's.
 fn resolve_structure(draft: &mut Draft) -> Result<(), FmiError> {
     let n_variables = draft.model.variables.len();
     let quirks = &mut draft.quirks;

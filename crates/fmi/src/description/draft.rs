@@ -13,8 +13,8 @@ pub(super) struct Draft {
     pub(super) budget: Rc<Budget>,
     /// For each variable which of its flags the file sets, so that a type does not overrule them.
     pub(super) flags: Vec<Flags>,
-    /// Lines of the unknowns in the model structure, in the order of outputs, derivatives, initial unknowns, event
-    /// indicators.
+    /// Lines of the unknowns in the model structure, in the order of outputs, derivatives, initial unknowns,
+    /// event indicators.
     pub(super) structure_lines: [Vec<u32>; 4],
 }
 

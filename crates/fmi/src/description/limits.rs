@@ -10,11 +10,11 @@ use std::cell::Cell;
 /// would fill the memory.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DescriptionLimits {
-    /// Bytes of `modelDescription.xml` (default 64 MiB, a description of 200 000 variables). Reading it takes at most
-    /// eight times as much memory.
+    /// Bytes of `modelDescription.xml` (default 64 MiB, a description of 200 000 variables). Reading it takes
+    /// at most eight times as much memory.
     pub bytes: u64,
-    /// Elements of all array variables together, continuous states and event indicators (default 2 million): as declared,
-    /// and as they are after structural parameters have been set.
+    /// Elements of all array variables together, continuous states and event indicators (default 2 million):
+    /// as declared, and as they are after structural parameters have been set.
     pub elements: usize,
 }
 

@@ -1,4 +1,5 @@
-//! The model description: what `modelDescription.xml` says, in types of ours that do not depend on the FMI version.
+//! The model description: what `modelDescription.xml` says, in types of ours that do not depend on the FMI
+//! version.
 
 mod checks;
 mod clock;

@@ -114,8 +114,8 @@ impl ModelDescription {
         self.names.find(name, &self.variables).or_else(|| self.aliases.get(name).copied())
     }
 
-    /// All names with the positions of their variables, in the order of the file: each variable by its own name, then by its
-    /// aliases (FMI 3.0).
+    /// All names with the positions of their variables, in the order of the file: each variable by its own
+    /// name, then by its aliases (FMI 3.0).
     pub fn names(&self) -> impl Iterator<Item = (&str, usize)> {
         self.variables.iter().enumerate().flat_map(|(position, variable)| {
             let aliases = variable.aliases.iter().map(|alias| alias.name.as_str());
@@ -142,7 +142,8 @@ pub struct Interface {
     pub model_identifier: String,
     /// Capability flags.
     pub capabilities: Capabilities,
-    /// Files in `sources/` to compile, relative to it. For FMI 3.0, see `sources/buildDescription.xml` instead.
+    /// Files in `sources/` to compile, relative to it. For FMI 3.0, see `sources/buildDescription.xml`
+    /// instead.
     pub source_files: Vec<String>,
 }
 

@@ -14,8 +14,8 @@ pub(super) struct NameIndex {
 }
 
 impl NameIndex {
-    /// Indexes the variables; of several with one name the first is found, and `duplicate` hears of the others
-    /// (position of the duplicate, position of the first).
+    /// Indexes the variables; of several with one name the first is found, and `duplicate` hears of the
+    /// others (position of the duplicate, position of the first).
     pub(super) fn build(variables: &[Variable], mut duplicate: impl FnMut(usize, usize)) -> Self {
         let n_slots = (2 * variables.len() + 1).next_power_of_two();
         let mut index = NameIndex { slots: vec![0; n_slots], hasher: RandomState::new() };
@@ -51,8 +51,8 @@ impl NameIndex {
     }
 }
 
-/// Positions of variables by their aliases; of several with one name the first, after those whose own name it is. `duplicate`
-/// hears of the others (position, alias, position of the first).
+/// Positions of variables by their aliases; of several with one name the first, after those whose own name it
+/// is. `duplicate` hears of the others (position, alias, position of the first).
 pub(super) fn aliases(
     variables: &[Variable],
     names: &NameIndex,
@@ -91,8 +91,8 @@ const LONGEST_WANTED: usize = 100;
 /// Letters that make a word, where names share no more than a part.
 const SHORTEST_WORD: usize = 4;
 
-/// At most `n` of the names that resemble `wanted`, the most similar first, in the order of the file where they
-/// are equally similar.
+/// At most `n` of the names that resemble `wanted`, the most similar first, in the order of the file where
+/// they are equally similar.
 pub(super) fn nearest<'a>(wanted: &str, names: impl Iterator<Item = &'a str>, n: usize) -> Vec<&'a str> {
     let mut search = Search::new(wanted);
     let mut best: Vec<(usize, &str)> = Vec::with_capacity(n + 1);
@@ -151,8 +151,8 @@ impl Search {
                 || self.name.windows(n).any(|part| part == self.wanted))
     }
 
-    /// Insertions, deletions, replacements and swaps of neighbours between the two names (optimal string alignment),
-    /// if at most `limit`.
+    /// Insertions, deletions, replacements and swaps of neighbours between the two names (optimal string
+    /// alignment), if at most `limit`.
     fn edits(&mut self) -> Option<usize> {
         let (a, b) = (&self.wanted, &self.name);
         let [before, last, row] = &mut self.rows;

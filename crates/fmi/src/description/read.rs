@@ -13,12 +13,12 @@ use crate::error::FmiError;
 impl ModelDescription {
     /// Parses the bytes of a `modelDescription.xml` of any version.
     ///
-    /// Lenient: what the standard does not know is ignored, and where a file departs from it in a way that can be
-    /// worked with, the departure is listed in [`quirks`](Self::quirks).
+    /// Lenient: what the standard does not know is ignored, and where a file departs from it in a way that
+    /// can be worked with, the departure is listed in [`quirks`](Self::quirks).
     ///
-    /// Errors: [`FmiError::Description`] with a line for what is no model description, is dangerous (document type
-    /// definitions, bottomless nesting, model identifiers with path separators) or cannot be worked with;
-    /// [`FmiError::UnknownVersion`] for versions other than 1, 2 and 3.
+    /// Errors: [`FmiError::Description`] with a line for what is no model description, is dangerous (document
+    /// type definitions, bottomless nesting, model identifiers with path separators) or cannot be worked
+    /// with; [`FmiError::UnknownVersion`] for versions other than 1, 2 and 3.
     pub fn parse(bytes: &[u8]) -> Result<ModelDescription, FmiError> {
         parse(bytes.into(), &DescriptionLimits::default(), &Cancel::default()).and_then(checks::finish)
     }
@@ -49,14 +49,15 @@ impl ModelDescription {
         checks::require_conforming(&self.quirks)
     }
 
-    /// Number of continuous states: the elements of the derivatives in the model structure, where there is one; with
-    /// structural parameters at their start values.
+    /// Number of continuous states: the elements of the derivatives in the model structure, where there is
+    /// one; with structural parameters at their start values.
     pub fn n_states(&self) -> usize {
         Structure::default().states(self)
     }
 
-    /// Names of the variables that are continuous states, in the order of the state vector; `None` where the file does not tell.
-    /// Empty for FMI 1.0, where the FMU tells them when it runs ([`Instance::state_names`](crate::Instance::state_names)).
+    /// Names of the variables that are continuous states, in the order of the state vector; `None` where the
+    /// file does not tell. Empty for FMI 1.0, where the FMU tells them when it runs
+    /// ([`Instance::state_names`](crate::Instance::state_names)).
     pub fn state_names(&self) -> Vec<Option<&str>> {
         let derivatives = self.structure.derivatives.iter().map(|unknown| &self.variables[unknown.index]);
         derivatives.map(|v| v.derivative.map(|state| self.variables[state].name.as_str())).collect()

@@ -1,4 +1,5 @@
-//! Start values in the text of a `modelDescription.xml` are changed, and nothing else: all other bytes stay as they are.
+//! Start values in the text of a `modelDescription.xml` are changed, and nothing else: all other bytes stay
+//! as they are.
 
 use super::model::ModelDescription;
 use super::parse::encoding_of;
@@ -16,8 +17,8 @@ const MARK: char = '\u{feff}';
 /// The elements of FMI 1.0 and 2.0 that have the start value of a variable.
 const TYPES: [&str; 5] = ["Real", "Integer", "Boolean", "String", "Enumeration"];
 
-/// The document with other start values: of the variables at these positions of the list, as the file would have them. Where one of
-/// them has no `start`, it gets one.
+/// The document with other start values: of the variables at these positions of the list, as the file would
+/// have them. Where one of them has no `start`, it gets one.
 ///
 /// # Errors
 /// [`FmiError::Description`]: the document is not the one of the description, or its variables are not found in it.
@@ -99,7 +100,8 @@ fn edit(tag: &str, at: usize, text: &str) -> Option<(Range<usize>, String)> {
     Some((at + after_name..at + after_name, format!(" start=\"{text}\"")))
 }
 
-/// A document as text of which every byte is kept: of two-byte encodings the characters, else one character for each byte.
+/// A document as text of which every byte is kept: of two-byte encodings the characters, else one character
+/// for each byte.
 struct Text {
     encoding: &'static Encoding,
     /// True if a byte order mark comes before the text.

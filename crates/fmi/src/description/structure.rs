@@ -54,8 +54,8 @@ impl Structure {
         product.unwrap_or(usize::MAX)
     }
 
-    /// Refuses sizes with which the model has more elements than its limit: of all arrays together, of the states, of the
-    /// event indicators. The message names the array with which the sum passes it.
+    /// Refuses sizes with which the model has more elements than its limit: of all arrays together, of the
+    /// states, of the event indicators. The message names the array with which the sum passes it.
     pub(crate) fn check(&self, model: &ModelDescription) -> Result<(), (u32, String)> {
         let limit = model.most_elements;
         let refuse = |line, what: &str| {

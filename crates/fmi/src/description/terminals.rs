@@ -51,7 +51,7 @@ pub struct StreamMember {
 pub struct TerminalIcon {
     /// Name of the image in the folder `terminalsAndIcons/`.
     pub file: Option<String>,
-    /// Lower left and upper right corner in the coordinates of the model's icon: x1, y1, x2, y2; NaN where the file does not
-    /// say.
+    /// Lower left and upper right corner in the coordinates of the model's icon: x1, y1, x2, y2; NaN where
+    /// the file does not say.
     pub corners: [f64; 4],
 }

@@ -4,7 +4,8 @@ use super::clock::ClockTiming;
 use crate::value::{Value, VariableKind};
 use std::fmt;
 
-/// A variable of the model: one value, or an array of them. Attributes that a type definition supplies are already filled in.
+/// A variable of the model: one value, or an array of them. Attributes that a type definition supplies are
+/// already filled in.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Variable {
     /// Name, unique in the model.

@@ -1,5 +1,5 @@
-//! The version of the standard that a file follows, and what follows from it for its description and its files. The
-//! functions of a library are another matter: see `sys`.
+//! The version of the standard that a file follows, and what follows from it for its description and its
+//! files. The functions of a library are another matter: see `sys`.
 
 use crate::platform::FolderNames;
 use std::fmt;
@@ -39,7 +39,8 @@ impl FmiVersion {
         if self.major < 3 { FolderNames::SystemAndBits } else { FolderNames::ProcessorAndSystem }
     }
 
-    /// The macro that keeps the headers of the standard from putting the model identifier before the names of functions.
+    /// The macro that keeps the headers of the standard from putting the model identifier before the names of
+    /// functions.
     pub(crate) fn plain_names_macro(&self) -> String {
         format!("FMI{}_OVERRIDE_FUNCTION_PREFIX", self.major)
     }

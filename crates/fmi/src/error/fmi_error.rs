@@ -202,7 +202,8 @@ pub enum FmiError {
         /// The function.
         function: &'static str,
     },
-    /// A call of the instance's loaded library returned `Fatal`: the standard lets nothing of it be called after that.
+    /// A call of the instance's loaded library returned `Fatal`: the standard lets nothing of it be called
+    /// after that.
     #[error("{} is unusable since one of its calls returned fatal; new instances and simulations have a newly loaded copy", library.display())]
     LibraryUnusable {
         /// The library.
@@ -455,7 +456,8 @@ impl FmiError {
     }
 }
 
-/// Number of the system's error for more open files than a process may have, and the C library's words for it.
+/// Number of the system's error for more open files than a process may have, and the C library's words for
+/// it.
 const EMFILE: i32 = 24;
 const TOO_MANY_FILES: &str = "Too many open files";
 

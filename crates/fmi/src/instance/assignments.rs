@@ -1,4 +1,5 @@
-//! Values on their way into an FMU: names resolved, types and settability checked, sorted into one call per type.
+//! Values on their way into an FMU: names resolved, types and settability checked, sorted into one call per
+//! type.
 
 use super::integer_codec::{self, whole};
 use crate::description::{Causality, Initial, ModelDescription, Value, Variability, Variable, VariableKind};
@@ -16,8 +17,8 @@ pub(crate) fn resolve(description: &ModelDescription, name: &str) -> Result<usiz
     })
 }
 
-/// Converts a value to the variable's type: integers to reals, and reals that are whole numbers to integers. For an
-/// array the elements, of which there must be as many as `elements` says.
+/// Converts a value to the variable's type: integers to reals, and reals that are whole numbers to integers.
+/// For an array the elements, of which there must be as many as `elements` says.
 ///
 /// # Errors
 /// [`FmiError::WrongType`], and [`FmiError::NotFinite`] for NaN and infinities.
@@ -90,8 +91,8 @@ pub(crate) fn negate(value: Value) -> Value {
     }
 }
 
-/// Refuses variables that can never be set before a simulation, and says why
-/// (FMI 2.0.x, section 2.2.7: table of causality, variability and initial; section 3.2.2: when what may be set).
+/// Refuses variables that can never be set before a simulation, and says why (FMI 2.0.x, section 2.2.7: table
+/// of causality, variability and initial; section 3.2.2: when what may be set).
 pub(crate) fn check_settable_at_start(variable: &Variable) -> Result<(), FmiError> {
     let reason = if variable.causality == Causality::Independent {
         "it is the independent variable (time)"
@@ -124,7 +125,8 @@ pub(crate) fn check_settable_in_initialization(variable: &Variable) -> Result<()
     }
 }
 
-/// Refuses all but inputs and tunable parameters, which can be set in event mode and between communication points.
+/// Refuses all but inputs and tunable parameters, which can be set in event mode and between communication
+/// points.
 pub(crate) fn check_settable_when_discrete(
     variable: &Variable,
     reason: &'static str,

@@ -15,8 +15,9 @@ use std::time::Duration;
 pub struct StepOutcome {
     /// The model stands at the end of the step.
     pub complete: bool,
-    /// The time of the model after the step, if it says so: in FMI 3.0 (`lastSuccessfulTime`) always, else where the step is
-    /// not complete. After a complete step it may differ from the end of the step where the model has steps of its own.
+    /// The time of the model after the step, if it says so: in FMI 3.0 (`lastSuccessfulTime`) always, else
+    /// where the step is not complete. After a complete step it may differ from the end of the step where the
+    /// model has steps of its own.
     pub reached: Option<f64>,
     /// It stands there because it returned early (FMI 3.0): no more of the step is to be made.
     pub early: bool,
@@ -24,8 +25,8 @@ pub struct StepOutcome {
     pub terminate: bool,
     /// The model wants its events handled here: see [`Instance::handle_events`](Instance::handle_events).
     pub event: bool,
-    /// The step was cut short by a model that cannot say whether it wishes to end the simulation (FMI 1.0): if it makes
-    /// no further step of whatever length, it does.
+    /// The step was cut short by a model that cannot say whether it wishes to end the simulation (FMI 1.0):
+    /// if it makes no further step of whatever length, it does.
     pub may_have_ended: bool,
 }
 
@@ -33,8 +34,8 @@ pub struct StepOutcome {
 const POLL: Duration = Duration::from_micros(100);
 
 impl Core {
-    /// One communication step: time and length. A step that goes on in the background is waited for until `keep_waiting` gives an
-    /// error, and then cancelled.
+    /// One communication step: time and length. A step that goes on in the background is waited for until
+    /// `keep_waiting` gives an error, and then cancelled.
     pub(crate) fn do_step(
         &mut self,
         span: (f64, f64),
@@ -57,8 +58,8 @@ impl Core {
 }
 
 impl Core {
-    /// Lets the events of this instant happen, in event mode, and goes back to step mode unless the model ends the
-    /// simulation.
+    /// Lets the events of this instant happen, in event mode, and goes back to step mode unless the model
+    /// ends the simulation.
     pub(crate) fn run_event_mode(
         &mut self,
         time: f64,
@@ -92,7 +93,8 @@ impl Instance<Initialization, CoSimulation> {
         Ok(instance)
     }
 
-    /// Ends the initialization; where there is an event mode the instance is in it, and its initial events are to come.
+    /// Ends the initialization; where there is an event mode the instance is in it, and its initial events
+    /// are to come.
     pub(crate) fn leave_initialization(self) -> Result<Instance<StepMode, CoSimulation>, FmiError> {
         self.step_to(RawInstance::exit_initialization)
     }
@@ -120,7 +122,8 @@ impl Instance<StepMode, CoSimulation> {
     /// Sets the first derivatives of real inputs with respect to time, for the next step.
     ///
     /// # Errors
-    /// The slices differ in length, a reference is not that of a variable of type Real; the FMU cannot, or refuses.
+    /// The slices differ in length, a reference is not that of a variable of type Real; the FMU cannot, or
+    /// refuses.
     pub fn set_input_derivatives(&mut self, references: &[u32], values: &[f64]) -> Result<(), FmiError> {
         self.core().check_reals("set_input_derivatives", references, values.len())?;
         self.core().call(|raw| raw.set_input_derivatives(references, values))

@@ -1,4 +1,5 @@
-//! The part of an instance that does not change with the phase: values, sizes, and the words for what goes wrong.
+//! The part of an instance that does not change with the phase: values, sizes, and the words for what goes
+//! wrong.
 
 use super::assignments::{self, Assignments};
 use super::integer_codec;
@@ -113,8 +114,8 @@ impl Core {
         Ok(())
     }
 
-    /// Gives structural parameters their values (in configuration mode, before everything else), and makes the sizes of
-    /// the model's vectors those that follow.
+    /// Gives structural parameters their values (in configuration mode, before everything else), and makes
+    /// the sizes of the model's vectors those that follow.
     pub(crate) fn configure(&mut self, values: &Assignments, structure: &Structure) -> Result<(), FmiError> {
         if !values.is_empty() {
             self.call(RawInstance::enter_configuration)?;
@@ -161,8 +162,9 @@ impl Core {
             .map_err(|fault| self.error_about(fault, references, |kind| kind == VariableKind::Real))
     }
 
-    /// Refuses value references that are not those of variables of type Real, and slices that do not have as many
-    /// elements as these have values: where a reference may stand for an array, only the description knows how many.
+    /// Refuses value references that are not those of variables of type Real, and slices that do not have as
+    /// many elements as these have values: where a reference may stand for an array, only the description
+    /// knows how many.
     #[inline]
     pub(crate) fn check_reals(
         &self,

@@ -1,7 +1,8 @@
-//! Numbers other than 64-bit floating point on their way to and from FMUs: all of them travel in words of 64 bits.
+//! Numbers other than 64-bit floating point on their way to and from FMUs: all of them travel in words of 64
+//! bits.
 //!
-//! Integers keep their sign, `UInt64` its bits, Booleans and clocks are 0 and 1, `Float32` travels as the bits of the
-//! equal `f64`.
+//! Integers keep their sign, `UInt64` its bits, Booleans and clocks are 0 and 1, `Float32` travels as the
+//! bits of the equal `f64`.
 
 use crate::description::{Value, Variable, VariableKind};
 

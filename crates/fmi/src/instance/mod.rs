@@ -1,4 +1,5 @@
-//! Instances of a model and the phases of their lives; each phase is a type, and has the calls that FMI allows in it.
+//! Instances of a model and the phases of their lives; each phase is a type, and has the calls that FMI
+//! allows in it.
 
 pub(crate) mod assignments;
 mod clocks;

@@ -10,9 +10,10 @@ use ode::EventOutcome;
 pub const MAX_EVENT_ITERATIONS: u32 = 100;
 
 impl Core {
-    /// Updates the discrete states until they settle. What the model says in any of the rounds counts: flags of
-    /// early rounds are not lost. A next event time that is `time` itself is one more round; one that lies before
-    /// `time` by more than `tolerance` is passed on. `before_round` looks at the model, and may end the iteration.
+    /// Updates the discrete states until they settle. What the model says in any of the rounds counts: flags
+    /// of early rounds are not lost. A next event time that is `time` itself is one more round; one that lies
+    /// before `time` by more than `tolerance` is passed on. `before_round` looks at the model, and may end
+    /// the iteration.
     pub(crate) fn iterate_events(
         &mut self,
         time: f64,
@@ -42,8 +43,9 @@ impl Core {
 }
 
 impl<P: Readable> Instance<P> {
-    /// Names of the continuous states, in the order of the state vector; `None` for those that are no variables. In FMI 1.0 the FMU is asked (`fmiGetStateValueReferences`), and may answer otherwise
-    /// after an event; in the others the description says it.
+    /// Names of the continuous states, in the order of the state vector; `None` for those that are no
+    /// variables. In FMI 1.0 the FMU is asked (`fmiGetStateValueReferences`), and may answer otherwise after
+    /// an event; in the others the description says it.
     ///
     /// # Errors
     /// The FMU refuses, or has no such function.
@@ -129,7 +131,8 @@ impl Instance<ContinuousTime> {
         self.core().call(|raw| raw.set_continuous_states(states))
     }
 
-    /// Sets time and states, and computes the derivatives: what an integrator wants, in one go. Inputs stay as they are.
+    /// Sets time and states, and computes the derivatives: what an integrator wants, in one go. Inputs stay
+    /// as they are.
     ///
     /// # Errors
     /// A slice has not the length of the state vector; the FMU refuses.
@@ -150,8 +153,8 @@ impl Instance<ContinuousTime> {
         self.core().call(|raw| raw.get_derivatives(derivatives))
     }
 
-    /// Says that a step has been completed, and that the instance will not be taken back behind it. Returns whether the
-    /// model wants to enter event mode, and whether it wants to end the simulation.
+    /// Says that a step has been completed, and that the instance will not be taken back behind it. Returns
+    /// whether the model wants to enter event mode, and whether it wants to end the simulation.
     ///
     /// # Errors
     /// The FMU refuses.

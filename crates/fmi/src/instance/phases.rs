@@ -12,11 +12,11 @@ use std::sync::Arc;
 
 /// A live instance of an FMU in the phase `P`, for model exchange or co-simulation.
 ///
-/// An instance can be moved to another thread but not shared ([`Send`], not `Sync`). Changing the phase takes the
-/// instance and returns it in its new phase; when the FMU answers with an error, the instance is freed (after `fatal` it
-/// is abandoned: FMI forbids even freeing it), and the error has the FMU's last log lines. After another call has returned
-/// `error`, all further ones are refused with [`FmiError::AfterError`] but [`reset`](Instance::reset) and
-/// [`restore_state`](Instance::restore_state).
+/// An instance can be moved to another thread but not shared ([`Send`], not `Sync`). Changing the phase takes
+/// the instance and returns it in its new phase; when the FMU answers with an error, the instance is freed
+/// (after `fatal` it is abandoned: FMI forbids even freeing it), and the error has the FMU's last log lines.
+/// After another call has returned `error`, all further ones are refused with [`FmiError::AfterError`] but
+/// [`reset`](Instance::reset) and [`restore_state`](Instance::restore_state).
 #[derive(Debug)]
 pub struct Instance<P, K = ModelExchange> {
     core: Box<Core>,
@@ -134,8 +134,8 @@ impl Phase for Reconfiguration {
 }
 phase!(Terminated, |v| Err(assignments::not_settable(v, "the simulation has ended")));
 
-/// A saved state of an instance, to be brought back by the same instance. When it is dropped, its memory is used for the
-/// next saved state; the instance frees it at its end.
+/// A saved state of an instance, to be brought back by the same instance. When it is dropped, its memory is
+/// used for the next saved state; the instance frees it at its end.
 #[derive(Debug)]
 pub struct SavedState {
     slot: SavedSlot,
@@ -181,8 +181,8 @@ impl<P, K> Instance<P, K> {
         &self.core.fmu
     }
 
-    /// The last lines the FMU logged, oldest first, and the number of others that were not kept: earlier ones, and those
-    /// beyond the rate limit (see [`InstanceOptions`](crate::InstanceOptions)).
+    /// The last lines the FMU logged, oldest first, and the number of others that were not kept: earlier
+    /// ones, and those beyond the rate limit (see [`InstanceOptions`](crate::InstanceOptions)).
     pub fn log(&self) -> (Vec<LogLine>, u64) {
         let (mut lines, dropped) = self.core.raw.log();
         for line in &mut lines {
@@ -216,11 +216,13 @@ impl<P, K> Instance<P, K> {
     }
 
     /// Switches the FMU's logging on for these categories, by their names in
-    /// [`ModelDescription::log_categories`](crate::ModelDescription::log_categories); lines of others are kept only if their
-    /// status is not ok. FMI 1.0 knows no categories in advance: the FMU logs all, and any name will do.
+    /// [`ModelDescription::log_categories`](crate::ModelDescription::log_categories); lines of others are
+    /// kept only if their status is not ok. FMI 1.0 knows no categories in advance: the FMU logs all, and any
+    /// name will do.
     ///
     /// # Errors
-    /// [`FmiError::BadSetting`] for a category that the description does not have; the FMU refuses, or has no such function.
+    /// [`FmiError::BadSetting`] for a category that the description does not have; the FMU refuses, or has no
+    /// such function.
     pub fn log_categories<S: AsRef<str>>(&mut self, categories: &[S]) -> Result<(), FmiError> {
         let categories: Vec<String> = categories.iter().map(|name| name.as_ref().to_owned()).collect();
         self.core.set_logging(true, &categories)
@@ -278,11 +280,12 @@ impl<P: Readable, K> Instance<P, K> {
             .map_err(|fault| self.core.error_about(fault, references, |kind| kind == VariableKind::Real))
     }
 
-    /// The derivative of `unknowns` in the direction `seed` of the space of `knowns` (value references of reals; an array has as
-    /// many elements in `seed` or `sensitivity` as it has values).
+    /// The derivative of `unknowns` in the direction `seed` of the space of `knowns` (value references of
+    /// reals; an array has as many elements in `seed` or `sensitivity` as it has values).
     ///
     /// # Errors
-    /// The slices differ in length, a reference is not that of a variable of type Real; the FMU cannot, or refuses.
+    /// The slices differ in length, a reference is not that of a variable of type Real; the FMU cannot, or
+    /// refuses.
     pub fn directional_derivative(
         &mut self,
         unknowns: &[u32],
@@ -295,8 +298,8 @@ impl<P: Readable, K> Instance<P, K> {
         self.core.call(|raw| raw.directional_derivative(Direction { unknowns, knowns, seed }, sensitivity))
     }
 
-    /// The derivative of the sum of `unknowns`, weighted with `seed`, with respect to each of `knowns` (FMI 3.0: the product of
-    /// `seed` with the Jacobian, from the left).
+    /// The derivative of the sum of `unknowns`, weighted with `seed`, with respect to each of `knowns` (FMI
+    /// 3.0: the product of `seed` with the Jacobian, from the left).
     ///
     /// # Errors
     /// As [`directional_derivative`](Self::directional_derivative).
@@ -315,7 +318,8 @@ impl<P: Readable, K> Instance<P, K> {
     /// Dependencies of a variable with the present structural parameters, element by element (FMI 3.0).
     ///
     /// # Errors
-    /// There is no such variable; the FMU cannot, refuses, or names a kind of dependency that the standard does not know.
+    /// There is no such variable; the FMU cannot, refuses, or names a kind of dependency that the standard
+    /// does not know.
     pub fn variable_dependencies(&mut self, name: &str) -> Result<Vec<ElementDependency>, FmiError> {
         let index = assignments::resolve(self.core.fmu.description(), name)?;
         let reference = self.core.fmu.description().variables[index].value_reference;
@@ -327,8 +331,8 @@ impl<P: Phase, K> Instance<P, K> {
     /// Sets a variable.
     ///
     /// # Errors
-    /// There is no such variable, the value has the wrong type or is not finite, the variable cannot be set in this
-    /// phase, or the FMU refuses.
+    /// There is no such variable, the value has the wrong type or is not finite, the variable cannot be set
+    /// in this phase, or the FMU refuses.
     pub fn set(&mut self, name: &str, value: impl Into<Value>) -> Result<(), FmiError> {
         let fmu = self.core.fmu.clone();
         let index = assignments::resolve(fmu.description(), name)?;
@@ -359,8 +363,8 @@ impl<P: Phase, K> Instance<P, K> {
     /// Brings back a state saved by this instance **in the same phase**.
     ///
     /// # Errors
-    /// [`FmiError::ForeignState`] for a state of another instance, [`FmiError::StateOfAnotherPhase`]; the FMU cannot, or
-    /// refuses.
+    /// [`FmiError::ForeignState`] for a state of another instance, [`FmiError::StateOfAnotherPhase`]; the FMU
+    /// cannot, or refuses.
     pub fn restore_state(&mut self, state: &SavedState) -> Result<(), FmiError> {
         self.check_own(state)?;
         let now = phase_name::<P>();
@@ -402,7 +406,8 @@ impl<K> Instance<Instantiated, K> {
         self.enter_initialization_mode()
     }
 
-    /// Tells the model about the experiment. Some models make their data in this call (FMI 2.0), so values are set after it.
+    /// Tells the model about the experiment. Some models make their data in this call (FMI 2.0), so values
+    /// are set after it.
     pub(crate) fn set_up_experiment(
         &mut self,
         start: f64,

@@ -1,5 +1,5 @@
-//! Reconfiguration: the structural parameters of a running instance, and with them the sizes of its arrays, are changed
-//! (FMI 3.0.x, sections 2.3.1 and 2.3.8).
+//! Reconfiguration: the structural parameters of a running instance, and with them the sizes of its arrays,
+//! are changed (FMI 3.0.x, sections 2.3.1 and 2.3.8).
 
 use super::assignments::check_settable_in_reconfiguration;
 use super::phases::{CoSimulation, EventMode, Instance, ModelExchange, Reconfiguration, StepMode};
@@ -31,8 +31,8 @@ impl Instance<EventMode, ModelExchange> {
 }
 
 impl Instance<Reconfiguration, ModelExchange> {
-    /// Goes back to event mode. The vectors of states and indicators have the lengths that follow from the structural
-    /// parameters now.
+    /// Goes back to event mode. The vectors of states and indicators have the lengths that follow from the
+    /// structural parameters now.
     ///
     /// # Errors
     /// The FMU refuses, or has other sizes than its description promises.

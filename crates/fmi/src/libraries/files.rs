@@ -1,5 +1,5 @@
-//! The files of a private copy of a library: a file of its own, for which the loader makes static variables of its own, and around
-//! it what the library may look for from where it lies.
+//! The files of a private copy of a library: a file of its own, for which the loader makes static variables
+//! of its own, and around it what the library may look for from where it lies.
 
 use super::source::Source;
 use crate::archive::PrivateFolder;
@@ -8,8 +8,8 @@ use crate::platform::{self, BinaryHeader, check_length};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Copies the library into a folder of its own; its path there, and the folder. Blocks are shared where the file system can
-/// ([`fs::copy`] clones).
+/// Copies the library into a folder of its own; its path there, and the folder. Blocks are shared where the
+/// file system can ([`fs::copy`] clones).
 ///
 /// # Errors
 /// The system refuses; the library was written over since it was loaded first.
@@ -57,8 +57,8 @@ fn fill(source: &Source, root: &Path) -> Result<PathBuf, FmiError> {
     Ok(path)
 }
 
-/// Places what lies beside the library beside its copy: libraries as copies, which the loader takes for others when they are
-/// opened by their paths; the rest as links, or copies where links cannot be made.
+/// Places what lies beside the library beside its copy: libraries as copies, which the loader takes for
+/// others when they are opened by their paths; the rest as links, or copies where links cannot be made.
 fn place_beside(library: &Path, target: &Path) -> Result<(), FmiError> {
     let beside = library.parent().unwrap_or(Path::new(""));
     let entries = fs::read_dir(beside).map_err(FmiError::io("list", beside))?;

@@ -13,7 +13,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// Owner that keeps the folder of a copy on the disk.
 pub(super) type FolderOwner = Arc<dyn Any + Send + Sync>;
 
-/// A variable that runs set: whether before the initialization (or in it, and later), its type, its reference.
+/// A variable that runs set: whether before the initialization (or in it, and later), its type, its
+/// reference.
 pub(crate) type Setting = (bool, VariableKind, u32);
 
 /// A loaded copy of a library.
@@ -35,7 +36,8 @@ impl std::fmt::Debug for LoadedLibrary {
 }
 
 impl LoadedLibrary {
-    /// A copy that is not loaded yet: of the file in a folder of its own, or the file itself, where nobody else has `owner`'s folder.
+    /// A copy that is not loaded yet: of the file in a folder of its own, or the file itself, where nobody
+    /// else has `owner`'s folder.
     ///
     /// # Errors
     /// The file cannot be copied.

@@ -1,10 +1,12 @@
-//! The loaded libraries of an open FMU, which nobody else has: private copies of its files, loaded when they are first needed.
+//! The loaded libraries of an open FMU, which nobody else has: private copies of its files, loaded when they
+//! are first needed.
 //!
-//! Some tools keep parameters in static variables, which neither reset nor a new instance renews (Simulink): so a simulator has a copy
-//! in which nothing was set that it does not set, and instances made by hand have one of theirs.
+//! Some tools keep parameters in static variables, which neither reset nor a new instance renews (Simulink):
+//! so a simulator has a copy in which nothing was set that it does not set, and instances made by hand have
+//! one of theirs.
 //!
-//! With the FMU a copy is unloaded, where its file shows that nothing of it can be called later; others are kept for as long as
-//! the process lives, and whoever opens an FMU of the same content next has them.
+//! With the FMU a copy is unloaded, where its file shows that nothing of it can be called later; others are
+//! kept for as long as the process lives, and whoever opens an FMU of the same content next has them.
 
 mod files;
 mod loaded;
@@ -84,8 +86,8 @@ impl Libraries {
         lock(&self.verdicts[kind as usize])
     }
 
-    /// A loaded copy of the library. Where another thread is making one, waits as long as `wait` (asked every 20 ms) says so. No lock is
-    /// held meanwhile.
+    /// A loaded copy of the library. Where another thread is making one, waits as long as `wait` (asked every
+    /// 20 ms) says so. No lock is held meanwhile.
     ///
     /// # Errors
     /// Those of the maker; the file cannot be copied; [`FmiError::Cancelled`].
@@ -124,8 +126,8 @@ impl Libraries {
         Ok(library)
     }
 
-    /// A loaded copy that serves, the one in which most of the settings were set before. One that nobody uses and that does not serve
-    /// goes, if it can be unloaded.
+    /// A loaded copy that serves, the one in which most of the settings were set before. One that nobody uses
+    /// and that does not serve goes, if it can be unloaded.
     fn find(
         &self,
         source: &Arc<Source>,

@@ -29,15 +29,15 @@ impl Verdict {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum Reuse {
-    /// By restoring the state saved when the instance was new (model exchange, FMUs that can save states): it was seen to restore
-    /// everything, bit for bit. All values are set again afterwards, and read back.
+    /// By restoring the state saved when the instance was new (model exchange, FMUs that can save states): it
+    /// was seen to restore everything, bit for bit. All values are set again afterwards, and read back.
     Restore,
     /// By the FMU's reset function: it was seen to restore everything, bit for bit.
     Reset,
     /// By a new instance for every simulation: nothing else is offered, or it fails, or it leaves traces.
     Reinstantiate,
-    /// By a new process for every simulation: the model keeps a state outside of its instances. Where simulations are made in this
-    /// process, each has a new instance, and results may depend on earlier ones.
+    /// By a new process for every simulation: the model keeps a state outside of its instances. Where
+    /// simulations are made in this process, each has a new instance, and results may depend on earlier ones.
     NewProcess,
 }
 

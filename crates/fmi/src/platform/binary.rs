@@ -1,4 +1,5 @@
-//! Headers of shared libraries: which operating system and which processors they are made for, and how long their files are.
+//! Headers of shared libraries: which operating system and which processors they are made for, and how long
+//! their files are.
 
 use crate::error::FmiError;
 use base::files::open_regular;
@@ -135,8 +136,9 @@ impl fmt::Display for BinaryHeader {
     }
 }
 
-/// Refuses a file that is shorter than its ELF headers say. The loader maps the segments without looking at the length, and the first
-/// access beyond the end of the file ends the process (SIGBUS). The loaders of Windows and macOS look for themselves.
+/// Refuses a file that is shorter than its ELF headers say. The loader maps the segments without looking at
+/// the length, and the first access beyond the end of the file ends the process (SIGBUS). The loaders of
+/// Windows and macOS look for themselves.
 ///
 /// # Errors
 /// [`FmiError::LoadFailed`] with both lengths; the file cannot be read.
@@ -162,7 +164,8 @@ pub(crate) fn check_length(library: &Path) -> Result<(), FmiError> {
     Err(FmiError::LoadFailed { library: library.to_owned(), message })
 }
 
-/// Where the segments that are mapped end in the file, and the dynamic section (System V ABI, chapter 5); `None`: the headers are not all there.
+/// Where the segments that are mapped end in the file, and the dynamic section (System V ABI, chapter 5);
+/// `None`: the headers are not all there.
 fn mapped_length<'data, Elf: FileHeader<Endian = Endianness>, R: ReadRef<'data>>(data: R) -> Option<u64> {
     let header = Elf::parse(data).ok()?;
     let endian = header.endian().ok()?;

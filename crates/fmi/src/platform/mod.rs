@@ -1,5 +1,5 @@
-//! Everything that differs between operating systems and processors: names of folders and libraries, headers of shared
-//! libraries, what tells one file from another, memory that is left.
+//! Everything that differs between operating systems and processors: names of folders and libraries, headers
+//! of shared libraries, what tells one file from another, memory that is left.
 
 mod binary;
 mod find_binary;

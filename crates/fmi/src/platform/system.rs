@@ -122,8 +122,9 @@ pub(crate) fn own_file() -> io::Result<File> {
     tempfile::tempfile()
 }
 
-/// Takes the right to write into a folder from the user's group, and refuses a folder that everybody may write into or
-/// that belongs to somebody else than `own`, a file of this user: others may have put something there.
+/// Takes the right to write into a folder from the user's group, and refuses a folder that everybody may
+/// write into or that belongs to somebody else than `own`, a file of this user: others may have put something
+/// there.
 pub(crate) fn keep_others_out(folder: &Path, own: &File) -> io::Result<()> {
     #[cfg(unix)]
     {
@@ -145,8 +146,9 @@ pub(crate) fn keep_others_out(folder: &Path, own: &File) -> io::Result<()> {
 pub(crate) const C_COMPILERS: &[&str] = &["cc", "gcc", "clang"];
 
 /// Options that make a C compiler write a shared library. Floating-point arithmetic stays as the standard
-/// says: contraction to fused operations would make results depend on the processor. Without assertions, as tools compile the
-/// libraries that they deliver: one that does not hold ends the process (seen in the reset function of Dymola's sources).
+/// says: contraction to fused operations would make results depend on the processor. Without assertions, as
+/// tools compile the libraries that they deliver: one that does not hold ends the process (seen in the reset
+/// function of Dymola's sources).
 pub(crate) fn shared_library_options() -> &'static [&'static str] {
     if cfg!(windows) {
         &["-O2", "-DNDEBUG", "-shared", "-ffp-contract=off"]
@@ -219,8 +221,8 @@ pub(crate) fn make_executable(file: &File) -> io::Result<()> {
     Ok(())
 }
 
-/// A text without the places of private folders of this library, which differ from process to process: paths of files in them
-/// begin inside of the FMU.
+/// A text without the places of private folders of this library, which differ from process to process: paths
+/// of files in them begin inside of the FMU.
 pub fn without_private_folders(text: &str) -> String {
     let base = unpack_base().join(PRIVATE_PREFIX).display().to_string();
     let mut out = String::with_capacity(text.len());

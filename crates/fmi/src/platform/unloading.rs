@@ -17,8 +17,9 @@ const C_LIBRARIES: [&str; 8] = [
     "ld-linux",
 ];
 
-/// Functions and variables of the C library after whose use code of the caller may be run, or its memory be read or written, when its
-/// instances are gone. What `atexit` registers for a library is run when it is unloaded (Itanium C++ ABI, 3.3.6.3).
+/// Functions and variables of the C library after whose use code of the caller may be run, or its memory be
+/// read or written, when its instances are gone. What `atexit` registers for a library is run when it is
+/// unloaded (Itanium C++ ABI, 3.3.6.3).
 #[rustfmt::skip]
 const KEEPING: &[&str] = &[
     // Threads.

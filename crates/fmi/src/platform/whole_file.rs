@@ -5,11 +5,13 @@ use base::files::Unfinished;
 use std::fs::File;
 use std::path::Path;
 
-/// Writes a file in one step, as [`Unfinished`] says. `fill` writes to a temporary file, of which it gets the path as well; where it
-/// succeeds, that file takes the place `out`. Else nothing stays, and a file that was there before is left as it was.
+/// Writes a file in one step, as [`Unfinished`] says. `fill` writes to a temporary file, of which it gets the
+/// path as well; where it succeeds, that file takes the place `out`. Else nothing stays, and a file that was
+/// there before is left as it was.
 ///
 /// # Errors
-/// Those of `fill`; [`FmiError::Io`] for what the system refuses: the folder is not there or not writable, `out` is a folder or read-only.
+/// Those of `fill`; [`FmiError::Io`] for what the system refuses: the folder is not there or not writable,
+/// `out` is a folder or read-only.
 pub fn write_whole<E: From<FmiError>>(
     out: &Path,
     fill: impl FnOnce(&File, &Path) -> Result<(), E>,

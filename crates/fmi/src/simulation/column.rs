@@ -1,4 +1,5 @@
-//! One input as a table: linear between its rows or held from one to the next, and the instants where it is not smooth.
+//! One input as a table: linear between its rows or held from one to the next, and the instants where it is
+//! not smooth.
 
 use crate::description::VariableKind;
 use crate::instance::integer_codec;

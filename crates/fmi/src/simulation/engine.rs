@@ -38,7 +38,8 @@ impl Engine {
         }
     }
 
-    /// Brings a fresh instance to the start, with the start values of the plan or others for the same variables.
+    /// Brings a fresh instance to the start, with the start values of the plan or others for the same
+    /// variables.
     pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<(), FmiError> {
         note_run();
         match self {

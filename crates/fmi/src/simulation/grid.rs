@@ -92,7 +92,8 @@ fn setting(problem: String) -> FmiError {
     FmiError::BadSetting { problem }
 }
 
-/// `n` equal intervals: `start + k h`, never a sum, and the end itself; fewer where the rows could not be told apart.
+/// `n` equal intervals: `start + k h`, never a sum, and the end itself; fewer where the rows could not be
+/// told apart.
 fn uniform(start: f64, end: f64, time_tolerance: f64, n: usize) -> Result<Vec<f64>, FmiError> {
     if start == end {
         return Ok(vec![start]);

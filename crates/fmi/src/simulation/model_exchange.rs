@@ -20,8 +20,8 @@ use std::sync::Arc;
 #[derive(Debug)]
 pub(crate) struct System {
     pub(crate) running: Running,
-    /// The continuous inputs as the FMU has them; none while that is not known. FMUs may allow an input to be set only
-    /// once at an instant (FMI 2.0.x, section 2.2.7, `canHandleMultipleSetPerTimeInstant`).
+    /// The continuous inputs as the FMU has them; none while that is not known. FMUs may allow an input to be
+    /// set only once at an instant (FMI 2.0.x, section 2.2.7, `canHandleMultipleSetPerTimeInstant`).
     sent: Vec<f64>,
     /// The point last set in the FMU, as far as that is known.
     set_time: Option<f64>,
@@ -37,13 +37,13 @@ pub(crate) struct System {
     /// The derivatives were computed at the point last set.
     is_evaluated: bool,
     freshness: Freshness,
-    /// Time of the last event as the model saw it: a rounding error later than the driver's at most, and never gone back
-    /// behind.
+    /// Time of the last event as the model saw it: a rounding error later than the driver's at most, and
+    /// never gone back behind.
     floor: f64,
 }
 
-/// Samples at which a model has to answer the same with and without the derivatives computed before, while something has
-/// changed since the sample before, to be trusted in the rest of the run.
+/// Samples at which a model has to answer the same with and without the derivatives computed before, while
+/// something has changed since the sample before, to be trusted in the rest of the run.
 const GOOD_SAMPLES: u32 = 8;
 
 /// Time at which the model computes its variables: when they are read, as the standard demands, or only
@@ -153,8 +153,8 @@ impl System {
         Ok(())
     }
 
-    /// Makes a raw call that sets time and states itself, where both are to be set and there are no continuous inputs. `false`: they
-    /// are not, or there are.
+    /// Makes a raw call that sets time and states itself, where both are to be set and there are no
+    /// continuous inputs. `false`: they are not, or there are.
     #[inline]
     fn at_new_point(
         &mut self,
@@ -229,8 +229,8 @@ impl System {
         Ok(())
     }
 
-    /// Computes the derivatives at the point last set, for what the model computes along with them. A point without
-    /// derivatives is none to compare at.
+    /// Computes the derivatives at the point last set, for what the model computes along with them. A point
+    /// without derivatives is none to compare at.
     fn evaluate(&mut self) -> CallResult<()> {
         let Self { running, unused, .. } = self;
         match running.current.call(|raw| raw.get_derivatives(unused)) {

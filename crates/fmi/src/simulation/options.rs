@@ -20,8 +20,9 @@ pub const DEFAULT_TOLERANCE: f64 = 1e-6;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BetweenSteps {
-    /// Continuous variables are interpolated linearly between the steps on both sides (where the model tells derivatives of its
-    /// outputs, along the parabola that has that at the later one), others have the value of the step before.
+    /// Continuous variables are interpolated linearly between the steps on both sides (where the model tells
+    /// derivatives of its outputs, along the parabola that has that at the later one), others have the value
+    /// of the step before.
     #[default]
     Interpolate,
     /// The simulation is refused.
@@ -53,25 +54,28 @@ pub struct SimulateOptions {
     pub start_time: Option<f64>,
     /// Final time; default: that of the default experiment, else the last of `times`, else an error.
     pub final_time: Option<f64>,
-    /// The times of the rows, ascending. A time listed twice gives the limit from the left, then that from the right.
-    /// Co-simulations without event mode have the former only: rows are read before the inputs of the next communication
-    /// step are set, so that what follows an input directly, and the input itself, are those of the step before.
-    /// At most one of `times`, `output_interval` and `ncp`; without any there are 500 intervals.
+    /// The times of the rows, ascending. A time listed twice gives the limit from the left, then that from
+    /// the right. Co-simulations without event mode have the former only: rows are read before the inputs of
+    /// the next communication step are set, so that what follows an input directly, and the input itself, are
+    /// those of the step before. At most one of `times`, `output_interval` and `ncp`; without any there are
+    /// 500 intervals.
     pub times: Option<Vec<f64>>,
     /// Distance of the rows; the last row is at the final time.
     pub output_interval: Option<f64>,
     /// Number of intervals between the rows.
     pub ncp: Option<usize>,
-    /// Values for parameters and variables with a start value, set before the initialization. Of several for one
-    /// variable the last counts.
+    /// Values for parameters and variables with a start value, set before the initialization. Of several for
+    /// one variable the last counts.
     pub start_values: Vec<(String, Value)>,
-    /// Intervals between the ticks of clocks (FMI 3.0): for input clocks whose intervals are fixed or tunable.
+    /// Intervals between the ticks of clocks (FMI 3.0): for input clocks whose intervals are fixed or
+    /// tunable.
     pub clock_intervals: Vec<(String, Interval)>,
     /// Real variables whose values are given anew at each run.
     pub parameters: Vec<String>,
-    /// Variables to record: names; elements of arrays (`name[2,1]`, counted from 1); patterns, in which `*` stands for any
-    /// characters and `?` for one; `all` for everything that is a number. Default: the variables of causality output and
-    /// the states, or where there are neither, all variables that change. Time is always there.
+    /// Variables to record: names; elements of arrays (`name[2,1]`, counted from 1); patterns, in which `*`
+    /// stands for any characters and `?` for one; `all` for everything that is a number. Default: the
+    /// variables of causality output and the states, or where there are neither, all variables that change.
+    /// Time is always there.
     pub outputs: Option<Vec<String>>,
     /// Time-varying inputs.
     pub inputs: Option<Inputs>,
@@ -80,16 +84,17 @@ pub struct SimulateOptions {
     /// held over each step, as with `Some(false)` and in most other tools, are less accurate, by an error of
     /// the order of the step.
     pub input_derivatives: Option<bool>,
-    /// Relative tolerance; default: that of the default experiment, else 1e-6. The model is told of it where it is given here or there: a
-    /// co-simulation has a default of its own.
+    /// Relative tolerance; default: that of the default experiment, else 1e-6. The model is told of it where
+    /// it is given here or there: a co-simulation has a default of its own.
     pub relative_tolerance: Option<f64>,
     /// Interface that runs the model.
     pub kind: Kind,
     /// Integration method (model exchange).
     pub method: Method,
-    /// Model exchange: step of the fixed-step methods; default: a 500th of the span. Co-simulation: the communication
-    /// step; default: that of the default experiment, else the distance of the rows. Where the model takes steps of any length,
-    /// there are further communication points at the rows and wherever an input jumps or changes its slope.
+    /// Model exchange: step of the fixed-step methods; default: a 500th of the span. Co-simulation: the
+    /// communication step; default: that of the default experiment, else the distance of the rows. Where the
+    /// model takes steps of any length, there are further communication points at the rows and wherever an
+    /// input jumps or changes its slope.
     pub step_size: Option<f64>,
     /// Rows between the steps of a co-simulation that cannot stop there; default: interpolated.
     pub between_steps: BetweenSteps,

@@ -5,7 +5,8 @@ use std::cell::RefCell;
 use std::fmt;
 use std::ops::ControlFlow;
 
-/// The observer of a run, shared by whatever makes its steps and the model's event iterations, with the flag and the limit of time.
+/// The observer of a run, shared by whatever makes its steps and the model's event iterations, with the flag
+/// and the limit of time.
 pub(crate) struct Outside<'a> {
     observer: RefCell<&'a mut dyn Observer>,
     watch: Watch<'a>,
@@ -17,8 +18,8 @@ impl<'a> Outside<'a> {
         Self { observer: RefCell::new(observer), watch: Watch::new(options) }
     }
 
-    /// Looked at between two calls of the model, of which none takes long: before each step, each round of an event iteration,
-    /// each row inside of a step, and while a step is pending.
+    /// Looked at between two calls of the model, of which none takes long: before each step, each round of an
+    /// event iteration, each row inside of a step, and while a step is pending.
     ///
     /// # Errors
     /// The run is to end, and why.

@@ -123,7 +123,8 @@ impl Current {
         raw.ok().map(|(raw, _)| raw)
     }
 
-    /// Notes that the instance is not to be used again: a call failed, or an event iteration was ended from outside.
+    /// Notes that the instance is not to be used again: a call failed, or an event iteration was ended from
+    /// outside.
     pub(crate) fn fail(&mut self, error: FmiError) -> CallError {
         self.broken = true;
         match error {

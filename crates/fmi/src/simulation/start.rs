@@ -9,8 +9,9 @@ use crate::simulation::variable_elements::RunInput;
 use crate::sys::{InterfaceKind, RawInstance};
 
 impl Running {
-    /// Brings a fresh instance into initialization mode at the start time, with all that can be set there: the values of the
-    /// plan or others for the same variables. `stop`: the FMU is told that no step leads beyond it.
+    /// Brings a fresh instance into initialization mode at the start time, with all that can be set there:
+    /// the values of the plan or others for the same variables. `stop`: the FMU is told that no step leads
+    /// beyond it.
     ///
     /// # Errors
     /// The FMU refuses; an input function is not finite at the start time. There is no instance then.

@@ -19,9 +19,11 @@ pub struct Trajectory {
     pub time: Vec<f64>,
     /// Names of the columns.
     pub names: Vec<String>,
-    /// The columns. Integers and Booleans are numbers here (64-bit integers the nearest ones: see [`values`](Self::values)).
+    /// The columns. Integers and Booleans are numbers here (64-bit integers the nearest ones: see
+    /// [`values`](Self::values)).
     pub columns: Vec<Vec<f64>>,
-    /// The columns of what is more than a number: texts, binary variables, and once more, exactly, 64-bit integers.
+    /// The columns of what is more than a number: texts, binary variables, and once more, exactly, 64-bit
+    /// integers.
     pub values: Vec<ValueColumn>,
     /// The variables in the order in which they were asked for, and which columns are theirs.
     pub recorded: Vec<Recorded>,
@@ -39,8 +41,8 @@ pub struct Trajectory {
     pub end_time: f64,
 }
 
-/// A column of values that are not all numbers: one for each row, all of one type. A text or a binary value is kept once, in
-/// however many rows it stands.
+/// A column of values that are not all numbers: one for each row, all of one type. A text or a binary value
+/// is kept once, in however many rows it stands.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct ValueColumn {
@@ -181,7 +183,8 @@ impl<'a> Recorder<'a> {
         })
     }
 
-    /// Puts the trajectory together; the table has the values that numbers in columns without names stand for.
+    /// Puts the trajectory together; the table has the values that numbers in columns without names stand
+    /// for.
     pub(crate) fn finish(
         mut self,
         plan: &SimulationPlan,

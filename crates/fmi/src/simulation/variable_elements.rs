@@ -1,5 +1,5 @@
-//! Values that are given anew again and again, by variable or by element of an array: FMI sets arrays as a whole, so that
-//! what is not given keeps its start value.
+//! Values that are given anew again and again, by variable or by element of an array: FMI sets arrays as a
+//! whole, so that what is not given keeps its start value.
 
 use crate::description::{ModelDescription, Structure, Value, VariableKind};
 use crate::error::FmiError;
@@ -119,7 +119,8 @@ pub(crate) fn element_value(value: Value, element: Option<usize>) -> Value {
     }
 }
 
-/// Variables of one type for one call, and all their values: what a run writes before it sets them, and start values.
+/// Variables of one type for one call, and all their values: what a run writes before it sets them, and start
+/// values.
 #[derive(Debug, Clone)]
 pub(crate) struct Slots<T> {
     pub(crate) references: Vec<u32>,
@@ -234,7 +235,8 @@ impl FloatSlots {
 pub(crate) struct StartValues {
     /// Set before the initialization.
     pub(crate) early: Assignments,
-    /// Of inputs. The standard allows them before the initialization and in it; models are known that refuse them before.
+    /// Of inputs. The standard allows them before the initialization and in it; models are known that refuse
+    /// them before.
     pub(crate) inputs: Assignments,
 }
 

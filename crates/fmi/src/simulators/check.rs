@@ -1,4 +1,5 @@
-//! The check of the ways of bringing instances back: short runs on one instance against those on new ones, with other values in between.
+//! The check of the ways of bringing instances back: short runs on one instance against those on new ones,
+//! with other values in between.
 
 use super::first_run::FirstRun;
 use super::reset::reset;
@@ -124,7 +125,8 @@ struct Check<'a> {
 }
 
 impl Check<'_> {
-    /// Compares runs on new instances with each other, and with those on one that is brought back in the next way.
+    /// Compares runs on new instances with each other, and with those on one that is brought back in the next
+    /// way.
     ///
     /// # Errors
     /// The simulation is to end; there is no new instance to be had.
@@ -194,7 +196,8 @@ impl Check<'_> {
         }
     }
 
-    /// The first steps of a run of an instance that is new or was brought back. That it fails is part of what it shows.
+    /// The first steps of a run of an instance that is new or was brought back. That it fails is part of what
+    /// it shows.
     fn probe(
         &mut self,
         simulator: &mut Simulator,

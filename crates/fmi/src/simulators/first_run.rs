@@ -1,4 +1,5 @@
-//! A run on a new instance, with which those of a check are compared; when a check is due, and how long its runs are.
+//! A run on a new instance, with which those of a check are compared; when a check is due, and how long its
+//! runs are.
 
 use crate::simulation::digest::Digest;
 use crate::simulation::plan::SimulationPlan;

@@ -91,7 +91,8 @@ impl Fmu {
         self.instantiate_in(library, (kind, Some(settings)), &options)
     }
 
-    /// Makes an instance of either kind. Some models can be instantiated only so often in one loaded library: then another is loaded.
+    /// Makes an instance of either kind. Some models can be instantiated only so often in one loaded library:
+    /// then another is loaded.
     fn instantiate_in(
         &self,
         library: &mut Arc<LoadedLibrary>,

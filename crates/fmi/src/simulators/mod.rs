@@ -1,4 +1,5 @@
-//! A plan that is run many times in this process: one thread, one instance, brought back to its start between runs.
+//! A plan that is run many times in this process: one thread, one instance, brought back to its start between
+//! runs.
 
 mod check;
 mod first_run;

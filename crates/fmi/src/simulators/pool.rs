@@ -6,8 +6,8 @@ use crate::simulation::plan::SimulationPlan;
 use base::RunContext;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// A simulator of one plan for any number of threads, which use it one at a time; so they use all pools of one
-/// [`Fmu`](crate::Fmu) and its clones.
+/// A simulator of one plan for any number of threads, which use it one at a time; so they use all pools of
+/// one [`Fmu`](crate::Fmu) and its clones.
 #[derive(Debug)]
 pub struct Pool {
     plan: Arc<SimulationPlan>,
@@ -25,7 +25,8 @@ impl Pool {
         &self.plan
     }
 
-    /// Uses the simulator when nobody else does; the context is looked at every 20 ms until then. The wait counts in no time limit.
+    /// Uses the simulator when nobody else does; the context is looked at every 20 ms until then. The wait
+    /// counts in no time limit.
     ///
     /// # Errors
     /// Those of `work` and of [`Simulator::new`]; [`FmiError::Cancelled`].

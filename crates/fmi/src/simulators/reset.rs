@@ -10,7 +10,8 @@ use crate::simulation::running::no_instance;
 use crate::sys::{InterfaceKind, RawInstance};
 
 impl Simulator {
-    /// A new instance, or the last run's, brought back in a way that is known to be right; and whether it was used before.
+    /// A new instance, or the last run's, brought back in a way that is known to be right; and whether it was
+    /// used before.
     pub(super) fn fresh_instance(&mut self) -> Result<(RawInstance, bool), FmiError> {
         self.bring_back();
         match self.brought_back.take() {
@@ -35,7 +36,8 @@ impl Simulator {
         }
     }
 
-    /// A new instance, after the last one; where saved states bring instances back, with the state to bring back.
+    /// A new instance, after the last one; where saved states bring instances back, with the state to bring
+    /// back.
     pub(super) fn new_instance(&mut self) -> Result<RawInstance, FmiError> {
         self.new_instance_for(self.reuse())
     }
@@ -69,7 +71,8 @@ impl Simulator {
             && !fmu.verdict(kind).no_restore
     }
 
-    /// A way of bringing instances back was found not to work: the next one is taken from now on, and the quirks say why.
+    /// A way of bringing instances back was found not to work: the next one is taken from now on, and the
+    /// quirks say why.
     pub(super) fn give_up_reuse(&mut self, reuse: Reuse, reason: &str) {
         let (fmu, kind) = (self.plan.fmu(), self.plan.kind);
         let what = match reuse {

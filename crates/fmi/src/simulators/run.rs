@@ -192,8 +192,8 @@ impl Simulator {
         self.check_taken(parameters)
     }
 
-    /// Refuses a model that does not take the value of a parameter, on a new instance that does not have all values that it was given;
-    /// what another variable determines is a quirk.
+    /// Refuses a model that does not take the value of a parameter, on a new instance that does not have all
+    /// values that it was given; what another variable determines is a quirk.
     fn check_taken(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
         let plan = Arc::clone(&self.plan);
         let core = self.engine.running().current.core()?;

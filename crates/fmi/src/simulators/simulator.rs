@@ -17,17 +17,20 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Runs one plan over and over, each time from the start of the model: the same parameters give the same bits, whatever
-/// was run before. One thread at a time uses it ([`Send`], not `Sync`); when warm, a run allocates nothing.
+/// Runs one plan over and over, each time from the start of the model: the same parameters give the same
+/// bits, whatever was run before. One thread at a time uses it ([`Send`], not `Sync`); when warm, a run
+/// allocates nothing.
 ///
-/// All simulators and instances of an [`Fmu`](crate::Fmu) and its clones are in one loaded library, which nobody else has; one thread at a
-/// time is inside of it. A run waits until others are over, and its observer is polled meanwhile.
+/// All simulators and instances of an [`Fmu`](crate::Fmu) and its clones are in one loaded library, which
+/// nobody else has; one thread at a time is inside of it. A run waits until others are over, and its observer
+/// is polled meanwhile.
 ///
-/// Runs have new instances at first. When a tenth of the time that they took is enough to put a way of bringing an instance back to the
-/// test, that is done: the first steps must have the same bits as on a new instance, also after a run with other
-/// values, or the next way is tried later (see [`Reuse`](crate::Reuse): a saved state, the reset function, a new instance for every run).
-/// The cost of the test is in [`Stats::checks`](ode::Stats::checks). Parameters and start values are set
-/// again for every run, and read back from an instance that was used before.
+/// Runs have new instances at first. When a tenth of the time that they took is enough to put a way of
+/// bringing an instance back to the test, that is done: the first steps must have the same bits as on a new
+/// instance, also after a run with other values, or the next way is tried later (see [`Reuse`](crate::Reuse):
+/// a saved state, the reset function, a new instance for every run). The cost of the test is in
+/// [`Stats::checks`](ode::Stats::checks). Parameters and start values are set again for every run, and read
+/// back from an instance that was used before.
 ///
 /// ```compile_fail
 /// fn shared_between_threads<T: Sync>() {}
@@ -75,8 +78,8 @@ impl Simulator {
         &self.plan
     }
 
-    /// Goes on with another plan. One that [`SimulationPlan::with_rows`] made of the present one takes over the instance and what
-    /// is known of resetting it.
+    /// Goes on with another plan. One that [`SimulationPlan::with_rows`] made of the present one takes over
+    /// the instance and what is known of resetting it.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -97,17 +100,18 @@ impl Simulator {
 
     /// Simulates once, with these values for the plan's parameters, and hands the samples to `observer`.
     ///
-    /// Where another thread is in a simulation of the same [`Fmu`](crate::Fmu), waits for it to end; `observer` is
-    /// polled meanwhile, and no longer than the time limit of the simulation.
+    /// Where another thread is in a simulation of the same [`Fmu`](crate::Fmu), waits for it to end;
+    /// `observer` is polled meanwhile, and no longer than the time limit of the simulation.
     ///
-    /// The seconds of the report count from resetting the model, and those of a test of the ways of that are among them; loading and
-    /// waiting do not count. Those inside the model are in calls of the FMU (of calls that take less than 1 us only
-    /// some are timed) and do not include input functions ([`Inputs::function`](crate::Inputs::function)).
+    /// The seconds of the report count from resetting the model, and those of a test of the ways of that are
+    /// among them; loading and waiting do not count. Those inside the model are in calls of the FMU (of calls
+    /// that take less than 1 us only some are timed) and do not include input functions
+    /// ([`Inputs::function`](crate::Inputs::function)).
     ///
     /// # Errors
-    /// A value is not finite, or there are not as many as parameters; the FMU cannot be loaded or instantiated; the FMU or the
-    /// integration fails. The simulator can be used again
-    /// after an error: a broken instance is replaced, after `Fatal` in a newly loaded copy of the library.
+    /// A value is not finite, or there are not as many as parameters; the FMU cannot be loaded or
+    /// instantiated; the FMU or the integration fails. The simulator can be used again after an error: a
+    /// broken instance is replaced, after `Fatal` in a newly loaded copy of the library.
     pub fn run(&mut self, parameters: &[f64], observer: &mut dyn Observer) -> Result<Report, FmiError> {
         self.plan.values.check_parameters(parameters)?;
         self.run_checked(parameters, observer)
@@ -121,7 +125,8 @@ impl Simulator {
         self.trajectory_with(parameters, &mut || ControlFlow::Continue(()))
     }
 
-    /// As [`trajectory`](Self::trajectory); `poll` is asked before every step, and `Break` ends the simulation there.
+    /// As [`trajectory`](Self::trajectory); `poll` is asked before every step, and `Break` ends the
+    /// simulation there.
     ///
     /// # Errors
     /// As [`run`](Self::run).
@@ -139,8 +144,8 @@ impl Simulator {
         Ok(recorder.finish(&plan, table, ticks, report))
     }
 
-    /// Value of a variable, or of an element of an array (`name[2,1]`), where the last run ended (after a step inside of which it was stopped: at the end of the
-    /// step before).
+    /// Value of a variable, or of an element of an array (`name[2,1]`), where the last run ended (after a
+    /// step inside of which it was stopped: at the end of the step before).
     ///
     /// # Errors
     /// There is no such variable, nothing was run yet, the run failed, or the FMU refuses.
@@ -162,7 +167,8 @@ impl Simulator {
             .ok_or_else(|| FmiError::NotAnOutput { name: name.to_owned(), reason: "it is no single number" })
     }
 
-    /// Brings the FMU to its start without simulating: afterwards [`value`](Self::value) gives initial values.
+    /// Brings the FMU to its start without simulating: afterwards [`value`](Self::value) gives initial
+    /// values.
     pub(crate) fn initialize_only(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
         self.plan.values.check_parameters(parameters)?;
         self.initialize_checked(parameters)

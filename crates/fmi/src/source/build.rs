@@ -69,8 +69,8 @@ const FMI2_FUNCTIONS: &[&str] = &[
 #[derive(Debug, PartialEq)]
 pub(super) struct Recipe {
     model_identifier: String,
-    /// Where the compiler runs; all other paths are relative to it, so that nothing in the library depends on where
-    /// the FMU was unpacked.
+    /// Where the compiler runs; all other paths are relative to it, so that nothing in the library depends on
+    /// where the FMU was unpacked.
     folder: PathBuf,
     /// Options and files, in the order of the command line.
     arguments: Vec<String>,
@@ -163,9 +163,9 @@ impl Recipe {
 
 /// Definitions that turn the names in source-code FMUs into those in libraries.
 ///
-/// In sources the standard puts the model identifier before each name (`Model_fmi2GetReal`), so that several models can
-/// be linked into one program; in libraries there is none. The headers of FMI 2.0.0 to 2.0.3 put the names together by
-/// pasting, and what a macro has pasted is looked up as a macro again.
+/// In sources the standard puts the model identifier before each name (`Model_fmi2GetReal`), so that several
+/// models can be linked into one program; in libraries there is none. The headers of FMI 2.0.0 to 2.0.3 put
+/// the names together by pasting, and what a macro has pasted is looked up as a macro again.
 fn plain_names(model_identifier: &str) -> String {
     let is_identifier = model_identifier.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
     if !is_identifier {
@@ -227,8 +227,8 @@ impl Sources<'_> {
         Ok(names)
     }
 
-    /// A path from a file, as an argument: it must lie in `sources/`, also behind links, and be what it should be.
-    /// The leading `./` keeps names from being taken for options.
+    /// A path from a file, as an argument: it must lie in `sources/`, also behind links, and be what it
+    /// should be. The leading `./` keeps names from being taken for options.
     fn checked(&self, name: &str, is_right: fn(&Path) -> bool) -> Result<String, FmiError> {
         // Tools on Windows write backslashes here.
         let relative = name.replace('\\', "/");

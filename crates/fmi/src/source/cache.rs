@@ -1,5 +1,5 @@
-//! A folder of things worth keeping between runs: filled by renaming, so that processes do not meet half of a file;
-//! bounded; removable.
+//! A folder of things worth keeping between runs: filled by renaming, so that processes do not meet half of a
+//! file; bounded; removable.
 
 use crate::error::FmiError;
 use crate::platform;
@@ -24,8 +24,8 @@ const MOST_BYTES: u64 = 512 << 20;
 /// Age at which what is unfinished was left behind by a process that died.
 const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 
-/// A subfolder of the cache folder, made if it is not there; if none can be made where caches belong, one in the
-/// folder for temporary files.
+/// A subfolder of the cache folder, made if it is not there; if none can be made where caches belong, one in
+/// the folder for temporary files.
 fn folder(name: &str) -> Result<PathBuf, FmiError> {
     if let Some(usual) = platform::cache_folder().map(|folder| folder.join(name)) {
         let Err(error) = prepare(&usual) else { return Ok(usual) };
@@ -38,16 +38,17 @@ fn folder(name: &str) -> Result<PathBuf, FmiError> {
     Ok(inside)
 }
 
-/// Makes a folder, tries whether it can be written into, and sees to it that nobody else can: libraries are loaded from
-/// it.
+/// Makes a folder, tries whether it can be written into, and sees to it that nobody else can: libraries are
+/// loaded from it.
 fn prepare(folder: &Path) -> io::Result<()> {
     fs::create_dir_all(folder)?;
     let own = tempfile::Builder::new().prefix(UNFINISHED).tempfile_in(folder)?;
     platform::keep_others_out(folder, own.as_file())
 }
 
-/// The file `file_name` kept under `key` in a subfolder, made by `make` (which writes to the path it is given) if it is not
-/// there. Two processes that make the same one at once both succeed, and one result is kept.
+/// The file `file_name` kept under `key` in a subfolder, made by `make` (which writes to the path it is
+/// given) if it is not there. Two processes that make the same one at once both succeed, and one result is
+/// kept.
 pub(super) fn get_or_make(
     subfolder: &str,
     key: &str,
@@ -77,8 +78,8 @@ pub(super) fn get_or_make(
     Ok(file)
 }
 
-/// Marks a file as used just now, in another one beside it: a library that changes its time looks as if it had been written over.
-/// That it may fail (a cache that can only be read) does no harm.
+/// Marks a file as used just now, in another one beside it: a library that changes its time looks as if it
+/// had been written over. That it may fail (a cache that can only be read) does no harm.
 fn touch(kept: &Path) {
     let mark = kept.with_file_name(USED);
     let file = fs::File::options().create(true).append(true).open(mark);
@@ -149,8 +150,8 @@ fn remove(path: &Path) {
     }
 }
 
-/// Removes everything this library keeps between runs: built libraries and packed FMUs. What another thread or
-/// process is making at this moment is left to it.
+/// Removes everything this library keeps between runs: built libraries and packed FMUs. What another thread
+/// or process is making at this moment is left to it.
 ///
 /// # Errors
 /// Something cannot be removed.

@@ -67,7 +67,8 @@ pub(super) struct Compiler {
 }
 
 impl Compiler {
-    /// The compiler named by `CC`, and no other if that is set; else the first of the usual names that answers.
+    /// The compiler named by `CC`, and no other if that is set; else the first of the usual names that
+    /// answers.
     pub(super) fn find(model_identifier: &str, patience: &Patience<'_>) -> Result<Compiler, FmiError> {
         let chosen = std::env::var("CC").ok().filter(|name| !name.trim().is_empty());
         let found = match &chosen {

@@ -1,5 +1,5 @@
-//! The C headers of the standard, for source-code FMUs that include them and do not bring them (`headers/readme.md`: origin
-//! and licence).
+//! The C headers of the standard, for source-code FMUs that include them and do not bring them
+//! (`headers/readme.md`: origin and licence).
 
 use crate::error::FmiError;
 use std::fs;

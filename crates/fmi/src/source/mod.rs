@@ -1,4 +1,5 @@
-//! FMUs as source code: building a library for this platform, keeping it, and packing a folder into an `.fmu`.
+//! FMUs as source code: building a library for this platform, keeping it, and packing a folder into an
+//! `.fmu`.
 
 mod build;
 mod cache;

@@ -14,13 +14,14 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use zip::write::{SimpleFileOptions, ZipWriter};
 
-/// Packs a folder with `modelDescription.xml` and `sources/` into an `.fmu` that holds all of it and, built now, a
-/// library for this platform in `binaries/`. Folders without sources are packed as they are.
+/// Packs a folder with `modelDescription.xml` and `sources/` into an `.fmu` that holds all of it and, built
+/// now, a library for this platform in `binaries/`. Folders without sources are packed as they are.
 ///
-/// The same folder and compiler give the same bytes: entries are sorted and carry no time. The result replaces
-/// `out` in one step, after it has been opened and parsed again.
+/// The same folder and compiler give the same bytes: entries are sorted and carry no time. The result
+/// replaces `out` in one step, after it has been opened and parsed again.
 ///
-/// Errors: [`FmiError::CannotPack`]; those of opening a folder, parsing its description, building its library.
+/// Errors: [`FmiError::CannotPack`]; those of opening a folder, parsing its description, building its
+/// library.
 pub fn pack(folder: &Path, out: &Path) -> Result<(), FmiError> {
     pack_unless(folder, out, &Cancel::default())
 }
@@ -52,9 +53,9 @@ pub fn pack_unless(folder: &Path, out: &Path, cancel: &Cancel) -> Result<(), Fmi
     })
 }
 
-/// Path of an `.fmu` named `file_name` with these files (paths inside of it, and texts), packed as by [`pack`] at the first call
-/// and kept in the cache folder until [`clear_caches`](crate::clear_caches): other texts get another place. As with libraries,
-/// those used longest ago go when there are many.
+/// Path of an `.fmu` named `file_name` with these files (paths inside of it, and texts), packed as by
+/// [`pack`] at the first call and kept in the cache folder until [`clear_caches`](crate::clear_caches): other
+/// texts get another place. As with libraries, those used longest ago go when there are many.
 ///
 /// # Errors
 /// Those of [`pack`]; the system refuses to write.

@@ -1,9 +1,10 @@
 //! Callbacks of an FMU: the logger and the memory functions.
 //!
-//! The loggers of FMI 1.0 and 2.0 are variadic, which stable Rust can call but not define. Of the two ways out, a fixed-arity
-//! function in its place loses the arguments (messages keep their `%s`), so a C shim (`logger.c`) expands the message
-//! with `vsnprintf` and passes plain bytes to [`sink`]. FMI 1.0 has no environment for its callbacks either: a message
-//! goes to the instance that is being called on the thread it comes from; messages from threads of the FMU's own are lost.
+//! The loggers of FMI 1.0 and 2.0 are variadic, which stable Rust can call but not define. Of the two ways
+//! out, a fixed-arity function in its place loses the arguments (messages keep their `%s`), so a C shim
+//! (`logger.c`) expands the message with `vsnprintf` and passes plain bytes to [`sink`]. FMI 1.0 has no
+//! environment for its callbacks either: a message goes to the instance that is being called on the thread it
+//! comes from; messages from threads of the FMU's own are lost.
 
 use super::types;
 use crate::log::{Log, LogFilter};
@@ -17,8 +18,9 @@ use std::sync::{Arc, OnceLock};
 /// Bytes of a message that are kept.
 const LONGEST_TEXT: usize = 2047;
 
-/// Everything that an FMU is given for calling back. FMUs are known whose threads log on when their instance is gone, so none
-/// of it is ever freed: the library hands it on to its next instance ([`Library`](super::Library)), which gets such lines.
+/// Everything that an FMU is given for calling back. FMUs are known whose threads log on when their instance
+/// is gone, so none of it is ever freed: the library hands it on to its next instance
+/// ([`Library`](super::Library)), which gets such lines.
 #[derive(Debug)]
 pub(super) struct Callbacks {
     environment: Arc<Environment>,
@@ -92,7 +94,8 @@ unsafe impl Send for Environment {}
 unsafe impl Sync for Environment {}
 
 impl Environment {
-    /// An environment whose messages go to `log`, which must outlive every component that knows the environment.
+    /// An environment whose messages go to `log`, which must outlive every component that knows the
+    /// environment.
     pub(super) fn new(log: &Log) -> Self {
         Self { admits, sink, data: std::ptr::from_ref(log).cast_mut().cast() }
     }
@@ -112,7 +115,8 @@ unsafe extern "C" fn admits(data: *mut c_void, status: c_int) -> c_int {
 /// Takes a message from the C shim.
 ///
 /// # Safety
-/// `data` is the address of a live [`Log`]; `category` and `text` point to as many bytes as their lengths say.
+/// `data` is the address of a live [`Log`]; `category` and `text` point to as many bytes as their lengths
+/// say.
 unsafe extern "C" fn sink(
     data: *mut c_void,
     status: c_int,
@@ -173,7 +177,8 @@ pub(super) unsafe extern "C" fn fmi3_log(
     }
 }
 
-/// Makes an environment that of this thread while it lives: FMI 1.0's logger is not told whose message it takes.
+/// Makes an environment that of this thread while it lives: FMI 1.0's logger is not told whose message it
+/// takes.
 #[derive(Debug)]
 pub(super) struct Current(*mut c_void);
 

@@ -1,4 +1,5 @@
-//! Limits of a program that is started: memory, files, time of the processor, and an end with the thread that waits for it.
+//! Limits of a program that is started: memory, files, time of the processor, and an end with the thread that
+//! waits for it.
 
 use std::io;
 use std::process::Command;
@@ -10,9 +11,9 @@ const MEMORY: u64 = 4 << 30;
 /// The largest file that may be written, in bytes.
 const FILE_SIZE: u64 = 1 << 30;
 
-/// Limits what a command may take once it is started: 4 GiB of address space, files of 1 GiB, and a little more than `time` of a processor,
-/// each for every process that it starts. On Linux it is killed when the thread ends that has started it, and with that at the latest
-/// when this process does.
+/// Limits what a command may take once it is started: 4 GiB of address space, files of 1 GiB, and a little
+/// more than `time` of a processor, each for every process that it starts. On Linux it is killed when the
+/// thread ends that has started it, and with that at the latest when this process does.
 #[cfg(unix)]
 pub(crate) fn limit(command: &mut Command, time: Duration) {
     use std::os::unix::process::CommandExt;

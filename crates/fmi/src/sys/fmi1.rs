@@ -1,7 +1,8 @@
-//! The functions of an FMI 1.0 library (Model Exchange 1.0, chapter 2; Co-Simulation 1.0, chapter 3), bound by name.
+//! The functions of an FMI 1.0 library (Model Exchange 1.0, chapter 2; Co-Simulation 1.0, chapter 3), bound
+//! by name.
 //!
-//! FMI 1.0 has no initialization mode, no event mode and no environment for callbacks. Names carry the model identifier as
-//! prefix.
+//! FMI 1.0 has no initialization mode, no event mode and no environment for callbacks. Names carry the model
+//! identifier as prefix.
 
 use super::callbacks::{Callbacks, fmufit_allocate, fmufit_fmi1_log, fmufit_free};
 use super::function::{Answer, call};

@@ -10,7 +10,8 @@ use crate::value::VariableKind;
 use std::ffi::{c_char, c_int};
 
 table! {
-    /// Getters and setters of FMI 1.0 and 2.0, where a reference stands for one value; `B` is the version's Boolean.
+    /// Getters and setters of FMI 1.0 and 2.0, where a reference stands for one value; `B` is the version's
+    /// Boolean.
     pub(super) struct ScalarValues<B> {
         get_real: Get<f64> = required "fmiGetReal" | "fmi2GetReal";
         set_real: Set<f64> = required "fmiSetReal" | "fmi2SetReal";

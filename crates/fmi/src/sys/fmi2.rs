@@ -63,8 +63,8 @@ type CompletedStep = unsafe extern "C" fn(Component, Boolean, *mut Boolean, *mut
 type DoStep = unsafe extern "C" fn(Component, f64, f64, Boolean) -> c_int;
 
 table! {
-    /// The functions of one library whose types are those of FMI 2.0, for both interfaces. What may be missing is optional in
-    /// the standard, or FMUs that leave it out are known and can be used all the same.
+    /// The functions of one library whose types are those of FMI 2.0, for both interfaces. What may be
+    /// missing is optional in the standard, or FMUs that leave it out are known and can be used all the same.
     struct Common {
         instantiate: Instantiate = required "fmi2Instantiate";
         set_debug_logging: SetDebugLogging = optional "fmi2SetDebugLogging";

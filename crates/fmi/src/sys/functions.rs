@@ -1,9 +1,9 @@
-//! The functions of an FMI library: tables that hold for each its type and, in the same row, its names in the standard; and
-//! those that have one type in all versions that know them.
+//! The functions of an FMI library: tables that hold for each its type and, in the same row, its names in the
+//! standard; and those that have one type in all versions that know them.
 //!
-//! A row has one name, or one for each of FMI 1.0, 2.0, 3.0 (and co-simulation of FMI 1.0, where that is another one). An empty
-//! name stands for what a version does not ask for: calling it does nothing. A name in brackets says what a version does not
-//! offer.
+//! A row has one name, or one for each of FMI 1.0, 2.0, 3.0 (and co-simulation of FMI 1.0, where that is
+//! another one). An empty name stands for what a version does not ask for: calling it does nothing. A name in
+//! brackets says what a version does not offer.
 
 use super::function::{Answer, Function, call};
 use super::symbols::table;

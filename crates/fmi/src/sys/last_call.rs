@@ -1,5 +1,6 @@
-//! A page of memory that a worker process shares with the process that has started it: the last call into the FMU, the simulated time,
-//! the wish to end, and the numbers of the last question and answer. It outlives the worker, so that its end can be explained.
+//! A page of memory that a worker process shares with the process that has started it: the last call into the
+//! FMU, the simulated time, the wish to end, and the numbers of the last question and answer. It outlives the
+//! worker, so that its end can be explained.
 
 use crate::error::FmiError;
 use std::fs::File;
@@ -30,7 +31,8 @@ struct Shared {
     turns: Turns,
 }
 
-/// In cache lines of its own: who waits reads it all the time, and the rest changes with every call of the FMU.
+/// In cache lines of its own: who waits reads it all the time, and the rest changes with every call of the
+/// FMU.
 #[repr(C, align(128))]
 struct Turns {
     /// Number of the last question that is on its way.
@@ -69,7 +71,8 @@ impl std::fmt::Debug for Page {
 }
 
 impl Page {
-    /// A new page, and the file by which the other process gets it. The file cannot be made shorter where the system knows that.
+    /// A new page, and the file by which the other process gets it. The file cannot be made shorter where the
+    /// system knows that.
     pub(crate) fn new() -> io::Result<(Self, File)> {
         let file = anonymous_file()?;
         Ok((Self::of(&file)?, file))
@@ -104,7 +107,8 @@ impl Page {
         self.shared().cancel.load(Ordering::Relaxed) != 0
     }
 
-    /// Says that a question is on its way, and whether the worker may [wait](Self::wait_for_question) for the next one.
+    /// Says that a question is on its way, and whether the worker may [wait](Self::wait_for_question) for the
+    /// next one.
     pub(crate) fn note_question(&self, number: u32, may_spin: bool) {
         let turns = &self.shared().turns;
         turns.may_spin.store(may_spin.into(), Ordering::Relaxed);
@@ -116,13 +120,15 @@ impl Page {
         self.shared().turns.answered.store(number, Ordering::Release);
     }
 
-    /// Waits without sleeping until the answer is on its way, no longer than so. A core that sleeps wakes up late.
+    /// Waits without sleeping until the answer is on its way, no longer than so. A core that sleeps wakes up
+    /// late.
     pub(crate) fn wait_for_answer(&self, number: u32, longest: Duration) {
         let answered = &self.shared().turns.answered;
         spin_until(longest, || answered.load(Ordering::Acquire) == number);
     }
 
-    /// Waits without sleeping until a question after this one is on its way, no longer than so, and only where that was allowed.
+    /// Waits without sleeping until a question after this one is on its way, no longer than so, and only
+    /// where that was allowed.
     pub(crate) fn wait_for_question(&self, after: u32, longest: Duration) {
         let turns = &self.shared().turns;
         if turns.may_spin.load(Ordering::Relaxed) != 0 {

@@ -30,8 +30,8 @@ pub(crate) struct Library {
     path: PathBuf,
     /// Messages go to the instance that is called on their thread (FMI 1.0).
     logs_by_thread: bool,
-    /// Callbacks of instances that are gone, for the next ones: never freed, for the FMU may still use them, at last in its
-    /// destructors.
+    /// Callbacks of instances that are gone, for the next ones: never freed, for the FMU may still use them,
+    /// at last in its destructors.
     retired: Mutex<Vec<Callbacks>>,
     /// Last: closed, if at all, when the tables are gone (invariant 1).
     handle: Arc<Handle>,
@@ -53,8 +53,8 @@ impl fmt::Debug for Library {
 }
 
 impl Library {
-    /// Loads the library, where it is not loaded already, and looks up the functions of one interface. **This runs foreign
-    /// code** (the library's constructors).
+    /// Loads the library, where it is not loaded already, and looks up the functions of one interface. **This
+    /// runs foreign code** (the library's constructors).
     ///
     /// # Errors
     /// The dynamic loader's own message, or the name of the mandatory function that is missing.
@@ -181,8 +181,8 @@ impl Drop for Library {
     }
 }
 
-/// Refuses a library whose types are those of another platform than that of the standard's headers (FMI 1.0 and 2.0): the calls
-/// would pass other types than it takes.
+/// Refuses a library whose types are those of another platform than that of the standard's headers (FMI 1.0
+/// and 2.0): the calls would pass other types than it takes.
 fn check_types(functions: &CommonFunctions, path: &Path) -> Result<(), FmiError> {
     match text_of(&functions.get_types_platform) {
         Some(platform) if !["standard32", "default", ""].contains(&platform.as_str()) => {

@@ -2,37 +2,41 @@
 //!
 //! # Invariants
 //!
-//! 1. **A library outlives its instances.** A [`RawInstance`] holds an `Arc` of the [`Library`] its functions come
-//!    from. The function pointers of a binding are only called through a `Library` that is alive. It is closed only where the
-//!    file shows that nothing of it can be called later (destructors of threads, functions that it registered).
-//! 2. **One owner per component.** A component pointer lives in exactly one `RawInstance`, is never copied out of
-//!    it, and is freed once, on drop. `RawInstance` may move to another thread (`Send`): FMI functions of one
-//!    instance may be called from any thread, but not from two at a time (FMI 2.0.x, section 2.1.1); so it is not
-//!    `Sync`, and every method takes `&mut self`.
-//! 3. **Addresses that an FMU keeps stay put.** What it is given for calling back ([`Callbacks`](callbacks::Callbacks)) is on
-//!    the heap (in `Arc`s, whose contents do not move) and never freed, for threads of an FMU may outlive its component, and its
-//!    destructors may log. It is shared with C code; all that this reaches is a mutex around the log lines, and no foreign code is ever called
-//!    while that mutex is held.
-//! 4. **Lengths are checked in release builds.** Slices handed to an FMU together with a count have that count, and
-//!    vectors of states, derivatives, nominals and indicators have the model's sizes, fixed at instantiation.
-//!    A mismatch is a typed error and the FMU is not called.
-//! 5. **The state machine of FMI is kept one layer up**: [`Instance`](crate::Instance) makes calls in a wrong phase
-//!    a compile-time error. This module relies on it for the FMU's sake, not for memory safety of its own.
-//! 6. **After `Fatal` an instance is dead, and with it all others of its loaded copy of the library.** No function is called on any of
-//!    them again, not even the one that frees it (FMI 2.0.x, section 2.1.3: all instances are corrupted). What the FMU might still reach (callbacks, environment, library) is leaked.
+//! 1. **A library outlives its instances.** A [`RawInstance`] holds an `Arc` of the [`Library`] its functions
+//!    come from. The function pointers of a binding are only called through a `Library` that is alive. It is
+//!    closed only where the file shows that nothing of it can be called later (destructors of threads,
+//!    functions that it registered).
+//! 2. **One owner per component.** A component pointer lives in exactly one `RawInstance`, is never copied
+//!    out of it, and is freed once, on drop. `RawInstance` may move to another thread (`Send`): FMI functions
+//!    of one instance may be called from any thread, but not from two at a time (FMI 2.0.x, section 2.1.1);
+//!    so it is not `Sync`, and every method takes `&mut self`.
+//! 3. **Addresses that an FMU keeps stay put.** What it is given for calling back
+//!    ([`Callbacks`](callbacks::Callbacks)) is on the heap (in `Arc`s, whose contents do not move) and never
+//!    freed, for threads of an FMU may outlive its component, and its destructors may log. It is shared with
+//!    C code; all that this reaches is a mutex around the log lines, and no foreign code is ever called while
+//!    that mutex is held.
+//! 4. **Lengths are checked in release builds.** Slices handed to an FMU together with a count have that
+//!    count, and vectors of states, derivatives, nominals and indicators have the model's sizes, fixed at
+//!    instantiation. A mismatch is a typed error and the FMU is not called.
+//! 5. **The state machine of FMI is kept one layer up**: [`Instance`](crate::Instance) makes calls in a wrong
+//!    phase a compile-time error. This module relies on it for the FMU's sake, not for memory safety of its
+//!    own.
+//! 6. **After `Fatal` an instance is dead, and with it all others of its loaded copy of the library.** No
+//!    function is called on any of them again, not even the one that frees it (FMI 2.0.x, section 2.1.3: all
+//!    instances are corrupted). What the FMU might still reach (callbacks, environment, library) is leaked.
 //! 7. **No panic crosses into C.** The sink of the logger catches unwinding; the rest of the callbacks are C.
-//! 8. **Saved states belong to their instance**: pointers stay in a table of the `RawInstance`; the outside holds
-//!    tokens that say whose they are. The table is freed with the instance.
-//! 9. **What an FMU (or the loading of it) changes in its thread** is undone: the floating-point mode after every call, before
-//!    any arithmetic of ours; the locale by [`Inside`]. One thread at a time is inside of a loaded library: for a call, or for a
-//!    whole run.
-//! 10. **Buffers of small numbers** are handed out as what an FMU takes them for (`packed.rs`): never more elements than
-//!     there are words of 64 bits, and only types of which any bits are a value.
+//! 8. **Saved states belong to their instance**: pointers stay in a table of the `RawInstance`; the outside
+//!    holds tokens that say whose they are. The table is freed with the instance.
+//! 9. **What an FMU (or the loading of it) changes in its thread** is undone: the floating-point mode after
+//!    every call, before any arithmetic of ours; the locale by [`Inside`]. One thread at a time is inside of
+//!    a loaded library: for a call, or for a whole run.
+//! 10. **Buffers of small numbers** are handed out as what an FMU takes them for (`packed.rs`): never more
+//!     elements than there are words of 64 bits, and only types of which any bits are a value.
 //!
-//! The versions of FMI stop here: what has one type in several versions stands in the tables of `functions.rs`, with its names;
-//! the rest is [`Version`](version::Version), in types of ours, and `fmi1.rs`, `fmi2.rs` and `fmi3/` are the only files that
-//! know how a version spells it. A further version is a column of the tables, a further implementation and a line in
-//! `library.rs`.
+//! The versions of FMI stop here: what has one type in several versions stands in the tables of
+//! `functions.rs`, with its names; the rest is [`Version`](version::Version), in types of ours, and
+//! `fmi1.rs`, `fmi2.rs` and `fmi3/` are the only files that know how a version spells it. A further version
+//! is a column of the tables, a further implementation and a line in `library.rs`.
 #![allow(unsafe_code)]
 
 mod callbacks;
@@ -86,7 +90,8 @@ mod tests {
     use super::*;
     use std::path::Path;
 
-    /// The functions of the standard, without prefix (FMI 1.0 for model exchange and for co-simulation, FMI 2.0.4, FMI 3.0.1).
+    /// The functions of the standard, without prefix (FMI 1.0 for model exchange and for co-simulation, FMI
+    /// 2.0.4, FMI 3.0.1).
     const FMI1: &str = "GetModelTypesPlatform GetVersion InstantiateModel FreeModelInstance SetDebugLogging SetTime \
         SetContinuousStates CompletedIntegratorStep SetReal SetInteger SetBoolean SetString Initialize GetDerivatives \
         GetEventIndicators GetReal GetInteger GetBoolean GetString EventUpdate GetContinuousStates \

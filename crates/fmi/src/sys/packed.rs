@@ -1,7 +1,9 @@
-//! Arrays of small numbers inside of arrays of 64-bit words: the FMU writes its own type into the front of the buffer,
-//! and the elements are spread out in place. No second buffer, no allocation, one call for any number of values.
+//! Arrays of small numbers inside of arrays of 64-bit words: the FMU writes its own type into the front of
+//! the buffer, and the elements are spread out in place. No second buffer, no allocation, one call for any
+//! number of values.
 
-/// Types whose elements may lie in a word: any bits are a value, at most 8 bytes, alignment at most that of `i64`.
+/// Types whose elements may lie in a word: any bits are a value, at most 8 bytes, alignment at most that of
+/// `i64`.
 ///
 /// # Safety
 /// The type is as described.

@@ -16,12 +16,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// process it takes the first.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct LoaderOptions {
-    /// Symbols of the library and what it depends on come before those of the process (`RTLD_DEEPBIND` of glibc): for
-    /// libraries that call a function of their own and get one of the same name of the host program instead. An error
-    /// where the system has no such flag. Not together with the address sanitizer, which refuses it.
+    /// Symbols of the library and what it depends on come before those of the process (`RTLD_DEEPBIND` of
+    /// glibc): for libraries that call a function of their own and get one of the same name of the host
+    /// program instead. An error where the system has no such flag. Not together with the address sanitizer,
+    /// which refuses it.
     pub deepbind: bool,
-    /// Functions are looked up when they are first called (`RTLD_LAZY`): for libraries that lack some which are never
-    /// called. If one is called, the process ends.
+    /// Functions are looked up when they are first called (`RTLD_LAZY`): for libraries that lack some which
+    /// are never called. If one is called, the process ends.
     pub lazy: bool,
 }
 
@@ -30,9 +31,10 @@ pub(super) type Opened = libloading::os::unix::Library;
 #[cfg(not(unix))]
 pub(super) type Opened = libloading::Library;
 
-/// An open library, which one thread at a time is inside of. Not closed unless [`close_on_drop`](Self::close_on_drop) says so: a thread that
-/// has called the FMU may hold data of its own for it (thread-specific data, `thread_local` of C++) whose destructor is code of
-/// the library and runs when the thread ends.
+/// An open library, which one thread at a time is inside of. Not closed unless
+/// [`close_on_drop`](Self::close_on_drop) says so: a thread that has called the FMU may hold data of its own
+/// for it (thread-specific data, `thread_local` of C++) whose destructor is code of the library and runs when
+/// the thread ends.
 pub(super) struct Handle {
     library: ManuallyDrop<Opened>,
     /// Who may be inside.

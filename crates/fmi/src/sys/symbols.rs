@@ -22,8 +22,8 @@ pub(super) enum Dialect {
 pub(super) struct Symbols<'a> {
     pub(super) handle: &'a Handle,
     pub(super) path: &'a Path,
-    /// Before the names, up to an underscore (FMI 1.0); where a name does not have it, as some tools export it, the plain
-    /// one is taken.
+    /// Before the names, up to an underscore (FMI 1.0); where a name does not have it, as some tools export
+    /// it, the plain one is taken.
     pub(super) prefix: Option<&'a str>,
     pub(super) dialect: Dialect,
     /// Of the other interface: nothing is looked up.
@@ -36,8 +36,8 @@ impl Symbols<'_> {
         Self { is_unused: !is_used, ..self }
     }
 
-    /// The name of a function: of one for each dialect, where co-simulation of FMI 1.0 may have that of model exchange; or
-    /// of a single one.
+    /// The name of a function: of one for each dialect, where co-simulation of FMI 1.0 may have that of model
+    /// exchange; or of a single one.
     fn name(&self, names: &[&'static str]) -> &'static str {
         let place = if names.len() == 1 { 0 } else { self.dialect as usize };
         names.get(place).or(names.first()).copied().unwrap_or_default()
@@ -101,8 +101,8 @@ macro_rules! table {
             /// A function that must be there is missing.
             ///
             /// # Safety
-            /// The library follows the version of the standard whose names these are: a symbol of a name has the type the
-            /// standard gives it.
+            /// The library follows the version of the standard whose names these are: a symbol of a name has
+            /// the type the standard gives it.
             $vis unsafe fn load(symbols: &$crate::sys::symbols::Symbols<'_>) -> Result<Self, $crate::FmiError> {
                 // SAFETY: each name stands beside the type of the standard; the caller vouches that the library does the
                 // same. The pointers stay valid while the `Library` that owns the table is open.

@@ -7,8 +7,8 @@ use std::ffi::{CStr, CString, c_void};
 use std::fmt;
 use std::path::Path;
 
-/// `fmiComponent`, `fmi2Component`, `fmi3Instance`: what an FMU gives for a component and takes in all calls of it. Nothing of
-/// ours can be taken for one: they come from C only.
+/// `fmiComponent`, `fmi2Component`, `fmi3Instance`: what an FMU gives for a component and takes in all calls
+/// of it. Nothing of ours can be taken for one: they come from C only.
 #[repr(transparent)]
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Component(*mut c_void);
@@ -49,7 +49,8 @@ pub(super) fn status(code: std::ffi::c_int) -> Status {
     }
 }
 
-/// `file:///...` with everything but unreserved characters percent-encoded (RFC 3986), as FMI 1.0 and 2.0 ask.
+/// `file:///...` with everything but unreserved characters percent-encoded (RFC 3986), as FMI 1.0 and 2.0
+/// ask.
 pub(super) fn file_uri(path: &Path) -> CString {
     let mut uri = String::from("file://");
     let text = path.to_string_lossy().replace(std::path::MAIN_SEPARATOR, "/");
@@ -146,8 +147,8 @@ pub struct ElementDependency {
     pub kind: DependencyKind,
 }
 
-/// A derivative that is asked for: of `unknowns` along `seed` in the space of `knowns`; adjoint: with respect to `knowns`, weighted
-/// with `seed` in the space of `unknowns`.
+/// A derivative that is asked for: of `unknowns` along `seed` in the space of `knowns`; adjoint: with respect
+/// to `knowns`, weighted with `seed` in the space of `unknowns`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Direction<'a> {
     pub(crate) unknowns: &'a [u32],

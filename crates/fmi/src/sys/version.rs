@@ -11,13 +11,13 @@ use std::ffi::{c_char, c_int};
 /// The functions of one library whose types differ between the versions of FMI.
 ///
 /// # Safety
-/// For all `unsafe` methods: `component` was made by this library, is not freed and not dead, and no other call on
-/// it is under way; slices that belong together have the same length; vectors have the model's sizes.
+/// For all `unsafe` methods: `component` was made by this library, is not freed and not dead, and no other
+/// call on it is under way; slices that belong together have the same length; vectors have the model's sizes.
 /// Functions that a library may lack answer [`Status::Missing`].
 #[allow(clippy::missing_safety_doc)]
 pub(super) trait Version: Send + Sync {
-    /// The component, NULL if it was refused, and the name of the function. The callbacks must never be freed, nor used for
-    /// another live component.
+    /// The component, NULL if it was refused, and the name of the function. The callbacks must never be
+    /// freed, nor used for another live component.
     unsafe fn instantiate(&self, request: &Request<'_>, callbacks: &Callbacks) -> (Component, &'static str);
     /// Messages of these categories; of all, if there are none. FMI 1.0 has no choice of categories.
     unsafe fn set_debug_logging(&self, c: Component, on: bool, categories: &[*const c_char]) -> Answer;
@@ -36,8 +36,9 @@ pub(super) trait Version: Send + Sync {
     unsafe fn directional_derivative(&self, c: Component, along: Direction<'_>, out: &mut [f64]) -> Answer;
     unsafe fn new_discrete_states(&self, c: Component, info: &mut EventInfo) -> Answer;
     unsafe fn completed_integrator_step(&self, c: Component, no_prior: bool, info: &mut StepInfo) -> Answer;
-    /// One communication step from `time` on; `is_new`: not the one tried last. `Discard` is for steps of which nothing or only
-    /// a part was computed, also because the model ends the simulation; `Pending` for steps that go on.
+    /// One communication step from `time` on; `is_new`: not the one tried last. `Discard` is for steps of
+    /// which nothing or only a part was computed, also because the model ends the simulation; `Pending` for
+    /// steps that go on.
     unsafe fn do_step(&self, f: &Functions, c: Component, step: Step, info: &mut StepInfo) -> Answer;
     /// Name of the function that makes a step.
     fn step_function(&self) -> &'static str;

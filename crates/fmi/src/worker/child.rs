@@ -29,8 +29,8 @@ const BUFFER: usize = 16 << 10;
 /// The stack of the thread that runs the FMU: compiled models put large arrays there.
 const STACK_SIZE: usize = 64 << 20;
 
-/// Serves until the other end is closed, if this process was started as a worker; then the process ends, and this does not return. Belongs at
-/// the begin of `main`, before any other thread is started.
+/// Serves until the other end is closed, if this process was started as a worker; then the process ends, and
+/// this does not return. Belongs at the begin of `main`, before any other thread is started.
 pub fn serve_if_asked(service: impl FnOnce() -> Box<dyn Service> + Send) {
     super::launcher::know_this_program();
     let Some(limits) = std::env::var(ASKED).ok() else { return };
@@ -126,7 +126,8 @@ fn serve(limits: &str, mut service: Box<dyn Service>) -> io::Result<()> {
     }
 }
 
-/// Ends the process when the other end is closed, whatever the FMU does at that moment, and removes its folder.
+/// Ends the process when the other end is closed, whatever the FMU does at that moment, and removes its
+/// folder.
 fn end_with(socket: &UnixStream, folder: Option<&Path>) {
     loop {
         let mut ends = [PollFd::new(socket, PollFlags::empty())];
@@ -156,7 +157,8 @@ fn limit_self(limits: &WorkerLimits) -> io::Result<()> {
     Ok(())
 }
 
-/// Lets this thread, and all that it starts, write below this folder only, and make no TCP connections (from Linux 6.7 on).
+/// Lets this thread, and all that it starts, write below this folder only, and make no TCP connections (from
+/// Linux 6.7 on).
 #[cfg(all(target_os = "linux", feature = "sandbox"))]
 fn confine(folder: Option<&Path>) -> io::Result<()> {
     use landlock::{

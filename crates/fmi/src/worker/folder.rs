@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::SystemTime;
 
-/// The folder of a worker, which makes it; it is removed when this is dropped by the process that has started the worker.
+/// The folder of a worker, which makes it; it is removed when this is dropped by the process that has started
+/// the worker.
 #[derive(Debug)]
 pub(super) struct Folder {
     path: PathBuf,
@@ -54,9 +55,9 @@ pub(super) fn remove(folder: &Path) {
     }
 }
 
-/// Kills the processes that were started by a worker or by its children. They may have left its group and session; its folder they have
-/// in their environment, unless they have hidden that. Looked at are those with numbers above the worker's, or all where the numbers have
-/// begun again since.
+/// Kills the processes that were started by a worker or by its children. They may have left its group and
+/// session; its folder they have in their environment, unless they have hidden that. Looked at are those with
+/// numbers above the worker's, or all where the numbers have begun again since.
 #[cfg(target_os = "linux")]
 pub(super) fn kill_processes_of(worker: u32, folder: &Path) {
     use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};

@@ -1,7 +1,8 @@
 //! Messages between the two processes: frames of a head, notes and numbers, in one direction after the other.
 //!
-//! A frame is a magic number, its flags and its number, which an answer has of its question (4 bytes each, and 4 unused), the lengths of its three parts (8 bytes each, of numbers their count), and
-//! the parts; all numbers little-endian, heads and notes in CBOR (RFC 8949), so that every number keeps its bits.
+//! A frame is a magic number, its flags and its number, which an answer has of its question (4 bytes each,
+//! and 4 unused), the lengths of its three parts (8 bytes each, of numbers their count), and the parts; all
+//! numbers little-endian, heads and notes in CBOR (RFC 8949), so that every number keeps its bits.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;

@@ -44,14 +44,16 @@ const GROWTH: u64 = 512 << 20;
 /// Limits of a worker process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct WorkerLimits {
-    /// Bytes of memory that it may have. On Linux what goes beyond fails in the FMU, and where the system does not count it (what is shared
-    /// with other processes), the worker is ended. Default: the memory of the machine.
+    /// Bytes of memory that it may have. On Linux what goes beyond fails in the FMU, and where the system
+    /// does not count it (what is shared with other processes), the worker is ended. Default: the memory of
+    /// the machine.
     pub memory: Option<u64>,
     /// Bytes of memory that it may gain after its first answer, before it is replaced. Default: 512 MiB.
     pub growth: u64,
     /// Answers after which it is replaced; default: no limit.
     pub calls: Option<u64>,
-    /// It may write into its own folder only, and open no connections (Linux, where the kernel can refuse that).
+    /// It may write into its own folder only, and open no connections (Linux, where the kernel can refuse
+    /// that).
     pub sandbox: bool,
 }
 

@@ -1,9 +1,11 @@
 //! Processes in which FMUs run: what an FMU does to its process, this one does not notice.
 //!
-//! An FMU is foreign machine code: it crashes, hangs, leaks, calls `exit`, keeps values in statics. Whatever evaluates a model more than once
-//! asks [`Workers`] to do it. A worker is a program that calls [`serve_if_asked`] first in its `main`; it is started with one end of a
-//! socket pair as its standard input (see [`Frame`] for what is said), a folder of its own as working folder and for temporary files, and
-//! limits that it sets on itself. It runs one FMU in one thread. It ends when the socket is closed, at the latest with the process that has started it.
+//! An FMU is foreign machine code: it crashes, hangs, leaks, calls `exit`, keeps values in statics. Whatever
+//! evaluates a model more than once asks [`Workers`] to do it. A worker is a program that calls
+//! [`serve_if_asked`] first in its `main`; it is started with one end of a socket pair as its standard input
+//! (see [`Frame`] for what is said), a folder of its own as working folder and for temporary files, and
+//! limits that it sets on itself. It runs one FMU in one thread. It ends when the socket is closed, at the
+//! latest with the process that has started it.
 
 #[cfg(not(unix))]
 mod absent;

@@ -26,13 +26,15 @@ use std::time::{Duration, Instant};
 /// Time between two checks for cancellation and limits while an answer is awaited.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// A worker that was asked to end what it does, or whose simulation has reached its time limit, has so long to answer.
+/// A worker that was asked to end what it does, or whose simulation has reached its time limit, has so long
+/// to answer.
 const GRACE: Duration = Duration::from_millis(250);
 
 /// A worker is there after this time.
 const START: Duration = Duration::from_secs(60);
 
-/// An answer that comes within this time is waited for without sleeping, as long as there is a core for each side: to wake up takes up to 50 us.
+/// An answer that comes within this time is waited for without sleeping, as long as there is a core for each
+/// side: to wake up takes up to 50 us.
 const SPIN: Duration = Duration::from_micros(200);
 
 /// Calls under way in this process.

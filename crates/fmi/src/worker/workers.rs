@@ -1,4 +1,5 @@
-//! Worker processes for as many threads as ask for something: started when they are needed, replaced when they end or grow.
+//! Worker processes for as many threads as ask for something: started when they are needed, replaced when
+//! they end or grow.
 
 use super::frame::Frame;
 use super::launcher::Launcher;
@@ -63,8 +64,8 @@ impl Workers {
         &self.limits
     }
 
-    /// Starts processes in the background until so many are there for `n` threads that will ask, and `n_fresh` new ones besides, and has
-    /// them load this: both take longer than a short evaluation.
+    /// Starts processes in the background until so many are there for `n` threads that will ask, and
+    /// `n_fresh` new ones besides, and has them load this: both take longer than a short evaluation.
     pub fn start_ahead(self: &Arc<Self>, load: &Arc<Load>, n: usize, n_fresh: usize) {
         let mut idle = self.idle();
         while idle.ahead.len() < n_fresh + n.saturating_sub(idle.processes.len()) {
@@ -90,9 +91,10 @@ impl Workers {
         self.watch(&mut idle);
     }
 
-    /// Asks a worker that has loaded `load`, and returns the quirks of the model that it has found. The context is looked at every 10 ms, and the worker has 0.25 s to answer
-    /// after that; a single simulation that takes longer than `run_limit` and 0.25 s ends the worker. Where a worker dies, the same is asked once more in a fresh one;
-    /// with `is_fresh` the first one is new, too, and is all.
+    /// Asks a worker that has loaded `load`, and returns the quirks of the model that it has found. The
+    /// context is looked at every 10 ms, and the worker has 0.25 s to answer after that; a single simulation
+    /// that takes longer than `run_limit` and 0.25 s ends the worker. Where a worker dies, the same is asked
+    /// once more in a fresh one; with `is_fresh` the first one is new, too, and is all.
     ///
     /// # Errors
     /// [`FmiError::Told`]: what the worker says; [`FmiError::WorkerEnded`]: it ended twice, or once by the time limit; [`FmiError::NoWorker`]; [`FmiError::Cancelled`].
@@ -194,8 +196,8 @@ impl Workers {
         Some(idle.processes.remove(place).0)
     }
 
-    /// A process that was never asked for anything: one that was started ahead if there is any; or, unless it has to be new, one that
-    /// becomes free meanwhile.
+    /// A process that was never asked for anything: one that was started ahead if there is any; or, unless it
+    /// has to be new, one that becomes free meanwhile.
     fn new_process(&self, load: u64, is_new: bool, context: &RunContext<'_>) -> Result<Process, FmiError> {
         let ahead = self.idle().ahead.pop();
         let Some(ahead) = ahead else {

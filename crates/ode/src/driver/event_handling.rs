@@ -30,8 +30,8 @@ where
     M: Stepper,
     O: Observer + ?Sized,
 {
-    /// Watches the events at the end of a step for chattering; `crossed` is an indicator that has crossed, one that does not
-    /// slide if there is any.
+    /// Watches the events at the end of a step for chattering; `crossed` is an indicator that has crossed,
+    /// one that does not slide if there is any.
     pub(super) fn watch_events(&mut self, cause: EventCause, crossed: Option<usize>) -> Step<()> {
         let slides = crossed.is_some_and(|i| self.space.domains.slides(i));
         if self.sliding.step().is_some() {
@@ -107,9 +107,9 @@ where
         stats.input_events += u64::from(cause.input);
     }
 
-    /// Before an event without a crossing: the right-hand side on its left side, which decides whether the method must be restarted. It is
-    /// evaluated where it is not known: slopes of polynomials differ from it by more than a restart is worth, beside stiff
-    /// components by any amount.
+    /// Before an event without a crossing: the right-hand side on its left side, which decides whether the
+    /// method must be restarted. It is evaluated where it is not known: slopes of polynomials differ from it
+    /// by more than a restart is worth, beside stiff components by any amount.
     pub(super) fn take_slope(&mut self, known: bool) -> Step<()> {
         let Space { x, slope, weights, .. } = &mut *self.space;
         if known || x.is_empty() || self.fixed_step.is_some() || self.stepper.properties().only_own_slopes {
@@ -120,9 +120,10 @@ where
         or_change(equations.derivatives(self.t, x, slope), slope)
     }
 
-    /// After an event: reads the right-hand side and the indicators anew. Where the states (their values before are in
-    /// `x_mid`), the slopes on both sides and, if one of them has crossed, the indicators show that nothing has changed to
-    /// speak of, the method goes on as before; otherwise it begins anew, with a step size of its own.
+    /// After an event: reads the right-hand side and the indicators anew. Where the states (their values
+    /// before are in `x_mid`), the slopes on both sides and, if one of them has crossed, the indicators show
+    /// that nothing has changed to speak of, the method goes on as before; otherwise it begins anew, with a
+    /// step size of its own.
     fn resume(&mut self, outcome: EventOutcome, cause: EventCause) -> Step<()> {
         let before = self.h;
         let on_zero = self.space.domains.crossed_on_zero();
@@ -158,8 +159,9 @@ where
         Ok(())
     }
 
-    /// The right-hand side before a state event, from its own side: at the time `before`, in the trial of size `h` that
-    /// ends at `end` and is still to be committed. Behind it a right-hand side that depends on time may have switched.
+    /// The right-hand side before a state event, from its own side: at the time `before`, in the trial of
+    /// size `h` that ends at `end` and is still to be committed. Behind it a right-hand side that depends on
+    /// time may have switched.
     pub(super) fn take_slope_before(&mut self, before: f64, end: f64, h: f64) -> Step<()> {
         if self.space.x.is_empty() || self.fixed_step.is_some() {
             return Ok(());
@@ -324,9 +326,9 @@ where
         Ok(())
     }
 
-    /// Time events and input stops that fall on the current instant although the step did not end for them: announced
-    /// for it by the start or by an event, or too close to it to be hit on their own. Whether there was any event.
-    /// `is_evaluated`: the right-hand side is known here.
+    /// Time events and input stops that fall on the current instant although the step did not end for them:
+    /// announced for it by the start or by an event, or too close to it to be hit on their own. Whether there
+    /// was any event. `is_evaluated`: the right-hand side is known here.
     pub(super) fn more_events_here(&mut self, is_evaluated: bool) -> Step<bool> {
         let mut any = false;
         let mut looks = 0;

@@ -9,11 +9,12 @@ use crate::system::{CallError, CallResult, HybridSystem};
 /// So many repetitions of a step for one event; three are usual.
 const MAX_REPETITIONS: u32 = 12;
 
-/// So many times at most the turning point of an indicator in a step is looked for: each time it is nearer to zero by a factor of four, or
-/// given up.
+/// So many times at most the turning point of an indicator in a step is looked for: each time it is nearer to
+/// zero by a factor of four, or given up.
 const MAX_TURNS: u32 = 5;
 
-/// At so many more points of a step at most the indicators are looked at where their values do not tell what they do between.
+/// At so many more points of a step at most the indicators are looked at where their values do not tell what
+/// they do between.
 const MAX_LOOKS: u32 = 32;
 
 impl<S, M, O> Run<'_, S, M, O>
@@ -22,8 +23,8 @@ where
     M: Stepper,
     O: Observer + ?Sized,
 {
-    /// Looks for the first crossing in the trial step and makes ready to sample in it; the state where the step is cut
-    /// is in `x_new`, the indicators there are in `domains.end`.
+    /// Looks for the first crossing in the trial step and makes ready to sample in it; the state where the
+    /// step is cut is in `x_new`, the indicators there are in `domains.end`.
     pub(super) fn look_inside(&mut self, end: f64, h: f64) -> Step<Inside> {
         let mut ready = false;
         self.space.domains.look();
@@ -53,8 +54,9 @@ where
         }
     }
 
-    /// The right end of what brackets the first event in the trial, or one of the first: the indicators are looked at
-    /// `behind` a return, at points inside where that is asked for or the step is long, and where they may have turned.
+    /// The right end of what brackets the first event in the trial, or one of the first: the indicators are
+    /// looked at `behind` a return, at points inside where that is asked for or the step is long, and where
+    /// they may have turned.
     fn bracket(
         &mut self,
         behind: Option<f64>,
@@ -112,8 +114,8 @@ where
         self.options.interior_samples.unwrap_or_else(by_default) as usize
     }
 
-    /// Looks at the indicators at a point inside the trial, unless changes count from a later one; `true`: one has an
-    /// event before it.
+    /// Looks at the indicators at a point inside the trial, unless changes count from a later one; `true`:
+    /// one has an event before it.
     fn changed_at(&mut self, at: f64, end: f64, h: f64, ready: &mut bool) -> CallResult<bool> {
         let since = self.space.domains.counts_since().unwrap_or(self.t);
         if at <= since || at >= end {
@@ -173,8 +175,9 @@ where
         Ok(Inside::Crossing(Found { at: located.time, end, h, before: Some(located.before) }))
     }
 
-    /// Repeats the step so that it ends just before the first event, and goes the last bit, which is below the resolution of
-    /// times, by the interpolant of that very step. Where the event is not reached so, the step ends without one.
+    /// Repeats the step so that it ends just before the first event, and goes the last bit, which is below
+    /// the resolution of times, by the interpolant of that very step. Where the event is not reached so, the
+    /// step ends without one.
     fn step_to_before(&mut self, before: f64, time: f64) -> Step<Inside> {
         let h = before - self.t;
         self.stepper.repeat();
@@ -206,9 +209,9 @@ where
         }
     }
 
-    /// Repeats the step so that it ends at the event, because the method is more exact at the ends of its steps than
-    /// inside them. The end of a repeated step is the event when the indicators have changed there and, by the interpolant
-    /// of that very step (which is exact at its end), not before it to speak of.
+    /// Repeats the step so that it ends at the event, because the method is more exact at the ends of its
+    /// steps than inside them. The end of a repeated step is the event when the indicators have changed there
+    /// and, by the interpolant of that very step (which is exact at its end), not before it to speak of.
     fn polish(&mut self, first_guess: f64, end: f64, tight: f64) -> Step<Inside> {
         let enough = tight.max(1e-3 * self.options.rtol_or_like() * (end - self.t));
         let (mut lo, mut hi) = (self.t, end);
@@ -259,8 +262,8 @@ where
         }
     }
 
-    /// A bracket of the first crossing between `lo` and `hi` by the interpolant of the trial of size `h` that ends at `end`;
-    /// `domains.end` holds the indicators at `hi`, of which at least one has changed.
+    /// A bracket of the first crossing between `lo` and `hi` by the interpolant of the trial of size `h` that
+    /// ends at `end`; `domains.end` holds the indicators at `hi`, of which at least one has changed.
     fn root_between(&mut self, lo: f64, hi: f64, end: f64, h: f64, tight: f64) -> CallResult<(f64, f64)> {
         let Space { x, x_mid, domains, .. } = &mut *self.space;
         let lo = domains.counts_since().map_or(lo, |from| lo.max(from));
@@ -274,8 +277,9 @@ where
         Ok((located.before, located.time))
     }
 
-    /// The first crossing after the end of the trial of size `h` by its interpolant, continued up to `hi` at most; where that
-    /// says too little a time between that end and `hi`, in the middle of their orders of magnitude.
+    /// The first crossing after the end of the trial of size `h` by its interpolant, continued up to `hi` at
+    /// most; where that says too little a time between that end and `hi`, in the middle of their orders of
+    /// magnitude.
     fn root_beyond(&mut self, end: f64, hi: f64, h: f64, tight: f64) -> CallResult<(f64, f64)> {
         let mut reach = tight;
         loop {

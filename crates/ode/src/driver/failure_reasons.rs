@@ -6,8 +6,8 @@ use crate::observer::Observer;
 use crate::stepper::{Equations, Stepper};
 use crate::system::{CallError, HybridSystem};
 
-/// Points ahead of a refused step that are looked at, each four times as far as the one before: as many as steps are
-/// quartered.
+/// Points ahead of a refused step that are looked at, each four times as far as the one before: as many as
+/// steps are quartered.
 const POINTS_AHEAD: u32 = 14;
 
 /// The model's own Jacobian is looked at up to so many states: it takes the square of their number of places.
@@ -56,7 +56,8 @@ where
         }
     }
 
-    /// Looks for values that are not finite at the points ahead that refused steps may have met, along the tangent.
+    /// Looks for values that are not finite at the points ahead that refused steps may have met, along the
+    /// tangent.
     fn look_ahead(&mut self) {
         let (n, mut s) = (self.space.x.len(), self.h_tried);
         let (mut dx, mut jacobian) = (vec![0.0; n], Vec::new());

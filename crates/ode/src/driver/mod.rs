@@ -29,15 +29,15 @@ use trial::{Found, Inside, Shrink, Tried};
 use watched::{CallWatch, Watched};
 pub use watched::{Stopped, Watch};
 
-/// An indicator is next to zero where its value says no more of the time of its event than this, in units of times that
-/// are one.
+/// An indicator is next to zero where its value says no more of the time of its event than this, in units of
+/// times that are one.
 const LOCATED: f64 = 8.0;
 
 /// Rounding of times that changes a step by more than this share of it counts.
 const COARSE: f64 = 1e-8;
 
-/// Integrates hybrid systems. Holds checked options and all work space, so that a second run of a system of the same
-/// size allocates nothing.
+/// Integrates hybrid systems. Holds checked options and all work space, so that a second run of a system of
+/// the same size allocates nothing.
 ///
 /// ```
 /// use ode::{CallResult, Driver, EventOutcome, HybridSystem, Ignore, Options};
@@ -126,12 +126,13 @@ impl Driver {
 
     /// Integrates `system` from `start` to `end` and hands the samples at `times` to `observer`.
     ///
-    /// The end may lie before the start if the system [can run backward](HybridSystem::can_run_backward): then crossings of
-    /// event indicators are seen along the integration (a downward one has the higher value at the later time).
+    /// The end may lie before the start if the system [can run backward](HybridSystem::can_run_backward):
+    /// then crossings of event indicators are seen along the integration (a downward one has the higher value
+    /// at the later time).
     ///
-    /// `times` are in the order of the integration and lie within the span; a time listed twice gives the left limit, then the value after the events
-    /// of that instant; a time listed once gives the latter. Times are equal within
-    /// `100 u max(|t|, end - start)`. Each run is independent of those before.
+    /// `times` are in the order of the integration and lie within the span; a time listed twice gives the
+    /// left limit, then the value after the events of that instant; a time listed once gives the latter.
+    /// Times are equal within `100 u max(|t|, end - start)`. Each run is independent of those before.
     ///
     /// # Errors
     /// [`SimulationError`] says why, where and with which numbers; samples delivered before it stay valid.
@@ -414,8 +415,8 @@ where
         self.reached_end()
     }
 
-    /// Accepts the step up to `theta`; returns the step size to propose. A step that was cut to hit a target does not
-    /// make the next one smaller than the one proposed before.
+    /// Accepts the step up to `theta`; returns the step size to propose. A step that was cut to hit a target
+    /// does not make the next one smaller than the one proposed before.
     fn next_step(&mut self, h: f64, theta: f64) -> f64 {
         if self.space.x.is_empty() {
             return if self.fixed_step.is_some() { h } else { self.step_without_states() };

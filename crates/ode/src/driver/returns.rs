@@ -1,5 +1,5 @@
-//! Indicators that come back to zero within the first step after their event: a body that bounces less and less, or is
-//! left behind the floor by its event, must not fall through the floor unseen.
+//! Indicators that come back to zero within the first step after their event: a body that bounces less and
+//! less, or is left behind the floor by its event, must not fall through the floor unseen.
 
 use super::run::{Run, Space, Step, no_retreat, read_indicators};
 use super::trial::{Inside, Return, Shrink};
@@ -22,8 +22,9 @@ where
     M: Stepper,
     O: Observer + ?Sized,
 {
-    /// Looks for such an indicator in the trial of size `h`. The slopes at its start decide; most often one evaluation of
-    /// the indicators shows that those next to zero just go on. Those that slide are left to the end of the step.
+    /// Looks for such an indicator in the trial of size `h`. The slopes at its start decide; most often one
+    /// evaluation of the indicators shows that those next to zero just go on. Those that slide are left to
+    /// the end of the step.
     pub(super) fn look_for_return(&mut self, end: f64, h: f64, ready: &mut bool) -> CallResult<Return> {
         if self.space.x.is_empty() || !self.space.domains.any_may_return() {
             return Ok(Return::Nothing);
@@ -66,8 +67,9 @@ where
         })
     }
 
-    /// An indicator that bounces, and whose crossing, as located, the right-hand side there contradicts: positions and speeds
-    /// have come to differ by more than bounces so small can stand, by rounding or within the tolerance.
+    /// An indicator that bounces, and whose crossing, as located, the right-hand side there contradicts:
+    /// positions and speeds have come to differ by more than bounces so small can stand, by rounding or
+    /// within the tolerance.
     pub(super) fn contradiction(&mut self, at: f64) -> CallResult<Option<usize>> {
         let h = at - self.t;
         let reach = h.max(SLOPE_REACH * (self.end - self.start));
@@ -94,8 +96,8 @@ where
         Ok(None)
     }
 
-    /// Follows such an indicator to where parabolas through its value and slope at the start turn, nearer and nearer to the
-    /// start, until it is in the other domain.
+    /// Follows such an indicator to where parabolas through its value and slope at the start turn, nearer and
+    /// nearer to the start, until it is in the other domain.
     fn follow(&mut self, i: usize, end: f64, h: f64, ready: &mut bool) -> CallResult<Return> {
         let Some(slope) = self.space.domains.slope(i) else { return Ok(Return::Nothing) };
         if let Some(step) = self.space.domains.step_of_slope(i, h) {
@@ -131,7 +133,8 @@ where
         Ok(if lost { Return::Unseen { indicator: i, shorter } } else { Return::Nothing })
     }
 
-    /// A trial of size `h` in which an indicator came back unseen: a shorter one, or the answer to chattering.
+    /// A trial of size `h` in which an indicator came back unseen: a shorter one, or the answer to
+    /// chattering.
     pub(super) fn unseen(&mut self, indicator: usize, shorter: Option<f64>, h: f64) -> Step<Inside> {
         self.stepper.refused(h);
         let h = match shorter {
@@ -146,8 +149,8 @@ where
         Ok(Inside::Again { h, why: Shrink::Returned })
     }
 
-    /// After an event while indicators slide: where it has left one beyond zero, and has not let it pass, the states are moved
-    /// to where it is zero, by as little as possible beside their sizes. `true`: some were.
+    /// After an event while indicators slide: where it has left one beyond zero, and has not let it pass, the
+    /// states are moved to where it is zero, by as little as possible beside their sizes. `true`: some were.
     pub(super) fn hold_at_zero(&mut self) -> Step<bool> {
         let mut moved = false;
         for i in 0..self.space.domains.len() {

@@ -154,7 +154,8 @@ pub(super) fn read_indicators<S: HybridSystem + ?Sized>(
     if z.iter().all(|z| z.is_finite()) { Ok(()) } else { Err(CallError::Discard) }
 }
 
-/// A call that has no smaller step to fall back to: the model's own start, its state after an event, a sample.
+/// A call that has no smaller step to fall back to: the model's own start, its state after an event, a
+/// sample.
 pub(super) fn no_retreat(error: CallError) -> Exit {
     match error {
         CallError::Discard => ErrorKind::DiscardedAtRestart.into(),

@@ -14,8 +14,8 @@ where
     M: Stepper,
     O: Observer + ?Sized,
 {
-    /// Samples strictly inside the step, up to (not including) `at`. `false`: the model refused one of these points;
-    /// nothing is committed, so a smaller step can follow.
+    /// Samples strictly inside the step, up to (not including) `at`. `false`: the model refused one of these
+    /// points; nothing is committed, so a smaller step can follow.
     pub(super) fn sample_before(&mut self, at: f64, end: f64, h: f64) -> Step<bool> {
         while let Some(t) = self.space.sampler.due_before(self.times, at - self.time_tolerance) {
             self.check_stop()?;
@@ -31,7 +31,8 @@ where
         Ok(true)
     }
 
-    /// The left limit at the current time, where it is wanted: the time is listed twice, or events are recorded.
+    /// The left limit at the current time, where it is wanted: the time is listed twice, or events are
+    /// recorded.
     pub(super) fn sample_left(&mut self) -> Step<()> {
         let Space { x, sampler, .. } = &mut *self.space;
         let here =

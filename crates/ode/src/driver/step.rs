@@ -27,7 +27,8 @@ where
         target
     }
 
-    /// The step to try: what the controller proposes, cut or stretched so that no sliver is left before the target.
+    /// The step to try: what the controller proposes, cut or stretched so that no sliver is left before the
+    /// target.
     pub(super) fn step_towards(&self, target: f64) -> f64 {
         let remaining = target - self.t;
         if let Some(step) = self.fixed_step {
@@ -54,7 +55,8 @@ where
         }
     }
 
-    /// Below this a step of an adaptive method means nothing: rounding moves its end by more than a part of it.
+    /// Below this a step of an adaptive method means nothing: rounding moves its end by more than a part of
+    /// it.
     fn least_step(&self) -> f64 {
         16.0 * U * self.t.abs().max(1e-6 * (self.end - self.start))
     }
@@ -84,7 +86,8 @@ where
         Ok(Tried::Good)
     }
 
-    /// A point of a trial of size `h` could not be evaluated: a smaller step, unless the model has failed altogether.
+    /// A point of a trial of size `h` could not be evaluated: a smaller step, unless the model has failed
+    /// altogether.
     pub(super) fn refused(&mut self, h: f64, error: CallError) -> Step<Tried> {
         match error {
             CallError::Discard => Ok(Tried::Again { h: self.stepper.refused(h), why: Shrink::Refused }),

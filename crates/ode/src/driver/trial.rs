@@ -50,8 +50,8 @@ pub(super) enum Return {
     Nothing,
     /// At this time it is in the other domain.
     Found(f64),
-    /// It leads into the other domain at the start, and is in the domain where it began at the end, but no point of the
-    /// step was found where it is in the other one. A step of this size may show it.
+    /// It leads into the other domain at the start, and is in the domain where it began at the end, but no
+    /// point of the step was found where it is in the other one. A step of this size may show it.
     Unseen {
         indicator: usize,
         shorter: Option<f64>,

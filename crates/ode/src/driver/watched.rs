@@ -1,5 +1,5 @@
-//! A system that answers no more once the run was cancelled or its time is up, so that a long step ends as well, and whose
-//! calls are timed.
+//! A system that answers no more once the run was cancelled or its time is up, so that a long step ends as
+//! well, and whose calls are timed.
 
 use crate::options::Options;
 use crate::sparsity::JacobianPattern;
@@ -12,8 +12,8 @@ use crate::system::{
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Why a run was ended from outside of it. A system whose call takes long may look at a [`Watch`] meanwhile, and at whatever else, and
-/// end the run: `Err(CallError::failed(stopped))`.
+/// Why a run was ended from outside of it. A system whose call takes long may look at a [`Watch`] meanwhile,
+/// and at whatever else, and end the run: `Err(CallError::failed(stopped))`.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum Stopped {
     /// The flag of [`Options::cancel`] was set: the run ends with [`ErrorKind::Cancelled`](crate::ErrorKind).

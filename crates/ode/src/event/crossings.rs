@@ -5,8 +5,9 @@ use super::returns::SMALL;
 use crate::system::Direction;
 
 impl Domains {
-    /// Writes down the direction of every crossing up to the end, after the time `elapsed`, that is an event; returns the
-    /// first that crossed, those that do not slide before those that do. Times within `tolerance` are one.
+    /// Writes down the direction of every crossing up to the end, after the time `elapsed`, that is an event;
+    /// returns the first that crossed, those that do not slide before those that do. Times within `tolerance`
+    /// are one.
     pub(crate) fn mark(&mut self, elapsed: f64, tolerance: f64) -> Option<usize> {
         let mut has_any = false;
         for i in 0..self.len() {
@@ -81,8 +82,8 @@ impl Domains {
         self.base.iter().zip(&self.before).any(|(z, last)| z.abs() < reach * (z - last).abs())
     }
 
-    /// Notes which domain indicator `i`, which crosses, comes from: the one that it leaves, unless it was only next to zero there,
-    /// where an event has left it.
+    /// Notes which domain indicator `i`, which crosses, comes from: the one that it leaves, unless it was
+    /// only next to zero there, where an event has left it.
     pub(super) fn find_origin(&mut self, i: usize) {
         let ends_above = self.end[i] > 0.0;
         let was_left_behind = self.since_event[i].depth().is_some_and(|depth| !is_behind(depth, self.end[i]));

@@ -14,8 +14,8 @@ pub(super) enum SinceEvent {
     Settled,
     /// It is next to zero, and has not moved yet.
     New { depth: f64 },
-    /// It is next to zero, and its event has turned it back, or stopped it: it will be seen in the domain it came from before it is
-    /// seen beyond this depth, or it is lost.
+    /// It is next to zero, and its event has turned it back, or stopped it: it will be seen in the domain it
+    /// came from before it is seen beyond this depth, or it is lost.
     TurnedBack { depth: f64 },
 }
 
@@ -58,11 +58,12 @@ pub(crate) struct Domains {
     pub(super) lo: Vec<f64>,
     pub(super) discarded: Vec<f64>,
     pub(super) directions: Vec<Direction>,
-    /// Indicators at a point inside the step, and its time, where one has changed its domain in a direction that is no
-    /// event: what happens behind it counts from there. `None`: from the start of the step.
+    /// Indicators at a point inside the step, and its time, where one has changed its domain in a direction
+    /// that is no event: what happens behind it counts from there. `None`: from the start of the step.
     pub(super) from: Vec<f64>,
     pub(super) counts_since: Option<f64>,
-    /// Times inside the step at which the indicators were looked at, ascending, and their values there, one time after the other.
+    /// Times inside the step at which the indicators were looked at, ascending, and their values there, one
+    /// time after the other.
     pub(super) looked_at: Vec<f64>,
     pub(super) looked: Vec<f64>,
     /// Indicators at the start of the step before, and that time, if nothing has happened since.
@@ -85,8 +86,8 @@ pub(crate) struct Domains {
     pub(super) slopes: Vec<f64>,
     /// Those that their event has left next to zero, and that the flow leads on from there in the step.
     pub(super) onward: Vec<bool>,
-    /// Indicators that chatter: their crossings count at the ends of steps. For so many more steps, if they do not cross; 0: they do not
-    /// slide.
+    /// Indicators that chatter: their crossings count at the ends of steps. For so many more steps, if they
+    /// do not cross; 0: they do not slide.
     pub(super) sliding: Vec<u32>,
 }
 

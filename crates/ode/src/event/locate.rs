@@ -3,7 +3,8 @@
 use super::domains::{Domains, flipped};
 use crate::system::CallResult;
 
-/// A parabola comes near zero where its turning point is less than this share of the least value that it passes.
+/// A parabola comes near zero where its turning point is less than this share of the least value that it
+/// passes.
 const NEAR: f64 = 0.25;
 
 /// Where the first change of domain in a step was found.
@@ -17,7 +18,8 @@ pub(crate) struct Located {
     pub(crate) evaluations: u64,
 }
 
-/// Where after `start` the parabola through three points `(t, z)` in one domain turns, if that is in the other domain or near it.
+/// Where after `start` the parabola through three points `(t, z)` in one domain turns, if that is in the
+/// other domain or near it.
 fn turning_point([(t0, z0), (t1, z1), (t2, z2)]: [(f64, f64); 3], start: f64) -> Option<f64> {
     if flipped(z0, z1) || flipped(z1, z2) {
         return None;
@@ -37,8 +39,8 @@ fn turning_point([(t0, z0), (t1, z1), (t2, z2)]: [(f64, f64); 3], start: f64) ->
 }
 
 impl Domains {
-    /// Time and value of indicator `i` at the place `k` of what is known of the step from `start` to `end`, of which the last place is one more
-    /// than points were looked at inside.
+    /// Time and value of indicator `i` at the place `k` of what is known of the step from `start` to `end`,
+    /// of which the last place is one more than points were looked at inside.
     #[inline]
     fn known(&self, (i, k): (usize, usize), start: f64, end: f64) -> (f64, f64) {
         match k.checked_sub(1) {
@@ -57,8 +59,9 @@ impl Domains {
         stood && self.end[i] == z && self.looked.iter().skip(i).step_by(self.len()).all(|looked| *looked == z)
     }
 
-    /// Where between `start` and `end` a parabola through three neighbouring values of indicator `i` comes to its turning point, if
-    /// that lies in the other domain or near it: a crossing and its return may hide there.
+    /// Where between `start` and `end` a parabola through three neighbouring values of indicator `i` comes to
+    /// its turning point, if that lies in the other domain or near it: a crossing and its return may hide
+    /// there.
     pub(crate) fn turning_point(&self, i: usize, start: f64, end: f64) -> Option<f64> {
         let known = |k| self.known((i, k), start, end);
         let (mut a, mut b, next) = match self.before_time {
@@ -73,9 +76,9 @@ impl Domains {
         })
     }
 
-    /// Where between `start` and `end` a crossing and its return may hide in what is not known of indicator `i`: the middle of the wider
-    /// one of two neighbouring intervals of at least `least`, between whose three ends, all in one domain, its graph bends by more
-    /// than it stays away from zero.
+    /// Where between `start` and `end` a crossing and its return may hide in what is not known of indicator
+    /// `i`: the middle of the wider one of two neighbouring intervals of at least `least`, between whose
+    /// three ends, all in one domain, its graph bends by more than it stays away from zero.
     pub(crate) fn unresolved(&self, i: usize, (start, end): (f64, f64), least: f64) -> Option<f64> {
         if self.slides(i) {
             return None;
@@ -96,8 +99,9 @@ impl Domains {
         })
     }
 
-    /// Reads the indicators at a point inside the step behind those looked at before. `true`: one has an event before it,
-    /// and the indicators there are those at the end then. If one has changed otherwise, changes count from here.
+    /// Reads the indicators at a point inside the step behind those looked at before. `true`: one has an
+    /// event before it, and the indicators there are those at the end then. If one has changed otherwise,
+    /// changes count from here.
     pub(crate) fn changed_at(
         &mut self,
         t: f64,
@@ -123,23 +127,24 @@ impl Domains {
         Ok(false)
     }
 
-    /// All indicators that change in the bracket only jump between a value and its negative: they tell nothing but the
-    /// domain.
+    /// All indicators that change in the bracket only jump between a value and its negative: they tell
+    /// nothing but the domain.
     fn only_jumps(&self) -> bool {
         let from = self.reference();
         let located = |i: &usize| self.is_located(*i, self.lo[*i], self.end[*i]);
         (0..self.len()).filter(located).all(|i| from[i] == -self.end[i] && from[i] == self.lo[i])
     }
 
-    /// Finds the first event in `(t_lo, t_hi]`, where `end` holds the indicators at its end, and `base` (or those that
-    /// changes count from) the ones at its start, and at least one has changed so that it is an event. `evaluate(t, z)`
-    /// fills in the indicators at a time between.
+    /// Finds the first event in `(t_lo, t_hi]`, where `end` holds the indicators at its end, and `base` (or
+    /// those that changes count from) the ones at its start, and at least one has changed so that it is an
+    /// event. `evaluate(t, z)` fills in the indicators at a time between.
     ///
-    /// T. R. Chandrupatla, A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear function,
-    /// Advances in Engineering Software 28 (1997) 145-149, on one bracket common to all indicators; each iteration works
-    /// on the changed indicator whose secant crosses first. Ends when the bracket is at most `tolerance` wide, whatever
-    /// the values are, and returns its right end: there the change has really happened. `end` then holds the indicators
-    /// at that point. Where all that changes are indicators that only jump, a bracket of `for_jumps` is narrow enough.
+    /// T. R. Chandrupatla, A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear
+    /// function, Advances in Engineering Software 28 (1997) 145-149, on one bracket common to all indicators;
+    /// each iteration works on the changed indicator whose secant crosses first. Ends when the bracket is at
+    /// most `tolerance` wide, whatever the values are, and returns its right end: there the change has really
+    /// happened. `end` then holds the indicators at that point. Where all that changes are indicators that
+    /// only jump, a bracket of `for_jumps` is narrow enough.
     pub(crate) fn locate(
         &mut self,
         t_lo: f64,
@@ -200,7 +205,8 @@ impl Domains {
         Ok(Located { time: hi, before: lo, evaluations })
     }
 
-    /// Among the indicators that change inside the bracket, the one whose secant predicts the earliest crossing.
+    /// Among the indicators that change inside the bracket, the one whose secant predicts the earliest
+    /// crossing.
     fn first_by_secant(&self, lo: f64, hi: f64) -> usize {
         let mut best = (f64::INFINITY, 0);
         for i in 0..self.base.len() {

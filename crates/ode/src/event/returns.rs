@@ -7,21 +7,22 @@ use crate::system::Direction;
 /// The slopes of indicators are differences over this share of a step.
 pub(crate) const SLOPE_STEP: f64 = 1.0 / 256.0;
 
-/// Where they are not straight over that, so many times shorter ones are tried, each an eighth of the one before: an indicator may turn many
-/// times in a step.
+/// Where they are not straight over that, so many times shorter ones are tried, each an eighth of the one
+/// before: an indicator may turn many times in a step.
 const SHORTER: i32 = 4;
 
-/// Indicators below this share of their largest values so far are small: that events turn them back to zero again and again
-/// may be what their bounces have come to.
+/// Indicators below this share of their largest values so far are small: that events turn them back to zero
+/// again and again may be what their bounces have come to.
 pub(super) const SMALL: f64 = 0.1;
 
-/// After an event that has changed states an indicator just goes on if the flow at the start makes more than this share of its
-/// way in the step; else the event may have stopped it, and what is left of its slope be rounding.
+/// After an event that has changed states an indicator just goes on if the flow at the start makes more than
+/// this share of its way in the step; else the event may have stopped it, and what is left of its slope be
+/// rounding.
 const GOES_ON: f64 = 1.0 / 16.0;
 
 impl Domains {
-    /// After any event the indicators were read anew: those that crossed and are still next to zero may have turned back.
-    /// `reset`: the event has changed states.
+    /// After any event the indicators were read anew: those that crossed and are still next to zero may have
+    /// turned back. `reset`: the event has changed states.
     pub(crate) fn begin_after_event(&mut self, reset: bool) {
         for i in 0..self.len() {
             let leaves_origin = self.crossings[i] != 0 && (self.crossings[i] < 0) == self.from_above[i];
@@ -46,8 +47,8 @@ impl Domains {
         }
     }
 
-    /// A step is over, with events at its end or not: those that are seen in the domain they came from are settled, and of
-    /// the others none has been seen to go on.
+    /// A step is over, with events at its end or not: those that are seen in the domain they came from are
+    /// settled, and of the others none has been seen to go on.
     pub(crate) fn settle(&mut self) {
         for i in 0..self.len() {
             let z = self.end[i];
@@ -83,8 +84,9 @@ impl Domains {
         if self.end[i] > 0.0 { slope < 0.0 } else { slope > 0.0 }
     }
 
-    /// The slope of indicator `i`, of the value `z0` now, along the flow: `evaluate(s, z)` gives the indicators after the time `s` if the
-    /// flow stays as it is. It is taken over as short a time, from `step` to `reach`, as rounding lets it; 0: over none.
+    /// The slope of indicator `i`, of the value `z0` now, along the flow: `evaluate(s, z)` gives the
+    /// indicators after the time `s` if the flow stays as it is. It is taken over as short a time, from
+    /// `step` to `reach`, as rounding lets it; 0: over none.
     pub(crate) fn slope_along(
         &mut self,
         (i, z0): (usize, f64),
@@ -124,9 +126,10 @@ impl Domains {
         (0..self.len()).any(|i| self.may_return(i))
     }
 
-    /// Of these the slopes at the start of the step of size `h`, where they point out of the domain: by differences along
-    /// the flow, `evaluate(s, z)` being the indicators after the time `s`, at most `reach`, if the flow stayed as it is at
-    /// the start. Those that go on into their domain after their event are settled.
+    /// Of these the slopes at the start of the step of size `h`, where they point out of the domain: by
+    /// differences along the flow, `evaluate(s, z)` being the indicators after the time `s`, at most `reach`,
+    /// if the flow stayed as it is at the start. Those that go on into their domain after their event are
+    /// settled.
     pub(crate) fn find_slopes(
         &mut self,
         (h, reach): (f64, f64),
@@ -199,15 +202,15 @@ impl Domains {
         Ok(far > GOES_ON)
     }
 
-    /// The size of a step in which the slope of indicator `i`, which leads on into its domain but far more slowly than the step of size
-    /// `h` does, counts as much as what bends it.
+    /// The size of a step in which the slope of indicator `i`, which leads on into its domain but far more
+    /// slowly than the step of size `h` does, counts as much as what bends it.
     pub(crate) fn step_of_slope(&self, i: usize, h: f64) -> Option<f64> {
         let share = self.slopes[i] * h / (self.end[i] - self.base[i]);
         (share > 0.0 && self.slopes[i] != 0.0).then_some(2.0 * share * h)
     }
 
-    /// Indicator `i` moves on into its domain. Right after its event it just goes on; what is returned is the slope of
-    /// no interest then. One that had turned back points back no more.
+    /// Indicator `i` moves on into its domain. Right after its event it just goes on; what is returned is the
+    /// slope of no interest then. One that had turned back points back no more.
     fn goes_on(&mut self, i: usize) -> f64 {
         if matches!(self.since_event[i], SinceEvent::TurnedBack { .. }) {
             return 0.0;
@@ -221,8 +224,8 @@ impl Domains {
         Some(self.slopes[i]).filter(|slope| !slope.is_nan())
     }
 
-    /// When after the start the parabola through the value of such an indicator there, with its slope, and that at the
-    /// time `s`, which is `z`, turns, and its value there.
+    /// When after the start the parabola through the value of such an indicator there, with its slope, and
+    /// that at the time `s`, which is `z`, turns, and its value there.
     pub(crate) fn turn(&self, i: usize, (s, z): (f64, f64)) -> (f64, f64) {
         let (z0, slope) = (self.base[i], self.slopes[i]);
         let curvature = ((z - z0) / s - slope) / s;
@@ -244,8 +247,8 @@ impl Domains {
         flipped(self.base[i], z)
     }
 
-    /// To where indicator `i`, of this value behind zero, can be moved so that it does not cross again: its next crossing
-    /// may be an event.
+    /// To where indicator `i`, of this value behind zero, can be moved so that it does not cross again: its
+    /// next crossing may be an event.
     pub(crate) fn next_to_zero(&self, i: usize, z: f64) -> f64 {
         let is_event = flipped(z, 0.0) && self.directions[i] == Direction::Both;
         if is_event { 1e-3 * z } else { 0.0 }

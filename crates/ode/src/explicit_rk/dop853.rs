@@ -1,8 +1,9 @@
-//! The coefficients of DOP853: twelve stages of order 8 with embedded methods of orders 5 and 3, and a continuous
-//! extension of order 7 on four more (the first of them is the right-hand side at the end of the step).
+//! The coefficients of DOP853: twelve stages of order 8 with embedded methods of orders 5 and 3, and a
+//! continuous extension of order 7 on four more (the first of them is the right-hand side at the end of the
+//! step).
 //!
-//! E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, second edition, section II.5 and
-//! II.6. The numbers are checked against the order conditions below.
+//! E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, second edition, section
+//! II.5 and II.6. The numbers are checked against the order conditions below.
 
 use crate::tableau::{Dense, Estimate, Tableau, Weights};
 
@@ -20,7 +21,8 @@ pub(crate) static DOP853: Tableau<STAGES> = Tableau {
 #[rustfmt::skip]
 const C: [f64; STAGES] = [0.0, 0.052_600_151_958_767_73, 0.078_900_227_938_151_6, 0.118_350_341_907_227_4, 0.281_649_658_092_772_6, 0.333_333_333_333_333_3, 0.25, 0.307_692_307_692_307_7, 0.651_282_051_282_051_3, 0.6, 0.857_142_857_142_857_1, 1.0, 1.0, 0.1, 0.2, 0.777_777_777_777_777_8];
 
-/// Weights of the stages; row 12 is the solution of order 8 itself, rows 13 to 15 belong to the continuous extension.
+/// Weights of the stages; row 12 is the solution of order 8 itself, rows 13 to 15 belong to the continuous
+/// extension.
 #[rustfmt::skip]
 const A: [Weights; STAGES] = [
     &[],

@@ -1,10 +1,12 @@
-//! The equations of `M x' = f(t, x)` in which no derivative stands, for a singular `M`, and the states that they decide.
+//! The equations of `M x' = f(t, x)` in which no derivative stands, for a singular `M`, and the states that
+//! they decide.
 //!
-//! Where `l M = 0` for a row `l`, every solution has `l f(t, x) = 0`; where `M z = 0`, moving the state along `z` leaves
-//! what the other equations start from, `M x`, as it is. For systems of index 1 the matrix of `l J z` over all `l` and `z`
-//! is regular, so that Newton's method along the `z` finds consistent states (K. E. Brenan, S. L. Campbell,
-//! L. R. Petzold, Numerical Solution of Initial-Value Problems in Differential-Algebraic Equations, 1996, section 5.3.4;
-//! damped as in P. Deuflhard, Newton Methods for Nonlinear Problems, 2004, section 3.3).
+//! Where `l M = 0` for a row `l`, every solution has `l f(t, x) = 0`; where `M z = 0`, moving the state along
+//! `z` leaves what the other equations start from, `M x`, as it is. For systems of index 1 the matrix of `l J
+//! z` over all `l` and `z` is regular, so that Newton's method along the `z` finds consistent states (K. E.
+//! Brenan, S. L. Campbell, L. R. Petzold, Numerical Solution of Initial-Value Problems in
+//! Differential-Algebraic Equations, 1996, section 5.3.4; damped as in P. Deuflhard, Newton Methods for
+//! Nonlinear Problems, 2004, section 3.3).
 
 use crate::control::Weights;
 use crate::error::Undetermined;
@@ -21,8 +23,8 @@ const CONSISTENT: f64 = 0.1;
 const CONVERGED: f64 = 1e-3;
 const MAX_NEWTON: u32 = 30;
 const LEAST_DAMPING: f64 = 1e-3;
-/// Entries below this are zero, as far as differences of right-hand sides can tell: some hundred times the square root of
-/// the unit round-off.
+/// Entries below this are zero, as far as differences of right-hand sides can tell: some hundred times the
+/// square root of the unit round-off.
 const SINGULAR: f64 = 1e-6;
 
 /// The algebraic part of a mass matrix, and room for Newton's method.
@@ -38,7 +40,8 @@ pub(super) struct Algebraic {
     /// The columns `z`, one after the other, and for each the state that it is named after.
     columns: Vec<f64>,
     states: Vec<usize>,
-    /// For each state that the algebraic part is named after its equation, and what completes the matrix there.
+    /// For each state that the algebraic part is named after its equation, and what completes the matrix
+    /// there.
     partner: Vec<usize>,
     largest: f64,
     lu: Lu<f64>,
@@ -54,7 +57,8 @@ pub(super) struct Algebraic {
 }
 
 impl Algebraic {
-    /// For a mass matrix of `n` states, by columns, exact up to this share. `true`: it is another one than before.
+    /// For a mass matrix of `n` states, by columns, exact up to this share. `true`: it is another one than
+    /// before.
     pub(super) fn begin(&mut self, n: usize, mass: &[f64], noise: f64) -> CallResult<bool> {
         if self.n == n && self.mass == mass && self.noise == noise {
             return Ok(false);
@@ -80,8 +84,8 @@ impl Algebraic {
         self.names.len()
     }
 
-    /// Makes of `x` the state nearest to it, by the states that the algebraic part is named after, that differs from `guess` in
-    /// the algebraic part only.
+    /// Makes of `x` the state nearest to it, by the states that the algebraic part is named after, that
+    /// differs from `guess` in the algebraic part only.
     pub(super) fn move_from(&self, guess: &[f64], x: &mut [f64]) {
         let along: Vec<f64> = self.states.iter().map(|k| x[*k] - guess[*k]).collect();
         x.copy_from_slice(guess);
@@ -97,7 +101,8 @@ impl Algebraic {
         if self.partner.get(p / self.n) == Some(&(p % self.n)) { self.largest } else { 0.0 }
     }
 
-    /// Gaussian elimination with complete pivoting of the matrix, its rows and columns scaled to a largest entry of 1.
+    /// Gaussian elimination with complete pivoting of the matrix, its rows and columns scaled to a largest
+    /// entry of 1.
     fn split(&mut self) {
         let n = self.n;
         let mut a = self.mass.clone();
@@ -197,9 +202,9 @@ impl Algebraic {
         shares.fold(0.0, |a, b| if b.is_nan() { f64::INFINITY } else { a.max(b) })
     }
 
-    /// Sees to it that the algebraic equations hold at `(t, x)`, where the right-hand side is `f`; changes both if they do
-    /// not. `known`: there is a Jacobian, though perhaps not of this point; it is one of this point afterwards where there
-    /// was none.
+    /// Sees to it that the algebraic equations hold at `(t, x)`, where the right-hand side is `f`; changes
+    /// both if they do not. `known`: there is a Jacobian, though perhaps not of this point; it is one of this
+    /// point afterwards where there was none.
     pub(super) fn make_consistent<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
@@ -246,9 +251,9 @@ impl Algebraic {
         Ok(Consistency::Holds)
     }
 
-    /// An equation that does not determine the states it should, near `(t, x)`: at a point where each state is moved by a
-    /// share of its size, so that an index that rises at `(t, x)` alone, where solutions end, is not taken for a higher
-    /// index. `None`: there is none, or that point cannot be evaluated.
+    /// An equation that does not determine the states it should, near `(t, x)`: at a point where each state
+    /// is moved by a share of its size, so that an index that rises at `(t, x)` alone, where solutions end,
+    /// is not taken for a higher index. `None`: there is none, or that point cannot be evaluated.
     pub(super) fn undetermined<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
@@ -290,8 +295,8 @@ impl Algebraic {
         Some(Undetermined { equation: self.names[rows[done]], states, pivot })
     }
 
-    /// The equation with the largest residual, seen against what changes of the states within their tolerances make, if
-    /// it is larger than that.
+    /// The equation with the largest residual, seen against what changes of the states within their
+    /// tolerances make, if it is larger than that.
     fn worst(&mut self, jacobian: &Jacobian) -> Option<(usize, f64)> {
         let mut largest = 1.0;
         let mut worst = None;
@@ -309,8 +314,8 @@ impl Algebraic {
         worst
     }
 
-    /// Goes along the step as far as the next one, by the same matrix, becomes smaller for it; the size of that one.
-    /// `None`: nowhere.
+    /// Goes along the step as far as the next one, by the same matrix, becomes smaller for it; the size of
+    /// that one. `None`: nowhere.
     fn search<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
@@ -348,9 +353,9 @@ pub(super) fn sizes(weights: &Weights, x: &[f64], sizes: &mut [f64]) {
     sizes.iter_mut().enumerate().for_each(|(i, size)| *size = x[i].abs().max(weights.scale(i)));
 }
 
-/// Gaussian elimination with complete pivoting of a matrix of `m` rows, by columns: the number of its pivots where some are
-/// missing, as far as differences can tell, and the largest entry that is left for one. Rows and columns are put in the order
-/// of their pivots.
+/// Gaussian elimination with complete pivoting of a matrix of `m` rows, by columns: the number of its pivots
+/// where some are missing, as far as differences can tell, and the largest entry that is left for one. Rows
+/// and columns are put in the order of their pivots.
 fn rank_deficit(
     matrix: &mut [f64],
     m: usize,

@@ -8,23 +8,24 @@ use crate::system::{CallResult, HybridSystem};
 
 /// More iterations than this are slow.
 const ITERATIONS: u32 = 2;
-/// After a failure the Jacobian is taken as the cause where the coefficient has changed by less than this since the decomposition.
+/// After a failure the Jacobian is taken as the cause where the coefficient has changed by less than this
+/// since the decomposition.
 const SAME_MATRIX: f64 = 0.2;
 
 /// The numbers of a method.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Rules {
-    /// The decomposition is kept while the coefficient of its matrix changes by no more than this share of it, and for so
-    /// many steps.
+    /// The decomposition is kept while the coefficient of its matrix changes by no more than this share of
+    /// it, and for so many steps.
     pub(super) change: f64,
     pub(super) decomposition_steps: u32,
     /// The Jacobian is kept for so many steps.
     pub(super) jacobian_steps: u32,
-    /// A Jacobian of so few evaluations is made anew as soon as convergence slows down or a step fails; a dearer one only
-    /// when the slow convergence costs iterations.
+    /// A Jacobian of so few evaluations is made anew as soon as convergence slows down or a step fails; a
+    /// dearer one only when the slow convergence costs iterations.
     pub(super) cheap: usize,
-    /// Slow convergence is a reason for a new Jacobian only where the last one is from before an event: elsewhere it comes
-    /// from the matrix, of another coefficient.
+    /// Slow convergence is a reason for a new Jacobian only where the last one is from before an event:
+    /// elsewhere it comes from the matrix, of another coefficient.
     pub(super) only_after_events: bool,
 }
 
@@ -129,8 +130,8 @@ impl Freshness {
         self.age = self.age.max(1);
     }
 
-    /// Sees to it that there is a Jacobian, evaluated at the point `(t, x)` with the right-hand side `f` where it must be
-    /// a new one, and a decomposition for this coefficient, which `decompose` makes.
+    /// Sees to it that there is a Jacobian, evaluated at the point `(t, x)` with the right-hand side `f`
+    /// where it must be a new one, and a decomposition for this coefficient, which `decompose` makes.
     pub(super) fn prepare<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,

@@ -1,8 +1,10 @@
-//! Simplified Newton iterations, and when they have converged or never will (Hairer and Wanner II, section IV.8).
+//! Simplified Newton iterations, and when they have converged or never will (Hairer and Wanner II, section
+//! IV.8).
 //!
-//! BDF takes the same test as Radau5. With the test of VODE and CVODE (the larger of the last quotient and 0.3 times the rate
-//! before, times the increment, against the same share 0.1 of the error test) it takes 10 % more right-hand sides and 29 % more
-//! decompositions over the 52 stiff rows of `tests/vectors.rs` (rtol 1e-4 to 1e-10), and reaches 0.2 digits less on average.
+//! BDF takes the same test as Radau5. With the test of VODE and CVODE (the larger of the last quotient and
+//! 0.3 times the rate before, times the increment, against the same share 0.1 of the error test) it takes 10
+//! % more right-hand sides and 29 % more decompositions over the 52 stiff rows of `tests/vectors.rs` (rtol
+//! 1e-4 to 1e-10), and reaches 0.2 digits less on average.
 
 use crate::stepper::Equations;
 use crate::system::{CallError, CallResult, HybridSystem};
@@ -13,7 +15,8 @@ pub(super) const INITIAL_RATE: f64 = 1e-3;
 
 /// The equations of a step at the current iterate.
 pub(super) trait Iteration {
-    /// Evaluates the residual at the iterate and solves for the increment with the decomposed matrix; its norm.
+    /// Evaluates the residual at the iterate and solves for the increment with the decomposed matrix; its
+    /// norm.
     fn solve<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
@@ -63,8 +66,8 @@ impl Convergence {
         self.rate
     }
 
-    /// Iterates until the error is below the tolerance. `change` is the rate known beforehand, from a coefficient of the matrix
-    /// that is not that of the equations.
+    /// Iterates until the error is below the tolerance. `change` is the rate known beforehand, from a
+    /// coefficient of the matrix that is not that of the equations.
     pub(super) fn iterate<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
@@ -163,7 +166,8 @@ mod tests {
         assert_eq!(iterate(&mut convergence, 1.5, 1e-3, 0.0), Newton::Failed(0.5));
     }
 
-    /// A fast convergence before is trusted in the first iteration, unless the coefficient of the matrix has changed.
+    /// A fast convergence before is trusted in the first iteration, unless the coefficient of the matrix has
+    /// changed.
     #[test]
     fn a_changed_coefficient_is_no_reason_to_trust_the_rate_before() {
         for (change, count) in [(0.0, 1), (0.1, 2)] {

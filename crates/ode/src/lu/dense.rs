@@ -44,7 +44,8 @@ impl<T: Scalar> DenseLu<T> {
         Ok(())
     }
 
-    /// Fills in the matrix entry by entry and decomposes it; `false`: it is singular, or has entries that are not finite.
+    /// Fills in the matrix entry by entry and decomposes it; `false`: it is singular, or has entries that are
+    /// not finite.
     pub(super) fn decompose(&mut self, mut entry: impl FnMut(usize, bool) -> T) -> bool {
         let n = self.pivots.len();
         let a = &mut self.a[..];

@@ -1,4 +1,5 @@
-//! Stands in for the sparse decomposition where the feature `sparse` is off: there is none, and no value of its type.
+//! Stands in for the sparse decomposition where the feature `sparse` is off: there is none, and no value of
+//! its type.
 
 use crate::sparsity::JacobianPattern;
 use std::convert::Infallible;

@@ -1,5 +1,5 @@
-//! Decompositions of real and complex matrices: dense with partial pivoting, in place, without allocation once there is
-//! room; sparse where the pattern is known and it is worth it.
+//! Decompositions of real and complex matrices: dense with partial pivoting, in place, without allocation
+//! once there is room; sparse where the pattern is known and it is worth it.
 
 use crate::sparsity::JacobianPattern;
 use crate::system::CallResult;
@@ -14,13 +14,15 @@ mod sparse;
 
 pub(crate) use dense::make_room;
 
-/// From so many rows on, and with at most this share of places that may differ from zero, matrices are sparse.
-/// Measured: a chain of 100 states (4 % of the places) is decomposed in half the time of a dense matrix, one of 1000
-/// (0.4 %) in a ninetieth (74 us instead of 6.9 ms); a square grid of 196 states (2.4 %) in the same time and solved in a quarter.
+/// From so many rows on, and with at most this share of places that may differ from zero, matrices are
+/// sparse. Measured: a chain of 100 states (4 % of the places) is decomposed in half the time of a dense
+/// matrix, one of 1000 (0.4 %) in a ninetieth (74 us instead of 6.9 ms); a square grid of 196 states (2.4 %)
+/// in the same time and solved in a quarter.
 const SPARSE_ROWS: usize = 100;
 const SPARSE_SHARE: f64 = 0.05;
 
-/// True if matrices of this pattern are kept and decomposed as sparse ones: none without the feature `sparse`.
+/// True if matrices of this pattern are kept and decomposed as sparse ones: none without the feature
+/// `sparse`.
 pub(crate) fn is_sparse(pattern: &JacobianPattern) -> bool {
     let n = pattern.n_states();
     cfg!(feature = "sparse")
@@ -42,7 +44,8 @@ impl<T: Scalar> Default for Lu<T> {
 }
 
 impl<T: Scalar> Lu<T> {
-    /// Makes room for `n` rows; for all their places, or for those of a [sparse](is_sparse) pattern and the diagonal.
+    /// Makes room for `n` rows; for all their places, or for those of a [sparse](is_sparse) pattern and the
+    /// diagonal.
     ///
     /// # Errors
     /// There is no room for a dense matrix of this size.
@@ -55,9 +58,9 @@ impl<T: Scalar> Lu<T> {
         self.dense.resize(if self.sparse.is_some() { 0 } else { n })
     }
 
-    /// Fills in the matrix entry by entry and decomposes it; `entry` gets the position in the list of all places by columns (of
-    /// those of the pattern and the diagonal if it is sparse), and whether it lies on the diagonal. `false`: it is singular or
-    /// has entries that are not finite.
+    /// Fills in the matrix entry by entry and decomposes it; `entry` gets the position in the list of all
+    /// places by columns (of those of the pattern and the diagonal if it is sparse), and whether it lies on
+    /// the diagonal. `false`: it is singular or has entries that are not finite.
     pub(crate) fn decompose(&mut self, entry: impl FnMut(usize, bool) -> T) -> bool {
         match &mut self.sparse {
             Some(sparse) => sparse.decompose(entry),
@@ -65,8 +68,8 @@ impl<T: Scalar> Lu<T> {
         }
     }
 
-    /// Floating-point operations of a decomposition and of a solution. The factors of a sparse matrix are taken to have
-    /// three times its places, evenly spread.
+    /// Floating-point operations of a decomposition and of a solution. The factors of a sparse matrix are
+    /// taken to have three times its places, evenly spread.
     pub(crate) fn operations(&self) -> (u64, u64) {
         let per_place = (size_of::<T>() / size_of::<f64>()).pow(2) as u64;
         match &self.sparse {

@@ -1,7 +1,8 @@
-//! Sparse decomposition by the library faer: the pattern is analysed once, numbers are decomposed as often as wanted.
+//! Sparse decomposition by the library faer: the pattern is analysed once, numbers are decomposed as often as
+//! wanted.
 //!
-//! Unlike the dense one it allocates: 39 times for a decomposition (its factors, and room to work in), once for a solution.
-//! Everything is given back with the next decomposition.
+//! Unlike the dense one it allocates: 39 times for a decomposition (its factors, and room to work in), once
+//! for a solution. Everything is given back with the next decomposition.
 
 use super::scalar::Scalar;
 use crate::sparsity::JacobianPattern;
@@ -43,8 +44,8 @@ impl<T: Scalar> SparseLu<T> {
         &self.pattern
     }
 
-    /// Reads the entries of the pattern and decomposes; `false`: some are not finite, or the matrix is singular: the factors of
-    /// one that is so by its numbers give solutions that are not finite.
+    /// Reads the entries of the pattern and decomposes; `false`: some are not finite, or the matrix is
+    /// singular: the factors of one that is so by its numbers give solutions that are not finite.
     pub(crate) fn decompose(&mut self, mut entry: impl FnMut(usize, bool) -> T) -> bool {
         for (p, (value, on_diagonal)) in self.values.iter_mut().zip(&self.on_diagonal).enumerate() {
             *value = entry(p, *on_diagonal);

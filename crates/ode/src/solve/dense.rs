@@ -4,8 +4,9 @@ use crate::observer::StepView;
 
 /// The solution as a function of time, as accurate as the steps themselves.
 ///
-/// Each step is kept as its states at Chebyshev's extreme points, and interpolated by the barycentric formula (J.-P. Berrut,
-/// L. N. Trefethen, Barycentric Lagrange interpolation, SIAM Review 46 (2004) 501-517, eq. 4.2 and 5.4).
+/// Each step is kept as its states at Chebyshev's extreme points, and interpolated by the barycentric formula
+/// (J.-P. Berrut, L. N. Trefethen, Barycentric Lagrange interpolation, SIAM Review 46 (2004) 501-517, eq. 4.2
+/// and 5.4).
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct DenseOutput {
     n_states: usize,

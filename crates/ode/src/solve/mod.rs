@@ -15,8 +15,8 @@ use crate::system::{Argument, Direction};
 use std::ops::{ControlFlow, Range};
 use system::{ClosureSystem, Form, Rows};
 
-/// Integrates `x' = f(t, x)` from closures: `rhs(t, x, dx)` fills in the right-hand side. The span may lead backward
-/// (`1.0..0.0`). Where the right-hand side is NaN or infinite a smaller step is tried.
+/// Integrates `x' = f(t, x)` from closures: `rhs(t, x, dx)` fills in the right-hand side. The span may lead
+/// backward (`1.0..0.0`). Where the right-hand side is NaN or infinite a smaller step is tried.
 ///
 /// ```
 /// use ode::{Event, Method};
@@ -33,11 +33,12 @@ pub fn solve<'a>(rhs: impl FnMut(f64, &[f64], &mut [f64]) + 'a, span: Range<f64>
     Solve::new(Form::Explicit(Box::new(rhs)), span, x0.to_vec(), Options::default())
 }
 
-/// Integrates `F(t, x, x') = 0` (index 0 or 1): `residual(t, x, dx, r)` fills in `F`. Of `x0` what has a derivative in the
-/// equations counts; the rest of it, and `dx0`, are guesses: they are corrected until the equations hold. A system of a
-/// higher index ends with [`ErrorKind::HigherIndex`](crate::ErrorKind), which names the states concerned (not
-/// with sparse matrices of more than 500 states). A guess at which `dF/dx'` is singular while it is not near it is an
-/// [`ErrorKind::InconsistentSlopes`](crate::ErrorKind). The method is [`Method::Bdf`].
+/// Integrates `F(t, x, x') = 0` (index 0 or 1): `residual(t, x, dx, r)` fills in `F`. Of `x0` what has a
+/// derivative in the equations counts; the rest of it, and `dx0`, are guesses: they are corrected until the
+/// equations hold. A system of a higher index ends with [`ErrorKind::HigherIndex`](crate::ErrorKind), which
+/// names the states concerned (not with sparse matrices of more than 500 states). A guess at which `dF/dx'`
+/// is singular while it is not near it is an [`ErrorKind::InconsistentSlopes`](crate::ErrorKind). The method
+/// is [`Method::Bdf`].
 ///
 /// ```
 /// // x' = -y with y = 2 x, from a wrong guess of y.
@@ -60,7 +61,8 @@ pub fn solve_dae<'a>(
     Solve::new(Form::Residual(Box::new(residual), dx0.to_vec()), span, x0.to_vec(), options)
 }
 
-/// Integrates `x'' = f(t, x, x')`: `acceleration(t, x, v, a)` fills in `a`. The states of the solution are `[x, v]`.
+/// Integrates `x'' = f(t, x, x')`: `acceleration(t, x, v, a)` fills in `a`. The states of the solution are
+/// `[x, v]`.
 ///
 /// ```
 /// let solution = ode::solve_second_order(|_, x, _, a| a[0] = -x[0], 0.0..1.0, &[1.0], &[0.0]).run()?;
@@ -123,7 +125,8 @@ pub enum SolveError {
 /// Result of an integration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Solution {
-    /// The times asked for, or the ends of the steps. Where an event changed the states both sides of it are listed.
+    /// The times asked for, or the ends of the steps. Where an event changed the states both sides of it are
+    /// listed.
     pub times: Vec<f64>,
     /// The states there.
     pub states: Vec<Vec<f64>>,
@@ -178,7 +181,8 @@ impl<'a> Solve<'a> {
         self
     }
 
-    /// When the solution is wanted: in the order of the integration, within the span; default: at the ends of the steps.
+    /// When the solution is wanted: in the order of the integration, within the span; default: at the ends of
+    /// the steps.
     pub fn times(mut self, times: &[f64]) -> Self {
         self.times = Some(times.to_vec());
         self
@@ -203,15 +207,15 @@ impl<'a> Solve<'a> {
         self
     }
 
-    /// The Jacobian of the right-hand side: `jacobian(t, x, j)` fills in `j[i + n k] = d f_i / d x_k`; zeros when it is
-    /// called. Default: differences.
+    /// The Jacobian of the right-hand side: `jacobian(t, x, j)` fills in `j[i + n k] = d f_i / d x_k`; zeros
+    /// when it is called. Default: differences.
     pub fn jacobian(mut self, mut jacobian: impl FnMut(f64, &[f64], &mut [f64]) + 'a) -> Self {
         self.system.jacobian = Some(Box::new(move |t, x, _, _, j| jacobian(t, x, j)));
         self
     }
 
-    /// The Jacobians of a residual: `jacobian(t, x, dx, argument, j)` fills in that with respect to this argument, by
-    /// columns; zeros when it is called. Default: differences.
+    /// The Jacobians of a residual: `jacobian(t, x, dx, argument, j)` fills in that with respect to this
+    /// argument, by columns; zeros when it is called. Default: differences.
     pub fn residual_jacobian(
         mut self,
         jacobian: impl FnMut(f64, &[f64], &[f64], Argument, &mut [f64]) + 'a,
@@ -220,14 +224,15 @@ impl<'a> Solve<'a> {
         self
     }
 
-    /// The places `(i, k)` where equation `i` depends on state `k` (or its derivative): columns that share no row come from one
-    /// difference.
+    /// The places `(i, k)` where equation `i` depends on state `k` (or its derivative): columns that share no
+    /// row come from one difference.
     pub fn pattern(mut self, pattern: JacobianPattern) -> Self {
         self.system.pattern = Some(pattern);
         self
     }
 
-    /// The constant matrix `M` of `M x' = f(t, x)`, by columns; see [`mass_matrix`](crate::HybridSystem::mass_matrix).
+    /// The constant matrix `M` of `M x' = f(t, x)`, by columns; see
+    /// [`mass_matrix`](crate::HybridSystem::mass_matrix).
     pub fn mass_matrix(mut self, mass: &[f64]) -> Self {
         self.system.mass = Some(mass.to_vec());
         self
@@ -236,7 +241,8 @@ impl<'a> Solve<'a> {
     /// Integrates.
     ///
     /// # Errors
-    /// An option or argument that cannot be used, or an integration that failed: why, where, with which numbers.
+    /// An option or argument that cannot be used, or an integration that failed: why, where, with which
+    /// numbers.
     pub fn run(self) -> Result<Solution, SolveError> {
         let Self { mut system, span, options, times, keeps_steps, wrong_length } = self;
         let n = system.x0.len();

@@ -1,5 +1,5 @@
-//! The model description for Python: plain dictionaries, made when they are asked for; `_model/description.py`
-//! gives them their classes.
+//! The model description for Python: plain dictionaries, made when they are asked for;
+//! `_model/description.py` gives them their classes.
 
 use crate::convert::dict::dict;
 use crate::convert::fmu_error;

@@ -1,4 +1,5 @@
-//! `sources/buildDescription.xml`: what to compile for which interface (FMI 3.0, also used by some FMI 2.0 FMUs).
+//! `sources/buildDescription.xml`: what to compile for which interface (FMI 3.0, also used by some FMI 2.0
+//! FMUs).
 
 use super::attributes::Attributes;
 use super::encoding;
@@ -22,8 +23,8 @@ pub(crate) struct BuildSet {
     pub(crate) definitions: Vec<(String, Option<String>)>,
 }
 
-/// The first build configuration for a model identifier: its C source sets as one. Compiler options are left out:
-/// they are written for one compiler, and not every option is harmless.
+/// The first build configuration for a model identifier: its C source sets as one. Compiler options are left
+/// out: they are written for one compiler, and not every option is harmless.
 pub(crate) fn build_sets(bytes: &[u8], model_identifier: &str) -> Result<Option<BuildSet>, FmiError> {
     check_size(bytes, BUILD_DESCRIPTION, &DescriptionLimits::default())?;
     let text = encoding::decode(bytes.into(), &mut Quirks::default());

@@ -1,5 +1,5 @@
-//! Model descriptions of FMI 3.0 (specification 3.0.1, chapters 2.4, 3.3 and 4.3): all types of variables, arrays,
-//! aliases, clocks as variables. Scheduled execution has no type of ours: it is named and left out.
+//! Model descriptions of FMI 3.0 (specification 3.0.1, chapters 2.4, 3.3 and 4.3): all types of variables,
+//! arrays, aliases, clocks as variables. Scheduled execution has no type of ours: it is named and left out.
 
 use super::attributes::Attributes;
 use super::clocks::{ClockAttributes, Clocks};
@@ -14,8 +14,8 @@ use crate::error::FmiError;
 use crate::value::{Value, VariableKind};
 use std::collections::HashMap;
 
-/// Positions of variables by value reference, which FMI 3.0 uses where FMI 2.0 has positions; `None` for variables
-/// left out.
+/// Positions of variables by value reference, which FMI 3.0 uses where FMI 2.0 has positions; `None` for
+/// variables left out.
 type Positions = HashMap<u32, Option<usize>>;
 
 /// References to variables that may be declared further down: the clocks of a variable, as a list, and the
@@ -181,8 +181,8 @@ fn variables(
     Ok(positions)
 }
 
-/// The start value of a text or binary variable that stands where those of other types do, as in FMI 2.0, instead of in
-/// elements `<Start>`.
+/// The start value of a text or binary variable that stands where those of other types do, as in FMI 2.0,
+/// instead of in elements `<Start>`.
 fn start_attribute(attributes: &Attributes<'_>, variable: &Variable, quirks: &mut Quirks) -> Option<Value> {
     let start = match variable.kind {
         VariableKind::Binary => Value::Binary(attributes.hexadecimal("start", quirks)?),

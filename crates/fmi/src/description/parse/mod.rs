@@ -1,5 +1,5 @@
-//! From the bytes of `modelDescription.xml` to types of ours: one file per version of the standard, what they have
-//! in common in `shared.rs`.
+//! From the bytes of `modelDescription.xml` to types of ours: one file per version of the standard, what they
+//! have in common in `shared.rs`.
 
 mod attributes;
 mod build_description;

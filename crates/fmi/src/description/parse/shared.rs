@@ -230,7 +230,8 @@ pub(super) fn type_definition(
     }
 }
 
-/// The type of variables behind an element of FMI 1.0 or 2.0: `<Real>`; `<RealType>` in the type definitions of FMI 1.0.
+/// The type of variables behind an element of FMI 1.0 or 2.0: `<Real>`; `<RealType>` in the type definitions
+/// of FMI 1.0.
 pub(super) fn scalar_kind(element: &str) -> Option<VariableKind> {
     match element.strip_suffix("Type").unwrap_or(element) {
         "Real" => Some(VariableKind::Real),

@@ -1,5 +1,5 @@
-//! `terminalsAndIcons/terminalsAndIcons.xml`: variables that are connected together (FMI 3.0.x, section 2.4.9; also used by some
-//! FMI 2.0 FMUs).
+//! `terminalsAndIcons/terminalsAndIcons.xml`: variables that are connected together (FMI 3.0.x, section
+//! 2.4.9; also used by some FMI 2.0 FMUs).
 
 use super::attributes::Attributes;
 use super::encoding;

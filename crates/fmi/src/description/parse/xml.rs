@@ -1,4 +1,5 @@
-//! XML as a walk over elements, hardened: no document types, bounded depth and attributes, lines in all errors.
+//! XML as a walk over elements, hardened: no document types, bounded depth and attributes, lines in all
+//! errors.
 
 use crate::description::limits::Budget;
 use crate::error::FmiError;

@@ -1,4 +1,5 @@
-//! When a clock ticks next: ticks are multiples, never sums, and fractions are exact for as long as they can be.
+//! When a clock ticks next: ticks are multiples, never sums, and fractions are exact for as long as they can
+//! be.
 
 use crate::description::Interval;
 

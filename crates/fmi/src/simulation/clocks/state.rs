@@ -1,8 +1,9 @@
 //! Clocks of model exchange and co-simulation: who ticks when, and what happens at a tick.
 //!
-//! The importer activates input clocks, all that are due at an instant in one visit of event mode, together with every
-//! other event of that instant. Ticks of periodic clocks are `start + shift + k * interval`, never sums; fractions are
-//! multiplied out before they are divided. The rules are those of FMI 3.0.x, sections 2.2.8.3 and 2.3.5.
+//! The importer activates input clocks, all that are due at an instant in one visit of event mode, together
+//! with every other event of that instant. Ticks of periodic clocks are `start + shift + k * interval`, never
+//! sums; fractions are multiplied out before they are divided. The rules are those of FMI 3.0.x, sections
+//! 2.2.8.3 and 2.3.5.
 
 use super::plan::ClockPlan;
 use super::schedule::Schedule;
@@ -53,8 +54,8 @@ impl ClockState {
         timed.chain(triggered).next()
     }
 
-    /// Before the initialization ends: learns the intervals that only the model knows, and sets clocked inputs, which
-    /// may be set once more here without a tick.
+    /// Before the initialization ends: learns the intervals that only the model knows, and sets clocked
+    /// inputs, which may be set once more here without a tick.
     pub(crate) fn begin(&mut self, plan: &ClockPlan, core: &mut Core, start: f64) -> Result<(), FmiError> {
         self.ticks.clear();
         self.schedules.clear();
@@ -86,7 +87,8 @@ impl ClockState {
         timed.chain(triggered).min_by(f64::total_cmp)
     }
 
-    /// Notes and lists the clocks that are due, with the exact times of their ticks, and plans their next ones.
+    /// Notes and lists the clocks that are due, with the exact times of their ticks, and plans their next
+    /// ones.
     fn take_due(&mut self, plan: &ClockPlan, t: f64) {
         self.ticked.clear();
         self.active.clear();
@@ -112,9 +114,10 @@ impl ClockState {
         }
     }
 
-    /// The events of an instant, in event mode: activates the clocks that are due, updates the discrete states until they
-    /// settle, and notes what ticks follow. `next_time` of the outcome is the next event that the model announced or the
-    /// next tick; that of the model alone comes second. Each round may be ended from `outside`.
+    /// The events of an instant, in event mode: activates the clocks that are due, updates the discrete
+    /// states until they settle, and notes what ticks follow. `next_time` of the outcome is the next event
+    /// that the model announced or the next tick; that of the model alone comes second. Each round may be
+    /// ended from `outside`.
     pub(crate) fn iterate_events(
         &mut self,
         plan: &ClockPlan,

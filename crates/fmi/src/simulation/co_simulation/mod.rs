@@ -1,10 +1,10 @@
 //! Co-simulation: the loop over the communication points (see [`Communication`]), which delivers the same
 //! samples as the integration of a model.
 //!
-//! At each point the row is read first; the inputs of the next step are set just before the step. So rows are limits from
-//! the left, and those at the start are read after the initialization with the inputs of that time. Limits from the right
-//! exist in event mode only (FMI 3.0): at a point with events or jumps of inputs the row is read behind them, and a time
-//! listed twice has both.
+//! At each point the row is read first; the inputs of the next step are set just before the step. So rows are
+//! limits from the left, and those at the start are read after the initialization with the inputs of that
+//! time. Limits from the right exist in event mode only (FMI 3.0): at a point with events or jumps of inputs
+//! the row is read behind them, and a time listed twice has both.
 
 mod run;
 mod samples;
@@ -24,7 +24,8 @@ impl Stepping {
     /// Runs from the start to the end.
     ///
     /// # Errors
-    /// [`FmiError::Simulation`] says why, where and with which numbers; samples delivered before it stay valid.
+    /// [`FmiError::Simulation`] says why, where and with which numbers; samples delivered before it stay
+    /// valid.
     pub(crate) fn run(&mut self, max_steps: Option<u64>, outside: &Outside<'_>) -> Result<Report, FmiError> {
         let began = Instant::now();
         let plan = Arc::clone(&self.running.plan);

@@ -57,7 +57,8 @@ pub(super) struct Run<'a, 'o> {
     pub(super) max_steps: Option<u64>,
     pub(super) outside: &'a Outside<'o>,
     pub(super) t: f64,
-    /// Where the regular points count from: the start, or where a model that takes steps of one length only returned early.
+    /// Where the regular points count from: the start, or where a model that takes steps of one length only
+    /// returned early.
     pub(super) origin: f64,
     /// Regular points passed, and whether the run stands on the last of them.
     pub(super) passed: u64,
@@ -210,10 +211,10 @@ impl Run<'_, '_> {
         self.arrive_at(time, outcome)
     }
 
-    /// The model stands at a communication point: samples and events. Inputs change here in event mode only, where there
-    /// is one; else they are set when the row has been read, just before the next step (FMI 2.0.5, section 4.2.4: outputs
-    /// that are read after inputs were set, with no step between, may be anything). A model that wishes to end here has no
-    /// more events.
+    /// The model stands at a communication point: samples and events. Inputs change here in event mode only,
+    /// where there is one; else they are set when the row has been read, just before the next step (FMI
+    /// 2.0.5, section 4.2.4: outputs that are read after inputs were set, with no step between, may be
+    /// anything). A model that wishes to end here has no more events.
     fn arrive_at(&mut self, time: f64, outcome: &StepOutcome) -> Step<()> {
         self.t = time;
         self.sample_left()?;
@@ -231,8 +232,8 @@ impl Run<'_, '_> {
         Ok(())
     }
 
-    /// Notes the first time at which a model stands elsewhere than at the end of a step that it calls complete: it has the
-    /// values of another time there.
+    /// Notes the first time at which a model stands elsewhere than at the end of a step that it calls
+    /// complete: it has the values of another time there.
     fn check_internal_time(&mut self, target: &Target, outcome: &StepOutcome) {
         let Some(reached) = outcome.reached.filter(|_| !self.is_elsewhere) else { return };
         self.is_elsewhere = (reached - target.time).abs() > INTERNAL_TIME_TOLERANCE * target.step;
@@ -297,8 +298,8 @@ impl Run<'_, '_> {
         Target { time, step, regular }
     }
 
-    /// Where to stop for the sake of `time`: there, or where the model steps from one multiple of its own step to the next,
-    /// at the multiples around it.
+    /// Where to stop for the sake of `time`: there, or where the model steps from one multiple of its own
+    /// step to the next, at the multiples around it.
     fn stop_before(&self, time: f64) -> f64 {
         let Some((below, above)) =
             self.communication.steps_around(self.plan.start, time, self.plan.time_tolerance)
@@ -321,7 +322,8 @@ impl Run<'_, '_> {
         length
     }
 
-    /// Refuses to step over a tick: a model that takes steps of one length only may not be able to stop there.
+    /// Refuses to step over a tick: a model that takes steps of one length only may not be able to stop
+    /// there.
     fn check_ticks(&self, target: &Target) -> Step<()> {
         let (clocks, time_tolerance) = (&self.stepping.running.clocks, self.plan.time_tolerance);
         match clocks.next(&self.plan.clocks) {
@@ -363,8 +365,8 @@ impl Run<'_, '_> {
         }
     }
 
-    /// The events of this point, in event mode: those of the model, and the jumps of inputs. Returns whether the model ends
-    /// the simulation.
+    /// The events of this point, in event mode: those of the model, and the jumps of inputs. Returns whether
+    /// the model ends the simulation.
     fn handle_events(&mut self, event: bool) -> Step<bool> {
         let jumped = self.stepping.running.inputs.pass(&self.plan.inputs, self.t);
         let cause = EventCause {
@@ -397,8 +399,8 @@ impl Run<'_, '_> {
         Ok(self.stepping.run_event_mode(self.t, self.outside)?)
     }
 
-    /// The inputs of the next step, and their derivatives: where there is an event mode only the continuous ones, for the
-    /// others were set there.
+    /// The inputs of the next step, and their derivatives: where there is an event mode only the continuous
+    /// ones, for the others were set there.
     fn set_inputs(&mut self, target: &Target) -> Step<()> {
         let event_mode = self.stepping.running.current.core()?.raw.has_event_mode();
         if !event_mode {

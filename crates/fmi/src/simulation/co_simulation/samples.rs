@@ -1,4 +1,5 @@
-//! The samples of a co-simulation: at communication points as the model gives them, between two of them interpolated.
+//! The samples of a co-simulation: at communication points as the model gives them, between two of them
+//! interpolated.
 
 use super::run::{Exit, Run, Step, StepSide};
 use super::stepping::{Call, Stepping};
@@ -58,8 +59,9 @@ impl Run<'_, '_> {
         Ok(())
     }
 
-    /// Samples between here and `end`: held where the variable is not continuous, else linear, or where the derivative at
-    /// the end is known the parabola that has it (that at the start may be another one, if the inputs jump there).
+    /// Samples between here and `end`: held where the variable is not continuous, else linear, or where the
+    /// derivative at the end is known the parabola that has it (that at the start may be another one, if the
+    /// inputs jump there).
     pub(super) fn sample_inside(&mut self, end: f64) -> Step<()> {
         while let Some(time) = self.row_before(end) {
             self.outside.check()?;

@@ -1,4 +1,5 @@
-//! Time-varying inputs: tables and functions; linear between rows for continuous floating-point inputs, held for everything else.
+//! Time-varying inputs: tables and functions; linear between rows for continuous floating-point inputs, held
+//! for everything else.
 
 use super::texts::TextInput;
 use crate::description::{Causality, ClockKind, Value, Variability, Variable, VariableKind};
@@ -18,9 +19,10 @@ pub type InputFunction = Arc<dyn Fn(f64) -> f64 + Send + Sync>;
 
 /// Sources that drive the inputs of a model.
 ///
-/// Continuous inputs of floating-point type are linear between the rows of their table, all other inputs (texts, too: [`values`](Self::values)) keep
-/// the value of a row until the next; outside of the table the first and the last row hold. A time listed twice is a jump: the first of the two rows
-/// is the limit from the left. Jumps and changes of held values are events; changes of slope are hit by steps.
+/// Continuous inputs of floating-point type are linear between the rows of their table, all other inputs
+/// (texts, too: [`values`](Self::values)) keep the value of a row until the next; outside of the table the
+/// first and the last row hold. A time listed twice is a jump: the first of the two rows is the limit from
+/// the left. Jumps and changes of held values are events; changes of slope are hit by steps.
 ///
 /// ```
 /// use fmi::Inputs;
@@ -84,8 +86,8 @@ impl Inputs {
         Self::default()
     }
 
-    /// Adds a table: times in ascending order and, for each variable, as many values. Integers and Booleans are given as
-    /// numbers. What is wrong with a table is said when a simulation is planned.
+    /// Adds a table: times in ascending order and, for each variable, as many values. Integers and Booleans
+    /// are given as numbers. What is wrong with a table is said when a simulation is planned.
     #[must_use]
     pub fn table<N, C>(mut self, times: impl Into<Arc<[f64]>>, columns: C) -> Self
     where
@@ -115,7 +117,8 @@ impl Inputs {
         self.source(name, SourceValues::Numbers(times.into(), values.into()))
     }
 
-    /// Adds a variable of any type with times of its own, for what a double cannot hold: texts, bytes, integers of 64 bits.
+    /// Adds a variable of any type with times of its own, for what a double cannot hold: texts, bytes,
+    /// integers of 64 bits.
     #[must_use]
     pub fn values(
         self,
@@ -127,8 +130,8 @@ impl Inputs {
         self.source(name, SourceValues::Any(times.into(), values))
     }
 
-    /// Adds a continuous real input that is a function of time. It should be smooth; where it returns NaN or an
-    /// infinity, the model counts as not defined. It may be called from any thread.
+    /// Adds a continuous real input that is a function of time. It should be smooth; where it returns NaN or
+    /// an infinity, the model counts as not defined. It may be called from any thread.
     #[must_use]
     pub fn function(
         self,
@@ -364,8 +367,8 @@ impl InputPlan {
         Ok(())
     }
 
-    /// A clock: the rows of a triggered one that hold 1 are its ticks; one that can be deactivated leaves its ticks out
-    /// where it holds 0.
+    /// A clock: the rows of a triggered one that hold 1 are its ticks; one that can be deactivated leaves its
+    /// ticks out where it holds 0.
     fn clock(
         &mut self,
         variable: &Variable,

@@ -17,8 +17,8 @@ pub(crate) struct InputState {
     pub(crate) held_packed: Vec<Vec<i64>>,
     /// The number of the value that each text has.
     texts: Vec<usize>,
-    /// Seconds in functions of the user since the start: a sum over all calls, each of which adds what is known of it when
-    /// it ends, so that also differences of it mean the time between.
+    /// Seconds in functions of the user since the start: a sum over all calls, each of which adds what is
+    /// known of it when it ends, so that also differences of it mean the time between.
     in_functions: f64,
     /// All functions at one instant are one call: one of them may do the work for the others.
     stopwatch: Stopwatch<1>,
@@ -75,8 +75,8 @@ impl InputState {
         self.passed > before
     }
 
-    /// Computes the continuous inputs at `t`; `false` if one is not finite. The piece between two jumps is used until
-    /// the jump has happened ([`pass`](Self::pass)), also for times a little beyond it.
+    /// Computes the continuous inputs at `t`; `false` if one is not finite. The piece between two jumps is
+    /// used until the jump has happened ([`pass`](Self::pass)), also for times a little beyond it.
     pub(crate) fn continuous_at(&mut self, plan: &InputPlan, t: f64) -> bool {
         let next = plan.jumps.get(self.passed).copied().unwrap_or(f64::INFINITY);
         let last = self.passed.checked_sub(1).map_or(f64::NEG_INFINITY, |i| plan.jumps[i]);

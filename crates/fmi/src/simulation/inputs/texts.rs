@@ -1,5 +1,5 @@
-//! Inputs that are texts or bytes: each value they take has a number, and the numbers are held from row to row like those
-//! of any other input.
+//! Inputs that are texts or bytes: each value they take has a number, and the numbers are held from row to
+//! row like those of any other input.
 
 use crate::description::{Value, Variable, VariableKind};
 use crate::error::FmiError;

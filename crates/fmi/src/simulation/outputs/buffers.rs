@@ -28,8 +28,8 @@ pub(crate) enum OutputSource {
     Tick(usize),
 }
 
-/// A variable that a simulation records, and where it stands in the result. An array has a column for each element, the
-/// last index varying fastest.
+/// A variable that a simulation records, and where it stands in the result. An array has a column for each
+/// element, the last index varying fastest.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Recorded {
@@ -41,7 +41,8 @@ pub struct Recorded {
     pub extents: Vec<usize>,
     /// Its columns among the numbers; none for texts and binary variables.
     pub columns: Range<usize>,
-    /// Its columns among the values: texts, binary variables and 64-bit integers, which not all numbers can hold.
+    /// Its columns among the values: texts, binary variables and 64-bit integers, which not all numbers can
+    /// hold.
     pub values: Range<usize>,
 }
 
@@ -82,8 +83,8 @@ pub(crate) struct OutputPlan {
     /// Name and kind of what the columns without names make.
     pub(crate) values: Vec<(String, VariableKind)>,
     pub(crate) recorded: Vec<Recorded>,
-    /// Columns of single continuous outputs of type Real that are read as they are, and their references: those that may
-    /// have derivatives.
+    /// Columns of single continuous outputs of type Real that are read as they are, and their references:
+    /// those that may have derivatives.
     pub(crate) smooth: (Vec<usize>, Vec<u32>),
 }
 
@@ -122,8 +123,8 @@ impl OutputPlan {
         self.columns[column].is_continuous
     }
 
-    /// Adds a variable: one column, or one for each element of an array (only `element`, if given). Returns the names
-    /// of the columns of numbers.
+    /// Adds a variable: one column, or one for each element of an array (only `element`, if given). Returns
+    /// the names of the columns of numbers.
     pub(crate) fn add(
         &mut self,
         context: &OutputContext<'_>,
@@ -192,7 +193,8 @@ impl OutputPlan {
         names
     }
 
-    /// First place of the values of a variable; words are counted group by group, see [`finish`](Self::finish).
+    /// First place of the values of a variable; words are counted group by group, see
+    /// [`finish`](Self::finish).
     fn place(&mut self, variable: &Variable, n: usize) -> usize {
         let (kind, reference) = (variable.kind, variable.value_reference);
         if let Some(first) = self.arrays.get(&(kind, reference)) {
@@ -228,8 +230,8 @@ impl OutputPlan {
         first
     }
 
-    /// Puts the words of all kinds into one row, and the columns without names behind the others, when everything has
-    /// been added.
+    /// Puts the words of all kinds into one row, and the columns without names behind the others, when
+    /// everything has been added.
     pub(crate) fn finish(&mut self) {
         self.columns.append(&mut self.unnamed);
         let mut start = 0;

@@ -6,7 +6,8 @@ use crate::error::FmiError;
 use crate::instance::assignments::resolve;
 use std::collections::HashSet;
 
-/// Where a model declares neither outputs nor states, everything that changes is recorded, if it is not more than this.
+/// Where a model declares neither outputs nor states, everything that changes is recorded, if it is not more
+/// than this.
 const MOST_UNASKED: usize = 10_000;
 
 /// The name that stands for all variables, where none has it.
@@ -91,7 +92,8 @@ impl Selection {
         Ok(selection)
     }
 
-    /// Adds the variables that fit a pattern by one of their names, under that name, and are not there yet; how many fit.
+    /// Adds the variables that fit a pattern by one of their names, under that name, and are not there yet;
+    /// how many fit.
     fn add_matching<'a>(
         &mut self,
         context: &OutputContext<'a>,
@@ -118,8 +120,8 @@ impl Selection {
     }
 }
 
-/// The positions of the state variables in the order of the state vector; `None` where the description does not say which
-/// variable a derivative belongs to. An array stands there once for each element.
+/// The positions of the state variables in the order of the state vector; `None` where the description does
+/// not say which variable a derivative belongs to. An array stands there once for each element.
 pub(crate) fn states(description: &ModelDescription, structure: &Structure) -> Vec<Option<usize>> {
     let mut states = Vec::new();
     for unknown in &description.structure.derivatives {

@@ -1,8 +1,10 @@
-//! Outputs that are no 64-bit floating-point numbers: texts, bytes and 64-bit integers travel through rows of numbers.
+//! Outputs that are no 64-bit floating-point numbers: texts, bytes and 64-bit integers travel through rows of
+//! numbers.
 //!
-//! A row of samples holds numbers only, and it alone knows at which instants samples are taken. So a text or a binary
-//! value is one number in it, its place in a table of all values seen in the run, and a 64-bit integer is two numbers,
-//! its halves. The columns stand behind those with names, and are put together again when a trajectory is made.
+//! A row of samples holds numbers only, and it alone knows at which instants samples are taken. So a text or
+//! a binary value is one number in it, its place in a table of all values seen in the run, and a 64-bit
+//! integer is two numbers, its halves. The columns stand behind those with names, and are put together again
+//! when a trajectory is made.
 
 use crate::description::{Value, VariableKind};
 use crate::instance::integer_codec;
@@ -25,8 +27,8 @@ impl ValueTable {
         self.values.clear();
     }
 
-    /// The number that stands for a text, which most often is that of the row before, `last`; nothing is allocated for one that was
-    /// there before.
+    /// The number that stands for a text, which most often is that of the row before, `last`; nothing is
+    /// allocated for one that was there before.
     pub(crate) fn text(&mut self, text: &str, last: f64) -> f64 {
         let is = |value: &Value| matches!(value, Value::String(known) if known == text);
         self.place(text, last, is, || Value::String(text.to_owned()))

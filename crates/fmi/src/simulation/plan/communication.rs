@@ -1,11 +1,12 @@
 //! The communication points of a co-simulation.
 //!
-//! Regular points are `start + k * step`, never sums, and the step is passed as the same constant each time: a
-//! difference of times, wrong in its last digit, makes some FMUs slow and changes the results of others. Where the FMU
-//! takes steps of any length, requested times and the instants of inputs are communication points too; where it does
-//! not, samples between two points are interpolated, and the last step may reach beyond the final time. Where it steps
-//! from one multiple of a step of its own to the next (`fixedInternalStepSize`, FMI 3.0) and so keeps its values in between,
-//! communication points are such multiples only: for what lies between two of them both.
+//! Regular points are `start + k * step`, never sums, and the step is passed as the same constant each time:
+//! a difference of times, wrong in its last digit, makes some FMUs slow and changes the results of others.
+//! Where the FMU takes steps of any length, requested times and the instants of inputs are communication
+//! points too; where it does not, samples between two points are interpolated, and the last step may reach
+//! beyond the final time. Where it steps from one multiple of a step of its own to the next
+//! (`fixedInternalStepSize`, FMI 3.0) and so keeps its values in between, communication points are such
+//! multiples only: for what lies between two of them both.
 
 use crate::description::{Capabilities, DefaultExperiment};
 use crate::error::FmiError;
@@ -102,13 +103,14 @@ impl Communication {
         Ok(Self { ends_exactly: variable && !ends_between, ..communication })
     }
 
-    /// The multiples of the model's own step next to `time`, before and after it; none where it is one, or the model has no
-    /// such step.
+    /// The multiples of the model's own step next to `time`, before and after it; none where it is one, or
+    /// the model has no such step.
     pub(crate) fn steps_around(&self, start: f64, time: f64, time_tolerance: f64) -> Option<(f64, f64)> {
         around(self.internal?, start, time, time_tolerance)
     }
 
-    /// The steps between which the model cannot stop: its own, or the communication step if that is the only one.
+    /// The steps between which the model cannot stop: its own, or the communication step if that is the only
+    /// one.
     fn fixed_step(&self) -> Option<f64> {
         if self.variable { self.internal } else { self.step }
     }
@@ -152,7 +154,8 @@ impl Communication {
     }
 }
 
-/// The multiples of `step` from `start` on that are next to `time`, before and after it; none where it is one.
+/// The multiples of `step` from `start` on that are next to `time`, before and after it; none where it is
+/// one.
 fn around(step: f64, start: f64, time: f64, time_tolerance: f64) -> Option<(f64, f64)> {
     let steps = (time - start) / step;
     let point = |steps: f64| start + steps * step;

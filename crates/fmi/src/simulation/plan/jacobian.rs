@@ -34,8 +34,8 @@ impl JacobianPlan {
     }
 }
 
-/// Value references of the derivatives and their states, in the order of the state vector; none where a state is not named or has
-/// not the size of its derivative: then differences serve.
+/// Value references of the derivatives and their states, in the order of the state vector; none where a state
+/// is not named or has not the size of its derivative: then differences serve.
 fn directional(model: &ModelDescription, structure: &Structure) -> Option<Directional> {
     let (mut derivatives, mut states, mut n) = (Vec::new(), Vec::new(), 0);
     for unknown in &model.structure.derivatives {
@@ -52,8 +52,8 @@ fn directional(model: &ModelDescription, structure: &Structure) -> Option<Direct
     (structure.states(model) == n).then_some(Directional { derivatives, states })
 }
 
-/// The declared dependencies between derivatives and states. Whatever is not understood counts as a dependency on all
-/// states; a pattern without gaps is none.
+/// The declared dependencies between derivatives and states. Whatever is not understood counts as a
+/// dependency on all states; a pattern without gaps is none.
 fn pattern(model: &ModelDescription, structure: &Structure) -> Option<JacobianPattern> {
     // Where in the state vector the elements of a state stand; aliases share the value reference of their variable.
     let mut places = HashMap::new();

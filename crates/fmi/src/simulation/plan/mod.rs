@@ -1,4 +1,5 @@
-//! A simulation resolved against its model, once: names have become value references, everything has been checked.
+//! A simulation resolved against its model, once: names have become value references, everything has been
+//! checked.
 
 mod communication;
 mod jacobian;
@@ -25,8 +26,8 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// A simulation of one model with everything resolved and checked. It does not change and can be shared by workers;
-/// each makes a [`Simulator`](crate::Simulator) of it.
+/// A simulation of one model with everything resolved and checked. It does not change and can be shared by
+/// workers; each makes a [`Simulator`](crate::Simulator) of it.
 #[derive(Debug)]
 pub struct SimulationPlan {
     pub(crate) fmu: Fmu,
@@ -64,8 +65,8 @@ impl SimulationPlan {
     /// Resolves and checks a simulation of `fmu`. No code of the FMU is run.
     ///
     /// # Errors
-    /// The FMU cannot be simulated by this version; a name is unknown (with the nearest names); a value has the wrong
-    /// type or is not finite; a variable cannot be set; times or other options make no sense.
+    /// The FMU cannot be simulated by this version; a name is unknown (with the nearest names); a value has
+    /// the wrong type or is not finite; a variable cannot be set; times or other options make no sense.
     pub fn new(fmu: &Fmu, options: &SimulateOptions) -> Result<Self, FmiError> {
         let kind = fmu.choose(options.kind)?;
         let interface = fmu.check_interface(kind)?;
@@ -154,8 +155,8 @@ impl SimulationPlan {
         Ok(plan)
     }
 
-    /// The same simulation with other rows, and inputs of the same names with others. How it is integrated stays, communication
-    /// points too, and a simulator of this plan can go on with it.
+    /// The same simulation with other rows, and inputs of the same names with others. How it is integrated
+    /// stays, communication points too, and a simulator of this plan can go on with it.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -259,14 +260,15 @@ impl SimulationPlan {
         self.kind
     }
 
-    /// Names of the outputs that are numbers, in the order of [`Sample::outputs`](ode::Sample). Behind them a sample has
-    /// numbers that stand for texts and the like; a [`Trajectory`](crate::Trajectory) has their values.
+    /// Names of the outputs that are numbers, in the order of [`Sample::outputs`](ode::Sample). Behind them a
+    /// sample has numbers that stand for texts and the like; a [`Trajectory`](crate::Trajectory) has their
+    /// values.
     pub fn output_names(&self) -> &[String] {
         &self.outputs.names
     }
 
-    /// Positions in the description of the variables of the outputs that are numbers; all elements of an array have the
-    /// same.
+    /// Positions in the description of the variables of the outputs that are numbers; all elements of an
+    /// array have the same.
     pub fn output_variables(&self) -> &[usize] {
         &self.outputs.variables
     }
@@ -309,8 +311,8 @@ impl SimulationPlan {
         &self.values.parameter_starts
     }
 
-    /// Nominals that are zero, NaN or infinite become 1, negative ones lose their sign; the first one is listed among the
-    /// quirks of the FMU.
+    /// Nominals that are zero, NaN or infinite become 1, negative ones lose their sign; the first one is
+    /// listed among the quirks of the FMU.
     pub(crate) fn correct_nominals(&self, nominals: &mut [f64]) {
         for (i, nominal) in nominals.iter_mut().enumerate() {
             let corrected = if nominal.is_finite() && *nominal != 0.0 { nominal.abs() } else { 1.0 };

@@ -18,15 +18,16 @@ enum Given {
     Parameter(usize),
 }
 
-/// The variables whose values must be those given, also after the initialization: parameters, and what starts exactly at
-/// its start value. Single variables only.
+/// The variables whose values must be those given, also after the initialization: parameters, and what starts
+/// exactly at its start value. Single variables only.
 #[derive(Debug, Default)]
 pub(crate) struct ReadBack {
     reals: Columns<Given>,
     /// Parameters of the runs that are of type `Float32`, by their place among them.
     singles: Columns<usize>,
     packed: Vec<(VariableKind, Columns<usize>)>,
-    /// The model gives some of them other values by itself, also in a new instance: nothing follows from that.
+    /// The model gives some of them other values by itself, also in a new instance: nothing follows from
+    /// that.
     overridden: AtomicBool,
 }
 
@@ -172,8 +173,9 @@ impl ReadBack {
         Ok(agrees)
     }
 
-    /// The first of the real variables that a new instance did not give its value: of the parameters, else of the others. What differs in
-    /// its last digits was stored with fewer of them. An error is one of the FMU's.
+    /// The first of the real variables that a new instance did not give its value: of the parameters, else of
+    /// the others. What differs in its last digits was stored with fewer of them. An error is one of the
+    /// FMU's.
     pub(crate) fn first_lost<'d>(
         &self,
         core: &mut Core,

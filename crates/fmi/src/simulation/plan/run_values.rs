@@ -164,8 +164,9 @@ impl RunValues {
         RunInput { start: &self.start, parameters }
     }
 
-    /// Start values and parameters a little off, within their bounds: for trial runs whose traces must not be found
-    /// again in the next run. Integers and the like stay as they are: they may choose another model altogether.
+    /// Start values and parameters a little off, within their bounds: for trial runs whose traces must not be
+    /// found again in the next run. Integers and the like stay as they are: they may choose another model
+    /// altogether.
     pub(crate) fn perturbed(
         &self,
         description: &ModelDescription,
@@ -199,7 +200,8 @@ impl RunValues {
         }
     }
 
-    /// Gives a fresh instance its structure, start values (those of the plan or others for the same variables) and parameters; `buffer` is used on the way.
+    /// Gives a fresh instance its structure, start values (those of the plan or others for the same
+    /// variables) and parameters; `buffer` is used on the way.
     pub(crate) fn set_up(
         &self,
         core: &mut Core,
@@ -254,7 +256,8 @@ impl RunValues {
         self.read_back.agrees(core, &self.start.early, |i| parameters[i] * self.parameters[i].sign, buffers)
     }
 
-    /// The first of the variables that an initialized instance did not give the value it was given; see [`ReadBack::first_lost`].
+    /// The first of the variables that an initialized instance did not give the value it was given; see
+    /// [`ReadBack::first_lost`].
     pub(crate) fn first_lost<'d>(
         &self,
         core: &mut Core,
@@ -278,7 +281,8 @@ impl RunValues {
     }
 }
 
-/// Positions and values of what is given by name, each position once (the last value counts), and the structure that they make.
+/// Positions and values of what is given by name, each position once (the last value counts), and the
+/// structure that they make.
 pub(super) fn resolve_start_values(
     description: &ModelDescription,
     values: &[(String, Value)],

@@ -2,8 +2,8 @@
 
 /// A floating-point mode.
 ///
-/// Code linked with `-ffast-math` switches denormals off for the thread that loads it, solvers change the rounding, and
-/// exceptions that an FMU unmasks would end the process in arithmetic of ours (SIGFPE).
+/// Code linked with `-ffast-math` switches denormals off for the thread that loads it, solvers change the
+/// rounding, and exceptions that an FMU unmasks would end the process in arithmetic of ours (SIGFPE).
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FloatMode(control::Words);
 
@@ -36,8 +36,9 @@ impl FloatMode {
 mod control {
     pub(super) type Words = (u32, u16);
 
-    /// All exceptions masked, round to nearest, no flush-to-zero (Intel SDM volume 1, section 10.2.3); x87: the same, and
-    /// the precision that the system starts threads with (section 8.1.5; extended, double on Windows).
+    /// All exceptions masked, round to nearest, no flush-to-zero (Intel SDM volume 1, section 10.2.3); x87:
+    /// the same, and the precision that the system starts threads with (section 8.1.5; extended, double on
+    /// Windows).
     pub(super) const DEFAULT: Words = (0x1f80, if cfg!(windows) { 0x027f } else { 0x037f });
 
     /// The lowest six bits of MXCSR tell which exceptions have occurred and control nothing.

@@ -1,4 +1,5 @@
-//! The locale of a thread: FMUs read and write numbers with functions of C, which take the decimal point from it.
+//! The locale of a thread: FMUs read and write numbers with functions of C, which take the decimal point from
+//! it.
 
 #[cfg(unix)]
 mod of_thread {

@@ -1,10 +1,11 @@
 //! Environment of a call into an FMU, restored after the call: the floating-point mode and the locale of its
 //! thread. No other thread is inside of the loaded library.
 //!
-//! Every call into an FMU starts in the default floating-point mode, and the mode is looked at after it, before any
-//! arithmetic of ours: what an FMU changes acts until its function returns, in every run alike, and exceptions that it
-//! unmasks are masked again. Of the three calls of a right-hand side, or of event indicators, at a new point this is done for
-//! the first few; then it is looked at once after the three, and where one has changed the mode they are made again.
+//! Every call into an FMU starts in the default floating-point mode, and the mode is looked at after it,
+//! before any arithmetic of ours: what an FMU changes acts until its function returns, in every run alike,
+//! and exceptions that it unmasks are masked again. Of the three calls of a right-hand side, or of event
+//! indicators, at a new point this is done for the first few; then it is looked at once after the three, and
+//! where one has changed the mode they are made again.
 
 mod float;
 mod locale;
@@ -19,12 +20,13 @@ use std::sync::Arc;
 thread_local! {
     /// The thread is set up for calls.
     static IS_SET_UP: Cell<bool> = const { Cell::new(false) };
-    /// The gate of the library that this thread has entered last and is inside of; it is set up for calls then.
+    /// The gate of the library that this thread has entered last and is inside of; it is set up for calls
+    /// then.
     static ENTERED: Cell<*const Gate> = const { Cell::new(ptr::null()) };
 }
 
-/// The thread is set up for calls into FMUs (default floating-point mode, C locale); what was there before is put back on drop. May be
-/// nested.
+/// The thread is set up for calls into FMUs (default floating-point mode, C locale); what was there before is
+/// put back on drop. May be nested.
 #[derive(Debug)]
 pub(crate) struct CallEnvironment {
     _thread: Option<ThreadSetup>,
@@ -36,8 +38,8 @@ impl CallEnvironment {
     }
 }
 
-/// The thread is set up for calls, and no other one is inside of a loaded library while this lives. May be nested; the last one is
-/// dropped first.
+/// The thread is set up for calls, and no other one is inside of a loaded library while this lives. May be
+/// nested; the last one is dropped first.
 pub(crate) struct Inside {
     before: *const Gate,
     // Put back before others are let in.

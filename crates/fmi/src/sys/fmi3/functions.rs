@@ -1,4 +1,5 @@
-//! The functions of an FMI 3.0 library whose types are those of FMI 3.0 (FMI 3.0.x, chapters 2, 3 and 4), bound by name.
+//! The functions of an FMI 3.0 library whose types are those of FMI 3.0 (FMI 3.0.x, chapters 2, 3 and 4),
+//! bound by name.
 
 use crate::error::{FmiError, Status};
 use crate::sys::callbacks::{Callbacks, fmi3_log};

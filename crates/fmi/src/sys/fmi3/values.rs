@@ -1,4 +1,5 @@
-//! Getters and setters of FMI 3.0, where a reference may stand for an array: the FMU is told the number of values.
+//! Getters and setters of FMI 3.0, where a reference may stand for an array: the FMU is told the number of
+//! values.
 
 use super::functions::Flag;
 use crate::error::Status;

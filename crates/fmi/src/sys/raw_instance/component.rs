@@ -20,8 +20,8 @@ use std::sync::Arc;
 /// Log lines that an error carries.
 const LINES_IN_ERRORS: usize = 8;
 
-/// So many right-hand sides and event indicators of a component are looked at call by call, for what the calls do to the
-/// floating-point mode.
+/// So many right-hand sides and event indicators of a component are looked at call by call, for what the
+/// calls do to the floating-point mode.
 const LOOKED_INTO: u8 = 8;
 
 /// `fmi3Independent`.
@@ -44,7 +44,8 @@ pub(crate) struct RawInstance {
     pub(super) component: Component,
     /// The function that returned `Fatal`: nothing is called any more.
     pub(super) fatal: Option<&'static str>,
-    /// The function that returned `Error`, of an instance made by hand: only resetting it and restoring a state are left.
+    /// The function that returned `Error`, of an instance made by hand: only resetting it and restoring a
+    /// state are left.
     failed: Option<&'static str>,
     is_by_hand: bool,
     pub(super) sizes: Sizes,
@@ -127,8 +128,8 @@ impl RawInstance {
         self.fatal.is_some() || self.library.is_fatal()
     }
 
-    /// Makes it refuse calls after an `Error`, as the standard demands. Simulations look after that themselves: what a model
-    /// cannot do at one point they may do without.
+    /// Makes it refuse calls after an `Error`, as the standard demands. Simulations look after that
+    /// themselves: what a model cannot do at one point they may do without.
     pub(crate) fn set_by_hand(&mut self) {
         self.is_by_hand = true;
     }
@@ -207,7 +208,8 @@ impl RawInstance {
         Err(Fault::Failed(Box::new(self.failed(function, status))))
     }
 
-    /// Refuses calls on a component after `Fatal` or `Error`, or into a library that is not to be trusted any more.
+    /// Refuses calls on a component after `Fatal` or `Error`, or into a library that is not to be trusted any
+    /// more.
     #[inline]
     pub(super) fn check_usable(&self) -> Outcome {
         if self.is_fatal() || self.failed.is_some() { self.unusable() } else { Ok(()) }
@@ -222,8 +224,8 @@ impl RawInstance {
         })
     }
 
-    /// As many values as references, or more where references may stand for arrays (how many is the caller's to know:
-    /// the FMU is told the number of values).
+    /// As many values as references, or more where references may stand for arrays (how many is the caller's
+    /// to know: the FMU is told the number of values).
     pub(super) fn lengths(&self, references: usize, values: usize) -> Outcome {
         if self.has_arrays { Ok(()) } else { self.length("values by reference", references, values) }
     }
@@ -433,9 +435,9 @@ impl RawInstance {
         self.vector_at((time, states), |point| &point.get_event_indicators, (size, indicators))
     }
 
-    /// Sets the time, then the states, and calls a function that fills a vector of the model, which has this size. The mode of the thread
-    /// is looked at once, behind the three calls; where one of them has changed it, which may have acted in those after it, they are made
-    /// again one by one.
+    /// Sets the time, then the states, and calls a function that fills a vector of the model, which has this
+    /// size. The mode of the thread is looked at once, behind the three calls; where one of them has changed
+    /// it, which may have acted in those after it, they are made again one by one.
     #[inline]
     fn vector_at(
         &mut self,

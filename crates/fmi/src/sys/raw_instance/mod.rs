@@ -1,7 +1,7 @@
 //! One component of an FMU: the sole owner of its pointer, with every call checked before and after.
 
-/// Runs one call: the component is alive, `$body` is evaluated with the library and the component, its answer checked.
-/// The thread is set up for it, and nothing of what it changes there is left.
+/// Runs one call: the component is alive, `$body` is evaluated with the library and the component, its answer
+/// checked. The thread is set up for it, and nothing of what it changes there is left.
 macro_rules! run {
     ($self:ident, |$library:ident, $component:ident| $body:expr) => {{
         match $self.check_usable() {

@@ -40,7 +40,8 @@ impl RawInstance {
         self.saved.pointer(saved).is_some()
     }
 
-    /// Brings a saved state back. The caller has checked [`owns`](Self::owns); a foreign token is a `Discard`.
+    /// Brings a saved state back. The caller has checked [`owns`](Self::owns); a foreign token is a
+    /// `Discard`.
     pub(crate) fn restore_state(&mut self, saved: &SavedSlot) -> Outcome {
         let function = self.library.functions.common.restore_state;
         let pointer = self.saved.pointer(saved).ok_or(Fault::Discard(function.name))?;

@@ -1,4 +1,5 @@
-//! The table of the states that an instance has saved: the FMU's pointers, of which the outside holds tokens only.
+//! The table of the states that an instance has saved: the FMU's pointers, of which the outside holds tokens
+//! only.
 
 use super::fault::{Fault, Outcome};
 use crate::sys::function::{Function, call};

@@ -1,4 +1,5 @@
-//! Communication steps: made, asked for while they are pending, given up; derivatives of inputs and outputs with them.
+//! Communication steps: made, asked for while they are pending, given up; derivatives of inputs and outputs
+//! with them.
 
 use super::component::RawInstance;
 use super::fault::{Fault, Outcome};
@@ -8,8 +9,9 @@ use crate::sys::types::StepInfo;
 use crate::sys::version::Step;
 
 impl RawInstance {
-    /// One communication step. A step that was not (or only in part) computed is no fault here: `info` says how far the
-    /// model got, and the answer is `false`. A pending step has to be asked for with [`step_status`](Self::step_status).
+    /// One communication step. A step that was not (or only in part) computed is no fault here: `info` says
+    /// how far the model got, and the answer is `false`. A pending step has to be asked for with
+    /// [`step_status`](Self::step_status).
     pub(crate) fn do_step(&mut self, (time, size): (f64, f64), info: &mut StepInfo) -> Result<bool, Fault> {
         self.callbacks.log().go_on();
         self.set_time_told(time);
@@ -37,7 +39,8 @@ impl RawInstance {
         run!(self, |library, c| call!(library.functions.steps.enter_step_mode, c))
     }
 
-    /// Gives a pending step up. An instance that does not let go is abandoned: nothing may be called on it meanwhile.
+    /// Gives a pending step up. An instance that does not let go is abandoned: nothing may be called on it
+    /// meanwhile.
     pub(crate) fn abandon_step(&mut self) {
         let cancel = self.library.functions.steps.cancel;
         let mut give_up = || run!(self, |_library, c| call!(cancel, c));

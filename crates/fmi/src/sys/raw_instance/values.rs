@@ -88,8 +88,8 @@ impl RawInstance {
         outcome
     }
 
-    /// Reads binary values and hands each, `count` in all, to `take` in turn, which may copy it. `most` says how many bytes each may
-    /// have; more, or more than there is memory for, are an error before any is read.
+    /// Reads binary values and hands each, `count` in all, to `take` in turn, which may copy it. `most` says
+    /// how many bytes each may have; more, or more than there is memory for, are an error before any is read.
     pub(crate) fn get_binary(
         &mut self,
         references: &[u32],

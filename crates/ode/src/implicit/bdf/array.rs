@@ -1,4 +1,5 @@
-//! The Nordsieck array: rows `z_j = h^j x^(j) / j!` of a polynomial, expanded at a point, in units of a step `h`.
+//! The Nordsieck array: rows `z_j = h^j x^(j) / j!` of a polynomial, expanded at a point, in units of a step
+//! `h`.
 //!
 //! The functions take the rows that count, one more than the order; each row has one number per state.
 
@@ -23,7 +24,8 @@ pub(super) fn advance(z: &mut [Vec<f64>]) {
     }
 }
 
-/// Moves the point of expansion back within the last step, to `theta` from its start; the unit is the shorter step then.
+/// Moves the point of expansion back within the last step, to `theta` from its start; the unit is the shorter
+/// step then.
 pub(super) fn retreat(z: &mut [Vec<f64>], theta: f64) {
     let s = theta - 1.0;
     rescale(z, s);
@@ -51,8 +53,8 @@ pub(super) fn lower(z: &mut [Vec<f64>], h: f64, past: &[f64]) {
     }
 }
 
-/// Of one order more, which the last row has room for: the polynomial gains a term that belongs to one more point of the
-/// past, from the last correction of the corrector.
+/// Of one order more, which the last row has room for: the polynomial gains a term that belongs to one more
+/// point of the past, from the last correction of the corrector.
 pub(super) fn raise(z: &mut [Vec<f64>], h: f64, past: &[f64], last_correction: &[f64]) {
     let q = z.len() - 2;
     let mut l = [0.0; MAX_ORDER + 1];
@@ -122,8 +124,8 @@ mod tests {
         assert!((z[3][0] / 0.05_f64.powi(3) - 4.0).abs() < 1e-9);
     }
 
-    /// Of one order less, the polynomial keeps its value and slope and passes the points that stay; of one order more it
-    /// passes the one that came.
+    /// Of one order less, the polynomial keeps its value and slope and passes the points that stay; of one
+    /// order more it passes the one that came.
     #[test]
     fn lower_orders_forget_the_oldest_point() {
         let at = |t: f64| 1.0 + t * (2.0 + t * (3.0 + 4.0 * t));

@@ -1,8 +1,8 @@
 //! Consistent initial values of systems with a matrix in front of the slopes.
 //!
 //! P. N. Brown, A. C. Hindmarsh, L. R. Petzold, Consistent initial condition calculation for
-//! differential-algebraic systems, SIAM Journal on Scientific Computing 19 (1998) 1495-1512. What they let the user mark,
-//! the algebraic variables, is what `M` has no part in here, be it a state or a sum of states.
+//! differential-algebraic systems, SIAM Journal on Scientific Computing 19 (1998) 1495-1512. What they let
+//! the user mark, the algebraic variables, is what `M` has no part in here, be it a state or a sum of states.
 
 use super::fixed::{AtSlopes, Kind};
 use super::left_side::{LeftSide, NOISE, Point};
@@ -18,14 +18,15 @@ const CONVERGED: f64 = 1e-6;
 /// States that it would move by less than this share of their tolerance are.
 const CONSISTENT: f64 = 1e-3;
 const MAX_ROUNDS: u32 = 20;
-/// Sparse matrices of up to so many rows are looked at as dense ones where nothing else tells their algebraic part.
+/// Sparse matrices of up to so many rows are looked at as dense ones where nothing else tells their algebraic
+/// part.
 const MAX_DENSE: usize = 500;
 /// Newton's method has not converged; equation and residual are filled in for the guess.
 const NO_SLOPES: Consistency = Consistency::NoSlopes { equation: 0, residual: 0.0, is_singular: false };
 
 impl LeftSide {
-    /// Sees to it that the equations hold at `(t, x)`, by changing states that `M` has no part in, and the slopes; `defect` is
-    /// what is left of zero there. The first time in a run the index is looked at, too.
+    /// Sees to it that the equations hold at `(t, x)`, by changing states that `M` has no part in, and the
+    /// slopes; `defect` is what is left of zero there. The first time in a run the index is looked at, too.
     pub(super) fn make_consistent<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
@@ -227,9 +228,9 @@ impl LeftSide {
         Ok(NO_SLOPES)
     }
 
-    /// The same where matrices are sparse, for systems in which a state either has a slope or not: Newton's method for the slopes
-    /// of those that have one, and for the others themselves. `None`: the system is another one, or of a higher index; states
-    /// and slopes are as they were.
+    /// The same where matrices are sparse, for systems in which a state either has a slope or not: Newton's
+    /// method for the slopes of those that have one, and for the others themselves. `None`: the system is
+    /// another one, or of a higher index; states and slopes are as they were.
     fn make_sparse_consistent<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
@@ -297,8 +298,8 @@ impl LeftSide {
         Ok((!is_singular && x.len() > MAX_DENSE).then_some(NO_SLOPES))
     }
 
-    /// Of large sparse systems without a regular matrix: an equation in which no slope stands, and that does not hold within the
-    /// tolerances of the states.
+    /// Of large sparse systems without a regular matrix: an equation in which no slope stands, and that does
+    /// not hold within the tolerances of the states.
     fn unmet(
         &mut self,
         weights: &Weights,
@@ -317,8 +318,8 @@ impl LeftSide {
         }
     }
 
-    /// Before a new start on the way: what Newton's method has left of the equations without derivatives would stand as an
-    /// error of the steps to come, however short they are.
+    /// Before a new start on the way: what Newton's method has left of the equations without derivatives
+    /// would stand as an error of the steps to come, however short they are.
     pub(super) fn correct<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,

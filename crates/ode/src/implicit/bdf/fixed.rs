@@ -12,8 +12,8 @@ pub(super) enum Kind {
     Residual,
 }
 
-/// The system `M x' = f(t, x)` or `F(t, x, x') = 0` with slopes that are given: its right-hand side is what is left of
-/// zero, `f(t, x) - M x'` or `-F(t, x, x')`.
+/// The system `M x' = f(t, x)` or `F(t, x, x') = 0` with slopes that are given: its right-hand side is what
+/// is left of zero, `f(t, x) - M x'` or `-F(t, x, x')`.
 pub(super) struct AtSlopes<'a, S: ?Sized> {
     pub(super) system: &'a mut S,
     pub(super) kind: Kind,

@@ -1,8 +1,8 @@
 //! Left side of the equations: `x'`, `M x'`, or `F(t, x, x') = 0` as a whole.
 //!
-//! Near a point all three are `M x' = f(t, x)`, with `M = dF/dx'`, and a Jacobian `-dF/dx` of the right-hand side. The two
-//! are kept apart, so that a change of the step size takes no evaluation: a new `M` is made where one evaluation along a
-//! vector shows that it has changed.
+//! Near a point all three are `M x' = f(t, x)`, with `M = dF/dx'`, and a Jacobian `-dF/dx` of the right-hand
+//! side. The two are kept apart, so that a change of the step size takes no evaluation: a new `M` is made
+//! where one evaluation along a vector shows that it has changed.
 
 use super::fixed::{AtSlopes, AtState, Kind};
 use crate::control::Weights;
@@ -17,8 +17,8 @@ use crate::system::{CallError, CallResult, HybridSystem};
 
 /// Entries of a matrix of differences below this share of its largest ones are zero.
 pub(super) const NOISE: f64 = 1e-6;
-/// A matrix in front of the slopes that is off by less than this share is not evaluated anew: Newton's method loses no
-/// iteration by it.
+/// A matrix in front of the slopes that is off by less than this share is not evaluated anew: Newton's method
+/// loses no iteration by it.
 const SAME: f64 = 1e-4;
 /// Rounding of residuals, as a share of them.
 const ROUNDING: f64 = 1e-12;
@@ -153,8 +153,8 @@ impl LeftSide {
         }
     }
 
-    /// After the Jacobian was evaluated at a point, where this is left of zero: evaluates `dF/dx'` there unless it is as it
-    /// was. `true`: it has changed.
+    /// After the Jacobian was evaluated at a point, where this is left of zero: evaluates `dF/dx'` there
+    /// unless it is as it was. `true`: it has changed.
     pub(super) fn renew<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,

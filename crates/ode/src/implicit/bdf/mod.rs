@@ -1,16 +1,18 @@
-//! Backward differentiation formulae of order 1 to 5, step size and order variable, in fixed-leading-coefficient form.
+//! Backward differentiation formulae of order 1 to 5, step size and order variable, in
+//! fixed-leading-coefficient form.
 //!
-//! G. D. Byrne, A. C. Hindmarsh, A polyalgorithm for the numerical solution of ordinary differential equations, ACM
-//! Transactions on Mathematical Software 1 (1975) 71-96; K. R. Jackson, R. Sacks-Davis, An alternative implementation
-//! of variable step-size multistep formulas for stiff ODEs, the same 6 (1980) 295-318; P. N. Brown, G. D. Byrne,
-//! A. C. Hindmarsh, VODE: a variable-coefficient ODE solver, SIAM Journal on Scientific and Statistical Computing 10
-//! (1989) 1038-1051.
+//! G. D. Byrne, A. C. Hindmarsh, A polyalgorithm for the numerical solution of ordinary differential
+//! equations, ACM Transactions on Mathematical Software 1 (1975) 71-96; K. R. Jackson, R. Sacks-Davis, An
+//! alternative implementation of variable step-size multistep formulas for stiff ODEs, the same 6 (1980)
+//! 295-318; P. N. Brown, G. D. Byrne, A. C. Hindmarsh, VODE: a variable-coefficient ODE solver, SIAM Journal
+//! on Scientific and Statistical Computing 10 (1989) 1038-1051.
 //!
-//! The past is kept as the Nordsieck array `z_j = h^j x^(j) / j!`: the polynomial behind the formula, expanded at the
-//! current point. A step predicts by continuing it; the corrector adds `l_j e` to each `z_j`, where `e` solves
-//! `G(e) = e + z_1 / l_1 - gamma f(t, z_0 + e) = 0`, `gamma = h / l_1`. Systems `M x' = f(t, x)` and `F(t, x, x') = 0` are
-//! solved in the same way, with `x' = (e + z_1 / l_1) / gamma` (K. E. Brenan, S. L. Campbell, L. R. Petzold, Numerical
-//! Solution of Initial-Value Problems in Differential-Algebraic Equations, 1996, chapter 5).
+//! The past is kept as the Nordsieck array `z_j = h^j x^(j) / j!`: the polynomial behind the formula,
+//! expanded at the current point. A step predicts by continuing it; the corrector adds `l_j e` to each `z_j`,
+//! where `e` solves `G(e) = e + z_1 / l_1 - gamma f(t, z_0 + e) = 0`, `gamma = h / l_1`. Systems `M x' = f(t,
+//! x)` and `F(t, x, x') = 0` are solved in the same way, with `x' = (e + z_1 / l_1) / gamma` (K. E. Brenan,
+//! S. L. Campbell, L. R. Petzold, Numerical Solution of Initial-Value Problems in Differential-Algebraic
+//! Equations, 1996, chapter 5).
 
 use super::jacobian_update::{Freshness, Matrix, Rules};
 use super::newton::{Convergence, Newton};
@@ -38,15 +40,17 @@ use left_side::LeftSide;
 const MAX_NEWTON: u32 = 4;
 /// Newton's error, as a share of the error test, as in VODE.
 const NEWTON_SHARE: f64 = 0.1;
-/// Newton's error in units of the tolerances where equations without derivatives may stand among the others (IDA: 0.33):
-/// the error test of a step of lower order takes what they are off by for an error, which no step size makes smaller.
+/// Newton's error in units of the tolerances where equations without derivatives may stand among the others
+/// (IDA: 0.33): the error test of a step of lower order takes what they are off by for an error, which no
+/// step size makes smaller.
 const NEWTON_ERROR: f64 = 0.2;
 const RULES: Rules =
     Rules { change: 0.3, decomposition_steps: 20, jacobian_steps: 50, cheap: 0, only_after_events: true };
-/// Where an input changes its slope the second derivative jumps; the rows of the array above it are of the past only, and
-/// are left out. Measured on an exhaust pipe driven by inputs with a kink each second: steps that go over the kinks take
-/// 17 % more right-hand sides and are off by 50 times as much at rtol 1e-8, and the noise of a cost at rtol 1e-6 is 2e-5
-/// instead of 5e-9. All rows kept: 5 % less at rtol 1e-8, but a noise of 1e-7 instead of 6e-9. Order 1: 10 % more.
+/// Where an input changes its slope the second derivative jumps; the rows of the array above it are of the
+/// past only, and are left out. Measured on an exhaust pipe driven by inputs with a kink each second: steps
+/// that go over the kinks take 17 % more right-hand sides and are off by 50 times as much at rtol 1e-8, and
+/// the noise of a cost at rtol 1e-6 is 2e-5 instead of 5e-9. All rows kept: 5 % less at rtol 1e-8, but a
+/// noise of 1e-7 instead of 6e-9. Order 1: 10 % more.
 const KINK_ORDER: usize = 2;
 /// The step size is left alone unless it can grow by this factor.
 const WORTH_IT: f64 = 1.5;
@@ -122,7 +126,8 @@ impl Bdf {
         }
     }
 
-    /// Takes over in the middle of a run from a method that knows the right-hand side at `x` and has a Jacobian.
+    /// Takes over in the middle of a run from a method that knows the right-hand side at `x` and has a
+    /// Jacobian.
     pub(crate) fn take_over(&mut self, x: &[f64], f: &[f64]) {
         self.forget();
         self.z[0].copy_from_slice(x);

@@ -11,7 +11,8 @@ pub(super) const GAMMA: f64 = 3.637_834_252_744_495_732_2;
 pub(super) const ALPHA: f64 = 2.681_082_873_627_752_133_9;
 pub(super) const BETA: f64 = 3.050_430_199_247_410_569_4;
 
-/// Columns of `T`: the real eigenvector, real and imaginary part of the complex one (Hairer and Wanner, (IV.8.14)).
+/// Columns of `T`: the real eigenvector, real and imaginary part of the complex one (Hairer and Wanner,
+/// (IV.8.14)).
 pub(super) const T: [[f64; 3]; 3] = [
     [9.123_239_487_089_294_279_2e-2, -0.141_255_295_020_954_208_43, -3.002_919_410_514_742_449_2e-2],
     [0.241_717_932_707_107_018_96, 0.204_129_352_293_799_931_99, 0.382_942_112_757_261_937_79],
@@ -23,8 +24,8 @@ pub(super) const T_INVERSE: [[f64; 3]; 3] = [
     [-0.502_872_634_945_786_875_95, 2.571_926_949_855_605_429_2, -0.596_039_204_828_224_924_97],
 ];
 
-/// Error estimate: `h^-1 (GAMMA^-1 ...)` of the embedded formula of order 3 (Hairer and Wanner, (IV.8.18)): weights of the
-/// stages.
+/// Error estimate: `h^-1 (GAMMA^-1 ...)` of the embedded formula of order 3 (Hairer and Wanner, (IV.8.18)):
+/// weights of the stages.
 pub(super) const E: [f64; 3] = [-(13.0 + 7.0 * SQRT_6) / 3.0, (-13.0 + 7.0 * SQRT_6) / 3.0, -1.0 / 3.0];
 
 #[cfg(test)]
@@ -36,7 +37,8 @@ mod tests {
         Matrix3::from_fn(|i, j| rows[i][j])
     }
 
-    /// The matrix of the method from its abscissae: `a_ij` integrates the Lagrange polynomial of `c_j` up to `c_i`.
+    /// The matrix of the method from its abscissae: `a_ij` integrates the Lagrange polynomial of `c_j` up to
+    /// `c_i`.
     fn method() -> Matrix3<f64> {
         let c = [C1, C2, 1.0];
         let powers = Matrix3::from_fn(|i, k| c[i].powi(k as i32));

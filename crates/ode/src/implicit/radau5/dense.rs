@@ -1,17 +1,18 @@
 //! Dense output of a step of Radau5, and its error.
 //!
-//! The collocation polynomial `p` of degree 3 passes the stages, and so can its own error be written down. With
-//! `M(theta)`, the product of the distances to the abscissae, and stages that are off by `e_i` it is
-//! `(h^4 x'''' / 24) theta M(theta)` plus the cubic through `e_i` at the abscissae and 0 at the start of the step (for
-//! `x' = lambda x + g(t)`; the same to leading order elsewhere). Two terms undo it.
+//! The collocation polynomial `p` of degree 3 passes the stages, and so can its own error be written down.
+//! With `M(theta)`, the product of the distances to the abscissae, and stages that are off by `e_i` it is
+//! `(h^4 x'''' / 24) theta M(theta)` plus the cubic through `e_i` at the abscissae and 0 at the start of the
+//! step (for `x' = lambda x + g(t)`; the same to leading order elsewhere). Two terms undo it.
 //!
-//! *Defect.* `q(theta) d`, where `q` is the integral of `M` with slope 1 at 0 and `d` the difference between the slope at
-//! the start and that of `p`, filtered like the error estimate. Where the system is not stiff this is all of it. Where it
-//! is, `d` vanishes, because stiff components are held to their slow path whatever the step: the stages are exact, the
-//! polynomial between them is not, and nothing inside of the step tells.
+//! *Defect.* `q(theta) d`, where `q` is the integral of `M` with slope 1 at 0 and `d` the difference between
+//! the slope at the start and that of `p`, filtered like the error estimate. Where the system is not stiff
+//! this is all of it. Where it is, `d` vanishes, because stiff components are held to their slow path
+//! whatever the step: the stages are exact, the polynomial between them is not, and nothing inside of the
+//! step tells.
 //!
-//! *Bend.* `c theta M(theta)` leaves the ends and the stages alone; `c` follows from the point where the step before
-//! began, through which the solution went. Both terms together are of order 4, stiff or not.
+//! *Bend.* `c theta M(theta)` leaves the ends and the stages alone; `c` follows from the point where the step
+//! before began, through which the solution went. Both terms together are of order 4, stiff or not.
 //!
 //! The bend measures how far the two orders differ, and so how far the inside of the step can be trusted.
 
@@ -23,8 +24,8 @@ const LARGEST_BEND: f64 = 0.018_25;
 /// The largest value of `|q(theta)|` within a step.
 const LARGEST_CORRECTION: f64 = 0.067_8;
 
-/// The collocation polynomial of a step of size `h`: `end + s (p0 + (s - C2 + 1) (p1 + (s - C1 + 1) p2))` with
-/// `s = theta - 1`.
+/// The collocation polynomial of a step of size `h`: `end + s (p0 + (s - C2 + 1) (p1 + (s - C1 + 1) p2))`
+/// with `s = theta - 1`.
 #[derive(Debug, Default)]
 pub(super) struct Collocation {
     p: [Vec<f64>; 3],
@@ -81,8 +82,8 @@ impl Terms {
         }
     }
 
-    /// Finds the bend of the step `trial` from the step that ended where it starts. Returns the norm, by these inverse
-    /// weights, of what is not certain inside of the step.
+    /// Finds the bend of the step `trial` from the step that ended where it starts. Returns the norm, by
+    /// these inverse weights, of what is not certain inside of the step.
     pub(super) fn bend(&mut self, trial: &Collocation, last: Option<&Collocation>, inverse: &[f64]) -> f64 {
         let Some(last) = last else {
             self.bend.fill(0.0);

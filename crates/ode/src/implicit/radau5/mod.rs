@@ -1,10 +1,10 @@
 //! Radau IIA of order 5: three implicit stages, L-stable; for stiff systems and systems with a mass matrix.
 //!
-//! E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section IV.8, and: Stiff differential equations
-//! solved by Radau methods, Journal of Computational and Applied Mathematics 111 (1999) 93-111.
+//! E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section IV.8, and: Stiff differential
+//! equations solved by Radau methods, Journal of Computational and Applied Mathematics 111 (1999) 93-111.
 //!
-//! The stages are written as increments `z_i = X_i - x`, transformed by `T` to the variables `w` in which the Newton
-//! matrix falls apart into a real and a complex block of the size of the system.
+//! The stages are written as increments `z_i = X_i - x`, transformed by `T` to the variables `w` in which the
+//! Newton matrix falls apart into a real and a complex block of the size of the system.
 
 use super::algebraic::Algebraic;
 use super::jacobian_update::{Freshness, Matrix, Rules};
@@ -26,7 +26,8 @@ use stages::{StageEquations, Stages};
 const U: f64 = f64::EPSILON / 2.0;
 /// As in radau5 (its NIT).
 const MAX_NEWTON: u32 = 7;
-/// A step keeps its size where a little more is not worth a decomposition: the decomposed matrix is that of the step.
+/// A step keeps its size where a little more is not worth a decomposition: the decomposed matrix is that of
+/// the step.
 const RULES: Rules = Rules {
     change: 0.0,
     decomposition_steps: u32::MAX,
@@ -35,8 +36,8 @@ const RULES: Rules = Rules {
     only_after_events: false,
 };
 const SAFETY: f64 = 0.9;
-/// The estimates at the end of a step are held against this times `rtol^(2/3)`: they are of order 3, the end itself of
-/// order 5, and this makes the error about what was asked for (radau5 has 0.1 here).
+/// The estimates at the end of a step are held against this times `rtol^(2/3)`: they are of order 3, the end
+/// itself of order 5, and this makes the error about what was asked for (radau5 has 0.1 here).
 const TRANSFORM: f64 = 0.08;
 
 #[derive(Debug)]
@@ -54,7 +55,8 @@ pub(crate) struct Radau5 {
     trial: Collocation,
     last: Collocation,
     terms: Terms,
-    /// The last step led to the current point, and the solution goes on from there as if nothing had happened.
+    /// The last step led to the current point, and the solution goes on from there as if nothing had
+    /// happened.
     can_extrapolate: bool,
     /// The next trial is the last good one made shorter.
     is_repetition: bool,
@@ -98,9 +100,10 @@ impl Default for Radau5 {
 }
 
 impl Radau5 {
-    /// The spectral radius of the last Jacobian, by vector iteration (the mean growth over the last half of twenty products, so
-    /// that complex pairs count with their modulus), and the cosine between the last vector and its image: -1 where the
-    /// largest eigenvalue is real and negative. Found once for each Jacobian.
+    /// The spectral radius of the last Jacobian, by vector iteration (the mean growth over the last half of
+    /// twenty products, so that complex pairs count with their modulus), and the cosine between the last
+    /// vector and its image: -1 where the largest eigenvalue is real and negative. Found once for each
+    /// Jacobian.
     pub(crate) fn spectrum(&mut self) -> (f64, f64) {
         const HALF: i32 = 10;
         if let Some(known) = self.spectrum {
@@ -147,7 +150,8 @@ impl Radau5 {
         self.forget();
     }
 
-    /// The weighted error of the embedded formula; the second time from the point that the first estimate leads to.
+    /// The weighted error of the embedded formula; the second time from the point that the first estimate
+    /// leads to.
     fn estimate_error<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,

@@ -1,5 +1,5 @@
-//! The equations of the stages: transformed by `T` they fall apart into a real and a complex block of the size of the
-//! system.
+//! The equations of the stages: transformed by `T` they fall apart into a real and a complex block of the
+//! size of the system.
 
 use super::super::newton::Iteration;
 use super::coefficients::{ALPHA, BETA, C1, C2, GAMMA, T, T_INVERSE};
@@ -39,8 +39,8 @@ impl Stages {
             && self.complex.decompose(|p, d| eigen * m(p, d) - Complex::new(j[p], 0.0))
     }
 
-    /// Stage increments of a step of size `h` extrapolated from the last step, or from a longer one from the same point;
-    /// or zero.
+    /// Stage increments of a step of size `h` extrapolated from the last step, or from a longer one from the
+    /// same point; or zero.
     pub(super) fn guess(&mut self, h: f64, last: Option<&Collocation>, longer: Option<&Collocation>) {
         // Counted from the end of the last step, or from the end of the longer step.
         let Some((from, before)) = longer.map(|c| (c, 1.0)).or(last.map(|c| (c, 0.0))) else {
