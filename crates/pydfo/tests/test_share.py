@@ -5,7 +5,6 @@ import csv
 import json
 import pickle
 import shutil
-import zipfile
 from pathlib import Path
 from xml.etree import ElementTree
 

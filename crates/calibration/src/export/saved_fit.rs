@@ -1,8 +1,8 @@
 //! A fit in a file: the result, the problem with its recordings, and the description of the model.
 //!
-//! A sequence of CBOR items (RFC 8949, RFC 8742): a header with the hash of what follows; the fit, its problem
-//! and the options of the model; `modelDescription.xml`, by which the fit can be shown where the model is not
-//! at hand.
+//! A sequence of CBOR items (RFC 8949, RFC 8742): a header with the hash of what follows; the fit, its
+//! problem and the options of the model; `modelDescription.xml`, by which the fit can be shown where the
+//! model is not at hand.
 
 use super::files::{check_belongs, write};
 use super::lengths::check_lengths;
@@ -114,7 +114,8 @@ impl SavedFit {
             let (Header { written_by, .. }, mut rest) = header(bytes)?;
             let (fit, problem, open_options) = item(&mut rest)?;
             let description = item::<Value>(&mut rest)?.into_bytes();
-            let description = description.map_err(|_| "its model description is something else".to_owned())?;
+            let description =
+                description.map_err(|_| "its model description is something else".to_owned())?;
             let saved = Self { fit, problem, written_by, open_options, description };
             saved.check()?;
             let parts = (&saved.fit, &saved.problem, &saved.open_options);

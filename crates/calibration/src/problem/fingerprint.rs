@@ -1,5 +1,5 @@
-//! Identity of the problem of a fit, by the names of its fields: a checkpoint belongs to one, and a refusal of
-//! it can name the difference.
+//! Identity of the problem of a fit, by the names of its fields: a checkpoint belongs to one, and a refusal
+//! of it can name the difference.
 
 use crate::error::CalibrationError;
 use crate::problem::definition::Problem;

@@ -165,7 +165,10 @@ fn files_that_are_no_fits_are_refused() {
     }
     assert!(refusal(&bytes[..bytes.len() / 2]).contains("cut off"));
     // Lists that are said to be long, or deep, take no more than what is there.
-    assert!(refusal(&[&bytes[..1], &[0x9b, 0xff, 0xff, 0xff, 0xff, 0, 0, 0, 0]].concat()).contains("no saved fit"));
+    assert!(
+        refusal(&[&bytes[..1], &[0x9b, 0xff, 0xff, 0xff, 0xff, 0, 0, 0, 0]].concat())
+            .contains("no saved fit")
+    );
     assert!(refusal(&[0x81; 1 << 20]).contains("no saved fit"));
     // Whatever byte is changed, the file is refused.
     for k in (0..bytes.len()).step_by(37) {
