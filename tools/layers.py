@@ -34,6 +34,7 @@ LAYERS = {
         run
     """,
     "fmi": """
+        macros
         value
         error
         cancel gate log platform

@@ -1,6 +1,6 @@
 //! The wish to end work early, told from another thread: what opening, unpacking and compiling look at.
 
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -32,7 +32,7 @@ impl Cancel {
     }
 
     /// The error, if work is to end.
-    pub(crate) fn check(&self) -> Result<(), FmiError> {
+    pub(crate) fn check(&self) -> Result<()> {
         if self.is_asked() { Err(FmiError::Cancelled) } else { Ok(()) }
     }
 }

@@ -5,9 +5,10 @@ use crate::cancel::Cancel;
 use crate::description::{
     Interface, ModelDescription, Quirk, QuirkKind, TERMINALS, Terminal, Variable, VariableKind, terminals,
 };
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::gate::Gate;
 use crate::libraries::{Libraries, LoadedLibrary, Maker, Reuse, Setting, Verdict, Wanted};
+use crate::macros::getters;
 use crate::open_options::{LogOptions, OpenOptions};
 use crate::sys::{InterfaceKind, Library, LoadFrom};
 use crate::worker::{WorkerLimits, Workers};
@@ -70,28 +71,42 @@ impl std::str::FromStr for Kind {
 
     /// `auto`, `me` or `cs`, or the names in full (`ModelExchange`, `co-simulation`), whatever the case of
     /// the letters.
-    fn from_str(text: &str) -> Result<Self, FmiError> {
+    fn from_str(text: &str) -> Result<Self> {
         let letters =
             text.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_ascii_lowercase();
         match letters.as_str() {
             "auto" => Ok(Kind::Auto),
             "me" | "modelexchange" => Ok(Kind::ModelExchange),
             "cs" | "cosimulation" => Ok(Kind::CoSimulation),
-            _ => Err(FmiError::BadSetting {
-                problem: format!(
-                    "kind = '{text}' is none of 'auto', 'ME' (ModelExchange), 'CS' (CoSimulation)"
-                ),
-            }),
+            _ => Err(FmiError::BadSetting(format!(
+                "kind = '{text}' is none of 'auto', 'ME' (ModelExchange), 'CS' (CoSimulation)"
+            ))),
         }
     }
 }
 
 impl Fmu {
+    getters! {
+        /// The path it was opened by.
+        pub path(self) -> &Path = &self.path;
+        /// The model description.
+        pub description(self) -> &ModelDescription = &self.inner.description;
+        /// Options with which it was opened.
+        pub options(self) -> &OpenOptions = &self.inner.options;
+        /// True if only its description is available, see [`absent`](Self::absent).
+        pub is_absent(self) -> bool = self.inner.archive.is_absent();
+        pub(crate) archive(self) -> &Arc<Archive> = &self.inner.archive;
+        /// Log settings.
+        pub(crate) logging(self) -> &LogOptions = &self.inner.options.logging;
+        /// The simulations that take turns.
+        pub(crate) turns(self) -> &Arc<Gate> = &self.inner.turns;
+    }
+
     /// Opens a `.fmu` file or an unpacked folder and reads its description.
     ///
     /// # Errors
     /// Everything that can be wrong with the file; see [`FmiError`].
-    pub fn open(path: impl AsRef<Path>) -> Result<Fmu, FmiError> {
+    pub fn open(path: impl AsRef<Path>) -> Result<Fmu> {
         Self::open_with(path, &OpenOptions::default())
     }
 
@@ -99,13 +114,13 @@ impl Fmu {
     ///
     /// # Errors
     /// As [`open`](Self::open).
-    pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Fmu, FmiError> {
+    pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Fmu> {
         let path = path.as_ref();
         Self::describe(Archive::open_with(path, &options.limits, &options.cancel)?, path, options)
     }
 
     /// Reads the description of an archive.
-    pub(crate) fn describe(archive: Archive, path: &Path, options: &OpenOptions) -> Result<Fmu, FmiError> {
+    pub(crate) fn describe(archive: Archive, path: &Path, options: &OpenOptions) -> Result<Fmu> {
         let mut description = ModelDescription::read_with(&archive, &options.description, &options.cancel)?;
         if let [first, others @ ..] = &archive.repeated()[..] {
             let more = match others.len() {
@@ -143,27 +158,17 @@ impl Fmu {
         content_hash: String,
         reason: String,
         options: &OpenOptions,
-    ) -> Result<Fmu, FmiError> {
+    ) -> Result<Fmu> {
         let path = path.as_ref();
         Self::describe(Archive::absent(path, description, content_hash, reason), path, options)
-    }
-
-    /// True if only its description is available, see [`absent`](Self::absent).
-    pub fn is_absent(&self) -> bool {
-        self.inner.archive.is_absent()
     }
 
     /// The bytes of its `modelDescription.xml`, as it is at present.
     ///
     /// # Errors
     /// The file cannot be read any more.
-    pub fn description_file(&self) -> Result<Vec<u8>, FmiError> {
+    pub fn description_file(&self) -> Result<Vec<u8>> {
         self.inner.archive.description(self.inner.options.description.bytes, &Cancel::default())
-    }
-
-    /// Options with which it was opened.
-    pub fn options(&self) -> &OpenOptions {
-        &self.inner.options
     }
 
     /// The same FMU, opened by another path.
@@ -171,18 +176,9 @@ impl Fmu {
         Fmu { inner: Arc::clone(&self.inner), path: path.into() }
     }
 
-    pub(crate) fn archive(&self) -> &Arc<Archive> {
-        &self.inner.archive
-    }
-
     /// True if both share one state: a library loaded by one is loaded for the other.
     pub fn is_same(&self, other: &Fmu) -> bool {
         Arc::ptr_eq(&self.inner, &other.inner)
-    }
-
-    /// The model description.
-    pub fn description(&self) -> &ModelDescription {
-        &self.inner.description
     }
 
     /// The variable of type Real with this value reference (the first one, of aliases).
@@ -207,11 +203,7 @@ impl Fmu {
 
     /// Refuses value references that no variable of type Real has: FMUs use them as indices without looking.
     #[inline]
-    pub(crate) fn check_real_references(
-        &self,
-        call: &'static str,
-        references: &[u32],
-    ) -> Result<(), FmiError> {
+    pub(crate) fn check_real_references(&self, call: &'static str, references: &[u32]) -> Result<()> {
         match references.iter().find(|reference| self.real_variable(**reference).is_none()) {
             Some(&reference) => Err(FmiError::UnknownReference { call, reference }),
             None => Ok(()),
@@ -223,29 +215,24 @@ impl Fmu {
     ///
     /// # Errors
     /// [`FmiError::Description`] with a line for a file that is none; those of reading.
-    pub fn terminals(&self) -> Result<Vec<Terminal>, FmiError> {
+    pub fn terminals(&self) -> Result<Vec<Terminal>> {
         let limits = &self.inner.options.description;
         let name = format!("terminalsAndIcons/{TERMINALS}");
         let bytes = self.inner.archive.read(&name, limits.bytes, &Cancel::default())?;
         bytes.map_or(Ok(Vec::new()), |bytes| terminals(&bytes, limits))
     }
 
-    /// The path it was opened by.
-    pub fn path(&self) -> &Path {
-        &self.path
-    }
-
     /// The folder that holds all of its content, unpacked now if it was not before.
     ///
     /// # Errors
     /// As [`Archive::unpack`].
-    pub fn root(&self) -> Result<PathBuf, FmiError> {
+    pub fn root(&self) -> Result<PathBuf> {
         self.inner.archive.unpack()
     }
 
     /// The folder that holds what the library may look for when it runs; unpacked now if it was not before,
     /// or if somebody has removed it.
-    pub(crate) fn running_root(&self) -> Result<PathBuf, FmiError> {
+    pub(crate) fn running_root(&self) -> Result<PathBuf> {
         self.inner.archive.unpack_part(Part::Running, &Cancel::default())
     }
 
@@ -253,7 +240,7 @@ impl Fmu {
     ///
     /// # Errors
     /// As [`Archive::content_hash`].
-    pub fn content_hash(&self) -> Result<&str, FmiError> {
+    pub fn content_hash(&self) -> Result<&str> {
         self.inner.archive.content_hash()
     }
 
@@ -278,11 +265,6 @@ impl Fmu {
                 seen.push(quirk);
             }
         }
-    }
-
-    /// Log settings.
-    pub(crate) fn logging(&self) -> &LogOptions {
-        &self.inner.options.logging
     }
 
     /// The level at which lines of its log go to the program's logger.
@@ -348,17 +330,12 @@ impl Fmu {
         self.inner.libraries.verdict(kind)
     }
 
-    /// The simulations that take turns.
-    pub(crate) fn turns(&self) -> &Arc<Gate> {
-        &self.inner.turns
-    }
-
     /// Unpacks, compiles and loads what the first simulation needs, so that it is not kept waiting; ends
     /// early when `cancel` asks for it. **This loads the library and runs its code.**
     ///
     /// # Errors
     /// The FMU cannot be run here (see [`FmiError`]); [`FmiError::Cancelled`].
-    pub fn prepare(&self, kind: Kind, cancel: &Cancel) -> Result<(), FmiError> {
+    pub fn prepare(&self, kind: Kind, cancel: &Cancel) -> Result<()> {
         self.library(self.choose(kind)?, Some(&[]), cancel, &mut || !cancel.is_asked()).map(|_| ())
     }
 
@@ -375,18 +352,17 @@ impl Fmu {
         settings: Option<&[Setting]>,
         cancel: &Cancel,
         wait: &mut dyn FnMut() -> bool,
-    ) -> Result<Arc<LoadedLibrary>, FmiError> {
+    ) -> Result<Arc<LoadedLibrary>> {
         let interface = self.check_interface(kind)?;
         let find = || {
             let library = self.binary(interface, cancel)?;
             let archive = self.archive();
             if let Some(file) = archive.changed_library() {
-                let path = self.path().to_owned();
                 let name = file.strip_prefix(archive.unpack()?).unwrap_or(file).display();
                 let reason = format!(
                     "{name} was written over or removed after the folder had been opened; open it again"
                 );
-                return Err(FmiError::BadArchive { path, reason });
+                return Err(FmiError::bad_archive(self.path(), reason));
             }
             Ok((library, archive.unpack_part(Part::Running, cancel)?))
         };
@@ -408,20 +384,11 @@ impl Fmu {
         self.inner.libraries.give_up(library);
     }
 
-    /// Checks that the FMU can be simulated by one of its interfaces; returns the interface that would be
-    /// used.
+    /// Checks that the FMU can be simulated in this way; returns the interface that would be used.
     ///
     /// # Errors
     /// [`FmiError::NotOffered`], [`FmiError::NeedsExecutionTool`].
-    pub fn check_runnable(&self) -> Result<&Interface, FmiError> {
-        self.check_interface(self.choose(Kind::Auto)?)
-    }
-
-    /// As [`check_runnable`](Self::check_runnable), for one way of running it.
-    ///
-    /// # Errors
-    /// As [`check_runnable`](Self::check_runnable).
-    pub fn check_runnable_as(&self, kind: Kind) -> Result<InterfaceKind, FmiError> {
+    pub fn check_runnable_as(&self, kind: Kind) -> Result<InterfaceKind> {
         let kind = self.choose(kind)?;
         self.check_interface(kind).map(|_| kind)
     }
@@ -430,7 +397,7 @@ impl Fmu {
     ///
     /// # Errors
     /// [`FmiError::NotOffered`].
-    pub fn choose(&self, kind: Kind) -> Result<InterfaceKind, FmiError> {
+    pub fn choose(&self, kind: Kind) -> Result<InterfaceKind> {
         let wanted = match kind {
             Kind::ModelExchange => InterfaceKind::ModelExchange,
             Kind::CoSimulation => InterfaceKind::CoSimulation,
@@ -442,25 +409,21 @@ impl Fmu {
         if self.interface(wanted).is_some() {
             return Ok(wanted);
         }
+        Err(self.not_offered(match kind {
+            Kind::Auto => "model exchange nor co-simulation".to_owned(),
+            _ => wanted.to_string(),
+        }))
+    }
+
+    fn not_offered(&self, wanted: String) -> FmiError {
         let description = self.description();
-        let known = [InterfaceKind::ModelExchange, InterfaceKind::CoSimulation];
-        let mut offered: Vec<String> = known
-            .into_iter()
-            .filter(|kind| self.interface(*kind).is_some())
-            .map(|kind| kind.to_string())
-            .collect();
+        let known = InterfaceKind::WORDS.iter().filter(|(_, kind)| self.interface(*kind).is_some());
+        let mut offered: Vec<&str> = known.map(|(word, _)| *word).collect();
         if description.offers_scheduled_execution {
-            offered.push("scheduled execution".to_owned());
+            offered.push("scheduled execution");
         }
-        Err(FmiError::NotOffered {
-            model: description.model_name.clone(),
-            wanted: if kind == Kind::Auto {
-                "model exchange nor co-simulation".to_owned()
-            } else {
-                wanted.to_string()
-            },
-            offered: if offered.is_empty() { "nothing".to_owned() } else { offered.join(" and ") },
-        })
+        let offered = if offered.is_empty() { "nothing".to_owned() } else { offered.join(" and ") };
+        FmiError::NotOffered { model: description.model_name.clone(), wanted, offered }
     }
 
     pub(crate) fn interface(&self, kind: InterfaceKind) -> Option<&Interface> {
@@ -471,13 +434,9 @@ impl Fmu {
     }
 
     /// Checks that the FMU can be run by this interface, and returns it.
-    pub(crate) fn check_interface(&self, kind: InterfaceKind) -> Result<&Interface, FmiError> {
+    pub(crate) fn check_interface(&self, kind: InterfaceKind) -> Result<&Interface> {
         let description = self.description();
-        let interface = self.interface(kind).ok_or_else(|| FmiError::NotOffered {
-            model: description.model_name.clone(),
-            wanted: kind.to_string(),
-            offered: "the other interface".to_owned(),
-        })?;
+        let interface = self.interface(kind).ok_or_else(|| self.not_offered(kind.to_string()))?;
         if interface.capabilities.needs_execution_tool && !self.inner.options.tool_is_present {
             return Err(FmiError::NeedsExecutionTool {
                 model: description.model_name.clone(),
@@ -488,7 +447,7 @@ impl Fmu {
     }
 
     /// The file of the library for this platform: unpacked, or built from the sources.
-    pub(crate) fn binary(&self, interface: &Interface, cancel: &Cancel) -> Result<PathBuf, FmiError> {
+    pub(crate) fn binary(&self, interface: &Interface, cancel: &Cancel) -> Result<PathBuf> {
         let (archive, description) = (&self.inner.archive, self.description());
         let find = |part| {
             let root = archive.unpack_part(part, cancel)?;
@@ -510,10 +469,9 @@ impl Fmu {
         let hash = archive.present_hash()?;
         let check = || match archive.present_hash()? {
             now if now == hash => Ok(()),
-            _ => Err(FmiError::BadArchive {
-                path: self.path().to_owned(),
-                reason: "its files were changed while its library was built".to_owned(),
-            }),
+            _ => {
+                Err(FmiError::bad_archive(self.path(), "its files were changed while its library was built"))
+            }
         };
         match source::build_unchanged(
             &root,
@@ -532,7 +490,7 @@ impl Fmu {
     }
 
     /// Loads the library. **This runs its constructors.**
-    fn load(&self, from: LoadFrom<'_>, kind: InterfaceKind) -> Result<Library, FmiError> {
+    fn load(&self, from: LoadFrom<'_>, kind: InterfaceKind) -> Result<Library> {
         let interface = self.check_interface(kind)?;
         let version = &self.description().fmi_version;
         let library =

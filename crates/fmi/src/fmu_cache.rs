@@ -2,7 +2,7 @@
 
 use crate::archive::Archive;
 use crate::cancel::Cancel;
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::fmu::Fmu;
 use crate::open_options::OpenOptions;
 use crate::platform;
@@ -45,7 +45,7 @@ impl FmuCache {
     ///
     /// # Errors
     /// As [`Fmu::open`].
-    pub fn open(&self, path: impl AsRef<Path>) -> Result<Fmu, FmiError> {
+    pub fn open(&self, path: impl AsRef<Path>) -> Result<Fmu> {
         self.open_with(path, &OpenOptions::default())
     }
 
@@ -53,7 +53,7 @@ impl FmuCache {
     ///
     /// # Errors
     /// As [`Fmu::open_with`].
-    pub fn open_with(&self, path: impl AsRef<Path>, options: &OpenOptions) -> Result<Fmu, FmiError> {
+    pub fn open_with(&self, path: impl AsRef<Path>, options: &OpenOptions) -> Result<Fmu> {
         let path = path.as_ref();
         let key = key_of(path)?;
         if let Some(fmu) = self.find(&key, options) {
@@ -121,7 +121,7 @@ impl FmuCache {
     }
 }
 
-fn key_of(path: &Path) -> Result<Key, FmiError> {
+fn key_of(path: &Path) -> Result<Key> {
     let canonical = path.canonicalize().map_err(FmiError::io("open", path))?;
     let metadata = canonical.metadata().map_err(FmiError::io("open", path))?;
     let inner = if metadata.is_dir() {

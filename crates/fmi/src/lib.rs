@@ -17,8 +17,9 @@
 //! - `sys/`: what touches foreign code and raw pointers; versions of FMI stop here
 //! - `description/`: what `modelDescription.xml` says, whatever the version
 //! - `archive/`: the files of an FMU
-//! - `platform/`, `gate`, `log`, `cancel`, `error/`, `value`: operating systems and files, who may be inside
-//!   of a library, the log of an instance, ending early, errors, types of variables
+//! - `platform/`, `gate`, `log`, `cancel`, `error/`, `value`, `macros`: operating systems and files, who may
+//!   be inside of a library, the log of an instance, ending early, errors, types of variables, repeated
+//!   declarations
 //!
 //! A right-hand side passes four functions on its way from the stepper to the FMU: `derivatives` of the
 //! system (`simulation/model_exchange.rs`), `Current::call` (`simulation/running.rs`: what a refused call
@@ -42,6 +43,7 @@ mod gate;
 mod instance;
 mod libraries;
 mod log;
+mod macros;
 mod open_options;
 pub mod platform;
 mod session;
@@ -57,7 +59,7 @@ pub use self::log::LogFilter;
 pub use archive::{Archive, ArchiveLimits};
 pub use cancel::Cancel;
 pub use description::{DescriptionLimits, ModelDescription, Variable};
-pub use error::{CallFailure, EntryProblem, FmiError, LogLine, Status};
+pub use error::{CallFailure, EntryProblem, FmiError, LogLine, Result, Status};
 pub use fmu::{Fmu, Kind};
 pub use fmu_cache::FmuCache;
 pub use instance::{

@@ -1,7 +1,7 @@
 //! One model as scripts use it: set values, simulate, look at the values, set others, simulate again.
 
 use crate::description::{Causality, Structure, Value, VariableKind};
-use crate::error::FmiError;
+use crate::error::Result;
 use crate::fmu::{Fmu, Kind};
 use crate::instance::assignments::{check_settable_at_start, convert};
 use crate::simulation::SimulateOptions;
@@ -59,7 +59,7 @@ impl Session {
     ///
     /// # Errors
     /// Unknown name (with the nearest names), wrong type, NaN or infinity, or a variable that cannot be set.
-    pub fn set(&mut self, name: &str, value: impl Into<Value>) -> Result<(), FmiError> {
+    pub fn set(&mut self, name: &str, value: impl Into<Value>) -> Result<()> {
         let fmu = self.fmu.clone();
         let description = fmu.description();
         let structure = self.structure();
@@ -95,7 +95,7 @@ impl Session {
     ///
     /// # Errors
     /// As [`set`](Self::set).
-    pub fn set_all<'a>(&mut self, given: impl IntoIterator<Item = (&'a str, Value)>) -> Result<(), FmiError> {
+    pub fn set_all<'a>(&mut self, given: impl IntoIterator<Item = (&'a str, Value)>) -> Result<()> {
         let mut given = given.into_iter();
         if given.size_hint() == (1, Some(1)) {
             return given.try_for_each(|(name, value)| self.set(name, value));
@@ -119,7 +119,7 @@ impl Session {
     ///
     /// # Errors
     /// Unknown name; the model cannot be initialized.
-    pub fn get(&mut self, name: &str) -> Result<Value, FmiError> {
+    pub fn get(&mut self, name: &str) -> Result<Value> {
         let VariableElement { variable: index, element } =
             VariableElement::of_name(self.fmu.description(), &self.structure(), name)?;
         let set = |values: &[(usize, Value)]| {
@@ -148,7 +148,7 @@ impl Session {
     ///
     /// # Errors
     /// Unknown name.
-    pub fn extents(&self, name: &str) -> Result<Vec<usize>, FmiError> {
+    pub fn extents(&self, name: &str) -> Result<Vec<usize>> {
         let description = self.fmu.description();
         let structure = self.structure();
         let place = VariableElement::of_name(description, &structure, name)?;
@@ -169,7 +169,7 @@ impl Session {
         structure
     }
 
-    fn initial_value(&mut self, name: &str) -> Result<Value, FmiError> {
+    fn initial_value(&mut self, name: &str) -> Result<Value> {
         let mut simulator = match self.initial.take() {
             Some(simulator) => simulator,
             None => {
@@ -195,7 +195,7 @@ impl Session {
     ///
     /// # Errors
     /// As [`Fmu::simulate`].
-    pub fn simulate(&mut self, options: &SimulateOptions) -> Result<Trajectory, FmiError> {
+    pub fn simulate(&mut self, options: &SimulateOptions) -> Result<Trajectory> {
         self.simulate_with(options, &mut || ControlFlow::Continue(()))
     }
 
@@ -209,7 +209,7 @@ impl Session {
         &mut self,
         options: &SimulateOptions,
         poll: &mut dyn FnMut() -> ControlFlow<()>,
-    ) -> Result<Trajectory, FmiError> {
+    ) -> Result<Trajectory> {
         let (asked, values) = self.with_parameters(self.with_values(options));
         self.initial = None;
         let mut simulator = match self.last.take() {
@@ -291,7 +291,7 @@ impl Fmu {
     ///
     /// # Errors
     /// Options that do not fit the model, and everything that can go wrong in a simulation.
-    pub fn simulate(&self, options: &SimulateOptions) -> Result<Trajectory, FmiError> {
+    pub fn simulate(&self, options: &SimulateOptions) -> Result<Trajectory> {
         self.simulate_with(options, &mut || ControlFlow::Continue(()))
     }
 
@@ -304,7 +304,7 @@ impl Fmu {
         &self,
         options: &SimulateOptions,
         poll: &mut dyn FnMut() -> ControlFlow<()>,
-    ) -> Result<Trajectory, FmiError> {
+    ) -> Result<Trajectory> {
         let plan = Arc::new(SimulationPlan::new(self, options)?);
         Simulator::new(Arc::clone(&plan))?.trajectory_with(plan.parameter_starts(), poll)
     }

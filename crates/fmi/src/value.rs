@@ -1,66 +1,49 @@
 //! The types of variables, and their values.
 
+use crate::macros::words;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Type of a variable.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[non_exhaustive]
-pub enum VariableKind {
-    /// Double precision number (`Float64` of FMI 3.0).
-    Real,
-    /// Single precision number.
-    Float32,
-    /// 32-bit integer (`Int32` of FMI 3.0).
-    Integer,
-    /// Signed 8-bit integer.
-    Int8,
-    /// Unsigned 8-bit integer.
-    UInt8,
-    /// Signed 16-bit integer.
-    Int16,
-    /// Unsigned 16-bit integer.
-    UInt16,
-    /// Unsigned 32-bit integer.
-    UInt32,
-    /// Signed 64-bit integer.
-    Int64,
-    /// Unsigned 64-bit integer.
-    UInt64,
-    /// True or false.
-    Boolean,
-    /// Text.
-    String,
-    /// Bytes.
-    Binary,
-    /// One of the items of a type definition, passed as an integer.
-    Enumeration,
-    /// A clock: true while it ticks.
-    Clock,
+words! {
+    /// Type of a variable. Its name is the word of FMI 2.0, and of FMI 3.0 where FMI 2.0 has none.
+    #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+    #[non_exhaustive]
+    pub enum VariableKind {
+        /// Double precision number (`Float64` of FMI 3.0).
+        #[default]
+        Real = "Real",
+        /// Single precision number.
+        Float32 = "Float32",
+        /// 32-bit integer (`Int32` of FMI 3.0).
+        Integer = "Integer",
+        /// Signed 8-bit integer.
+        Int8 = "Int8",
+        /// Unsigned 8-bit integer.
+        UInt8 = "UInt8",
+        /// Signed 16-bit integer.
+        Int16 = "Int16",
+        /// Unsigned 16-bit integer.
+        UInt16 = "UInt16",
+        /// Unsigned 32-bit integer.
+        UInt32 = "UInt32",
+        /// Signed 64-bit integer.
+        Int64 = "Int64",
+        /// Unsigned 64-bit integer.
+        UInt64 = "UInt64",
+        /// True or false.
+        Boolean = "Boolean",
+        /// Text.
+        String = "String",
+        /// Bytes.
+        Binary = "Binary",
+        /// One of the items of a type definition, passed as an integer.
+        Enumeration = "Enumeration",
+        /// A clock: true while it ticks.
+        Clock = "Clock",
+    }
 }
 
 impl VariableKind {
-    /// The word of FMI 2.0 for it, and of FMI 3.0 where FMI 2.0 has none.
-    pub fn name(self) -> &'static str {
-        match self {
-            VariableKind::Real => "Real",
-            VariableKind::Float32 => "Float32",
-            VariableKind::Integer => "Integer",
-            VariableKind::Int8 => "Int8",
-            VariableKind::UInt8 => "UInt8",
-            VariableKind::Int16 => "Int16",
-            VariableKind::UInt16 => "UInt16",
-            VariableKind::UInt32 => "UInt32",
-            VariableKind::Int64 => "Int64",
-            VariableKind::UInt64 => "UInt64",
-            VariableKind::Boolean => "Boolean",
-            VariableKind::String => "String",
-            VariableKind::Binary => "Binary",
-            VariableKind::Enumeration => "Enumeration",
-            VariableKind::Clock => "Clock",
-        }
-    }
-
     /// A floating-point number.
     pub fn is_float(self) -> bool {
         matches!(self, VariableKind::Real | VariableKind::Float32)
@@ -89,12 +72,6 @@ impl VariableKind {
     /// True if values are numbers, so that results can hold them.
     pub fn is_number(self) -> bool {
         !matches!(self, VariableKind::String | VariableKind::Binary)
-    }
-}
-
-impl fmt::Display for VariableKind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
     }
 }
 
@@ -162,43 +139,33 @@ impl fmt::Display for Value {
     }
 }
 
-impl From<f64> for Value {
-    fn from(value: f64) -> Self {
-        Value::Real(value)
-    }
-}
-
-macro_rules! from_integers {
-    ($($integer:ty),+) => {
-        $(impl From<$integer> for Value {
-            fn from(value: $integer) -> Self {
-                Value::Integer(value.into())
+macro_rules! from {
+    ($($type:ty => |$value:ident| $made:expr;)+) => {
+        $(impl From<$type> for Value {
+            fn from($value: $type) -> Self {
+                $made
             }
         })+
     };
 }
-from_integers!(i8, u8, i16, u16, i32, u32, i64, u64, i128);
+from! {
+    f64 => |x| Value::Real(x);
+    i8 => |i| Value::Integer(i.into());
+    u8 => |i| Value::Integer(i.into());
+    i16 => |i| Value::Integer(i.into());
+    u16 => |i| Value::Integer(i.into());
+    i32 => |i| Value::Integer(i.into());
+    u32 => |i| Value::Integer(i.into());
+    i64 => |i| Value::Integer(i.into());
+    u64 => |i| Value::Integer(i.into());
+    i128 => |i| Value::Integer(i);
+    bool => |truth| Value::Boolean(truth);
+    &str => |text| Value::String(text.to_owned());
+    String => |text| Value::String(text);
+}
 
 impl<T: Into<Value>> From<Vec<T>> for Value {
     fn from(values: Vec<T>) -> Self {
         Value::Array(values.into_iter().map(Into::into).collect())
-    }
-}
-
-impl From<bool> for Value {
-    fn from(value: bool) -> Self {
-        Value::Boolean(value)
-    }
-}
-
-impl From<&str> for Value {
-    fn from(value: &str) -> Self {
-        Value::String(value.to_owned())
-    }
-}
-
-impl From<String> for Value {
-    fn from(value: String) -> Self {
-        Value::String(value)
     }
 }

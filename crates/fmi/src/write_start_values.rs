@@ -2,16 +2,17 @@
 
 use crate::archive::MODEL_DESCRIPTION;
 use crate::description::{Structure, Value, VariableKind, with_start_texts};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::fmu::Fmu;
 use crate::instance::assignments::{check_settable_at_start, convert_one, negate};
 use crate::simulation::variable_elements::{Starts, VariableElement};
-use base::files::{open_regular, read_regular};
+use crate::source::write_archive;
+use base::files::open_regular;
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufWriter, Seek, Write};
+use std::io::{BufWriter, Write};
+use zip::ZipArchive;
 use zip::write::{SimpleFileOptions, ZipWriter};
-use zip::{CompressionMethod, ZipArchive};
 
 impl Fmu {
     /// Writes an `.fmu` in which these variables, or elements of arrays (`a[2,1]`, counted from 1), have
@@ -26,51 +27,25 @@ impl Fmu {
     /// [`FmiError::UnknownVariable`], [`FmiError::NotSettable`], [`FmiError::WrongType`] and the like for
     /// values that cannot be set; [`FmiError::BadArchive`] if the file was changed since it was opened;
     /// [`FmiError::Io`]. What was written is then no FMU.
-    pub fn write_with_start_values(&self, values: &[(String, f64)], out: &File) -> Result<(), FmiError> {
+    pub fn write_with_start_values(&self, values: &[(String, f64)], out: &File) -> Result<()> {
         let bytes = self.description_file()?;
         let description = with_start_texts(&bytes, self.description(), &self.start_texts(values)?)?;
-        let failed =
-            |error: zip::result::ZipError| FmiError::io("write a copy of", self.path())(error.into());
-        let mut archive = ZipWriter::new(BufWriter::new(out));
         match self.archive().loose_files()? {
-            None => self.copy_packed(&mut archive, &description)?,
-            Some(files) => {
-                for (name, path) in files {
-                    let content = match name.as_str() {
-                        MODEL_DESCRIPTION => description.clone(),
-                        _ => read_regular(&path).map_err(FmiError::io("read", &path))?,
-                    };
-                    let executable =
-                        path.metadata().is_ok_and(|found| crate::platform::is_executable(&found));
-                    let options = SimpleFileOptions::default()
-                        .compression_method(CompressionMethod::Deflated)
-                        .last_modified_time(zip::DateTime::default())
-                        .large_file(content.len() as u64 >= u64::from(u32::MAX))
-                        .unix_permissions(if executable { 0o755 } else { 0o644 });
-                    archive.start_file(name, options).map_err(failed)?;
-                    archive.write_all(&content).map_err(FmiError::io("write a copy of", self.path()))?;
-                }
-            }
+            None => self.copy_packed(out, &description),
+            Some(files) => write_archive(out, files, &[(MODEL_DESCRIPTION, &description)])
+                .map_err(|error| error.of("write a copy of", self.path())),
         }
-        let mut buffer = archive.finish().map_err(failed)?;
-        buffer.flush().map_err(FmiError::io("write a copy of", self.path()))
     }
 
     /// Copies the entries of the file as they are packed, but for the description.
-    fn copy_packed(
-        &self,
-        archive: &mut ZipWriter<impl Write + Seek>,
-        description: &[u8],
-    ) -> Result<(), FmiError> {
+    fn copy_packed(&self, out: &File, description: &[u8]) -> Result<()> {
+        let mut archive = ZipWriter::new(BufWriter::new(out));
         let path = self.path();
         let failed = |error: zip::result::ZipError| FmiError::io("copy", path)(error.into());
         let file = open_regular(path).map_err(FmiError::io("open", path))?;
         let known = self.content_hash()?;
         if Fmu::open_with(path, self.options())?.content_hash()? != known {
-            return Err(FmiError::BadArchive {
-                path: path.to_owned(),
-                reason: "it was written over since it was opened".to_owned(),
-            });
+            return Err(FmiError::bad_archive(path, "it was written over since it was opened"));
         }
         let mut packed = ZipArchive::new(file).map_err(failed)?;
         archive.set_raw_comment(packed.comment().into()).map_err(failed)?;
@@ -90,11 +65,12 @@ impl Fmu {
             archive.start_file(MODEL_DESCRIPTION, options).map_err(failed)?;
             archive.write_all(description).map_err(FmiError::io("write a copy of", path))?;
         }
-        Ok(())
+        let mut buffer = archive.finish().map_err(failed)?;
+        buffer.flush().map_err(FmiError::io("write a copy of", path))
     }
 
     /// The start values as the description writes them, by the positions of the variables.
-    fn start_texts(&self, values: &[(String, f64)]) -> Result<BTreeMap<usize, String>, FmiError> {
+    fn start_texts(&self, values: &[(String, f64)]) -> Result<BTreeMap<usize, String>> {
         let model = self.description();
         let structure = Structure::default();
         // Whole values by position: elements of one array come together.

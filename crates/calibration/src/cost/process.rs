@@ -398,7 +398,7 @@ impl ModelProcess {
         if let Some(input) = options.inputs.as_ref().and_then(|inputs| inputs.driven_by_function()) {
             let problem =
                 format!("the input {input} is a function of this program, which no other process can call");
-            return Err(FmiError::BadSetting { problem });
+            return Err(FmiError::BadSetting(problem));
         }
         let job = Job::Simulate(Box::new(options.clone()));
         self.processes.ask(&job, (Asked::Checked, options.timeout), context, trajectory_of)
@@ -408,7 +408,7 @@ impl ModelProcess {
 const NO_LAUNCHER: &str = "this program cannot start processes for it (worker::serve_if_asked)";
 
 fn unsaid(error: std::io::Error) -> FmiError {
-    FmiError::BadSetting { problem: error.to_string() }
+    FmiError::BadSetting(error.to_string())
 }
 
 /// Puts a trajectory into a frame: its rows are the numbers.

@@ -252,7 +252,7 @@ impl Simulation {
 
 /// Refuses times of rows that no simulation has.
 fn check_times(times: &[f64], start: f64) -> Result<(), FmiError> {
-    let bad = |message: String| Err(FmiError::BadSetting { problem: message });
+    let bad = |message: String| Err(FmiError::BadSetting(message));
     for (i, time) in times.iter().enumerate() {
         let before = if i == 0 { start } else { times[i - 1] };
         match time.partial_cmp(&before) {

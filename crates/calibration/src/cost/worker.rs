@@ -72,7 +72,7 @@ impl Service for Server {
         context: &RunContext<'_>,
         answer: &mut Frame,
     ) -> Result<(), FmiError> {
-        let unsaid = |error: io::Error| FmiError::BadSetting { problem: error.to_string() };
+        let unsaid = |error: io::Error| FmiError::BadSetting(error.to_string());
         match asked.head::<Job>().map_err(unsaid)? {
             Job::Load(loaded) => self.load(*loaded).map_err(model_error)?,
             Job::Open(model, options) => drop(self.open(model, &options).map_err(model_error)?),
@@ -104,7 +104,7 @@ impl Service for Server {
 
 fn not_loaded() -> FmiError {
     let problem = "a worker process was asked before it had loaded anything".to_owned();
-    FmiError::BadSetting { problem }
+    FmiError::BadSetting(problem)
 }
 
 /// Result of a job.
@@ -175,6 +175,6 @@ fn model_error(error: CalibrationError) -> FmiError {
     match error {
         CalibrationError::Model(error) => error,
         CalibrationError::Cancelled => FmiError::Cancelled,
-        other => FmiError::BadSetting { problem: other.to_string() },
+        other => FmiError::BadSetting(other.to_string()),
     }
 }

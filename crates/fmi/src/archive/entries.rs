@@ -4,7 +4,7 @@ use super::directory::{Directory, Fields, Record, Unreadable};
 use super::limits::{ArchiveLimits, MODEL_DESCRIPTION};
 use super::names::{self, Names};
 use crate::cancel::Cancel;
-use crate::error::{EntryProblem, FmiError};
+use crate::error::{EntryProblem, FmiError, Result};
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
@@ -49,7 +49,7 @@ pub(super) fn list(
     archive: impl Read + Seek,
     limits: &ArchiveLimits,
     cancel: &Cancel,
-) -> Result<Vec<Listed>, FmiError> {
+) -> Result<Vec<Listed>> {
     let mut archive = BufReader::with_capacity(DIRECTORY_BUFFER, archive);
     let unreadable = |error| unreadable_at(path, error);
     let directory = Directory::find(&mut archive).map_err(unreadable)?;
@@ -74,7 +74,7 @@ pub(super) fn list(
 fn unreadable_at(path: &Path, error: Unreadable) -> FmiError {
     match error {
         Unreadable::Io(error) => FmiError::io("read", path)(error),
-        Unreadable::Damaged(reason) => FmiError::BadArchive { path: path.to_owned(), reason },
+        Unreadable::Damaged(reason) => FmiError::bad_archive(path, reason),
     }
 }
 
@@ -161,7 +161,7 @@ fn inflates_too_much(compressed: u64, size: u64, limits: &ArchiveLimits) -> bool
     size > limits.ratio_free_bytes && size / limits.ratio.max(1) > compressed
 }
 
-fn check_limit(path: &Path, what: &'static str, found: u64, limit: u64) -> Result<(), FmiError> {
+fn check_limit(path: &Path, what: &'static str, found: u64, limit: u64) -> Result<()> {
     if found <= limit {
         return Ok(());
     }
@@ -169,7 +169,7 @@ fn check_limit(path: &Path, what: &'static str, found: u64, limit: u64) -> Resul
 }
 
 /// The model description is a file at the root; if it is one folder down, the message says so.
-fn check_root(path: &Path, listed: &[Listed]) -> Result<(), FmiError> {
+fn check_root(path: &Path, listed: &[Listed]) -> Result<()> {
     if listed.iter().any(|entry| entry.name == MODEL_DESCRIPTION && !entry.is_folder) {
         return Ok(());
     }
@@ -191,7 +191,7 @@ fn check_root(path: &Path, listed: &[Listed]) -> Result<(), FmiError> {
 }
 
 /// Sums over all entries.
-fn check_totals(path: &Path, listed: &[Listed], limits: &ArchiveLimits) -> Result<(), FmiError> {
+fn check_totals(path: &Path, listed: &[Listed], limits: &ArchiveLimits) -> Result<()> {
     let sum = |part: fn(&Listed) -> u64| listed.iter().map(part).fold(0_u64, u64::saturating_add);
     let (compressed, size) = (sum(|entry| entry.compressed_size), sum(|entry| entry.size));
     check_limit(path, "unpacked bytes", size, limits.total_bytes)?;
@@ -210,7 +210,7 @@ fn check_local_headers(
     records: &[Record],
     listed: &mut [Listed],
     cancel: &Cancel,
-) -> Result<(), FmiError> {
+) -> Result<()> {
     let mut extents = Vec::with_capacity(records.len());
     for (position, record) in records.iter().enumerate() {
         cancel.check()?;

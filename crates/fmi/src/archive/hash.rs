@@ -1,11 +1,11 @@
 //! Content hashes: SHA-256 of an archive, or of the sorted names and contents of a folder.
 
 use super::limits::ArchiveLimits;
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use base::files::open_regular;
 use sha2::{Digest, Sha256};
 use std::fs;
-use std::io::{self, Read};
+use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 /// A hash in the making.
@@ -15,15 +15,7 @@ pub(super) struct Hashing(Sha256);
 impl Hashing {
     /// Takes everything in that is left of a stream.
     pub(super) fn feed(&mut self, source: &mut impl Read) -> io::Result<()> {
-        let mut buffer = vec![0; 1 << 16];
-        loop {
-            match source.read(&mut buffer) {
-                Ok(0) => return Ok(()),
-                Ok(n) => self.0.update(&buffer[..n]),
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                Err(error) => return Err(error),
-            }
-        }
+        io::copy(&mut BufReader::with_capacity(1 << 16, source), self).map(drop)
     }
 
     /// A text after its length.
@@ -34,11 +26,7 @@ impl Hashing {
 
     /// The hash in hexadecimal digits.
     pub(super) fn finish(self) -> String {
-        use std::fmt::Write;
-        self.0.finalize().iter().fold(String::with_capacity(64), |mut text, byte| {
-            let _ = write!(text, "{byte:02x}");
-            text
-        })
+        self.0.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
     }
 }
 
@@ -55,7 +43,7 @@ impl io::Write for Hashing {
 
 /// Hash of all files below a folder: for each, in the order of the paths, path and content, each after its
 /// length.
-pub(super) fn of_folder(root: &Path, limits: &ArchiveLimits) -> Result<String, FmiError> {
+pub(super) fn of_folder(root: &Path, limits: &ArchiveLimits) -> Result<String> {
     let mut hashing = Hashing::default();
     for (name, path) in files_below(root, limits.entries)? {
         let mut file = open_regular(&path).map_err(FmiError::io("open", &path))?;
@@ -79,7 +67,7 @@ pub(crate) fn of_texts(texts: impl IntoIterator<Item: AsRef<str>>) -> String {
 /// Files below a folder as (path with slashes relative to it, path), sorted by the former. Links to files
 /// count as files; links to folders are refused: what is behind them can change unseen, and may lead round in
 /// a circle.
-pub(crate) fn files_below(root: &Path, limit: u64) -> Result<Vec<(String, PathBuf)>, FmiError> {
+pub(crate) fn files_below(root: &Path, limit: u64) -> Result<Vec<(String, PathBuf)>> {
     let mut files = Vec::new();
     let mut folders = vec![(String::new(), root.to_owned())];
     let mut seen = 0;
@@ -101,7 +89,7 @@ pub(crate) fn files_below(root: &Path, limit: u64) -> Result<Vec<(String, PathBu
                 folders.push((name + "/", entry.path()));
             } else if entry.path().is_dir() {
                 let reason = format!("\"{name}\" is a link to a folder; put the folder itself there");
-                return Err(FmiError::BadArchive { path: root.to_owned(), reason });
+                return Err(FmiError::bad_archive(root, reason));
             } else if kind.is_file() || entry.path().is_file() {
                 files.push((name, entry.path()));
             }

@@ -19,7 +19,7 @@ pub(crate) use packed::Part;
 pub(crate) use private::PrivateFolder;
 
 use crate::cancel::Cancel;
-use crate::error::{EntryProblem, FmiError};
+use crate::error::{EntryProblem, FmiError, Result};
 use crate::platform::{FileIdentity, LIBRARY_EXTENSION, file_identity};
 use base::files::open_regular;
 use packed::Packed;
@@ -88,7 +88,7 @@ impl Archive {
     ///
     /// # Errors
     /// As [`open_with`](Self::open_with).
-    pub fn open(path: impl AsRef<Path>) -> Result<Archive, FmiError> {
+    pub fn open(path: impl AsRef<Path>) -> Result<Archive> {
         Archive::open_with(path, &ArchiveLimits::default(), &Cancel::default())
     }
 
@@ -98,11 +98,7 @@ impl Archive {
     /// [`FmiError::Io`] for what the system refuses; [`FmiError::BadArchive`], [`FmiError::BadEntry`]
     /// and [`FmiError::ArchiveLimit`] for archives that are damaged, contradict themselves or are too large;
     /// [`FmiError::NoModelDescription`] for other archives and folders; [`FmiError::Cancelled`].
-    pub fn open_with(
-        path: impl AsRef<Path>,
-        limits: &ArchiveLimits,
-        cancel: &Cancel,
-    ) -> Result<Archive, FmiError> {
+    pub fn open_with(path: impl AsRef<Path>, limits: &ArchiveLimits, cancel: &Cancel) -> Result<Archive> {
         let path = path.as_ref();
         let metadata = path.metadata().map_err(FmiError::io("open", path))?;
         let content = match metadata.is_dir() {
@@ -137,12 +133,12 @@ impl Archive {
     /// [`FmiError::BadEntry`] for contents that are not what the directory of the archive says,
     /// [`FmiError::Io`]; [`FmiError::BadArchive`] if the file was written over since it was opened. Nothing
     /// is left behind.
-    pub fn unpack(&self) -> Result<PathBuf, FmiError> {
+    pub fn unpack(&self) -> Result<PathBuf> {
         self.unpack_part(Part::All, &Cancel::default())
     }
 
     /// Unpacks a part of it; what is there already stays, and what somebody has removed is unpacked again.
-    pub(crate) fn unpack_part(&self, part: Part, cancel: &Cancel) -> Result<PathBuf, FmiError> {
+    pub(crate) fn unpack_part(&self, part: Part, cancel: &Cancel) -> Result<PathBuf> {
         match &self.content {
             Content::Packed(packed) => packed.unpack(part, cancel),
             Content::Folder(Folder { root, .. }) => {
@@ -154,7 +150,7 @@ impl Archive {
     }
 
     /// The bytes of `modelDescription.xml`.
-    pub(crate) fn description(&self, limit: u64, cancel: &Cancel) -> Result<Vec<u8>, FmiError> {
+    pub(crate) fn description(&self, limit: u64, cancel: &Cancel) -> Result<Vec<u8>> {
         let path = || match &self.content {
             Content::Packed(packed) => packed.path(),
             Content::Folder(folder) => &folder.root,
@@ -166,7 +162,7 @@ impl Archive {
 
     /// The bytes of a file, no more than `limit` (of an unpacked folder: one more); `None` if there is none
     /// of this name.
-    pub(crate) fn read(&self, name: &str, limit: u64, cancel: &Cancel) -> Result<Option<Vec<u8>>, FmiError> {
+    pub(crate) fn read(&self, name: &str, limit: u64, cancel: &Cancel) -> Result<Option<Vec<u8>>> {
         match &self.content {
             Content::Packed(packed) => packed.read(name, limit, cancel),
             Content::Absent(absent) => Ok((name == MODEL_DESCRIPTION).then(|| absent.description.clone())),
@@ -190,7 +186,7 @@ impl Archive {
     ///
     /// # Errors
     /// The files cannot be read any more, or the archive was written over since it was opened.
-    pub fn content_hash(&self) -> Result<&str, FmiError> {
+    pub fn content_hash(&self) -> Result<&str> {
         if let Some(known) = self.content_hash.get() {
             return Ok(known);
         }
@@ -230,7 +226,7 @@ impl Archive {
     }
 
     /// The hash of the content as it is at present: a folder that is not private may have been edited.
-    pub(crate) fn present_hash(&self) -> Result<String, FmiError> {
+    pub(crate) fn present_hash(&self) -> Result<String> {
         match &self.content {
             Content::Packed(_) | Content::Absent(_) => self.content_hash().map(str::to_owned),
             Content::Folder(folder) => hash::of_folder(&folder.root, &folder.limits),
@@ -248,7 +244,7 @@ impl Archive {
     }
 
     /// The files of a folder by their names in an archive; `None` for a file, which is one archive.
-    pub(crate) fn loose_files(&self) -> Result<Option<Vec<(String, PathBuf)>>, FmiError> {
+    pub(crate) fn loose_files(&self) -> Result<Option<Vec<(String, PathBuf)>>> {
         match &self.content {
             Content::Folder(Folder { root, limits, .. }) => files_below(root, limits.entries).map(Some),
             Content::Packed(_) => Ok(None),
@@ -264,7 +260,7 @@ impl Archive {
 
 impl Folder {
     /// A folder whose files are fit to be those of an FMU.
-    fn open(path: &Path, limits: &ArchiveLimits) -> Result<Self, FmiError> {
+    fn open(path: &Path, limits: &ArchiveLimits) -> Result<Self> {
         let root = std::path::absolute(path).map_err(FmiError::io("find", path))?;
         if !root.join(MODEL_DESCRIPTION).is_file() {
             return Err(FmiError::NoModelDescription { path: path.to_owned(), hint: None });

@@ -1,6 +1,7 @@
 //! Names of archive entries: which are safe to unpack on every system, and which collide.
 
 use crate::error::EntryProblem;
+use crate::macros::getters;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 
@@ -69,6 +70,13 @@ enum Kind {
 }
 
 impl Names {
+    getters! {
+        /// Number of files and folders, including those that have no entry of their own.
+        pub(super) count(self) -> u64 = self.seen.len() as u64;
+        /// Number of folders among them.
+        pub(super) n_folders(self) -> u64 = self.folders;
+    }
+
     /// With room for so many.
     pub(super) fn with_capacity(n: usize) -> Self {
         Self { seen: HashMap::with_capacity(n), ..Self::default() }
@@ -96,16 +104,6 @@ impl Names {
     /// Index, counted from 0, of the first name added that is this one (or has it as a part).
     pub(super) fn position(&self, name: &str) -> Option<usize> {
         self.seen.get(&fold(name)).map(|seen| seen.position)
-    }
-
-    /// Number of files and folders, including those that have no entry of their own.
-    pub(super) fn count(&self) -> u64 {
-        self.seen.len() as u64
-    }
-
-    /// Number of folders among them.
-    pub(super) fn n_folders(&self) -> u64 {
-        self.folders
     }
 
     /// Adds a name or a leading part of one.

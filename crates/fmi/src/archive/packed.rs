@@ -8,7 +8,7 @@ use super::positioned::Positioned;
 use super::private::PrivateFolder;
 use super::unpack::Source;
 use crate::cancel::Cancel;
-use crate::error::{EntryProblem, FmiError};
+use crate::error::{EntryProblem, FmiError, Result};
 use crate::platform::{self, FileIdentity, FolderNames};
 use base::files::open_regular;
 use std::collections::HashMap;
@@ -74,7 +74,7 @@ struct Unpacked {
 }
 
 impl Packed {
-    pub(super) fn open(path: &Path, limits: &ArchiveLimits, cancel: &Cancel) -> Result<Self, FmiError> {
+    pub(super) fn open(path: &Path, limits: &ArchiveLimits, cancel: &Cancel) -> Result<Self> {
         let file = open_regular(path).map_err(FmiError::io("open", path))?;
         let identity = platform::file_identity(&file.metadata().map_err(FmiError::io("open", path))?);
         let entries = entries::list(path, Positioned::new(&file, 0), limits, cancel)?;
@@ -112,7 +112,7 @@ impl Packed {
         }))
     }
 
-    pub(super) fn hash(&self) -> Result<String, FmiError> {
+    pub(super) fn hash(&self) -> Result<String> {
         let mut hashing = Hashing::default();
         let mut file = Positioned::new(&self.file, 0);
         hashing.feed(&mut file).map_err(FmiError::io("read", &self.path))?;
@@ -126,7 +126,7 @@ impl Packed {
     }
 
     /// The bytes of a file, if it is not larger than `limit`; `None` if there is none of this name.
-    pub(super) fn read(&self, name: &str, limit: u64, cancel: &Cancel) -> Result<Option<Vec<u8>>, FmiError> {
+    pub(super) fn read(&self, name: &str, limit: u64, cancel: &Cancel) -> Result<Option<Vec<u8>>> {
         let is_meant = |entry: &&Listed| entry.name == name && !entry.is_folder;
         let Some(entry) = self.entries.iter().find(is_meant) else { return Ok(None) };
         if entry.size > limit {
@@ -137,7 +137,7 @@ impl Packed {
     }
 
     /// The folder to which `part` of the archive has been unpacked, now or before.
-    pub(super) fn unpack(&self, part: Part, cancel: &Cancel) -> Result<PathBuf, FmiError> {
+    pub(super) fn unpack(&self, part: Part, cancel: &Cancel) -> Result<PathBuf> {
         let mut unpacked = self.unpacked.lock().unwrap_or_else(PoisonError::into_inner);
         let is_first = unpacked.folder.is_none();
         let outcome = self.complete(&mut unpacked, part, cancel);
@@ -148,7 +148,7 @@ impl Packed {
         outcome
     }
 
-    fn complete(&self, unpacked: &mut Unpacked, part: Part, cancel: &Cancel) -> Result<PathBuf, FmiError> {
+    fn complete(&self, unpacked: &mut Unpacked, part: Part, cancel: &Cancel) -> Result<PathBuf> {
         let n_removed = unpacked.look_after(&self.entries)?;
         let folder = match &mut unpacked.folder {
             Some(folder) => folder,
@@ -173,13 +173,12 @@ impl Packed {
             );
         }
         let again = |error: FmiError| match n_removed > 0 {
-            true => FmiError::BadArchive {
-                path: self.path.clone(),
-                reason: format!(
-                    "files were removed from {}, and unpacking them again failed: {error}",
-                    root.display()
-                ),
-            },
+            true => {
+                let root = root.display();
+                let reason =
+                    format!("files were removed from {root}, and unpacking them again failed: {error}");
+                FmiError::bad_archive(&self.path, reason)
+            }
             false => error,
         };
         self.check_unchanged().map_err(again)?;
@@ -198,20 +197,19 @@ impl Packed {
     }
 
     /// Refuses a file that was written over: what is read from now on is another archive.
-    fn check_unchanged(&self) -> Result<(), FmiError> {
+    fn check_unchanged(&self) -> Result<()> {
         let now = self.file.metadata().map_err(FmiError::io("read", &self.path))?;
         if platform::file_identity(&now).same_content(&self.identity) {
             return Ok(());
         }
-        let reason = "it was written over after it had been opened; open it again".to_owned();
-        Err(FmiError::BadArchive { path: self.path.clone(), reason })
+        Err(FmiError::bad_archive(&self.path, "it was written over after it had been opened; open it again"))
     }
 }
 
 impl Unpacked {
     /// Looks whether files were removed, as programs that clean folders for temporary files do, and marks
     /// those as not unpacked; makes the private folder again where it is gone. How many are missing.
-    fn look_after(&mut self, entries: &[Listed]) -> Result<usize, FmiError> {
+    fn look_after(&mut self, entries: &[Listed]) -> Result<usize> {
         let Some(folder) = &mut self.folder else { return Ok(0) };
         if self.folders.iter().all(|(folder, known)| known.is_some() && *known == identity(folder)) {
             return Ok(0);

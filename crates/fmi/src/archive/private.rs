@@ -4,7 +4,7 @@
 //! that the folder is ours, and is locked by the process that owns it. Nothing is swept that has not exactly
 //! this layout.
 
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::platform;
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
@@ -34,7 +34,7 @@ pub(crate) struct PrivateFolder {
 
 impl PrivateFolder {
     /// Makes an empty folder. The first call in a process removes what killed processes left behind.
-    pub(crate) fn create() -> Result<Self, FmiError> {
+    pub(crate) fn create() -> Result<Self> {
         static SWEPT: Once = Once::new();
         let base = platform::unpack_base();
         SWEPT.call_once(|| sweep(&base));
@@ -42,7 +42,7 @@ impl PrivateFolder {
     }
 
     /// Makes the folder again whose [`path`](Self::path) was this one, which nothing may have taken since.
-    pub(crate) fn create_again(path: &Path) -> Result<Self, FmiError> {
+    pub(crate) fn create_again(path: &Path) -> Result<Self> {
         let (base, name) = match path.parent().and_then(|outer| Some((outer.parent()?, outer.file_name()?))) {
             Some((base, name)) if path.ends_with(INSIDE) => (base, name),
             _ => return Err(FmiError::io("create", path)(std::io::ErrorKind::InvalidInput.into())),
@@ -50,11 +50,11 @@ impl PrivateFolder {
         Self::create_with(tempfile::Builder::new().prefix(name).rand_bytes(0), base)
     }
 
-    fn create_in(base: &Path) -> Result<Self, FmiError> {
+    fn create_in(base: &Path) -> Result<Self> {
         Self::create_with(tempfile::Builder::new().prefix(PREFIX), base)
     }
 
-    fn create_with(builder: &mut tempfile::Builder<'_, '_>, base: &Path) -> Result<Self, FmiError> {
+    fn create_with(builder: &mut tempfile::Builder<'_, '_>, base: &Path) -> Result<Self> {
         let folder = builder.tempdir_in(base).map_err(FmiError::io("create a folder in", base))?;
         let lock = take_lock(&folder.path().join(LOCK));
         let inside = folder.path().join(INSIDE);
@@ -67,7 +67,7 @@ impl PrivateFolder {
     }
 
     /// Makes the folder again at the same place where somebody has removed it, or parts of it.
-    pub(crate) fn restore(&mut self) -> Result<(), FmiError> {
+    pub(crate) fn restore(&mut self) -> Result<()> {
         let Some(folder) = &self.folder else { return Ok(()) };
         let outer = folder.path();
         // In a place that is open to everybody, another folder may have taken the name: that is refused.

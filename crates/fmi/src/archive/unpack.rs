@@ -4,7 +4,7 @@ use super::entries::{Listed, refused};
 use super::hash::Hashing;
 use super::positioned::Positioned;
 use crate::cancel::Cancel;
-use crate::error::{EntryProblem, FmiError};
+use crate::error::{EntryProblem, FmiError, Result};
 use flate2::bufread::DeflateDecoder;
 use std::collections::HashMap;
 use std::fs::{self, File};
@@ -30,7 +30,7 @@ impl Source<'_> {
         entry: &Listed,
         root: &Path,
         folders: &mut HashMap<PathBuf, T>,
-    ) -> Result<(), FmiError> {
+    ) -> Result<()> {
         let target = root.join(&entry.name);
         let folder = if entry.is_folder { &target } else { target.parent().unwrap_or(root) };
         if !folders.contains_key(folder) {
@@ -40,7 +40,7 @@ impl Source<'_> {
         if entry.is_folder { Ok(()) } else { self.unpack_file(entry, &target) }
     }
 
-    fn unpack_file(self, entry: &Listed, target: &Path) -> Result<(), FmiError> {
+    fn unpack_file(self, entry: &Listed, target: &Path) -> Result<()> {
         // Refuses to write where something is already: names may collide in ways only the file system knows.
         let mut out = File::create_new(target).map_err(FmiError::io("create", target))?;
         let written = match entry.is_executable {
@@ -56,7 +56,7 @@ impl Source<'_> {
     }
 
     /// The contents of an entry, which its header says are not too long to be held in memory.
-    pub(super) fn read(self, entry: &Listed) -> Result<Vec<u8>, FmiError> {
+    pub(super) fn read(self, entry: &Listed) -> Result<Vec<u8>> {
         let mut bytes = Vec::new();
         let size = usize::try_from(entry.size).unwrap_or(usize::MAX);
         bytes
@@ -67,7 +67,7 @@ impl Source<'_> {
     }
 
     /// Returns true if two entries have the same contents.
-    pub(super) fn are_same(self, one: &Listed, other: &Listed) -> Result<bool, FmiError> {
+    pub(super) fn are_same(self, one: &Listed, other: &Listed) -> Result<bool> {
         let hash = |entry: &Listed| {
             let mut hashing = Hashing::default();
             self.copy(entry, &mut hashing, self.path)?;
@@ -77,7 +77,7 @@ impl Source<'_> {
     }
 
     /// Copies the contents of an entry to `out`, which is or stands for the file `target`.
-    fn copy(self, entry: &Listed, out: &mut dyn Write, target: &Path) -> Result<(), FmiError> {
+    fn copy(self, entry: &Listed, out: &mut dyn Write, target: &Path) -> Result<()> {
         let file = BufReader::with_capacity(BUFFER, Positioned::new(self.file, entry.data_start));
         let mut packed = file.take(entry.compressed_size);
         let copied = if entry.is_deflated {

@@ -4,7 +4,7 @@
 //! small ways); only what would make a run wrong or unsafe is an error.
 
 use super::draft::Draft;
-use super::limits::Budget;
+use super::limits::Reading;
 use super::model::{ModelDescription, Quirk, QuirkKind, Unknown};
 use super::names::NameIndex;
 use super::quirks::Quirks;
@@ -12,27 +12,28 @@ use super::structure::Structure;
 use super::unit::Unit;
 use super::variable::{Causality, Dimension, Initial, TypeDefinition, Variability, Variable};
 use crate::archive::MODEL_DESCRIPTION;
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::value::{Value, VariableKind};
 use std::collections::{HashMap, HashSet};
 
 /// Resolves the references of a draft and turns it into a description.
-pub(super) fn finish(mut draft: Draft) -> Result<ModelDescription, FmiError> {
+pub(super) fn finish(mut draft: Draft) -> Result<ModelDescription> {
     inherit_types(&mut draft)?;
     resolve_derivatives(&mut draft);
     resolve_dimensions(&mut draft)?;
     resolve_structure(&mut draft)?;
-    draft.model.most_elements = draft.budget.limits.elements;
+    draft.model.most_elements = draft.reading.limits.elements;
     let too_large = |(line, message)| FmiError::Description { file: MODEL_DESCRIPTION, line, message };
     Structure::default().check(&draft.model).map_err(too_large)?;
-    let Draft { mut model, mut quirks, budget, .. } = draft;
+    let Draft { mut model, reading, .. } = draft;
+    let mut quirks = reading.quirks.take();
     model.n_event_indicators = Structure::default().indicators(&model);
-    budget.check(0)?;
+    reading.check(0)?;
     check_header(&model, &mut quirks);
     check_units(&model, &mut quirks);
     check_structure(&model, &mut quirks);
     for variable in &mut model.variables {
-        budget.check(0)?;
+        reading.check(0)?;
         variable.is_narrow = model.fmi_version.major < 3 && variable.kind == VariableKind::Enumeration;
         check_range(variable, &mut quirks);
         if model.fmi_version.has_table_of_combinations() {
@@ -68,7 +69,7 @@ fn check_time(variables: &[Variable], quirks: &mut Quirks) {
 }
 
 /// Refuses a description that has quirks other than those of the importer itself.
-pub(super) fn require_conforming(quirks: &[Quirk]) -> Result<(), FmiError> {
+pub(super) fn require_conforming(quirks: &[Quirk]) -> Result<()> {
     let mut departures = quirks.iter().filter(|quirk| quirk.kind != QuirkKind::Unsupported);
     match departures.next() {
         None => Ok(()),
@@ -85,12 +86,12 @@ pub(super) fn require_conforming(quirks: &[Quirk]) -> Result<(), FmiError> {
 const LONGEST_INHERITED: usize = 1024;
 
 /// Fills in what variables leave to their types.
-fn inherit_types(draft: &mut Draft) -> Result<(), FmiError> {
+fn inherit_types(draft: &mut Draft) -> Result<()> {
     let model = &mut draft.model;
     for definition in &mut model.type_definitions {
         for text in [&mut definition.quantity, &mut definition.unit, &mut definition.display_unit] {
             if let Some(long) = text.take_if(|text| text.len() > LONGEST_INHERITED) {
-                draft.quirks.add(QuirkKind::Attribute, 0, || {
+                draft.reading.quirk(QuirkKind::Attribute, 0, || {
                     format!(
                         "a quantity or unit of the type \"{}\" has {} bytes; it is left out",
                         definition.name,
@@ -108,17 +109,17 @@ fn inherit_types(draft: &mut Draft) -> Result<(), FmiError> {
         let (line, kind) = (variable.line, variable.kind);
         match types.get(name.as_str()) {
             Some(definition) if definition.kind == kind => {
-                inherit(variable, definition, &draft.budget);
-                draft.budget.check(line)?;
+                inherit(variable, definition, &draft.reading);
+                draft.reading.check(line)?;
                 variable.relative_quantity |= definition.relative_quantity && !flags.relative_quantity;
                 variable.unbounded |= definition.unbounded && !flags.unbounded;
             }
-            Some(definition) => draft.quirks.add(QuirkKind::Undefined, line, || {
+            Some(definition) => draft.reading.quirk(QuirkKind::Undefined, line, || {
                 format!("{kind} \"{}\" has the type \"{name}\", which is {}", variable.name, definition.kind)
             }),
             None if !unknown.contains(name) => {
                 unknown.insert(name.clone());
-                draft.quirks.add(QuirkKind::Undefined, line, || format!("type \"{name}\" is not defined"));
+                draft.reading.quirk(QuirkKind::Undefined, line, || format!("type \"{name}\" is not defined"));
             }
             None => {}
         }
@@ -126,9 +127,9 @@ fn inherit_types(draft: &mut Draft) -> Result<(), FmiError> {
     Ok(())
 }
 
-fn inherit(variable: &mut Variable, definition: &TypeDefinition, budget: &Budget) {
+fn inherit(variable: &mut Variable, definition: &TypeDefinition, reading: &Reading) {
     let fill = |own: &mut Option<String>, inherited: &Option<String>| {
-        if own.is_none() && inherited.as_ref().is_some_and(|text| budget.take_text(text)) {
+        if own.is_none() && inherited.as_ref().is_some_and(|text| reading.take_text(text)) {
             own.clone_from(inherited);
         }
     };
@@ -146,7 +147,7 @@ fn resolve_derivatives(draft: &mut Draft) {
     for variable in &mut draft.model.variables {
         if variable.derivative.is_some_and(|state| state >= n_variables) {
             variable.derivative = None;
-            draft.quirks.add(QuirkKind::Structure, variable.line, || {
+            draft.reading.quirk(QuirkKind::Structure, variable.line, || {
                 format!("\"{}\" is the derivative of a variable that does not exist", variable.name)
             });
         }
@@ -154,7 +155,7 @@ fn resolve_derivatives(draft: &mut Draft) {
 }
 
 /// Refuses arrays whose dimensions are those of no structural parameter, and those too large to be meant.
-fn resolve_dimensions(draft: &mut Draft) -> Result<(), FmiError> {
+fn resolve_dimensions(draft: &mut Draft) -> Result<()> {
     let model = &draft.model;
     for variable in model.variables.iter().filter(|variable| !variable.dimensions.is_empty()) {
         let refuse = |message: String| {
@@ -181,7 +182,7 @@ fn resolve_dimensions(draft: &mut Draft) -> Result<(), FmiError> {
         };
         // One value stands for all.
         if given != elements && given != 1 {
-            draft.quirks.add(QuirkKind::Start, variable.line, || {
+            draft.reading.quirk(QuirkKind::Start, variable.line, || {
                 format!("\"{}\" has {given} start values for {elements} elements", variable.name)
             });
         }
@@ -191,9 +192,9 @@ fn resolve_dimensions(draft: &mut Draft) -> Result<(), FmiError> {
 
 /// Brings all indices of the model structure into range. An unknown derivative or event indicator cannot be
 /// left out, because their numbers would not be the model's.
-fn resolve_structure(draft: &mut Draft) -> Result<(), FmiError> {
+fn resolve_structure(draft: &mut Draft) -> Result<()> {
     let n_variables = draft.model.variables.len();
-    let quirks = &mut draft.quirks;
+    let quirks = &mut draft.reading.quirks.borrow_mut();
     let structure = &mut draft.model.structure;
     let [output_lines, derivative_lines, initial_lines, indicator_lines] = &draft.structure_lines;
     let derivatives = structure.derivatives.iter().zip(derivative_lines).map(|pair| ("a derivative", pair));

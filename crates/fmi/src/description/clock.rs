@@ -1,5 +1,6 @@
 //! When clocks tick, as far as the description says it (FMI 3.0.x, section 2.2.8.3).
 
+use crate::macros::words;
 use serde::{Deserialize, Serialize};
 
 /// Timing of a clock, from the model description.
@@ -18,35 +19,23 @@ pub struct ClockTiming {
     pub shift: Interval,
 }
 
-/// Who knows the intervals between the ticks of a clock, and when.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum ClockKind {
-    /// The description: periodic, always with the same interval.
-    Constant,
-    /// Periodic with an interval that is known after the initialization.
-    Fixed,
-    /// Periodic with an interval that tunable parameters can change.
-    Tunable,
-    /// The model, at each tick, for the next one.
-    Changing,
-    /// The model, at any event, some time before the tick.
-    Countdown,
-    /// Nobody beforehand: the importer triggers it, or, if it is no input, the model.
-    Triggered,
-}
-
-impl ClockKind {
-    /// The word of the standard.
-    pub fn name(self) -> &'static str {
-        match self {
-            ClockKind::Constant => "constant",
-            ClockKind::Fixed => "fixed",
-            ClockKind::Tunable => "tunable",
-            ClockKind::Changing => "changing",
-            ClockKind::Countdown => "countdown",
-            ClockKind::Triggered => "triggered",
-        }
+words! {
+    /// Who knows the intervals between the ticks of a clock, and when.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+    #[non_exhaustive]
+    pub enum ClockKind {
+        /// The description: periodic, always with the same interval.
+        Constant = "constant",
+        /// Periodic with an interval that is known after the initialization.
+        Fixed = "fixed",
+        /// Periodic with an interval that tunable parameters can change.
+        Tunable = "tunable",
+        /// The model, at each tick, for the next one.
+        Changing = "changing",
+        /// The model, at any event, some time before the tick.
+        Countdown = "countdown",
+        /// Nobody beforehand: the importer triggers it, or, if it is no input, the model.
+        Triggered = "triggered",
     }
 }
 

@@ -1,16 +1,14 @@
 //! A description in the making: what a file says, before its parts are checked against each other.
 
-use super::limits::Budget;
+use super::limits::Reading;
 use super::model::{ModelDescription, Unknown};
-use super::quirks::Quirks;
 use super::variable::Variable;
 use std::rc::Rc;
 
 /// A description in the making.
 pub(super) struct Draft {
     pub(super) model: ModelDescription,
-    pub(super) quirks: Quirks,
-    pub(super) budget: Rc<Budget>,
+    pub(super) reading: Rc<Reading>,
     /// For each variable which of its flags the file sets, so that a type does not overrule them.
     pub(super) flags: Vec<Flags>,
     /// Lines of the unknowns in the model structure, in the order of outputs, derivatives, initial unknowns,
@@ -41,9 +39,9 @@ impl Draft {
     /// Adds a variable.
     pub(super) fn add_variable(&mut self, variable: Variable, flags: Flags) {
         // Its places in the index of names and in the sets that checks make.
-        self.budget.take(64);
-        self.budget.push(&mut self.model.variables, variable);
-        self.budget.push(&mut self.flags, flags);
+        self.reading.take(64);
+        self.reading.push(&mut self.model.variables, variable);
+        self.reading.push(&mut self.flags, flags);
     }
 
     pub(super) fn add_unknown(&mut self, list: StructureList, unknown: Unknown, line: u32) {
@@ -54,7 +52,7 @@ impl Draft {
             StructureList::InitialUnknowns => (&mut structure.initial_unknowns, &mut self.structure_lines[2]),
             StructureList::EventIndicators => (&mut structure.event_indicators, &mut self.structure_lines[3]),
         };
-        self.budget.push(unknowns, unknown);
-        self.budget.push(lines, line);
+        self.reading.push(unknowns, unknown);
+        self.reading.push(lines, line);
     }
 }

@@ -1,10 +1,12 @@
 //! Limits on the memory for reading a model description, and the amount used so far.
 
+use super::model::QuirkKind;
+use super::quirks::Quirks;
 use crate::archive::MODEL_DESCRIPTION;
 use crate::cancel::Cancel;
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use serde::{Deserialize, Serialize};
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 
 /// Limits on a model description. The defaults are above what real models need, and stop small files that
 /// would fill the memory.
@@ -29,19 +31,31 @@ const MEMORY_PER_BYTE: u64 = 8;
 /// Of it, for what is there for a moment only: attributes as they are read, a list that grows.
 const TRANSIENT_PER_BYTE: u64 = 2;
 
-/// Memory left for reading one document, and the flag that cancels the reading.
+/// The reading of one document: memory left for it, the flag that cancels it, departures from the standard.
 #[derive(Debug)]
-pub(super) struct Budget {
+pub(super) struct Reading {
     pub(super) limits: DescriptionLimits,
     pub(super) cancel: Cancel,
+    pub(super) quirks: RefCell<Quirks>,
     left: Cell<u64>,
     is_exceeded: Cell<bool>,
 }
 
-impl Budget {
+impl Reading {
     pub(super) fn new(limits: &DescriptionLimits, cancel: &Cancel) -> Self {
         let left = limits.bytes.saturating_mul(MEMORY_PER_BYTE - TRANSIENT_PER_BYTE);
-        Self { limits: limits.clone(), cancel: cancel.clone(), left: left.into(), is_exceeded: false.into() }
+        Self {
+            limits: limits.clone(),
+            cancel: cancel.clone(),
+            quirks: RefCell::default(),
+            left: left.into(),
+            is_exceeded: false.into(),
+        }
+    }
+
+    /// Notes a departure from the standard.
+    pub(super) fn quirk(&self, kind: QuirkKind, line: u32, message: impl FnOnce() -> String) {
+        self.quirks.borrow_mut().add(kind, line, message);
     }
 
     /// Notes memory that is about to be taken; whether there is as much.
@@ -71,7 +85,7 @@ impl Budget {
     }
 
     /// Refuses to go on if more was taken than there is, or the reading is cancelled.
-    pub(super) fn check(&self, line: u32) -> Result<(), FmiError> {
+    pub(super) fn check(&self, line: u32) -> Result<()> {
         self.cancel.check()?;
         let refusal = |message| FmiError::Description { file: MODEL_DESCRIPTION, line, message };
         self.complaint().map_or(Ok(()), |complaint| Err(refusal(complaint)))
@@ -90,18 +104,14 @@ impl Budget {
     }
 }
 
-impl Default for Budget {
+impl Default for Reading {
     fn default() -> Self {
         Self::new(&DescriptionLimits::default(), &Cancel::default())
     }
 }
 
 /// Refuses a file with more bytes than there may be.
-pub(super) fn check_size(
-    bytes: &[u8],
-    file: &'static str,
-    limits: &DescriptionLimits,
-) -> Result<(), FmiError> {
+pub(super) fn check_size(bytes: &[u8], file: &'static str, limits: &DescriptionLimits) -> Result<()> {
     let limit = limits.bytes;
     if bytes.len() as u64 <= limit {
         return Ok(());

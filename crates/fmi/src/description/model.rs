@@ -1,17 +1,17 @@
 //! The model description as a whole: header, interfaces, structure, quirks, lookup by name.
 
-use super::limits::DescriptionLimits;
 use super::names;
 use super::names::NameIndex;
 use super::unit::Unit;
 use super::variable::{TypeDefinition, Variable};
 use super::version::FmiVersion;
+use crate::macros::words;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::fmt;
 
 /// The content of `modelDescription.xml`.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 #[non_exhaustive]
 pub struct ModelDescription {
     /// Version of the FMI standard.
@@ -51,7 +51,7 @@ pub struct ModelDescription {
     pub log_categories: Vec<LogCategory>,
     /// Suggested span, tolerance and step.
     pub default_experiment: DefaultExperiment,
-    /// Variables in the order of the file. After a change call [`ModelDescription::rebuild_index`].
+    /// Variables in the order of the file.
     pub variables: Vec<Variable>,
     /// Outputs, derivatives, initial unknowns.
     pub structure: ModelStructure,
@@ -71,39 +71,6 @@ pub struct ModelDescription {
 }
 
 impl ModelDescription {
-    /// A description with nothing in it.
-    pub(super) fn empty(fmi_version: FmiVersion) -> Self {
-        ModelDescription {
-            fmi_version,
-            model_name: String::new(),
-            guid: String::new(),
-            description: None,
-            author: None,
-            version: None,
-            copyright: None,
-            license: None,
-            generation_tool: None,
-            generation_date_and_time: None,
-            variable_naming_convention: None,
-            model_exchange: None,
-            co_simulation: None,
-            offers_scheduled_execution: false,
-            units: Vec::new(),
-            type_definitions: Vec::new(),
-            log_categories: Vec::new(),
-            default_experiment: DefaultExperiment::default(),
-            variables: Vec::new(),
-            structure: ModelStructure::default(),
-            n_event_indicators: 0,
-            declared_states: None,
-            quirks: Vec::new(),
-            has_arrays: false,
-            most_elements: DescriptionLimits::default().elements,
-            names: NameIndex::default(),
-            aliases: HashMap::new(),
-        }
-    }
-
     /// The variable of this name; constant time.
     pub fn variable(&self, name: &str) -> Option<&Variable> {
         self.variable_index(name).map(|index| &self.variables[index])
@@ -126,12 +93,6 @@ impl ModelDescription {
     /// At most `n` names of variables that `name` may have been meant for, the most similar first.
     pub fn nearest_names(&self, name: &str, n: usize) -> Vec<&str> {
         names::nearest(name, self.names().map(|(name, _)| name), n)
-    }
-
-    /// Makes lookups by name see changes of [`variables`](Self::variables).
-    pub fn rebuild_index(&mut self) {
-        self.names = NameIndex::build(&self.variables, |_, _| {});
-        self.aliases = names::aliases(&self.variables, &self.names, |_, _, _| {});
     }
 }
 
@@ -246,20 +207,22 @@ pub struct Unknown {
     pub kinds: Vec<DependencyKind>,
 }
 
-/// Kind of the dependency of an unknown on a known.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum DependencyKind {
-    /// No particular structure.
-    Dependent,
-    /// Linear with a constant factor.
-    Constant,
-    /// Linear, with a factor fixed after initialization.
-    Fixed,
-    /// Linear, with a factor that changes with tunable parameters.
-    Tunable,
-    /// Linear, with a factor that changes at events.
-    Discrete,
+words! {
+    /// Kind of the dependency of an unknown on a known.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+    #[non_exhaustive]
+    pub enum DependencyKind {
+        /// No particular structure.
+        Dependent = "dependent",
+        /// Linear with a constant factor.
+        Constant = "constant",
+        /// Linear, with a factor fixed after initialization.
+        Fixed = "fixed",
+        /// Linear, with a factor that changes with tunable parameters.
+        Tunable = "tunable",
+        /// Linear, with a factor that changes at events.
+        Discrete = "discrete",
+    }
 }
 
 /// A departure from the standard that was tolerated.
@@ -273,52 +236,35 @@ pub struct Quirk {
     pub line: u32,
 }
 
-/// Classes of departures from the standard.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[non_exhaustive]
-pub enum QuirkKind {
-    /// The text is not in the encoding it declares.
-    Encoding,
-    /// A value of an attribute that is not understood; the default was taken.
-    Attribute,
-    /// A mandatory attribute or element is missing.
-    Missing,
-    /// An element that is not allowed where it stands, or more often than allowed.
-    Element,
-    /// A name or value that must be unique is not.
-    Duplicate,
-    /// A unit, type or variable that is referred to is not defined.
-    Undefined,
-    /// Causality, variability and initial do not go together.
-    Combination,
-    /// A start value is missing, superfluous or out of range.
-    Start,
-    /// A nominal that is zero, negative or not finite; min above max.
-    Range,
-    /// The model structure is not consistent.
-    Structure,
-    /// The model does not do what the description promises.
-    Promise,
-    /// Something this version of the importer does not represent was left out.
-    Unsupported,
-}
-
-impl fmt::Display for QuirkKind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            QuirkKind::Encoding => "encoding",
-            QuirkKind::Attribute => "attribute",
-            QuirkKind::Missing => "missing",
-            QuirkKind::Element => "element",
-            QuirkKind::Duplicate => "duplicate",
-            QuirkKind::Undefined => "undefined",
-            QuirkKind::Combination => "combination",
-            QuirkKind::Start => "start",
-            QuirkKind::Range => "range",
-            QuirkKind::Structure => "structure",
-            QuirkKind::Promise => "promise",
-            QuirkKind::Unsupported => "unsupported",
-        })
+words! {
+    /// Classes of departures from the standard.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+    #[non_exhaustive]
+    pub enum QuirkKind {
+        /// The text is not in the encoding it declares.
+        Encoding = "encoding",
+        /// A value of an attribute that is not understood; the default was taken.
+        Attribute = "attribute",
+        /// A mandatory attribute or element is missing.
+        Missing = "missing",
+        /// An element that is not allowed where it stands, or more often than allowed.
+        Element = "element",
+        /// A name or value that must be unique is not.
+        Duplicate = "duplicate",
+        /// A unit, type or variable that is referred to is not defined.
+        Undefined = "undefined",
+        /// Causality, variability and initial do not go together.
+        Combination = "combination",
+        /// A start value is missing, superfluous or out of range.
+        Start = "start",
+        /// A nominal that is zero, negative or not finite; min above max.
+        Range = "range",
+        /// The model structure is not consistent.
+        Structure = "structure",
+        /// The model does not do what the description promises.
+        Promise = "promise",
+        /// Something this version of the importer does not represent was left out.
+        Unsupported = "unsupported",
     }
 }
 

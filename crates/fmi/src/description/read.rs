@@ -8,7 +8,7 @@ use super::structure::Structure;
 use super::variable::Variable;
 use crate::archive::Archive;
 use crate::cancel::Cancel;
-use crate::error::FmiError;
+use crate::error::Result;
 
 impl ModelDescription {
     /// Parses the bytes of a `modelDescription.xml` of any version.
@@ -16,10 +16,11 @@ impl ModelDescription {
     /// Lenient: what the standard does not know is ignored, and where a file departs from it in a way that
     /// can be worked with, the departure is listed in [`quirks`](Self::quirks).
     ///
-    /// Errors: [`FmiError::Description`] with a line for what is no model description, is dangerous (document
-    /// type definitions, bottomless nesting, model identifiers with path separators) or cannot be worked
-    /// with; [`FmiError::UnknownVersion`] for versions other than 1, 2 and 3.
-    pub fn parse(bytes: &[u8]) -> Result<ModelDescription, FmiError> {
+    /// Errors: [`FmiError::Description`](crate::FmiError::Description) with a line for what is no model
+    /// description, is dangerous (document type definitions, bottomless nesting, model identifiers with path
+    /// separators) or cannot be worked with; [`FmiError::UnknownVersion`](crate::FmiError::UnknownVersion)
+    /// for versions other than 1, 2 and 3.
+    pub fn parse(bytes: &[u8]) -> Result<ModelDescription> {
         parse(bytes.into(), &DescriptionLimits::default(), &Cancel::default()).and_then(checks::finish)
     }
 
@@ -27,25 +28,26 @@ impl ModelDescription {
     ///
     /// # Errors
     /// As [`parse`](Self::parse), and those of reading.
-    pub fn read(archive: &Archive) -> Result<ModelDescription, FmiError> {
+    pub fn read(archive: &Archive) -> Result<ModelDescription> {
         Self::read_with(archive, &DescriptionLimits::default(), &Cancel::default())
     }
 
     /// The same with other limits; ends early when `cancel` asks for it.
     ///
     /// # Errors
-    /// As [`read`](Self::read), and [`FmiError::Cancelled`].
+    /// As [`read`](Self::read), and [`FmiError::Cancelled`](crate::FmiError::Cancelled).
     pub fn read_with(
         archive: &Archive,
         limits: &DescriptionLimits,
         cancel: &Cancel,
-    ) -> Result<ModelDescription, FmiError> {
+    ) -> Result<ModelDescription> {
         let bytes = archive.description(limits.bytes, cancel)?;
         parse(bytes.into(), limits, cancel).and_then(checks::finish)
     }
 
-    /// Refuses a description that departs from the standard anywhere ([`FmiError::NotConforming`]).
-    pub fn require_conforming(&self) -> Result<(), FmiError> {
+    /// Refuses a description that departs from the standard anywhere
+    /// ([`FmiError::NotConforming`](crate::FmiError::NotConforming)).
+    pub fn require_conforming(&self) -> Result<()> {
         checks::require_conforming(&self.quirks)
     }
 

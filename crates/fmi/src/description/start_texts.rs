@@ -4,7 +4,7 @@
 use super::model::ModelDescription;
 use super::parse::encoding_of;
 use crate::archive::MODEL_DESCRIPTION;
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use encoding_rs::{Encoding, UTF_16BE, UTF_16LE};
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
@@ -26,7 +26,7 @@ pub(crate) fn with_start_texts(
     bytes: &[u8],
     description: &ModelDescription,
     starts: &BTreeMap<usize, String>,
-) -> Result<Vec<u8>, FmiError> {
+) -> Result<Vec<u8>> {
     let document = Text::of(bytes);
     let mut edits: Vec<(Range<usize>, String)> = Vec::new();
     let mut found = std::collections::BTreeSet::new();

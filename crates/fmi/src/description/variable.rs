@@ -1,13 +1,13 @@
 //! Variables and their types: name, value reference, causality, variability, start value.
 
 use super::clock::ClockTiming;
+use crate::macros::words;
 use crate::value::{Value, VariableKind};
 use serde::Serialize;
-use std::fmt;
 
 /// A variable of the model: one value, or an array of them. Attributes that a type definition supplies are
 /// already filled in.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Variable {
     /// Name, unique in the model.
     pub name: String,
@@ -138,40 +138,46 @@ pub struct EnumerationItem {
     pub description: Option<String>,
 }
 
-/// Role of a variable towards the outside.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum Causality {
-    /// Given from outside, constant during a simulation (or tunable between steps).
-    Parameter,
-    /// A parameter that other variables' dimensions depend on (FMI 3.0).
-    StructuralParameter,
-    /// Computed from parameters.
-    CalculatedParameter,
-    /// Given from outside.
-    Input,
-    /// For use outside.
-    Output,
-    /// Internal.
-    Local,
-    /// Time.
-    Independent,
+words! {
+    /// Role of a variable towards the outside.
+    #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+    #[non_exhaustive]
+    pub enum Causality {
+        /// Given from outside, constant during a simulation (or tunable between steps).
+        Parameter = "parameter",
+        /// A parameter that other variables' dimensions depend on (FMI 3.0).
+        StructuralParameter = "structuralParameter",
+        /// Computed from parameters.
+        CalculatedParameter = "calculatedParameter",
+        /// Given from outside.
+        Input = "input",
+        /// For use outside.
+        Output = "output",
+        /// Internal.
+        #[default]
+        Local = "local",
+        /// Time.
+        Independent = "independent",
+    }
 }
 
-/// When a variable may change.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum Variability {
-    /// Never.
-    Constant,
-    /// Not after initialization.
-    Fixed,
-    /// At events triggered from outside.
-    Tunable,
-    /// At events.
-    Discrete,
-    /// At any time.
-    Continuous,
+words! {
+    /// When a variable may change.
+    #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+    #[non_exhaustive]
+    pub enum Variability {
+        /// Never.
+        Constant = "constant",
+        /// Not after initialization.
+        Fixed = "fixed",
+        /// At events triggered from outside.
+        Tunable = "tunable",
+        /// At events.
+        Discrete = "discrete",
+        /// At any time.
+        #[default]
+        Continuous = "continuous",
+    }
 }
 
 impl Variability {
@@ -188,16 +194,18 @@ impl Variability {
     }
 }
 
-/// Initialization of a variable (attribute `initial`).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum Initial {
-    /// The start value is the value.
-    Exact,
-    /// The start value is a guess.
-    Approx,
-    /// Computed; there is no start value.
-    Calculated,
+words! {
+    /// Initialization of a variable (attribute `initial`).
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+    #[non_exhaustive]
+    pub enum Initial {
+        /// The start value is the value.
+        Exact = "exact",
+        /// The start value is a guess.
+        Approx = "approx",
+        /// Computed; there is no start value.
+        Calculated = "calculated",
+    }
 }
 
 impl Initial {
@@ -212,38 +220,3 @@ impl Initial {
         }
     }
 }
-
-/// The words of the standard for the values of a type.
-macro_rules! words {
-    ($type:ident { $($variant:ident = $word:literal),+ }) => {
-        impl $type {
-            /// All values, by the standard's words.
-            pub(super) const WORDS: &[(&str, $type)] = &[$(($word, $type::$variant)),+];
-        }
-
-        impl fmt::Display for $type {
-            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str(match self {
-                    $($type::$variant => $word),+
-                })
-            }
-        }
-    };
-}
-words!(Causality {
-    Parameter = "parameter",
-    StructuralParameter = "structuralParameter",
-    CalculatedParameter = "calculatedParameter",
-    Input = "input",
-    Output = "output",
-    Local = "local",
-    Independent = "independent"
-});
-words!(Variability {
-    Constant = "constant",
-    Fixed = "fixed",
-    Tunable = "tunable",
-    Discrete = "discrete",
-    Continuous = "continuous"
-});
-words!(Initial { Exact = "exact", Approx = "approx", Calculated = "calculated" });

@@ -5,7 +5,7 @@ use crate::platform::FolderNames;
 use std::fmt;
 
 /// Version of the FMI standard a file follows.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct FmiVersion {
     /// 1, 2 or 3.
     pub major: u32,

@@ -8,6 +8,9 @@ use ode::Number;
 use std::io;
 use std::path::{Path, PathBuf};
 
+/// Outcome of what may fail with an [`FmiError`].
+pub type Result<T, E = FmiError> = std::result::Result<T, E>;
+
 /// Why an FMU could not be opened, understood, built or run.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -107,11 +110,8 @@ pub enum FmiError {
         message: String,
     },
     /// A version of the standard that does not exist yet.
-    #[error("the FMU follows FMI {version}; known are 1.0, 2.0 and 3.0")]
-    UnknownVersion {
-        /// As written in the file.
-        version: String,
-    },
+    #[error("the FMU follows FMI {0}; known are 1.0, 2.0 and 3.0")]
+    UnknownVersion(String),
     /// `modelDescription.xml` is well formed but leaves the standard, and strict reading was asked for.
     #[error(
         "the model description departs from the FMI standard in {count} places, first (line {line}): {first}"
@@ -197,29 +197,20 @@ pub enum FmiError {
         symbol: &'static str,
     },
     /// An optional function was called that the library does not have.
-    #[error("the FMU has no function {function}")]
-    MissingFunction {
-        /// The function.
-        function: &'static str,
-    },
-    /// A call of the instance's loaded library returned `Fatal`: the standard lets nothing of it be called
-    /// after that.
-    #[error("{} is unusable since one of its calls returned fatal; new instances and simulations have a newly loaded copy", library.display())]
-    LibraryUnusable {
-        /// The library.
-        library: PathBuf,
-    },
+    #[error("the FMU has no function {0}")]
+    MissingFunction(&'static str),
+    /// A call of the instance's loaded library, of this file, returned `Fatal`: the standard lets nothing of
+    /// it be called after that.
+    #[error("{} is unusable since one of its calls returned fatal; new instances and simulations have a newly loaded copy", .0.display())]
+    LibraryUnusable(PathBuf),
     /// A call into the FMU failed.
     #[error(transparent)]
     Call(Box<CallFailure>),
-    /// A call of an instance made by hand after one that returned `Error`; the FMU was not called.
+    /// A call of an instance made by hand after this one had returned `Error`; the FMU was not called.
     #[error(
-        "after {call} returned error nothing is left but to reset the instance, restore a saved state or free it"
+        "after {0} returned error nothing is left but to reset the instance, restore a saved state or free it"
     )]
-    AfterError {
-        /// The call that returned `Error`.
-        call: &'static str,
-    },
+    AfterError(&'static str),
     /// Slices of different lengths, or a vector that has not the model's size; the FMU was not called.
     #[error("{call}: {found} values where {expected} are needed")]
     Length {
@@ -351,12 +342,9 @@ pub enum FmiError {
         /// The problem, with numbers.
         problem: String,
     },
-    /// Settings of a simulation that do not make sense.
-    #[error("{problem}")]
-    BadSetting {
-        /// The problem, with numbers.
-        problem: String,
-    },
+    /// Settings of a simulation that do not make sense: the problem, with numbers.
+    #[error("{0}")]
+    BadSetting(String),
     /// An option of the integration method that cannot be used.
     #[error(transparent)]
     Options(#[from] ode::OptionsError),
@@ -407,7 +395,7 @@ impl FmiError {
             | FmiError::NotFinite { .. }
             | FmiError::NotAnOutput { .. }
             | FmiError::BadInput { .. }
-            | FmiError::BadSetting { .. }
+            | FmiError::BadSetting(_)
             | FmiError::Options(_) => (ToldKind::Setting, None),
             FmiError::Call(failure) if failure.call.contains("nstantiate") => (ToldKind::Model, failure.time),
             FmiError::Call(failure) => (ToldKind::Simulation, failure.time),
@@ -447,6 +435,11 @@ impl FmiError {
         let message = "the file was written over after this process had loaded it; restart the process, or give the new \
                        version a file of its own";
         FmiError::LoadFailed { library: library.to_owned(), message: message.to_owned() }
+    }
+
+    /// An archive, or a folder that should be one, that cannot be used.
+    pub(crate) fn bad_archive(path: impl Into<PathBuf>, reason: impl Into<String>) -> FmiError {
+        FmiError::BadArchive { path: path.into(), reason: reason.into() }
     }
 
     /// Wraps an error of the operating system with what was tried on which path.

@@ -7,5 +7,5 @@ mod worker_failure;
 
 pub use entry_problem::EntryProblem;
 pub use failure::{CallFailure, LogLine, Status};
-pub use fmi_error::FmiError;
+pub use fmi_error::{FmiError, Result};
 pub use worker_failure::{EndKind, Told, ToldKind, WorkerEnd};

@@ -3,14 +3,14 @@
 
 use super::integer_codec::{self, whole};
 use crate::description::{Causality, Initial, ModelDescription, Value, Variability, Variable, VariableKind};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use std::ffi::CString;
 
 /// Position of the variable of this name.
 ///
 /// # Errors
 /// [`FmiError::UnknownVariable`] with the nearest names.
-pub(crate) fn resolve(description: &ModelDescription, name: &str) -> Result<usize, FmiError> {
+pub(crate) fn resolve(description: &ModelDescription, name: &str) -> Result<usize> {
     description.variable_index(name).ok_or_else(|| FmiError::UnknownVariable {
         name: name.to_owned(),
         nearest: description.nearest_names(name, 3).into_iter().map(str::to_owned).collect(),
@@ -22,17 +22,8 @@ pub(crate) fn resolve(description: &ModelDescription, name: &str) -> Result<usiz
 ///
 /// # Errors
 /// [`FmiError::WrongType`], and [`FmiError::NotFinite`] for NaN and infinities.
-pub(crate) fn convert(
-    variable: &Variable,
-    value: &Value,
-    elements: Option<usize>,
-) -> Result<Value, FmiError> {
-    let wrong = |given| FmiError::WrongType {
-        name: variable.name.clone(),
-        kind: variable.kind,
-        value: value.clone(),
-        given,
-    };
+pub(crate) fn convert(variable: &Variable, value: &Value, elements: Option<usize>) -> Result<Value> {
+    let wrong = |given| wrong_type(variable, value, given);
     let Some(elements) = elements else { return convert_one(variable, value) };
     match value {
         Value::Array(values) if values.len() == elements => values
@@ -47,15 +38,14 @@ pub(crate) fn convert(
 }
 
 /// [`convert`] for a single value.
-pub(crate) fn convert_one(variable: &Variable, value: &Value) -> Result<Value, FmiError> {
+pub(crate) fn convert_one(variable: &Variable, value: &Value) -> Result<Value> {
     if let Value::Real(x) = value
         && !x.is_finite()
     {
         return Err(FmiError::NotFinite { name: variable.name.clone(), value: *x });
     }
     let kind = variable.kind;
-    let wrong =
-        |given| FmiError::WrongType { name: variable.name.clone(), kind, value: value.clone(), given };
+    let wrong = |given| wrong_type(variable, value, given);
     let in_range = |i: i128| match variable.integer_range() {
         Some((least, most)) if (least..=most).contains(&i) => Ok(Value::Integer(i)),
         _ => Err(out_of_range(variable, value)),
@@ -73,6 +63,12 @@ pub(crate) fn convert_one(variable: &Variable, value: &Value) -> Result<Value, F
         },
         _ => Err(wrong(value.kind_name())),
     }
+}
+
+/// The error for a value that does not fit a variable; `given`: the word for its type.
+pub(crate) fn wrong_type(variable: &Variable, value: &Value, given: &'static str) -> FmiError {
+    let (name, value) = (variable.name.clone(), value.clone());
+    FmiError::WrongType { name, kind: variable.kind, value, given }
 }
 
 fn out_of_range(variable: &Variable, value: &Value) -> FmiError {
@@ -93,7 +89,7 @@ pub(crate) fn negate(value: Value) -> Value {
 
 /// Refuses variables that can never be set before a simulation, and says why (FMI 2.0.x, section 2.2.7: table
 /// of causality, variability and initial; section 3.2.2: when what may be set).
-pub(crate) fn check_settable_at_start(variable: &Variable) -> Result<(), FmiError> {
+pub(crate) fn check_settable_at_start(variable: &Variable) -> Result<()> {
     let reason = if variable.causality == Causality::Independent {
         "it is the independent variable (time)"
     } else if variable.variability == Variability::Constant {
@@ -113,7 +109,7 @@ pub(crate) fn check_settable_at_start(variable: &Variable) -> Result<(), FmiErro
 }
 
 /// Refuses what initialization mode does not let be set: all but inputs and variables with `initial = exact`.
-pub(crate) fn check_settable_in_initialization(variable: &Variable) -> Result<(), FmiError> {
+pub(crate) fn check_settable_in_initialization(variable: &Variable) -> Result<()> {
     check_settable_at_start(variable)?;
     if variable.causality == Causality::StructuralParameter {
         return Err(not_settable(variable, "structural parameters are set before the initialization"));
@@ -127,10 +123,7 @@ pub(crate) fn check_settable_in_initialization(variable: &Variable) -> Result<()
 
 /// Refuses all but inputs and tunable parameters, which can be set in event mode and between communication
 /// points.
-pub(crate) fn check_settable_when_discrete(
-    variable: &Variable,
-    reason: &'static str,
-) -> Result<(), FmiError> {
+pub(crate) fn check_settable_when_discrete(variable: &Variable, reason: &'static str) -> Result<()> {
     match (variable.causality, variable.variability) {
         (Causality::Input, _) | (Causality::Parameter, Variability::Tunable) => Ok(()),
         _ => Err(not_settable(variable, reason)),
@@ -138,7 +131,7 @@ pub(crate) fn check_settable_when_discrete(
 }
 
 /// Refuses what continuous-time mode does not let be set: all but continuous inputs.
-pub(crate) fn check_settable_in_continuous_time(variable: &Variable) -> Result<(), FmiError> {
+pub(crate) fn check_settable_in_continuous_time(variable: &Variable) -> Result<()> {
     match (variable.causality, variable.variability) {
         (Causality::Input, Variability::Continuous) => Ok(()),
         _ => Err(not_settable(variable, "in continuous-time mode only continuous inputs can be set")),
@@ -146,7 +139,7 @@ pub(crate) fn check_settable_in_continuous_time(variable: &Variable) -> Result<(
 }
 
 /// Refuses everything but tunable structural parameters.
-pub(crate) fn check_settable_in_reconfiguration(variable: &Variable) -> Result<(), FmiError> {
+pub(crate) fn check_settable_in_reconfiguration(variable: &Variable) -> Result<()> {
     match (variable.causality, variable.variability) {
         (Causality::StructuralParameter, Variability::Tunable) => Ok(()),
         (Causality::StructuralParameter, _) => {
@@ -196,12 +189,7 @@ impl Assignments {
     ///
     /// # Errors
     /// The value has the wrong type, is not finite, or is a text with a NUL.
-    pub(crate) fn push(
-        &mut self,
-        variable: &Variable,
-        value: &Value,
-        elements: Option<usize>,
-    ) -> Result<(), FmiError> {
+    pub(crate) fn push(&mut self, variable: &Variable, value: &Value, elements: Option<usize>) -> Result<()> {
         let value = convert(variable, value, elements)?;
         let value = if variable.negated { negate(value) } else { value };
         let (kind, reference) = (variable.kind, variable.value_reference);
@@ -220,14 +208,13 @@ impl Assignments {
         }
     }
 
-    fn push_value(&mut self, variable: &Variable, value: &Value) -> Result<(), FmiError> {
+    fn push_value(&mut self, variable: &Variable, value: &Value) -> Result<()> {
         let kind = variable.kind;
-        let wrong =
-            |given| FmiError::WrongType { name: variable.name.clone(), kind, value: value.clone(), given };
         match (kind, value) {
             (VariableKind::Real, Value::Real(x)) => self.reals.1.push(*x),
             (VariableKind::String, Value::String(text)) => {
-                let text = CString::new(text.as_str()).map_err(|_| wrong("text with a NUL character"))?;
+                let text = CString::new(text.as_str())
+                    .map_err(|_| wrong_type(variable, value, "text with a NUL character"))?;
                 self.strings.1.push(text);
             }
             (VariableKind::Binary, Value::Binary(bytes)) => self.binaries.1.push(bytes.clone()),

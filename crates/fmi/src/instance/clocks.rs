@@ -3,7 +3,7 @@
 use super::assignments::resolve;
 use super::phases::{Initialization, Instance, Readable};
 use crate::description::{Causality, ClockKind, Interval, Variable};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::sys::Qualifier;
 
 impl<K> Instance<Initialization, K> {
@@ -11,7 +11,7 @@ impl<K> Instance<Initialization, K> {
     ///
     /// # Errors
     /// There is no such clock, or it cannot be given this interval; the FMU cannot, or refuses.
-    pub fn set_clock_interval(&mut self, name: &str, interval: Interval) -> Result<(), FmiError> {
+    pub fn set_clock_interval(&mut self, name: &str, interval: Interval) -> Result<()> {
         let core = self.core();
         let fmu = core.fmu().clone();
         let variable = &fmu.description().variables[resolve(fmu.description(), name)?];
@@ -26,12 +26,12 @@ impl<P: Readable, K> Instance<P, K> {
     ///
     /// # Errors
     /// There is no such variable or it is no clock; the FMU cannot tell, or refuses.
-    pub fn clock_interval(&mut self, name: &str) -> Result<Option<Interval>, FmiError> {
+    pub fn clock_interval(&mut self, name: &str) -> Result<Option<Interval>> {
         let core = self.core();
         let fmu = core.fmu().clone();
         let variable = &fmu.description().variables[resolve(fmu.description(), name)?];
         let Some(timing) = &variable.clock else {
-            return Err(FmiError::BadSetting { problem: format!("{name} is no clock") });
+            return Err(FmiError::BadSetting(format!("{name} is no clock")));
         };
         let (reference, fraction) = (variable.value_reference, timing.supports_fraction);
         let answer = core.call(|raw| raw.get_interval(reference, fraction))?;
@@ -40,7 +40,7 @@ impl<P: Readable, K> Instance<P, K> {
 }
 
 /// Refuses intervals that the importer cannot give a clock (FMI 3.0.x, section 2.2.8.3).
-pub(crate) fn check_interval(variable: &Variable, interval: Interval) -> Result<(), FmiError> {
+pub(crate) fn check_interval(variable: &Variable, interval: Interval) -> Result<()> {
     let name = &variable.name;
     let timing = variable.clock.as_deref().filter(|_| variable.causality == Causality::Input);
     let positive = interval.value() > 0.0 && interval.value().is_finite();
@@ -55,5 +55,5 @@ pub(crate) fn check_interval(variable: &Variable, interval: Interval) -> Result<
         Some(_) => return Ok(()),
         None => "it is no clock that the importer activates".to_owned(),
     };
-    Err(FmiError::BadSetting { problem: format!("{name} cannot be given an interval: {problem}") })
+    Err(FmiError::BadSetting(format!("{name} cannot be given an interval: {problem}")))
 }

@@ -3,7 +3,7 @@
 use super::core::Core;
 use super::model_exchange::MAX_EVENT_ITERATIONS;
 use super::phases::{CoSimulation, Initialization, Instance, StepMode, Terminated};
-use crate::error::FmiError;
+use crate::error::Result;
 use crate::sys::{RawInstance, StepInfo};
 use ode::{EventOutcome, Stopped};
 use std::thread;
@@ -34,15 +34,16 @@ pub struct StepOutcome {
 const POLL: Duration = Duration::from_micros(100);
 
 impl Core {
-    /// One communication step: time and length. A step that goes on in the background is waited for until
+    /// One communication step from `time` on. A step that goes on in the background is waited for until
     /// `keep_waiting` gives an error, and then cancelled.
     pub(crate) fn do_step(
         &mut self,
-        span: (f64, f64),
+        time: f64,
+        step: f64,
         keep_waiting: &dyn Fn() -> Result<(), Stopped>,
-    ) -> Result<StepOutcome, FmiError> {
+    ) -> Result<StepOutcome> {
         let mut info = StepInfo::default();
-        let mut complete = self.call(|raw| raw.do_step(span, &mut info))?;
+        let mut complete = self.call(|raw| raw.do_step(time, step, &mut info))?;
         while info.pending {
             if let Err(stopped) = keep_waiting() {
                 self.raw.abandon_step();
@@ -63,8 +64,8 @@ impl Core {
     pub(crate) fn run_event_mode(
         &mut self,
         time: f64,
-        events: impl FnOnce(&mut Core, f64) -> Result<EventOutcome, FmiError>,
-    ) -> Result<EventOutcome, FmiError> {
+        events: impl FnOnce(&mut Core, f64) -> Result<EventOutcome>,
+    ) -> Result<EventOutcome> {
         let outcome = events(self, time)?;
         if !outcome.terminate {
             self.call(RawInstance::enter_step_mode)?;
@@ -74,7 +75,7 @@ impl Core {
 }
 
 /// The events that the model makes by itself.
-fn just_events(core: &mut Core, time: f64) -> Result<EventOutcome, FmiError> {
+fn just_events(core: &mut Core, time: f64) -> Result<EventOutcome> {
     core.iterate_events(time, 0.0, MAX_EVENT_ITERATIONS, &mut |_| Ok(()))
 }
 
@@ -83,20 +84,15 @@ impl Instance<Initialization, CoSimulation> {
     ///
     /// # Errors
     /// The FMU refuses.
-    pub fn exit_initialization(self) -> Result<Instance<StepMode, CoSimulation>, FmiError> {
-        let mut instance = self.leave_initialization()?;
+    pub fn exit_initialization(self) -> Result<Instance<StepMode, CoSimulation>> {
+        let mut instance: Instance<StepMode, CoSimulation> =
+            self.step_to(RawInstance::exit_initialization)?;
         let core = instance.core();
         let time = core.raw.time().unwrap_or(0.0);
         if core.raw.has_event_mode() {
             core.run_event_mode(time, just_events)?;
         }
         Ok(instance)
-    }
-
-    /// Ends the initialization; where there is an event mode the instance is in it, and its initial events
-    /// are to come.
-    pub(crate) fn leave_initialization(self) -> Result<Instance<StepMode, CoSimulation>, FmiError> {
-        self.step_to(RawInstance::exit_initialization)
     }
 }
 
@@ -105,15 +101,15 @@ impl Instance<StepMode, CoSimulation> {
     ///
     /// # Errors
     /// The FMU refuses. A step that it computes in part or not at all is no error: see [`StepOutcome`].
-    pub fn do_step(&mut self, time: f64, step: f64) -> Result<StepOutcome, FmiError> {
-        self.core().do_step((time, step), &|| Ok(()))
+    pub fn do_step(&mut self, time: f64, step: f64) -> Result<StepOutcome> {
+        self.core().do_step(time, step, &|| Ok(()))
     }
 
     /// Lets the model's events at `time`, where it stands, happen; after a step whose outcome asks for it.
     ///
     /// # Errors
     /// The FMU has no event mode, or refuses.
-    pub fn handle_events(&mut self, time: f64) -> Result<EventOutcome, FmiError> {
+    pub fn handle_events(&mut self, time: f64) -> Result<EventOutcome> {
         let core = self.core();
         core.call(RawInstance::enter_event_mode)?;
         core.run_event_mode(time, just_events)
@@ -124,7 +120,7 @@ impl Instance<StepMode, CoSimulation> {
     /// # Errors
     /// The slices differ in length, a reference is not that of a variable of type Real; the FMU cannot, or
     /// refuses.
-    pub fn set_input_derivatives(&mut self, references: &[u32], values: &[f64]) -> Result<(), FmiError> {
+    pub fn set_input_derivatives(&mut self, references: &[u32], values: &[f64]) -> Result<()> {
         self.core().check_reals("set_input_derivatives", references, values.len())?;
         self.core().call(|raw| raw.set_input_derivatives(references, values))
     }
@@ -133,7 +129,7 @@ impl Instance<StepMode, CoSimulation> {
     ///
     /// # Errors
     /// The FMU refuses.
-    pub fn terminate(self) -> Result<Instance<Terminated, CoSimulation>, FmiError> {
+    pub fn terminate(self) -> Result<Instance<Terminated, CoSimulation>> {
         self.step_to(RawInstance::terminate)
     }
 }

@@ -4,7 +4,7 @@
 use super::assignments::{self, Assignments};
 use super::integer_codec;
 use crate::description::{ModelDescription, Structure, Value, Variable, VariableKind};
-use crate::error::{CallFailure, FmiError, Status};
+use crate::error::{FmiError, LogLine, Result, Status};
 use crate::fmu::Fmu;
 use crate::libraries::LoadedLibrary;
 use crate::sys::{Fault, RawInstance, Sizes};
@@ -51,16 +51,15 @@ impl Core {
         references: &[u32],
         is: impl Fn(VariableKind) -> bool,
     ) -> FmiError {
-        let failed = match fault {
-            Fault::Discard(call) => self.raw.failed(call, Status::Discard),
-            Fault::Failed(failed) => *failed,
-            Fault::Unusable(library) => return FmiError::LibraryUnusable { library },
-            Fault::AfterError(call) => return FmiError::AfterError { call },
-            Fault::Missing(function) => return FmiError::MissingFunction { function },
+        let mut failure = match fault {
+            Fault::Discard(call) => Box::new(self.raw.failure(call, Status::Discard)),
+            Fault::Failed(failure) => failure,
+            Fault::Unusable(library) => return FmiError::LibraryUnusable(library),
+            Fault::AfterError(call) => return FmiError::AfterError(call),
+            Fault::Missing(function) => return FmiError::MissingFunction(function),
             Fault::TooLarge { call, size } => return FmiError::TooLarge { call, size },
             Fault::Length { call, expected, found } => return FmiError::Length { call, expected, found },
         };
-        let mut failure = CallFailure::from(failed);
         let variables = &self.fmu.description().variables;
         failure.variables = references
             .iter()
@@ -72,11 +71,36 @@ impl Core {
                 line.text = expand_references(&line.text, self.fmu.description());
             }
         }
-        FmiError::Call(Box::new(failure))
+        FmiError::Call(failure)
+    }
+
+    /// The last lines that were logged, with the names of the variables, and how many others there were.
+    pub(super) fn log(&self) -> (Vec<LogLine>, u64) {
+        let (mut lines, dropped) = self.raw.log();
+        for line in &mut lines {
+            line.text = expand_references(&line.text, self.fmu.description());
+        }
+        (lines, dropped)
+    }
+
+    /// Hands what the FMU has logged to the program's logger, outside of any call of the FMU.
+    pub(crate) fn pass_log_on(&self) {
+        let level = self.fmu.log_level();
+        if !log::log_enabled!(level) {
+            return;
+        }
+        let (lines, dropped) = self.log();
+        let model = &self.fmu.description().model_name;
+        if dropped > 0 {
+            log::log!(level, "{model}: {dropped} other lines were not kept");
+        }
+        for line in lines {
+            log::log!(level, "{model}: {line}");
+        }
     }
 
     /// Switches logging on, of these categories (of all, if there are none), or off.
-    pub(crate) fn set_logging(&mut self, on: bool, categories: &[String]) -> Result<(), FmiError> {
+    pub(crate) fn set_logging(&mut self, on: bool, categories: &[String]) -> Result<()> {
         let model = self.fmu.description();
         let known = || model.log_categories.iter().map(|category| &category.name);
         // FMI 1.0 has no list of them.
@@ -84,7 +108,7 @@ impl Core {
         if let Some(name) = categories.iter().find(is_unknown) {
             let known: Vec<&str> = known().map(String::as_str).collect();
             let problem = format!("there is no log category \"{name}\"; there are: {}", known.join(", "));
-            return Err(FmiError::BadSetting { problem });
+            return Err(FmiError::BadSetting(problem));
         }
         self.raw.keep_log_categories(categories);
         let names: Vec<CString> =
@@ -93,7 +117,7 @@ impl Core {
     }
 
     /// Sets values, one call per type.
-    pub(crate) fn apply(&mut self, values: &Assignments) -> Result<(), FmiError> {
+    pub(crate) fn apply(&mut self, values: &Assignments) -> Result<()> {
         let Assignments { reals, packed, strings, binaries } = values;
         self.set_reals(&reals.0, &reals.1)?;
         for (kind, references, words) in packed {
@@ -116,7 +140,7 @@ impl Core {
 
     /// Gives structural parameters their values (in configuration mode, before everything else), and makes
     /// the sizes of the model's vectors those that follow.
-    pub(crate) fn configure(&mut self, values: &Assignments, structure: &Structure) -> Result<(), FmiError> {
+    pub(crate) fn configure(&mut self, values: &Assignments, structure: &Structure) -> Result<()> {
         if !values.is_empty() {
             self.call(RawInstance::enter_configuration)?;
             let applied = self.apply(values);
@@ -137,23 +161,21 @@ impl Core {
     }
 
     /// Compares the sizes that the description promises with those the FMU says.
-    pub(crate) fn check_sizes(&mut self) -> Result<(), FmiError> {
+    pub(crate) fn check_sizes(&mut self) -> Result<()> {
         let model = self.fmu.description();
         let promised =
             Sizes { states: self.structure.states(model), indicators: self.structure.indicators(model) };
         match self.call(RawInstance::ask_sizes)? {
-            Some(found) if found != promised => Err(FmiError::BadSetting {
-                problem: format!(
-                    "the description promises {} states and {} event indicators, the FMU has {} and {}",
-                    promised.states, promised.indicators, found.states, found.indicators
-                ),
-            }),
+            Some(found) if found != promised => Err(FmiError::BadSetting(format!(
+                "the description promises {} states and {} event indicators, the FMU has {} and {}",
+                promised.states, promised.indicators, found.states, found.indicators
+            ))),
             _ => Ok(()),
         }
     }
 
     /// Sets real variables.
-    pub(crate) fn set_reals(&mut self, references: &[u32], values: &[f64]) -> Result<(), FmiError> {
+    pub(crate) fn set_reals(&mut self, references: &[u32], values: &[f64]) -> Result<()> {
         if references.is_empty() && values.is_empty() {
             return Ok(());
         }
@@ -166,12 +188,7 @@ impl Core {
     /// many elements as these have values: where a reference may stand for an array, only the description
     /// knows how many.
     #[inline]
-    pub(crate) fn check_reals(
-        &self,
-        call: &'static str,
-        references: &[u32],
-        found: usize,
-    ) -> Result<(), FmiError> {
+    pub(crate) fn check_reals(&self, call: &'static str, references: &[u32], found: usize) -> Result<()> {
         self.fmu.check_real_references(call, references)?;
         let model = self.fmu.description();
         let expected = if model.has_arrays {
@@ -190,7 +207,7 @@ impl Core {
     }
 
     /// Reads a variable.
-    pub(crate) fn value(&mut self, variable: &Variable) -> Result<Value, FmiError> {
+    pub(crate) fn value(&mut self, variable: &Variable) -> Result<Value> {
         let references = [variable.value_reference];
         let kind = variable.kind;
         let elements = self.elements(variable);
@@ -234,17 +251,14 @@ impl Core {
     }
 
     /// Runs a raw call and words its error.
-    pub(crate) fn call<T>(
-        &mut self,
-        call: impl FnOnce(&mut RawInstance) -> Result<T, Fault>,
-    ) -> Result<T, FmiError> {
+    pub(crate) fn call<T>(&mut self, call: impl FnOnce(&mut RawInstance) -> Result<T, Fault>) -> Result<T> {
         call(&mut self.raw).map_err(|fault| self.error(fault))
     }
 }
 
 /// Replaces `#r12#` (type letter and value reference) by the name of the variable and `##` by `#`
 /// (FMI 2.0.x, section 2.1.5); anything else stays.
-pub(crate) fn expand_references(text: &str, description: &ModelDescription) -> String {
+fn expand_references(text: &str, description: &ModelDescription) -> String {
     let mut out = String::with_capacity(text.len());
     let mut rest = text;
     while let Some(at) = rest.find('#') {

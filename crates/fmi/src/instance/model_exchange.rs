@@ -2,7 +2,7 @@
 
 use super::core::Core;
 use super::phases::{ContinuousTime, EventMode, Instance, Readable, Running, Terminated};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::sys::{EventInfo, RawInstance};
 use ode::EventOutcome;
 
@@ -19,8 +19,8 @@ impl Core {
         time: f64,
         tolerance: f64,
         limit: u32,
-        before_round: &mut dyn FnMut(&mut Core) -> Result<(), FmiError>,
-    ) -> Result<EventOutcome, FmiError> {
+        before_round: &mut dyn FnMut(&mut Core) -> Result<()>,
+    ) -> Result<EventOutcome> {
         let mut outcome = EventOutcome::default();
         for _ in 0..limit {
             before_round(self)?;
@@ -49,7 +49,7 @@ impl<P: Readable> Instance<P> {
     ///
     /// # Errors
     /// The FMU refuses, or has no such function.
-    pub fn state_names(&mut self) -> Result<Vec<Option<String>>, FmiError> {
+    pub fn state_names(&mut self) -> Result<Vec<Option<String>>> {
         let fmu = self.fmu().clone();
         if fmu.description().fmi_version.major > 1 {
             let names = fmu.description().state_names().into_iter();
@@ -66,7 +66,7 @@ impl<P: Running> Instance<P> {
     ///
     /// # Errors
     /// The slice has not the length of the state vector; the FMU refuses.
-    pub fn get_continuous_states(&mut self, states: &mut [f64]) -> Result<(), FmiError> {
+    pub fn get_continuous_states(&mut self, states: &mut [f64]) -> Result<()> {
         self.core().call(|raw| raw.get_continuous_states(states))
     }
 
@@ -74,7 +74,7 @@ impl<P: Running> Instance<P> {
     ///
     /// # Errors
     /// The slice has not as many elements as there are indicators; the FMU refuses.
-    pub fn get_event_indicators(&mut self, indicators: &mut [f64]) -> Result<(), FmiError> {
+    pub fn get_event_indicators(&mut self, indicators: &mut [f64]) -> Result<()> {
         self.core().call(|raw| raw.get_event_indicators(indicators))
     }
 
@@ -82,7 +82,7 @@ impl<P: Running> Instance<P> {
     ///
     /// # Errors
     /// The FMU refuses.
-    pub fn terminate(self) -> Result<Instance<Terminated>, FmiError> {
+    pub fn terminate(self) -> Result<Instance<Terminated>> {
         self.step_to(RawInstance::terminate)
     }
 }
@@ -92,7 +92,7 @@ impl Instance<EventMode> {
     ///
     /// # Errors
     /// [`FmiError::EventIteration`] when they do not settle; the FMU refuses.
-    pub fn update_discrete_states(&mut self, limit: u32) -> Result<EventOutcome, FmiError> {
+    pub fn update_discrete_states(&mut self, limit: u32) -> Result<EventOutcome> {
         let time = self.core().raw.time().unwrap_or(0.0);
         self.core().iterate_events(time, 0.0, limit, &mut |_| Ok(()))
     }
@@ -101,7 +101,7 @@ impl Instance<EventMode> {
     ///
     /// # Errors
     /// The slice has not the length of the state vector; the FMU refuses.
-    pub fn get_nominals(&mut self, nominals: &mut [f64]) -> Result<(), FmiError> {
+    pub fn get_nominals(&mut self, nominals: &mut [f64]) -> Result<()> {
         self.core().call(|raw| raw.get_nominals(nominals))
     }
 
@@ -109,7 +109,7 @@ impl Instance<EventMode> {
     ///
     /// # Errors
     /// The FMU refuses.
-    pub fn enter_continuous_time(self) -> Result<Instance<ContinuousTime>, FmiError> {
+    pub fn enter_continuous_time(self) -> Result<Instance<ContinuousTime>> {
         self.step_to(RawInstance::enter_continuous_time_mode)
     }
 }
@@ -119,7 +119,7 @@ impl Instance<ContinuousTime> {
     ///
     /// # Errors
     /// The FMU refuses.
-    pub fn set_time(&mut self, time: f64) -> Result<(), FmiError> {
+    pub fn set_time(&mut self, time: f64) -> Result<()> {
         self.core().call(|raw| raw.set_time(time))
     }
 
@@ -127,7 +127,7 @@ impl Instance<ContinuousTime> {
     ///
     /// # Errors
     /// The slice has not the length of the state vector; the FMU refuses.
-    pub fn set_continuous_states(&mut self, states: &[f64]) -> Result<(), FmiError> {
+    pub fn set_continuous_states(&mut self, states: &[f64]) -> Result<()> {
         self.core().call(|raw| raw.set_continuous_states(states))
     }
 
@@ -136,12 +136,7 @@ impl Instance<ContinuousTime> {
     ///
     /// # Errors
     /// A slice has not the length of the state vector; the FMU refuses.
-    pub fn right_hand_side(
-        &mut self,
-        time: f64,
-        states: &[f64],
-        derivatives: &mut [f64],
-    ) -> Result<(), FmiError> {
+    pub fn right_hand_side(&mut self, time: f64, states: &[f64], derivatives: &mut [f64]) -> Result<()> {
         self.core().call(|raw| raw.right_hand_side(time, states, derivatives))
     }
 
@@ -149,7 +144,7 @@ impl Instance<ContinuousTime> {
     ///
     /// # Errors
     /// The slice has not the length of the state vector; the FMU refuses.
-    pub fn get_derivatives(&mut self, derivatives: &mut [f64]) -> Result<(), FmiError> {
+    pub fn get_derivatives(&mut self, derivatives: &mut [f64]) -> Result<()> {
         self.core().call(|raw| raw.get_derivatives(derivatives))
     }
 
@@ -158,7 +153,7 @@ impl Instance<ContinuousTime> {
     ///
     /// # Errors
     /// The FMU refuses.
-    pub fn completed_integrator_step(&mut self) -> Result<(bool, bool), FmiError> {
+    pub fn completed_integrator_step(&mut self) -> Result<(bool, bool)> {
         self.core().call(RawInstance::completed_integrator_step)
     }
 
@@ -166,7 +161,7 @@ impl Instance<ContinuousTime> {
     ///
     /// # Errors
     /// The FMU refuses.
-    pub fn enter_event_mode(self) -> Result<Instance<EventMode>, FmiError> {
+    pub fn enter_event_mode(self) -> Result<Instance<EventMode>> {
         self.step_to(RawInstance::enter_event_mode)
     }
 }

@@ -1,9 +1,9 @@
 //! The phases of the life of an instance, as types, and what can be done in each of them.
 
 use super::assignments::{self, Assignments};
-use super::core::{Core, expand_references};
+use super::core::Core;
 use crate::description::{Causality, Structure, Value, Variable, VariableKind};
-use crate::error::{FmiError, LogLine};
+use crate::error::{FmiError, LogLine, Result};
 use crate::fmu::Fmu;
 use crate::libraries::LoadedLibrary;
 use crate::sys::{Direction, ElementDependency, Experiment, Fault, RawInstance, SavedSlot};
@@ -36,7 +36,7 @@ pub trait Phase: sealed::Sealed {
     ///
     /// # Errors
     /// [`FmiError::NotSettable`] with the reason.
-    fn check_settable(variable: &Variable) -> Result<(), FmiError>;
+    fn check_settable(variable: &Variable) -> Result<()>;
 
     /// True if structural parameters are set without entering another mode.
     #[doc(hidden)]
@@ -98,7 +98,7 @@ macro_rules! phase {
     ($phase:ty, |$variable:ident| $check:expr) => {
         impl sealed::Sealed for $phase {}
         impl Phase for $phase {
-            fn check_settable($variable: &Variable) -> Result<(), FmiError> {
+            fn check_settable($variable: &Variable) -> Result<()> {
                 $check
             }
         }
@@ -106,7 +106,7 @@ macro_rules! phase {
 }
 impl sealed::Sealed for Instantiated {}
 impl Phase for Instantiated {
-    fn check_settable(variable: &Variable) -> Result<(), FmiError> {
+    fn check_settable(variable: &Variable) -> Result<()> {
         assignments::check_settable_at_start(variable)
     }
     fn is_before_setup() -> bool {
@@ -125,7 +125,7 @@ phase!(StepMode, |v| assignments::check_settable_when_discrete(
 ));
 impl sealed::Sealed for Reconfiguration {}
 impl Phase for Reconfiguration {
-    fn check_settable(variable: &Variable) -> Result<(), FmiError> {
+    fn check_settable(variable: &Variable) -> Result<()> {
         assignments::check_settable_in_reconfiguration(variable)
     }
     fn is_configuration() -> bool {
@@ -171,7 +171,7 @@ impl<P, K> Instance<P, K> {
     pub(crate) fn step_to<Q>(
         mut self,
         call: impl FnOnce(&mut RawInstance) -> Result<(), Fault>,
-    ) -> Result<Instance<Q, K>, FmiError> {
+    ) -> Result<Instance<Q, K>> {
         self.core.call(call)?;
         Ok(self.into_phase())
     }
@@ -184,34 +184,14 @@ impl<P, K> Instance<P, K> {
     /// The last lines the FMU logged, oldest first, and the number of others that were not kept: earlier
     /// ones, and those beyond the rate limit (see [`InstanceOptions`](crate::InstanceOptions)).
     pub fn log(&self) -> (Vec<LogLine>, u64) {
-        let (mut lines, dropped) = self.core.raw.log();
-        for line in &mut lines {
-            line.text = expand_references(&line.text, self.fmu().description());
-        }
-        (lines, dropped)
-    }
-
-    /// Hands what the FMU has logged to the program's logger, outside of any call of the FMU.
-    pub(crate) fn pass_log_on(&self) {
-        let level = self.fmu().log_level();
-        if !log::log_enabled!(level) {
-            return;
-        }
-        let (lines, dropped) = self.log();
-        let model = &self.fmu().description().model_name;
-        if dropped > 0 {
-            log::log!(level, "{model}: {dropped} other lines were not kept");
-        }
-        for line in lines {
-            log::log!(level, "{model}: {line}");
-        }
+        self.core.log()
     }
 
     /// Switches the FMU's logging on or off, of all categories.
     ///
     /// # Errors
     /// The FMU refuses, or has no such function.
-    pub fn set_logging(&mut self, on: bool) -> Result<(), FmiError> {
+    pub fn set_logging(&mut self, on: bool) -> Result<()> {
         self.core.set_logging(on, &[])
     }
 
@@ -223,7 +203,7 @@ impl<P, K> Instance<P, K> {
     /// # Errors
     /// [`FmiError::BadSetting`] for a category that the description does not have; the FMU refuses, or has no
     /// such function.
-    pub fn log_categories<S: AsRef<str>>(&mut self, categories: &[S]) -> Result<(), FmiError> {
+    pub fn log_categories<S: AsRef<str>>(&mut self, categories: &[S]) -> Result<()> {
         let categories: Vec<String> = categories.iter().map(|name| name.as_ref().to_owned()).collect();
         self.core.set_logging(true, &categories)
     }
@@ -232,12 +212,12 @@ impl<P, K> Instance<P, K> {
     ///
     /// # Errors
     /// The FMU cannot, or refuses.
-    pub fn save_state(&mut self) -> Result<SavedState, FmiError> {
+    pub fn save_state(&mut self) -> Result<SavedState> {
         let slot = self.core.call(RawInstance::save_state)?;
         Ok(SavedState { slot, phase: phase_name::<P>(), structure: self.core.structure.clone() })
     }
 
-    fn check_own(&self, state: &SavedState) -> Result<(), FmiError> {
+    fn check_own(&self, state: &SavedState) -> Result<()> {
         if self.core.raw.owns(&state.slot) { Ok(()) } else { Err(FmiError::ForeignState) }
     }
 
@@ -246,7 +226,7 @@ impl<P, K> Instance<P, K> {
     ///
     /// # Errors
     /// The FMU cannot, or refuses; the instance is freed then.
-    pub fn reset(self) -> Result<Instance<Instantiated, K>, FmiError> {
+    pub fn reset(self) -> Result<Instance<Instantiated, K>> {
         let mut fresh: Instance<Instantiated, K> = self.step_to(RawInstance::reset)?;
         // Structural parameters have their start values again.
         if !fresh.core.structure.is_default() {
@@ -262,7 +242,7 @@ impl<P: Readable, K> Instance<P, K> {
     ///
     /// # Errors
     /// There is no such variable, or the FMU refuses.
-    pub fn get(&mut self, name: &str) -> Result<Value, FmiError> {
+    pub fn get(&mut self, name: &str) -> Result<Value> {
         let fmu = self.core.fmu.clone();
         let index = assignments::resolve(fmu.description(), name)?;
         self.core.value(&fmu.description().variables[index])
@@ -272,7 +252,7 @@ impl<P: Readable, K> Instance<P, K> {
     ///
     /// # Errors
     /// The slices differ in length, a reference is not that of a variable of type Real, or the FMU refuses.
-    pub fn get_reals(&mut self, references: &[u32], values: &mut [f64]) -> Result<(), FmiError> {
+    pub fn get_reals(&mut self, references: &[u32], values: &mut [f64]) -> Result<()> {
         self.core.check_reals("get_reals", references, values.len())?;
         self.core
             .raw
@@ -292,7 +272,7 @@ impl<P: Readable, K> Instance<P, K> {
         knowns: &[u32],
         seed: &[f64],
         sensitivity: &mut [f64],
-    ) -> Result<(), FmiError> {
+    ) -> Result<()> {
         self.core.check_reals("directional_derivative", unknowns, sensitivity.len())?;
         self.core.check_reals("directional_derivative", knowns, seed.len())?;
         self.core.call(|raw| raw.directional_derivative(Direction { unknowns, knowns, seed }, sensitivity))
@@ -309,7 +289,7 @@ impl<P: Readable, K> Instance<P, K> {
         knowns: &[u32],
         seed: &[f64],
         sensitivity: &mut [f64],
-    ) -> Result<(), FmiError> {
+    ) -> Result<()> {
         self.core.check_reals("adjoint_derivative", unknowns, seed.len())?;
         self.core.check_reals("adjoint_derivative", knowns, sensitivity.len())?;
         self.core.call(|raw| raw.adjoint_derivative(Direction { unknowns, knowns, seed }, sensitivity))
@@ -320,7 +300,7 @@ impl<P: Readable, K> Instance<P, K> {
     /// # Errors
     /// There is no such variable; the FMU cannot, refuses, or names a kind of dependency that the standard
     /// does not know.
-    pub fn variable_dependencies(&mut self, name: &str) -> Result<Vec<ElementDependency>, FmiError> {
+    pub fn variable_dependencies(&mut self, name: &str) -> Result<Vec<ElementDependency>> {
         let index = assignments::resolve(self.core.fmu.description(), name)?;
         let reference = self.core.fmu.description().variables[index].value_reference;
         self.core.call(|raw| raw.variable_dependencies(reference))
@@ -333,7 +313,7 @@ impl<P: Phase, K> Instance<P, K> {
     /// # Errors
     /// There is no such variable, the value has the wrong type or is not finite, the variable cannot be set
     /// in this phase, or the FMU refuses.
-    pub fn set(&mut self, name: &str, value: impl Into<Value>) -> Result<(), FmiError> {
+    pub fn set(&mut self, name: &str, value: impl Into<Value>) -> Result<()> {
         let fmu = self.core.fmu.clone();
         let index = assignments::resolve(fmu.description(), name)?;
         let variable = &fmu.description().variables[index];
@@ -351,7 +331,7 @@ impl<P: Phase, K> Instance<P, K> {
         }
         let mut structure = self.core.structure.clone();
         structure.set(index, &value);
-        structure.check(fmu.description()).map_err(|(_, problem)| FmiError::BadSetting { problem })?;
+        structure.check(fmu.description()).map_err(|(_, problem)| FmiError::BadSetting(problem))?;
         if P::is_configuration() {
             self.core.apply(&values)?;
             self.core.restructure(&structure);
@@ -365,7 +345,7 @@ impl<P: Phase, K> Instance<P, K> {
     /// # Errors
     /// [`FmiError::ForeignState`] for a state of another instance, [`FmiError::StateOfAnotherPhase`]; the FMU
     /// cannot, or refuses.
-    pub fn restore_state(&mut self, state: &SavedState) -> Result<(), FmiError> {
+    pub fn restore_state(&mut self, state: &SavedState) -> Result<()> {
         self.check_own(state)?;
         let now = phase_name::<P>();
         if state.phase != now {
@@ -398,27 +378,12 @@ impl<K> Instance<Instantiated, K> {
         start_time: f64,
         stop_time: Option<f64>,
         relative_tolerance: Option<f64>,
-    ) -> Result<Instance<Initialization, K>, FmiError> {
-        self.set_up_experiment(start_time, stop_time, relative_tolerance)?;
+    ) -> Result<Instance<Initialization, K>> {
+        let experiment = Experiment { tolerance: relative_tolerance, start: start_time, stop: stop_time };
+        self.core.call(|raw| raw.setup_experiment(&experiment))?;
         // What the call above has made anew gets the values that were set before it.
         let set = std::mem::take(&mut self.core.set_before_setup);
         self.core.apply(&set)?;
-        self.enter_initialization_mode()
-    }
-
-    /// Tells the model about the experiment. Some models make their data in this call (FMI 2.0), so values
-    /// are set after it.
-    pub(crate) fn set_up_experiment(
-        &mut self,
-        start: f64,
-        stop: Option<f64>,
-        tolerance: Option<f64>,
-    ) -> Result<(), FmiError> {
-        self.core.call(|raw| raw.setup_experiment(&Experiment { tolerance, start, stop }))
-    }
-
-    /// Enters initialization mode with the experiment that was set up.
-    pub(crate) fn enter_initialization_mode(mut self) -> Result<Instance<Initialization, K>, FmiError> {
         self.core.check_sizes()?;
         self.step_to(RawInstance::enter_initialization)
     }
@@ -429,7 +394,7 @@ impl Instance<Initialization> {
     ///
     /// # Errors
     /// The FMU refuses.
-    pub fn exit_initialization(self) -> Result<Instance<EventMode>, FmiError> {
+    pub fn exit_initialization(self) -> Result<Instance<EventMode>> {
         self.step_to(RawInstance::exit_initialization)
     }
 }

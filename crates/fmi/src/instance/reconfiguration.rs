@@ -4,17 +4,17 @@
 use super::assignments::check_settable_in_reconfiguration;
 use super::phases::{CoSimulation, EventMode, Instance, ModelExchange, Reconfiguration, StepMode};
 use crate::description::Variable;
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::sys::RawInstance;
 
 /// Enters the mode from whichever it may be entered from.
-fn enter<P, K>(mut instance: Instance<P, K>) -> Result<Instance<Reconfiguration, K>, FmiError> {
+fn enter<P, K>(mut instance: Instance<P, K>) -> Result<Instance<Reconfiguration, K>> {
     let is_tunable = |v: &Variable| check_settable_in_reconfiguration(v).is_ok();
     if !instance.fmu().description().variables.iter().any(is_tunable) {
         let model = &instance.fmu().description().model_name;
         let problem =
             format!("{model} has no tunable structural parameters: there is nothing to reconfigure");
-        return Err(FmiError::BadSetting { problem });
+        return Err(FmiError::BadSetting(problem));
     }
     instance.core().call(RawInstance::enter_configuration)?;
     Ok(instance.into_phase())
@@ -25,7 +25,7 @@ impl Instance<EventMode, ModelExchange> {
     ///
     /// # Errors
     /// The model has none, or refuses; the instance is freed then.
-    pub fn enter_reconfiguration(self) -> Result<Instance<Reconfiguration, ModelExchange>, FmiError> {
+    pub fn enter_reconfiguration(self) -> Result<Instance<Reconfiguration, ModelExchange>> {
         enter(self)
     }
 }
@@ -36,7 +36,7 @@ impl Instance<Reconfiguration, ModelExchange> {
     ///
     /// # Errors
     /// The FMU refuses, or has other sizes than its description promises.
-    pub fn exit_reconfiguration(mut self) -> Result<Instance<EventMode, ModelExchange>, FmiError> {
+    pub fn exit_reconfiguration(mut self) -> Result<Instance<EventMode, ModelExchange>> {
         self.core().call(RawInstance::exit_configuration)?;
         self.core().check_sizes()?;
         Ok(self.into_phase())
@@ -48,7 +48,7 @@ impl Instance<StepMode, CoSimulation> {
     ///
     /// # Errors
     /// The model has none, or refuses; the instance is freed then.
-    pub fn enter_reconfiguration(self) -> Result<Instance<Reconfiguration, CoSimulation>, FmiError> {
+    pub fn enter_reconfiguration(self) -> Result<Instance<Reconfiguration, CoSimulation>> {
         enter(self)
     }
 }
@@ -58,7 +58,7 @@ impl Instance<Reconfiguration, CoSimulation> {
     ///
     /// # Errors
     /// The FMU refuses.
-    pub fn exit_reconfiguration(self) -> Result<Instance<StepMode, CoSimulation>, FmiError> {
+    pub fn exit_reconfiguration(self) -> Result<Instance<StepMode, CoSimulation>> {
         self.step_to(RawInstance::exit_configuration)
     }
 }

@@ -111,7 +111,7 @@ impl LoadedLibrary {
     /// # Errors
     /// They were never loaded.
     pub(crate) fn functions(&self, kind: InterfaceKind) -> Result<Arc<Library>, FmiError> {
-        self.table(kind).clone().ok_or_else(|| FmiError::LibraryUnusable { library: self.path.clone() })
+        self.table(kind).clone().ok_or_else(|| FmiError::LibraryUnusable(self.path.clone()))
     }
 
     /// Who is inside of it has a turn of this.

@@ -1,7 +1,8 @@
 //! Headers of shared libraries: which operating system and which processors they are made for, and how long
 //! their files are.
 
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
+use crate::macros::words;
 use base::files::open_regular;
 use object::elf;
 use object::read::elf::{FileHeader, ProgramHeader};
@@ -55,15 +56,17 @@ impl fmt::Display for Machine {
     }
 }
 
-/// File format of a binary, which tells the operating system.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum BinaryFormat {
-    /// Linux and most other Unix systems.
-    Elf,
-    /// Windows.
-    Pe,
-    /// macOS.
-    MachO,
+words! {
+    /// File format of a binary, which tells the operating system.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub enum BinaryFormat {
+        /// Linux and most other Unix systems.
+        Elf = "ELF",
+        /// Windows.
+        Pe = "Windows",
+        /// macOS.
+        MachO = "Mach-O",
+    }
 }
 
 impl BinaryFormat {
@@ -76,16 +79,6 @@ impl BinaryFormat {
         } else {
             BinaryFormat::Elf
         }
-    }
-}
-
-impl fmt::Display for BinaryFormat {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            BinaryFormat::Elf => "ELF",
-            BinaryFormat::Pe => "Windows",
-            BinaryFormat::MachO => "Mach-O",
-        })
     }
 }
 
@@ -142,7 +135,7 @@ impl fmt::Display for BinaryHeader {
 ///
 /// # Errors
 /// [`FmiError::LoadFailed`] with both lengths; the file cannot be read.
-pub(crate) fn check_length(library: &Path) -> Result<(), FmiError> {
+pub(crate) fn check_length(library: &Path) -> Result<()> {
     let io_error = FmiError::io("read", library);
     let (length, data) = match open_regular(library).and_then(|file| Ok((file.metadata()?.len(), file))) {
         Ok((length, file)) => (length, ReadCache::new(file)),

@@ -2,7 +2,7 @@
 
 use super::binary::{self, BinaryFormat, BinaryHeader, Machine};
 use super::system::{FolderNames, LIBRARY_EXTENSION, binary_folders};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -19,7 +19,7 @@ pub struct FoundBinary {
 ///
 /// A library of another name is taken if it is the only one in its folder (and noted).
 /// Fails with [`FmiError::NoBinary`], which lists what is there with its machine types.
-pub fn find_binary(root: &Path, model_identifier: &str, names: FolderNames) -> Result<FoundBinary, FmiError> {
+pub fn find_binary(root: &Path, model_identifier: &str, names: FolderNames) -> Result<FoundBinary> {
     let folders = binary_folders(names);
     for folder in &folders {
         let folder = root.join("binaries").join(folder);

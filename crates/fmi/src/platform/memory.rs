@@ -2,7 +2,7 @@
 //! have, and end the process that uses it.
 
 use super::system::available_memory;
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 
 /// Bytes that are allocated without a check.
 const SMALL: u64 = 64 << 20;
@@ -11,7 +11,7 @@ const SMALL: u64 = 64 << 20;
 ///
 /// # Errors
 /// [`FmiError::Memory`].
-pub(crate) fn check(what: impl FnOnce() -> String, bytes: u64) -> Result<(), FmiError> {
+pub(crate) fn check(what: impl FnOnce() -> String, bytes: u64) -> Result<()> {
     if bytes <= SMALL {
         return Ok(());
     }
@@ -28,7 +28,7 @@ pub(crate) fn check(what: impl FnOnce() -> String, bytes: u64) -> Result<(), Fmi
 ///
 /// # Errors
 /// [`FmiError::Memory`].
-pub(crate) fn list_of<T>(what: &str, n: usize) -> Result<Vec<T>, FmiError> {
+pub(crate) fn list_of<T>(what: &str, n: usize) -> Result<Vec<T>> {
     let bytes = (n as u64).saturating_mul(size_of::<T>() as u64);
     check(|| what.to_owned(), bytes)?;
     let mut list = Vec::new();

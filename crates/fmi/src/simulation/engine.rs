@@ -1,7 +1,7 @@
 //! Engines that make the steps of a simulation: the driver of integrations, or the FMU itself.
 
 use crate::description::{Value, Variable};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::simulation::co_simulation::Stepping;
 use crate::simulation::model_exchange::{Integration, System};
 use crate::simulation::outside::Outside;
@@ -20,7 +20,7 @@ pub(crate) enum Engine {
 }
 
 impl Engine {
-    pub(crate) fn new(plan: &Arc<SimulationPlan>) -> Result<Self, FmiError> {
+    pub(crate) fn new(plan: &Arc<SimulationPlan>) -> Result<Self> {
         Ok(match plan.kind {
             InterfaceKind::ModelExchange => Engine::Integrated {
                 driver: Box::new(Driver::new(plan.options.clone())?),
@@ -40,7 +40,7 @@ impl Engine {
 
     /// Brings a fresh instance to the start, with the start values of the plan or others for the same
     /// variables.
-    pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<(), FmiError> {
+    pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<()> {
         note_run();
         match self {
             Engine::Integrated { system, .. } => system.initialize(raw, input),
@@ -49,7 +49,7 @@ impl Engine {
     }
 
     /// Lets the initial events happen, for those who only want initial values.
-    pub(crate) fn run_initial_events(&mut self) -> Result<(), FmiError> {
+    pub(crate) fn run_initial_events(&mut self) -> Result<()> {
         let plan = Arc::clone(&self.running().plan);
         let mut nobody = Ignore;
         let outside = Outside::new(&plan.options, &mut nobody);
@@ -60,7 +60,7 @@ impl Engine {
     }
 
     /// Value of a variable where the run stands.
-    pub(crate) fn value(&mut self, variable: &Variable) -> Result<Value, FmiError> {
+    pub(crate) fn value(&mut self, variable: &Variable) -> Result<Value> {
         match self {
             Engine::Integrated { system, .. } => system.value(variable),
             Engine::Stepping(stepping) => stepping.value(variable),
@@ -73,7 +73,7 @@ impl Engine {
         plan: &SimulationPlan,
         limits: Option<Limits>,
         observer: &mut dyn Observer,
-    ) -> Result<Report, FmiError> {
+    ) -> Result<Report> {
         let limits_of_run = limits.unwrap_or(plan.options.limits);
         let outside = Outside::new(&plan.options, observer);
         match self {

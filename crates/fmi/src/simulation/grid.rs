@@ -2,7 +2,7 @@
 
 use super::options::{DEFAULT_INTERVALS, SimulateOptions};
 use crate::description::DefaultExperiment;
-use crate::error::FmiError;
+use crate::error::{FmiError::BadSetting, Result};
 use crate::platform::memory;
 use ode::Number;
 
@@ -14,30 +14,29 @@ const U: f64 = f64::EPSILON / 2.0;
 
 impl SimulateOptions {
     /// Resolves span and rows.
-    pub(crate) fn grid(&self, experiment: &DefaultExperiment) -> Result<Grid, FmiError> {
+    pub(crate) fn grid(&self, experiment: &DefaultExperiment) -> Result<Grid> {
         let given = [self.times.is_some(), self.output_interval.is_some(), self.ncp.is_some()];
         if given.iter().filter(|is| **is).count() > 1 {
-            return Err(setting("at most one of times, output_interval and ncp can be given".to_owned()));
+            return Err(BadSetting("at most one of times, output_interval and ncp can be given".to_owned()));
         }
         let start = self.start_time.or(experiment.start_time).unwrap_or(0.0);
         let last = self.times.as_ref().and_then(|times| times.last().copied());
         let Some(end) = self.final_time.or(experiment.stop_time).or(last) else {
-            return Err(setting(
+            return Err(BadSetting(
                 "no final time: the model suggests none; give final_time (other tools take 1 s) or times"
                     .to_owned(),
             ));
         };
         if !(start.is_finite() && end.is_finite() && start <= end) {
-            let problem = format!(
+            return Err(BadSetting(format!(
                 "cannot simulate from {} to {}: both must be finite, the end not before the start{}",
                 Number(start),
                 Number(end),
                 self.suggested(experiment)
-            );
-            return Err(setting(problem));
+            )));
         }
         if !(end - start).is_finite() {
-            return Err(setting(format!(
+            return Err(BadSetting(format!(
                 "the span from {} to {} is too long for a number",
                 Number(start),
                 Number(end)
@@ -48,7 +47,7 @@ impl SimulateOptions {
         let times: Vec<f64> = match (&self.times, self.output_interval, self.ncp) {
             (Some(times), ..) => snap(times, (start, end), time_tolerance, &self.suggested(experiment))?,
             (_, Some(interval), _) => intervals(start, end, time_tolerance, interval)?,
-            (_, _, Some(0)) => return Err(setting("ncp = 0: at least one interval is needed".to_owned())),
+            (_, _, Some(0)) => return Err(BadSetting("ncp = 0: at least one interval is needed".to_owned())),
             (_, _, ncp) => {
                 let n = ncp.unwrap_or(DEFAULT_INTERVALS);
                 interval = Some((end - start) / n as f64);
@@ -88,18 +87,14 @@ pub(crate) struct Grid {
     pub(crate) interval: Option<f64>,
 }
 
-fn setting(problem: String) -> FmiError {
-    FmiError::BadSetting { problem }
-}
-
 /// `n` equal intervals: `start + k h`, never a sum, and the end itself; fewer where the rows could not be
 /// told apart.
-fn uniform(start: f64, end: f64, time_tolerance: f64, n: usize) -> Result<Vec<f64>, FmiError> {
+fn uniform(start: f64, end: f64, time_tolerance: f64, n: usize) -> Result<Vec<f64>> {
     if start == end {
         return Ok(vec![start]);
     }
     if n > MAX_ROWS {
-        return Err(setting(format!("{n} intervals are more than the limit of {MAX_ROWS}")));
+        return Err(BadSetting(format!("{n} intervals are more than the limit of {MAX_ROWS}")));
     }
     let h = (end - start) / n as f64;
     let mut times = vec![start];
@@ -125,13 +120,16 @@ fn common_interval(times: &[f64], start: f64, time_tolerance: f64) -> Option<f64
 }
 
 /// Rows `interval` apart, and one at the end.
-fn intervals(start: f64, end: f64, time_tolerance: f64, interval: f64) -> Result<Vec<f64>, FmiError> {
+fn intervals(start: f64, end: f64, time_tolerance: f64, interval: f64) -> Result<Vec<f64>> {
     if !(interval > 0.0 && interval.is_finite()) {
-        return Err(setting(format!("output_interval = {} must be positive and finite", Number(interval))));
+        return Err(BadSetting(format!(
+            "output_interval = {} must be positive and finite",
+            Number(interval)
+        )));
     }
     let count = ((end - start) / interval).ceil();
     if count > MAX_ROWS as f64 || interval <= time_tolerance {
-        return Err(setting(format!(
+        return Err(BadSetting(format!(
             "output_interval = {} from {} to {} makes more rows than the limit of {MAX_ROWS}",
             Number(interval),
             Number(start),
@@ -146,16 +144,11 @@ fn intervals(start: f64, end: f64, time_tolerance: f64, interval: f64) -> Result
 }
 
 /// Checks given times, and makes those one that are within rounding of each other or of the ends of the span.
-fn snap(
-    times: &[f64],
-    (start, end): (f64, f64),
-    time_tolerance: f64,
-    suggested: &str,
-) -> Result<Vec<f64>, FmiError> {
+fn snap(times: &[f64], (start, end): (f64, f64), time_tolerance: f64, suggested: &str) -> Result<Vec<f64>> {
     let mut snapped: Vec<f64> = memory::list_of("the list of times", times.len())?;
     for (i, &time) in times.iter().enumerate() {
         if !(time >= start - time_tolerance && time <= end + time_tolerance) {
-            return Err(setting(format!(
+            return Err(BadSetting(format!(
                 "times[{i}] = {} is not within the span of the simulation, {} to {}{suggested}",
                 Number(time),
                 Number(start),
@@ -171,7 +164,7 @@ fn snap(
         };
         if let Some(&before) = snapped.last() {
             if times[i] < times[i - 1] {
-                return Err(setting(format!(
+                return Err(BadSetting(format!(
                     "times must ascend: times[{i}] = {} comes after {}",
                     Number(times[i]),
                     Number(times[i - 1])
@@ -181,7 +174,7 @@ fn snap(
                 time = before;
             }
             if i > 1 && time == snapped[i - 2] {
-                return Err(setting(format!(
+                return Err(BadSetting(format!(
                     "times[{i}] = {} is listed a third time; twice is left and right limit",
                     Number(time)
                 )));

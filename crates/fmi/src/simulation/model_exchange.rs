@@ -1,12 +1,12 @@
 //! A model-exchange instance as the hybrid system that the driver integrates, in FMI's order of calls.
 
 use crate::description::Variable;
-use crate::error::FmiError;
-use crate::instance::{Core, Initialization, Instance};
+use crate::error::{FmiError, Result};
+use crate::instance::Core;
 use crate::simulation::inputs::{InputPlan, InputState};
 use crate::simulation::outside::Outside;
 use crate::simulation::plan::SimulationPlan;
-use crate::simulation::running::{Phase, Running};
+use crate::simulation::running::{Mode, Running};
 use crate::simulation::variable_elements::RunInput;
 use crate::sys::{Direction, Fault, RawInstance};
 use ode::{
@@ -89,11 +89,11 @@ impl System {
     }
 
     /// Brings a fresh instance into event mode at the start time: values, inputs, initialization.
-    pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<(), FmiError> {
+    pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<()> {
         let (start, end) = (self.running.plan.start, self.running.plan.end);
-        let instance: Instance<Initialization> = self.running.begin(raw, input, Some(end))?;
+        let core = self.running.begin(raw, input, Some(end))?;
         self.sent.clone_from(&self.running.inputs.continuous);
-        self.running.current.phase = Phase::Event(instance.exit_initialization()?);
+        self.running.current.core = Some(core);
         self.set_time = None;
         self.set_states = None;
         self.freshness = Freshness::default();
@@ -104,12 +104,12 @@ impl System {
     }
 
     /// Value of a variable at the point last committed.
-    pub(crate) fn value(&mut self, variable: &Variable) -> Result<crate::Value, FmiError> {
+    pub(crate) fn value(&mut self, variable: &Variable) -> Result<crate::Value> {
         self.running.current.trusted()?;
         let (time, states) = (self.last_time, self.last_states.clone());
         match self.set_point(time, &states) {
             // The model may compute its variables with the derivatives only.
-            Ok(()) if matches!(self.running.current.phase, Phase::Continuous(_)) && !self.is_evaluated => {
+            Ok(()) if self.running.current.mode == Mode::Continuous && !self.is_evaluated => {
                 self.evaluate().or_else(|error| match error {
                     CallError::Failed(error) => Err(unbox(error)),
                     CallError::Discard => Ok(()),
@@ -196,7 +196,7 @@ impl System {
 
     /// Reads the outputs at the point last set.
     fn read_outputs(&mut self) -> CallResult<()> {
-        let is_continuous = matches!(self.running.current.phase, Phase::Continuous(_));
+        let is_continuous = self.running.current.mode == Mode::Continuous;
         let must_compare = match self.freshness {
             _ if self.is_evaluated || !is_continuous || self.states.is_empty() => false,
             Freshness::WhenRead => false,
@@ -259,17 +259,11 @@ impl System {
         if outcome.terminate {
             return Ok(());
         }
-        self.running.current.change(|phase| match phase {
-            Phase::Event(instance) => instance.enter_continuous_time().map(Phase::Continuous),
-            other => Ok(other),
-        })
+        self.running.current.enter(Mode::Continuous, RawInstance::enter_continuous_time_mode)
     }
 
     fn enter_event_mode(&mut self) -> CallResult<()> {
-        self.running.current.change(|phase| match phase {
-            Phase::Continuous(instance) => instance.enter_event_mode().map(Phase::Event),
-            other => Ok(other),
-        })
+        self.running.current.enter(Mode::Event, RawInstance::enter_event_mode)
     }
 
     /// Lets the jumps of inputs happen that are due at `t`, in event mode.
@@ -329,7 +323,7 @@ fn has(sent: &[f64], inputs: &[f64]) -> bool {
 }
 
 /// Sets the continuous inputs, unless the FMU has them already.
-fn send(plan: &InputPlan, inputs: &InputState, sent: &mut Vec<f64>, core: &mut Core) -> Result<(), FmiError> {
+fn send(plan: &InputPlan, inputs: &InputState, sent: &mut Vec<f64>, core: &mut Core) -> Result<()> {
     if has(sent, &inputs.continuous) {
         return Ok(());
     }
@@ -348,7 +342,7 @@ pub(crate) fn unbox(error: Box<dyn std::error::Error + Send + Sync>) -> FmiError
     match error.downcast::<FmiError>().map_err(|error| error.downcast::<Stopped>()) {
         Ok(error) => *error,
         Err(Ok(stopped)) => FmiError::Stopped(*stopped),
-        Err(Err(other)) => FmiError::BadSetting { problem: other.to_string() },
+        Err(Err(other)) => FmiError::BadSetting(other.to_string()),
     }
 }
 
@@ -374,7 +368,7 @@ impl DerefMut for Integration<'_> {
 
 impl Integration<'_> {
     /// Lets the initial events happen, for those who only want initial values.
-    pub(crate) fn initial_events(&mut self) -> Result<(), FmiError> {
+    pub(crate) fn initial_events(&mut self) -> Result<()> {
         let mut states = vec![0.0; self.running.plan.n_states];
         let start = self.running.plan.start;
         match self.start(start, &mut states) {

@@ -1,8 +1,8 @@
 //! State of a run, for both interfaces: an instance, in its current phase, and the buffers written during the
 //! run.
 
-use crate::error::FmiError;
-use crate::instance::{CoSimulation, ContinuousTime, Core, EventMode, Instance, StepMode};
+use crate::error::{FmiError, Result};
+use crate::instance::Core;
 use crate::simulation::clocks::{ClockState, Tick};
 use crate::simulation::digest::Digest;
 use crate::simulation::inputs::InputState;
@@ -12,24 +12,24 @@ use crate::sys::{Fault, RawInstance};
 use ode::{CallError, CallResult};
 use std::sync::Arc;
 
-/// The instance of a run, as it is at the moment.
-#[derive(Debug, Default)]
-pub(crate) enum Phase {
-    /// Nothing: none was made yet, or it broke.
-    #[default]
-    Gone,
+/// Where the instance of a run is in its life.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) enum Mode {
     /// Model exchange: initialized, or ended by the model.
-    Event(Instance<EventMode>),
+    #[default]
+    Event,
     /// Model exchange, between two events.
-    Continuous(Instance<ContinuousTime>),
+    Continuous,
     /// Co-simulation, between two steps.
-    Stepping(Instance<StepMode, CoSimulation>),
+    Step,
 }
 
 /// The instance of a run, and whether it can still be used.
 #[derive(Debug, Default)]
 pub(crate) struct Current {
-    pub(crate) phase: Phase,
+    /// `None`: none was made yet, or it broke.
+    pub(crate) core: Option<Box<Core>>,
+    pub(crate) mode: Mode,
     /// An FMU call failed: the instance is not used again.
     pub(crate) broken: bool,
     /// The call that returned `Discard` last.
@@ -42,20 +42,15 @@ impl Current {
     /// # Errors
     /// There is none.
     #[inline]
-    pub(crate) fn core(&mut self) -> Result<&mut Core, FmiError> {
-        match &mut self.phase {
-            Phase::Event(instance) => Ok(instance.core()),
-            Phase::Continuous(instance) => Ok(instance.core()),
-            Phase::Stepping(instance) => Ok(instance.core()),
-            Phase::Gone => Err(no_instance()),
-        }
+    pub(crate) fn core(&mut self) -> Result<&mut Core> {
+        self.core.as_deref_mut().ok_or_else(no_instance)
     }
 
     /// The running instance, to be asked for its values.
     ///
     /// # Errors
     /// There is none, or it broke.
-    pub(crate) fn trusted(&mut self) -> Result<&mut Core, FmiError> {
+    pub(crate) fn trusted(&mut self) -> Result<&mut Core> {
         if self.broken {
             return Err(no_instance());
         }
@@ -66,11 +61,8 @@ impl Current {
     ///
     /// # Errors
     /// It is not.
-    pub(crate) fn in_event_mode(&mut self) -> Result<&mut Core, FmiError> {
-        match &mut self.phase {
-            Phase::Event(instance) => Ok(instance.core()),
-            _ => Err(no_instance()),
-        }
+    pub(crate) fn in_event_mode(&mut self) -> Result<&mut Core> {
+        if self.mode == Mode::Event { self.core() } else { Err(no_instance()) }
     }
 
     /// Makes a raw call; `Discard` costs nothing, everything worse ends the use of the instance.
@@ -93,15 +85,18 @@ impl Current {
         }
     }
 
-    /// Takes the instance to another phase; where that fails it is gone.
-    pub(crate) fn change(&mut self, to: impl FnOnce(Phase) -> Result<Phase, FmiError>) -> CallResult<()> {
-        match to(std::mem::replace(&mut self.phase, Phase::Gone)) {
-            Ok(phase) => {
-                self.phase = phase;
-                Ok(())
-            }
-            Err(error) => Err(self.fail(error)),
+    /// Makes the call that leads to another mode, unless the instance is in it.
+    pub(crate) fn enter(
+        &mut self,
+        mode: Mode,
+        call: impl FnOnce(&mut RawInstance) -> Result<(), Fault>,
+    ) -> CallResult<()> {
+        if self.mode != mode {
+            let entered = self.core().and_then(|core| core.call(call));
+            entered.map_err(|error| self.fail(error))?;
+            self.mode = mode;
         }
+        Ok(())
     }
 
     /// The call that has refused the last point, with its time and what the FMU logged about it.
@@ -112,15 +107,9 @@ impl Current {
 
     /// Ends the run of the instance, if there is one that can be used for another run.
     pub(crate) fn retire(self) -> Option<RawInstance> {
-        let raw = match self.phase {
-            Phase::Gone => return None,
-            _ if self.broken => return None,
-            // Some FMUs free what a run has allocated only when they are told that it is over.
-            Phase::Event(instance) => instance.terminate().map(Instance::into_raw),
-            Phase::Continuous(instance) => instance.terminate().map(Instance::into_raw),
-            Phase::Stepping(instance) => instance.terminate().map(Instance::into_raw),
-        };
-        raw.ok().map(|(raw, _)| raw)
+        let mut core = self.core.filter(|_| !self.broken)?;
+        // Some FMUs free what a run has allocated only when they are told that it is over.
+        core.call(RawInstance::terminate).ok().map(|()| core.raw)
     }
 
     /// Notes that the instance is not to be used again: a call failed, or an event iteration was ended from
@@ -181,11 +170,8 @@ impl Running {
 
     /// Hands what the FMU has logged in a run to the program's logger.
     pub(crate) fn pass_log_on(&self) {
-        match &self.current.phase {
-            Phase::Event(instance) => instance.pass_log_on(),
-            Phase::Continuous(instance) => instance.pass_log_on(),
-            Phase::Stepping(instance) => instance.pass_log_on(),
-            Phase::Gone => {}
+        if let Some(core) = &self.current.core {
+            core.pass_log_on();
         }
     }
 
@@ -220,5 +206,5 @@ impl Running {
 
 #[cold]
 pub(crate) fn no_instance() -> FmiError {
-    FmiError::BadSetting { problem: "there is no running instance".to_owned() }
+    FmiError::BadSetting("there is no running instance".to_owned())
 }

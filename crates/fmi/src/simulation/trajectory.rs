@@ -1,7 +1,8 @@
 //! A recorded simulation: columns of numbers and of other values, events, what it cost.
 
 use crate::description::{Value, VariableKind};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
+use crate::macros::getters;
 use crate::platform::memory;
 use crate::simulation::clocks::Tick;
 use crate::simulation::outputs::{Recorded, ValueTable, integers, places, width};
@@ -53,6 +54,18 @@ pub struct ValueColumn {
 }
 
 impl ValueColumn {
+    getters! {
+        /// Of each row the place of its value in [`distinct`](Self::distinct).
+        pub places(self) -> &[usize] = &self.places;
+        /// Values to which the [`places`](Self::places) refer: for texts and binary values those of all
+        /// columns of the simulation, each once.
+        pub distinct(self) -> &[Value] = &self.values;
+        /// Number of rows.
+        pub len(self) -> usize = self.places.len();
+        /// True if there are no rows.
+        pub is_empty(self) -> bool = self.places.is_empty();
+    }
+
     /// The column of numbers that are places in a table of values, or of the halves of integers.
     fn new(name: &str, kind: VariableKind, columns: &[Vec<f64>], table: &Arc<[Value]>) -> Self {
         let (values, places) = match columns {
@@ -62,27 +75,6 @@ impl ValueColumn {
             }
         };
         Self { name: name.to_owned(), values, places }
-    }
-
-    /// Of each row the place of its value in [`distinct`](Self::distinct).
-    pub fn places(&self) -> &[usize] {
-        &self.places
-    }
-
-    /// Values to which the [`places`](Self::places) refer: for texts and binary values those of all columns
-    /// of the simulation, each once.
-    pub fn distinct(&self) -> &[Value] {
-        &self.values
-    }
-
-    /// Number of rows.
-    pub fn len(&self) -> usize {
-        self.places.len()
-    }
-
-    /// True if there are no rows.
-    pub fn is_empty(&self) -> bool {
-        self.places.is_empty()
     }
 
     /// The values, row by row.
@@ -116,7 +108,7 @@ impl Trajectory {
     ///
     /// # Errors
     /// [`FmiError::NotInResult`] lists the names there are.
-    pub fn get(&self, name: &str) -> Result<&[f64], FmiError> {
+    pub fn get(&self, name: &str) -> Result<&[f64]> {
         if let Some(i) = self.names.iter().position(|n| n == name) {
             return Ok(&self.columns[i]);
         }
@@ -130,7 +122,7 @@ impl Trajectory {
     ///
     /// # Errors
     /// [`FmiError::NotInResult`] lists the names there are.
-    pub fn values_of(&self, name: &str) -> Result<&ValueColumn, FmiError> {
+    pub fn values_of(&self, name: &str) -> Result<&ValueColumn> {
         match self.values.iter().find(|column| column.name == name) {
             Some(column) => Ok(column),
             None => Err(not_in_result(name, self.values.iter().map(|column| column.name.as_str()))),
@@ -141,7 +133,7 @@ impl Trajectory {
     ///
     /// # Errors
     /// [`FmiError::NotInResult`] lists the names there are.
-    pub fn final_value(&self, name: &str) -> Result<Option<f64>, FmiError> {
+    pub fn final_value(&self, name: &str) -> Result<Option<f64>> {
         Ok(self.get(name)?.last().copied())
     }
 }
@@ -167,10 +159,7 @@ pub(crate) struct Recorder<'a> {
 impl<'a> Recorder<'a> {
     /// # Errors
     /// [`FmiError::Memory`]: there are too many rows and columns.
-    pub(crate) fn new(
-        plan: &SimulationPlan,
-        poll: &'a mut dyn FnMut() -> ControlFlow<()>,
-    ) -> Result<Self, FmiError> {
+    pub(crate) fn new(plan: &SimulationPlan, poll: &'a mut dyn FnMut() -> ControlFlow<()>) -> Result<Self> {
         let (rows, columns) = (plan.times().len(), plan.outputs().len() + 1);
         let cells = (rows as u64).saturating_mul(columns as u64);
         memory::check(|| format!("a result of {rows} rows and {columns} columns"), cells.saturating_mul(8))?;

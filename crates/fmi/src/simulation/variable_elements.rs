@@ -2,7 +2,7 @@
 //! whole, so that what is not given keeps its start value.
 
 use crate::description::{ModelDescription, Structure, Value, VariableKind};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::instance::Core;
 use crate::instance::assignments::{self, Assignments, resolve};
 use crate::simulation::outputs::element_of;
@@ -21,11 +21,7 @@ impl VariableElement {
     ///
     /// # Errors
     /// [`FmiError::UnknownVariable`] with the nearest names.
-    pub(crate) fn of_name(
-        description: &ModelDescription,
-        structure: &Structure,
-        name: &str,
-    ) -> Result<Self, FmiError> {
+    pub(crate) fn of_name(description: &ModelDescription, structure: &Structure, name: &str) -> Result<Self> {
         if let Some(variable) = description.variable_index(name) {
             return Ok(Self { variable, element: None });
         }
@@ -68,7 +64,7 @@ impl<'a> Starts<'a> {
     ///
     /// # Errors
     /// There are none, or not as many as the array has elements.
-    pub(crate) fn elements(&self, variable: usize) -> Result<Vec<Value>, FmiError> {
+    pub(crate) fn elements(&self, variable: usize) -> Result<Vec<Value>> {
         let array = &self.description.variables[variable];
         let n = self.structure.elements(self.description, array);
         match self.of(variable) {
@@ -87,7 +83,7 @@ impl<'a> Starts<'a> {
                     "one element of {} is given; the others need start values, and there are {found} for {n} elements",
                     array.name
                 );
-                Err(FmiError::BadSetting { problem })
+                Err(FmiError::BadSetting(problem))
             }
         }
     }
@@ -96,12 +92,7 @@ impl<'a> Starts<'a> {
     ///
     /// # Errors
     /// As [`elements`](Self::elements).
-    pub(crate) fn with_element(
-        &self,
-        variable: usize,
-        element: usize,
-        value: Value,
-    ) -> Result<Value, FmiError> {
+    pub(crate) fn with_element(&self, variable: usize, element: usize, value: Value) -> Result<Value> {
         let mut values = self.elements(variable)?;
         // Elements are counted by the same extents.
         if let Some(place) = values.get_mut(element) {
@@ -143,8 +134,8 @@ impl<T> Slots<T> {
         &mut self,
         reference: u32,
         element: Option<usize>,
-        whole: impl FnOnce() -> Result<Vec<T>, FmiError>,
-    ) -> Result<usize, FmiError> {
+        whole: impl FnOnce() -> Result<Vec<T>>,
+    ) -> Result<usize> {
         let first = match self.firsts.get(&reference) {
             Some(first) => *first,
             None => {
@@ -178,7 +169,7 @@ impl FloatSlots {
     ///
     /// # Errors
     /// Those of [`Starts::reals`].
-    pub(crate) fn place(&mut self, starts: &Starts<'_>, place: VariableElement) -> Result<usize, FmiError> {
+    pub(crate) fn place(&mut self, starts: &Starts<'_>, place: VariableElement) -> Result<usize> {
         let variable = &starts.description.variables[place.variable];
         let found = self.slots.place(variable.value_reference, place.element, || starts.reals(place))?;
         if variable.kind == VariableKind::Real {
@@ -224,7 +215,7 @@ impl FloatSlots {
     ///
     /// # Errors
     /// The FMU refuses.
-    pub(crate) fn set(&self, core: &mut Core, values: &[f64]) -> Result<(), FmiError> {
+    pub(crate) fn set(&self, core: &mut Core, values: &[f64]) -> Result<()> {
         let sent = self.send(&mut core.raw, values);
         sent.map_err(|fault| core.error_about(fault, &self.slots.references, VariableKind::is_float))
     }

@@ -124,8 +124,7 @@ impl Fmu {
         let interface = self.check_interface(kind)?;
         let description = self.description();
         let text = |what: &str, text: &str| {
-            CString::new(text)
-                .map_err(|_| FmiError::BadSetting { problem: format!("the {what} holds a NUL character") })
+            CString::new(text).map_err(|_| FmiError::BadSetting(format!("the {what} holds a NUL character")))
         };
         let name = text("name of the instance", options.name.as_deref().unwrap_or(&description.model_name))?;
         let guid = text("guid", &description.guid)?;

@@ -5,7 +5,7 @@ use super::compiler::{Compiler, Patience};
 use super::headers;
 use crate::archive::{hash_of_texts, is_inside};
 use crate::description::{BUILD_DESCRIPTION, BuildSet, Interface, ModelDescription, build_sets};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::platform::{self, BinaryHeader};
 use base::files::read_regular;
 use std::fs;
@@ -16,54 +16,6 @@ const HEADERS: &[&str] = &["h", "hpp", "hh", "inc"];
 
 /// Raised when libraries built by earlier versions must not be used any more.
 const RECIPE_VERSION: &str = "3";
-
-/// The functions of FMI 2.0 (specification 2.0.4, 2.1, 3.2, 4.2).
-const FMI2_FUNCTIONS: &[&str] = &[
-    "fmi2GetTypesPlatform",
-    "fmi2GetVersion",
-    "fmi2SetDebugLogging",
-    "fmi2Instantiate",
-    "fmi2FreeInstance",
-    "fmi2SetupExperiment",
-    "fmi2EnterInitializationMode",
-    "fmi2ExitInitializationMode",
-    "fmi2Terminate",
-    "fmi2Reset",
-    "fmi2GetReal",
-    "fmi2GetInteger",
-    "fmi2GetBoolean",
-    "fmi2GetString",
-    "fmi2SetReal",
-    "fmi2SetInteger",
-    "fmi2SetBoolean",
-    "fmi2SetString",
-    "fmi2GetFMUstate",
-    "fmi2SetFMUstate",
-    "fmi2FreeFMUstate",
-    "fmi2SerializedFMUstateSize",
-    "fmi2SerializeFMUstate",
-    "fmi2DeSerializeFMUstate",
-    "fmi2GetDirectionalDerivative",
-    "fmi2EnterEventMode",
-    "fmi2NewDiscreteStates",
-    "fmi2EnterContinuousTimeMode",
-    "fmi2CompletedIntegratorStep",
-    "fmi2SetTime",
-    "fmi2SetContinuousStates",
-    "fmi2GetDerivatives",
-    "fmi2GetEventIndicators",
-    "fmi2GetContinuousStates",
-    "fmi2GetNominalsOfContinuousStates",
-    "fmi2SetRealInputDerivatives",
-    "fmi2GetRealOutputDerivatives",
-    "fmi2DoStep",
-    "fmi2CancelStep",
-    "fmi2GetStatus",
-    "fmi2GetRealStatus",
-    "fmi2GetIntegerStatus",
-    "fmi2GetBooleanStatus",
-    "fmi2GetStringStatus",
-];
 
 /// Recipe from which one library is built.
 #[derive(Debug, PartialEq)]
@@ -80,11 +32,7 @@ pub(super) struct Recipe {
 
 impl Recipe {
     /// Finds out what to compile.
-    pub(super) fn find(
-        root: &Path,
-        description: &ModelDescription,
-        interface: &Interface,
-    ) -> Result<Recipe, FmiError> {
+    pub(super) fn find(root: &Path, description: &ModelDescription, interface: &Interface) -> Result<Recipe> {
         let folder = root.join("sources");
         let sources = Sources { folder: &folder, model_identifier: &interface.model_identifier };
         let set = sources.build_set(description, interface)?;
@@ -127,12 +75,7 @@ impl Recipe {
     }
 
     /// Compiles and links into `target`.
-    pub(super) fn build(
-        &self,
-        compiler: &Compiler,
-        target: &Path,
-        patience: &Patience<'_>,
-    ) -> Result<(), FmiError> {
+    pub(super) fn build(&self, compiler: &Compiler, target: &Path, patience: &Patience<'_>) -> Result<()> {
         let header = target.with_file_name("plain_names.h");
         fs::write(&header, &self.plain_names).map_err(FmiError::io("write", &header))?;
         let standard = target.with_file_name("standard");
@@ -165,13 +108,18 @@ impl Recipe {
 ///
 /// In sources the standard puts the model identifier before each name (`Model_fmi2GetReal`), so that several
 /// models can be linked into one program; in libraries there is none. The headers of FMI 2.0.0 to 2.0.3 put
-/// the names together by pasting, and what a macro has pasted is looked up as a macro again.
+/// the names together by pasting, and what a macro has pasted is looked up as a macro again. The names are
+/// those that the standard's header lists.
 fn plain_names(model_identifier: &str) -> String {
     let is_identifier = model_identifier.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
     if !is_identifier {
         return String::new();
     }
-    FMI2_FUNCTIONS.iter().map(|name| format!("#define {model_identifier}_{name} {name}\n")).collect()
+    let functions = headers::FMI2_FUNCTIONS.lines().filter_map(|line| {
+        let (name, value) = line.strip_prefix("#define ")?.split_once(' ')?;
+        value.trim_start().starts_with("fmi2FullName(").then_some(name)
+    });
+    functions.map(|name| format!("#define {model_identifier}_{name} {name}\n")).collect()
 }
 
 /// The folder with the sources of one interface.
@@ -186,7 +134,7 @@ impl Sources<'_> {
     }
 
     /// Files to compile: as listed in the description, else in the build description, else every C file.
-    fn build_set(&self, description: &ModelDescription, interface: &Interface) -> Result<BuildSet, FmiError> {
+    fn build_set(&self, description: &ModelDescription, interface: &Interface) -> Result<BuildSet> {
         if !self.folder.is_dir() {
             return Err(self.error("there is no folder \"sources\"".to_owned()));
         }
@@ -212,7 +160,7 @@ impl Sources<'_> {
         Ok(BuildSet { files, ..BuildSet::default() })
     }
 
-    fn all_c_files(&self) -> Result<Vec<String>, FmiError> {
+    fn all_c_files(&self) -> Result<Vec<String>> {
         let mut names = Vec::new();
         for entry in fs::read_dir(self.folder).map_err(FmiError::io("list", self.folder))? {
             let path = entry.map_err(FmiError::io("list", self.folder))?.path();
@@ -229,7 +177,7 @@ impl Sources<'_> {
 
     /// A path from a file, as an argument: it must lie in `sources/`, also behind links, and be what it
     /// should be. The leading `./` keeps names from being taken for options.
-    fn checked(&self, name: &str, is_right: fn(&Path) -> bool) -> Result<String, FmiError> {
+    fn checked(&self, name: &str, is_right: fn(&Path) -> bool) -> Result<String> {
         // Tools on Windows write backslashes here.
         let relative = name.replace('\\', "/");
         let relative = relative.trim_end_matches('/');
@@ -282,7 +230,7 @@ mod tests {
         root
     }
 
-    fn recipe(files: &[&str], listed: &[&str]) -> Result<Recipe, FmiError> {
+    fn recipe(files: &[&str], listed: &[&str]) -> Result<Recipe> {
         let description = description(listed);
         let root = sources(files);
         Recipe::find(root.path(), &description, description.model_exchange.as_ref().unwrap())

@@ -1,7 +1,7 @@
 //! A folder of things worth keeping between runs: filled by renaming, so that processes do not meet half of a
 //! file; bounded; removable.
 
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::platform;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
@@ -26,7 +26,7 @@ const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 
 /// A subfolder of the cache folder, made if it is not there; if none can be made where caches belong, one in
 /// the folder for temporary files.
-fn folder(name: &str) -> Result<PathBuf, FmiError> {
+fn folder(name: &str) -> Result<PathBuf> {
     if let Some(usual) = platform::cache_folder().map(|folder| folder.join(name)) {
         let Err(error) = prepare(&usual) else { return Ok(usual) };
         log::warn!("no cache in {}: {error}", usual.display());
@@ -53,8 +53,8 @@ pub(super) fn get_or_make(
     subfolder: &str,
     key: &str,
     file_name: &str,
-    make: impl FnOnce(&Path) -> Result<(), FmiError>,
-) -> Result<PathBuf, FmiError> {
+    make: impl FnOnce(&Path) -> Result<()>,
+) -> Result<PathBuf> {
     let folder = folder(subfolder)?;
     let kept = folder.join(key);
     let file = kept.join(file_name);
@@ -155,7 +155,7 @@ fn remove(path: &Path) {
 ///
 /// # Errors
 /// Something cannot be removed.
-pub fn clear_caches() -> Result<(), FmiError> {
+pub fn clear_caches() -> Result<()> {
     for folder in platform::cache_folder().into_iter().chain([platform::fallback_cache_folder()]) {
         for name in SUBFOLDERS {
             for entry in fs::read_dir(folder.join(name)).into_iter().flatten().flatten() {

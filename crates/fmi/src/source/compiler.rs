@@ -1,7 +1,7 @@
 //! The system's C compiler: which one, which version, how it is ended, and what it says when it fails.
 
 use crate::cancel::Cancel;
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::platform;
 use crate::sys::limit_child;
 use std::ffi::OsStr;
@@ -69,7 +69,7 @@ pub(super) struct Compiler {
 impl Compiler {
     /// The compiler named by `CC`, and no other if that is set; else the first of the usual names that
     /// answers.
-    pub(super) fn find(model_identifier: &str, patience: &Patience<'_>) -> Result<Compiler, FmiError> {
+    pub(super) fn find(model_identifier: &str, patience: &Patience<'_>) -> Result<Compiler> {
         let chosen = std::env::var("CC").ok().filter(|name| !name.trim().is_empty());
         let found = match &chosen {
             Some(command) => Compiler::ask(command, patience)?,
@@ -86,7 +86,7 @@ impl Compiler {
     }
 
     /// Asks it what it is; `Ok(None)`: it is none.
-    fn ask(command: &str, patience: &Patience<'_>) -> Result<Option<Compiler>, FmiError> {
+    fn ask(command: &str, patience: &Patience<'_>) -> Result<Option<Compiler>> {
         let Some((program, arguments)) = split(command) else { return Ok(None) };
         let mut question = Command::new(&program);
         question.args(&arguments).arg("--version").env("LC_ALL", "C").stdin(Stdio::null());
@@ -121,7 +121,7 @@ impl Compiler {
         folder: &Path,
         arguments: &[impl AsRef<OsStr>],
         patience: &Patience<'_>,
-    ) -> Result<(), FmiError> {
+    ) -> Result<()> {
         let mut command = Command::new(&self.program);
         command.args(&self.arguments).args(arguments).current_dir(folder);
         command.env("LC_ALL", "C").stdin(Stdio::null());

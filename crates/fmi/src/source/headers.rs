@@ -1,7 +1,7 @@
 //! The C headers of the standard, for source-code FMUs that include them and do not bring them
 //! (`headers/readme.md`: origin and licence).
 
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use std::fs;
 use std::path::Path;
 
@@ -21,8 +21,11 @@ const HEADERS: &[(&str, &str)] = headers![
     "fmi3Functions.h",
 ];
 
+/// The header that lists the functions of FMI 2.0.
+pub(super) const FMI2_FUNCTIONS: &str = HEADERS[2].1;
+
 /// Writes them into a folder that is made for it.
-pub(super) fn write(folder: &Path) -> Result<(), FmiError> {
+pub(super) fn write(folder: &Path) -> Result<()> {
     fs::create_dir(folder).map_err(FmiError::io("create", folder))?;
     for (name, text) in HEADERS {
         let path = folder.join(name);

@@ -5,7 +5,7 @@ use super::cache;
 use super::compiler::{Compiler, Patience};
 use crate::cancel::Cancel;
 use crate::description::{Interface, ModelDescription};
-use crate::error::FmiError;
+use crate::error::Result;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -25,14 +25,16 @@ pub(crate) const COMPILE_TIME: Duration = Duration::from_secs(300);
 /// The headers of FMI 2.0 and 3.0 are found where the FMU does not bring them. The compiler is ended after
 /// five minutes.
 ///
-/// Errors: [`FmiError::NoSources`], [`FmiError::NoCompiler`], [`FmiError::CompileFailed`] with the command,
-/// the first error and the last lines of the compiler; [`FmiError::Io`].
+/// Errors: [`FmiError::NoSources`](crate::FmiError::NoSources),
+/// [`FmiError::NoCompiler`](crate::FmiError::NoCompiler),
+/// [`FmiError::CompileFailed`](crate::FmiError::CompileFailed) with the command, the first error and the last
+/// lines of the compiler; [`FmiError::Io`](crate::FmiError::Io).
 pub fn build_library(
     root: &Path,
     description: &ModelDescription,
     interface: &Interface,
     content_hash: &str,
-) -> Result<PathBuf, FmiError> {
+) -> Result<PathBuf> {
     let (cancel, limit) = (&Cancel::default(), COMPILE_TIME);
     build_unchanged(root, description, interface, content_hash, (cancel, limit), || Ok(()))
 }
@@ -45,8 +47,8 @@ pub(crate) fn build_unchanged(
     interface: &Interface,
     content_hash: &str,
     (cancel, limit): (&Cancel, Duration),
-    check: impl FnOnce() -> Result<(), FmiError>,
-) -> Result<PathBuf, FmiError> {
+    check: impl FnOnce() -> Result<()>,
+) -> Result<PathBuf> {
     let recipe = Recipe::find(root, description, interface)?;
     let patience = Patience { cancel, limit };
     let compiler = Compiler::find(&interface.model_identifier, &patience)?;

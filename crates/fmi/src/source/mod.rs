@@ -12,4 +12,5 @@ pub use cache::clear_caches;
 
 pub use library::build_library;
 pub(crate) use library::{COMPILE_TIME, build_unchanged};
+pub(crate) use pack::write_archive;
 pub use pack::{pack, pack_texts, pack_unless};

@@ -5,7 +5,7 @@ use super::library::{COMPILE_TIME, build_unchanged};
 use crate::archive::{Archive, ArchiveLimits, MODEL_DESCRIPTION, check_names, files_below, hash_of_texts};
 use crate::cancel::Cancel;
 use crate::description::{DescriptionLimits, Interface, ModelDescription};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::platform;
 use base::files::{open_regular, read_regular};
 use std::collections::BTreeMap;
@@ -22,14 +22,14 @@ use zip::write::{SimpleFileOptions, ZipWriter};
 ///
 /// Errors: [`FmiError::CannotPack`]; those of opening a folder, parsing its description, building its
 /// library.
-pub fn pack(folder: &Path, out: &Path) -> Result<(), FmiError> {
+pub fn pack(folder: &Path, out: &Path) -> Result<()> {
     pack_unless(folder, out, &Cancel::default())
 }
 
 /// As [`pack`], unless `cancel` asks for an early end: nothing is written then.
 ///
 /// Errors: those of [`pack`]; [`FmiError::Cancelled`].
-pub fn pack_unless(folder: &Path, out: &Path, cancel: &Cancel) -> Result<(), FmiError> {
+pub fn pack_unless(folder: &Path, out: &Path, cancel: &Cancel) -> Result<()> {
     let source = Archive::open_with(folder, &ArchiveLimits::default(), cancel)?;
     let description = ModelDescription::read_with(&source, &DescriptionLimits::default(), cancel)?;
     let root = source.unpack()?;
@@ -48,7 +48,7 @@ pub fn pack_unless(folder: &Path, out: &Path, cancel: &Cancel) -> Result<(), Fmi
     })?;
     platform::write_whole(out, |file, path| {
         cancel.check()?;
-        write_archive(file, &files).map_err(|error| error.of(path))?;
+        write_archive(file, files, &[]).map_err(|error| error.of("write", path))?;
         check_result(path, &source, folder)
     })
 }
@@ -59,7 +59,7 @@ pub fn pack_unless(folder: &Path, out: &Path, cancel: &Cancel) -> Result<(), Fmi
 ///
 /// # Errors
 /// Those of [`pack`]; the system refuses to write.
-pub fn pack_texts(file_name: &str, files: &[(String, String)]) -> Result<PathBuf, FmiError> {
+pub fn pack_texts(file_name: &str, files: &[(String, String)]) -> Result<PathBuf> {
     let platform = [env!("CARGO_PKG_VERSION"), std::env::consts::OS, std::env::consts::ARCH];
     let texts = files.iter().flat_map(|(name, text)| [name.as_str(), text]);
     let hash = hash_of_texts(texts.chain(platform));
@@ -77,7 +77,7 @@ pub fn pack_texts(file_name: &str, files: &[(String, String)]) -> Result<PathBuf
 }
 
 /// All files of the folder by the names they get, without `out` itself if it lies there.
-fn files_to_pack(root: &Path, out: &Path) -> Result<BTreeMap<String, PathBuf>, FmiError> {
+fn files_to_pack(root: &Path, out: &Path) -> Result<BTreeMap<String, PathBuf>> {
     let out = out.canonicalize().ok();
     let files = files_below(root, ArchiveLimits::default().entries)?;
     let is_out = |path: &Path| out.is_some() && path.canonicalize().ok() == out;
@@ -99,7 +99,7 @@ fn library_name(description: &ModelDescription, interface: &Interface) -> String
 }
 
 /// Where writing an archive failed.
-enum WriteError {
+pub(crate) enum WriteError {
     Read(PathBuf, io::Error),
     Write(io::Error),
 }
@@ -111,19 +111,25 @@ impl From<zip::result::ZipError> for WriteError {
 }
 
 impl WriteError {
-    fn of(self, archive: &Path) -> FmiError {
+    /// The error of `action`, to write this archive.
+    pub(crate) fn of(self, action: &'static str, archive: &Path) -> FmiError {
         match self {
             WriteError::Read(path, error) => FmiError::io("read", path)(error),
-            WriteError::Write(error) => FmiError::io("write", archive)(error),
+            WriteError::Write(error) => FmiError::io(action, archive)(error),
         }
     }
 }
 
-fn write_archive(out: &File, files: &BTreeMap<String, PathBuf>) -> Result<(), WriteError> {
+/// Writes an archive of these files; those in `replaced` with another content.
+pub(crate) fn write_archive(
+    out: &File,
+    files: impl IntoIterator<Item = (String, PathBuf)>,
+    replaced: &[(&str, &[u8])],
+) -> Result<(), WriteError> {
     let mut archive = ZipWriter::new(BufWriter::new(out));
     for (name, path) in files {
         let read = |error| WriteError::Read(path.clone(), error);
-        let mut file = open_regular(path).map_err(read)?;
+        let mut file = open_regular(&path).map_err(read)?;
         let metadata = file.metadata().map_err(read)?;
         let mode = if platform::is_executable(&metadata) { 0o755 } else { 0o644 };
         // No time of last modification: the library then writes the first one the format knows, 1980.
@@ -133,14 +139,18 @@ fn write_archive(out: &File, files: &BTreeMap<String, PathBuf>) -> Result<(), Wr
             .large_file(metadata.len() >= u64::from(u32::MAX))
             .unix_permissions(mode);
         archive.start_file(name.as_str(), options)?;
-        io::copy(&mut file, &mut archive).map_err(WriteError::Write)?;
+        match replaced.iter().find(|(replaced, _)| *replaced == name) {
+            Some((_, content)) => archive.write_all(content),
+            None => io::copy(&mut file, &mut archive).map(drop),
+        }
+        .map_err(WriteError::Write)?;
     }
     let mut buffer = archive.finish()?;
     buffer.flush().map_err(WriteError::Write)
 }
 
 /// Opens the archive as a user would, and unpacks it.
-fn check_result(path: &Path, source: &Archive, folder: &Path) -> Result<(), FmiError> {
+fn check_result(path: &Path, source: &Archive, folder: &Path) -> Result<()> {
     let archive = Archive::open(path)?;
     ModelDescription::read(&archive)?;
     let text = |archive: &Archive| {

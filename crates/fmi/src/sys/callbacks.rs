@@ -8,6 +8,7 @@
 
 use super::types;
 use crate::log::{Log, LogFilter};
+use crate::macros::getters;
 use std::any::Any;
 use std::collections::VecDeque;
 use std::ffi::{CStr, c_char, c_int, c_void};
@@ -32,17 +33,17 @@ pub(super) struct Callbacks {
 }
 
 impl Callbacks {
+    getters! {
+        pub(super) environment(self) -> &Environment = &self.environment;
+        pub(super) log(self) -> &Log = &self.log;
+        /// Whether [something](Self::enter) has to live while the instance is called.
+        #[inline]
+        pub(super) is_by_thread(self) -> bool = self.by_thread;
+    }
+
     pub(super) fn new(filter: LogFilter, by_thread: bool) -> Self {
         let log = Arc::new(Log::new(filter));
         Self { environment: Arc::new(Environment::new(&log)), keep: OnceLock::new(), log, by_thread }
-    }
-
-    pub(super) fn environment(&self) -> &Environment {
-        &self.environment
-    }
-
-    pub(super) fn log(&self) -> &Log {
-        &self.log
     }
 
     /// What has to live while the instance is called.
@@ -50,12 +51,6 @@ impl Callbacks {
     pub(super) fn enter(&self) -> Option<Current> {
         // SAFETY: the environment is kept until the component is gone (invariant 3).
         self.by_thread.then(|| unsafe { Current::set(&raw const *self.environment) })
-    }
-
-    /// Whether [something](Self::enter) has to live while the instance is called.
-    #[inline]
-    pub(super) fn is_by_thread(&self) -> bool {
-        self.by_thread
     }
 
     /// What the version keeps, made if there is nothing yet.

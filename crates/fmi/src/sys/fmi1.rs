@@ -7,10 +7,10 @@
 use super::callbacks::{Callbacks, fmufit_allocate, fmufit_fmi1_log, fmufit_free};
 use super::function::{Answer, call};
 use super::functions::Functions;
-use super::symbols::{Symbols, table};
+use super::symbols::table;
 use super::types::{Component, Direction, EventInfo, Experiment, InterfaceKind, Request, StepInfo, file_uri};
 use super::version::{Step, Version};
-use crate::error::{FmiError, Status};
+use crate::error::Status;
 use std::ffi::{c_char, c_int, c_void};
 
 /// `fmiBoolean`.
@@ -21,7 +21,7 @@ type StepFinished = unsafe extern "C" fn(*mut c_void, c_int);
 /// `fmiCallbackFunctions` of model exchange, passed by value.
 #[repr(C)]
 #[derive(Clone, Copy)]
-struct ModelCallbacks {
+pub(super) struct ModelCallbacks {
     logger: Logger,
     allocate_memory: unsafe extern "C" fn(usize, usize) -> *mut c_void,
     free_memory: unsafe extern "C" fn(*mut c_void),
@@ -30,7 +30,7 @@ struct ModelCallbacks {
 /// `fmiCallbackFunctions` of co-simulation, passed by value.
 #[repr(C)]
 #[derive(Clone, Copy)]
-struct SlaveCallbacks {
+pub(super) struct SlaveCallbacks {
     common: ModelCallbacks,
     /// Only for asynchronous steps.
     step_finished: Option<StepFinished>,
@@ -42,7 +42,7 @@ const CALLBACKS: ModelCallbacks =
 /// `fmiEventInfo`.
 #[repr(C)]
 #[derive(Default)]
-struct RawEventInfo {
+pub(super) struct RawEventInfo {
     iteration_converged: Boolean,
     state_value_references_changed: Boolean,
     state_values_changed: Boolean,
@@ -77,61 +77,32 @@ type InstantiateSlave = unsafe extern "C" fn(
     SlaveCallbacks,
     Boolean,
 ) -> Component;
-type SetDebugLogging = unsafe extern "C" fn(Component, Boolean) -> c_int;
-type CompletedStep = unsafe extern "C" fn(Component, *mut Boolean) -> c_int;
-type Initialize = unsafe extern "C" fn(Component, Boolean, f64, *mut RawEventInfo) -> c_int;
-type EventUpdate = unsafe extern "C" fn(Component, Boolean, *mut RawEventInfo) -> c_int;
-type InitializeSlave = unsafe extern "C" fn(Component, f64, Boolean, f64) -> c_int;
-type DoStep = unsafe extern "C" fn(Component, f64, f64, Boolean) -> c_int;
 
 table! {
-    /// The functions of one library whose types are those of FMI 1.0, for both interfaces.
-    struct Common {
-        set_debug_logging: SetDebugLogging = optional "fmiSetDebugLogging";
+    /// The functions of one library whose types are those of FMI 1.0.
+    pub(super) struct Fmi1 {
+        both {
+            set_debug_logging(Boolean) = optional "fmiSetDebugLogging";
+        }
+        model_exchange {
+            instantiate_model[InstantiateModel] = required "fmiInstantiateModel";
+            initialize_model(Boolean, f64, *mut RawEventInfo) = required "fmiInitialize";
+            completed_integrator_step(*mut Boolean) = required "fmiCompletedIntegratorStep";
+            event_update(Boolean, *mut RawEventInfo) = required "fmiEventUpdate";
+        }
+        co_simulation {
+            instantiate_slave[InstantiateSlave] = required "fmiInstantiateSlave";
+            initialize_slave(f64, Boolean, f64) = required "fmiInitializeSlave";
+            do_step(f64, f64, Boolean) = required "fmiDoStep";
+        }
     }
-}
-
-table! {
-    /// For model exchange.
-    struct ModelExchange {
-        instantiate: InstantiateModel = required "fmiInstantiateModel";
-        initialize: Initialize = required "fmiInitialize";
-        completed_integrator_step: CompletedStep = required "fmiCompletedIntegratorStep";
-        event_update: EventUpdate = required "fmiEventUpdate";
-    }
-}
-
-table! {
-    /// For co-simulation.
-    struct CoSimulation {
-        instantiate: InstantiateSlave = required "fmiInstantiateSlave";
-        initialize: InitializeSlave = required "fmiInitializeSlave";
-        do_step: DoStep = required "fmiDoStep";
-    }
-}
-
-/// The functions of one library.
-pub(super) struct Fmi1 {
-    kind: InterfaceKind,
-    common: Common,
-    model_exchange: ModelExchange,
-    co_simulation: CoSimulation,
 }
 
 impl Fmi1 {
-    /// Looks the functions of one interface up.
-    ///
-    /// # Safety
-    /// The library follows FMI 1.0: a symbol of a name has the type the standard gives it.
-    pub(super) unsafe fn load(symbols: &Symbols<'_>, kind: InterfaceKind) -> Result<Self, FmiError> {
-        // SAFETY: the caller vouches for the library, and the names are those of FMI 1.0.
-        unsafe {
-            Ok(Self {
-                kind,
-                common: Common::load(symbols)?,
-                model_exchange: ModelExchange::load(&symbols.used(kind == InterfaceKind::ModelExchange))?,
-                co_simulation: CoSimulation::load(&symbols.used(kind == InterfaceKind::CoSimulation))?,
-            })
+    fn kind(&self) -> InterfaceKind {
+        match self.do_step.pointer {
+            Some(_) => InterfaceKind::CoSimulation,
+            None => InterfaceKind::ModelExchange,
         }
     }
 }
@@ -140,10 +111,11 @@ impl Version for Fmi1 {
     unsafe fn instantiate(&self, request: &Request<'_>, _: &Callbacks) -> (Component, &'static str) {
         let (name, guid, logging) = (request.name.as_ptr(), request.guid.as_ptr(), request.logging.into());
         // SAFETY: the strings end in NUL; the callbacks are passed by value, and lead to the environment of the thread.
-        match self.kind {
-            InterfaceKind::ModelExchange => (self.model_exchange.instantiate)
+        match self.kind() {
+            InterfaceKind::ModelExchange => self
+                .instantiate_model
                 .make(|instantiate| unsafe { instantiate(name, guid, CALLBACKS, logging) }),
-            InterfaceKind::CoSimulation => self.co_simulation.instantiate.make(|instantiate| {
+            InterfaceKind::CoSimulation => self.instantiate_slave.make(|instantiate| {
                 // The location is that of the unpacked FMU, above its resources.
                 let root = file_uri(request.resources.parent().unwrap_or(request.resources));
                 let (location, mime_type) = (root.as_ptr(), c"application/x-fmu-sharedlibrary".as_ptr());
@@ -156,13 +128,13 @@ impl Version for Fmi1 {
     }
 
     unsafe fn set_debug_logging(&self, c: Component, on: bool, _: &[*const c_char]) -> Answer {
-        call!(self.common.set_debug_logging, c, on.into())
+        call!(self.set_debug_logging, c, on.into())
     }
 
     /// Model exchange begins with the time; co-simulation has no mode of its own for the initialization.
     unsafe fn enter_initialization(&self, f: &Functions, c: Component, experiment: &Experiment) -> Answer {
-        match self.kind {
-            InterfaceKind::ModelExchange => call!(f.point.set_time, c, experiment.start),
+        match self.kind() {
+            InterfaceKind::ModelExchange => call!(f.set_time, c, experiment.start),
             InterfaceKind::CoSimulation => Answer { function: "fmiInitializeSlave", status: Status::Ok },
         }
     }
@@ -175,17 +147,16 @@ impl Version for Fmi1 {
         announced: &mut Option<EventInfo>,
     ) -> Answer {
         let Experiment { tolerance, start, stop } = *experiment;
-        match self.kind {
+        match self.kind() {
             InterfaceKind::ModelExchange => {
                 let mut info = RawEventInfo::default();
                 let (is_controlled, tolerance) = (tolerance.is_some().into(), tolerance.unwrap_or(0.0));
-                let answer =
-                    call!(self.model_exchange.initialize, c, is_controlled, tolerance, &raw mut info);
+                let answer = call!(self.initialize_model, c, is_controlled, tolerance, &raw mut info);
                 *announced = Some(info.info());
                 answer
             }
             InterfaceKind::CoSimulation => {
-                call!(self.co_simulation.initialize, c, start, stop.is_some().into(), stop.unwrap_or(0.0))
+                call!(self.initialize_slave, c, start, stop.is_some().into(), stop.unwrap_or(0.0))
             }
         }
     }
@@ -198,30 +169,26 @@ impl Version for Fmi1 {
         let mut raw = RawEventInfo::default();
         // fmiFalse: the FMU iterates by itself and returns when it is done. That is what every other importer asks for;
         // one that returns before is asked again.
-        let answer = call!(self.model_exchange.event_update, c, 0, &raw mut raw);
+        let answer = call!(self.event_update, c, 0, &raw mut raw);
         *info = raw.info();
         answer
     }
 
     unsafe fn completed_integrator_step(&self, c: Component, _: bool, info: &mut StepInfo) -> Answer {
         let mut raw: Boolean = 0;
-        let answer = call!(self.model_exchange.completed_integrator_step, c, &raw mut raw);
+        let answer = call!(self.completed_integrator_step, c, &raw mut raw);
         (info.event, info.terminate) = (raw != 0, false);
         answer
     }
 
     unsafe fn do_step(&self, f: &Functions, c: Component, step: Step, info: &mut StepInfo) -> Answer {
-        let answer = call!(self.co_simulation.do_step, c, step.time, step.size, step.is_new.into());
+        let answer = call!(self.do_step, c, step.time, step.size, step.is_new.into());
         // SAFETY: as for this call.
-        unsafe { f.steps.explain(c, answer.status, info) };
+        unsafe { f.explain_step(c, answer.status, info) };
         answer
     }
 
     fn step_function(&self) -> &'static str {
-        self.co_simulation.do_step.name
+        self.do_step.name
     }
 }
-
-/// The names in its tables.
-#[cfg(test)]
-pub(super) const NAMES: [&[&[&str]]; 3] = [Common::NAMES, ModelExchange::NAMES, CoSimulation::NAMES];

@@ -1,7 +1,6 @@
 //! Getters and setters of FMI 1.0 and 2.0.
 
 use super::function::{Answer, call};
-use super::functions::{Get, Set};
 use super::packed::{self, Element};
 use super::symbols::table;
 use super::types::Component;
@@ -13,14 +12,16 @@ table! {
     /// Getters and setters of FMI 1.0 and 2.0, where a reference stands for one value; `B` is the version's
     /// Boolean.
     pub(super) struct ScalarValues<B> {
-        get_real: Get<f64> = required "fmiGetReal" | "fmi2GetReal";
-        set_real: Set<f64> = required "fmiSetReal" | "fmi2SetReal";
-        get_integer: Get<c_int> = optional "fmiGetInteger" | "fmi2GetInteger";
-        set_integer: Set<c_int> = optional "fmiSetInteger" | "fmi2SetInteger";
-        get_boolean: Get<B> = optional "fmiGetBoolean" | "fmi2GetBoolean";
-        set_boolean: Set<B> = optional "fmiSetBoolean" | "fmi2SetBoolean";
-        get_string: Get<*const c_char> = optional "fmiGetString" | "fmi2GetString";
-        set_string: Set<*const c_char> = optional "fmiSetString" | "fmi2SetString";
+        both {
+            get_real(*const u32, usize, *mut f64) = required "fmiGetReal" | "fmi2GetReal";
+            set_real(*const u32, usize, *const f64) = required "fmiSetReal" | "fmi2SetReal";
+            get_integer(*const u32, usize, *mut c_int) = optional "fmiGetInteger" | "fmi2GetInteger";
+            set_integer(*const u32, usize, *const c_int) = optional "fmiSetInteger" | "fmi2SetInteger";
+            get_boolean(*const u32, usize, *mut B) = optional "fmiGetBoolean" | "fmi2GetBoolean";
+            set_boolean(*const u32, usize, *const B) = optional "fmiSetBoolean" | "fmi2SetBoolean";
+            get_string(*const u32, usize, *mut *const c_char) = optional "fmiGetString" | "fmi2GetString";
+            set_string(*const u32, usize, *const *const c_char) = optional "fmiSetString" | "fmi2SetString";
+        }
     }
 }
 

@@ -6,135 +6,93 @@
 //! brackets says what a version does not offer.
 
 use super::function::{Answer, Function, call};
-use super::symbols::table;
+use super::symbols::{signature, table};
 use super::types::{Component, Direction, StatePointer, StepInfo, status};
 use crate::error::Status;
 use std::ffi::{c_char, c_int};
 
-pub(super) type Plain = unsafe extern "C" fn(Component) -> c_int;
-type SetTime = unsafe extern "C" fn(Component, f64) -> c_int;
-type Free = unsafe extern "C" fn(Component);
+pub(super) type Plain = signature!(());
 pub(super) type Text = unsafe extern "C" fn() -> *const c_char;
-type SetupExperiment = unsafe extern "C" fn(Component, c_int, f64, f64, c_int, f64) -> c_int;
-pub(super) type GetVector = unsafe extern "C" fn(Component, *mut f64, usize) -> c_int;
-type SetVector = unsafe extern "C" fn(Component, *const f64, usize) -> c_int;
-type GetReferences = unsafe extern "C" fn(Component, *mut u32, usize) -> c_int;
-type Count = unsafe extern "C" fn(Component, *mut usize) -> c_int;
-pub(super) type GetState = unsafe extern "C" fn(Component, *mut StatePointer) -> c_int;
-type SetState = unsafe extern "C" fn(Component, StatePointer) -> c_int;
-pub(super) type Derivative = unsafe extern "C" fn(
-    Component,
-    *const u32,
-    usize,
-    *const u32,
-    usize,
-    *const f64,
-    usize,
-    *mut f64,
-    usize,
-) -> c_int;
-type CountDependencies = unsafe extern "C" fn(Component, u32, *mut usize) -> c_int;
-type Dependencies =
-    unsafe extern "C" fn(Component, u32, *mut usize, *mut u32, *mut usize, *mut c_int, usize) -> c_int;
-pub(super) type Get<T> = unsafe extern "C" fn(Component, *const u32, usize, *mut T) -> c_int;
-pub(super) type Set<T> = unsafe extern "C" fn(Component, *const u32, usize, *const T) -> c_int;
-type AskStatus<T> = unsafe extern "C" fn(Component, c_int, *mut T) -> c_int;
-type SetInputDerivatives =
-    unsafe extern "C" fn(Component, *const u32, usize, *const c_int, *const f64) -> c_int;
-type GetOutputDerivatives =
-    unsafe extern "C" fn(Component, *const u32, usize, *const c_int, *mut f64) -> c_int;
-type IntervalDecimal = unsafe extern "C" fn(Component, *const u32, usize, *mut f64, *mut c_int) -> c_int;
-type IntervalFraction =
-    unsafe extern "C" fn(Component, *const u32, usize, *mut u64, *mut u64, *mut c_int) -> c_int;
-type SetIntervalFraction =
-    unsafe extern "C" fn(Component, *const u32, usize, *const u64, *const u64) -> c_int;
-type ShiftFraction = unsafe extern "C" fn(Component, *const u32, usize, *mut u64, *mut u64) -> c_int;
+pub(super) type GetVector = signature!((*mut f64, usize));
+pub(super) type GetState = signature!((*mut StatePointer));
+pub(super) type Derivative =
+    signature!((*const u32, usize, *const u32, usize, *const f64, usize, *mut f64, usize));
 
 table! {
-    /// Functions of both interfaces.
-    pub(super) struct CommonFunctions {
-        get_version: Text = optional "fmiGetVersion" | "fmi2GetVersion" | "fmi3GetVersion";
-        get_types_platform: Text =
-            optional "fmiGetModelTypesPlatform" | "fmi2GetTypesPlatform" | "" | "fmiGetTypesPlatform";
-        free: Free = required
-            "fmiFreeModelInstance" | "fmi2FreeInstance" | "fmi3FreeInstance" | "fmiFreeSlaveInstance";
-        terminate: Plain = required "fmiTerminate" | "fmi2Terminate" | "fmi3Terminate" | "fmiTerminateSlave";
-        reset: Plain = optional "(reset)" | "fmi2Reset" | "fmi3Reset" | "fmiResetSlave";
-        setup_experiment: SetupExperiment = required "" | "fmi2SetupExperiment" | "";
-        exit_initialization: Plain =
-            required "" | "fmi2ExitInitializationMode" | "fmi3ExitInitializationMode";
-        enter_event_mode: Plain = optional "" | "fmi2EnterEventMode" | "fmi3EnterEventMode";
-        enter_configuration: Plain =
-            optional "(configuration mode)" | "(configuration mode)" | "fmi3EnterConfigurationMode";
-        exit_configuration: Plain =
-            optional "(configuration mode)" | "(configuration mode)" | "fmi3ExitConfigurationMode";
-        save_state: GetState = optional "(saved states)" | "fmi2GetFMUstate" | "fmi3GetFMUState";
-        restore_state: SetState = optional "(saved states)" | "fmi2SetFMUstate" | "fmi3SetFMUState";
-        free_state: GetState = optional "(saved states)" | "fmi2FreeFMUstate" | "fmi3FreeFMUState";
-        adjoint_derivative: Derivative =
-            optional "(adjoint derivatives)" | "(adjoint derivatives)" | "fmi3GetAdjointDerivative";
-        count_dependencies: CountDependencies = optional
-            "(variable dependencies)" | "(variable dependencies)" | "fmi3GetNumberOfVariableDependencies";
-        dependencies: Dependencies = optional
-            "(variable dependencies)" | "(variable dependencies)" | "fmi3GetVariableDependencies";
-        interval_decimal: IntervalDecimal = optional "(clocks)" | "(clocks)" | "fmi3GetIntervalDecimal";
-        interval_fraction: IntervalFraction = optional "(clocks)" | "(clocks)" | "fmi3GetIntervalFraction";
-        set_interval_decimal: Set<f64> = optional "(clocks)" | "(clocks)" | "fmi3SetIntervalDecimal";
-        set_interval_fraction: SetIntervalFraction =
-            optional "(clocks)" | "(clocks)" | "fmi3SetIntervalFraction";
-        shift_decimal: Get<f64> = optional "(clocks)" | "(clocks)" | "fmi3GetShiftDecimal";
-        shift_fraction: ShiftFraction = optional "(clocks)" | "(clocks)" | "fmi3GetShiftFraction";
+    /// The functions that have one type in all versions that know them.
+    pub(super) struct Functions {
+        both {
+            get_version[Text] = optional "fmiGetVersion" | "fmi2GetVersion" | "fmi3GetVersion";
+            get_types_platform[Text] =
+                optional "fmiGetModelTypesPlatform" | "fmi2GetTypesPlatform" | "" | "fmiGetTypesPlatform";
+            free[unsafe extern "C" fn(Component)] = required
+                "fmiFreeModelInstance" | "fmi2FreeInstance" | "fmi3FreeInstance" | "fmiFreeSlaveInstance";
+            terminate() = required "fmiTerminate" | "fmi2Terminate" | "fmi3Terminate" | "fmiTerminateSlave";
+            reset() = optional "(reset)" | "fmi2Reset" | "fmi3Reset" | "fmiResetSlave";
+            setup_experiment(c_int, f64, f64, c_int, f64) = required "" | "fmi2SetupExperiment" | "";
+            exit_initialization() = required "" | "fmi2ExitInitializationMode" | "fmi3ExitInitializationMode";
+            enter_event_mode() = optional "" | "fmi2EnterEventMode" | "fmi3EnterEventMode";
+            enter_configuration() =
+                optional "(configuration mode)" | "(configuration mode)" | "fmi3EnterConfigurationMode";
+            exit_configuration() =
+                optional "(configuration mode)" | "(configuration mode)" | "fmi3ExitConfigurationMode";
+            save_state(*mut StatePointer) = optional "(saved states)" | "fmi2GetFMUstate" | "fmi3GetFMUState";
+            restore_state(StatePointer) = optional "(saved states)" | "fmi2SetFMUstate" | "fmi3SetFMUState";
+            free_state(*mut StatePointer) = optional "(saved states)" | "fmi2FreeFMUstate" | "fmi3FreeFMUState";
+            adjoint_derivative[Derivative] =
+                optional "(adjoint derivatives)" | "(adjoint derivatives)" | "fmi3GetAdjointDerivative";
+            count_dependencies(u32, *mut usize) = optional
+                "(variable dependencies)" | "(variable dependencies)" | "fmi3GetNumberOfVariableDependencies";
+            dependencies(u32, *mut usize, *mut u32, *mut usize, *mut c_int, usize) = optional
+                "(variable dependencies)" | "(variable dependencies)" | "fmi3GetVariableDependencies";
+            interval_decimal(*const u32, usize, *mut f64, *mut c_int) =
+                optional "(clocks)" | "(clocks)" | "fmi3GetIntervalDecimal";
+            interval_fraction(*const u32, usize, *mut u64, *mut u64, *mut c_int) =
+                optional "(clocks)" | "(clocks)" | "fmi3GetIntervalFraction";
+            set_interval_decimal(*const u32, usize, *const f64) =
+                optional "(clocks)" | "(clocks)" | "fmi3SetIntervalDecimal";
+            set_interval_fraction(*const u32, usize, *const u64, *const u64) =
+                optional "(clocks)" | "(clocks)" | "fmi3SetIntervalFraction";
+            shift_decimal(*const u32, usize, *mut f64) = optional "(clocks)" | "(clocks)" | "fmi3GetShiftDecimal";
+            shift_fraction(*const u32, usize, *mut u64, *mut u64) =
+                optional "(clocks)" | "(clocks)" | "fmi3GetShiftFraction";
+        }
+        model_exchange {
+            set_time(f64) = required "fmiSetTime" | "fmi2SetTime" | "fmi3SetTime";
+            set_continuous_states(*const f64, usize) = required
+                "fmiSetContinuousStates" | "fmi2SetContinuousStates" | "fmi3SetContinuousStates";
+            get_continuous_states(*mut f64, usize) = required
+                "fmiGetContinuousStates" | "fmi2GetContinuousStates" | "fmi3GetContinuousStates";
+            get_derivatives(*mut f64, usize) =
+                required "fmiGetDerivatives" | "fmi2GetDerivatives" | "fmi3GetContinuousStateDerivatives";
+            get_event_indicators(*mut f64, usize) =
+                required "fmiGetEventIndicators" | "fmi2GetEventIndicators" | "fmi3GetEventIndicators";
+            get_nominals(*mut f64, usize) = required
+                "fmiGetNominalContinuousStates" | "fmi2GetNominalsOfContinuousStates"
+                | "fmi3GetNominalsOfContinuousStates";
+            enter_continuous_time_mode() =
+                required "" | "fmi2EnterContinuousTimeMode" | "fmi3EnterContinuousTimeMode";
+            get_state_references(*mut u32, usize) = optional
+                "fmiGetStateValueReferences" | "(value references of states)" | "(value references of states)";
+            count_states(*mut usize) =
+                optional "(number of states)" | "(number of states)" | "fmi3GetNumberOfContinuousStates";
+            count_indicators(*mut usize) =
+                optional "(number of indicators)" | "(number of indicators)" | "fmi3GetNumberOfEventIndicators";
+        }
+        co_simulation {
+            enter_step_mode() = optional "(step mode)" | "(step mode)" | "fmi3EnterStepMode";
+            cancel() = optional "fmiCancelStep" | "fmi2CancelStep" | "(pending steps)";
+            get_status(c_int, *mut c_int) = optional "fmiGetStatus" | "fmi2GetStatus" | "(pending steps)";
+            get_real_status(c_int, *mut f64) =
+                optional "fmiGetRealStatus" | "fmi2GetRealStatus" | "(pending steps)";
+            get_boolean_status(c_int, *mut c_int) =
+                optional "(pending steps)" | "fmi2GetBooleanStatus" | "(pending steps)";
+            set_input_derivatives(*const u32, usize, *const c_int, *const f64) = optional
+                "fmiSetRealInputDerivatives" | "fmi2SetRealInputDerivatives" | "(input derivatives)";
+            get_output_derivatives(*const u32, usize, *const c_int, *mut f64) = optional
+                "fmiGetRealOutputDerivatives" | "fmi2GetRealOutputDerivatives" | "(output derivatives)";
+        }
     }
-}
-
-table! {
-    /// Model exchange: a point, and what the model is there.
-    pub(super) struct PointFunctions {
-        set_time: SetTime = required "fmiSetTime" | "fmi2SetTime" | "fmi3SetTime";
-        set_continuous_states: SetVector = required
-            "fmiSetContinuousStates" | "fmi2SetContinuousStates" | "fmi3SetContinuousStates";
-        get_continuous_states: GetVector = required
-            "fmiGetContinuousStates" | "fmi2GetContinuousStates" | "fmi3GetContinuousStates";
-        get_derivatives: GetVector = required
-            "fmiGetDerivatives" | "fmi2GetDerivatives" | "fmi3GetContinuousStateDerivatives";
-        get_event_indicators: GetVector = required
-            "fmiGetEventIndicators" | "fmi2GetEventIndicators" | "fmi3GetEventIndicators";
-        get_nominals: GetVector = required
-            "fmiGetNominalContinuousStates" | "fmi2GetNominalsOfContinuousStates"
-            | "fmi3GetNominalsOfContinuousStates";
-        enter_continuous_time_mode: Plain =
-            required "" | "fmi2EnterContinuousTimeMode" | "fmi3EnterContinuousTimeMode";
-        get_state_references: GetReferences = optional
-            "fmiGetStateValueReferences" | "(value references of states)" | "(value references of states)";
-        count_states: Count = optional
-            "(number of states)" | "(number of states)" | "fmi3GetNumberOfContinuousStates";
-        count_indicators: Count = optional
-            "(number of indicators)" | "(number of indicators)" | "fmi3GetNumberOfEventIndicators";
-    }
-}
-
-table! {
-    /// Co-simulation: what goes with a communication step.
-    pub(super) struct StepFunctions {
-        enter_step_mode: Plain = optional "(step mode)" | "(step mode)" | "fmi3EnterStepMode";
-        cancel: Plain = optional "fmiCancelStep" | "fmi2CancelStep" | "(pending steps)";
-        get_status: AskStatus<c_int> = optional "fmiGetStatus" | "fmi2GetStatus" | "(pending steps)";
-        get_real_status: AskStatus<f64> =
-            optional "fmiGetRealStatus" | "fmi2GetRealStatus" | "(pending steps)";
-        get_boolean_status: AskStatus<c_int> =
-            optional "(pending steps)" | "fmi2GetBooleanStatus" | "(pending steps)";
-        set_input_derivatives: SetInputDerivatives = optional
-            "fmiSetRealInputDerivatives" | "fmi2SetRealInputDerivatives" | "(input derivatives)";
-        get_output_derivatives: GetOutputDerivatives = optional
-            "fmiGetRealOutputDerivatives" | "fmi2GetRealOutputDerivatives" | "(output derivatives)";
-    }
-}
-
-/// The functions that have one type in all versions that know them.
-pub(super) struct Functions {
-    pub(super) common: CommonFunctions,
-    pub(super) point: PointFunctions,
-    pub(super) steps: StepFunctions,
 }
 
 /// A directional or adjoint derivative of FMI 3.0.
@@ -159,19 +117,19 @@ const DO_STEP_STATUS: c_int = 0;
 const LAST_SUCCESSFUL_TIME: c_int = 2;
 const TERMINATED: c_int = 3;
 
-impl StepFunctions {
+impl Functions {
     /// Queries the status of a pending step.
     ///
     /// # Safety
     /// As for the methods of [`Version`](super::version::Version).
-    pub(super) unsafe fn status(&self, c: Component, info: &mut StepInfo) -> Answer {
+    pub(super) unsafe fn step_status(&self, c: Component, info: &mut StepInfo) -> Answer {
         let mut code = 0;
         let mut answer = call!(self.get_status, c, DO_STEP_STATUS, &raw mut code);
         if answer.status == Status::Ok {
             answer.status = status(code);
         }
         // SAFETY: as for this call.
-        unsafe { self.explain(c, answer.status, info) };
+        unsafe { self.explain_step(c, answer.status, info) };
         answer
     }
 
@@ -179,7 +137,7 @@ impl StepFunctions {
     ///
     /// # Safety
     /// As for the methods of [`Version`](super::version::Version).
-    pub(super) unsafe fn explain(&self, component: Component, status: Status, info: &mut StepInfo) {
+    pub(super) unsafe fn explain_step(&self, component: Component, status: Status, info: &mut StepInfo) {
         info.pending = status == Status::Pending;
         if status != Status::Discard {
             return;

@@ -217,7 +217,7 @@ static PAGE: OnceLock<Page> = OnceLock::new();
 
 /// Makes this process one that tells its calls.
 pub(crate) fn tell_calls(page: Page) -> Result<&'static Page, FmiError> {
-    PAGE.set(page).map_err(|_| FmiError::BadSetting { problem: "this process serves already".to_owned() })?;
+    PAGE.set(page).map_err(|_| FmiError::BadSetting("this process serves already".to_owned()))?;
     PAGE.get().ok_or(FmiError::Cancelled)
 }
 

@@ -4,16 +4,17 @@ use super::callbacks::Callbacks;
 use super::environment::Inside;
 use super::fmi1_fmi2_values::ScalarValues;
 use super::function::Function;
-use super::functions::{CommonFunctions, Functions, PointFunctions, StepFunctions, Text};
+use super::functions::{Functions, Text};
 use super::platform::{self, Handle, LoaderOptions};
 use super::symbols::{Dialect, Symbols};
 use super::types::InterfaceKind;
 use super::version::{Values, Version};
 use super::{fmi1, fmi2, fmi3};
 use crate::description::FmiVersion;
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::gate::Gate;
 use crate::log::LogFilter;
+use crate::macros::getters;
 use crate::platform::check_length;
 use std::ffi::CStr;
 use std::fmt;
@@ -53,6 +54,20 @@ impl fmt::Debug for Library {
 }
 
 impl Library {
+    getters! {
+        /// The file.
+        pub(crate) path(self) -> &Path = &self.path;
+        /// Who is inside of it has a turn of this.
+        #[inline]
+        pub(crate) gate(self) -> &Arc<Gate> = &self.handle.gate;
+        /// True if a call has returned `Fatal`: then the state of the loaded file is not reliable any more.
+        #[inline]
+        pub(crate) is_fatal(self) -> bool = self.handle.is_fatal.load(Ordering::Relaxed);
+        /// True if a component was ever made in the loaded file: then its static variables may have been
+        /// changed.
+        pub(crate) is_used(self) -> bool = self.handle.is_used.load(Ordering::Relaxed);
+    }
+
     /// Loads the library, where it is not loaded already, and looks up the functions of one interface. **This
     /// runs foreign code** (the library's constructors).
     ///
@@ -64,7 +79,7 @@ impl Library {
         kind: InterfaceKind,
         model_identifier: &str,
         options: &LoaderOptions,
-    ) -> Result<Self, FmiError> {
+    ) -> Result<Self> {
         let (handle, path) = match from {
             LoadFrom::Loaded(library) => (Arc::clone(&library.handle), &*library.path),
             LoadFrom::File(path, gate) => (Self::load(path, gate, options)?, path),
@@ -78,37 +93,33 @@ impl Library {
             _ => Dialect::Fmi3,
         };
         let prefix = (version.major == 1).then_some(model_identifier);
-        let symbols = Symbols { handle: &handle, path, prefix, dialect, is_unused: false };
+        let symbols = Symbols { handle: &handle, path, prefix, dialect, kind, is_unused: false };
         // SAFETY: the description says that the library follows this version of the standard.
         unsafe {
             let (version, values): (Box<dyn Version>, Box<dyn Values>) = match dialect {
                 Dialect::Fmi1 | Dialect::Fmi1Slave => (
-                    Box::new(fmi1::Fmi1::load(&symbols, kind)?),
+                    Box::new(fmi1::Fmi1::load(&symbols)?),
                     Box::new(ScalarValues::<fmi1::Boolean>::load(&symbols)?),
                 ),
                 Dialect::Fmi2 => (
-                    Box::new(fmi2::Fmi2::load(&symbols, kind)?),
+                    Box::new(fmi2::Fmi2::load(&symbols)?),
                     Box::new(ScalarValues::<fmi2::Boolean>::load(&symbols)?),
                 ),
                 Dialect::Fmi3 => {
-                    (Box::new(fmi3::Fmi3::load(&symbols, kind)?), Box::new(fmi3::Fmi3Values::load(&symbols)?))
+                    (Box::new(fmi3::Fmi3::load(&symbols)?), Box::new(fmi3::Fmi3Values::load(&symbols)?))
                 }
             };
-            let functions = Functions {
-                common: CommonFunctions::load(&symbols)?,
-                point: PointFunctions::load(&symbols.used(kind == InterfaceKind::ModelExchange))?,
-                steps: StepFunctions::load(&symbols.used(kind == InterfaceKind::CoSimulation))?,
-            };
-            check_types(&functions.common, path)?;
+            let functions = Functions::load(&symbols)?;
+            check_types(&functions, path)?;
             let (path, retired) = (path.to_owned(), Mutex::default());
             let logs_by_thread = prefix.is_some();
             Ok(Self { functions, values, version, path, logs_by_thread, retired, handle })
         }
     }
 
-    fn load(path: &Path, gate: &Arc<Gate>, options: &LoaderOptions) -> Result<Arc<Handle>, FmiError> {
-        platform::check(options).map_err(|option| FmiError::BadSetting {
-            problem: format!("the loader of this system has no option {option}"),
+    fn load(path: &Path, gate: &Arc<Gate>, options: &LoaderOptions) -> Result<Arc<Handle>> {
+        platform::check(options).map_err(|option| {
+            FmiError::BadSetting(format!("the loader of this system has no option {option}"))
         })?;
         check_length(path)?;
         let _inside = Inside::enter(gate);
@@ -120,28 +131,11 @@ impl Library {
 
     /// The version of FMI that it says it follows, where it has the function for that.
     pub(crate) fn version_text(&self) -> Option<String> {
-        text_of(&self.functions.common.get_version)
-    }
-
-    /// Who is inside of it has a turn of this.
-    #[inline]
-    pub(crate) fn gate(&self) -> &Arc<Gate> {
-        &self.handle.gate
-    }
-
-    /// True if a call has returned `Fatal`: then the state of the loaded file is not reliable any more.
-    #[inline]
-    pub(crate) fn is_fatal(&self) -> bool {
-        self.handle.is_fatal.load(Ordering::Relaxed)
+        text_of(&self.functions.get_version)
     }
 
     pub(super) fn set_fatal(&self) {
         self.handle.is_fatal.store(true, Ordering::Relaxed);
-    }
-
-    /// True if a component was ever made in the loaded file: then its static variables may have been changed.
-    pub(crate) fn is_used(&self) -> bool {
-        self.handle.is_used.load(Ordering::Relaxed)
     }
 
     pub(super) fn set_used(&self) {
@@ -167,11 +161,6 @@ impl Library {
         // or to load other libraries with; its instances, whose callbacks it calls, keep it loaded (invariant 1).
         unsafe { self.handle.close_on_drop() };
     }
-
-    /// The file.
-    pub(crate) fn path(&self) -> &Path {
-        &self.path
-    }
 }
 
 impl Drop for Library {
@@ -183,7 +172,7 @@ impl Drop for Library {
 
 /// Refuses a library whose types are those of another platform than that of the standard's headers (FMI 1.0
 /// and 2.0): the calls would pass other types than it takes.
-fn check_types(functions: &CommonFunctions, path: &Path) -> Result<(), FmiError> {
+fn check_types(functions: &Functions, path: &Path) -> Result<()> {
     match text_of(&functions.get_types_platform) {
         Some(platform) if !["standard32", "default", ""].contains(&platform.as_str()) => {
             let message = format!(

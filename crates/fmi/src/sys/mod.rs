@@ -121,23 +121,16 @@ mod tests {
     #[test]
     fn functions_are_called_what_the_standard_calls_them() {
         use super::fmi1_fmi2_values::ScalarValues;
+        use super::fmi3::Fmi3;
         use super::fmi3::Fmi3Values;
-        use super::functions::{CommonFunctions, PointFunctions, StepFunctions};
+        use super::functions::Functions;
         let tables = [
-            CommonFunctions::NAMES,
-            PointFunctions::NAMES,
-            StepFunctions::NAMES,
+            Functions::NAMES,
             ScalarValues::<u8>::NAMES,
             Fmi3Values::NAMES,
-            fmi1::NAMES[0],
-            fmi1::NAMES[1],
-            fmi1::NAMES[2],
-            fmi2::NAMES[0],
-            fmi2::NAMES[1],
-            fmi2::NAMES[2],
-            fmi3::NAMES[0],
-            fmi3::NAMES[1],
-            fmi3::NAMES[2],
+            fmi1::Fmi1::NAMES,
+            fmi2::Fmi2::NAMES,
+            Fmi3::NAMES,
         ];
         let is_one_of = |names: &str, name| names.split_whitespace().any(|known| known == name);
         let mut n = 0;

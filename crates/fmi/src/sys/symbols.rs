@@ -3,7 +3,8 @@
 use super::function::Function;
 use super::last_call;
 use super::platform::Handle;
-use crate::error::FmiError;
+use super::types::InterfaceKind;
+use crate::error::{FmiError, Result};
 use std::path::Path;
 
 /// Whose names for the functions a library has; the number is the place of a name in the row of a table.
@@ -26,14 +27,25 @@ pub(super) struct Symbols<'a> {
     /// it, the plain one is taken.
     pub(super) prefix: Option<&'a str>,
     pub(super) dialect: Dialect,
-    /// Of the other interface: nothing is looked up.
+    /// The interface that is used: of the other one nothing is looked up.
+    pub(super) kind: InterfaceKind,
     pub(super) is_unused: bool,
 }
 
 impl Symbols<'_> {
-    /// The same library for the functions of one interface, which is used or not.
-    pub(super) fn used(self, is_used: bool) -> Self {
-        Self { is_unused: !is_used, ..self }
+    /// For functions of both interfaces.
+    pub(super) fn both(self) -> Self {
+        self
+    }
+
+    /// For functions of model exchange only.
+    pub(super) fn model_exchange(self) -> Self {
+        Self { is_unused: self.kind != InterfaceKind::ModelExchange, ..self }
+    }
+
+    /// For functions of co-simulation only.
+    pub(super) fn co_simulation(self) -> Self {
+        Self { is_unused: self.kind != InterfaceKind::CoSimulation, ..self }
     }
 
     /// The name of a function: of one for each dialect, where co-simulation of FMI 1.0 may have that of model
@@ -47,7 +59,7 @@ impl Symbols<'_> {
     ///
     /// # Safety
     /// `F` is a function pointer type that fits the symbol, and is not called after the library is closed.
-    pub(super) unsafe fn required<F: Copy>(&self, names: &[&'static str]) -> Result<Function<F>, FmiError> {
+    pub(super) unsafe fn required<F: Copy>(&self, names: &[&'static str]) -> Result<Function<F>> {
         // SAFETY: handed on to the caller.
         let function = unsafe { self.optional(names) }?;
         if function.pointer.is_none() && !self.is_unused && is_symbol(function.name) {
@@ -60,7 +72,7 @@ impl Symbols<'_> {
     ///
     /// # Safety
     /// As for [`required`](Self::required).
-    pub(super) unsafe fn optional<F: Copy>(&self, names: &[&'static str]) -> Result<Function<F>, FmiError> {
+    pub(super) unsafe fn optional<F: Copy>(&self, names: &[&'static str]) -> Result<Function<F>> {
         let name = self.name(names);
         // SAFETY: handed on to the caller.
         let find = |name: &str| unsafe { self.handle.get::<F>(name) }.ok().map(|symbol| *symbol);
@@ -77,23 +89,32 @@ fn is_symbol(name: &str) -> bool {
     !name.is_empty() && !name.starts_with('(')
 }
 
-/// A table of functions, and how it is filled.
+/// The type of a function: of `(arguments)` of a component that return a status, or of `[any type]`.
+macro_rules! signature {
+    (($($argument:ty),*)) => {
+        unsafe extern "C" fn($crate::sys::types::Component, $($argument),*) -> std::ffi::c_int
+    };
+    ([$type:ty]) => { $type };
+}
+pub(super) use signature;
+
+/// A table of functions by interface, each with its type and its names, and how it is filled.
 macro_rules! table {
     (
         $(#[$doc:meta])*
         $vis:vis struct $table:ident $(<$generic:ident>)? {
-            $($(#[$row_doc:meta])* $row:ident: $type:ty = $need:ident $($name:literal)|+;)*
+            $($interface:ident { $($row:ident $signature:tt = $need:ident $($name:literal)|+;)* })+
         }
     ) => {
         $(#[$doc])*
         $vis struct $table $(<$generic>)? {
-            $($(#[$row_doc])* $vis $row: $crate::sys::function::Function<$type>,)*
+            $($($vis $row: $crate::sys::function::Function<$crate::sys::symbols::signature!($signature)>,)*)+
         }
 
         impl $(<$generic>)? $table $(<$generic>)? {
             /// The names in its rows.
             #[cfg(test)]
-            $vis const NAMES: &'static [&'static [&'static str]] = &[$(&[$($name),+]),*];
+            $vis const NAMES: &'static [&'static [&'static str]] = &[$($(&[$($name),+]),*),+];
 
             /// Looks the functions up.
             ///
@@ -106,7 +127,7 @@ macro_rules! table {
             $vis unsafe fn load(symbols: &$crate::sys::symbols::Symbols<'_>) -> Result<Self, $crate::FmiError> {
                 // SAFETY: each name stands beside the type of the standard; the caller vouches that the library does the
                 // same. The pointers stay valid while the `Library` that owns the table is open.
-                unsafe { Ok(Self { $($row: symbols.$need(&[$($name),+])?,)* }) }
+                unsafe { Ok(Self { $($($row: symbols.$interface().$need(&[$($name),+])?,)*)+ }) }
             }
         }
     };

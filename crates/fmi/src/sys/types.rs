@@ -3,8 +3,8 @@
 use crate::description::{DependencyKind, Interval};
 use crate::error::Status;
 use crate::log::LogFilter;
+use crate::macros::words;
 use std::ffi::{CStr, CString, c_void};
-use std::fmt;
 use std::path::Path;
 
 /// `fmiComponent`, `fmi2Component`, `fmi3Instance`: what an FMU gives for a component and takes in all calls
@@ -98,21 +98,14 @@ pub(crate) enum Qualifier {
     Changed,
 }
 
-/// The two ways of running a model.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum InterfaceKind {
-    /// The importer integrates the model.
-    ModelExchange,
-    /// The model brings its own solver and is asked to step from one communication point to the next.
-    CoSimulation,
-}
-
-impl fmt::Display for InterfaceKind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            InterfaceKind::ModelExchange => "model exchange",
-            InterfaceKind::CoSimulation => "co-simulation",
-        })
+words! {
+    /// The two ways of running a model.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+    pub enum InterfaceKind {
+        /// The importer integrates the model.
+        ModelExchange = "model exchange",
+        /// The model brings its own solver and is asked to step from one communication point to the next.
+        CoSimulation = "co-simulation",
     }
 }
 

@@ -31,7 +31,7 @@ pub(super) trait Version: Send + Sync {
         announced: &mut Option<EventInfo>,
     ) -> Answer {
         let _ = (experiment, announced);
-        call!(f.common.exit_initialization, c)
+        call!(f.exit_initialization, c)
     }
     unsafe fn directional_derivative(&self, c: Component, along: Direction<'_>, out: &mut [f64]) -> Answer;
     unsafe fn new_discrete_states(&self, c: Component, info: &mut EventInfo) -> Answer;
@@ -51,7 +51,7 @@ pub(super) trait Version: Send + Sync {
         orders: &[c_int],
         values: &mut [f64],
     ) -> Answer {
-        let function = f.steps.get_output_derivatives;
+        let function = f.get_output_derivatives;
         let (list, n) = (refs.as_ptr(), refs.len());
         call!(function, c, list, n, orders.as_ptr(), values.as_mut_ptr())
     }

@@ -32,8 +32,10 @@ impl FromStr for Isolation {
 
     fn from_str(name: &str) -> Result<Self, Self::Err> {
         let found = Self::NAMES.iter().find(|(known, _)| *known == name);
-        found.map(|(_, isolation)| *isolation).ok_or_else(|| crate::error::FmiError::BadSetting {
-            problem: format!("isolation = \"{name}\"; there are: \"process\", \"none\""),
+        found.map(|(_, isolation)| *isolation).ok_or_else(|| {
+            crate::error::FmiError::BadSetting(format!(
+                "isolation = \"{name}\"; there are: \"process\", \"none\""
+            ))
         })
     }
 }

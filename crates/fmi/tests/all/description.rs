@@ -254,7 +254,7 @@ fn versions_are_recognised_by_their_numbers() {
         assert_eq!((version.major, version.minor, version.text.as_str()), (major, minor, text));
     }
     let four = ModelDescription::parse(b"<fmiModelDescription fmiVersion='4.0'/>").unwrap_err();
-    assert!(matches!(&four, FmiError::UnknownVersion { version } if version == "4.0"), "{four}");
+    assert!(matches!(&four, FmiError::UnknownVersion(version) if version == "4.0"), "{four}");
     assert!(refusal("<fmiModelDescription fmiVersion='new'/>").contains("fmiVersion=\"new\" is not one"));
     assert!(refusal("<fmiModelDescription/>").contains("no fmiVersion"));
 }

@@ -106,7 +106,7 @@ fn dependencies_are_those_of_the_elements() {
     assert!(matches!(instance.variable_dependencies("y"), Err(FmiError::UnknownVariable { .. })));
     let old = model("dahlquist");
     let error = in_event_mode(&old.open()).variable_dependencies("x").unwrap_err();
-    assert!(matches!(error, FmiError::MissingFunction { .. }), "{error}");
+    assert!(matches!(error, FmiError::MissingFunction(_)), "{error}");
 }
 
 #[test]
@@ -139,7 +139,7 @@ fn categories_of_the_log_are_asked_for_by_name() {
     let logging = LogOptions { asked: true, categories: vec!["logAll".to_owned()], ..LogOptions::default() };
     let fmu = Fmu::open_with(&path, &OpenOptions { logging, ..OpenOptions::default() }).unwrap();
     let error = fmu.simulate(&SimulateOptions::new()).unwrap_err();
-    assert!(matches!(error, FmiError::BadSetting { .. }), "{error}");
+    assert!(matches!(error, FmiError::BadSetting(_)), "{error}");
 }
 
 #[test]

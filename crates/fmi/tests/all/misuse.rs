@@ -178,10 +178,10 @@ fn names_are_those_of_the_model() {
         assert!(new_plan(SimulateOptions::new().outputs([name])).is_err(), "{name:?}");
         assert!(matches!(trajectory.get(name), Err(FmiError::NotInResult { .. })));
         assert!(matches!(trajectory.final_value(name), Err(FmiError::NotInResult { .. })));
-        assert!(matches!(example_models::example_fmu(name), Err(FmiError::BadSetting { .. })));
+        assert!(matches!(example_models::example_fmu(name), Err(FmiError::BadSetting(_))));
         assert!(matches!(
             example_models::example_fmu_as(name, Fmi2CoSimulation),
-            Err(FmiError::BadSetting { .. })
+            Err(FmiError::BadSetting(_))
         ));
     }
 }
@@ -264,7 +264,7 @@ fn the_other_way_of_running_is_refused_by_name() {
         assert!(matches!(outcome, Err(FmiError::NotOffered { .. })), "{outcome:?}");
     }
     let name = InstanceOptions { name: Some("a\0b".to_owned()), ..InstanceOptions::default() };
-    assert!(matches!(exchange.instantiate_with(&name), Err(FmiError::BadSetting { .. })));
+    assert!(matches!(exchange.instantiate_with(&name), Err(FmiError::BadSetting(_))));
 }
 
 #[test]

@@ -1,10 +1,9 @@
 //! Attributes as typed values: what cannot be understood becomes a quirk and counts as absent.
 
 use super::xml::Element;
-use crate::description::limits::Budget;
+use crate::description::limits::Reading;
 use crate::description::model::QuirkKind;
-use crate::description::quirks::Quirks;
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::value::{Value, VariableKind};
 use std::borrow::Cow;
 
@@ -13,17 +12,17 @@ pub(super) struct Attributes<'e> {
     file: &'static str,
     element: &'e str,
     pub(super) line: u32,
-    budget: &'e Budget,
+    reading: &'e Reading,
     pairs: Vec<(&'e str, Cow<'e, str>)>,
 }
 
 impl<'e> Attributes<'e> {
-    pub(super) fn of(element: &'e Element<'_>) -> Result<Self, FmiError> {
+    pub(super) fn of(element: &'e Element<'_>) -> Result<Self> {
         Ok(Attributes {
             file: element.file,
             element: element.name(),
             line: element.line,
-            budget: &element.budget,
+            reading: &element.reading,
             pairs: element.attributes()?,
         })
     }
@@ -35,7 +34,7 @@ impl<'e> Attributes<'e> {
 
     /// The value as an owned text.
     pub(super) fn text(&self, name: &str) -> Option<String> {
-        self.get(name).filter(|text| self.budget.take_text(text)).map(str::to_owned)
+        self.get(name).filter(|text| self.reading.take_text(text)).map(str::to_owned)
     }
 
     /// Reserves memory for a list of as many items as an attribute has words. If there is too little, returns
@@ -43,24 +42,24 @@ impl<'e> Attributes<'e> {
     fn may_list<T>(&self, name: &str) -> bool {
         // Items are collected in lists that double.
         let words = self.get(name).map_or(0, |text| text.split_ascii_whitespace().count());
-        self.budget.take(words.saturating_mul(2 * size_of::<T>()))
+        self.reading.take(words.saturating_mul(2 * size_of::<T>()))
     }
 
     /// The value as an owned text; a quirk and empty where it is missing.
-    pub(super) fn expected(&self, name: &str, quirks: &mut Quirks) -> String {
+    pub(super) fn expected(&self, name: &str) -> String {
         self.text(name).unwrap_or_else(|| {
-            quirks.add(QuirkKind::Missing, self.line, || format!("<{}> has no {name}", self.element));
+            self.quirk(QuirkKind::Missing, || format!("<{}> has no {name}", self.element));
             String::new()
         })
     }
 
     /// The value without which the element means nothing.
-    pub(super) fn required(&self, name: &str) -> Result<&str, FmiError> {
+    pub(super) fn required(&self, name: &str) -> Result<&str> {
         self.get(name).ok_or_else(|| self.error(format!("no {name}")))
     }
 
     /// As [`required`](Self::required), as an owned text.
-    pub(super) fn required_text(&self, name: &str) -> Result<String, FmiError> {
+    pub(super) fn required_text(&self, name: &str) -> Result<String> {
         self.required(name)?;
         Ok(self.text(name).unwrap_or_default())
     }
@@ -73,50 +72,47 @@ impl<'e> Attributes<'e> {
         }
     }
 
+    /// Notes a departure from the standard.
+    pub(super) fn quirk(&self, kind: QuirkKind, message: impl FnOnce() -> String) {
+        self.reading.quirk(kind, self.line, message);
+    }
+
     /// The value as `parse` understands it.
-    fn parsed<T>(
-        &self,
-        name: &str,
-        what: &str,
-        quirks: &mut Quirks,
-        parse: impl FnOnce(&str) -> Option<T>,
-    ) -> Option<T> {
+    fn parsed<T>(&self, name: &str, what: &str, parse: impl FnOnce(&str) -> Option<T>) -> Option<T> {
         let value = self.get(name)?;
         let parsed = parse(value.trim());
         if parsed.is_none() {
-            quirks.add(QuirkKind::Attribute, self.line, || {
+            self.quirk(QuirkKind::Attribute, || {
                 format!("<{}>: {name}=\"{}\" is not {what}; ignored", self.element, shortened(value))
             });
         }
         parsed
     }
 
-    pub(super) fn real(&self, name: &str, quirks: &mut Quirks) -> Option<f64> {
-        self.parsed(name, "a number", quirks, parse_real)
+    pub(super) fn real(&self, name: &str) -> Option<f64> {
+        self.parsed(name, "a number", parse_real)
     }
 
-    pub(super) fn integer(&self, name: &str, quirks: &mut Quirks) -> Option<i32> {
-        self.parsed(name, "an integer", quirks, parse_integer)
+    pub(super) fn integer(&self, name: &str) -> Option<i32> {
+        self.parsed(name, "an integer", parse_integer)
     }
 
-    pub(super) fn hexadecimal(&self, name: &str, quirks: &mut Quirks) -> Option<Vec<u8>> {
+    pub(super) fn hexadecimal(&self, name: &str) -> Option<Vec<u8>> {
         let n = self.get(name).map_or(0, str::len);
-        self.parsed(name, "hexadecimal", quirks, |text| {
-            self.budget.take(n).then(|| parse_hexadecimal(text))?
-        })
+        self.parsed(name, "hexadecimal", |text| self.reading.take(n).then(|| parse_hexadecimal(text))?)
     }
 
-    pub(super) fn wide_integer(&self, name: &str, quirks: &mut Quirks) -> Option<i64> {
-        self.parsed(name, "an integer", quirks, |text| {
+    pub(super) fn wide_integer(&self, name: &str) -> Option<i64> {
+        self.parsed(name, "an integer", |text| {
             parse_wide_integer(text, VariableKind::Int64).and_then(|value| i64::try_from(value).ok())
         })
     }
 
     /// The start value of a variable of this kind; several words are the elements of an array.
-    pub(super) fn start(&self, kind: VariableKind, is_array: bool, quirks: &mut Quirks) -> Option<Value> {
+    pub(super) fn start(&self, kind: VariableKind, is_array: bool) -> Option<Value> {
         let one = |text: &str| match kind {
             VariableKind::Boolean | VariableKind::Clock => parse_boolean(text).map(Value::Boolean),
-            VariableKind::String => self.budget.take_text(text).then(|| Value::String(text.to_owned())),
+            VariableKind::String => self.reading.take_text(text).then(|| Value::String(text.to_owned())),
             VariableKind::Binary => parse_hexadecimal(text).map(Value::Binary),
             kind if kind.is_float() => parse_real(text).map(Value::Real),
             kind => parse_wide_integer(text, kind).map(Value::Integer),
@@ -125,66 +121,72 @@ impl<'e> Attributes<'e> {
             // White space belongs to a text.
             return match kind {
                 VariableKind::String => self.text("start").map(Value::String),
-                _ => self.parsed("start", "a value of its type", quirks, one),
+                _ => self.parsed("start", "a value of its type", one),
             };
         }
         if !self.may_list::<Value>("start") {
             return None;
         }
-        self.parsed("start", "a list of values of its type", quirks, |text| {
+        self.parsed("start", "a list of values of its type", |text| {
             text.split_ascii_whitespace().map(one).collect::<Option<Vec<Value>>>().map(Value::Array)
         })
     }
 
-    pub(super) fn count(&self, name: &str, quirks: &mut Quirks) -> Option<u32> {
-        self.parsed(name, "a count", quirks, |text| text.parse().ok())
+    pub(super) fn count(&self, name: &str) -> Option<u32> {
+        self.parsed(name, "a count", |text| text.parse().ok())
     }
 
-    pub(super) fn boolean(&self, name: &str, quirks: &mut Quirks) -> Option<bool> {
-        self.parsed(name, "true or false", quirks, parse_boolean)
+    /// The length of an array.
+    pub(super) fn length(&self, name: &str) -> Result<Option<usize>> {
+        let limit = self.reading.limits.elements;
+        match self.count(name).map(|count| count as usize) {
+            Some(count) if count > limit => Err(self.error(format!(
+                "{name}=\"{count}\", more than the limit of {limit} elements (DescriptionLimits::elements)"
+            ))),
+            count => Ok(count),
+        }
+    }
+
+    pub(super) fn boolean(&self, name: &str) -> Option<bool> {
+        self.parsed(name, "true or false", parse_boolean)
     }
 
     /// A capability or property: false where it is not mentioned.
-    pub(super) fn flag(&self, name: &str, quirks: &mut Quirks) -> bool {
-        self.boolean(name, quirks).unwrap_or(false)
+    pub(super) fn flag(&self, name: &str) -> bool {
+        self.boolean(name).unwrap_or(false)
     }
 
     /// One of a few words.
-    pub(super) fn choice<T: Copy>(&self, name: &str, words: &[(&str, T)], quirks: &mut Quirks) -> Option<T> {
-        self.parsed(name, "a word the standard knows", quirks, |text| {
+    pub(super) fn choice<T: Copy>(&self, name: &str, words: &[(&str, T)]) -> Option<T> {
+        self.parsed(name, "a word the standard knows", |text| {
             words.iter().find(|(word, _)| *word == text).map(|(_, meaning)| *meaning)
         })
     }
 
     /// A list of counts separated by white space.
-    pub(super) fn counts(&self, name: &str, quirks: &mut Quirks) -> Option<Vec<u32>> {
+    pub(super) fn counts(&self, name: &str) -> Option<Vec<u32>> {
         // As counts, and as the positions they mean.
         if !self.may_list::<(u32, usize)>(name) {
             return None;
         }
-        self.parsed(name, "a list of counts", quirks, |text| {
+        self.parsed(name, "a list of counts", |text| {
             text.split_ascii_whitespace().map(|word| word.parse().ok()).collect()
         })
     }
 
     /// A list of words, each one of a few.
-    pub(super) fn choices<T: Copy>(
-        &self,
-        name: &str,
-        words: &[(&str, T)],
-        quirks: &mut Quirks,
-    ) -> Option<Vec<T>> {
+    pub(super) fn choices<T: Copy>(&self, name: &str, words: &[(&str, T)]) -> Option<Vec<T>> {
         if !self.may_list::<T>(name) {
             return None;
         }
-        self.parsed(name, "a list of words the standard knows", quirks, |text| {
+        self.parsed(name, "a list of words the standard knows", |text| {
             let meaning = |text| words.iter().find(|(word, _)| *word == text).map(|(_, meaning)| *meaning);
             text.split_ascii_whitespace().map(meaning).collect()
         })
     }
 
     /// The value reference of a variable.
-    pub(super) fn value_reference(&self) -> Result<u32, FmiError> {
+    pub(super) fn value_reference(&self) -> Result<u32> {
         let text = self.required("valueReference")?.trim();
         text.parse().map_err(|_| self.error(format!("valueReference=\"{}\" is not one", shortened(text))))
     }

@@ -6,7 +6,7 @@ use super::encoding;
 use super::xml::Xml;
 use crate::description::limits::{DescriptionLimits, check_size};
 use crate::description::quirks::Quirks;
-use crate::error::FmiError;
+use crate::error::Result;
 use std::rc::Rc;
 
 /// Name of the file in `sources/`.
@@ -25,29 +25,25 @@ pub(crate) struct BuildSet {
 
 /// The first build configuration for a model identifier: its C source sets as one. Compiler options are left
 /// out: they are written for one compiler, and not every option is harmless.
-pub(crate) fn build_sets(bytes: &[u8], model_identifier: &str) -> Result<Option<BuildSet>, FmiError> {
+pub(crate) fn build_sets(bytes: &[u8], model_identifier: &str) -> Result<Option<BuildSet>> {
     check_size(bytes, BUILD_DESCRIPTION, &DescriptionLimits::default())?;
     let text = encoding::decode(bytes.into(), &mut Quirks::default());
     let mut xml = Xml::new(&text, BUILD_DESCRIPTION, Rc::default())?;
     let root = xml.root()?;
-    while let Some(configuration) = xml.child(root.level)? {
-        if configuration.name() != "BuildConfiguration"
-            || Attributes::of(&configuration)?.get("modelIdentifier") != Some(model_identifier)
-        {
+    while let Some(configuration) = xml.named(root.level, &["BuildConfiguration"])? {
+        if Attributes::of(&configuration)?.get("modelIdentifier") != Some(model_identifier) {
             continue;
         }
         let mut set = BuildSet::default();
-        while let Some(child) = xml.child(configuration.level)? {
-            if child.name() == "SourceFileSet" {
-                source_file_set(&mut xml, child.level, &mut set)?;
-            }
+        while let Some(child) = xml.named(configuration.level, &["SourceFileSet"])? {
+            source_file_set(&mut xml, child.level, &mut set)?;
         }
         return Ok(Some(set));
     }
     Ok(None)
 }
 
-fn source_file_set(xml: &mut Xml<'_>, level: usize, set: &mut BuildSet) -> Result<(), FmiError> {
+fn source_file_set(xml: &mut Xml<'_>, level: usize, set: &mut BuildSet) -> Result<()> {
     while let Some(element) = xml.child(level)? {
         let attributes = Attributes::of(&element)?;
         let name = || attributes.required("name").map(str::to_owned);

@@ -4,20 +4,9 @@
 use super::attributes::Attributes;
 use crate::description::clock::{ClockKind, ClockTiming, Interval};
 use crate::description::draft::Draft;
+use crate::description::limits::Reading;
 use crate::description::model::QuirkKind;
-use crate::description::quirks::Quirks;
 use std::collections::HashMap;
-
-const CLOCK_KINDS: &[(&str, ClockKind)] = &[
-    ("constant", ClockKind::Constant),
-    ("fixed", ClockKind::Fixed),
-    // A word of drafts of the standard; the interval is asked for, as where `fixed` has none.
-    ("calculated", ClockKind::Fixed),
-    ("tunable", ClockKind::Tunable),
-    ("changing", ClockKind::Changing),
-    ("countdown", ClockKind::Countdown),
-    ("triggered", ClockKind::Triggered),
-];
 
 /// The attributes as they are written.
 #[derive(Debug, Clone, Copy)]
@@ -51,19 +40,22 @@ impl Span {
 }
 
 impl ClockAttributes {
-    pub(super) fn of(attributes: &Attributes<'_>, quirks: &mut Quirks) -> Self {
-        let mut counter =
-            |name| attributes.wide_integer(name, quirks).and_then(|counter| u64::try_from(counter).ok());
+    pub(super) fn of(attributes: &Attributes<'_>) -> Self {
+        let counter = |name| attributes.wide_integer(name).and_then(|counter| u64::try_from(counter).ok());
         let resolution = counter("resolution").filter(|resolution| *resolution > 0);
         let counters = (counter("intervalCounter"), counter("shiftCounter"));
         Self {
             line: attributes.line,
-            kind: attributes.choice("intervalVariability", CLOCK_KINDS, quirks),
-            can_be_deactivated: attributes.boolean("canBeDeactivated", quirks),
-            supports_fraction: attributes.boolean("supportsFraction", quirks),
+            kind: match attributes.get("intervalVariability") {
+                // A word of drafts of the standard; the interval is asked for, as where `fixed` has none.
+                Some("calculated") => Some(ClockKind::Fixed),
+                _ => attributes.choice("intervalVariability", ClockKind::WORDS),
+            },
+            can_be_deactivated: attributes.boolean("canBeDeactivated"),
+            supports_fraction: attributes.boolean("supportsFraction"),
             resolution,
-            interval: Span { decimal: attributes.real("intervalDecimal", quirks), counter: counters.0 },
-            shift: Span { decimal: attributes.real("shiftDecimal", quirks), counter: counters.1 },
+            interval: Span { decimal: attributes.real("intervalDecimal"), counter: counters.0 },
+            shift: Span { decimal: attributes.real("shiftDecimal"), counter: counters.1 },
         }
     }
 
@@ -80,9 +72,9 @@ impl ClockAttributes {
         }
     }
 
-    fn timing(self, quirks: &mut Quirks) -> ClockTiming {
+    fn timing(self, reading: &Reading) -> ClockTiming {
         if self.kind.is_none() {
-            quirks.add(QuirkKind::Missing, self.line, || {
+            reading.quirk(QuirkKind::Missing, self.line, || {
                 "a clock has no intervalVariability; taken as triggered".to_owned()
             });
         }
@@ -117,7 +109,7 @@ impl Clocks {
             if let Some(of_type) = variable.declared_type.as_ref().and_then(|name| self.types.get(name)) {
                 attributes.inherit(of_type);
             }
-            variable.clock = Some(Box::new(attributes.timing(&mut draft.quirks)));
+            variable.clock = Some(Box::new(attributes.timing(&draft.reading)));
         }
     }
 }

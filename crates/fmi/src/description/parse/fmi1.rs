@@ -4,17 +4,17 @@
 use super::attributes::Attributes;
 use super::shared;
 use super::xml::{Element, Xml};
-use crate::description::draft::{Draft, Flags};
+use crate::description::draft::Draft;
 use crate::description::model::{Capabilities, Interface};
 use crate::description::unit::{DisplayUnit, Unit};
 use crate::description::variable::{Causality, Initial, Variability, Variable};
-use crate::error::FmiError;
+use crate::error::Result;
 use crate::value::VariableKind;
 
-pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
+pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) -> Result<()> {
     let attributes = Attributes::of(root)?;
     shared::header(&attributes, "guid", draft)?;
-    draft.model.declared_states = shared::array_length(&attributes, "numberOfContinuousStates", draft)?;
+    draft.model.declared_states = attributes.length("numberOfContinuousStates")?;
     let mut interface =
         Interface { model_identifier: shared::model_identifier(&attributes)?, ..Interface::default() };
     let mut is_co_simulation = false;
@@ -26,7 +26,7 @@ pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) ->
             "ModelVariables" => variables(xml, &element, draft)?,
             "Implementation" => {
                 is_co_simulation = true;
-                interface.capabilities = implementation(xml, &element, draft)?;
+                interface.capabilities = implementation(xml, &element)?;
             }
             _ => {}
         }
@@ -37,18 +37,12 @@ pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) ->
 }
 
 /// `<CoSimulation_StandAlone>` or `<CoSimulation_Tool>` with the `<Capabilities>` inside.
-fn implementation(
-    xml: &mut Xml<'_>,
-    parent: &Element<'_>,
-    draft: &mut Draft,
-) -> Result<Capabilities, FmiError> {
+fn implementation(xml: &mut Xml<'_>, parent: &Element<'_>) -> Result<Capabilities> {
     let mut capabilities = Capabilities::default();
     while let Some(element) = xml.child(parent.level)? {
         let needs_tool = element.name() == "CoSimulation_Tool";
-        while let Some(child) = xml.child(element.level)? {
-            if child.name() == "Capabilities" {
-                capabilities = shared::capabilities(&Attributes::of(&child)?, draft);
-            }
+        while let Some(child) = xml.named(element.level, &["Capabilities"])? {
+            capabilities = shared::capabilities(&Attributes::of(&child)?);
         }
         capabilities.needs_execution_tool = needs_tool;
     }
@@ -56,74 +50,51 @@ fn implementation(
 }
 
 /// `<BaseUnit unit="rad/s"><DisplayUnitDefinition displayUnit="rpm" gain="9.55"/></BaseUnit>`
-fn units(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
-    while let Some(element) = xml.child(parent.level)? {
-        if element.name() != "BaseUnit" {
-            continue;
-        }
+fn units(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<()> {
+    while let Some(element) = xml.named(parent.level, &["BaseUnit"])? {
         let name = Attributes::of(&element)?.required("unit")?.to_owned();
         let mut display_units = Vec::new();
-        while let Some(child) = xml.child(element.level)? {
+        while let Some(child) = xml.named(element.level, &["DisplayUnitDefinition"])? {
             let attributes = Attributes::of(&child)?;
-            if child.name() == "DisplayUnitDefinition" {
-                draft.budget.take_text(attributes.get("displayUnit").unwrap_or_default());
-                draft.budget.push(
-                    &mut display_units,
-                    DisplayUnit {
-                        name: attributes.required("displayUnit")?.to_owned(),
-                        factor: attributes.real("gain", &mut draft.quirks).unwrap_or(1.0),
-                        offset: attributes.real("offset", &mut draft.quirks).unwrap_or(0.0),
-                        inverse: false,
-                    },
-                );
-            }
+            draft.reading.take_text(attributes.get("displayUnit").unwrap_or_default());
+            let display_unit = DisplayUnit {
+                name: attributes.required("displayUnit")?.to_owned(),
+                factor: attributes.real("gain").unwrap_or(1.0),
+                offset: attributes.real("offset").unwrap_or(0.0),
+                inverse: false,
+            };
+            draft.reading.push(&mut display_units, display_unit);
         }
-        draft.budget.push(&mut draft.model.units, Unit { name, base: None, display_units });
+        draft.reading.push(&mut draft.model.units, Unit { name, base: None, display_units });
     }
     Ok(())
 }
 
-fn variables(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
-    while let Some(element) = xml.child(parent.level)? {
-        if element.name() != "ScalarVariable" {
-            continue;
-        }
+fn variables(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<()> {
+    while let Some(element) = xml.named(parent.level, &["ScalarVariable"])? {
         let attributes = Attributes::of(&element)?;
         let mut typed = None;
         while let Some(child) = xml.child(element.level)? {
             if let Some(kind) = shared::scalar_kind(child.name()) {
                 let mut variable = shared::plain_variable(&attributes, kind)?;
-                let fixed = values(&Attributes::of(&child)?, &mut variable, draft);
-                typed = Some((variable, fixed));
+                let values = Attributes::of(&child)?;
+                let flags = shared::value_attributes(&values, &mut variable);
+                variable.start = values.start(variable.kind, false);
+                let fixed = values.boolean("fixed").unwrap_or(true);
+                typed = Some((variable, flags, fixed));
             }
         }
-        let Some((mut variable, fixed)) = typed else {
+        let Some((mut variable, flags, fixed)) = typed else {
             return Err(attributes.error("a variable without type".to_owned()));
         };
-        roles(&attributes, &mut variable, fixed, draft);
-        draft.add_variable(variable, Flags::default());
+        roles(&attributes, &mut variable, fixed);
+        draft.add_variable(variable, flags);
     }
     Ok(())
 }
 
-/// Attributes of the type element; returns whether the start value is exact.
-fn values(attributes: &Attributes<'_>, variable: &mut Variable, draft: &mut Draft) -> bool {
-    let quirks = &mut draft.quirks;
-    variable.declared_type = attributes.text("declaredType");
-    variable.quantity = attributes.text("quantity");
-    variable.unit = attributes.text("unit");
-    variable.display_unit = attributes.text("displayUnit");
-    variable.relative_quantity = attributes.flag("relativeQuantity", quirks);
-    variable.min = attributes.real("min", quirks);
-    variable.max = attributes.real("max", quirks);
-    variable.nominal = attributes.real("nominal", quirks);
-    variable.start = attributes.start(variable.kind, false, quirks);
-    attributes.boolean("fixed", quirks).unwrap_or(true)
-}
-
 /// FMI 1.0 calls parameters a variability and knows no `initial` (specification 1.0, chapter 3.1).
-fn roles(attributes: &Attributes<'_>, variable: &mut Variable, fixed: bool, draft: &mut Draft) {
-    let quirks = &mut draft.quirks;
+fn roles(attributes: &Attributes<'_>, variable: &mut Variable, fixed: bool) {
     let causalities = [
         ("input", Causality::Input),
         ("output", Causality::Output),
@@ -136,9 +107,9 @@ fn roles(attributes: &Attributes<'_>, variable: &mut Variable, fixed: bool, draf
         ("discrete", Variability::Discrete),
         ("continuous", Variability::Continuous),
     ];
-    variable.causality = attributes.choice("causality", &causalities, quirks).unwrap_or(Causality::Local);
+    variable.causality = attributes.choice("causality", &causalities).unwrap_or(Causality::Local);
     variable.variability = attributes
-        .choice("variability", &variabilities, quirks)
+        .choice("variability", &variabilities)
         .filter(|&given| given != Variability::Continuous || variable.kind == VariableKind::Real)
         .unwrap_or_else(|| Variability::default_for(variable.causality, variable.kind));
     if variable.variability == Variability::Fixed && variable.causality == Causality::Local {

@@ -6,11 +6,10 @@ use super::clocks::{ClockAttributes, Clocks};
 use super::shared;
 use super::xml::{Element, Xml};
 use crate::description::clock::ClockTiming;
-use crate::description::draft::{Draft, Flags, NOWHERE, StructureList};
-use crate::description::model::{Interface, QuirkKind, Unknown};
-use crate::description::quirks::Quirks;
+use crate::description::draft::{Draft, NOWHERE, StructureList};
+use crate::description::model::{DependencyKind, Interface, QuirkKind, Unknown};
 use crate::description::variable::{Alias, Dimension, Variable};
-use crate::error::FmiError;
+use crate::error::Result;
 use crate::value::{Value, VariableKind};
 use std::collections::HashMap;
 
@@ -29,14 +28,14 @@ struct Later {
     clocks: Vec<(usize, Vec<u32>)>,
 }
 
-pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
+pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) -> Result<()> {
     shared::header(&Attributes::of(root)?, "instantiationToken", draft)?;
     let mut positions = Positions::new();
     let mut clocks = Clocks::default();
     while let Some(element) = xml.child(root.level)? {
         match element.name() {
-            "ModelExchange" => draft.model.model_exchange = Some(interface(&element, draft)?),
-            "CoSimulation" => draft.model.co_simulation = Some(interface(&element, draft)?),
+            "ModelExchange" => draft.model.model_exchange = Some(interface(&element)?),
+            "CoSimulation" => draft.model.co_simulation = Some(interface(&element)?),
             "ScheduledExecution" => {
                 draft.model.offers_scheduled_execution = true;
                 unsupported(draft, &element, "scheduled execution");
@@ -55,14 +54,13 @@ pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) ->
 }
 
 fn unsupported(draft: &mut Draft, element: &Element<'_>, what: &str) {
-    draft.quirks.add(QuirkKind::Unsupported, element.line, || format!("{what} is left out"));
+    draft.reading.quirk(QuirkKind::Unsupported, element.line, || format!("{what} is left out"));
 }
 
-fn interface(element: &Element<'_>, draft: &mut Draft) -> Result<Interface, FmiError> {
+fn interface(element: &Element<'_>) -> Result<Interface> {
     let attributes = Attributes::of(element)?;
-    let mut capabilities = shared::capabilities(&attributes, draft);
-    capabilities.completed_integrator_step_not_needed =
-        !attributes.flag("needsCompletedIntegratorStep", &mut draft.quirks);
+    let mut capabilities = shared::capabilities(&attributes);
+    capabilities.completed_integrator_step_not_needed = !attributes.flag("needsCompletedIntegratorStep");
     Ok(Interface {
         model_identifier: shared::model_identifier(&attributes)?,
         capabilities,
@@ -97,7 +95,7 @@ fn type_definitions(
     parent: &Element<'_>,
     clocks: &mut Clocks,
     draft: &mut Draft,
-) -> Result<(), FmiError> {
+) -> Result<()> {
     while let Some(element) = xml.child(parent.level)? {
         let Some(kind) = kind(element.name()) else {
             unsupported(draft, &element, "a type of variables this importer does not know");
@@ -106,15 +104,15 @@ fn type_definitions(
         let attributes = Attributes::of(&element)?;
         let name = attributes.required_text("name")?;
         let description = attributes.text("description");
-        let mut definition = shared::type_definition(name, description, kind, &attributes, draft);
+        let mut definition = shared::type_definition(name, description, kind, &attributes);
         if kind == VariableKind::Clock {
-            let clock = ClockAttributes::of(&attributes, &mut draft.quirks);
+            let clock = ClockAttributes::of(&attributes);
             clocks.types.insert(definition.name.clone(), clock);
         }
         if kind == VariableKind::Enumeration {
             definition.items = shared::items(xml, &element, draft)?;
         }
-        draft.budget.push(&mut draft.model.type_definitions, definition);
+        draft.reading.push(&mut draft.model.type_definitions, definition);
     }
     Ok(())
 }
@@ -124,45 +122,48 @@ fn variables(
     parent: &Element<'_>,
     clocks: &mut Clocks,
     draft: &mut Draft,
-) -> Result<Positions, FmiError> {
+) -> Result<Positions> {
     let mut positions = Positions::new();
     let mut later = Later::default();
     while let Some(element) = xml.child(parent.level)? {
         let attributes = Attributes::of(&element)?;
         let Some(kind) = kind(element.name()) else {
             let name = attributes.get("name").unwrap_or_default();
-            draft.budget.take(2 * size_of::<(u32, Option<usize>, u8)>());
+            draft.reading.take(2 * size_of::<(u32, Option<usize>, u8)>());
             positions.entry(attributes.value_reference()?).or_insert(None);
             unsupported(draft, &element, &format!("variable \"{name}\" of type {}", element.name()));
             continue;
         };
         let mut variable = shared::plain_variable(&attributes, kind)?;
         let position = draft.model.variables.len();
-        let flags = scalar_attributes(&attributes, &mut variable, draft);
+        shared::roles(&attributes, &mut variable);
+        let flags = shared::value_attributes(&attributes, &mut variable);
+        variable.intermediate_update = attributes.flag("intermediateUpdate");
         if kind == VariableKind::Clock {
             // And its timing.
-            draft.budget.take(size_of::<ClockTiming>() + 16);
-            let clock = ClockAttributes::of(&attributes, &mut draft.quirks);
-            draft.budget.push(&mut clocks.variables, (position, clock));
+            draft.reading.take(size_of::<ClockTiming>() + 16);
+            let clock = ClockAttributes::of(&attributes);
+            draft.reading.push(&mut clocks.variables, (position, clock));
         }
         if kind == VariableKind::Binary {
-            variable.max_size = attributes.count("maxSize", &mut draft.quirks).map(|size| size as usize);
+            variable.max_size = attributes.count("maxSize").map(|size| size as usize);
         }
-        let texts = variable_children(xml, &element, &mut variable, draft, (position, &mut later))?;
+        let texts = variable_children(xml, &element, &mut variable, draft, &mut later)?;
         let is_array = !variable.dimensions.is_empty();
         variable.start = match kind {
-            VariableKind::String | VariableKind::Binary => start_of_texts(texts, is_array)
-                .or_else(|| start_attribute(&attributes, &variable, &mut draft.quirks)),
-            _ => attributes.start(kind, is_array, &mut draft.quirks),
+            VariableKind::String | VariableKind::Binary => {
+                start_of_texts(texts, is_array).or_else(|| start_attribute(&attributes, &variable))
+            }
+            _ => attributes.start(kind, is_array),
         };
-        if let Some(state) = attributes.count("derivative", &mut draft.quirks) {
-            draft.budget.push(&mut later.derivatives, (position, state));
+        if let Some(state) = attributes.count("derivative") {
+            draft.reading.push(&mut later.derivatives, (position, state));
         }
-        if let Some(clocks) = attributes.counts("clocks", &mut draft.quirks) {
-            draft.budget.push(&mut later.clocks, (position, clocks));
+        if let Some(clocks) = attributes.counts("clocks") {
+            draft.reading.push(&mut later.clocks, (position, clocks));
         }
         // Two places of a table that doubles.
-        draft.budget.take(2 * size_of::<(u32, Option<usize>, u8)>());
+        draft.reading.take(2 * size_of::<(u32, Option<usize>, u8)>());
         positions.entry(variable.value_reference).or_insert(Some(position));
         draft.add_variable(variable, flags);
     }
@@ -183,12 +184,12 @@ fn variables(
 
 /// The start value of a text or binary variable that stands where those of other types do, as in FMI 2.0,
 /// instead of in elements `<Start>`.
-fn start_attribute(attributes: &Attributes<'_>, variable: &Variable, quirks: &mut Quirks) -> Option<Value> {
+fn start_attribute(attributes: &Attributes<'_>, variable: &Variable) -> Option<Value> {
     let start = match variable.kind {
-        VariableKind::Binary => Value::Binary(attributes.hexadecimal("start", quirks)?),
+        VariableKind::Binary => Value::Binary(attributes.hexadecimal("start")?),
         _ => Value::String(attributes.text("start")?),
     };
-    quirks.add(QuirkKind::Start, attributes.line, || {
+    attributes.quirk(QuirkKind::Start, || {
         format!("\"{}\" has its start value in an attribute, not in elements <Start>", variable.name)
     });
     Some(if variable.dimensions.is_empty() { start } else { Value::Array(vec![start]) })
@@ -203,70 +204,49 @@ fn start_of_texts(mut values: Vec<Value>, is_array: bool) -> Option<Value> {
     }
 }
 
-fn scalar_attributes(attributes: &Attributes<'_>, variable: &mut Variable, draft: &mut Draft) -> Flags {
-    shared::roles(attributes, variable, draft);
-    let quirks = &mut draft.quirks;
-    variable.declared_type = attributes.text("declaredType");
-    variable.quantity = attributes.text("quantity");
-    variable.unit = attributes.text("unit");
-    variable.display_unit = attributes.text("displayUnit");
-    variable.min = attributes.real("min", quirks);
-    variable.max = attributes.real("max", quirks);
-    variable.nominal = attributes.real("nominal", quirks);
-    variable.reinit = attributes.flag("reinit", quirks);
-    variable.intermediate_update = attributes.flag("intermediateUpdate", quirks);
-    variable.can_handle_multiple_set_per_time_instant =
-        attributes.boolean("canHandleMultipleSetPerTimeInstant", quirks).unwrap_or(true);
-    let relative_quantity = attributes.boolean("relativeQuantity", quirks);
-    let unbounded = attributes.boolean("unbounded", quirks);
-    variable.relative_quantity = relative_quantity.unwrap_or(false);
-    variable.unbounded = unbounded.unwrap_or(false);
-    Flags { relative_quantity: relative_quantity.is_some(), unbounded: unbounded.is_some() }
-}
-
 /// `<Dimension>`, `<Alias>`, and `<Start value="..."/>` of texts and binary variables, which is returned.
 fn variable_children(
     xml: &mut Xml<'_>,
     element: &Element<'_>,
     variable: &mut Variable,
     draft: &mut Draft,
-    (position, later): (usize, &mut Later),
-) -> Result<Vec<Value>, FmiError> {
+    later: &mut Later,
+) -> Result<Vec<Value>> {
+    let position = draft.model.variables.len();
     let mut starts = Vec::new();
     while let Some(child) = xml.child(element.level)? {
         let attributes = Attributes::of(&child)?;
-        let quirks = &mut draft.quirks;
         match child.name() {
             "Dimension" => {
-                let extent = attributes.count("start", quirks);
-                if let Some(reference) = attributes.count("valueReference", quirks) {
+                let extent = attributes.count("start");
+                if let Some(reference) = attributes.count("valueReference") {
                     let number = variable.dimensions.len();
-                    draft.budget.push(&mut later.dimensions, (position, number, reference));
+                    draft.reading.push(&mut later.dimensions, (position, number, reference));
                 } else if extent.is_none() {
                     return Err(
                         attributes.error(format!("\"{}\" has a dimension without extent", variable.name))
                     );
                 }
                 let extent = Dimension::Fixed(extent.unwrap_or(0) as usize);
-                draft.budget.push(&mut variable.dimensions, extent);
+                draft.reading.push(&mut variable.dimensions, extent);
             }
             "Alias" => {
                 let name = attributes.required("name")?.to_owned();
                 // Here, and twice in a table that doubles.
-                draft.budget.take(2 * (name.len() + 24) + 2 * size_of::<(String, usize, u8)>());
+                draft.reading.take(2 * (name.len() + 24) + 2 * size_of::<(String, usize, u8)>());
                 let alias = Alias {
                     name,
                     description: attributes.text("description"),
                     display_unit: attributes.text("displayUnit"),
                 };
-                draft.budget.push(&mut variable.aliases, alias);
+                draft.reading.push(&mut variable.aliases, alias);
             }
             "Start" if variable.kind == VariableKind::String => {
-                draft.budget.push(&mut starts, Value::String(attributes.expected("value", quirks)));
+                draft.reading.push(&mut starts, Value::String(attributes.expected("value")));
             }
             "Start" if variable.kind == VariableKind::Binary => {
-                let bytes = attributes.hexadecimal("value", quirks);
-                draft.budget.push(&mut starts, Value::Binary(bytes.unwrap_or_default()));
+                let bytes = attributes.hexadecimal("value");
+                draft.reading.push(&mut starts, Value::Binary(bytes.unwrap_or_default()));
             }
             _ => {}
         }
@@ -279,7 +259,7 @@ fn structure(
     parent: &Element<'_>,
     positions: &Positions,
     draft: &mut Draft,
-) -> Result<(), FmiError> {
+) -> Result<()> {
     while let Some(element) = xml.child(parent.level)? {
         let list = match element.name() {
             "Output" => StructureList::Outputs,
@@ -291,11 +271,11 @@ fn structure(
         let attributes = Attributes::of(&element)?;
         let position = |reference: &u32| positions.get(reference).copied().unwrap_or(Some(NOWHERE));
         let Some(index) = position(&attributes.value_reference()?) else { continue };
-        let references = attributes.counts("dependencies", &mut draft.quirks);
+        let references = attributes.counts("dependencies");
         // One that is left out makes the list incomplete, and what depends on an unknown set depends on all.
         let dependencies: Option<Vec<usize>> =
             references.and_then(|list| list.iter().map(position).collect());
-        let kinds = attributes.choices("dependenciesKind", shared::DEPENDENCY_KINDS, &mut draft.quirks);
+        let kinds = attributes.choices("dependenciesKind", DependencyKind::WORDS);
         let kinds = kinds.filter(|_| dependencies.is_some()).unwrap_or_default();
         draft.add_unknown(list, Unknown { index, dependencies, kinds }, element.line);
     }

@@ -13,13 +13,12 @@ mod terminals;
 mod xml;
 
 use super::draft::Draft;
-use super::limits::{Budget, DescriptionLimits, check_size};
+use super::limits::{DescriptionLimits, Reading, check_size};
 use super::model::ModelDescription;
-use super::quirks::Quirks;
 use super::version::FmiVersion;
 use crate::archive::MODEL_DESCRIPTION;
 use crate::cancel::Cancel;
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use attributes::Attributes;
 use std::borrow::Cow;
 use std::rc::Rc;
@@ -30,44 +29,33 @@ pub(super) use encoding::encoding_of;
 pub(crate) use terminals::{TERMINALS, terminals};
 
 /// Parses a document.
-pub(super) fn parse(
-    bytes: Cow<'_, [u8]>,
-    limits: &DescriptionLimits,
-    cancel: &Cancel,
-) -> Result<Draft, FmiError> {
-    let budget = Rc::new(Budget::new(limits, cancel));
+pub(super) fn parse(bytes: Cow<'_, [u8]>, limits: &DescriptionLimits, cancel: &Cancel) -> Result<Draft> {
+    let reading = Rc::new(Reading::new(limits, cancel));
     check_size(&bytes, MODEL_DESCRIPTION, limits)?;
-    let mut quirks = Quirks::default();
-    let text = encoding::decode(bytes, &mut quirks);
-    budget.take(text.len());
-    let mut xml = Xml::new(&text, MODEL_DESCRIPTION, Rc::clone(&budget))?;
-    let root = xml.root()?;
-    if root.name() != "fmiModelDescription" {
-        return Err(
-            xml.error(format!("<{}> is the outermost element, not <fmiModelDescription>", root.name()))
-        );
-    }
+    let text = encoding::decode(bytes, &mut reading.quirks.borrow_mut());
+    reading.take(text.len());
+    let mut xml = Xml::new(&text, MODEL_DESCRIPTION, Rc::clone(&reading))?;
+    let root = xml.root_named("fmiModelDescription")?;
     let version = version(&Attributes::of(&root)?)?;
     let major = version.major;
     let mut draft = Draft {
-        model: ModelDescription::empty(version),
-        quirks,
-        budget,
+        model: ModelDescription { fmi_version: version, ..ModelDescription::default() },
+        reading,
         flags: Vec::new(),
         structure_lines: Default::default(),
     };
-    let parse_version: fn(&mut Xml<'_>, &Element<'_>, &mut Draft) -> Result<(), FmiError> = match major {
+    let parse_version: fn(&mut Xml<'_>, &Element<'_>, &mut Draft) -> Result<()> = match major {
         1 => fmi1::parse,
         2 => fmi2::parse,
         3 => fmi3::parse,
-        _ => return Err(FmiError::UnknownVersion { version: draft.model.fmi_version.text }),
+        _ => return Err(FmiError::UnknownVersion(draft.model.fmi_version.text)),
     };
     parse_version(&mut xml, &root, &mut draft)?;
     Ok(draft)
 }
 
 /// The version by its leading numbers: "2.0", "3.0.1", "3.0-beta.2".
-fn version(root: &Attributes<'_>) -> Result<FmiVersion, FmiError> {
+fn version(root: &Attributes<'_>) -> Result<FmiVersion> {
     let text = root.required("fmiVersion")?;
     let mut numbers = text.trim().split(|c: char| !c.is_ascii_digit()).map(str::parse);
     match (numbers.next(), numbers.next()) {

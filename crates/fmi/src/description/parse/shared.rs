@@ -3,28 +3,20 @@
 
 use super::attributes::Attributes;
 use super::xml::{Element, Xml};
-use crate::description::draft::{Draft, NOWHERE};
-use crate::description::model::{Capabilities, DependencyKind, LogCategory, QuirkKind};
+use crate::description::draft::{Draft, Flags, NOWHERE};
+use crate::description::model::{Capabilities, LogCategory, QuirkKind};
 use crate::description::unit::{BaseUnit, DisplayUnit, Unit};
 use crate::description::variable::{
     Causality, EnumerationItem, Initial, TypeDefinition, Variability, Variable,
 };
-use crate::error::FmiError;
+use crate::error::Result;
 use crate::value::VariableKind;
 
-pub(super) const DEPENDENCY_KINDS: &[(&str, DependencyKind)] = &[
-    ("dependent", DependencyKind::Dependent),
-    ("constant", DependencyKind::Constant),
-    ("fixed", DependencyKind::Fixed),
-    ("tunable", DependencyKind::Tunable),
-    ("discrete", DependencyKind::Discrete),
-];
-
 /// Attributes of the root element except those only one version has.
-pub(super) fn header(root: &Attributes<'_>, token: &str, draft: &mut Draft) -> Result<(), FmiError> {
-    let (model, quirks) = (&mut draft.model, &mut draft.quirks);
-    model.model_name = root.expected("modelName", quirks);
-    model.guid = root.expected(token, quirks);
+pub(super) fn header(root: &Attributes<'_>, token: &str, draft: &mut Draft) -> Result<()> {
+    let model = &mut draft.model;
+    model.model_name = root.expected("modelName");
+    model.guid = root.expected(token);
     model.description = root.text("description");
     model.author = root.text("author");
     model.version = root.text("version");
@@ -33,27 +25,12 @@ pub(super) fn header(root: &Attributes<'_>, token: &str, draft: &mut Draft) -> R
     model.generation_tool = root.text("generationTool");
     model.generation_date_and_time = root.text("generationDateAndTime");
     model.variable_naming_convention = root.text("variableNamingConvention");
-    draft.model.n_event_indicators = array_length(root, "numberOfEventIndicators", draft)?.unwrap_or(0);
+    draft.model.n_event_indicators = root.length("numberOfEventIndicators")?.unwrap_or(0);
     Ok(())
 }
 
-/// An attribute that is the length of an array.
-pub(super) fn array_length(
-    attributes: &Attributes<'_>,
-    name: &str,
-    draft: &mut Draft,
-) -> Result<Option<usize>, FmiError> {
-    let limit = draft.budget.limits.elements;
-    match attributes.count(name, &mut draft.quirks).map(|count| count as usize) {
-        Some(count) if count > limit => Err(attributes.error(format!(
-            "{name}=\"{count}\", more than the limit of {limit} elements (DescriptionLimits::elements)"
-        ))),
-        count => Ok(count),
-    }
-}
-
 /// The model identifier of an interface. It becomes part of paths, so it must be the name of a file.
-pub(super) fn model_identifier(attributes: &Attributes<'_>) -> Result<String, FmiError> {
+pub(super) fn model_identifier(attributes: &Attributes<'_>) -> Result<String> {
     let name = attributes.required("modelIdentifier")?;
     let refuse = |why: &str| {
         let shown = super::attributes::shortened(name);
@@ -72,9 +49,8 @@ pub(super) fn model_identifier(attributes: &Attributes<'_>) -> Result<String, Fm
 }
 
 /// Capabilities common to both interfaces and to FMI 2.0 and 3.0, whose names differ in a suffix.
-pub(super) fn capabilities(attributes: &Attributes<'_>, draft: &mut Draft) -> Capabilities {
-    let quirks = &mut draft.quirks;
-    let mut flag = |names: &[&str]| names.iter().any(|name| attributes.flag(name, quirks));
+pub(super) fn capabilities(attributes: &Attributes<'_>) -> Capabilities {
+    let flag = |names: &[&str]| names.iter().any(|name| attributes.flag(name));
     Capabilities {
         needs_execution_tool: flag(&["needsExecutionTool"]),
         completed_integrator_step_not_needed: flag(&["completedIntegratorStepNotNeeded"]),
@@ -95,41 +71,37 @@ pub(super) fn capabilities(attributes: &Attributes<'_>, draft: &mut Draft) -> Ca
         provides_intermediate_update: flag(&["providesIntermediateUpdate"]),
         can_return_early_after_intermediate_update: flag(&["canReturnEarlyAfterIntermediateUpdate"]),
         fixed_internal_step_size: attributes
-            .real("fixedInternalStepSize", quirks)
+            .real("fixedInternalStepSize")
             .filter(|step| step.is_finite() && *step > 0.0),
-        max_output_derivative_order: attributes.count("maxOutputDerivativeOrder", quirks).unwrap_or(0),
+        max_output_derivative_order: attributes.count("maxOutputDerivativeOrder").unwrap_or(0),
     }
 }
 
 /// `<UnitDefinitions>` of FMI 2.0 and 3.0.
-pub(super) fn units(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
-    while let Some(element) = xml.child(parent.level)? {
-        if element.name() != "Unit" {
-            continue;
-        }
+pub(super) fn units(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<()> {
+    while let Some(element) = xml.named(parent.level, &["Unit"])? {
         let name = Attributes::of(&element)?.required("name")?.to_owned();
         let mut unit = Unit { name, base: None, display_units: Vec::new() };
         while let Some(child) = xml.child(element.level)? {
             let attributes = Attributes::of(&child)?;
             match child.name() {
-                "BaseUnit" => unit.base = Some(base_unit(&attributes, draft)),
+                "BaseUnit" => unit.base = Some(base_unit(&attributes)),
                 "DisplayUnit" => {
-                    let shown = display_unit(&attributes, draft)?;
-                    draft.budget.take_text(&shown.name);
-                    draft.budget.push(&mut unit.display_units, shown);
+                    let shown = display_unit(&attributes)?;
+                    draft.reading.take_text(&shown.name);
+                    draft.reading.push(&mut unit.display_units, shown);
                 }
                 _ => {}
             }
         }
-        draft.budget.take_text(&unit.name);
-        draft.budget.push(&mut draft.model.units, unit);
+        draft.reading.take_text(&unit.name);
+        draft.reading.push(&mut draft.model.units, unit);
     }
     Ok(())
 }
 
-fn base_unit(attributes: &Attributes<'_>, draft: &mut Draft) -> BaseUnit {
-    let quirks = &mut draft.quirks;
-    let mut exponent = |name: &str| attributes.integer(name, quirks).unwrap_or(0);
+fn base_unit(attributes: &Attributes<'_>) -> BaseUnit {
+    let exponent = |name: &str| attributes.integer(name).unwrap_or(0);
     BaseUnit {
         kg: exponent("kg"),
         m: exponent("m"),
@@ -139,46 +111,39 @@ fn base_unit(attributes: &Attributes<'_>, draft: &mut Draft) -> BaseUnit {
         mol: exponent("mol"),
         cd: exponent("cd"),
         rad: exponent("rad"),
-        factor: attributes.real("factor", quirks).unwrap_or(1.0),
-        offset: attributes.real("offset", quirks).unwrap_or(0.0),
+        factor: attributes.real("factor").unwrap_or(1.0),
+        offset: attributes.real("offset").unwrap_or(0.0),
     }
 }
 
-fn display_unit(attributes: &Attributes<'_>, draft: &mut Draft) -> Result<DisplayUnit, FmiError> {
-    let quirks = &mut draft.quirks;
+fn display_unit(attributes: &Attributes<'_>) -> Result<DisplayUnit> {
     Ok(DisplayUnit {
         name: attributes.required("name")?.to_owned(),
-        factor: attributes.real("factor", quirks).unwrap_or(1.0),
-        offset: attributes.real("offset", quirks).unwrap_or(0.0),
-        inverse: attributes.flag("inverse", quirks),
+        factor: attributes.real("factor").unwrap_or(1.0),
+        offset: attributes.real("offset").unwrap_or(0.0),
+        inverse: attributes.flag("inverse"),
     })
 }
 
 /// `<LogCategories>` of FMI 2.0 and 3.0.
-pub(super) fn log_categories(
-    xml: &mut Xml<'_>,
-    parent: &Element<'_>,
-    draft: &mut Draft,
-) -> Result<(), FmiError> {
-    while let Some(element) = xml.child(parent.level)? {
-        if element.name() == "Category" {
-            let attributes = Attributes::of(&element)?;
-            let name = attributes.expected("name", &mut draft.quirks);
-            let category = LogCategory { name, description: attributes.text("description") };
-            draft.budget.push(&mut draft.model.log_categories, category);
-        }
+pub(super) fn log_categories(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<()> {
+    while let Some(element) = xml.named(parent.level, &["Category"])? {
+        let attributes = Attributes::of(&element)?;
+        let name = attributes.expected("name");
+        let category = LogCategory { name, description: attributes.text("description") };
+        draft.reading.push(&mut draft.model.log_categories, category);
     }
     Ok(())
 }
 
 /// `<DefaultExperiment>` of all versions.
-pub(super) fn default_experiment(element: &Element<'_>, draft: &mut Draft) -> Result<(), FmiError> {
+pub(super) fn default_experiment(element: &Element<'_>, draft: &mut Draft) -> Result<()> {
     let attributes = Attributes::of(element)?;
-    let (experiment, quirks) = (&mut draft.model.default_experiment, &mut draft.quirks);
-    experiment.start_time = attributes.real("startTime", quirks);
-    experiment.stop_time = attributes.real("stopTime", quirks);
-    experiment.tolerance = attributes.real("tolerance", quirks);
-    experiment.step_size = attributes.real("stepSize", quirks);
+    let experiment = &mut draft.model.default_experiment;
+    experiment.start_time = attributes.real("startTime");
+    experiment.stop_time = attributes.real("stopTime");
+    experiment.tolerance = attributes.real("tolerance");
+    experiment.step_size = attributes.real("stepSize");
     Ok(())
 }
 
@@ -187,20 +152,17 @@ pub(super) fn items(
     xml: &mut Xml<'_>,
     parent: &Element<'_>,
     draft: &mut Draft,
-) -> Result<Vec<EnumerationItem>, FmiError> {
+) -> Result<Vec<EnumerationItem>> {
     let mut items = Vec::new();
-    while let Some(element) = xml.child(parent.level)? {
-        if element.name() != "Item" {
-            continue;
-        }
+    while let Some(element) = xml.named(parent.level, &["Item"])? {
         let attributes = Attributes::of(&element)?;
         let next = items.len() as i64 + 1;
         let item = EnumerationItem {
-            name: attributes.expected("name", &mut draft.quirks),
-            value: attributes.wide_integer("value", &mut draft.quirks).unwrap_or(next),
+            name: attributes.expected("name"),
+            value: attributes.wide_integer("value").unwrap_or(next),
             description: attributes.text("description"),
         };
-        draft.budget.push(&mut items, item);
+        draft.reading.push(&mut items, item);
     }
     Ok(items)
 }
@@ -211,9 +173,7 @@ pub(super) fn type_definition(
     description: Option<String>,
     kind: VariableKind,
     attributes: &Attributes<'_>,
-    draft: &mut Draft,
 ) -> TypeDefinition {
-    let quirks = &mut draft.quirks;
     TypeDefinition {
         name,
         description,
@@ -221,11 +181,11 @@ pub(super) fn type_definition(
         quantity: attributes.text("quantity"),
         unit: attributes.text("unit"),
         display_unit: attributes.text("displayUnit"),
-        relative_quantity: attributes.flag("relativeQuantity", quirks),
-        unbounded: attributes.flag("unbounded", quirks),
-        min: attributes.real("min", quirks),
-        max: attributes.real("max", quirks),
-        nominal: attributes.real("nominal", quirks),
+        relative_quantity: attributes.flag("relativeQuantity"),
+        unbounded: attributes.flag("unbounded"),
+        min: attributes.real("min"),
+        max: attributes.real("max"),
+        nominal: attributes.real("nominal"),
         items: Vec::new(),
     }
 }
@@ -244,30 +204,23 @@ pub(super) fn scalar_kind(element: &str) -> Option<VariableKind> {
 }
 
 /// `<TypeDefinitions>` of FMI 1.0 (elements `<Type>`) and 2.0 (`<SimpleType>`).
-pub(super) fn scalar_types(
-    xml: &mut Xml<'_>,
-    parent: &Element<'_>,
-    draft: &mut Draft,
-) -> Result<(), FmiError> {
-    while let Some(element) = xml.child(parent.level)? {
-        if !matches!(element.name(), "Type" | "SimpleType") {
-            continue;
-        }
+pub(super) fn scalar_types(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<()> {
+    while let Some(element) = xml.named(parent.level, &["Type", "SimpleType"])? {
         let outer = Attributes::of(&element)?;
         let name = outer.required_text("name")?;
         let mut definition = None;
         while let Some(child) = xml.child(element.level)? {
             let Some(kind) = scalar_kind(child.name()) else { continue };
             let (name, attributes) = (name.clone(), Attributes::of(&child)?);
-            let mut found = type_definition(name, outer.text("description"), kind, &attributes, draft);
+            let mut found = type_definition(name, outer.text("description"), kind, &attributes);
             if kind == VariableKind::Enumeration {
                 found.items = items(xml, &child, draft)?;
             }
             definition = Some(found);
         }
         match definition {
-            Some(definition) => draft.budget.push(&mut draft.model.type_definitions, definition),
-            None => draft.quirks.add(QuirkKind::Missing, element.line, || {
+            Some(definition) => draft.reading.push(&mut draft.model.type_definitions, definition),
+            None => draft.reading.quirk(QuirkKind::Missing, element.line, || {
                 format!("type \"{name}\" does not say what it is; left out")
             }),
         }
@@ -276,48 +229,42 @@ pub(super) fn scalar_types(
 }
 
 /// A variable with its name and reference, everything else at the defaults.
-pub(super) fn plain_variable(attributes: &Attributes<'_>, kind: VariableKind) -> Result<Variable, FmiError> {
+pub(super) fn plain_variable(attributes: &Attributes<'_>, kind: VariableKind) -> Result<Variable> {
     Ok(Variable {
         name: attributes.required_text("name")?,
         value_reference: attributes.value_reference()?,
         description: attributes.text("description"),
         kind,
-        causality: Causality::Local,
-        variability: Variability::Continuous,
-        initial: None,
         can_handle_multiple_set_per_time_instant: true,
         line: attributes.line,
-        declared_type: None,
-        quantity: None,
-        unit: None,
-        display_unit: None,
-        relative_quantity: false,
-        unbounded: false,
-        min: None,
-        max: None,
-        nominal: None,
-        start: None,
-        derivative: None,
-        reinit: false,
-        is_narrow: false,
-        negated: false,
-        dimensions: Vec::new(),
-        aliases: Vec::new(),
-        clocks: Vec::new(),
-        clock: None,
-        intermediate_update: false,
-        max_size: None,
+        ..Variable::default()
     })
 }
 
-/// Causality, variability and initial as given, else as the standard fills them in.
-pub(super) fn roles(attributes: &Attributes<'_>, variable: &mut Variable, draft: &mut Draft) {
-    let quirks = &mut draft.quirks;
-    variable.causality = attributes.choice("causality", Causality::WORDS, quirks).unwrap_or(Causality::Local);
-    variable.variability = match attributes.choice("variability", Variability::WORDS, quirks) {
+/// The attributes of a value, which the versions share.
+pub(super) fn value_attributes(attributes: &Attributes<'_>, variable: &mut Variable) -> Flags {
+    variable.declared_type = attributes.text("declaredType");
+    variable.quantity = attributes.text("quantity");
+    variable.unit = attributes.text("unit");
+    variable.display_unit = attributes.text("displayUnit");
+    variable.min = attributes.real("min");
+    variable.max = attributes.real("max");
+    variable.nominal = attributes.real("nominal");
+    variable.reinit = attributes.flag("reinit");
+    let relative_quantity = attributes.boolean("relativeQuantity");
+    let unbounded = attributes.boolean("unbounded");
+    variable.relative_quantity = relative_quantity.unwrap_or(false);
+    variable.unbounded = unbounded.unwrap_or(false);
+    Flags { relative_quantity: relative_quantity.is_some(), unbounded: unbounded.is_some() }
+}
+
+/// Causality, variability and initial as given, else as the standard fills them in; how often it may be set.
+pub(super) fn roles(attributes: &Attributes<'_>, variable: &mut Variable) {
+    variable.causality = attributes.choice("causality", Causality::WORDS).unwrap_or(Causality::Local);
+    variable.variability = match attributes.choice("variability", Variability::WORDS) {
         // The schema's default fits Real variables; everything else cannot be continuous.
         Some(Variability::Continuous) if !variable.kind.is_float() => {
-            quirks.add(QuirkKind::Combination, attributes.line, || {
+            attributes.quirk(QuirkKind::Combination, || {
                 format!("{} \"{}\" is continuous; taken as discrete", variable.kind, variable.name)
             });
             Variability::Discrete
@@ -326,8 +273,10 @@ pub(super) fn roles(attributes: &Attributes<'_>, variable: &mut Variable, draft:
         None => Variability::default_for(variable.causality, variable.kind),
     };
     variable.initial = attributes
-        .choice("initial", Initial::WORDS, quirks)
+        .choice("initial", Initial::WORDS)
         .or_else(|| Initial::default_for(variable.causality, variable.variability));
+    variable.can_handle_multiple_set_per_time_instant =
+        attributes.boolean("canHandleMultipleSetPerTimeInstant").unwrap_or(true);
 }
 
 /// Turns a position counted from 1 into one counted from 0.

@@ -5,42 +5,33 @@ use super::attributes::Attributes;
 use super::encoding;
 use super::xml::{Element, Xml};
 use crate::cancel::Cancel;
-use crate::description::limits::{Budget, DescriptionLimits, check_size};
+use crate::description::limits::{DescriptionLimits, Reading, check_size};
 use crate::description::quirks::Quirks;
 use crate::description::terminals::{StreamMember, Terminal, TerminalIcon, TerminalMember};
-use crate::error::FmiError;
+use crate::error::Result;
 use std::rc::Rc;
 
 /// Name of the file, in the folder `terminalsAndIcons/`.
 pub(crate) const TERMINALS: &str = "terminalsAndIcons.xml";
 
 /// The terminals of a document.
-pub(crate) fn terminals(bytes: &[u8], limits: &DescriptionLimits) -> Result<Vec<Terminal>, FmiError> {
+pub(crate) fn terminals(bytes: &[u8], limits: &DescriptionLimits) -> Result<Vec<Terminal>> {
     check_size(bytes, TERMINALS, limits)?;
     let text = encoding::decode(bytes.into(), &mut Quirks::default());
-    let budget = Rc::new(Budget::new(limits, &Cancel::default()));
-    let mut xml = Xml::new(&text, TERMINALS, budget)?;
-    let root = xml.root()?;
-    if root.name() != "fmiTerminalsAndIcons" {
-        let name = root.name();
-        return Err(xml.error(format!("<{name}> is the outermost element, not <fmiTerminalsAndIcons>")));
-    }
+    let reading = Rc::new(Reading::new(limits, &Cancel::default()));
+    let mut xml = Xml::new(&text, TERMINALS, reading)?;
+    let root = xml.root_named("fmiTerminalsAndIcons")?;
     let mut found = Vec::new();
-    while let Some(list) = xml.child(root.level)? {
-        if list.name() != "Terminals" {
-            continue;
-        }
-        while let Some(element) = xml.child(list.level)? {
-            if element.name() == "Terminal" {
-                found.push(terminal(&mut xml, &element)?);
-            }
+    while let Some(list) = xml.named(root.level, &["Terminals"])? {
+        while let Some(element) = xml.named(list.level, &["Terminal"])? {
+            found.push(terminal(&mut xml, &element)?);
         }
     }
     Ok(found)
 }
 
 /// A terminal, with those inside of it.
-fn terminal(xml: &mut Xml<'_>, element: &Element<'_>) -> Result<Terminal, FmiError> {
+fn terminal(xml: &mut Xml<'_>, element: &Element<'_>) -> Result<Terminal> {
     let attributes = Attributes::of(element)?;
     let mut terminal = Terminal {
         name: attributes.required_text("name")?,
@@ -64,7 +55,7 @@ fn terminal(xml: &mut Xml<'_>, element: &Element<'_>) -> Result<Terminal, FmiErr
                 outflow_name: attributes.text("outStreamMemberName"),
             }),
             "TerminalGraphicalRepresentation" => {
-                let corner = |name| attributes.real(name, &mut Quirks::default());
+                let corner = |name| attributes.real(name);
                 let corners = [corner("x1"), corner("y1"), corner("x2"), corner("y2")];
                 terminal.icon = Some(TerminalIcon {
                     file: attributes.text("iconBaseName"),

@@ -1,8 +1,8 @@
 //! XML as a walk over elements, hardened: no document types, bounded depth and attributes, lines in all
 //! errors.
 
-use crate::description::limits::Budget;
-use crate::error::FmiError;
+use crate::description::limits::Reading;
+use crate::error::{FmiError, Result};
 use quick_xml::Reader;
 use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
@@ -20,7 +20,7 @@ pub(super) struct Xml<'a> {
     /// Name of the file, for messages.
     file: &'static str,
     text: &'a str,
-    budget: Rc<Budget>,
+    reading: Rc<Reading>,
     /// Number of elements open.
     depth: usize,
     /// Position in bytes up to which lines are counted, and the number of the line there.
@@ -32,7 +32,7 @@ pub(super) struct Xml<'a> {
 pub(super) struct Element<'a> {
     start: BytesStart<'a>,
     pub(super) file: &'static str,
-    pub(super) budget: Rc<Budget>,
+    pub(super) reading: Rc<Reading>,
     /// Line in which it starts.
     pub(super) line: u32,
     /// Its depth; the root has 1.
@@ -40,10 +40,10 @@ pub(super) struct Element<'a> {
 }
 
 impl<'a> Xml<'a> {
-    pub(super) fn new(text: &'a str, file: &'static str, budget: Rc<Budget>) -> Result<Self, FmiError> {
+    pub(super) fn new(text: &'a str, file: &'static str, reading: Rc<Reading>) -> Result<Self> {
         let mut reader = Reader::from_str(text);
         reader.config_mut().expand_empty_elements = true;
-        let mut xml = Xml { reader, file, text, budget, depth: 0, counted: 0, line: 1 };
+        let mut xml = Xml { reader, file, text, reading, depth: 0, counted: 0, line: 1 };
         // Not allowed in XML, and a trap for everything that goes to C later.
         match text.find('\0') {
             Some(at) => Err(xml.error_at(at as u64, "a NUL character")),
@@ -52,21 +52,30 @@ impl<'a> Xml<'a> {
     }
 
     /// The root element.
-    pub(super) fn root(&mut self) -> Result<Element<'a>, FmiError> {
+    pub(super) fn root(&mut self) -> Result<Element<'a>> {
         match self.child(0)? {
             Some(root) => Ok(root),
             None => Err(self.error("there is no element in it")),
         }
     }
 
+    /// The root element, which must have this name.
+    pub(super) fn root_named(&mut self, name: &str) -> Result<Element<'a>> {
+        let root = self.root()?;
+        if root.name() == name {
+            return Ok(root);
+        }
+        Err(self.error(format!("<{}> is the outermost element, not <{name}>", root.name())))
+    }
+
     /// The next child of the element at `level`, or `None` at its end. Whatever is left of the child returned
     /// last is skipped.
-    pub(super) fn child(&mut self, level: usize) -> Result<Option<Element<'a>>, FmiError> {
-        if let Some(complaint) = self.budget.complaint() {
+    pub(super) fn child(&mut self, level: usize) -> Result<Option<Element<'a>>> {
+        if let Some(complaint) = self.reading.complaint() {
             return Err(self.error(complaint));
         }
         loop {
-            self.budget.cancel.check()?;
+            self.reading.cancel.check()?;
             let before = self.reader.buffer_position();
             match self.reader.read_event() {
                 Ok(Event::Start(start)) => {
@@ -80,7 +89,7 @@ impl<'a> Xml<'a> {
                         return Ok(Some(Element {
                             start,
                             file: self.file,
-                            budget: Rc::clone(&self.budget),
+                            reading: Rc::clone(&self.reading),
                             line: self.line_at(before),
                             level: self.depth,
                         }));
@@ -108,6 +117,16 @@ impl<'a> Xml<'a> {
                     let at = self.reader.error_position().max(before);
                     return Err(self.error_at(at, error.to_string()));
                 }
+            }
+        }
+    }
+
+    /// The next child of the element at `level` that has one of these names.
+    pub(super) fn named(&mut self, level: usize, names: &[&str]) -> Result<Option<Element<'a>>> {
+        loop {
+            match self.child(level)? {
+                Some(element) if !names.contains(&element.name()) => {}
+                found => return Ok(found),
             }
         }
     }
@@ -141,7 +160,7 @@ impl Element<'_> {
     }
 
     /// Names and values of the attributes, in the order of the file.
-    pub(super) fn attributes(&self) -> Result<Vec<(&str, Cow<'_, str>)>, FmiError> {
+    pub(super) fn attributes(&self) -> Result<Vec<(&str, Cow<'_, str>)>> {
         let error = |message: String| FmiError::Description {
             file: self.file,
             line: self.line,
@@ -172,7 +191,7 @@ mod tests {
     use super::*;
     use crate::archive::MODEL_DESCRIPTION;
 
-    fn walk(text: &str) -> Result<Vec<String>, FmiError> {
+    fn walk(text: &str) -> Result<Vec<String>> {
         let mut xml = Xml::new(text, MODEL_DESCRIPTION, Rc::default())?;
         let root = xml.root()?;
         let mut seen = vec![format!("{}:{}", root.name(), root.line)];

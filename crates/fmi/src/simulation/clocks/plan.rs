@@ -4,7 +4,7 @@ use super::schedule::Schedule;
 use crate::description::{
     Causality, ClockKind, ClockTiming, Interval, ModelDescription, Variable, VariableKind,
 };
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::instance::assignments::resolve;
 use crate::instance::{Core, check_interval};
 use crate::simulation::column::{Column, HeldColumn};
@@ -49,7 +49,7 @@ impl Clocked {
     }
 
     /// Sets the value that is held from `t` on.
-    pub(super) fn set(&self, core: &mut Core, t: f64) -> Result<(), FmiError> {
+    pub(super) fn set(&self, core: &mut Core, t: f64) -> Result<()> {
         let references = [self.reference];
         match self.kind {
             VariableKind::Real => core.set_reals(&references, &[self.column.column.held(t)]),
@@ -92,7 +92,7 @@ impl ClockPlan {
         inputs: &ClockInputs,
         intervals: &[(String, Interval)],
         time_tolerance: f64,
-    ) -> Result<Self, FmiError> {
+    ) -> Result<Self> {
         let mut given = HashMap::new();
         for (name, interval) in intervals {
             let index = resolve(description, name)?;
@@ -146,7 +146,7 @@ impl ClockPlan {
         description: &ModelDescription,
         inputs: &ClockInputs,
         intervals: &[(String, Interval)],
-    ) -> Result<Self, FmiError> {
+    ) -> Result<Self> {
         let ticks = |v: &&Variable| {
             v.causality == Causality::Input
                 && v.clock.as_ref().is_some_and(|clock| clock.kind != ClockKind::Triggered)
@@ -160,7 +160,7 @@ impl ClockPlan {
         } else {
             return Ok(Self::default());
         };
-        Err(FmiError::BadSetting { problem })
+        Err(FmiError::BadSetting(problem))
     }
 
     /// True if there are no clocks to handle.
@@ -180,7 +180,7 @@ impl ClockPlan {
 
 impl Timed {
     /// The first ticks, asked for in initialization mode where the description does not say them.
-    pub(super) fn first(&self, core: &mut Core, start: f64) -> Result<Schedule, FmiError> {
+    pub(super) fn first(&self, core: &mut Core, start: f64) -> Result<Schedule> {
         match self.timing.kind {
             ClockKind::Changing | ClockKind::Countdown => {
                 let answer = self.interval(core)?;
@@ -210,23 +210,21 @@ impl Timed {
         }
     }
 
-    pub(super) fn interval(&self, core: &mut Core) -> Result<IntervalAnswer, FmiError> {
+    pub(super) fn interval(&self, core: &mut Core) -> Result<IntervalAnswer> {
         let (reference, fraction) = (self.reference, self.timing.supports_fraction);
         core.call(|raw: &mut RawInstance| raw.get_interval(reference, fraction))
     }
 
-    pub(super) fn check(&self, interval: Interval, positive: bool) -> Result<(), FmiError> {
+    pub(super) fn check(&self, interval: Interval, positive: bool) -> Result<()> {
         let value = interval.value();
         if value.is_finite() && (value > 0.0 || (value == 0.0 && !positive)) {
             return Ok(());
         }
         let least = if positive { "positive" } else { "not negative" };
-        Err(FmiError::BadSetting {
-            problem: format!(
-                "the {} clock {} has an interval or shift of {interval:?}: it must be finite and {least}",
-                self.timing.kind.name(),
-                self.name
-            ),
-        })
+        Err(FmiError::BadSetting(format!(
+            "the {} clock {} has an interval or shift of {interval:?}: it must be finite and {least}",
+            self.timing.kind.name(),
+            self.name
+        )))
     }
 }

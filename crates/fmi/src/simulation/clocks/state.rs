@@ -8,7 +8,7 @@
 use super::plan::ClockPlan;
 use super::schedule::Schedule;
 use crate::description::{ClockKind, Interval, VariableKind};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::instance::{Core, MAX_EVENT_ITERATIONS};
 use crate::simulation::outputs::OutputBuffers;
 use crate::simulation::outside::Outside;
@@ -56,7 +56,7 @@ impl ClockState {
 
     /// Before the initialization ends: learns the intervals that only the model knows, and sets clocked
     /// inputs, which may be set once more here without a tick.
-    pub(crate) fn begin(&mut self, plan: &ClockPlan, core: &mut Core, start: f64) -> Result<(), FmiError> {
+    pub(crate) fn begin(&mut self, plan: &ClockPlan, core: &mut Core, start: f64) -> Result<()> {
         self.ticks.clear();
         self.schedules.clear();
         self.passed.clear();
@@ -125,7 +125,7 @@ impl ClockState {
         t: f64,
         outputs: (&[u32], &mut OutputBuffers),
         outside: &Outside<'_>,
-    ) -> Result<(EventOutcome, Option<f64>), FmiError> {
+    ) -> Result<(EventOutcome, Option<f64>)> {
         let first = self.ticks.len();
         let mut total = EventOutcome::default();
         for _ in 0..MAX_EVENT_ITERATIONS {
@@ -166,7 +166,7 @@ impl ClockState {
     }
 
     /// Sets the clocks that tick, and the inputs that belong to them.
-    fn activate(&mut self, plan: &ClockPlan, core: &mut Core, t: f64) -> Result<(), FmiError> {
+    fn activate(&mut self, plan: &ClockPlan, core: &mut Core, t: f64) -> Result<()> {
         if self.active.is_empty() {
             return Ok(());
         }
@@ -183,7 +183,7 @@ impl ClockState {
     }
 
     /// Notes the clocks that the model has activated.
-    fn watch(&mut self, plan: &ClockPlan, core: &mut Core, t: f64) -> Result<(), FmiError> {
+    fn watch(&mut self, plan: &ClockPlan, core: &mut Core, t: f64) -> Result<()> {
         if plan.watched.is_empty() {
             return Ok(());
         }
@@ -200,7 +200,7 @@ impl ClockState {
     }
 
     /// Asks for the intervals that may have changed in this visit.
-    fn learn(&mut self, plan: &ClockPlan, core: &mut Core, t: f64) -> Result<(), FmiError> {
+    fn learn(&mut self, plan: &ClockPlan, core: &mut Core, t: f64) -> Result<()> {
         for (i, clock) in plan.timed.iter().enumerate() {
             let tick = self.ticked.iter().find(|(clock, _)| *clock == i).map(|(_, time)| *time);
             let asks = match clock.timing.kind {

@@ -131,7 +131,7 @@ impl Run<'_, '_> {
         }
         let outcome = self.timed(Call::Step, |run| {
             let Running { current, .. } = &mut run.stepping.running;
-            let outcome = current.core()?.do_step((run.t, target.step), &|| run.outside.check());
+            let outcome = current.core()?.do_step(run.t, target.step, &|| run.outside.check());
             current.broken |= outcome.is_err();
             outcome
         })?;
@@ -334,7 +334,7 @@ impl Run<'_, '_> {
                      other lengths than {}: choose a step that meets the ticks",
                     self.t, target.time, target.step
                 );
-                Err(FmiError::BadSetting { problem }.into())
+                Err(FmiError::BadSetting(problem).into())
             }
             _ => Ok(()),
         }
@@ -360,7 +360,7 @@ impl Run<'_, '_> {
         let (references, n) = inputs.continuous.reals();
         match current.core()?.call(|raw| raw.set_input_derivatives(references, &slopes[..n])) {
             // Offered, but not there: then inputs are held, as for everybody else.
-            Ok(()) | Err(FmiError::MissingFunction { .. }) => Ok(()),
+            Ok(()) | Err(FmiError::MissingFunction(_)) => Ok(()),
             Err(error) => Err(error.into()),
         }
     }

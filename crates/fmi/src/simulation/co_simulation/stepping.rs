@@ -2,11 +2,11 @@
 //! initialization.
 
 use crate::description::Variable;
-use crate::error::FmiError;
+use crate::error::Result;
 use crate::instance::Core;
 use crate::simulation::outside::Outside;
 use crate::simulation::plan::SimulationPlan;
-use crate::simulation::running::{Phase, Running};
+use crate::simulation::running::{Current, Mode, Running};
 use crate::simulation::variable_elements::RunInput;
 use crate::sys::RawInstance;
 use ode::{EventOutcome, Stopwatch};
@@ -41,28 +41,24 @@ impl Stepping {
     }
 
     /// Brings a fresh instance to the start time: values, inputs, initialization.
-    pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<(), FmiError> {
+    pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<()> {
         let plan = &self.running.plan;
         let ends_exactly = plan.communication.as_ref().is_some_and(|c| c.ends_exactly);
         let stop = ends_exactly.then_some(plan.end);
-        let instance = self.running.begin(raw, input, stop)?.leave_initialization()?;
-        self.running.current.phase = Phase::Stepping(instance);
+        let core = Some(self.running.begin(raw, input, stop)?);
+        self.running.current = Current { core, mode: Mode::Step, ..Current::default() };
         Ok(())
     }
 
     /// Lets the initial events happen, where there is an event mode.
-    pub(crate) fn run_initial_events(&mut self, outside: &Outside<'_>) -> Result<EventOutcome, FmiError> {
+    pub(crate) fn run_initial_events(&mut self, outside: &Outside<'_>) -> Result<EventOutcome> {
         let start = self.running.plan.start;
         let has_event_mode = self.running.current.core()?.raw.has_event_mode();
         if has_event_mode { self.run_event_mode(start, outside) } else { Ok(EventOutcome::default()) }
     }
 
     /// The events of an instant, in event mode, and back to step mode.
-    pub(super) fn run_event_mode(
-        &mut self,
-        time: f64,
-        outside: &Outside<'_>,
-    ) -> Result<EventOutcome, FmiError> {
+    pub(super) fn run_event_mode(&mut self, time: f64, outside: &Outside<'_>) -> Result<EventOutcome> {
         let Running { plan, current, clocks, buffers, .. } = &mut self.running;
         let events = |core: &mut Core, time| {
             let recorded = (&*plan.outputs().clocks, buffers);
@@ -75,7 +71,7 @@ impl Stepping {
     }
 
     /// Value of a variable at the last communication point.
-    pub(crate) fn value(&mut self, variable: &Variable) -> Result<crate::Value, FmiError> {
+    pub(crate) fn value(&mut self, variable: &Variable) -> Result<crate::Value> {
         self.running.current.trusted()?.value(variable)
     }
 }

@@ -3,7 +3,7 @@
 
 use super::texts::TextInput;
 use crate::description::{Causality, ClockKind, Value, Variability, Variable, VariableKind};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::instance::assignments::convert_one;
 use crate::instance::integer_codec;
 use crate::simulation::clocks::{ClockInputs, Clocked};
@@ -211,18 +211,15 @@ impl InputPlan {
     ///
     /// # Errors
     /// Unknown names, variables that are not inputs, tables whose rows cannot be used.
-    pub(crate) fn new(starts: &Starts<'_>, inputs: &Inputs, time_tolerance: f64) -> Result<Self, FmiError> {
+    pub(crate) fn new(starts: &Starts<'_>, inputs: &Inputs, time_tolerance: f64) -> Result<Self> {
         let description = starts.description;
         let mut plan = Self { time_tolerance, ..Self::default() };
         let mut stops = Vec::new();
         // Those of type Real come first, as `FloatSlots` wants it.
         let place_of =
             |source: &Source| VariableElement::of_name(description, starts.structure, &source.name);
-        let mut sources: Vec<(VariableElement, &Source)> = inputs
-            .sources
-            .iter()
-            .map(|source| Ok((place_of(source)?, source)))
-            .collect::<Result<_, FmiError>>()?;
+        let mut sources: Vec<(VariableElement, &Source)> =
+            inputs.sources.iter().map(|source| Ok((place_of(source)?, source))).collect::<Result<_>>()?;
         sources.sort_by_key(|(place, _)| description.variables[place.variable].kind != VariableKind::Real);
         for (place, source) in &sources {
             let (place, Source { name, values: source }) = (*place, source);
@@ -301,7 +298,7 @@ impl InputPlan {
         place: VariableElement,
         (times, values): (&Arc<[f64]>, &Arc<[f64]>),
         stops: &mut Vec<InputStop>,
-    ) -> Result<(), FmiError> {
+    ) -> Result<()> {
         let variable = &starts.description.variables[place.variable];
         check_rows(variable, times, values)?;
         let column = Column { times: Arc::clone(times), values: Arc::clone(values) };
@@ -326,7 +323,7 @@ impl InputPlan {
         place: VariableElement,
         column: HeldColumn,
         stops: &mut Vec<InputStop>,
-    ) -> Result<(), FmiError> {
+    ) -> Result<()> {
         let variable = &starts.description.variables[place.variable];
         let is_clocked = !variable.clocks.is_empty();
         if place.element.is_some() && (variable.kind == VariableKind::Clock || is_clocked) {
@@ -341,12 +338,7 @@ impl InputPlan {
         self.hold(starts, place, column)
     }
 
-    fn hold(
-        &mut self,
-        starts: &Starts<'_>,
-        place: VariableElement,
-        column: HeldColumn,
-    ) -> Result<(), FmiError> {
+    fn hold(&mut self, starts: &Starts<'_>, place: VariableElement, column: HeldColumn) -> Result<()> {
         let variable = &starts.description.variables[place.variable];
         let (kind, reference) = (variable.kind, variable.value_reference);
         let target = if kind == VariableKind::Real {
@@ -375,7 +367,7 @@ impl InputPlan {
         index: usize,
         column: Column,
         stops: &mut Vec<InputStop>,
-    ) -> Result<(), FmiError> {
+    ) -> Result<()> {
         match variable.clock.as_deref() {
             Some(timing) if timing.kind != ClockKind::Triggered && timing.can_be_deactivated => {
                 self.clocks.enabled.push((index, column));
@@ -446,7 +438,7 @@ impl InputPlan {
 
 impl Starts<'_> {
     /// All start values of a variable of type Real; 0 for a single value, which is written before it is set.
-    pub(crate) fn reals(&self, place: VariableElement) -> Result<Vec<f64>, FmiError> {
+    pub(crate) fn reals(&self, place: VariableElement) -> Result<Vec<f64>> {
         if place.element.is_none() {
             return Ok(vec![0.0]);
         }
@@ -455,7 +447,7 @@ impl Starts<'_> {
     }
 
     /// The same of a variable of any other type of numbers.
-    fn words(&self, place: VariableElement) -> Result<Vec<i64>, FmiError> {
+    fn words(&self, place: VariableElement) -> Result<Vec<i64>> {
         if place.element.is_none() {
             return Ok(vec![0]);
         }
@@ -475,7 +467,7 @@ fn bad(variable: &Variable, problem: String) -> FmiError {
 }
 
 /// Refuses what cannot be held, and values that are none of the type.
-fn check_held(variable: &Variable, column: Column) -> Result<Column, FmiError> {
+fn check_held(variable: &Variable, column: Column) -> Result<Column> {
     let kind = variable.kind;
     if !kind.is_number() {
         return Err(bad(variable, "text and binary inputs cannot vary with time".to_owned()));
@@ -491,7 +483,7 @@ fn check_held(variable: &Variable, column: Column) -> Result<Column, FmiError> {
     Err(bad(variable, format!("{} in row {} is not {what}", column.values[row], row)))
 }
 
-fn check_rows(variable: &Variable, times: &[f64], values: &[f64]) -> Result<(), FmiError> {
+fn check_rows(variable: &Variable, times: &[f64], values: &[f64]) -> Result<()> {
     if times.len() != values.len() {
         return Err(bad(variable, format!("{} values for {} times", values.len(), times.len())));
     }

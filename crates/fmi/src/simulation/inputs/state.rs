@@ -1,7 +1,7 @@
 //! Where a run stands in its inputs: which jumps have happened, and the values for the next calls.
 
 use super::plan::{InputPlan, Target};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::instance::Core;
 use ode::Stopwatch;
 
@@ -97,7 +97,7 @@ impl InputState {
 
 impl InputState {
     /// Sets the held inputs, one call per type.
-    pub(crate) fn set_held(&self, core: &mut Core, plan: &InputPlan) -> Result<(), FmiError> {
+    pub(crate) fn set_held(&self, core: &mut Core, plan: &InputPlan) -> Result<()> {
         core.set_reals(&plan.held_reals.references, &self.held_reals)?;
         for ((kind, slots), words) in plan.held_packed.iter().zip(&self.held_packed) {
             core.call(|raw| raw.set_packed(*kind, &slots.references, words))?;

@@ -2,7 +2,7 @@
 
 use super::buffers::{OutputContext, OutputPlan, element_of};
 use crate::description::{Causality, ModelDescription, Structure, Variability, Variable};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::instance::assignments::resolve;
 use std::collections::HashSet;
 
@@ -62,7 +62,7 @@ impl Selection {
     ///
     /// # Errors
     /// A name is unknown; a pattern fits nothing.
-    pub(crate) fn of_names<'a>(context: &OutputContext<'a>, names: &'a [String]) -> Result<Self, FmiError> {
+    pub(crate) fn of_names<'a>(context: &OutputContext<'a>, names: &'a [String]) -> Result<Self> {
         let (model, structure) = (context.model, context.structure);
         let mut selection = Self::default();
         // Those recorded as a whole.
@@ -81,7 +81,7 @@ impl Selection {
             } else if name.contains(['*', '?']) {
                 if selection.add_matching(context, name, &mut known) == 0 {
                     let problem = format!("the pattern \"{name}\" fits the name of no variable");
-                    return Err(FmiError::BadSetting { problem });
+                    return Err(FmiError::BadSetting(problem));
                 }
             } else if name != "time" {
                 // Time is always there; models may or may not have a variable for it.

@@ -9,7 +9,7 @@
 //! multiples only: for what lies between two of them both.
 
 use crate::description::{Capabilities, DefaultExperiment};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::simulation::grid::Grid;
 use crate::simulation::options::{BetweenSteps, SimulateOptions};
 use ode::Number;
@@ -42,7 +42,7 @@ impl Communication {
         experiment: &DefaultExperiment,
         capabilities: &Capabilities,
         grid: &Grid,
-    ) -> Result<Self, FmiError> {
+    ) -> Result<Self> {
         let span = grid.end - grid.start;
         let makes_sense =
             |step: &f64| step.is_finite() && *step > grid.time_tolerance && span / *step <= MAX_STEPS;
@@ -53,7 +53,7 @@ impl Communication {
                 Number(grid.start),
                 Number(grid.end)
             );
-            return Err(FmiError::BadSetting { problem });
+            return Err(FmiError::BadSetting(problem));
         }
         let variable = capabilities.can_handle_variable_communication_step_size;
         let suggested = experiment.step_size.filter(makes_sense);
@@ -86,7 +86,7 @@ impl Communication {
             let problem = format!(
                 "a communication step of {step} is no multiple of the model's own step {internal}; next to it: {next}"
             );
-            return Err(FmiError::BadSetting { problem });
+            return Err(FmiError::BadSetting(problem));
         }
         let communication = Self {
             step,
@@ -119,7 +119,7 @@ impl Communication {
     ///
     /// # Errors
     /// They are to be refused: the first one, with its neighbours.
-    pub(crate) fn check_rows(&self, grid: &Grid, between: BetweenSteps) -> Result<Option<String>, FmiError> {
+    pub(crate) fn check_rows(&self, grid: &Grid, between: BetweenSteps) -> Result<Option<String>> {
         let Some(step) = self.fixed_step() else { return Ok(None) };
         let beside =
             |time: &f64| around(step, grid.start, *time, grid.time_tolerance).map(|pair| (*time, pair));
@@ -135,7 +135,7 @@ impl Communication {
                 let problem = format!(
                     "{what}, and rows between steps are to be refused: ask for rows at multiples of the step"
                 );
-                Err(FmiError::BadSetting { problem })
+                Err(FmiError::BadSetting(problem))
             }
         }
     }
@@ -175,11 +175,7 @@ mod tests {
         Capabilities { can_handle_variable_communication_step_size: variable, ..Capabilities::default() }
     }
 
-    fn communication(
-        step: Option<f64>,
-        suggested: Option<f64>,
-        variable: bool,
-    ) -> Result<Communication, FmiError> {
+    fn communication(step: Option<f64>, suggested: Option<f64>, variable: bool) -> Result<Communication> {
         let options = SimulateOptions { step_size: step, ..SimulateOptions::default() };
         let experiment = DefaultExperiment { step_size: suggested, ..DefaultExperiment::default() };
         Communication::new(&options, &experiment, &capabilities(variable), &grid())

@@ -12,9 +12,10 @@ pub(crate) use run_values::RunValues;
 
 use crate::cancel::Cancel;
 use crate::description::{ModelDescription, QuirkKind, Structure};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::fmu::Fmu;
 use crate::libraries::Setting;
+use crate::macros::getters;
 use crate::simulation::clocks::ClockPlan;
 use crate::simulation::inputs::{InputPlan, Inputs};
 use crate::simulation::options::SimulateOptions;
@@ -67,7 +68,7 @@ impl SimulationPlan {
     /// # Errors
     /// The FMU cannot be simulated by this version; a name is unknown (with the nearest names); a value has
     /// the wrong type or is not finite; a variable cannot be set; times or other options make no sense.
-    pub fn new(fmu: &Fmu, options: &SimulateOptions) -> Result<Self, FmiError> {
+    pub fn new(fmu: &Fmu, options: &SimulateOptions) -> Result<Self> {
         let kind = fmu.choose(options.kind)?;
         let interface = fmu.check_interface(kind)?;
         let description = fmu.description();
@@ -150,7 +151,7 @@ impl SimulationPlan {
         plan.take_outputs(description, options.outputs.as_deref(), &states)?;
         if !has_events && !plan.outputs.plan.clocks.is_empty() {
             let problem = "clocks are recorded, which tick in event mode, and this co-simulation has none";
-            return Err(FmiError::BadSetting { problem: problem.to_owned() });
+            return Err(FmiError::BadSetting(problem.to_owned()));
         }
         Ok(plan)
     }
@@ -160,7 +161,7 @@ impl SimulationPlan {
     ///
     /// # Errors
     /// As [`new`](Self::new).
-    pub fn with_rows(&self, options: &SimulateOptions) -> Result<Self, FmiError> {
+    pub fn with_rows(&self, options: &SimulateOptions) -> Result<Self> {
         Ok(Self {
             options: self.options.clone(),
             communication: self.communication.clone(),
@@ -185,7 +186,7 @@ impl SimulationPlan {
         description: &ModelDescription,
         names: Option<&[String]>,
         states: &[Option<usize>],
-    ) -> Result<(), FmiError> {
+    ) -> Result<()> {
         // A model that integrates itself does not show its states otherwise than as variables.
         let mut places: HashMap<u32, usize> = HashMap::new();
         if self.kind == InterfaceKind::ModelExchange {
@@ -220,74 +221,41 @@ impl SimulationPlan {
         }
     }
 
-    /// Sizes of arrays.
-    pub(crate) fn structure(&self) -> &Structure {
-        &self.values.structure
-    }
-
-    /// The model.
-    pub fn fmu(&self) -> &Fmu {
-        &self.fmu
-    }
-
-    /// The times of the rows.
-    pub fn times(&self) -> &[f64] {
-        &self.times
-    }
-
-    /// Start time.
-    pub fn start_time(&self) -> f64 {
-        self.start
-    }
-
-    /// Final time.
-    pub fn final_time(&self) -> f64 {
-        self.end
-    }
-
-    /// Relative tolerance of the method.
-    pub fn relative_tolerance(&self) -> f64 {
-        self.options.relative_tolerance
-    }
-
-    /// Number of continuous states.
-    pub fn n_states(&self) -> usize {
-        self.n_states
-    }
-
-    /// Interface that runs the model.
-    pub fn kind(&self) -> InterfaceKind {
-        self.kind
-    }
-
-    /// Names of the outputs that are numbers, in the order of [`Sample::outputs`](ode::Sample). Behind them a
-    /// sample has numbers that stand for texts and the like; a [`Trajectory`](crate::Trajectory) has their
-    /// values.
-    pub fn output_names(&self) -> &[String] {
-        &self.outputs.names
-    }
-
-    /// Positions in the description of the variables of the outputs that are numbers; all elements of an
-    /// array have the same.
-    pub fn output_variables(&self) -> &[usize] {
-        &self.outputs.variables
-    }
-
-    /// Where the outputs come from.
-    pub(crate) fn outputs(&self) -> &OutputPlan {
-        &self.outputs.plan
-    }
-
-    /// The variables recorded, in the order in which they were asked for.
-    pub fn recorded(&self) -> &[Recorded] {
-        &self.outputs.plan.recorded
+    getters! {
+        /// Sizes of arrays.
+        pub(crate) structure(self) -> &Structure = &self.values.structure;
+        /// The model.
+        pub fmu(self) -> &Fmu = &self.fmu;
+        /// The times of the rows.
+        pub times(self) -> &[f64] = &self.times;
+        /// Start time.
+        pub start_time(self) -> f64 = self.start;
+        /// Final time.
+        pub final_time(self) -> f64 = self.end;
+        /// Relative tolerance of the method.
+        pub relative_tolerance(self) -> f64 = self.options.relative_tolerance;
+        /// Number of continuous states.
+        pub n_states(self) -> usize = self.n_states;
+        /// Interface that runs the model.
+        pub kind(self) -> InterfaceKind = self.kind;
+        /// Names of the outputs that are numbers, in the order of [`Sample::outputs`](ode::Sample). Behind
+        /// them a sample has numbers that stand for texts and the like; a [`Trajectory`](crate::Trajectory)
+        /// has their values.
+        pub output_names(self) -> &[String] = &self.outputs.names;
+        /// Positions in the description of the variables of the outputs that are numbers; all elements of an
+        /// array have the same.
+        pub output_variables(self) -> &[usize] = &self.outputs.variables;
+        /// Where the outputs come from.
+        pub(crate) outputs(self) -> &OutputPlan = &self.outputs.plan;
+        /// The variables recorded, in the order in which they were asked for.
+        pub recorded(self) -> &[Recorded] = &self.outputs.plan.recorded;
     }
 
     /// Refuses outputs that are not single numbers, so that there is one column for each name.
     ///
     /// # Errors
     /// [`FmiError::NotAnOutput`] names the first one.
-    pub fn require_single_numbers(&self) -> Result<(), FmiError> {
+    pub fn require_single_numbers(&self) -> Result<()> {
         let reason = |recorded: &Recorded| match () {
             () if !recorded.kind.is_number() => Some("it is text or binary, and numbers are needed"),
             () if !recorded.extents.is_empty() => {
@@ -301,14 +269,11 @@ impl SimulationPlan {
         }
     }
 
-    /// Names of the parameters, in the order in which a run takes their values.
-    pub fn parameter_names(&self) -> &[String] {
-        &self.values.parameter_names
-    }
-
-    /// The values the parameters have where none are given, in the same order.
-    pub fn parameter_starts(&self) -> &[f64] {
-        &self.values.parameter_starts
+    getters! {
+        /// Names of the parameters, in the order in which a run takes their values.
+        pub parameter_names(self) -> &[String] = &self.values.parameter_names;
+        /// The values the parameters have where none are given, in the same order.
+        pub parameter_starts(self) -> &[f64] = &self.values.parameter_starts;
     }
 
     /// Nominals that are zero, NaN or infinite become 1, negative ones lose their sign; the first one is

@@ -2,7 +2,7 @@
 //! restore the parameters that were in it, at once or later.
 
 use crate::description::{Causality, Initial, ModelDescription, Variable, VariableKind};
-use crate::error::FmiError;
+use crate::error::Result;
 use crate::instance::Core;
 use crate::instance::assignments::Assignments;
 use crate::instance::integer_codec;
@@ -22,42 +22,18 @@ enum Given {
 /// exactly at its start value. Single variables only.
 #[derive(Debug, Default)]
 pub(crate) struct ReadBack {
-    reals: Columns<Given>,
-    /// Parameters of the runs that are of type `Float32`, by their place among them.
-    singles: Columns<usize>,
-    packed: Vec<(VariableKind, Columns<usize>)>,
+    groups: Vec<Group>,
     /// The model gives some of them other values by itself, also in a new instance: nothing follows from
     /// that.
     overridden: AtomicBool,
 }
 
-/// References, and where the values given are found.
+/// Variables of one kind, and where the values given are found.
 #[derive(Debug)]
-struct Columns<T> {
+struct Group {
+    kind: VariableKind,
     references: Vec<u32>,
-    places: Vec<T>,
-}
-
-impl<T> Default for Columns<T> {
-    fn default() -> Self {
-        Self { references: Vec::new(), places: Vec::new() }
-    }
-}
-
-impl<T: Copy> Columns<T> {
-    fn push(&mut self, reference: u32, place: T) {
-        self.references.push(reference);
-        self.places.push(place);
-    }
-
-    /// Of several values given to one variable the last counts.
-    fn finish(&mut self) {
-        let mut last: HashMap<u32, T> = HashMap::with_capacity(self.places.len());
-        last.extend(self.references.iter().copied().zip(self.places.iter().copied()));
-        self.references.sort_unstable();
-        self.references.dedup();
-        self.places = self.references.iter().map(|reference| last[reference]).collect();
-    }
+    given: Vec<Given>,
 }
 
 /// A variable that does not have the value that it was given.
@@ -77,16 +53,48 @@ pub(crate) struct ReadBackBuffers {
     words: Vec<i64>,
 }
 
-/// Reads variables of type `Float32`.
-fn read_singles<'b>(
-    core: &mut Core,
-    references: &[u32],
-    buffers: &'b mut ReadBackBuffers,
-) -> Result<impl Iterator<Item = f64> + 'b, FmiError> {
-    buffers.words.clear();
-    buffers.words.resize(references.len(), 0);
-    core.call(|raw| raw.get_packed(VariableKind::Float32, references, &mut buffers.words))?;
-    Ok(buffers.words.iter().map(|word| integer_codec::number(VariableKind::Float32, *word)))
+impl Group {
+    /// Reads the variables: floating-point numbers as they are, others as words.
+    fn read(&self, core: &mut Core, buffers: &mut ReadBackBuffers) -> Result<()> {
+        let (n, ReadBackBuffers { reals, words }) = (self.references.len(), buffers);
+        reals.clear();
+        if self.kind == VariableKind::Real {
+            reals.resize(n, 0.0);
+            return core.call(|raw| raw.get_real(&self.references, reals));
+        }
+        words.clear();
+        words.resize(n, 0);
+        core.call(|raw| raw.get_packed(self.kind, &self.references, words))?;
+        if self.kind.is_float() {
+            reals.extend(words.iter().map(|word| integer_codec::number(self.kind, *word)));
+        }
+        Ok(())
+    }
+
+    /// The value given to a floating-point variable.
+    fn number(&self, given: Given, start_values: &Assignments, parameter: &impl Fn(usize) -> f64) -> f64 {
+        match given {
+            Given::Start(place) if self.kind == VariableKind::Real => start_values.reals.1[place],
+            Given::Start(place) => integer_codec::number(self.kind, self.word(place, start_values)),
+            Given::Parameter(place) if self.kind == VariableKind::Real => parameter(place),
+            Given::Parameter(place) => f64::from(parameter(place) as f32),
+        }
+    }
+
+    /// The start value of this place among those of a kind that travels as words.
+    fn word(&self, place: usize, start_values: &Assignments) -> i64 {
+        let group = start_values.packed.iter().find(|(known, ..)| *known == self.kind);
+        group.map_or(0, |(_, _, words)| words[place])
+    }
+
+    /// Of several values given to one variable the last counts.
+    fn finish(&mut self) {
+        let last: HashMap<u32, Given> =
+            self.references.iter().copied().zip(self.given.iter().copied()).collect();
+        self.references.sort_unstable();
+        self.references.dedup();
+        self.given = self.references.iter().map(|reference| last[reference]).collect();
+    }
 }
 
 impl ReadBack {
@@ -97,35 +105,38 @@ impl ReadBack {
         if !keeps || !variable.dimensions.is_empty() {
             return;
         }
-        let (kind, reference) = (variable.kind, variable.value_reference);
-        if kind == VariableKind::Real {
-            return self.reals.push(reference, Given::Start(values.reals.1.len() - 1));
-        }
-        let Some((_, _, words)) = values.packed.iter().find(|(known, ..)| *known == kind) else { return };
-        let place = words.len() - 1;
-        match self.packed.iter_mut().find(|(known, _)| *known == kind) {
-            Some((_, columns)) => columns.push(reference, place),
-            None => {
-                self.packed.push((kind, Columns { references: vec![reference], places: vec![place] }));
-            }
-        }
+        let n_values = match variable.kind {
+            VariableKind::Real => values.reals.1.len(),
+            kind => match values.packed.iter().find(|(known, ..)| *known == kind) {
+                Some((_, _, words)) => words.len(),
+                None => return,
+            },
+        };
+        self.push(variable, Given::Start(n_values - 1));
     }
 
     /// Notes a parameter of the runs, by its place among them. They are set after the start values.
     pub(crate) fn add_parameter(&mut self, variable: &Variable, place: usize) {
         if variable.causality == Causality::Parameter || variable.initial == Some(Initial::Exact) {
-            match variable.kind {
-                VariableKind::Real => self.reals.push(variable.value_reference, Given::Parameter(place)),
-                _ => self.singles.push(variable.value_reference, place),
+            self.push(variable, Given::Parameter(place));
+        }
+    }
+
+    fn push(&mut self, variable: &Variable, given: Given) {
+        let (kind, reference) = (variable.kind, variable.value_reference);
+        match self.groups.iter_mut().find(|group| group.kind == kind) {
+            Some(group) => {
+                group.references.push(reference);
+                group.given.push(given);
             }
+            None => self.groups.push(Group { kind, references: vec![reference], given: vec![given] }),
         }
     }
 
     /// All are noted.
     pub(crate) fn finish(&mut self) {
-        self.reals.finish();
-        self.singles.finish();
-        self.packed.iter_mut().for_each(|(_, columns)| columns.finish());
+        self.groups.iter_mut().for_each(Group::finish);
+        self.groups.sort_by_key(|group| group.kind);
     }
 
     /// True if an initialized instance has the values given; `parameter` returns those of the parameters as
@@ -136,85 +147,54 @@ impl ReadBack {
         start_values: &Assignments,
         parameter: impl Fn(usize) -> f64,
         buffers: &mut ReadBackBuffers,
-    ) -> Result<bool, FmiError> {
+    ) -> Result<bool> {
         if self.overridden.load(Ordering::Relaxed) {
             return Ok(true);
         }
-        let mut agrees = true;
-        let Columns { references, places } = &self.reals;
-        if !references.is_empty() {
-            buffers.reals.clear();
-            buffers.reals.resize(references.len(), 0.0);
-            core.call(|raw| raw.get_real(references, &mut buffers.reals))?;
-            agrees &= places.iter().zip(&buffers.reals).all(|(given, found)| {
-                let given = match *given {
-                    Given::Start(place) => start_values.reals.1[place],
-                    Given::Parameter(place) => parameter(place),
-                };
-                // Not by bits: a model may lose the sign of a zero.
-                given == *found
-            });
-        }
-        let Columns { references, places } = &self.singles;
-        if !references.is_empty() {
-            let found = read_singles(core, references, buffers)?;
-            agrees &=
-                places.iter().zip(found).all(|(place, found)| f64::from(parameter(*place) as f32) == found);
-        }
-        for (kind, Columns { references, places }) in &self.packed {
-            let Some((_, _, given)) = start_values.packed.iter().find(|(known, ..)| known == kind) else {
-                continue;
+        for group in &self.groups {
+            group.read(core, buffers)?;
+            // Not by bits: a model may lose the sign of a zero.
+            let mut numbers = group.given.iter().zip(&buffers.reals);
+            let is_number =
+                |(given, found): (&Given, &f64)| group.number(*given, start_values, &parameter) == *found;
+            let mut words = group.given.iter().zip(&buffers.words);
+            let is_word = |(given, found): (&Given, &i64)| match given {
+                Given::Start(place) => group.word(*place, start_values) == *found,
+                Given::Parameter(_) => true,
             };
-            buffers.words.clear();
-            buffers.words.resize(references.len(), 0);
-            core.call(|raw| raw.get_packed(*kind, references, &mut buffers.words))?;
-            agrees &= places.iter().zip(&buffers.words).all(|(place, found)| given[*place] == *found);
+            if !(if group.kind.is_float() { numbers.all(is_number) } else { words.all(is_word) }) {
+                return Ok(false);
+            }
         }
-        Ok(agrees)
+        Ok(true)
     }
 
-    /// The first of the real variables that a new instance did not give its value: of the parameters, else of
-    /// the others. What differs in its last digits was stored with fewer of them. An error is one of the
-    /// FMU's.
+    /// The first of the floating-point variables that a new instance did not give its value: of the
+    /// parameters, else of the others. What differs in its last digits was stored with fewer of them. An
+    /// error is one of the FMU's.
     pub(crate) fn first_lost<'d>(
         &self,
         core: &mut Core,
         description: &'d ModelDescription,
         start_values: &Assignments,
         parameter: impl Fn(usize) -> f64,
-    ) -> Result<Option<Lost<'d>>, FmiError> {
-        let Columns { references, places } = &self.reals;
-        let mut values = vec![0.0; references.len()];
-        if !references.is_empty() {
-            core.call(|raw| raw.get_real(references, &mut values))?;
-        }
-        let reals = references.iter().zip(places).zip(values).map(|((reference, place), found)| {
-            let given = match *place {
-                Given::Start(place) => start_values.reals.1[place],
-                Given::Parameter(place) => parameter(place),
-            };
-            (VariableKind::Real, reference, given, found)
-        });
-        let Columns { references, places } = &self.singles;
-        let mut buffers = ReadBackBuffers::default();
-        let values: Vec<f64> = match references.is_empty() {
-            true => Vec::new(),
-            false => read_singles(core, references, &mut buffers)?.collect(),
-        };
-        let singles = references.iter().zip(places).zip(values);
-        let singles = singles
-            .map(|((reference, place), found)| (VariableKind::Float32, reference, parameter(*place), found));
-        let mut first = None;
-        for (kind, reference, given, found) in reals.chain(singles) {
-            let is_kept = (given - found).abs() <= FEWER_DIGITS * given.abs().max(found.abs());
-            let is = |v: &&Variable| v.kind == kind && v.value_reference == *reference;
-            let Some(variable) = description.variables.iter().find(is).filter(|_| !is_kept) else { continue };
-            let sign = if variable.negated { -1.0 } else { 1.0 };
-            let lost = Lost { variable, given: sign * given, found: sign * found };
-            if variable.causality == Causality::Parameter {
-                return Ok(Some(lost));
+    ) -> Result<Option<Lost<'d>>> {
+        let (mut first, mut buffers) = (None, ReadBackBuffers::default());
+        for group in self.groups.iter().filter(|group| group.kind.is_float()) {
+            group.read(core, &mut buffers)?;
+            for ((reference, given), found) in group.references.iter().zip(&group.given).zip(&buffers.reals) {
+                let given = group.number(*given, start_values, &parameter);
+                let is_kept = (given - found).abs() <= FEWER_DIGITS * given.abs().max(found.abs());
+                let is = |v: &&Variable| v.kind == group.kind && v.value_reference == *reference;
+                let variable = description.variables.iter().find(is).filter(|_| !is_kept);
+                let Some(variable) = variable else { continue };
+                let sign = if variable.negated { -1.0 } else { 1.0 };
+                let lost = Lost { variable, given: sign * given, found: sign * found };
+                if variable.causality == Causality::Parameter {
+                    return Ok(Some(lost));
+                }
+                first.get_or_insert(lost);
             }
-            first.get_or_insert(lost);
         }
         Ok(first)
     }

@@ -2,7 +2,7 @@
 
 use super::read_back::{Lost, ReadBack, ReadBackBuffers};
 use crate::description::{Causality, ModelDescription, Structure, Value, Variable, VariableKind};
-use crate::error::FmiError;
+use crate::error::{FmiError, Result};
 use crate::instance::Core;
 use crate::instance::assignments::{self, Assignments, check_settable_at_start};
 use crate::libraries::Setting;
@@ -51,7 +51,7 @@ impl RunValues {
         starts: &Starts<'_>,
         parameters: &[String],
         driven: &[VariableElement],
-    ) -> Result<Self, FmiError> {
+    ) -> Result<Self> {
         let description = starts.description;
         let mut values = Self { structure: starts.structure.clone(), ..Self::default() };
         values.take_parameters(starts, parameters, driven)?;
@@ -82,7 +82,7 @@ impl RunValues {
         starts: &Starts<'_>,
         names: &[String],
         driven: &[VariableElement],
-    ) -> Result<(), FmiError> {
+    ) -> Result<()> {
         for name in names {
             let place = VariableElement::of_name(starts.description, starts.structure, name)?;
             let variable = &starts.description.variables[place.variable];
@@ -107,7 +107,7 @@ impl RunValues {
                         format!("parameter {name} is the same variable as {first}, which is given too")
                     }
                 };
-                return Err(FmiError::BadSetting { problem });
+                return Err(FmiError::BadSetting(problem));
             }
             if driven.iter().any(is_same) {
                 return Err(assignments::not_settable(variable, "it is driven by the inputs"));
@@ -202,12 +202,7 @@ impl RunValues {
 
     /// Gives a fresh instance its structure, start values (those of the plan or others for the same
     /// variables) and parameters; `buffer` is used on the way.
-    pub(crate) fn set_up(
-        &self,
-        core: &mut Core,
-        input: RunInput<'_>,
-        buffer: &mut Vec<f64>,
-    ) -> Result<(), FmiError> {
+    pub(crate) fn set_up(&self, core: &mut Core, input: RunInput<'_>, buffer: &mut Vec<f64>) -> Result<()> {
         if !self.structure.is_default() {
             core.configure(&self.structural, &self.structure)?;
         }
@@ -221,7 +216,7 @@ impl RunValues {
         core: &mut Core,
         input: RunInput<'_>,
         buffer: &mut Vec<f64>,
-    ) -> Result<(), FmiError> {
+    ) -> Result<()> {
         core.apply(&input.start.inputs)?;
         self.set_parameters(core, &self.input_slots, true, input.parameters, buffer)
     }
@@ -234,7 +229,7 @@ impl RunValues {
         inputs: bool,
         values: &[f64],
         buffer: &mut Vec<f64>,
-    ) -> Result<(), FmiError> {
+    ) -> Result<()> {
         buffer.clear();
         buffer.extend_from_slice(slots.start());
         for (parameter, value) in self.parameters.iter().zip(values) {
@@ -252,7 +247,7 @@ impl RunValues {
         core: &mut Core,
         parameters: &[f64],
         buffers: &mut ReadBackBuffers,
-    ) -> Result<bool, FmiError> {
+    ) -> Result<bool> {
         self.read_back.agrees(core, &self.start.early, |i| parameters[i] * self.parameters[i].sign, buffers)
     }
 
@@ -263,13 +258,13 @@ impl RunValues {
         core: &mut Core,
         description: &'d ModelDescription,
         parameters: &[f64],
-    ) -> Result<Option<Lost<'d>>, FmiError> {
+    ) -> Result<Option<Lost<'d>>> {
         let given = |i: usize| parameters[i] * self.parameters[i].sign;
         self.read_back.first_lost(core, description, &self.start.early, given)
     }
 
     /// Checks the values of the parameters for one run.
-    pub(crate) fn check_parameters(&self, values: &[f64]) -> Result<(), FmiError> {
+    pub(crate) fn check_parameters(&self, values: &[f64]) -> Result<()> {
         let expected = self.parameters.len();
         if values.len() != expected {
             return Err(FmiError::Length { call: "values of the parameters", expected, found: values.len() });
@@ -286,7 +281,7 @@ impl RunValues {
 pub(super) fn resolve_start_values(
     description: &ModelDescription,
     values: &[(String, Value)],
-) -> Result<(Vec<(usize, Value)>, Structure), FmiError> {
+) -> Result<(Vec<(usize, Value)>, Structure)> {
     let mut resolved: Vec<(usize, Value)> = Vec::with_capacity(values.len());
     let mut places: HashMap<usize, usize> = HashMap::with_capacity(values.len());
     let mut structure = Structure::default();
@@ -299,7 +294,7 @@ pub(super) fn resolve_start_values(
             }
         }
     }
-    structure.check(description).map_err(|(_, problem)| FmiError::BadSetting { problem })?;
+    structure.check(description).map_err(|(_, problem)| FmiError::BadSetting(problem))?;
     for (name, value) in values {
         let VariableElement { variable: index, element } =
             VariableElement::of_name(description, &structure, name)?;

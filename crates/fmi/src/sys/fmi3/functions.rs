@@ -1,11 +1,11 @@
 //! The functions of an FMI 3.0 library whose types are those of FMI 3.0 (FMI 3.0.x, chapters 2, 3 and 4),
 //! bound by name.
 
-use crate::error::{FmiError, Status};
+use crate::error::Status;
 use crate::sys::callbacks::{Callbacks, fmi3_log};
 use crate::sys::function::{Answer, call};
 use crate::sys::functions::{Derivative, Functions, derivative};
-use crate::sys::symbols::{Symbols, table};
+use crate::sys::symbols::table;
 use crate::sys::types::{Component, Direction, EventInfo, Experiment, InterfaceKind, Request, StepInfo};
 use crate::sys::version::{Step, Version};
 use std::ffi::{CString, c_char, c_int, c_void};
@@ -38,64 +38,28 @@ type InstantiateCoSimulation = unsafe extern "C" fn(
     LogMessage,
     Option<IntermediateUpdate>,
 ) -> Component;
-type EnterInitialization = unsafe extern "C" fn(Component, bool, f64, f64, bool, f64) -> c_int;
-type SetDebugLogging = unsafe extern "C" fn(Component, bool, usize, *const *const c_char) -> c_int;
-type UpdateDiscreteStates =
-    unsafe extern "C" fn(Component, *mut Flag, *mut Flag, *mut Flag, *mut Flag, *mut Flag, *mut f64) -> c_int;
-type CompletedStep = unsafe extern "C" fn(Component, bool, *mut Flag, *mut Flag) -> c_int;
-type GetOutputDerivatives =
-    unsafe extern "C" fn(Component, *const u32, usize, *const c_int, *mut f64, usize) -> c_int;
-type DoStep =
-    unsafe extern "C" fn(Component, f64, f64, bool, *mut Flag, *mut Flag, *mut Flag, *mut f64) -> c_int;
 
 table! {
-    /// Functions of both interfaces. The standard demands nearly all of them; FMUs that leave out the
-    /// functions they do not need are known, so only those that every simulation needs are required.
-    struct Common {
-        enter_initialization: EnterInitialization = required "fmi3EnterInitializationMode";
-        set_debug_logging: SetDebugLogging = optional "fmi3SetDebugLogging";
-        update_discrete_states: UpdateDiscreteStates = optional "fmi3UpdateDiscreteStates";
-        directional_derivative: Derivative = optional "fmi3GetDirectionalDerivative";
-    }
-}
-
-table! {
-    /// Model exchange.
-    struct ModelExchange {
-        instantiate: InstantiateModelExchange = required "fmi3InstantiateModelExchange";
-        completed_integrator_step: CompletedStep = required "fmi3CompletedIntegratorStep";
-    }
-}
-
-table! {
-    /// Co-simulation.
-    struct CoSimulation {
-        instantiate: InstantiateCoSimulation = required "fmi3InstantiateCoSimulation";
-        do_step: DoStep = required "fmi3DoStep";
-        get_output_derivatives: GetOutputDerivatives = optional "fmi3GetOutputDerivatives";
-    }
-}
-
-/// The functions of one library.
-pub(crate) struct Fmi3 {
-    common: Common,
-    model_exchange: ModelExchange,
-    co_simulation: CoSimulation,
-}
-
-impl Fmi3 {
-    /// Looks the functions of one interface up.
-    ///
-    /// # Safety
-    /// The library follows FMI 3.0: a symbol of a name has the type the standard gives it.
-    pub(crate) unsafe fn load(symbols: &Symbols<'_>, kind: InterfaceKind) -> Result<Self, FmiError> {
-        // SAFETY: the caller vouches for the library, and the names are those of FMI 3.0.
-        unsafe {
-            Ok(Self {
-                common: Common::load(symbols)?,
-                model_exchange: ModelExchange::load(&symbols.used(kind == InterfaceKind::ModelExchange))?,
-                co_simulation: CoSimulation::load(&symbols.used(kind == InterfaceKind::CoSimulation))?,
-            })
+    /// The functions of one library whose types are those of FMI 3.0. The standard demands nearly all of
+    /// them; FMUs that leave out the functions they do not need are known, so only those that every
+    /// simulation needs are required.
+    pub(crate) struct Fmi3 {
+        both {
+            enter_initialization(bool, f64, f64, bool, f64) = required "fmi3EnterInitializationMode";
+            set_debug_logging(bool, usize, *const *const c_char) = optional "fmi3SetDebugLogging";
+            update_discrete_states(*mut Flag, *mut Flag, *mut Flag, *mut Flag, *mut Flag, *mut f64) =
+                optional "fmi3UpdateDiscreteStates";
+            directional_derivative[Derivative] = optional "fmi3GetDirectionalDerivative";
+        }
+        model_exchange {
+            instantiate_model[InstantiateModelExchange] = required "fmi3InstantiateModelExchange";
+            completed_integrator_step(bool, *mut Flag, *mut Flag) = required "fmi3CompletedIntegratorStep";
+        }
+        co_simulation {
+            instantiate_slave[InstantiateCoSimulation] = required "fmi3InstantiateCoSimulation";
+            do_step(f64, f64, bool, *mut Flag, *mut Flag, *mut Flag, *mut f64) = required "fmi3DoStep";
+            get_output_derivatives(*const u32, usize, *const c_int, *mut f64, usize) =
+                optional "fmi3GetOutputDerivatives";
         }
     }
 }
@@ -112,11 +76,11 @@ impl Version for Fmi3 {
         let (visible, logging) = (request.visible, request.logging);
         // SAFETY: the strings end in NUL; the environment is on the heap and never freed.
         match request.kind {
-            InterfaceKind::ModelExchange => self.model_exchange.instantiate.make(|instantiate| unsafe {
+            InterfaceKind::ModelExchange => self.instantiate_model.make(|instantiate| unsafe {
                 instantiate(name, token, resources, visible, logging, environment, fmi3_log)
             }),
             // SAFETY: the same; there are no variables for intermediate updates.
-            InterfaceKind::CoSimulation => self.co_simulation.instantiate.make(|instantiate| unsafe {
+            InterfaceKind::CoSimulation => self.instantiate_slave.make(|instantiate| unsafe {
                 instantiate(
                     name,
                     token,
@@ -136,13 +100,13 @@ impl Version for Fmi3 {
     }
 
     unsafe fn set_debug_logging(&self, c: Component, on: bool, categories: &[*const c_char]) -> Answer {
-        call!(self.common.set_debug_logging, c, on, categories.len(), categories.as_ptr())
+        call!(self.set_debug_logging, c, on, categories.len(), categories.as_ptr())
     }
 
     unsafe fn enter_initialization(&self, _: &Functions, c: Component, experiment: &Experiment) -> Answer {
         let Experiment { tolerance, start, stop } = *experiment;
         call!(
-            self.common.enter_initialization,
+            self.enter_initialization,
             c,
             tolerance.is_some(),
             tolerance.unwrap_or(0.0),
@@ -154,41 +118,29 @@ impl Version for Fmi3 {
 
     unsafe fn directional_derivative(&self, c: Component, along: Direction<'_>, out: &mut [f64]) -> Answer {
         // SAFETY: as for this call.
-        unsafe { derivative(&self.common.directional_derivative, c, along, out) }
+        unsafe { derivative(&self.directional_derivative, c, along, out) }
     }
 
     unsafe fn new_discrete_states(&self, c: Component, info: &mut EventInfo) -> Answer {
-        let (mut again, mut terminate, mut nominals, mut values, mut defined) = (0, 0, 0, 0, 0);
-        let mut next = 0.0;
-        let answer = call!(
-            self.common.update_discrete_states,
-            c,
-            &raw mut again,
-            &raw mut terminate,
-            &raw mut nominals,
-            &raw mut values,
-            &raw mut defined,
-            &raw mut next
-        );
+        let (mut flags, mut next): ([Flag; 5], f64) = ([0; 5], 0.0);
+        let [again, terminate, nominals, values, defined] = flags.each_mut().map(std::ptr::from_mut);
+        let function = &self.update_discrete_states;
+        let answer = call!(function, c, again, terminate, nominals, values, defined, &raw mut next);
+        let [again, terminate, nominals, values, defined] = flags.map(|flag| flag != 0);
         *info = EventInfo {
-            new_discrete_states_needed: again != 0,
-            terminate: terminate != 0,
-            nominals_changed: nominals != 0,
-            values_changed: values != 0,
-            next_event_time: (defined != 0).then_some(next),
+            new_discrete_states_needed: again,
+            terminate,
+            nominals_changed: nominals,
+            values_changed: values,
+            next_event_time: defined.then_some(next),
         };
         answer
     }
 
     unsafe fn completed_integrator_step(&self, c: Component, no_prior: bool, info: &mut StepInfo) -> Answer {
         let (mut raw_event, mut raw_terminate): (Flag, Flag) = (0, 0);
-        let answer = call!(
-            self.model_exchange.completed_integrator_step,
-            c,
-            no_prior,
-            &raw mut raw_event,
-            &raw mut raw_terminate
-        );
+        let answer =
+            call!(self.completed_integrator_step, c, no_prior, &raw mut raw_event, &raw mut raw_terminate);
         (info.event, info.terminate) = (raw_event != 0, raw_terminate != 0);
         answer
     }
@@ -198,7 +150,7 @@ impl Version for Fmi3 {
         let (mut event, mut terminate, mut early): (Flag, Flag, Flag) = (0, 0, 0);
         let mut reached = f64::NAN;
         let answer = call!(
-            self.co_simulation.do_step,
+            self.do_step,
             c,
             time,
             size,
@@ -230,7 +182,7 @@ impl Version for Fmi3 {
         values: &mut [f64],
     ) -> Answer {
         call!(
-            self.co_simulation.get_output_derivatives,
+            self.get_output_derivatives,
             c,
             refs.as_ptr(),
             refs.len(),
@@ -241,10 +193,6 @@ impl Version for Fmi3 {
     }
 
     fn step_function(&self) -> &'static str {
-        self.co_simulation.do_step.name
+        self.do_step.name
     }
 }
-
-/// The names in its tables.
-#[cfg(test)]
-pub(crate) const NAMES: [&[&[&str]]; 3] = [Common::NAMES, ModelExchange::NAMES, CoSimulation::NAMES];

@@ -4,6 +4,4 @@ mod functions;
 mod values;
 
 pub(super) use functions::Fmi3;
-#[cfg(test)]
-pub(super) use functions::NAMES;
 pub(super) use values::Fmi3Values;

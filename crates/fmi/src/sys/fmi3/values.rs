@@ -9,144 +9,52 @@ use crate::sys::symbols::table;
 use crate::sys::types::Component;
 use crate::sys::version::{NO_SUCH_TYPE, Values};
 use crate::value::VariableKind;
-use std::ffi::{c_char, c_int};
-
-type Get<T> = unsafe extern "C" fn(Component, *const u32, usize, *mut T, usize) -> c_int;
-type Set<T> = unsafe extern "C" fn(Component, *const u32, usize, *const T, usize) -> c_int;
-type GetBinary =
-    unsafe extern "C" fn(Component, *const u32, usize, *mut usize, *mut *const u8, usize) -> c_int;
-type SetBinary =
-    unsafe extern "C" fn(Component, *const u32, usize, *const usize, *const *const u8, usize) -> c_int;
-type GetClock = unsafe extern "C" fn(Component, *const u32, usize, *mut Flag) -> c_int;
-type SetClock = unsafe extern "C" fn(Component, *const u32, usize, *const Flag) -> c_int;
+use std::ffi::c_char;
 
 table! {
     /// The getters and setters of one library.
     pub(crate) struct Fmi3Values {
-        get_float64: Get<f64> = required "fmi3GetFloat64";
-        set_float64: Set<f64> = required "fmi3SetFloat64";
-        get_string: Get<*const c_char> = optional "fmi3GetString";
-        set_string: Set<*const c_char> = optional "fmi3SetString";
-        get_binary: GetBinary = optional "fmi3GetBinary";
-        set_binary: SetBinary = optional "fmi3SetBinary";
-        get_clock: GetClock = optional "fmi3GetClock";
-        set_clock: SetClock = optional "fmi3SetClock";
-        get_float32: Get<f32> = optional "fmi3GetFloat32";
-        set_float32: Set<f32> = optional "fmi3SetFloat32";
-        get_int8: Get<i8> = optional "fmi3GetInt8";
-        set_int8: Set<i8> = optional "fmi3SetInt8";
-        get_uint8: Get<u8> = optional "fmi3GetUInt8";
-        set_uint8: Set<u8> = optional "fmi3SetUInt8";
-        get_int16: Get<i16> = optional "fmi3GetInt16";
-        set_int16: Set<i16> = optional "fmi3SetInt16";
-        get_uint16: Get<u16> = optional "fmi3GetUInt16";
-        set_uint16: Set<u16> = optional "fmi3SetUInt16";
-        get_int32: Get<i32> = optional "fmi3GetInt32";
-        set_int32: Set<i32> = optional "fmi3SetInt32";
-        get_uint32: Get<u32> = optional "fmi3GetUInt32";
-        set_uint32: Set<u32> = optional "fmi3SetUInt32";
-        get_int64: Get<i64> = optional "fmi3GetInt64";
-        set_int64: Set<i64> = optional "fmi3SetInt64";
-        get_uint64: Get<u64> = optional "fmi3GetUInt64";
-        set_uint64: Set<u64> = optional "fmi3SetUInt64";
-        get_boolean: Get<Flag> = optional "fmi3GetBoolean";
-        set_boolean: Set<Flag> = optional "fmi3SetBoolean";
+        both {
+            get_float64(*const u32, usize, *mut f64, usize) = required "fmi3GetFloat64";
+            set_float64(*const u32, usize, *const f64, usize) = required "fmi3SetFloat64";
+            get_string(*const u32, usize, *mut *const c_char, usize) = optional "fmi3GetString";
+            set_string(*const u32, usize, *const *const c_char, usize) = optional "fmi3SetString";
+            get_binary(*const u32, usize, *mut usize, *mut *const u8, usize) = optional "fmi3GetBinary";
+            set_binary(*const u32, usize, *const usize, *const *const u8, usize) = optional "fmi3SetBinary";
+            get_clock(*const u32, usize, *mut Flag) = optional "fmi3GetClock";
+            set_clock(*const u32, usize, *const Flag) = optional "fmi3SetClock";
+            get_float32(*const u32, usize, *mut f32, usize) = optional "fmi3GetFloat32";
+            set_float32(*const u32, usize, *const f32, usize) = optional "fmi3SetFloat32";
+            get_int8(*const u32, usize, *mut i8, usize) = optional "fmi3GetInt8";
+            set_int8(*const u32, usize, *const i8, usize) = optional "fmi3SetInt8";
+            get_uint8(*const u32, usize, *mut u8, usize) = optional "fmi3GetUInt8";
+            set_uint8(*const u32, usize, *const u8, usize) = optional "fmi3SetUInt8";
+            get_int16(*const u32, usize, *mut i16, usize) = optional "fmi3GetInt16";
+            set_int16(*const u32, usize, *const i16, usize) = optional "fmi3SetInt16";
+            get_uint16(*const u32, usize, *mut u16, usize) = optional "fmi3GetUInt16";
+            set_uint16(*const u32, usize, *const u16, usize) = optional "fmi3SetUInt16";
+            get_int32(*const u32, usize, *mut i32, usize) = optional "fmi3GetInt32";
+            set_int32(*const u32, usize, *const i32, usize) = optional "fmi3SetInt32";
+            get_uint32(*const u32, usize, *mut u32, usize) = optional "fmi3GetUInt32";
+            set_uint32(*const u32, usize, *const u32, usize) = optional "fmi3SetUInt32";
+            get_int64(*const u32, usize, *mut i64, usize) = optional "fmi3GetInt64";
+            set_int64(*const u32, usize, *const i64, usize) = optional "fmi3SetInt64";
+            get_uint64(*const u32, usize, *mut u64, usize) = optional "fmi3GetUInt64";
+            set_uint64(*const u32, usize, *const u64, usize) = optional "fmi3SetUInt64";
+            get_boolean(*const u32, usize, *mut Flag, usize) = optional "fmi3GetBoolean";
+            set_boolean(*const u32, usize, *const Flag, usize) = optional "fmi3SetBoolean";
+        }
     }
 }
 
-/// Evaluates an expression with the getter of numbers of a kind.
-macro_rules! with_getter {
-    ($self:ident, $kind:expr, |$function:ident| $body:expr, else $other:expr) => {
+/// Evaluates an expression with the function of a kind of numbers.
+macro_rules! by_kind {
+    ($self:ident, $kind:expr, $($row:ident for $($variant:ident)|+),+; |$function:ident| $body:expr, else $other:expr) => {
         match $kind {
-            VariableKind::Float32 => {
-                let $function = &$self.get_float32;
+            $($(VariableKind::$variant)|+ => {
+                let $function = &$self.$row;
                 $body
-            }
-            VariableKind::Int8 => {
-                let $function = &$self.get_int8;
-                $body
-            }
-            VariableKind::UInt8 => {
-                let $function = &$self.get_uint8;
-                $body
-            }
-            VariableKind::Int16 => {
-                let $function = &$self.get_int16;
-                $body
-            }
-            VariableKind::UInt16 => {
-                let $function = &$self.get_uint16;
-                $body
-            }
-            VariableKind::Integer => {
-                let $function = &$self.get_int32;
-                $body
-            }
-            VariableKind::UInt32 => {
-                let $function = &$self.get_uint32;
-                $body
-            }
-            VariableKind::Int64 | VariableKind::Enumeration => {
-                let $function = &$self.get_int64;
-                $body
-            }
-            VariableKind::UInt64 => {
-                let $function = &$self.get_uint64;
-                $body
-            }
-            VariableKind::Boolean => {
-                let $function = &$self.get_boolean;
-                $body
-            }
-            _ => $other,
-        }
-    };
-}
-
-/// Evaluates an expression with the setter of numbers of a kind.
-macro_rules! with_setter {
-    ($self:ident, $kind:expr, |$function:ident| $body:expr, else $other:expr) => {
-        match $kind {
-            VariableKind::Float32 => {
-                let $function = &$self.set_float32;
-                $body
-            }
-            VariableKind::Int8 => {
-                let $function = &$self.set_int8;
-                $body
-            }
-            VariableKind::UInt8 => {
-                let $function = &$self.set_uint8;
-                $body
-            }
-            VariableKind::Int16 => {
-                let $function = &$self.set_int16;
-                $body
-            }
-            VariableKind::UInt16 => {
-                let $function = &$self.set_uint16;
-                $body
-            }
-            VariableKind::Integer => {
-                let $function = &$self.set_int32;
-                $body
-            }
-            VariableKind::UInt32 => {
-                let $function = &$self.set_uint32;
-                $body
-            }
-            VariableKind::Int64 | VariableKind::Enumeration => {
-                let $function = &$self.set_int64;
-                $body
-            }
-            VariableKind::UInt64 => {
-                let $function = &$self.set_uint64;
-                $body
-            }
-            VariableKind::Boolean => {
-                let $function = &$self.set_boolean;
-                $body
-            }
+            })+
             _ => $other,
         }
     };
@@ -169,9 +77,10 @@ impl Values for Fmi3Values {
 
     unsafe fn get_packed(&self, c: Component, kind: VariableKind, refs: &[u32], words: &mut [i64]) -> Answer {
         let (list, n, count) = (refs.as_ptr(), refs.len(), words.len());
-        let answer = with_getter!(
-            self,
-            kind,
+        let answer = by_kind!(
+            self, kind, get_float32 for Float32, get_int8 for Int8, get_uint8 for UInt8, get_int16 for Int16,
+            get_uint16 for UInt16, get_int32 for Integer, get_uint32 for UInt32,
+            get_int64 for Int64 | Enumeration, get_uint64 for UInt64, get_boolean for Boolean;
             |function| packed::get(words, |values| call!(function, c, list, n, values, count)),
             else match kind {
                 // One value for each clock: the FMU is not told how many there are.
@@ -190,9 +99,10 @@ impl Values for Fmi3Values {
 
     unsafe fn set_packed(&self, c: Component, kind: VariableKind, refs: &[u32], words: &mut [i64]) -> Answer {
         let (list, n, count) = (refs.as_ptr(), refs.len(), words.len());
-        with_setter!(
-            self,
-            kind,
+        by_kind!(
+            self, kind, set_float32 for Float32, set_int8 for Int8, set_uint8 for UInt8, set_int16 for Int16,
+            set_uint16 for UInt16, set_int32 for Integer, set_uint32 for UInt32,
+            set_int64 for Int64 | Enumeration, set_uint64 for UInt64, set_boolean for Boolean;
             |function| packed::set(words, |values| call!(function, c, list, n, values, count)),
             else match kind {
                 VariableKind::Clock if n == count => {

@@ -14,13 +14,13 @@ impl RawInstance {
         let interval = if fraction {
             run!(self, |library, c| {
                 let (function, fraction) =
-                    (&library.functions.common.interval_fraction, (&raw mut counter, &raw mut resolution));
+                    (&library.functions.interval_fraction, (&raw mut counter, &raw mut resolution));
                 call!(function, c, clock, 1, fraction.0, fraction.1, &raw mut qualifier)
             })?;
             Interval::Fraction(counter, resolution)
         } else {
             run!(self, |library, c| {
-                let function = &library.functions.common.interval_decimal;
+                let function = &library.functions.interval_decimal;
                 call!(function, c, clock, 1, &raw mut interval, &raw mut qualifier)
             })?;
             Interval::Decimal(interval)
@@ -38,11 +38,11 @@ impl RawInstance {
         let clock = &raw const clock;
         run!(self, |library, c| match interval {
             Interval::Decimal(value) => {
-                call!(library.functions.common.set_interval_decimal, c, clock, 1, &raw const value)
+                call!(library.functions.set_interval_decimal, c, clock, 1, &raw const value)
             }
             Interval::Fraction(counter, resolution) => {
                 let (counter, resolution) = (&raw const counter, &raw const resolution);
-                call!(library.functions.common.set_interval_fraction, c, clock, 1, counter, resolution)
+                call!(library.functions.set_interval_fraction, c, clock, 1, counter, resolution)
             }
         })
     }
@@ -52,7 +52,7 @@ impl RawInstance {
         let clock = &raw const clock;
         let (mut shift, mut counter, mut resolution) = (0.0, 0, 0);
         run!(self, |library, c| {
-            let functions = &library.functions.common;
+            let functions = &library.functions;
             if fraction {
                 call!(functions.shift_fraction, c, clock, 1, &raw mut counter, &raw mut resolution)
             } else {

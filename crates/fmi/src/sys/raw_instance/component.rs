@@ -1,14 +1,15 @@
 //! One component of an FMU: the sole owner of its pointer, with every call checked before and after.
 
 use super::buffers::ValueBuffers;
-use super::fault::{Failed, Fault, Outcome, Sizes};
+use super::fault::{Fault, Outcome, Sizes};
 use super::slots::SavedStates;
 use crate::description::DependencyKind;
-use crate::error::{FmiError, LogLine, Status};
+use crate::error::{CallFailure, FmiError, LogLine, Result, Status};
+use crate::macros::getters;
 use crate::sys::callbacks::Callbacks;
 use crate::sys::environment::{Inside, OneCall, restore_default};
 use crate::sys::function::{Answer, Function, call};
-use crate::sys::functions::{CommonFunctions, Functions, GetVector, Plain, PointFunctions, derivative};
+use crate::sys::functions::{Functions, GetVector, Plain, derivative};
 use crate::sys::last_call;
 use crate::sys::library::Library;
 use crate::sys::types::{Component, Direction, ElementDependency, EventInfo, Experiment, Request, StepInfo};
@@ -37,6 +38,13 @@ pub(super) struct Memory {
     announced: Option<EventInfo>,
     /// Nothing of the step that was tried last was computed.
     pub(super) is_step_repeated: bool,
+}
+
+/// A point at which a model is evaluated.
+#[derive(Clone, Copy)]
+struct Point<'a> {
+    time: f64,
+    states: &'a [f64],
 }
 
 /// A live component.
@@ -79,12 +87,35 @@ impl std::fmt::Debug for RawInstance {
     }
 }
 
+/// Calls of functions that take nothing but the component.
+macro_rules! plain {
+    ($($name:ident)+) => {$(
+        pub(crate) fn $name(&mut self) -> Outcome {
+            self.plain(|functions| &functions.$name)
+        }
+    )+};
+}
+
 impl RawInstance {
+    getters! {
+        /// True if a call of this instance, or of another of the same loaded copy of the library, returned
+        /// `Fatal`.
+        pub(crate) is_fatal(self) -> bool = self.fatal.is_some() || self.library.is_fatal();
+        /// Co-simulation: whether it was made to have its events handled between steps.
+        pub(crate) has_event_mode(self) -> bool = self.event_mode;
+        /// The time last set.
+        pub(crate) time(self) -> Option<f64> = self.time;
+        /// The file of its library.
+        pub(crate) library_path(self) -> PathBuf = self.library.path().to_owned();
+        /// The last lines the FMU logged, and how many earlier ones were dropped.
+        pub(crate) log(self) -> (Vec<LogLine>, u64) = self.callbacks.log().last(usize::MAX);
+    }
+
     /// Makes a component.
-    pub(crate) fn new(library: &Arc<Library>, request: &Request<'_>, sizes: Sizes) -> Result<Self, FmiError> {
+    pub(crate) fn new(library: &Arc<Library>, request: &Request<'_>, sizes: Sizes) -> Result<Self> {
         let _inside = Inside::enter(library.gate());
         if library.is_fatal() {
-            return Err(FmiError::LibraryUnusable { library: library.path().to_owned() });
+            return Err(FmiError::LibraryUnusable(library.path().to_owned()));
         }
         let callbacks = library.callbacks(request.log_filter);
         // SAFETY: the callbacks are never freed: they are leaked, or go back to the library.
@@ -93,15 +124,9 @@ impl RawInstance {
             library.version.instantiate(request, &callbacks)
         };
         if component.is_null() {
-            let (log, dropped) = callbacks.log().last(LINES_IN_ERRORS);
+            let failure = failure(&callbacks, function, Status::Error, None);
             library.retire(callbacks);
-            return Err(FmiError::from(Failed {
-                call: function,
-                status: Status::Error,
-                time: None,
-                log,
-                dropped,
-            }));
+            return Err(FmiError::Call(Box::new(failure)));
         }
         library.set_used();
         Ok(Self {
@@ -122,12 +147,6 @@ impl RawInstance {
         })
     }
 
-    /// True if a call of this instance, or of another of the same loaded copy of the library, returned
-    /// `Fatal`.
-    pub(crate) fn is_fatal(&self) -> bool {
-        self.fatal.is_some() || self.library.is_fatal()
-    }
-
     /// Makes it refuse calls after an `Error`, as the standard demands. Simulations look after that
     /// themselves: what a model cannot do at one point they may do without.
     pub(crate) fn set_by_hand(&mut self) {
@@ -144,31 +163,11 @@ impl RawInstance {
         outcome
     }
 
-    /// The file of its library.
-    pub(crate) fn library_path(&self) -> PathBuf {
-        self.library.path().to_owned()
-    }
-
-    /// Co-simulation: whether it was made to have its events handled between steps.
-    pub(crate) fn has_event_mode(&self) -> bool {
-        self.event_mode
-    }
-
-    /// The time last set.
-    pub(crate) fn time(&self) -> Option<f64> {
-        self.time
-    }
-
     /// Notes the time of the calls that follow.
     #[inline]
     pub(super) fn set_time_told(&mut self, time: f64) {
         self.time = Some(time);
         last_call::note_time(time);
-    }
-
-    /// The last lines the FMU logged, and how many earlier ones were dropped.
-    pub(crate) fn log(&self) -> (Vec<LogLine>, u64) {
-        self.callbacks.log().last(usize::MAX)
     }
 
     /// Forgets the log.
@@ -182,9 +181,8 @@ impl RawInstance {
     }
 
     /// Data of an error about `call`.
-    pub(crate) fn failed(&self, call: &'static str, status: Status) -> Failed {
-        let (log, dropped) = self.callbacks.log().last(LINES_IN_ERRORS);
-        Failed { call, status, time: self.time, log, dropped }
+    pub(crate) fn failure(&self, call: &'static str, status: Status) -> CallFailure {
+        failure(&self.callbacks, call, status, self.time)
     }
 
     /// The one place where a status becomes a result.
@@ -205,7 +203,7 @@ impl RawInstance {
             Status::Error | Status::Unknown(_) if self.is_by_hand => self.failed = Some(function),
             Status::Error | Status::Pending | Status::Unknown(_) => {}
         }
-        Err(Fault::Failed(Box::new(self.failed(function, status))))
+        Err(Fault::Failed(Box::new(self.failure(function, status))))
     }
 
     /// Refuses calls on a component after `Fatal` or `Error`, or into a library that is not to be trusted any
@@ -218,7 +216,7 @@ impl RawInstance {
     #[cold]
     fn unusable(&self) -> Outcome {
         Err(match (self.fatal, self.failed) {
-            (Some(function), _) => Fault::Failed(Box::new(self.failed(function, Status::Fatal))),
+            (Some(function), _) => Fault::Failed(Box::new(self.failure(function, Status::Fatal))),
             (None, Some(function)) if !self.is_fatal() => Fault::AfterError(function),
             _ => Fault::Unusable(self.library_path()),
         })
@@ -233,6 +231,8 @@ impl RawInstance {
     pub(super) fn length(&self, function: &'static str, expected: usize, found: usize) -> Outcome {
         if expected == found { Ok(()) } else { Err(Fault::Length { call: function, expected, found }) }
     }
+
+    plain! { enter_configuration exit_configuration terminate enter_event_mode enter_continuous_time_mode enter_step_mode }
 
     /// Calls a function that takes nothing but the component.
     fn plain(&mut self, function: impl Fn(&Functions) -> &Function<Plain>) -> Outcome {
@@ -253,7 +253,7 @@ impl RawInstance {
         self.set_time_told(start);
         self.memory.experiment = *experiment;
         run!(self, |library, c| {
-            let function = &library.functions.common.setup_experiment;
+            let function = &library.functions.setup_experiment;
             let (has_tolerance, tolerance) = (tolerance.is_some().into(), tolerance.unwrap_or(0.0));
             call!(function, c, has_tolerance, tolerance, start, stop.is_some().into(), stop.unwrap_or(0.0))
         })
@@ -274,22 +274,14 @@ impl RawInstance {
         outcome
     }
 
-    pub(crate) fn enter_configuration(&mut self) -> Outcome {
-        self.plain(|functions| &functions.common.enter_configuration)
-    }
-
-    pub(crate) fn exit_configuration(&mut self) -> Outcome {
-        self.plain(|functions| &functions.common.exit_configuration)
-    }
-
     /// The sizes of the model's vectors as the FMU says them now, where it has a say.
     pub(crate) fn ask_sizes(&mut self) -> Result<Option<Sizes>, Fault> {
         let Sizes { mut states, mut indicators } = self.sizes;
-        match run!(self, |library, c| call!(library.functions.point.count_states, c, &raw mut states)) {
+        match run!(self, |library, c| call!(library.functions.count_states, c, &raw mut states)) {
             Err(Fault::Missing(_)) => return Ok(None),
             outcome => outcome?,
         }
-        run!(self, |library, c| call!(library.functions.point.count_indicators, c, &raw mut indicators))?;
+        run!(self, |library, c| call!(library.functions.count_indicators, c, &raw mut indicators))?;
         Ok(Some(Sizes { states, indicators }))
     }
 
@@ -298,13 +290,9 @@ impl RawInstance {
         self.sizes = sizes;
     }
 
-    pub(crate) fn terminate(&mut self) -> Outcome {
-        self.plain(|functions| &functions.common.terminate)
-    }
-
     pub(crate) fn reset(&mut self) -> Outcome {
         (self.time, self.memory.is_step_repeated) = (None, false);
-        self.recover(|raw| raw.plain(|functions| &functions.common.reset))
+        self.recover(|raw| raw.plain(|functions| &functions.reset))
     }
 
     pub(crate) fn directional_derivative(&mut self, along: Direction<'_>, out: &mut [f64]) -> Outcome {
@@ -312,13 +300,13 @@ impl RawInstance {
     }
 
     pub(crate) fn adjoint_derivative(&mut self, along: Direction<'_>, out: &mut [f64]) -> Outcome {
-        let function = self.library.functions.common.adjoint_derivative;
+        let function = self.library.functions.adjoint_derivative;
         run!(self, |_library, c| derivative(&function, c, along, out))
     }
 
     /// Dependencies of the elements of a variable.
     pub(crate) fn variable_dependencies(&mut self, reference: u32) -> Result<Vec<ElementDependency>, Fault> {
-        let CommonFunctions { count_dependencies, dependencies, .. } = self.library.functions.common;
+        let Functions { count_dependencies, dependencies, .. } = self.library.functions;
         let mut n = 0;
         run!(self, |_library, c| call!(count_dependencies, c, reference, &raw mut n))?;
         if n == 0 {
@@ -358,12 +346,8 @@ impl RawInstance {
     pub(crate) fn state_references(&mut self) -> Result<Vec<u32>, Fault> {
         let mut references = vec![u32::MAX; self.sizes.states];
         let (list, n) = (references.as_mut_ptr(), references.len());
-        run!(self, |library, c| call!(library.functions.point.get_state_references, c, list, n))?;
+        run!(self, |library, c| call!(library.functions.get_state_references, c, list, n))?;
         Ok(references)
-    }
-
-    pub(crate) fn enter_event_mode(&mut self) -> Outcome {
-        self.plain(|functions| &functions.common.enter_event_mode)
     }
 
     pub(crate) fn new_discrete_states(&mut self, info: &mut EventInfo) -> Outcome {
@@ -373,10 +357,6 @@ impl RawInstance {
             return Ok(());
         }
         run!(self, |library, c| library.version.new_discrete_states(c, info))
-    }
-
-    pub(crate) fn enter_continuous_time_mode(&mut self) -> Outcome {
-        self.plain(|functions| &functions.point.enter_continuous_time_mode)
     }
 
     /// Returns whether the model wants an event, and whether it wants to end.
@@ -390,11 +370,11 @@ impl RawInstance {
     pub(crate) fn set_time(&mut self, time: f64) -> Outcome {
         self.callbacks.log().go_on();
         self.set_time_told(time);
-        run!(self, |library, c| call!(library.functions.point.set_time, c, time))
+        run!(self, |library, c| call!(library.functions.set_time, c, time))
     }
 
     pub(crate) fn set_continuous_states(&mut self, states: &[f64]) -> Outcome {
-        let function = self.library.functions.point.set_continuous_states;
+        let function = self.library.functions.set_continuous_states;
         self.length(function.name, self.sizes.states, states.len())?;
         run!(self, |_library, c| call!(function, c, states.as_ptr(), states.len()))
     }
@@ -406,33 +386,33 @@ impl RawInstance {
     }
 
     pub(crate) fn get_continuous_states(&mut self, states: &mut [f64]) -> Outcome {
-        self.get_vector(self.library.functions.point.get_continuous_states, self.sizes.states, states)
+        self.get_vector(self.library.functions.get_continuous_states, self.sizes.states, states)
     }
 
     pub(crate) fn get_derivatives(&mut self, derivatives: &mut [f64]) -> Outcome {
-        self.get_vector(self.library.functions.point.get_derivatives, self.sizes.states, derivatives)
+        self.get_vector(self.library.functions.get_derivatives, self.sizes.states, derivatives)
     }
 
     pub(crate) fn get_event_indicators(&mut self, indicators: &mut [f64]) -> Outcome {
-        self.get_vector(self.library.functions.point.get_event_indicators, self.sizes.indicators, indicators)
+        self.get_vector(self.library.functions.get_event_indicators, self.sizes.indicators, indicators)
     }
 
     pub(crate) fn get_nominals(&mut self, nominals: &mut [f64]) -> Outcome {
-        self.get_vector(self.library.functions.point.get_nominals, self.sizes.states, nominals)
+        self.get_vector(self.library.functions.get_nominals, self.sizes.states, nominals)
     }
 
     /// The derivatives at a point: sets the time, then the states, and reads them.
     #[inline]
     pub(crate) fn right_hand_side(&mut self, time: f64, states: &[f64], derivatives: &mut [f64]) -> Outcome {
         let size = self.sizes.states;
-        self.vector_at((time, states), |point| &point.get_derivatives, (size, derivatives))
+        self.vector_at(Point { time, states }, |functions| &functions.get_derivatives, size, derivatives)
     }
 
     /// The event indicators at a point: sets the time, then the states, and reads them.
     #[inline]
     pub(crate) fn indicators_at(&mut self, time: f64, states: &[f64], indicators: &mut [f64]) -> Outcome {
         let size = self.sizes.indicators;
-        self.vector_at((time, states), |point| &point.get_event_indicators, (size, indicators))
+        self.vector_at(Point { time, states }, |functions| &functions.get_event_indicators, size, indicators)
     }
 
     /// Sets the time, then the states, and calls a function that fills a vector of the model, which has this
@@ -441,20 +421,22 @@ impl RawInstance {
     #[inline]
     fn vector_at(
         &mut self,
-        (time, states): (f64, &[f64]),
-        get: impl Fn(&PointFunctions) -> &Function<GetVector>,
-        (size, values): (usize, &mut [f64]),
+        at: Point<'_>,
+        get: impl Fn(&Functions) -> &Function<GetVector>,
+        size: usize,
+        values: &mut [f64],
     ) -> Outcome {
-        let point = &self.library.functions.point;
+        let Point { time, states } = at;
+        let point = &self.library.functions;
         self.length(point.set_continuous_states.name, self.sizes.states, states.len())?;
         self.length(get(point).name, size, values.len())?;
         self.check_usable()?;
         self.callbacks.log().go_on();
         self.set_time_told(time);
         if self.to_look_into > 0 || self.callbacks.is_by_thread() {
-            return self.vector_one_by_one((time, states), get, values);
+            return self.vector_one_by_one(at, get, values);
         }
-        let point = &self.library.functions.point;
+        let point = &self.library.functions;
         let one = OneCall::enter(self.library.gate());
         let c = self.component;
         // SAFETY (of the three calls): the component is alive and ours alone (`&mut self`), both slices have as many places as
@@ -470,7 +452,7 @@ impl RawInstance {
         one.forget();
         if has_changed {
             self.to_look_into = u8::MAX;
-            return self.vector_one_by_one((time, states), get, values);
+            return self.vector_one_by_one(at, get, values);
         }
         self.check(answer)
     }
@@ -479,11 +461,11 @@ impl RawInstance {
     #[inline(never)]
     fn vector_one_by_one(
         &mut self,
-        (time, states): (f64, &[f64]),
-        get: impl Fn(&PointFunctions) -> &Function<GetVector>,
+        Point { time, states }: Point<'_>,
+        get: impl Fn(&Functions) -> &Function<GetVector>,
         values: &mut [f64],
     ) -> Outcome {
-        let point = &self.library.functions.point;
+        let point = &self.library.functions;
         let one = OneCall::enter(self.library.gate());
         let _current = self.callbacks.enter();
         let c = self.component;
@@ -507,6 +489,12 @@ impl RawInstance {
         }
         self.check(answer)
     }
+}
+
+/// Data of an error about `call`, with the last lines of the log.
+fn failure(callbacks: &Callbacks, call: &'static str, status: Status, time: Option<f64>) -> CallFailure {
+    let (log, dropped_log_lines) = callbacks.log().last(LINES_IN_ERRORS);
+    CallFailure { call, status, variables: Vec::new(), time, log, dropped_log_lines }
 }
 
 /// A vector of as many zeros, if there is memory for it.
@@ -537,7 +525,7 @@ impl Left {
             return;
         }
         let _inside = Inside::enter(self.library.gate());
-        let (functions, current) = (&self.library.functions.common, self.callbacks.enter());
+        let (functions, current) = (&self.library.functions, self.callbacks.enter());
         // SAFETY: the component is alive and made these states.
         unsafe { self.saved.free(&functions.free_state, self.component) };
         if let Some(free) = functions.free.pointer {

@@ -1,6 +1,6 @@
 //! Faults of a call: the reasons why it returned no result.
 
-use crate::error::{CallFailure, FmiError, LogLine, Status};
+use crate::error::CallFailure;
 use std::path::PathBuf;
 
 /// Sizes of the model's vectors.
@@ -16,7 +16,7 @@ pub(crate) enum Fault {
     /// Not possible at this point.
     Discard(&'static str),
     /// Anything worse.
-    Failed(Box<Failed>),
+    Failed(Box<CallFailure>),
     /// The library has no such function.
     Missing(&'static str),
     /// After a `Fatal` of another instance; the FMU was not called.
@@ -29,33 +29,4 @@ pub(crate) enum Fault {
     TooLarge { call: &'static str, size: usize },
 }
 
-/// A call that returned an error.
-#[derive(Debug)]
-pub(crate) struct Failed {
-    pub(crate) call: &'static str,
-    pub(crate) status: Status,
-    pub(crate) time: Option<f64>,
-    pub(crate) log: Vec<LogLine>,
-    pub(crate) dropped: u64,
-}
-
 pub(super) type Outcome = Result<(), Fault>;
-
-impl From<Failed> for CallFailure {
-    fn from(failed: Failed) -> Self {
-        Self {
-            call: failed.call,
-            status: failed.status,
-            variables: Vec::new(),
-            time: failed.time,
-            log: failed.log,
-            dropped_log_lines: failed.dropped,
-        }
-    }
-}
-
-impl From<Failed> for FmiError {
-    fn from(failed: Failed) -> Self {
-        FmiError::Call(Box::new(failed.into()))
-    }
-}

@@ -9,8 +9,7 @@ impl RawInstance {
     /// Saves the state in a place whose token is gone, or a new one.
     pub(crate) fn save_state(&mut self) -> Result<SavedSlot, Fault> {
         let (index, mut pointer) = self.saved.vacant_slot();
-        let outcome =
-            run!(self, |library, c| call!(library.functions.common.save_state, c, &raw mut pointer));
+        let outcome = run!(self, |library, c| call!(library.functions.save_state, c, &raw mut pointer));
         self.saved.fill_slot(index, pointer, outcome)
     }
 
@@ -28,7 +27,7 @@ impl RawInstance {
     /// Brings that state back; without one, a `Discard`.
     pub(crate) fn restore_origin(&mut self) -> Outcome {
         let Some(origin) = self.saved.origin.take() else {
-            return Err(Fault::Discard(self.library.functions.common.restore_state.name));
+            return Err(Fault::Discard(self.library.functions.restore_state.name));
         };
         let outcome = self.restore_state(&origin);
         self.saved.origin = Some(origin);
@@ -43,7 +42,7 @@ impl RawInstance {
     /// Brings a saved state back. The caller has checked [`owns`](Self::owns); a foreign token is a
     /// `Discard`.
     pub(crate) fn restore_state(&mut self, saved: &SavedSlot) -> Outcome {
-        let function = self.library.functions.common.restore_state;
+        let function = self.library.functions.restore_state;
         let pointer = self.saved.pointer(saved).ok_or(Fault::Discard(function.name))?;
         self.time = None;
         self.recover(|raw| run!(raw, |_library, c| call!(function, c, pointer)))

@@ -12,7 +12,7 @@ impl RawInstance {
     /// One communication step. A step that was not (or only in part) computed is no fault here: `info` says
     /// how far the model got, and the answer is `false`. A pending step has to be asked for with
     /// [`step_status`](Self::step_status).
-    pub(crate) fn do_step(&mut self, (time, size): (f64, f64), info: &mut StepInfo) -> Result<bool, Fault> {
+    pub(crate) fn do_step(&mut self, time: f64, size: f64, info: &mut StepInfo) -> Result<bool, Fault> {
         self.callbacks.log().go_on();
         self.set_time_told(time);
         let no_set_state_prior = !self.saved.may_be_restored();
@@ -31,18 +31,14 @@ impl RawInstance {
 
     /// Queries the status of a pending step; returns as [`do_step`](Self::do_step).
     pub(crate) fn step_status(&mut self, info: &mut StepInfo) -> Result<bool, Fault> {
-        let outcome = run!(self, |library, c| library.functions.steps.status(c, info));
+        let outcome = run!(self, |library, c| library.functions.step_status(c, info));
         completed(outcome, info)
-    }
-
-    pub(crate) fn enter_step_mode(&mut self) -> Outcome {
-        run!(self, |library, c| call!(library.functions.steps.enter_step_mode, c))
     }
 
     /// Gives a pending step up. An instance that does not let go is abandoned: nothing may be called on it
     /// meanwhile.
     pub(crate) fn abandon_step(&mut self) {
-        let cancel = self.library.functions.steps.cancel;
+        let cancel = self.library.functions.cancel;
         let mut give_up = || run!(self, |_library, c| call!(cancel, c));
         if give_up().is_err() {
             self.fatal.get_or_insert(cancel.name);
@@ -51,10 +47,10 @@ impl RawInstance {
 
     /// Sets first derivatives of real inputs with respect to time.
     pub(crate) fn set_input_derivatives(&mut self, references: &[u32], values: &[f64]) -> Outcome {
-        self.length(self.library.functions.steps.set_input_derivatives.name, references.len(), values.len())?;
+        self.length(self.library.functions.set_input_derivatives.name, references.len(), values.len())?;
         self.with_first_orders(values.len(), |raw, orders| {
             run!(raw, |library, c| {
-                let function = &library.functions.steps.set_input_derivatives;
+                let function = &library.functions.set_input_derivatives;
                 let (list, n) = (references.as_ptr(), references.len());
                 call!(function, c, list, n, orders.as_ptr(), values.as_ptr())
             })
@@ -63,11 +59,7 @@ impl RawInstance {
 
     /// First derivatives of single real outputs with respect to time, at the end of the last step.
     pub(crate) fn get_output_derivatives(&mut self, references: &[u32], values: &mut [f64]) -> Outcome {
-        self.length(
-            self.library.functions.steps.get_output_derivatives.name,
-            references.len(),
-            values.len(),
-        )?;
+        self.length(self.library.functions.get_output_derivatives.name, references.len(), values.len())?;
         self.with_first_orders(values.len(), |raw, orders| {
             run!(raw, |library, c| {
                 let functions = &library.functions;

@@ -1,0 +1,40 @@
+//! Declarations by macro: enumerations whose values have words, functions that return a part of a value.
+
+/// Declares an enumeration with its words: `WORDS`, `name` and `Display`.
+macro_rules! words {
+    ($(#[$meta:meta])* $vis:vis enum $type:ident { $($(#[$doc:meta])* $variant:ident = $word:literal,)+ }) => {
+        $(#[$meta])*
+        $vis enum $type { $($(#[$doc])* $variant,)+ }
+
+        #[allow(dead_code)]
+        impl $type {
+            /// All values, by their words.
+            pub(crate) const WORDS: &[(&str, $type)] = &[$(($word, $type::$variant)),+];
+
+            /// The word for it.
+            pub fn name(self) -> &'static str {
+                match self {
+                    $($type::$variant => $word),+
+                }
+            }
+        }
+
+        impl std::fmt::Display for $type {
+            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str(self.name())
+            }
+        }
+    };
+}
+pub(crate) use words;
+
+/// Declares functions that return a part of the value.
+macro_rules! getters {
+    ($($(#[$meta:meta])* $vis:vis $name:ident($self:ident) -> $type:ty = $value:expr;)+) => {$(
+        $(#[$meta])*
+        $vis fn $name(&$self) -> $type {
+            $value
+        }
+    )+};
+}
+pub(crate) use getters;
