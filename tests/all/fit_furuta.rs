@@ -244,7 +244,7 @@ fn a_checkpoint_knows_model_data_and_settings() {
         .unwrap();
     let refused = run(&windowed, 50);
     assert!(
-        matches!(&refused, Err(CalibrationError::Optimiser(Error::CheckpointMismatch { what, .. })) if what == "window of experiment 0"),
+        matches!(&refused, Err(CalibrationError::Optimiser(Error::CheckpointMismatch { what, .. })) if what == "windows of experiment 0"),
         "{refused:?}"
     );
     std::fs::remove_dir_all(folder).unwrap();

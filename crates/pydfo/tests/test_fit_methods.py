@@ -54,7 +54,7 @@ def test_a_fit_goes_on_from_its_checkpoint(dahlquist, method, tmp_path):
     before = path.read_bytes()
     with pytest.raises(pydfo.CheckpointError, match="data of experiment 0"):
         other.fit(**run, max_evaluations=200, checkpoint=path)
-    with pytest.raises(pydfo.CheckpointError, match="relative tolerance: 1e-10 in the file, 1e-9 here"):
+    with pytest.raises(pydfo.CheckpointError, match="relative_tolerance of the simulations: 1e-10 in the file, 1e-9 here"):
         decay(dahlquist, parameters=BOXED, relative_tolerance=1e-9).fit(**run, max_evaluations=200, checkpoint=path)
     assert path.read_bytes() == before
 

@@ -35,7 +35,7 @@ def terminal(monkeypatch):
 
 def progress(**more):
     fields = dict(x=np.array([0.5, 2.0]), fun=1.25, nit=3, nfev=12, nfail=0, n_speculative=0, solve_time=0.1, operation="")
-    return Progress(**fields | dict(x_size=None, f_spread=None, final_simplex=None, final_population=None, recent=[]) | more)
+    return Progress(**fields | dict(x_size=None, f_spread=None, final_simplex=None, final_population=None, _recent=[]) | more)
 
 
 def test_the_line_says_what_was_found_and_what_is_left():

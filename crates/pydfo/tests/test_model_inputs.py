@@ -278,7 +278,7 @@ def test_a_fit_belongs_to_what_its_inputs_were_told(tmp_path):
 
     assert calibration(True).cost([0.5]) < 1e-9 < calibration(False).cost([0.5])
     calibration(True).fit(checkpoint=tmp_path / "fit", max_evaluations=20)
-    with pytest.raises(CheckpointError, match="derivatives of the inputs"):
+    with pytest.raises(CheckpointError, match="input_derivatives of the simulations: true in the file, false here"):
         calibration(False).fit(checkpoint=tmp_path / "fit", resume="require", max_evaluations=20)
 
 

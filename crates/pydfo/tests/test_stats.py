@@ -103,8 +103,8 @@ def test_a_checkpoint_of_another_fit_is_refused_in_words(tmp_path):
     path = tmp_path / "run"
     bouncing().fit("nelder-mead", max_evaluations=5, checkpoint=path)
     for other, said in [
-        (bouncing(max_step=0.5), "largest step: by default in the file, 0.5 here"),
-        (bouncing(window=(0.0, 1.0)), "window of experiment 0: all in the file, from 0.0 to 1.0 here"),
+        (bouncing(max_step=0.5), "max_step of the simulations: none in the file, 0.5 here"),
+        (bouncing(window=(0.0, 1.0)), "windows of experiment 0: none in the file, 0.0, 1.0 here"),
     ]:
         with pytest.raises(pydfo.CheckpointError, match=said):
             other.fit("nelder-mead", max_evaluations=5, checkpoint=path)

@@ -120,7 +120,7 @@ impl Calibration {
             let level = if warning.severity() == Severity::Note { Level::Info } else { Level::Warn };
             log::log!(target: SETUP_LOG_TARGET, level, "{warning}");
         }
-        let identity = identity(&evaluator.problem, &evaluator.parameters);
+        let identity = identity(&evaluator.problem, &evaluator.parameters)?;
         Ok(Self { evaluator, choice: Choice::default(), identity })
     }
 
@@ -128,7 +128,7 @@ impl Calibration {
     /// Warnings of the problem are not logged again.
     pub(crate) fn derived(&self, problem: Problem) -> Result<Self, CalibrationError> {
         let evaluator = Evaluator::new(self.fmu().clone(), problem)?;
-        let identity = identity(&evaluator.problem, &evaluator.parameters);
+        let identity = identity(&evaluator.problem, &evaluator.parameters)?;
         let derived = Self { evaluator, choice: Choice::default(), identity };
         self.known_solver().map_or(Ok(()), |solver| derived.set_solver(solver.clone()))?;
         Ok(derived)

@@ -13,7 +13,7 @@ use std::ops::Range;
 /// A table of recorded series over one time column.
 ///
 /// Times ascend; a time may stand twice (an input jumps there), never three times. A missing value is NaN.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Data {
     pub(super) source: String,
     pub(super) time_name: String,

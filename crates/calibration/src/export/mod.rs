@@ -1,6 +1,5 @@
 //! Handing a fit on: to a file that is read back, to tables, to other programs.
 
-mod document;
 mod files;
 mod fmu;
 mod json;

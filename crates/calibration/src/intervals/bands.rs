@@ -56,10 +56,13 @@ pub struct PredictionBand {
     /// Its unit, where the model states it.
     pub unit: Option<String>,
     /// Times, in s.
+    #[serde(rename = "time")]
     pub times: Vec<f64>,
     /// The prediction.
+    #[serde(rename = "value")]
     pub values: Vec<f64>,
     /// Standard error of the prediction: what the uncertainty of the parameters makes of it.
+    #[serde(rename = "standard_error")]
     pub standard_errors: Vec<f64>,
     /// Standard deviation of the noise of a measurement, from the residuals of this output over all
     /// experiments.

@@ -20,7 +20,7 @@ use std::time::Duration;
 /// let experiment = Experiment::new(data).output("armJoint.phi", "phi").window(0.0, 0.5);
 /// # Ok::<(), calibration::CalibrationError>(())
 /// ```
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Experiment {
     pub(crate) name: Option<String>,
     pub(crate) data: Data,
@@ -155,19 +155,7 @@ pub(crate) struct Measured {
 impl Experiment {
     /// A recording; outputs are still to be named.
     pub fn new(data: Data) -> Self {
-        Self {
-            name: None,
-            data,
-            outputs: Vec::new(),
-            inputs: Vec::new(),
-            start_values: Vec::new(),
-            initial_states: Vec::new(),
-            windows: Vec::new(),
-            warm_up: None,
-            start_time: None,
-            hold_inputs: false,
-            delays: Vec::new(),
-        }
+        Self { data, ..Self::default() }
     }
 
     /// Names it: in the names of [local](Parameter::local) parameters, in messages and reports; default:
@@ -438,6 +426,7 @@ pub struct SimulationSettings {
     pub kind: fmi::Kind,
     /// Integration method. Default [`ode::Method::Auto`]: the winner of a race between the methods, see
     /// [`Calibration::solver`](crate::Calibration::solver).
+    #[serde(rename = "solver")]
     pub method: ode::Method,
     /// Relative tolerance; default: the model's default experiment, but at most 1e-6, else 1e-6: a fit says
     /// where it is smaller than the model's.

@@ -120,9 +120,13 @@ impl CustomCost {
 impl CostKind {
     /// The cost of this name, as [`name`](Self::name) gives it; `None`: it is a function of the user's.
     pub fn of_name(name: &str) -> Option<Self> {
+        Self::named().find(|kind| kind.name() == name)
+    }
+
+    /// The costs that have names.
+    pub fn named() -> impl Iterator<Item = Self> {
         let named = [NamedCost::Mae, NamedCost::Rmse, NamedCost::Nrmse, NamedCost::Likelihood];
-        let named = named.into_iter().map(Self::Named);
-        std::iter::once(Self::SumOfSquares).chain(named).find(|kind| kind.name() == name)
+        std::iter::once(Self::SumOfSquares).chain(named.map(Self::Named))
     }
 
     /// "sum-of-squares", a name as of [`NamedCost::name`], or that of a function of the user's.

@@ -207,6 +207,12 @@ impl Parameter {
         Self { name, display_name, start, local: false, ..self.clone() }
     }
 
+    /// What costs depend on, without how it is searched and shown.
+    pub(crate) fn without_search(&self) -> Self {
+        let Self { name, target, unit, prior, tie, .. } = self.clone();
+        Self { target, unit, prior, tie, ..Self::new(name, 0.0) }
+    }
+
     /// The same for a state of the model.
     pub(crate) fn for_state(&self, state: &str) -> Self {
         let target = Target::Variables(vec![state.to_owned()]);

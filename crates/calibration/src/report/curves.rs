@@ -9,13 +9,14 @@ use crate::problem::input::InputSource;
 use crate::problem::residual_layout::OutputResiduals;
 use base::RunContext;
 use fmi::Trajectory;
+use serde::Serialize;
 use std::thread::available_parallelism;
 
 /// Points of a response.
 const CURVE_POINTS: usize = 2001;
 
 /// Curves of one experiment of a fit.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct ExperimentCurves {
     /// The experiment.
@@ -29,7 +30,7 @@ pub struct ExperimentCurves {
 }
 
 /// Curves of one output of an experiment.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct OutputCurves {
     /// The measurements that count.
@@ -43,7 +44,7 @@ pub struct OutputCurves {
 }
 
 /// A variable over time.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Signal {
     /// The variable of the model.

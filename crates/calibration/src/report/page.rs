@@ -227,7 +227,7 @@ fn experiments(calibration: &Calibration) -> Vec<Setup> {
         let own = |(name, value): &(String, String)| {
             let name = name.strip_suffix(&suffix)?;
             let name = if name == "data" { "SHA-256 of the data" } else { name };
-            (!value.is_empty()).then(|| (name.to_owned(), value.clone()))
+            (value != "none").then(|| (name.to_owned(), value.clone()))
         };
         let recording = problem.experiments[k].data.source().to_owned();
         Setup { name, recording, facts: calibration.identity().iter().filter_map(own).collect() }

@@ -144,7 +144,7 @@ fn a_resumed_fit_takes_the_solver_from_its_checkpoint() {
     // A file of another calibration binds nobody: the difference is named, as ever.
     let third = calibration(if begun.solver.method == Method::Bdf { Method::Radau5 } else { Method::Bdf });
     let message = third.fit(with(Resume::Auto, 8)).unwrap_err().to_string();
-    assert!(message.contains("solver of the settings: auto in the file"), "{message}");
+    assert!(message.contains("solver of the simulations: auto in the file"), "{message}");
 }
 
 #[test]

@@ -97,7 +97,7 @@ impl ModelDescription {
 }
 
 /// One way of running the model: model exchange or co-simulation.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Interface {
     /// Base name of the binary (and prefix of FMI 1.0's functions); never holds a path separator.
     pub model_identifier: String,
@@ -109,7 +109,7 @@ pub struct Interface {
 }
 
 /// Capabilities of an interface; false and 0 unless the file says more.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 #[non_exhaustive]
 pub struct Capabilities {
     /// Runs only with the tool that made it installed.
@@ -170,7 +170,7 @@ pub struct LogCategory {
 }
 
 /// Suggested settings of a simulation; the unit of time is the second.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct DefaultExperiment {
     /// Start time.
     pub start_time: Option<f64>,

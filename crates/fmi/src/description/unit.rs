@@ -1,7 +1,9 @@
 //! Units: SI exponents with factor and offset, and the display units defined on top of them.
 
+use serde::Serialize;
+
 /// A unit used by the variables of a model.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Unit {
     /// Name, as variables refer to it.
     pub name: String,
@@ -12,7 +14,7 @@ pub struct Unit {
 }
 
 /// Exponents of the SI base units (and radian), with `base value = factor * value + offset`.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct BaseUnit {
     /// Exponent of the kilogram.
     pub kg: i32,
@@ -56,7 +58,7 @@ impl BaseUnit {
 
 /// A unit for showing values, with `shown value = factor * value + offset`
 /// (`factor / value` where `inverse`, FMI 3.0).
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DisplayUnit {
     /// Name, as variables refer to it.
     pub name: String,

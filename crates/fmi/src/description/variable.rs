@@ -3,6 +3,7 @@
 use super::clock::ClockTiming;
 use crate::macros::words;
 use crate::value::{Value, VariableKind};
+use serde::Serialize;
 
 /// A variable of the model: one value, or an array of them. Attributes that a type definition supplies are
 /// already filled in.
@@ -127,7 +128,7 @@ pub struct TypeDefinition {
 }
 
 /// One item of an enumeration.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct EnumerationItem {
     /// Name.
     pub name: String,

@@ -3,7 +3,7 @@
 use crate::interrupt::threads::lock;
 use crate::interrupt::watch::{EndRequest, Inside};
 use crate::optimize::objective::{number, residuals};
-use calibration::{Calibration, Compared, CostKind, CustomCost, CustomFailure, NamedCost};
+use calibration::{Calibration, Compared, CostKind, CustomCost, CustomFailure};
 use numpy::PyArray1;
 use pyo3::exceptions::{PyException, PyValueError};
 use pyo3::prelude::*;
@@ -53,15 +53,9 @@ pub(crate) fn kind(
 ) -> PyResult<CostKind> {
     let CostFields { name, function, gives_residuals } = given;
     let Some(function) = function else {
-        const NAMED: [NamedCost; 4] =
-            [NamedCost::Mae, NamedCost::Rmse, NamedCost::Nrmse, NamedCost::Likelihood];
-        let usual = CostKind::default();
-        if name == usual.name() {
-            return Ok(usual);
-        }
-        return NAMED.into_iter().find(|named| named.name() == name).map(CostKind::Named).ok_or_else(|| {
-            let known = [usual.name()].into_iter().chain(NAMED.map(NamedCost::name));
-            let known = known.map(|name| format!("'{name}'")).collect::<Vec<_>>().join(", ");
+        return CostKind::of_name(&name).ok_or_else(|| {
+            let known = CostKind::named().map(|kind| format!("'{}'", kind.name()));
+            let known = known.collect::<Vec<_>>().join(", ");
             PyValueError::new_err(format!(
                 "objective = '{name}' is none of {known}, nor a function of (measured, simulated)"
             ))

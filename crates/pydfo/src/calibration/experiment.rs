@@ -2,7 +2,8 @@
 
 use crate::calibration::data::PyTable;
 use crate::convert::error;
-use crate::convert::record::{self, PyRecord};
+use crate::convert::object;
+use crate::convert::record::PyRecord;
 use crate::convert::values;
 use crate::model::inputs::{Callback, Callbacks};
 use calibration::RunContext;
@@ -36,7 +37,7 @@ impl PyParameter {
 #[pyfunction]
 pub(crate) fn check_parameter(py: Python<'_>, given: PyRecord) -> PyResult<Bound<'_, PyDict>> {
     let record = given.parameter(py)?.record().map_err(|e| error::calibration(py, &e))?;
-    record::to_python(py, &record)
+    object::fields(py, &record)
 }
 
 /// `pydfo.Experiment`, field by field.

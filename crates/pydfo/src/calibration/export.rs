@@ -2,9 +2,10 @@
 
 use crate::calibration::experiment::SignalFunctions;
 use crate::calibration::fit::PyFit;
-use crate::calibration::native::{PyCalibration, give_functions};
+use crate::calibration::native::{PyCalibration, compute_of, give_functions};
 use crate::convert::error;
-use crate::convert::record::{self, read};
+use crate::convert::object;
+use crate::convert::record::read;
 use crate::model::description::Fmu;
 use crate::model::files;
 use crate::model::trajectory;
@@ -12,7 +13,6 @@ use calibration::{SavedFit, Table};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use std::path::PathBuf;
-use std::sync::Arc;
 
 /// Writes a fit to a file.
 #[pyfunction]
@@ -80,7 +80,7 @@ pub(crate) fn parameters_of<'py>(
     let problem = calibration.inner.problem();
     let arguments = |parameter: &calibration::Parameter| {
         let record = parameter.record().map_err(|e| error::calibration(py, &e))?;
-        record::to_python(py, &record)
+        object::fields(py, &record)
     };
     let all = problem.parameters.iter().map(arguments).collect::<PyResult<_>>()?;
     Ok((problem.model.path.clone(), all))
@@ -102,10 +102,9 @@ pub(crate) fn fit_to_csv(
     path: Option<PathBuf>,
 ) -> PyResult<String> {
     let table: Table = read("what", table)?;
-    let (inner, calibration) = (Arc::clone(&fit.inner), PyCalibration::of(Arc::clone(&fit.calibration)));
-    calibration.compute(py, move |calibration, context| match path {
-        Some(path) => inner.write_csv(calibration, path, table, context).map(|()| String::new()),
-        None => inner.csv(calibration, table, context),
+    compute_of(py, fit, move |calibration, fit, context| match path {
+        Some(path) => fit.write_csv(calibration, path, table, context).map(|()| String::new()),
+        None => fit.csv(calibration, table, context),
     })
 }
 
@@ -162,9 +161,8 @@ pub(crate) fn export_fmu(
     experiment: Option<String>,
     keep: bool,
 ) -> PyResult<(Option<PathBuf>, Option<PathBuf>, Option<String>)> {
-    let (inner, calibration) = (Arc::clone(&fit.inner), PyCalibration::of(Arc::clone(&fit.calibration)));
-    let written = calibration.compute(py, move |calibration, context| {
-        inner.export_fmu(calibration, path, experiment.as_deref(), keep, context)
+    let written = compute_of(py, fit, move |calibration, fit, context| {
+        fit.export_fmu(calibration, path, experiment.as_deref(), keep, context)
     })?;
     Ok((written.fmu, written.ssv, written.warning))
 }

@@ -6,6 +6,7 @@ use crate::calibration::experiment::{ExperimentFields, PyParameter, SignalFuncti
 use crate::calibration::fit::PyFit;
 use crate::convert::error;
 use crate::convert::fmu_error;
+use crate::convert::object;
 use crate::convert::record::PyRecord;
 use crate::convert::report::{self, LastProgress, Listener, ResultKind};
 use crate::interrupt::logs;
@@ -18,8 +19,7 @@ use crate::model::trajectory::Counts;
 use crate::optimize::futures::{PyEngine, encoded, state};
 use calibration::RunContext;
 use calibration::{
-    CalibrationError, CurrentPhase, Engine, Entry, Experiment, FitNoise, FitOptions, Problem, Severity,
-    Solver, Verdict,
+    CalibrationError, CurrentPhase, Engine, Entry, Experiment, FitOptions, Problem, Severity, Solver, Verdict,
 };
 use dfo::{Progress, Query, RobustLoss, Termination, Want};
 use fmi::OpenOptions;
@@ -140,13 +140,28 @@ impl PyCalibration {
         let stages = fit.stages.iter().map(|stage| self.result(py, stage.clone()));
         result.setattr("stages", stages.collect::<PyResult<Vec<_>>>()?)?;
         result.setattr("_rms", (fit.rms, fit.start_rms))?;
-        result.setattr("_noise", fit.noise.as_ref().map(noise_fields))?;
-        let tolerance = fit.tolerance.map(|t| (t.used, t.stated, t.noise, t.n_simulations));
-        result.setattr("_tolerance", tolerance)?;
+        result.setattr("_noise", object::to_python(py, &fit.noise)?)?;
+        result.setattr("_tolerance", object::to_python(py, &fit.tolerance)?)?;
         result.setattr("n_checks", fit.n_checks)?;
         result.setattr("_native", PyFit { inner: Arc::new(fit), calibration: Arc::clone(&self.inner) })?;
         Ok(result)
     }
+}
+
+/// Computes with a fit and its calibration, as [`PyCalibration::compute`].
+pub(crate) fn compute_of<T: Send + 'static>(
+    py: Python<'_>,
+    fit: &PyFit,
+    work: impl FnOnce(
+        &calibration::Calibration,
+        &calibration::Fit,
+        &RunContext<'_>,
+    ) -> Result<T, CalibrationError>
+    + Send
+    + 'static,
+) -> PyResult<T> {
+    let (inner, calibration) = (Arc::clone(&fit.inner), PyCalibration::of(Arc::clone(&fit.calibration)));
+    calibration.compute(py, move |calibration, context| work(calibration, &inner, context))
 }
 
 /// Gives the experiments of a stored problem the functions of time that drive their inputs.
@@ -495,16 +510,6 @@ impl PyCalibration {
         };
         error::ended(py, &stop, raised, result)
     }
-}
-
-/// True if the noise was estimated; per variable its standard deviation, and true if that is known from
-/// residuals; number of rounds; true if the estimates settled.
-type NoiseFields = (bool, Vec<(String, f64, bool)>, usize, bool);
-
-fn noise_fields(noise: &FitNoise) -> NoiseFields {
-    let Some(estimated) = noise.estimated() else { return (false, Vec::new(), 0, true) };
-    let outputs = estimated.outputs.iter().map(|o| (o.variable.clone(), o.sd, o.is_of_residuals));
-    (true, outputs.collect(), estimated.n_rounds, estimated.is_settled)
 }
 
 /// Solver, work, deviation in tolerances, verdict.

@@ -2,6 +2,7 @@
 
 use crate::calibration::fit::PyFit;
 use crate::calibration::native::PyCalibration;
+use crate::convert::dict::dict;
 use crate::convert::error;
 use crate::model::trajectory::Counts;
 use calibration::RunContext;
@@ -39,28 +40,24 @@ pub(crate) fn profile<'py>(
 }
 
 fn to_python<'py>(py: Python<'py>, found: &Profile) -> PyResult<Bound<'py, PyDict>> {
-    let fields = PyDict::new(py);
     let of = |profile: &ParameterProfile| {
-        let fields = PyDict::new(py);
         let rows: Vec<Vec<f64>> = profile.points.iter().map(|point| point.x.clone()).collect();
-        fields.set_item("name", &profile.name)?;
-        fields.set_item("optimum", profile.optimum)?;
-        fields.set_item("values", PyArray1::from_iter(py, profile.points.iter().map(|p| p.value)))?;
-        fields.set_item("costs", PyArray1::from_iter(py, profile.points.iter().map(|p| p.statistic)))?;
-        fields.set_item("points", PyArray2::from_vec2(py, &rows)?)?;
-        fields.set_item("interval", profile.interval())?;
-        fields.set_item("message", profile.message())?;
-        Ok(fields)
+        Ok(dict!(py;
+            profile => name, optimum;
+            "values": PyArray1::from_iter(py, profile.points.iter().map(|p| p.value)),
+            "costs": PyArray1::from_iter(py, profile.points.iter().map(|p| p.statistic)),
+            "points": PyArray2::from_vec2(py, &rows)?,
+            "interval": profile.interval(),
+            "message": profile.message(),
+        ))
     };
-    fields.set_item("parameters", found.parameters.iter().map(of).collect::<PyResult<Vec<_>>>()?)?;
-    fields.set_item("level", found.level)?;
-    fields.set_item("threshold", found.threshold)?;
-    fields.set_item("degrees_of_freedom", found.degrees_of_freedom)?;
-    fields.set_item("x", PyArray1::from_slice(py, &found.x))?;
-    fields.set_item("interrupted", found.is_interrupted)?;
-    fields.set_item("autocorrelated", found.is_autocorrelated)?;
-    fields.set_item("n_simulations", found.n_simulations)?;
-    fields.set_item("stats", Counts::new(&found.stats))?;
-    fields.set_item("text", found.to_string())?;
-    Ok(fields)
+    Ok(dict!(py;
+        found => level, threshold, degrees_of_freedom, n_simulations;
+        "profiles": found.parameters.iter().map(of).collect::<PyResult<Vec<_>>>()?,
+        "x": PyArray1::from_slice(py, &found.x),
+        "interrupted": found.is_interrupted,
+        "autocorrelated": found.is_autocorrelated,
+        "stats": Counts::new(&found.stats),
+        "text": found.to_string(),
+    ))
 }

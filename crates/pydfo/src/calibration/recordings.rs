@@ -3,7 +3,7 @@
 use crate::calibration::data::PyTable;
 use crate::calibration::native::PyCalibration;
 use crate::convert::error;
-use crate::convert::findings::{self, FindingFields};
+use crate::convert::object;
 use crate::convert::record::time_limit;
 use crate::model::description::Fmu;
 use calibration::{CheckOptions, Data, Experiment};
@@ -14,16 +14,16 @@ use std::path::PathBuf;
 /// The findings of a check, the same as a table, how many evaluations were made, and whether there are notes
 /// only.
 #[pyfunction]
-pub(crate) fn check(
-    py: Python<'_>,
+pub(crate) fn check<'py>(
+    py: Python<'py>,
     calibration: &PyCalibration,
     simulate: bool,
     max_time: Option<f64>,
-) -> PyResult<(Vec<FindingFields>, String, usize, bool)> {
+) -> PyResult<(Bound<'py, PyAny>, String, usize, bool)> {
     let options = CheckOptions { simulate, max_time: time_limit("max_time", max_time)? };
     let check = calibration.compute(py, move |c, context| c.check_with(&options, context))?;
     let (table, is_ok) = (check.to_string(), check.is_ok());
-    Ok((findings::fields(check.findings), table, check.n_evaluations, is_ok))
+    Ok((object::to_python(py, &check.findings)?, table, check.n_evaluations, is_ok))
 }
 
 /// Variable, column, unit, values, whether it is an input.

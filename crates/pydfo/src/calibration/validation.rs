@@ -3,17 +3,16 @@
 use crate::calibration::experiment::ExperimentFields;
 use crate::calibration::fit::PyFit;
 use crate::calibration::native::PyCalibration;
+use crate::convert::dict::dict;
 use crate::convert::error;
-use crate::convert::findings;
+use crate::convert::object;
 use crate::convert::record::PyRecord;
 use crate::interrupt::watch::Watch;
 use crate::model::inputs::Callbacks;
 use crate::model::trajectory::Counts;
 use calibration::{
-    BandOptions, CalibrationError, CrossValidationOptions, Experiment, Fold, PredictionBand, ValidatedOutput,
-    Validation, ValidationSet,
+    BandOptions, CalibrationError, CrossValidationOptions, Experiment, Fold, Validation, ValidationSet,
 };
-use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyDict};
 
@@ -67,43 +66,10 @@ pub(crate) fn validate<'py>(
 }
 
 /// The fields of `pydfo.Validation`.
-pub(crate) fn to_python<'py>(py: Python<'py>, validation: &Validation) -> PyResult<Bound<'py, PyDict>> {
-    let fields = PyDict::new(py);
-    let values = PyDict::new(py);
-    for (name, value) in validation.names.iter().zip(&validation.x) {
-        values.set_item(name, value)?;
-    }
-    fields.set_item("parameters", values)?;
-    fields.set_item("n", validation.n)?;
-    fields.set_item("rms", validation.rms)?;
-    fields.set_item("start_rms", validation.start_rms)?;
-    fields.set_item("scaled_rms", validation.scaled_rms())?;
-    fields.set_item("n_simulations", validation.n_simulations)?;
+fn to_python<'py>(py: Python<'py>, validation: &Validation) -> PyResult<Bound<'py, PyDict>> {
+    let fields = object::fields(py, validation)?;
     fields.set_item("stats", Counts::new(&validation.stats))?;
     fields.set_item("text", validation.to_string())?;
-    fields.set_item("findings", findings::fields(validation.findings.clone()))?;
-    let outputs = validation.outputs.iter().map(|output| of_output(py, output));
-    fields.set_item("outputs", outputs.collect::<PyResult<Vec<_>>>()?)?;
-    Ok(fields)
-}
-
-/// The fields of `pydfo.ValidatedOutput`.
-fn of_output<'py>(py: Python<'py>, output: &ValidatedOutput) -> PyResult<Bound<'py, PyDict>> {
-    let fields = PyDict::new(py);
-    fields.set_item("experiment", &output.fit.experiment)?;
-    fields.set_item("variable", &output.fit.variable)?;
-    fields.set_item("column", &output.fit.column)?;
-    fields.set_item("unit", &output.fit.unit)?;
-    fields.set_item("n", output.fit.n)?;
-    fields.set_item("rms", output.fit.rms)?;
-    fields.set_item("start_rms", output.fit.start_rms)?;
-    fields.set_item("fit_percent", output.fit.fit_percent)?;
-    fields.set_item("time", PyArray1::from_slice(py, &output.times))?;
-    fields.set_item("measured", PyArray1::from_slice(py, &output.measured))?;
-    fields.set_item("simulated", PyArray1::from_vec(py, output.simulated()))?;
-    fields.set_item("residuals", PyArray1::from_slice(py, &output.residuals))?;
-    let at_start = output.start_residuals.as_deref().map(|r| PyArray1::from_slice(py, r));
-    fields.set_item("start_residuals", at_start)?;
     Ok(fields)
 }
 
@@ -119,27 +85,24 @@ pub(crate) fn cross_validate<'py>(
     let options = options.map_err(|e| asked.error(py, &e))?;
     let found =
         calibration.compute(py, move |calibration, context| calibration.cross_validate(&options, context))?;
-    let fields = PyDict::new(py);
     let of_fold = |fold: &Fold| {
-        let fields = PyDict::new(py);
-        let values = fold.fit.names.iter().zip(&fold.fit.x);
-        fields.set_item("held_out", &fold.held_out)?;
-        fields.set_item("parameters", values.into_py_dict(py)?)?;
-        fields.set_item("fit_rms", fold.fit_rms)?;
-        fields.set_item("nfev", fold.fit.report.n_evaluations)?;
-        fields.set_item("success", fold.fit.report.is_success())?;
-        fields.set_item("message", &fold.fit.report.message)?;
-        fields.set_item("validation", to_python(py, &fold.validation)?)?;
-        Ok(fields)
+        Ok(dict!(py;
+            fold => held_out, fit_rms;
+            "parameters": fold.fit.names.iter().zip(&fold.fit.x).into_py_dict(py)?,
+            "nfev": fold.fit.report.n_evaluations,
+            "success": fold.fit.report.is_success(),
+            "message": &fold.fit.report.message,
+            "validation": to_python(py, &fold.validation)?,
+        ))
     };
-    fields.set_item("folds", found.folds.iter().map(of_fold).collect::<PyResult<Vec<_>>>()?)?;
-    fields.set_item("unfinished", &found.unfinished)?;
-    fields.set_item("rms", found.rms)?;
     let spread = found.parameters.iter().map(|(name, mean, spread)| (name, (*mean, *spread)));
-    fields.set_item("parameters", spread.into_py_dict(py)?)?;
-    fields.set_item("stats", Counts::new(&found.stats))?;
-    fields.set_item("text", found.to_string())?;
-    Ok(fields)
+    Ok(dict!(py;
+        found => unfinished, rms;
+        "folds": found.folds.iter().map(of_fold).collect::<PyResult<Vec<_>>>()?,
+        "parameters": spread.into_py_dict(py)?,
+        "stats": Counts::new(&found.stats),
+        "text": found.to_string(),
+    ))
 }
 
 /// `Fit.prediction_band`: per experiment and output, to an extent of a level and whether it is corrected for
@@ -152,30 +115,11 @@ pub(crate) fn prediction_bands<'py>(
     times: Option<Vec<f64>>,
     extent: (f64, bool),
     outputs: Option<Vec<String>>,
-) -> PyResult<Vec<Bound<'py, PyDict>>> {
+) -> PyResult<Bound<'py, PyAny>> {
     let fit = fit.inner.clone();
     let (level, is_corrected) = extent;
     let options = BandOptions { times, level, is_corrected, outputs, workers: None };
     let bands = calibration
         .compute(py, move |calibration, context| calibration.prediction_bands(&fit, &options, context))?;
-    let to_python = |band: PredictionBand| {
-        let fields = PyDict::new(py);
-        fields.set_item("experiment", band.experiment)?;
-        fields.set_item("variable", band.variable)?;
-        fields.set_item("unit", band.unit)?;
-        fields.set_item("noise", band.noise)?;
-        for (name, values) in [
-            ("time", band.times),
-            ("value", band.values),
-            ("standard_error", band.standard_errors),
-            ("lower", band.lower),
-            ("upper", band.upper),
-            ("measured_lower", band.measured_lower),
-            ("measured_upper", band.measured_upper),
-        ] {
-            fields.set_item(name, PyArray1::from_vec(py, values))?;
-        }
-        Ok(fields)
-    };
-    bands.into_iter().map(to_python).collect()
+    object::to_python(py, &bands)
 }

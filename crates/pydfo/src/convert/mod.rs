@@ -2,8 +2,8 @@
 
 pub(crate) mod dict;
 pub(crate) mod error;
-pub(crate) mod findings;
 pub(crate) mod fmu_error;
+pub(crate) mod object;
 pub(crate) mod record;
 pub(crate) mod report;
 pub(crate) mod values;

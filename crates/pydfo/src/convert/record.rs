@@ -4,7 +4,6 @@
 use crate::convert::error;
 use calibration::{CalibrationError, Parameter, SimulationSettings};
 use dfo::{AnyMethod, AskedRun, RecordError, RunOptions, Value};
-use pyo3::IntoPyObjectExt;
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyMapping, PyString};
 use serde::de::DeserializeOwned;
@@ -120,30 +119,4 @@ fn other(value: &Bound<'_, PyAny>) -> Value {
 pub(crate) fn time_limit(name: &str, seconds: Option<f64>) -> PyResult<Option<Duration>> {
     let seconds = seconds.map_or(Value::Nothing, Value::Number);
     seconds.read_time(name).map_err(|e| error::refused(&e, &e.to_string()))
-}
-
-/// A record as a dict.
-pub(crate) fn to_python<'py>(py: Python<'py>, record: &dfo::Record) -> PyResult<Bound<'py, PyDict>> {
-    let fields = PyDict::new(py);
-    for (name, value) in record {
-        fields.set_item(name, object(py, value)?)?;
-    }
-    Ok(fields)
-}
-
-/// A value as an object of Python's.
-fn object<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>> {
-    match value {
-        Value::Nothing => Ok(py.None().into_bound(py)),
-        Value::Flag(flag) => flag.into_bound_py_any(py),
-        Value::Count(count) => count.into_bound_py_any(py),
-        Value::Negative(number) => number.into_bound_py_any(py),
-        Value::Number(number) => number.into_bound_py_any(py),
-        Value::Text(text) | Value::Other(text) => text.into_bound_py_any(py),
-        Value::List(items) => {
-            let items = items.iter().map(|item| object(py, item)).collect::<PyResult<Vec<_>>>()?;
-            items.into_bound_py_any(py)
-        }
-        Value::Record(record) => Ok(to_python(py, record)?.into_any()),
-    }
 }

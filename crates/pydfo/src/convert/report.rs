@@ -74,7 +74,7 @@ impl Snapshot {
             .iter()
             .map(|(x, outcome, used)| Ok((PyArray1::from_slice(py, x), describe(outcome), *used)))
             .collect::<PyResult<Vec<_>>>()?;
-        fields.set_item("recent", recent)?;
+        fields.set_item("_recent", recent)?;
         py.import("pydfo._optimize.progress")?.getattr("Progress")?.call((), Some(&fields))
     }
 

@@ -3,11 +3,10 @@
 
 use crate::convert::dict::dict;
 use crate::convert::fmu_error;
+use crate::convert::object;
 use crate::convert::values;
 use crate::model::files;
-use fmi::description::{
-    BaseUnit, Dimension, DisplayUnit, EnumerationItem, Interface, Terminal, TypeDefinition, Unit,
-};
+use fmi::description::{Dimension, Terminal, TypeDefinition};
 use fmi::{
     DescriptionLimits, InterfaceKind, LoaderOptions, LogFilter, LogOptions, ModelDescription, OpenOptions,
     Reuse,
@@ -161,17 +160,14 @@ impl Fmu {
     /// Everything but the lists.
     fn header<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let d = self.description();
-        let default_experiment =
-            dict!(py; &d.default_experiment => start_time, stop_time, tolerance, step_size);
-        let interface = |i: &Option<Interface>| i.as_ref().map(|i| interface_fields(py, i)).transpose();
         Ok(dict!(py;
             d => model_name, guid, description, author, version, copyright, license, generation_tool,
             generation_date_and_time, variable_naming_convention, n_event_indicators;
             "fmi_version": &d.fmi_version.text,
             "n_states": d.n_states(),
-            "default_experiment": default_experiment,
-            "model_exchange": interface(&d.model_exchange)?,
-            "co_simulation": interface(&d.co_simulation)?,
+            "default_experiment": object::to_python(py, &d.default_experiment)?,
+            "model_exchange": object::to_python(py, &d.model_exchange)?,
+            "co_simulation": object::to_python(py, &d.co_simulation)?,
         ))
     }
 
@@ -214,8 +210,8 @@ impl Fmu {
         description.variable_index(name).map(|index| attributes(py, description, index, name)).transpose()
     }
 
-    fn units<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
-        self.description().units.iter().map(|unit| unit_fields(py, unit)).collect()
+    fn units<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        object::to_python(py, &self.description().units)
     }
 
     fn type_definitions<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
@@ -238,33 +234,11 @@ impl Fmu {
     }
 }
 
-fn interface_fields<'py>(py: Python<'py>, interface: &Interface) -> PyResult<Bound<'py, PyDict>> {
-    let capabilities = dict!(py; &interface.capabilities =>
-        needs_execution_tool, completed_integrator_step_not_needed, can_be_instantiated_only_once_per_process,
-        can_not_use_memory_management_functions, can_get_and_set_state, can_serialize_state,
-        provides_directional_derivative, provides_adjoint_derivative, can_handle_variable_communication_step_size,
-        can_interpolate_inputs, can_run_asynchronuously, max_output_derivative_order, has_event_mode,
-        might_return_early_from_do_step, fixed_internal_step_size,
-    );
-    Ok(dict!(py; interface => model_identifier, source_files; "capabilities": capabilities))
-}
-
-fn unit_fields<'py>(py: Python<'py>, unit: &Unit) -> PyResult<Bound<'py, PyDict>> {
-    let base =
-        |base: &BaseUnit| PyResult::Ok(dict!(py; base => kg, m, s, a, k, mol, cd, rad, factor, offset));
-    let display = |unit: &DisplayUnit| PyResult::Ok(dict!(py; unit => name, factor, offset, inverse));
-    Ok(dict!(py; unit => name;
-        "base": unit.base.as_ref().map(base).transpose()?,
-        "display_units": unit.display_units.iter().map(display).collect::<PyResult<Vec<_>>>()?,
-    ))
-}
-
 fn type_fields<'py>(py: Python<'py>, t: &TypeDefinition) -> PyResult<Bound<'py, PyDict>> {
-    let item = |item: &EnumerationItem| PyResult::Ok(dict!(py; item => name, value, description));
     Ok(dict!(py;
         t => name, description, quantity, unit, display_unit, relative_quantity, unbounded, min, max, nominal;
         "type": t.kind.name(),
-        "items": t.items.iter().map(item).collect::<PyResult<Vec<_>>>()?,
+        "items": object::to_python(py, &t.items)?,
     ))
 }
 

@@ -121,32 +121,27 @@ impl Futures {
     }
 }
 
-/// A point that the executor has lost has failed.
-fn lost(why: &PyErr) -> Outcome {
-    Outcome::failed(format!("the executor lost it: {why}"))
-}
+/// What the answers of an executor mean.
+pub(crate) trait Answers {
+    /// Fills `answer` from the value that came back for a point.
+    fn read(&mut self, x: &[f64], value: Py<PyAny>, answer: &mut Answer);
 
-/// Calls a function of the user's.
-pub(crate) struct PyEvaluator<'a> {
-    futures: Futures,
-    objective: &'a PyObjective,
-}
+    /// The outcome where the executor does not evaluate any point.
+    fn broken(&mut self, x: &[f64], why: PyErr) -> Outcome;
 
-impl<'a> PyEvaluator<'a> {
-    /// `futures`: a `_evaluate.Futures`.
-    ///
-    /// # Errors
-    /// It is none.
-    pub(crate) fn new(
-        futures: &Bound<'_, PyAny>,
-        objective: &'a PyObjective,
-        stop: Arc<EndRequest>,
-    ) -> PyResult<Self> {
-        Ok(Self { futures: Futures::new(futures, stop)?, objective })
+    /// As [`Evaluator::gives_up`].
+    fn gives_up(&self) -> GivesUp {
+        GivesUp::Unknown
     }
 }
 
-impl Evaluator for PyEvaluator<'_> {
+/// Points on an executor.
+pub(crate) struct OnExecutor<A> {
+    futures: Futures,
+    answers: A,
+}
+
+impl<A: Answers> Evaluator for OnExecutor<A> {
     fn submit(&mut self, x: &[f64], query: Query<'static>) {
         self.futures.submit(x, &query);
     }
@@ -155,20 +150,18 @@ impl Evaluator for PyEvaluator<'_> {
         answer.clear();
         match self.futures.poll(wait) {
             Taken::Value { id, x, seconds, value } => {
-                Python::attach(|py| {
-                    if !value.is(py.Ellipsis()) {
-                        self.objective.answer_from(py, &x, value.into_bound(py), answer);
-                    }
-                });
+                if !Python::attach(|py| value.is(py.Ellipsis())) {
+                    self.answers.read(&x, value, answer);
+                }
                 answer.seconds = seconds;
                 Polled::Answered(id)
             }
             Taken::Lost { id, why } => {
-                answer.outcome = lost(&why);
+                answer.outcome = Outcome::failed(format!("the executor lost it: {why}"));
                 Polled::Answered(id)
             }
             Taken::Broken { id, x, why } => {
-                answer.outcome = self.objective.abort(&x, why);
+                answer.outcome = self.answers.broken(&x, why);
                 Polled::Answered(id)
             }
             Taken::Waiting => Polled::Waiting,
@@ -185,7 +178,7 @@ impl Evaluator for PyEvaluator<'_> {
     }
 
     fn gives_up(&self) -> GivesUp {
-        self.objective.gives_up()
+        self.answers.gives_up()
     }
 
     /// Always true: an executor finishes without this evaluator what it has begun.
@@ -194,11 +187,41 @@ impl Evaluator for PyEvaluator<'_> {
     }
 }
 
-/// Makes the simulations of a fit.
-pub(crate) struct PyEngine {
-    futures: Futures,
-    stats: Stats,
+/// Values of a function of the user's.
+impl Answers for &PyObjective {
+    fn read(&mut self, x: &[f64], value: Py<PyAny>, answer: &mut Answer) {
+        Python::attach(|py| self.answer_from(py, x, value.into_bound(py), answer));
+    }
+
+    fn broken(&mut self, x: &[f64], why: PyErr) -> Outcome {
+        self.abort(x, why)
+    }
+
+    fn gives_up(&self) -> GivesUp {
+        PyObjective::gives_up(self)
+    }
 }
+
+/// A function of the user's on an executor; `futures`: a `_evaluate.Futures`.
+///
+/// # Errors
+/// It is none.
+pub(crate) fn of_function<'a>(
+    futures: &Bound<'_, PyAny>,
+    objective: &'a PyObjective,
+    stop: Arc<EndRequest>,
+) -> PyResult<OnExecutor<&'a PyObjective>> {
+    Ok(OnExecutor { futures: Futures::new(futures, stop)?, answers: objective })
+}
+
+/// Simulations of a fit.
+pub(crate) struct Simulated {
+    stats: Stats,
+    stop: Arc<EndRequest>,
+}
+
+/// The simulations of a fit on an executor.
+pub(crate) type PyEngine = OnExecutor<Simulated>;
 
 impl PyEngine {
     /// `futures`: a `_engine.Simulations`.
@@ -206,60 +229,32 @@ impl PyEngine {
     /// # Errors
     /// It is none.
     pub(crate) fn new(futures: &Bound<'_, PyAny>, stop: Arc<EndRequest>) -> PyResult<Self> {
-        Ok(Self { futures: Futures::new(futures, stop)?, stats: Stats::default() })
+        let answers = Simulated { stats: Stats::default(), stop: Arc::clone(&stop) };
+        Ok(Self { futures: Futures::new(futures, stop)?, answers })
     }
 }
 
-impl Evaluator for PyEngine {
-    fn submit(&mut self, x: &[f64], query: Query<'static>) {
-        self.futures.submit(x, &query);
-    }
-
-    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
-        answer.clear();
-        match self.futures.poll(wait) {
-            Taken::Value { id, seconds, value, .. } => {
-                let read = Python::attach(|py| {
-                    if value.is(py.Ellipsis()) {
-                        return Ok(());
-                    }
-                    let bytes = value.cast_bound::<PyBytes>(py).map_err(|e| e.to_string())?;
-                    let (found, stats): (Answer, Stats) =
-                        ciborium::from_reader(bytes.as_bytes()).map_err(|e| e.to_string())?;
-                    self.stats += stats;
-                    *answer = Answer { seconds, ..found };
-                    Ok(())
-                });
-                if let Err::<(), String>(why) = read {
-                    answer.outcome =
-                        Outcome::Abort(format!("an answer of the executor cannot be read: {why}"));
-                }
-                Polled::Answered(id)
+impl Answers for Simulated {
+    fn read(&mut self, _: &[f64], value: Py<PyAny>, answer: &mut Answer) {
+        let read = Python::attach(|py| {
+            let bytes = value.cast_bound::<PyBytes>(py).map_err(|e| e.to_string())?;
+            ciborium::from_reader::<(Answer, Stats), _>(bytes.as_bytes()).map_err(|e| e.to_string())
+        });
+        match read {
+            Ok((found, stats)) => {
+                self.stats += stats;
+                *answer = found;
             }
-            Taken::Lost { id, why } => {
-                answer.outcome = lost(&why);
-                Polled::Answered(id)
+            Err(why) => {
+                answer.outcome = Outcome::Abort(format!("an answer of the executor cannot be read: {why}"));
             }
-            Taken::Broken { id, why, .. } => {
-                answer.outcome = Outcome::Abort(why.to_string());
-                self.futures.stop.end_with(why);
-                Polled::Answered(id)
-            }
-            Taken::Waiting => Polled::Waiting,
-            Taken::Idle => Polled::Idle,
         }
     }
 
-    fn cancel(&mut self, id: u64) {
-        self.futures.cancel(id);
-    }
-
-    fn width(&self) -> usize {
-        self.futures.width
-    }
-
-    fn leave(&mut self) -> bool {
-        true
+    fn broken(&mut self, _: &[f64], why: PyErr) -> Outcome {
+        let outcome = Outcome::Abort(why.to_string());
+        self.stop.end_with(why);
+        outcome
     }
 }
 
@@ -271,11 +266,11 @@ impl Engine for PyEngine {
             self.futures.futures.call_method1(py, "begin", (state, loss)).map(drop)
         });
         if let Err(e) = begun {
-            self.futures.stop.end_with(e);
+            self.answers.stop.end_with(e);
         }
     }
 
     fn take_stats(&mut self) -> Stats {
-        std::mem::take(&mut self.stats)
+        std::mem::take(&mut self.answers.stats)
     }
 }

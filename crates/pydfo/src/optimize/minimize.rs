@@ -5,7 +5,7 @@ use crate::convert::error;
 use crate::convert::record::PyRecord;
 use crate::convert::report::{self, LastProgress, Listener, ResultKind, Snapshot};
 use crate::interrupt::watch::{EndRequest, Watch};
-use crate::optimize::futures::PyEvaluator;
+use crate::optimize::futures;
 use crate::optimize::objective::PyObjective;
 use calibration::RunContext;
 use dfo::{AskedRun, ByRef, MethodOptions, Minimize, NelderMead, Progress, Report, RobustLoss, RunOptions};
@@ -58,8 +58,8 @@ impl RunSetup {
 
 /// Minimises a Python function. With one worker it is called on the calling thread, with more on threads of a
 /// pool; with `batches` it takes whole batches on the calling thread, see [`PyObjective::evaluate_batch`], or
-/// points one by one, see [`PyEvaluator`]; with `cutoffs` it is told the cutoff of each point; with a `loss`
-/// and its scale among the options it returns residuals.
+/// points one by one, see [`OnExecutor`](futures::OnExecutor); with `cutoffs` it is told the cutoff of each
+/// point; with a `loss` and its scale among the options it returns residuals.
 #[pyfunction]
 #[pyo3(signature = (
     func, x0, lower, upper, options, *, tolerant=false, observer=None, detail=false, batches=false, cutoffs=false
@@ -99,7 +99,7 @@ pub(crate) fn minimize<'py>(
         let function = objective.function(py);
         let run = match batches {
             true if function.hasattr("submit")? => {
-                let evaluator = PyEvaluator::new(&function, &objective, Arc::clone(&stop))?;
+                let evaluator = futures::of_function(&function, &objective, Arc::clone(&stop))?;
                 dfo::minimize_by(evaluator).loss(loss.unwrap_or_default())
             }
             true => dfo::minimize_batches(|batch| objective.evaluate_batch(py, batch))

@@ -11,6 +11,7 @@ use crate::cost::calibration::Calibration;
 use crate::cost::parallel;
 use crate::error::CalibrationError;
 use crate::fit::stage::Fit;
+use crate::problem::fingerprint::hash_of_bytes;
 use crate::problem::objective::CostKind;
 use crate::problem::parameter::Parameter;
 use crate::uncertainty::active_bounds::{AT, BoundSide, inner};
@@ -20,7 +21,6 @@ use dfo::{Kind, RobustLoss};
 use refit::{NoFit, Refits};
 pub use result::{ParameterProfile, Profile, ProfileEnd, ProfilePoint};
 use saved::{SavedSides, Side};
-use sha2::{Digest, Sha256};
 use std::path::PathBuf;
 use std::sync::Mutex;
 use std::thread::available_parallelism;
@@ -289,7 +289,7 @@ impl Calibration {
         let costs = self.problem_hash(&fit.solver);
         let (level, points) = (options.level, options.max_points);
         let words = format!("{costs} {:?} {bounds:?} {statistic} {level:?} {points}", fit.x);
-        Sha256::digest(words).iter().map(|byte| format!("{byte:02x}")).collect()
+        hash_of_bytes(words.as_bytes())
     }
 }
 

@@ -640,7 +640,7 @@ class Calibration(Point):
             noise=noise,
             folds=folds,
         )
-        return CrossValidation(**_core.cross_validate(self._native, asked))
+        return CrossValidation(_core.cross_validate(self._native, asked))
 
     def _fit(self, result: OptimizeResult, start: list[float]) -> Fit:
         return Fit(self, result, np.array(start), self._native.known_solver())

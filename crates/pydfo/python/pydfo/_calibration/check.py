@@ -34,8 +34,8 @@ class Check(Sequence[Finding]):
         Evaluations that were made for it, each a simulation of every experiment.
     """
 
-    def __init__(self, findings: list[tuple[str, str, str, str]], table: str, n_evaluations: int, ok: bool) -> None:
-        self._findings = tuple(Finding(*finding) for finding in findings)
+    def __init__(self, findings: list[dict[str, str]], table: str, n_evaluations: int, ok: bool) -> None:
+        self._findings = tuple(Finding(**finding) for finding in findings)
         self._table = table
         self.n_evaluations = n_evaluations
         self.ok = ok

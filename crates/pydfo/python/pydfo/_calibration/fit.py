@@ -84,10 +84,14 @@ class ChosenTolerance(NamedTuple):
     """Simulations of the start that were made for it; they are part of `Fit.stats`."""
 
 
-def _noise(estimated: bool, outputs: list[tuple[str, float, bool]], n_rounds: int, settled: bool) -> FitNoise:
-    sds = {variable: sd for variable, sd, _ in outputs}
-    of_residuals = {variable: known for variable, _, known in outputs}
-    return FitNoise("estimated" if estimated else "stated", sds, of_residuals, n_rounds, settled)
+def _noise(found: Any) -> FitNoise | None:
+    """The noise as the native code has it: nothing, "stated", or the estimates."""
+    if not isinstance(found, dict):
+        return None if found is None else FitNoise("stated", {}, {}, 0, True)
+    estimated = found["estimated"]
+    sds = {output["variable"]: output["sd"] for output in estimated["outputs"]}
+    of_residuals = {output["variable"]: output["is_of_residuals"] for output in estimated["outputs"]}
+    return FitNoise("estimated", sds, of_residuals, estimated["n_rounds"], estimated["is_settled"])
 
 
 class Fit(OptimizeResult):
@@ -159,10 +163,9 @@ class Fit(OptimizeResult):
     def __init__(self, calibration: Calibration, result: OptimizeResult, start: FloatArray, solver: str | None) -> None:
         vars(self).update(vars(result))
         rms = calibration._native.rms(list(map(float, self.x)), self.fun)
-        noise = vars(self).pop("_noise", None)
-        self.noise = None if noise is None else _noise(*noise)
+        self.noise = _noise(vars(self).pop("_noise", None))
         tolerance = vars(self).pop("_tolerance", None)
-        self.tolerance = None if tolerance is None else ChosenTolerance(*tolerance)
+        self.tolerance = None if tolerance is None else ChosenTolerance(**tolerance)
         self._rms_and_start: tuple[float, float | None] = vars(self).pop("_rms", (rms, None))
         counts = vars(self).pop("stats", None)
         self.stats = None if counts is None else SimulationStats(**counts)
@@ -176,7 +179,7 @@ class Fit(OptimizeResult):
         self._native: _core.Fit | None = vars(self).get("_native")
         self.stages = [Fit(calibration, stage, np.array(stage._native.start), solver) for stage in vars(self).get("stages", [])]
         self._calibration = calibration
-        self.findings = [] if self._native is None else [Finding(*finding) for finding in _core.fit_findings(self._native)]
+        self.findings = [] if self._native is None else [Finding(**finding) for finding in _core.fit_findings(self._native)]
         self.uncertainty = _uncertainty.of_fit(vars(self).get("_native"))
         self.preflight = _uncertainty.before_fit(vars(self).get("_native"))
         self.cov = None if self.uncertainty is None else self.uncertainty.covariance
@@ -184,7 +187,7 @@ class Fit(OptimizeResult):
         self.start = start
         self.solver = solver
         self.race = calibration.race
-        self.outputs = [] if self._native is None else [OutputFit(*output) for output in _core.fit_outputs(self._native)]
+        self.outputs = [] if self._native is None else [OutputFit(**output) for output in _core.fit_outputs(self._native)]
 
     @property
     def stderr(self) -> FloatArray | None:
@@ -445,7 +448,7 @@ class Fit(OptimizeResult):
     def save(self, path: PathLike) -> None:
         """Writes the fit to a file that `load_fit` reads: with all its numbers, bit for bit, its trace, and the calibration.
 
-        The file is written in one step. It is a zip archive of ``fit.json`` and arrays in NumPy's format; it holds the recordings
+        The file is written in one step. It is a document in CBOR (RFC 8949), with a hash of its content; it holds the recordings
         by value, and the FMU by its path, a hash of its content and its model description. Reading it runs no code that it holds, and
         neither functions nor pickles are in it; a pickle of a fit, as any pickle, runs code when it is read: of people that you do not
         trust take files of `save` alone.

@@ -58,38 +58,25 @@ class Profile:
         What the simulations took, without those of a file that was continued.
     """
 
-    def __init__(
-        self,
-        names: Sequence[str],
-        *,
-        parameters: Sequence[dict[str, Any]],
-        level: float,
-        threshold: float,
-        degrees_of_freedom: int,
-        x: FloatArray,
-        interrupted: bool,
-        autocorrelated: bool,
-        n_simulations: int,
-        stats: dict[str, Any],
-        text: str,
-    ) -> None:
-        def by_name(field: str) -> dict[str, Any]:
-            return {profile["name"]: profile[field] for profile in parameters}
+    intervals: dict[str, tuple[float, float]]
+    messages: dict[str, str]
+    values: dict[str, FloatArray]
+    costs: dict[str, FloatArray]
+    points: dict[str, FloatArray]
+    level: float
+    threshold: float
+    degrees_of_freedom: int
+    interrupted: bool
+    autocorrelated: bool
+    n_simulations: int
 
-        self.intervals: dict[str, tuple[float, float]] = by_name("interval")
-        self.messages: dict[str, str] = by_name("message")
-        self.values: dict[str, FloatArray] = by_name("values")
-        self.costs: dict[str, FloatArray] = by_name("costs")
-        self.points: dict[str, FloatArray] = by_name("points")
-        self.parameters = dict(zip(names, x.tolist()))
-        self.level = level
-        self.threshold = threshold
-        self.degrees_of_freedom = degrees_of_freedom
-        self.interrupted = interrupted
-        self.autocorrelated = autocorrelated
-        self.n_simulations = n_simulations
-        self.stats = SimulationStats(**stats)
-        self._text = text
+    def __init__(self, names: Sequence[str], fields: dict[str, Any]) -> None:
+        vars(self).update({name: fields[name] for name in Profile.__annotations__ if name in fields})
+        for name, of_one in (("intervals", "interval"), ("messages", "message"), *((name, name) for name in ("values", "costs", "points"))):
+            setattr(self, name, {profile["name"]: profile[of_one] for profile in fields["profiles"]})
+        self.parameters: dict[str, float] = dict(zip(names, fields["x"].tolist()))
+        self.stats = SimulationStats(**fields["stats"])
+        self._text: str = fields["text"]
 
     @property
     def message(self) -> str:
@@ -147,6 +134,6 @@ def of_fit(
         # What there is so far, as the class that holds it.
         found: Any = e.result
         if isinstance(found, dict):
-            e.result = Profile(names, **found)
+            e.result = Profile(names, found)
         raise
-    return Profile(names, **fields)
+    return Profile(names, fields)

@@ -87,32 +87,41 @@ class Uncertainty:
         Points that were simulated to find out.
     """
 
+    estimator: str
+    names: list[str]
+    x: FloatArray
+    covariance: FloatArray
+    correlation: FloatArray
+    stderr: FloatArray
+    uncorrected_stderr: FloatArray | None
+    autocorrelations: FloatArray
+    effective_degrees_of_freedom: FloatArray
+    degrees_of_freedom: int
+    held: list[str]
+    undetermined: list[str]
+    without_effect: list[str]
+    confounded: list[tuple[str, str, float]]
+    weakest: list[str]
+    identifiable: list[str]
+    verdict: list[str]
+    cost: float
+    accurate_cost: float | None
+    jacobian: FloatArray
+    n_simulations: int
+
     def __init__(self, native: _core.Uncertainty) -> None:
         self._native = native
         fields = native.fields()
-        self.estimator: str = fields["estimator"]
-        self.names: list[str] = fields["names"]
-        self.x: FloatArray = fields["x"]
-        self.covariance: FloatArray = fields["covariance"]
-        self.correlation: FloatArray = fields["correlation"]
-        self.stderr: FloatArray = fields["stderr"]
-        self.uncorrected_stderr: FloatArray | None = fields["uncorrected_stderr"]
-        self.autocorrelations: FloatArray = fields["autocorrelations"]
-        self.effective_degrees_of_freedom: FloatArray = fields["effective_degrees_of_freedom"]
-        self.degrees_of_freedom: int = fields["degrees_of_freedom"]
-        self.residual_checks = [ResidualCheck(**check) for check in fields["residual_checks"]]
-        self.held: list[str] = fields["held"]
-        self.undetermined: list[str] = fields["undetermined"]
-        self.without_effect: list[str] = fields["without_effect"]
-        self.confounded: list[tuple[str, str, float]] = fields["confounded"]
-        self.weakest: list[str] = fields["weakest"]
-        self.identifiable: list[str] = fields["identifiable"]
-        self.verdict: list[str] = fields["verdict"]
-        self.findings = [Finding(*finding) for finding in fields["findings"]]
-        self.cost: float = fields["cost"]
-        self.accurate_cost: float | None = fields["accurate_cost"]
-        self.jacobian: FloatArray = fields["jacobian"]
-        self.n_simulations: int = fields["n_simulations"]
+        names: list[str] = fields["names"]
+        vars(self).update({name: fields[name] for name in Uncertainty.__annotations__ if name in fields})
+        self.stderr = fields["standard_errors"]
+        for matrix in ("covariance", "correlation", "jacobian"):
+            setattr(self, matrix, np.reshape(fields[matrix], (-1, len(names))))
+        for list_of_names in ("held", "undetermined", "without_effect", "weakest", "identifiable"):
+            setattr(self, list_of_names, [names[i] for i in fields[list_of_names]])
+        self.confounded = [(names[i], names[j], correlation) for i, j, correlation in fields["confounded"]]
+        self.residual_checks = [ResidualCheck(*map(check.get, ResidualCheck._fields)) for check in fields["residual_checks"]]
+        self.findings = [Finding(**finding) for finding in fields["findings"]]
 
     @explained
     def confidence_intervals(self, level: SupportsFloat = 0.95, *, corrected: bool = True) -> FloatArray:
@@ -189,18 +198,21 @@ class Preflight:
         Points that were simulated.
     """
 
+    cost: float
+    accurate_cost: float | None
+    noise: float
+    seconds_per_evaluation: float
+    expected_evaluations: int
+    expected_seconds: float
+    workers: int
+    messages: list[str]
+    n_simulations: int
+
     def __init__(self, fields: dict[str, Any]) -> None:
+        vars(self).update({name: fields[name] for name in Preflight.__annotations__})
         self.parameters = [ParameterCheck(**check) for check in fields["parameters"]]
-        self.confounded: list[tuple[str, str, float]] = fields["confounded"]
-        self.cost: float = fields["cost"]
-        self.accurate_cost: float | None = fields["accurate_cost"]
-        self.noise: float = fields["noise"]
-        self.seconds_per_evaluation: float = fields["seconds_per_evaluation"]
-        self.expected_evaluations: int = fields["expected_evaluations"]
-        self.expected_seconds: float = fields["expected_seconds"]
-        self.workers: int = fields["workers"]
-        self.messages: list[str] = fields["messages"]
-        self.n_simulations: int = fields["n_simulations"]
+        names = [check.name for check in self.parameters]
+        self.confounded = [(names[i], names[j], correlation) for i, j, correlation in fields["confounded"]]
         self._text: str = fields["text"]
 
     def __repr__(self) -> str:

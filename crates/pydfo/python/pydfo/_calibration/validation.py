@@ -88,30 +88,23 @@ class Validation:
         What they took.
     """
 
-    def __init__(
-        self,
-        *,
-        parameters: dict[str, float],
-        n: int,
-        rms: float,
-        start_rms: float | None,
-        scaled_rms: float | None,
-        n_simulations: int,
-        stats: dict[str, Any],
-        text: str,
-        outputs: Sequence[dict[str, Any]],
-        findings: Sequence[tuple[str, str, str, str]],
-    ) -> None:
-        self.findings = [Finding(*finding) for finding in findings]
-        self.parameters = parameters
-        self.n = n
-        self.rms = rms
-        self.start_rms = start_rms
-        self.scaled_rms = scaled_rms
-        self.n_simulations = n_simulations
-        self.stats = SimulationStats(**stats)
-        self.outputs = [ValidatedOutput(**output) for output in outputs]
-        self._text = text
+    n: int
+    rms: float
+    start_rms: float | None
+    n_simulations: int
+
+    def __init__(self, fields: dict[str, Any]) -> None:
+        vars(self).update({name: fields[name] for name in Validation.__annotations__})
+        self.parameters: dict[str, float] = dict(zip(fields["names"], fields["x"].tolist()))
+        self.findings = [Finding(**finding) for finding in fields["findings"]]
+        self.stats = SimulationStats(**fields["stats"])
+        self.outputs = [_validated(output) for output in fields["outputs"]]
+        self._text: str = fields["text"]
+
+    @property
+    def scaled_rms(self) -> float | None:
+        """The RMS over that at the start of the fit."""
+        return None if self.start_rms is None else self.rms / self.start_rms
 
     def __repr__(self) -> str:
         return self._text
@@ -157,6 +150,12 @@ class Validation:
         return figure
 
 
+def _validated(fields: dict[str, Any]) -> ValidatedOutput:
+    measured, residuals = fields["measured"], fields["residuals"]
+    series = {"time": fields["times"], "measured": measured, "simulated": measured + residuals, "residuals": residuals}
+    return ValidatedOutput(**fields["fit"], **series, start_residuals=fields["start_residuals"])
+
+
 @dataclass(frozen=True)
 class Fold:
     """Recordings that were held out of a fit, and how well it reproduces them."""
@@ -194,22 +193,15 @@ class CrossValidation:
         What all simulations took.
     """
 
-    def __init__(
-        self,
-        *,
-        folds: Sequence[dict[str, Any]],
-        unfinished: list[list[str]],
-        rms: float,
-        parameters: dict[str, tuple[float, float]],
-        stats: dict[str, Any],
-        text: str,
-    ) -> None:
-        self.folds = [Fold(**{**fold, "validation": Validation(**fold["validation"])}) for fold in folds]
-        self.unfinished = unfinished
-        self.rms = rms
-        self.parameters = parameters
-        self.stats = SimulationStats(**stats)
-        self._text = text
+    unfinished: list[list[str]]
+    rms: float
+    parameters: dict[str, tuple[float, float]]
+
+    def __init__(self, fields: dict[str, Any]) -> None:
+        vars(self).update({name: fields[name] for name in CrossValidation.__annotations__})
+        self.folds = [Fold(**{**fold, "validation": Validation(fold["validation"])}) for fold in fields["folds"]]
+        self.stats = SimulationStats(**fields["stats"])
+        self._text: str = fields["text"]
 
     def __repr__(self) -> str:
         return self._text
@@ -270,7 +262,7 @@ def validate(fit: Fit, experiment: Experiment | Sequence[Experiment] | None, win
         experiments = listed(experiment)
         if experiments is None:
             raise TypeError(f"experiment must be an Experiment or a list of such, not {_options.show(experiment)}")
-    return Validation(**_core.validate(fit._calibration._native, native(fit), intervals("windows", windows), experiments))
+    return Validation(_core.validate(fit._calibration._native, native(fit), intervals("windows", windows), experiments))
 
 
 def native(fit: Fit) -> Any:

@@ -36,7 +36,8 @@ class DefaultExperiment:
 @dataclass(frozen=True)
 class Capabilities:
     """What an FMU can do, in the words of FMI 2.0; those of the other versions are given the same names. FMI 3.0 alone has
-    `has_event_mode`, `might_return_early_from_do_step` and `fixed_internal_step_size` (in s, None if there is none)."""
+    `has_event_mode`, `might_return_early_from_do_step`, `provides_intermediate_update`, `can_return_early_after_intermediate_update`
+    and `fixed_internal_step_size` (in s, None if there is none)."""
 
     needs_execution_tool: bool
     completed_integrator_step_not_needed: bool
@@ -52,6 +53,8 @@ class Capabilities:
     max_output_derivative_order: int
     has_event_mode: bool
     might_return_early_from_do_step: bool
+    provides_intermediate_update: bool
+    can_return_early_after_intermediate_update: bool
     fixed_internal_step_size: float | None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class Progress:
     """The state of a run after an iteration; iteration 0 is the evaluation of the starting points.
 
@@ -37,36 +39,19 @@ class Progress:
         Wall-clock time since the start, in s.
     """
 
-    def __init__(
-        self,
-        *,
-        x: FloatArray,
-        fun: float,
-        nit: int,
-        nfev: int,
-        nfail: int,
-        n_speculative: int,
-        solve_time: float,
-        operation: str,
-        x_size: float | None,
-        f_spread: float | None,
-        final_simplex: tuple[FloatArray, FloatArray] | None,
-        final_population: tuple[FloatArray, FloatArray] | None,
-        recent: list[tuple[FloatArray, tuple[float, str], bool]],
-    ) -> None:
-        self.x = x
-        self.fun = fun
-        self.nit = nit
-        self.nfev = nfev
-        self.nfail = nfail
-        self.n_speculative = n_speculative
-        self.solve_time = solve_time
-        self.operation = operation
-        self.x_size = x_size
-        self.f_spread = f_spread
-        self.final_simplex = final_simplex
-        self.final_population = final_population
-        self._recent = recent
+    x: FloatArray
+    fun: float
+    nit: int
+    nfev: int
+    nfail: int
+    n_speculative: int
+    solve_time: float
+    operation: str
+    x_size: float | None
+    f_spread: float | None
+    final_simplex: tuple[FloatArray, FloatArray] | None
+    final_population: tuple[FloatArray, FloatArray] | None
+    _recent: list[tuple[FloatArray, tuple[float, str], bool]]
 
     def __getitem__(self, key: str) -> Any:
         return vars(self)[key]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import ItemsView, Iterator, KeysView, Sequence, ValuesView
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, overload
 
 import numpy as np
@@ -38,6 +39,7 @@ STATUS: Final[dict[str, int]] = {
 }
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class Trace:
     """Every evaluation of a run: first those of its path, in request order, the same for any number of workers; then those
     that were made ahead of need and not needed.
@@ -66,30 +68,16 @@ class Trace:
         reuses costs only where it is the same.
     """
 
-    def __init__(
-        self,
-        *,
-        x: FloatArray,
-        fun: FloatArray,
-        above: FloatArray,
-        used: npt.NDArray[np.bool_],
-        id: npt.NDArray[np.uint64],
-        batch: npt.NDArray[np.uint64],
-        seconds: FloatArray,
-        messages: dict[int, str],
-        n_dropped: int = 0,
-        problem: str | None = None,
-    ) -> None:
-        self.x = x
-        self.fun = fun
-        self.above = above
-        self.used = used
-        self.id = id
-        self.batch = batch
-        self.seconds = seconds
-        self.messages = messages
-        self.n_dropped = n_dropped
-        self.problem = problem
+    x: FloatArray
+    fun: FloatArray
+    above: FloatArray
+    used: npt.NDArray[np.bool_]
+    id: npt.NDArray[np.uint64]
+    batch: npt.NDArray[np.uint64]
+    seconds: FloatArray
+    messages: dict[int, str]
+    n_dropped: int = 0
+    problem: str | None = None
 
     @property
     def failed(self) -> npt.NDArray[np.bool_]:
@@ -165,6 +153,7 @@ class BarrierStage(NamedTuple):
     nfev: int
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class OptimizeResult:
     """The result of a minimisation.
 
@@ -242,73 +231,43 @@ class OptimizeResult:
         What is to be said of ``cov``, in words; empty if nothing is.
     """
 
-    def __init__(
-        self,
-        *,
-        x: FloatArray,
-        fun: float,
-        nit: int,
-        nfev: int,
-        nfail: int,
-        solve_time: float,
-        termination: str,
-        success: bool,
-        message: str,
-        x_size: float | None = None,
-        f_spread: float | None = None,
-        final_simplex: tuple[FloatArray, FloatArray] | None = None,
-        n_speculative: int = 0,
-        n_batches: int = 0,
-        n_cached: int = 0,
-        final_population: tuple[FloatArray, FloatArray] | None = None,
-        schedule: Sequence[tuple[float, float, FloatArray, float, int]] = (),
-        optima: Sequence[tuple[FloatArray, float, int]] = (),
-        method_reason: str | None = None,
-        options: dict[str, str] | None = None,
-        seed: int | None = None,
-        failures: dict[str, int] | None = None,
-        trace: Trace | None = None,
-        method: str = "nelder-mead",
-        batch: str = "",
-        workers: int = 1,
-        figures: tuple[Figure, ...] = (),
-        jac: FloatArray | None = None,
-        active_mask: npt.NDArray[np.int64] | None = None,
-        cov: FloatArray | None = None,
-        cov_message: str = "",
-    ) -> None:
-        self.x = x
-        self.fun: Any = fun
-        self.nit = nit
-        self.nfev = nfev
-        self.nfail = nfail
-        self.n_speculative = n_speculative
-        self.n_batches = n_batches
-        self.n_cached = n_cached
-        self.solve_time = solve_time
-        self.success = success
-        self.status = STATUS[termination]
-        self.termination = termination
-        self.message = message
-        self.x_size = x_size
-        self.f_spread = f_spread
-        self.final_simplex = final_simplex
-        self.final_population = final_population
-        self.schedule = tuple(BarrierStage(*stage) for stage in schedule)
-        self.optima = tuple(Optimum(*optimum) for optimum in optima)
-        self.method_reason = method_reason
-        self.options = options or {}
-        self.seed = seed
-        self.failures = failures or {}
-        self.trace = trace
-        self.method = method
-        self.batch = batch
-        self.workers = workers
-        self.figures = figures
-        self.jac = jac
-        self.active_mask = active_mask
-        self.cov = cov
-        self.cov_message = cov_message
+    x: FloatArray
+    fun: Any
+    nit: int
+    nfev: int
+    nfail: int
+    n_speculative: int = 0
+    n_batches: int = 0
+    n_cached: int = 0
+    solve_time: float
+    success: bool
+    status: int = field(init=False)
+    termination: str
+    message: str
+    x_size: float | None = None
+    f_spread: float | None = None
+    final_simplex: tuple[FloatArray, FloatArray] | None = None
+    final_population: tuple[FloatArray, FloatArray] | None = None
+    schedule: Sequence[BarrierStage] = ()
+    optima: Sequence[Optimum] = ()
+    method_reason: str | None = None
+    options: dict[str, str] = field(default_factory=dict)
+    seed: int | None = None
+    failures: dict[str, int] = field(default_factory=dict)
+    trace: Trace | None = None
+    method: str = "nelder-mead"
+    batch: str = ""
+    workers: int = 1
+    figures: tuple[Figure, ...] = ()
+    jac: FloatArray | None = None
+    active_mask: npt.NDArray[np.int64] | None = None
+    cov: FloatArray | None = None
+    cov_message: str = ""
+
+    def __post_init__(self) -> None:
+        self.status = STATUS[self.termination]
+        self.schedule = tuple(BarrierStage(*stage) for stage in self.schedule)
+        self.optima = tuple(Optimum(*optimum) for optimum in self.optima)
 
     def _tuple(self) -> tuple[FloatArray, float, int, int, float]:
         return self.x, self.fun, self.nit, self.nfev, self.solve_time
