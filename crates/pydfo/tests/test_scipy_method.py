@@ -31,7 +31,7 @@ def test_tolerances_arguments_and_options_are_carried_over():
     res = optimize.minimize(shifted, [0.0, 0.0], args=(1.0, 2.0), method=method, tol=1e-3)
     vertices, costs = res.final_simplex
     assert np.abs(vertices - vertices[0]).max() <= 1e-3 and costs[-1] - costs[0] <= 1e-3
-    assert res.fun == shifted(res.x, 1.0, 2.0) and "1e-3" in res.message
+    assert res.fun == shifted(res.x, 1.0, 2.0) and "<= x_tol 0.001" in res.message
     tight = optimize.minimize(rosenbrock, [0.0, 0.0], method=method, options={"xatol": 1e-8, "fatol": 1e-8})
     assert tight.nfev > res.nfev and tight.x_size <= 1e-8 and tight.f_spread <= 1e-8
     res = optimize.minimize(rosenbrock, [0.0, 0.0], method=method, options={"maxiter": 11, "batch": "four"})
@@ -66,7 +66,7 @@ def test_what_it_cannot_do_is_said(capsys):
         optimize.minimize(rosenbrock, [0.0, 0.0], method=method, constraints={"type": "eq", "fun": sum})
     with pytest.warns(RuntimeWarning, match="does not use derivatives"):
         optimize.minimize(rosenbrock, [0.0, 0.0], method=method, jac=optimize.rosen_der)
-    with pytest.raises(ValueError, match="has no option 'gtol'"):
+    with pytest.raises(ValueError, match="there is no option 'gtol'"):
         optimize.minimize(rosenbrock, [0.0, 0.0], method=method, options={"gtol": 1})
     with pytest.raises(ValueError, match="no method 'bfgs'; did you mean 'quadratic-model'"):
         pydfo.scipy_method("bfgs")
