@@ -369,7 +369,7 @@ impl AnyMethod {
     /// - with costs of at most 60 parameters [`QuadraticModel`], which hands over to [`NelderMead`] where its
     ///   model shows noise or kinks ([`QuadraticModel::hand_over`](field@QuadraticModel::hand_over)): with
     ///   smooth costs it takes half of the evaluations of Nelder-Mead or less, with others as many
-    ///   (`benches/choice.rs`); from the start Nelder-Mead where nothing tells the size of a parameter;
+    ///   (`benches/choice.rs`);
     /// - [`Multistart`] where the best minimum of a box is asked for;
     /// - [`DifferentialEvolution`] with integer parameters, [`Genetic`] with categorical ones.
     ///

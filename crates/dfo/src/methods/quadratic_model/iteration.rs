@@ -2,7 +2,7 @@
 
 use super::hand_over::MOST_REFUSED;
 use super::model::{Interpolation, Quadratic};
-use super::state::{Phase, QuadraticModelState};
+use super::state::{ModelSearch, Phase};
 use super::subproblem::{Region, minimize};
 use super::truncated;
 use crate::method::tolerances::{Extent, Tests};
@@ -17,7 +17,7 @@ const SMALLEST: f64 = 1e-14;
 /// the fits, boxes and smooth instances of `benches/quadratic.rs`, which judges with the odd halves.
 const REDUCTION: f64 = 0.2;
 /// Points that lie farther off than so many radii and so many resolutions leave the model.
-const FAR: f64 = 10.0;
+pub(super) const FAR: f64 = 10.0;
 const FAR_RESOLUTIONS: f64 = 200.0;
 /// The least spread of the points along any direction, in units of the radius, with which they determine the
 /// gradient.
@@ -36,7 +36,7 @@ pub(super) fn norm(v: &[f64]) -> f64 {
     v.iter().map(|v| v * v).sum::<f64>().sqrt()
 }
 
-impl QuadraticModelState {
+impl ModelSearch {
     pub(super) fn base(&self) -> usize {
         self.points.best()
     }
@@ -444,7 +444,6 @@ impl QuadraticModelState {
 
     /// The resolution is exhausted: the end, a smaller one, or another start.
     fn refine(&mut self) {
-        self.n_refused += usize::from(self.is_refused);
         self.fold();
         self.look_for_roughness();
         if self.hand_over && self.roughness.is_some() && self.hand_over() {
@@ -484,7 +483,7 @@ impl QuadraticModelState {
     fn restart(&mut self) {
         let best = self.base();
         let f = self.cost(best);
-        let useless = f > self.f_restart - NO_PROGRESS * self.f_restart.abs();
+        let useless = f >= self.f_restart - NO_PROGRESS * self.f_restart.abs();
         self.n_useless = if useless { self.n_useless + 1 } else { 0 };
         if self.n_useless > self.restarts {
             self.phase = Phase::Ended(Termination::Stalled);

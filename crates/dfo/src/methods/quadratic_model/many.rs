@@ -5,7 +5,7 @@
 use super::inverse::{Inverse, median};
 use super::iteration::norm;
 use super::options::MOST_FROM_SCRATCH;
-use super::state::{Phase, QuadraticModelState};
+use super::state::{ModelSearch, Phase};
 use crate::methods::shared::dot::dot;
 
 /// The inverse is made anew when the base point is farther from its origin than so many trust regions:
@@ -17,7 +17,7 @@ const INACCURATE: f64 = 0.1;
 const FAR_REGIONS: f64 = 2.0;
 const FAR_RESOLUTIONS: f64 = 10.0;
 
-impl QuadraticModelState {
+impl ModelSearch {
     pub(super) fn has_many(&self) -> bool {
         self.n() > MOST_FROM_SCRATCH
     }

@@ -23,6 +23,9 @@
 //! starts anew, too, or hands over to a simplex search (`hand_over.rs`, `nelder_mead/simplex_search.rs`),
 //! which goes on from the best point as Nelder-Mead does from a start.
 //!
+//! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, is moved
+//! alone first (`shared/sizes.rs`).
+//!
 //! **Failures.** A failed point enters no model. The step is shortened, and later steps keep to the side of a
 //! plane between failed points and those of the model (`shared/failures.rs`). Of the first points a failed
 //! one is tried nearer to the start and on its other side.
@@ -45,17 +48,33 @@ mod subproblem;
 mod truncated;
 
 pub use options::QuadraticModel;
-pub use state::QuadraticModelState;
 
 use crate::error::Error;
-use crate::method::interface::{MethodOptions, Setup, restored};
+use crate::method::interface::{MethodOptions, Setup};
+use crate::methods::shared::sized::{NeedsSizes, WithSizes};
 use crate::problem::memory;
 use crate::problem::option_texts;
+use state::ModelSearch;
 
-impl QuadraticModel {
-    /// The problem as the search sees it: without bounds that stand for "none".
-    fn prepared(setup: &Setup) -> Setup {
-        Setup { space: setup.space.without_far_bounds(), ..setup.clone() }
+/// A running search on quadratic models; made by [`QuadraticModel`].
+pub type QuadraticModelState = WithSizes<QuadraticModel>;
+
+/// The problem as the search sees it: without bounds that stand for "none".
+fn prepared(setup: &Setup) -> Setup {
+    Setup { space: setup.space.without_far_bounds(), ..setup.clone() }
+}
+
+impl NeedsSizes for QuadraticModel {
+    const NAME: &'static str = "quadratic-model";
+    type Search = ModelSearch;
+
+    fn search(&self, setup: Setup) -> Result<ModelSearch, Error> {
+        let points = self.resolve(setup.space.n_free())?;
+        Ok(ModelSearch::new(setup, self, points))
+    }
+
+    fn is_sound(search: &ModelSearch, setup: &Setup) -> bool {
+        search.is_sound(setup)
     }
 }
 
@@ -68,14 +87,11 @@ impl MethodOptions for QuadraticModel {
         let (n, n_user) = (setup.space.n_free(), setup.space.n());
         let points = self.resolve(n)?;
         memory::check("a quadratic model of so many parameters", &[points, 7 * points + 2 * n_user])?;
-        let mut state = QuadraticModelState::new(Self::prepared(setup), self, points);
-        state.begin_with_simplex()?;
-        Ok(state)
+        WithSizes::begin(self, prepared(setup))
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<QuadraticModelState, Error> {
-        let setup = Self::prepared(setup);
-        restored(state, |s: &QuadraticModelState| s.is_sound(&setup))
+        WithSizes::restore(self, prepared(setup), state)
     }
 
     fn describe(&self) -> Vec<(String, String)> {

@@ -37,9 +37,8 @@ pub struct QuadraticModel {
     pub restarts: usize,
     /// True if the search goes on as [`NelderMead`](crate::NelderMead), from its best point, where the model
     /// shows noise or kinks: its curvature grows as its region shrinks, or its steps fail at several
-    /// resolutions. Then the message of the result says so, and its tests are those of the simplex. Where
-    /// nothing tells the size of a parameter, Nelder-Mead searches from the start. Default false;
-    /// [`Auto`](crate::Auto) sets it.
+    /// resolutions. Then the message of the result says so, and its tests are those of the simplex. Default
+    /// false; [`Auto`](crate::Auto) sets it.
     #[serde(default)]
     pub hand_over: bool,
 }

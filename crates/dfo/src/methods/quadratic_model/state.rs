@@ -41,9 +41,9 @@ pub(super) enum Phase {
     Ended(Termination),
 }
 
-/// A running search on quadratic models; made by [`QuadraticModel`].
+/// A running search where the sizes of all parameters are known.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct QuadraticModelState {
+pub struct ModelSearch {
     pub(super) setup: Setup,
     pub(super) restarts: usize,
     /// The interpolation points, up to so many; those that failed are no part of the model.
@@ -86,7 +86,7 @@ pub struct QuadraticModelState {
     pub(super) hand_over: bool,
     #[serde(default)]
     pub(super) simplex: Option<SimplexSearch>,
-    /// The resolutions since the last start, and the size of the curvature of the model when they were
+    /// The extents of the model since the last start, and the size of its curvature, when resolutions were
     /// exhausted.
     #[serde(default)]
     pub(super) curvatures: Vec<(f64, f64)>,
@@ -95,7 +95,7 @@ pub struct QuadraticModelState {
     pub(super) roughness: Option<Roughness>,
 }
 
-impl QuadraticModelState {
+impl ModelSearch {
     pub(super) fn new(setup: Setup, options: &QuadraticModel, most_points: usize) -> Self {
         let space = &setup.space;
         let n = space.n_free();
@@ -234,7 +234,7 @@ impl QuadraticModelState {
     }
 }
 
-impl Method for QuadraticModelState {
+impl Method for ModelSearch {
     fn name(&self) -> &'static str {
         "quadratic-model"
     }
