@@ -10,7 +10,7 @@ use crate::methods::shared::cost::Cost;
 /// Resolutions in a row at which steps failed: then there is noise, or a kink.
 pub(super) const MOST_REFUSED: usize = 4;
 /// The curvature is compared with that of an extent so many times as large.
-const WIDER: f64 = 5.0;
+const WIDER: f64 = 25.0;
 /// The least power of 1/extent with which it grows at a kink (there it is 1, at noise 2, where the cost is
 /// smooth 0). Like the ratio of extents chosen with `benches/choice.rs` at seeds 0 to 2.
 const GROWTH: f64 = 0.5;
