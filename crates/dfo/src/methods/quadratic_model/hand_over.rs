@@ -1,14 +1,12 @@
 //! Where noise and kinks show in the model, and what follows from them.
 
 use super::inverse::median;
-use super::iteration::{FAR, norm};
+use super::iteration::{FAR, MOST_REFUSED, norm};
 use super::state::{ModelSearch, Phase};
 use crate::method::interface::Roughness;
 use crate::methods::nelder_mead::{NelderMead, SimplexSearch};
 use crate::methods::shared::cost::Cost;
 
-/// Resolutions in a row at which steps failed: then there is noise, or a kink.
-pub(super) const MOST_REFUSED: usize = 4;
 /// The curvature is compared with that of an extent so many times as large.
 const WIDER: f64 = 25.0;
 /// The least power of 1/extent with which it grows at a kink (there it is 1, at noise 2, where the cost is

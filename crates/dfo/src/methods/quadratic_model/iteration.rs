@@ -1,6 +1,5 @@
 //! One iteration: the next trial point, and what follows from its cost.
 
-use super::hand_over::MOST_REFUSED;
 use super::model::{Interpolation, Quadratic};
 use super::state::{ModelSearch, Phase};
 use super::subproblem::{Region, minimize};
@@ -16,6 +15,8 @@ const SMALLEST: f64 = 1e-14;
 /// Factor of the resolution when it is exhausted. Like the following constants chosen with the even halves of
 /// the fits, boxes and smooth instances of `benches/quadratic.rs`, which judges with the odd halves.
 const REDUCTION: f64 = 0.2;
+/// Resolutions in a row at which steps failed: then there is noise, or a kink.
+pub(super) const MOST_REFUSED: usize = 4;
 /// Points that lie farther off than so many radii and so many resolutions leave the model.
 pub(super) const FAR: f64 = 10.0;
 const FAR_RESOLUTIONS: f64 = 200.0;
