@@ -72,7 +72,7 @@ def test_the_result_is_like_the_others_but_for_its_residuals():
     assert "cost" in repr(res) and res.method == "least-squares" and len(res.trace) == nfev
     assert res.trace.fun.min() == res.cost == sum(res.fun**2)
     # One that knows residuals needs far fewer evaluations than one that knows costs.
-    simplex = pydfo.minimize(lambda x: np.sum(decay(x) ** 2), START)
+    simplex = pydfo.minimize(lambda x: np.sum(decay(x) ** 2), START, method="nelder-mead")
     assert simplex.jac is None and simplex.cov is None and res.nfev < simplex.nfev / 3
 
 
