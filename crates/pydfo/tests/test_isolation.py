@@ -121,6 +121,18 @@ def test_nothing_is_left_of_a_calibration(tmp_path, monkeypatch):
     assert not [name for name in os.listdir(folder) if name.startswith("fmufit-worker")]
 
 
+def test_nothing_is_left_of_a_calibration_that_evaluates_nothing(tmp_path):
+    before = set(children())
+    (tmp_path / "broken.fmu").write_bytes(b"PK\x03\x04")
+    for path in ("none.fmu", "broken.fmu"):
+        with pytest.raises((OSError, pydfo.FmuError)):
+            decay(tmp_path / path)
+    calibration = decay(evil(tmp_path / "sound.fmu"))
+    assert set(children()) - before
+    del calibration
+    assert not set(children()) - before
+
+
 def test_a_state_that_only_a_new_process_renews_is_found(tmp_path):
     # The value of k at the first run of a process stays.
     fmu = evil(tmp_path / "remembers.fmu", "SHARED_GLOBALS", "REMEMBERS=1.2")

@@ -5,18 +5,19 @@ use crate::cost::calibration::Calibration;
 use crate::findings::finding::{Finding, Severity};
 use crate::problem::residual_layout::OutputResiduals;
 
-/// Fewer equal measurements at equal times may be chance, and fewer at other times.
-const FEWEST: (usize, usize) = (3, 10);
+/// Fewer equal measurements at equal times may be chance.
+const FEWEST_AT_EQUAL_TIMES: usize = 3;
+/// Fewer equal measurements at other times may be chance.
+const FEWEST_IN_A_ROW: usize = 10;
 
 /// Number of measurements that two recordings share: the first of the second are the last of the first, or a
 /// part of them. 0 where the first ones are all the same.
 fn shared(a: &[f64], b: &[f64]) -> usize {
-    let (_, fewest) = FEWEST;
-    if b.len() < fewest || b[..fewest].iter().all(|m| *m == b[0]) {
+    if b.len() < FEWEST_IN_A_ROW || b[..FEWEST_IN_A_ROW].iter().all(|m| *m == b[0]) {
         return 0;
     }
     let common = |k: usize| a[k..].len().min(b.len());
-    let starts = 0..(a.len() + 1).saturating_sub(fewest);
+    let starts = 0..(a.len() + 1).saturating_sub(FEWEST_IN_A_ROW);
     starts.into_iter().find(|k| a[*k..*k + common(*k)] == b[..common(*k)]).map_or(0, common)
 }
 
@@ -34,7 +35,7 @@ pub(super) fn findings(calibration: &Calibration, subjects: &[Subject<'_>]) -> V
     let mut findings: Vec<Finding> = Vec::new();
     let names = calibration.problem().experiment_names();
     for (k, b) in outputs.iter().enumerate() {
-        if b.measured.len() < FEWEST.0 || !varies(b) {
+        if b.measured.len() < FEWEST_AT_EQUAL_TIMES || !varies(b) {
             continue;
         }
         let is_twice = |a: &&OutputResiduals| {

@@ -29,8 +29,8 @@ pub(crate) fn overwrite_variable(name: &CStr, value: &[u8]) -> io::Result<()> {
             format!("no {name:?} of {} bytes", value.len()),
         ));
     }
-    // SAFETY: so many bytes are there, in memory of this process (System V ABI: strings of the initial environment, or allocated by
-    // `setenv`); no other thread reads them, as in `fork`.
+    // SAFETY: so many bytes are there, in memory of this process (System V ABI: strings of the initial
+    // environment, or allocated by `setenv`); no other thread reads them, as in `fork`.
     unsafe { std::ptr::copy_nonoverlapping(value.as_ptr(), place.cast(), value.len()) };
     Ok(())
 }

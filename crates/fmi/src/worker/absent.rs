@@ -51,4 +51,10 @@ impl Workers {
 pub fn serve_if_asked(_: impl FnOnce() -> Box<dyn Service + Send>) {}
 
 /// Nothing can be started.
-pub fn start_ahead() {}
+#[derive(Debug)]
+pub enum StartedAhead {}
+
+/// `None`: nothing can be started.
+pub fn start_ahead() -> Option<Arc<StartedAhead>> {
+    None
+}

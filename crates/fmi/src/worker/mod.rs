@@ -33,7 +33,7 @@ mod template;
 mod workers;
 
 #[cfg(not(unix))]
-pub use absent::{Workers, serve_if_asked, start_ahead};
+pub use absent::{StartedAhead, Workers, serve_if_asked, start_ahead};
 pub use frame::Frame;
 pub use launcher::Launcher;
 pub use limits::{Isolation, WorkerLimits};
@@ -43,6 +43,6 @@ pub use serve::serve_if_asked;
 pub use service::Service;
 pub use settings::is_asked;
 #[cfg(unix)]
-pub use template::start_ahead;
+pub use template::{StartedAhead, start_ahead};
 #[cfg(unix)]
 pub use workers::Workers;

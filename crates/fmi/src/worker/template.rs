@@ -27,7 +27,7 @@ use std::os::unix::net::UnixStream;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
 /// Order to the template; its byte goes before the frame, and the descriptors with it.
@@ -95,30 +95,43 @@ struct Orders {
     loaded: Option<u64>,
 }
 
-/// A template that was started before there is a problem to load.
-static SPARE: Mutex<Option<Template>> = Mutex::new(None);
+/// A template that was started before there is a problem to load. It ends with this, unless it was taken.
+#[derive(Debug)]
+pub struct StartedAhead(Mutex<Option<Template>>);
 
-fn spare() -> MutexGuard<'static, Option<Template>> {
-    SPARE.lock().unwrap_or_else(PoisonError::into_inner)
+static AHEAD: Mutex<Weak<StartedAhead>> = Mutex::new(Weak::new());
+
+impl StartedAhead {
+    fn template(&self) -> MutexGuard<'_, Option<Template>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The template of this program, if one was started ahead and nobody has taken it.
+    fn take(launcher: &Launcher) -> Option<Template> {
+        let ahead = AHEAD.lock().unwrap_or_else(PoisonError::into_inner).upgrade()?;
+        let is_usable =
+            |template: &mut Template| template.owner == std::process::id() && template.program == *launcher;
+        ahead.template().take_if(is_usable)
+    }
 }
 
-/// Starts the program of worker processes, which will be needed soon; does not wait for it.
-pub fn start_ahead() {
-    let mut spare = spare();
-    if spare.is_none()
-        && let Some(launcher) = Launcher::known()
-    {
-        // Who needs it meets the same error.
-        *spare = Template::start(&launcher).ok();
+/// Starts the program of worker processes, which will be needed soon; does not wait for it. It ends when the
+/// last answer is dropped before it is needed. `None`: it cannot be started; who needs it meets the error.
+pub fn start_ahead() -> Option<Arc<StartedAhead>> {
+    let mut known = AHEAD.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(ahead) = known.upgrade().filter(|ahead| ahead.template().is_some()) {
+        return Some(ahead);
     }
+    let template = Template::start(&Launcher::known()?).ok()?;
+    let ahead = Arc::new(StartedAhead(Mutex::new(Some(template))));
+    *known = Arc::downgrade(&ahead);
+    Some(ahead)
 }
 
 impl Template {
     /// One that was started before, or is started now, and is to load this.
     pub(super) fn loading(launcher: &Launcher, load: &Load) -> Result<Self, FmiError> {
-        let spare =
-            spare().take().filter(|spare| spare.owner == std::process::id() && spare.program == *launcher);
-        let template = spare.map_or_else(|| Self::start(launcher), Ok)?;
+        let template = StartedAhead::take(launcher).map_or_else(|| Self::start(launcher), Ok)?;
         let mut orders = template.orders();
         orders.send(Order::Load, &load.frame, &[]).map_err(no_worker)?;
         orders.loading = Some(load.id);

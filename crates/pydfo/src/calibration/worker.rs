@@ -4,6 +4,7 @@ use fmi::worker::Launcher;
 use pyo3::prelude::*;
 use std::ffi::OsString;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// Sets how worker processes are started: a program with arguments that ends up in `serve_worker`.
 #[pyfunction]
@@ -11,10 +12,16 @@ pub(crate) fn set_launcher(program: PathBuf, arguments: Vec<OsString>) {
     Launcher { program, arguments }.set();
 }
 
+/// The program of the worker processes, started before it is needed; it ends with this, unless it is in use.
+#[pyclass(frozen)]
+pub(crate) struct StartedAhead(
+    #[expect(dead_code, reason = "kept alive")] Option<Arc<fmi::worker::StartedAhead>>,
+);
+
 /// Starts the program of the worker processes, which will be needed soon.
 #[pyfunction]
-pub(crate) fn start_worker_ahead(py: Python<'_>) {
-    py.detach(fmi::worker::start_ahead);
+pub(crate) fn start_worker_ahead(py: Python<'_>) -> StartedAhead {
+    StartedAhead(py.detach(fmi::worker::start_ahead))
 }
 
 /// Serves as a template of worker processes until nobody needs it any more.

@@ -67,7 +67,7 @@ impl MethodOptions for DifferentialEvolution {
             return Err(Error::Option { name: "population", value: members as f64, range });
         }
         let members = if n == 0 { 1 } else { members };
-        DifferentialRules::begin(self, setup.clone(), (members, budget), setup.seed.unwrap_or_else(draw_seed))
+        DifferentialRules::begin(self, setup.clone(), members, budget, setup.seed.unwrap_or_else(draw_seed))
     }
 
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<DifferentialEvolutionState, Error> {

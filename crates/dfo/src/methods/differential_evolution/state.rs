@@ -80,7 +80,8 @@ impl DifferentialRules {
     pub(super) fn begin(
         options: &DifferentialEvolution,
         setup: Setup,
-        (members, budget): (usize, usize),
+        members: usize,
+        budget: usize,
         seed: u64,
     ) -> Result<DifferentialEvolutionState, Error> {
         let n = setup.space.n_free();

@@ -186,8 +186,8 @@ class Calibration(Point):
         resample: SupportsFloat | None = None,
     ) -> None:
         if isolation == "process":
-            # An interpreter starts while data and model are read.
-            _core.start_worker_ahead()
+            # An interpreter starts while data and model are read; it ends with this object if nothing is evaluated.
+            self._started_ahead = _core.start_worker_ahead()
         own: dict[str, Any] = {
             "window": window,
             "weights": weights,
