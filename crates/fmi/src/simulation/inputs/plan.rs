@@ -283,7 +283,8 @@ impl InputPlan {
                     }
                 }
                 SourceValues::Numbers(times, values) => {
-                    plan.add_numbers(starts, place, (times, values), &mut stops)?;
+                    let column = Column { times: Arc::clone(times), values: Arc::clone(values) };
+                    plan.add_numbers(starts, place, column, &mut stops)?;
                 }
             }
         }
@@ -296,12 +297,11 @@ impl InputPlan {
         &mut self,
         starts: &Starts<'_>,
         place: VariableElement,
-        (times, values): (&Arc<[f64]>, &Arc<[f64]>),
+        column: Column,
         stops: &mut Vec<InputStop>,
     ) -> Result<()> {
         let variable = &starts.description.variables[place.variable];
-        check_rows(variable, times, values)?;
-        let column = Column { times: Arc::clone(times), values: Arc::clone(values) };
+        check_rows(variable, &column.times, &column.values)?;
         if is_linear(variable) {
             let column = column.times(if variable.negated { -1.0 } else { 1.0 });
             column.linear_stops(self.time_tolerance, stops);
