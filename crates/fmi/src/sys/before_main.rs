@@ -29,8 +29,9 @@ pub(crate) const PRELOAD: &str = "LD_PRELOAD";
 /// Variable with the value that it had before the library that serves was added.
 pub(crate) const PRELOADED_BEFORE: &str = "FMUFIT_WORKER_PRELOADED_BEFORE";
 
-/// True if a library of this process was loaded ahead of its program to serve. Before the program's `main`; the
-/// process is from then on what Rust expects of one, and its environment that which it would have without.
+/// True if a library of this process was loaded ahead of its program to serve. Before the program's `main`;
+/// the process is from then on what Rust expects of one, and its environment that which it would have
+/// without.
 #[cfg(target_os = "linux")]
 #[doc(hidden)]
 pub fn is_loaded_to_serve() -> bool {

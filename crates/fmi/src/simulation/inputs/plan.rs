@@ -279,7 +279,8 @@ impl InputPlan {
                         plan.add_held(starts, place, column, &mut stops)?;
                     } else {
                         let numbers: Vec<f64> = converted.iter().filter_map(Value::as_number).collect();
-                        plan.add_numbers(starts, place, (times, &numbers.into()), &mut stops)?;
+                        let column = Column { times: Arc::clone(times), values: numbers.into() };
+                        plan.add_numbers(starts, place, column, &mut stops)?;
                     }
                 }
                 SourceValues::Numbers(times, values) => {
