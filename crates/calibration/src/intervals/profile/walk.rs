@@ -80,7 +80,7 @@ pub(super) fn walk(
         BoundSide::Upper => (1.0, parameter.upper()),
     };
     let mut walk = Walk { refits, origin, context, sign, bound, done: Side::new(origin.index, side) };
-    walk.done.end = walk.to_its_end();
+    walk.done.end = walk.walk_on();
     let mut done = walk.done;
     done.points.sort_by(|a, b| (a.value * sign).total_cmp(&(b.value * sign)));
     done
@@ -129,7 +129,7 @@ impl Walk<'_> {
         }
     }
 
-    fn to_its_end(&mut self) -> ProfileEnd {
+    fn walk_on(&mut self) -> ProfileEnd {
         let Origin { index, threshold, max_points, standard_error, .. } = *self.origin;
         let (sign, limit, goal) = (self.sign, self.limit(), threshold.sqrt());
         let start = self.parameters().iter().zip(self.origin.x).map(|(p, x)| inner(p, *x)).collect();
