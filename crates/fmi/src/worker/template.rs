@@ -226,12 +226,9 @@ impl Template {
 
     /// Error for a worker that was not started: the template, if it has ended, can start no other one.
     pub(super) fn without_worker(&self, error: &str) -> FmiError {
-        let end = self.end_in_words();
-        let printed = end.is_some().then(|| self.printed.last_words()).unwrap_or_default();
-        let reason = match (end, printed.is_empty()) {
-            (Some(end), true) => end,
-            (Some(_), false) => printed,
-            (None, _) => error.to_owned(),
+        let reason = match self.end_in_words() {
+            Some(end) => Some(self.printed.last_words()).filter(|printed| !printed.is_empty()).unwrap_or(end),
+            None => error.to_owned(),
         };
         FmiError::NoWorker { reason: format!("{}: {reason}", self.program.program.display()) }
     }
