@@ -181,17 +181,21 @@ fn confine(folder: &Path) -> io::Result<()> {
         ABI, Access, AccessFs, AccessNet, CompatLevel, Compatible, PathBeneath, PathFd, Ruleset, RulesetAttr,
         RulesetCreatedAttr,
     };
-    let write = AccessFs::from_write(ABI::V1);
+    // A rule may speak of what is restricted only: reading is not.
+    let (write, write_and_more) = (AccessFs::from_write(ABI::V1), AccessFs::from_write(ABI::V3));
     let confined = || -> Result<(), Box<dyn std::error::Error>> {
         Ruleset::default()
             .set_compatibility(CompatLevel::HardRequirement)
             .handle_access(write)?
             .set_compatibility(CompatLevel::BestEffort)
-            .handle_access(AccessFs::from_write(ABI::V3))?
+            .handle_access(write_and_more)?
             .handle_access(AccessNet::from_all(ABI::V4))?
             .create()?
-            .add_rule(PathBeneath::new(PathFd::new(folder)?, AccessFs::from_all(ABI::V3)))?
-            .add_rule(PathBeneath::new(PathFd::new("/dev/null")?, AccessFs::from_file(ABI::V3)))?
+            .add_rule(PathBeneath::new(PathFd::new(folder)?, write_and_more))?
+            .add_rule(PathBeneath::new(
+                PathFd::new("/dev/null")?,
+                write_and_more & AccessFs::from_file(ABI::V3),
+            ))?
             .restrict_self()?;
         Ok(())
     };
