@@ -321,129 +321,123 @@ pub struct SimulationError {
     pub stats: Stats,
 }
 
-impl fmt::Display for SimulationError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (t, h) = (Number(self.time), Number(self.step));
-        match &self.kind {
-            ErrorKind::Span { start, end } => {
+impl ErrorKind {
+    /// The whole message about a run that could not begin; `None`: it had begun.
+    fn before_the_run(&self) -> Option<String> {
+        Some(match self {
+            Self::Span { start, end } => {
                 let is_finite = start.is_finite() && end.is_finite();
                 let (start, end) = (Number(*start), Number(*end));
                 let why = if is_finite { "this system cannot run backward" } else { "both must be finite" };
-                return write!(f, "cannot simulate from {start} to {end}: {why}");
+                format!("cannot simulate from {start} to {end}: {why}")
             }
-            ErrorKind::SampleTimes { index, time } => {
-                let time = Number(*time);
-                return write!(
-                    f,
-                    "requested time {time} at position {index} is not finite, not in the order of the integration, or outside of the \
-                     span"
-                );
+            Self::SampleTimes { index, time } => format!(
+                "requested time {} at position {index} is not finite, not in the order of the integration, or outside of the span",
+                Number(*time)
+            ),
+            Self::ToleranceCount { given, states } => {
+                format!("{given} absolute tolerances given for {states} states")
             }
-            ErrorKind::ToleranceCount { given, states } => {
-                return write!(f, "{given} absolute tolerances given for {states} states");
+            Self::StepBelowRounding { step, least } => format!(
+                "steps of {} were asked for, but in this span only steps above {} tell instants apart",
+                Number(*step),
+                Number(*least)
+            ),
+            Self::MassMatrix { given, states } => format!(
+                "the mass matrix must have {states} x {states} finite entries by columns, {given} were given"
+            ),
+            Self::TooLargeForDense { states } => TooLargeForDense { states: *states }.to_string(),
+            Self::MassMatrixNeedsImplicit => {
+                "a system with a mass matrix can only be integrated by radau5 or bdf (or auto)".to_owned()
             }
-            ErrorKind::NoTolerance { state } => write!(
-                f,
+            Self::ResidualNeedsBdf => {
+                "a system given by its residual can only be integrated by bdf".to_owned()
+            }
+            _ => return None,
+        })
+    }
+}
+
+impl SimulationError {
+    /// The beginning of the message about a run that had begun: why it ended, and when.
+    fn end_of_the_run(&self) -> String {
+        let (t, h) = (Number(self.time), Number(self.step));
+        match &self.kind {
+            ErrorKind::NoTolerance { state } => format!(
                 "state {state} is 0 at t = {t}, and so is its absolute tolerance: a relative tolerance alone is none \
                  there; give a positive absolute one"
-            )?,
+            ),
             ErrorKind::StepTooSmall { discarded: false } => {
-                write!(f, "the error test wants steps below {h} at t = {t}")?;
+                format!("the error test wants steps below {h} at t = {t}")
             }
             ErrorKind::StepTooSmall { discarded: true } => {
-                write!(f, "the model cannot be evaluated beyond t = {t}, down to steps of {h}")?;
-            }
-            ErrorKind::StepBelowRounding { step, least } => {
-                let (step, least) = (Number(*step), Number(*least));
-                return write!(
-                    f,
-                    "steps of {step} were asked for, but in this span only steps above {least} tell instants apart"
-                );
+                format!("the model cannot be evaluated beyond t = {t}, down to steps of {h}")
             }
             ErrorKind::NoConvergence => {
-                write!(
-                    f,
+                format!(
                     "the equations of the implicit method do not converge at t = {t}, down to steps of {h}"
-                )?;
+                )
             }
-            ErrorKind::MassMatrix { given, states } => {
-                return write!(
-                    f,
-                    "the mass matrix must have {states} x {states} finite entries by columns, {given} were given"
-                );
-            }
-            ErrorKind::TooLargeForDense { states } => return TooLargeForDense { states: *states }.fmt(f),
-            ErrorKind::MassMatrixNeedsImplicit => {
-                return write!(
-                    f,
-                    "a system with a mass matrix can only be integrated by radau5 or bdf (or auto)"
-                );
-            }
-            ErrorKind::ResidualNeedsBdf => {
-                return write!(f, "a system given by its residual can only be integrated by bdf");
-            }
-            ErrorKind::HigherIndex => write!(f, "the states at t = {t} are not determined by the equations")?,
-            ErrorKind::Inconsistent { equation, residual } => {
-                let residual = Number(*residual);
-                write!(
-                    f,
-                    "the states at t = {t} are not consistent, and no others with the same left-hand side are: \
-                     equation {equation}, in which no derivative stands, has the residual {residual}"
-                )?;
-            }
+            ErrorKind::HigherIndex => format!("the states at t = {t} are not determined by the equations"),
+            ErrorKind::Inconsistent { equation, residual } => format!(
+                "the states at t = {t} are not consistent, and no others with the same left-hand side are: \
+                 equation {equation}, in which no derivative stands, has the residual {}",
+                Number(*residual)
+            ),
             ErrorKind::InconsistentSlopes { equation, residual, is_singular } => {
-                let residual = Number(*residual);
-                let why = if *is_singular {
-                    "the Jacobian with respect to the derivatives is singular there, but not near"
-                } else {
-                    "Newton's method finds no others from there"
+                let why = match is_singular {
+                    true => "the Jacobian with respect to the derivatives is singular there, but not near",
+                    false => "Newton's method finds no others from there",
                 };
-                write!(
-                    f,
+                format!(
                     "the states and derivatives at t = {t} are not consistent, and {why}: equation {equation} has the \
-                     residual {residual}; give derivatives (dx0), or better guesses of states without a derivative"
-                )?;
+                     residual {}; give derivatives (dx0), or better guesses of states without a derivative",
+                    Number(*residual)
+                )
             }
             ErrorKind::DiscardedAtRestart => match &self.not_finite {
-                Some(value) => write!(f, "{value}")?,
-                None => write!(f, "the model cannot be evaluated at its own state at t = {t}")?,
+                Some(value) => value.to_string(),
+                None => format!("the model cannot be evaluated at its own state at t = {t}"),
             },
-            ErrorKind::TooManySteps(n) => write!(f, "the limit of {n} steps was reached at t = {t}")?,
-            ErrorKind::TooManyEvents(n) => write!(f, "the limit of {n} events was reached at t = {t}")?,
+            ErrorKind::TooManySteps(n) => format!("the limit of {n} steps was reached at t = {t}"),
+            ErrorKind::TooManyEvents(n) => format!("the limit of {n} events was reached at t = {t}"),
             ErrorKind::TooManyRightHandSides(n) => {
-                write!(f, "the limit of {n} right-hand sides was reached at t = {t}")?;
+                format!("the limit of {n} right-hand sides was reached at t = {t}")
             }
             ErrorKind::TooMuchWork(n) => {
-                let n = Number(*n);
-                write!(f, "the limit of {n} right-hand sides' work was reached at t = {t}")?;
+                format!("the limit of {} right-hand sides' work was reached at t = {t}", Number(*n))
             }
-            ErrorKind::TimedOut(d) => {
-                write!(f, "the time limit of {} s was reached at t = {t}", Number(d.as_secs_f64()))?
+            ErrorKind::TimedOut(limit) => {
+                format!("the time limit of {} s was reached at t = {t}", Number(limit.as_secs_f64()))
             }
-            ErrorKind::Cancelled => write!(f, "cancelled at t = {t}")?,
-            ErrorKind::Chattering { events, within, indicator } => {
-                let within = Number(*within);
-                write!(
-                    f,
-                    "chattering at t = {t}: {events} state events within {within} (last: event indicator {indicator})"
-                )?;
-            }
-            ErrorKind::EventsAccumulate { indicator } => {
-                write!(
-                    f,
-                    "chattering at t = {t}: event indicator {indicator} comes back to zero sooner after its event than \
-                     steps can resolve (its events accumulate there)"
-                )?;
-            }
+            ErrorKind::Cancelled => format!("cancelled at t = {t}"),
+            ErrorKind::Chattering { events, within, indicator } => format!(
+                "chattering at t = {t}: {events} state events within {} (last: event indicator {indicator})",
+                Number(*within)
+            ),
+            ErrorKind::EventsAccumulate { indicator } => format!(
+                "chattering at t = {t}: event indicator {indicator} comes back to zero sooner after its event than \
+                 steps can resolve (its events accumulate there)"
+            ),
             ErrorKind::TimeEventLoop(n) => {
-                write!(f, "{n} time events at t = {t}, each announcing another one there or a hair later")?
+                format!("{n} time events at t = {t}, each announcing another one there or a hair later")
             }
-            ErrorKind::EventInThePast(next) => {
-                let next = Number(*next);
-                write!(f, "the model announced its next time event for {next}, which lies before t = {t}")?;
-            }
-            ErrorKind::Model(e) => write!(f, "at t = {t}: {e}")?,
+            ErrorKind::EventInThePast(next) => format!(
+                "the model announced its next time event for {}, which lies before t = {t}",
+                Number(*next)
+            ),
+            ErrorKind::Model(error) => format!("at t = {t}: {error}"),
+            _ => self.kind.before_the_run().unwrap_or_default(),
         }
+    }
+}
+
+impl fmt::Display for SimulationError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(message) = self.kind.before_the_run() {
+            return f.write_str(&message);
+        }
+        f.write_str(&self.end_of_the_run())?;
         if let (ErrorKind::StepTooSmall { .. }, Some(value)) = (&self.kind, &self.not_finite) {
             write!(f, ": {value}")?;
         }

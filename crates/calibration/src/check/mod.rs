@@ -20,11 +20,12 @@ pub use options::CheckOptions;
 pub use result::Check;
 
 use crate::cost::calibration::Calibration;
+use crate::cost::residual::PointResiduals;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
 use base::RunContext;
 use ode::Stats;
-use series::{Evaluated, Evaluations, Outputs, Place};
+use series::{Evaluations, Outputs, Place};
 use subject::Subject;
 
 impl Calibration {
@@ -69,7 +70,7 @@ impl Calibration {
             }
             other => other?,
         }
-        let squares = at_start.as_ref().map(|at: &Evaluated| (at.residuals.as_slice(), Place::Start));
+        let squares = at_start.as_ref().map(|at: &PointResiduals| (at.residuals.as_slice(), Place::Start));
         findings.extend(scales::finding(self, squares));
         findings.sort_by_key(|finding| finding.severity);
         Ok(Check { findings, n_evaluations: evaluations.n })
@@ -79,13 +80,13 @@ impl Calibration {
     fn findings_of_simulations(
         &self,
         subjects: &[Subject<'_>],
-        at_start: &mut Option<Evaluated>,
+        at_start: &mut Option<PointResiduals>,
         findings: &mut Vec<Finding>,
         evaluations: &mut Evaluations<'_>,
     ) -> Result<(), CalibrationError> {
         evaluations.n += 1;
         let start = match self.residuals(&self.start(), &evaluations.context) {
-            Ok(residuals) => at_start.insert(Evaluated { residuals, x: self.start() }),
+            Ok(residuals) => at_start.insert(PointResiduals { residuals, x: self.start() }),
             Err(CalibrationError::Cancelled) => return Err(CalibrationError::Cancelled),
             Err(error) => {
                 findings.push(Finding::new(
@@ -97,30 +98,27 @@ impl Calibration {
                 return Ok(());
             }
         };
-        let outputs = Outputs::new(self, (start, None));
+        let outputs = Outputs::new(self, start, None);
         findings.extend(simulated::findings(subjects, &outputs));
         findings.extend(signals::findings(subjects, &outputs));
         findings.extend(time_unit::findings(self, subjects, &outputs, evaluations)?);
-        findings.extend(settings::large_step(self, (start, Place::Start), evaluations)?);
+        findings.extend(settings::large_step(self, start, Place::Start, evaluations)?);
         Ok(())
     }
 
     /// Findings of a check beyond notes, evaluated again at the result of a fit: a doubt that the fitted
-    /// values have removed is left out. The arguments are residuals, without a loss, and values at the start
-    /// and at the result; empty where it is cancelled.
+    /// values have removed is left out. Empty where it is cancelled.
     pub(crate) fn check_after_fit(
         &self,
-        (start, at_start): (&[f64], Option<&[f64]>),
-        (x, at_end): (&[f64], &[f64]),
+        start: Option<&PointResiduals>,
+        end: &PointResiduals,
         context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Vec<Finding> {
         let subjects = self.subjects();
-        let mut doubts = self.findings_of_description_and_data(&subjects, x);
-        if let Some(at_start) = at_start {
-            let [at_start, at_end] = [(at_start, start), (at_end, x)]
-                .map(|(residuals, x)| Evaluated { residuals: residuals.to_vec(), x: x.to_vec() });
-            let outputs = Outputs::new(self, (&at_start, Some(&at_end)));
+        let mut doubts = self.findings_of_description_and_data(&subjects, &end.x);
+        if let Some(start) = start {
+            let outputs = Outputs::new(self, start, Some(end));
             doubts.extend(simulated::findings(&subjects, &outputs));
             doubts.extend(signals::findings(&subjects, &outputs));
             let mut evaluations = Evaluations { context: *context, n: 0, stats: Stats::default() };
@@ -131,8 +129,8 @@ impl Calibration {
                 Err(_) => return Vec::new(),
             }
         }
-        doubts.extend(scales::finding(self, Some((at_end, Place::Fitted))));
-        doubts.extend(scales::inverse_weights(self, at_end));
+        doubts.extend(scales::finding(self, Some((&end.residuals, Place::Fitted))));
+        doubts.extend(scales::inverse_weights(self, &end.residuals));
         doubts.retain(|finding| finding.severity != Severity::Note);
         // Notes of the construction say how the data were read.
         doubts.extend(model::construction_warnings(self.warnings()));
@@ -150,13 +148,12 @@ impl Calibration {
     /// it, is not known.
     pub(crate) fn large_step_after_fit(
         &self,
-        (x, residuals): (&[f64], &[f64]),
+        end: &PointResiduals,
         context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Option<Finding> {
-        let at = Evaluated { residuals: residuals.to_vec(), x: x.to_vec() };
         let mut evaluations = Evaluations { context: *context, n: 0, stats: Stats::default() };
-        let found = settings::large_step(self, (&at, Place::Fitted), &mut evaluations);
+        let found = settings::large_step(self, end, Place::Fitted, &mut evaluations);
         *stats += evaluations.stats;
         found.ok().flatten()
     }

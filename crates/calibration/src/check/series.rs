@@ -2,16 +2,11 @@
 
 use super::subject::Subject;
 use crate::cost::calibration::Calibration;
+use crate::cost::residual::PointResiduals;
 use crate::problem::residual_layout::OutputResiduals;
 use base::RunContext;
 use ode::Stats;
 use std::fmt;
-
-/// Values of the parameters, and the residuals there.
-pub(super) struct Evaluated {
-    pub(super) x: Vec<f64>,
-    pub(super) residuals: Vec<f64>,
-}
 
 /// Evaluations that are made: how many, and what they take.
 pub(super) struct Evaluations<'a> {
@@ -52,9 +47,10 @@ pub(super) struct Outputs<'a> {
 impl<'a> Outputs<'a> {
     pub(super) fn new(
         calibration: &'a Calibration,
-        (at_start, fitted): (&'a Evaluated, Option<&'a Evaluated>),
+        at_start: &'a PointResiduals,
+        fitted: Option<&'a PointResiduals>,
     ) -> Self {
-        let series = |of: &Evaluated| all_series(calibration, &of.residuals);
+        let series = |of: &PointResiduals| all_series(calibration, &of.residuals);
         let x = (at_start.x.as_slice(), fitted.map(|fitted| fitted.x.as_slice()));
         Self { at_start: series(at_start), fitted: fitted.map(series), x }
     }

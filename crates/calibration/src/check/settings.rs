@@ -1,10 +1,10 @@
 //! Checks of the accuracy of the simulation settings: a loose tolerance, a step that is too large.
 
-use super::series::{Evaluated, Evaluations, Place, all_series, rounded, size_of_difference};
+use super::series::{Evaluations, Place, all_series, rounded, size_of_difference};
 use crate::cost::accuracy::Accuracy;
 use crate::cost::calibration::Calibration;
 use crate::cost::failure::NoCost;
-use crate::cost::residual::CostRule;
+use crate::cost::residual::{CostRule, PointResiduals};
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
 use dfo::RobustLoss;
@@ -40,7 +40,8 @@ pub(super) fn loose_tolerance(calibration: &Calibration) -> Option<Finding> {
 /// [`CalibrationError::Cancelled`].
 pub(super) fn large_step(
     calibration: &Calibration,
-    (at, place): (&Evaluated, Place),
+    at: &PointResiduals,
+    place: Place,
     evaluations: &mut Evaluations<'_>,
 ) -> Result<Option<Finding>, CalibrationError> {
     if !calibration.has_fixed_step() {

@@ -63,7 +63,8 @@ impl<'a> Simulations<'a> {
     /// Chooses the solver and has the model tested, where that is not done yet.
     pub(crate) fn new(
         calibration: &'a Calibration,
-        (loss, workers): (RobustLoss, usize),
+        loss: RobustLoss,
+        workers: usize,
         context: &RunContext<'a>,
     ) -> Result<Self, CalibrationError> {
         calibration.solver(context)?;
@@ -90,7 +91,7 @@ impl<'a> Simulations<'a> {
             };
             (cost.map(|_| residuals), stats)
         };
-        let answers = parallel::map((points.len(), self.workers), &self.context, &task);
+        let answers = parallel::map(points.len(), self.workers, &self.context, &task);
         let mut found = Vec::with_capacity(points.len());
         for answer in answers {
             let Some((residuals, stats)) = answer else { return Err(CalibrationError::Cancelled) };

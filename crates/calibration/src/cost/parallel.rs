@@ -16,7 +16,8 @@ const POLL: Duration = Duration::from_millis(20);
 /// thread where one is enough or none can be started. The calling thread looks at the context; a task has one
 /// of its own that ends with it, and is not begun after that. `None`: not begun, or it panicked.
 pub(crate) fn map<T: Send>(
-    (n, workers): (usize, usize),
+    n: usize,
+    workers: usize,
     context: &RunContext<'_>,
     task: &(dyn Fn(usize, &RunContext<'_>) -> T + Sync),
 ) -> Vec<Option<T>> {
@@ -102,10 +103,10 @@ mod tests {
     #[test]
     fn results_are_in_the_order_of_the_items() {
         for workers in [1, 3, 100] {
-            let squares = map((20, workers), &RunContext::new(), &|k, _| k * k);
+            let squares = map(20, workers, &RunContext::new(), &|k, _| k * k);
             assert_eq!(squares, (0..20).map(|k| Some(k * k)).collect::<Vec<_>>());
         }
-        assert!(map((0, 3), &RunContext::new(), &|k, _| k).is_empty());
+        assert!(map(0, 3, &RunContext::new(), &|k, _| k).is_empty());
     }
 
     #[test]
@@ -116,7 +117,7 @@ mod tests {
                 asked.set(asked.get() + 1);
                 asked.get() > 2
             };
-            let waited = map((100, workers), &RunContext::new().asking(&cancelled), &|_, context| {
+            let waited = map(100, workers, &RunContext::new().asking(&cancelled), &|_, context| {
                 while !context.is_over() {
                     std::thread::yield_now();
                 }
@@ -128,7 +129,7 @@ mod tests {
 
     #[test]
     fn a_panic_costs_one_result() {
-        let results = map((4, 2), &RunContext::new(), &|k, _| {
+        let results = map(4, 2, &RunContext::new(), &|k, _| {
             assert_ne!(k, 2);
             k
         });

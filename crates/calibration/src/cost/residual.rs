@@ -17,6 +17,13 @@ pub(crate) struct Comparison {
     begins: Vec<usize>,
 }
 
+/// A point and its residuals.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct PointResiduals {
+    pub(crate) x: Vec<f64>,
+    pub(crate) residuals: Vec<f64>,
+}
+
 /// At which times the simulation is sampled, and which measurements each sample is compared with.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct Schedule {

@@ -43,10 +43,10 @@ pub(crate) struct Chosen {
     pools: Vec<Pool>,
 }
 
-/// Evaluation at the parameters' start values that was part of a comparison of methods.
+/// Evaluation at the start of a fit that was made before its search.
 #[derive(Debug, Clone)]
 pub(crate) struct AtStart {
-    /// The residuals, without a loss.
+    /// The residuals: without a loss from a comparison of methods, else as they count.
     pub(crate) residuals: Vec<f64>,
     /// Wall-clock seconds of its simulations.
     pub(crate) seconds: f64,

@@ -1,10 +1,12 @@
-//! Variables that the parameters set in the model, and simulations of all of its variables, not only of those
-//! that are compared.
+//! Variables that the parameters set in the model, typical sizes of the parameters, and simulations of all
+//! variables of the model, not only of those that are compared.
 
 use crate::cost::calibration::Calibration;
 use crate::cost::process::Job;
 use crate::error::CalibrationError;
+use crate::problem::parameter::{Parameter, Scale};
 use base::RunContext;
+use dfo::typical_size;
 use fmi::Trajectory;
 use ode::Termination;
 use std::ops::ControlFlow;
@@ -95,5 +97,28 @@ impl Calibration {
                 )))
             }
         }
+    }
+
+    /// The size that was given for a parameter on a linear scale: what the user said, else the model's
+    /// nominal value, but no more than the width of the bounds.
+    pub(crate) fn given_size(&self, parameter: &Parameter) -> Option<f64> {
+        if parameter.scale_kind() == Scale::Log {
+            return None;
+        }
+        let variable = parameter.variable().and_then(|name| self.fmu().description().variable(name));
+        // That of the model is in the unit of the model.
+        let nominal = variable.filter(|_| parameter.given_unit().is_none()).and_then(|v| v.nominal);
+        let width = parameter.upper() - parameter.lower();
+        let of_model = nominal.map(|n| if width > 0.0 { n.abs().min(width) } else { n.abs() });
+        parameter.nominal_size().or(of_model).map(f64::abs).filter(|size| size.is_finite() && *size > 0.0)
+    }
+
+    /// Typical size of a parameter near a value, by the rule of the search ([`dfo::typical_size`]); of its
+    /// logarithm on a logarithmic scale; 1 where nothing is known. A value that has come near zero has the
+    /// size that it had at the start.
+    pub(crate) fn size_of(&self, parameter: &Parameter, at: f64) -> f64 {
+        let (bounds, given) = ((parameter.lower(), parameter.upper()), self.given_size(parameter));
+        let largest = at.abs().max(parameter.start().abs());
+        typical_size(parameter.scale_kind(), largest, bounds, given).unwrap_or(1.0)
     }
 }

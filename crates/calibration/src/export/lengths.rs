@@ -21,12 +21,12 @@ fn check_fit(fit: &Fit, place: &str) -> Result<(), String> {
         ("bounds", bounds.len()),
         ("report.x", report.x.len()),
     ];
-    lengths.into_iter().try_for_each(|(field, found)| same(place, field, (found, n)))?;
+    lengths.into_iter().try_for_each(|(field, found)| same(place, field, found, n))?;
     let at_bound: Vec<usize> = at_bound.iter().map(|(index, _)| *index).collect();
     below(place, "at_bound", &at_bound, n)?;
     below(place, "without_effect", without_effect, n)?;
     for (k, optimum) in report.optima.iter().enumerate() {
-        same(place, &format!("report.optima[{k}].x"), (optimum.x.len(), n))?;
+        same(place, &format!("report.optima[{k}].x"), optimum.x.len(), n)?;
     }
     if !report.is_sound() {
         return Err(format!("the parts of {place}.report (trace, residuals, jacobian) do not fit together"));
@@ -73,7 +73,7 @@ fn check_uncertainty(uncertainty: &Uncertainty, n: usize, place: &str) -> Result
         ("effective_degrees_of_freedom", uncertainty.effective_degrees_of_freedom.len(), n),
         ("jacobian", uncertainty.jacobian.len(), m * n),
     ];
-    lengths.into_iter().try_for_each(|(field, found, wanted)| same(place, field, (found, wanted)))?;
+    lengths.into_iter().try_for_each(|(field, found, wanted)| same(place, field, found, wanted))?;
     let lists = [
         ("held", &uncertainty.held),
         ("undetermined", &uncertainty.undetermined),
@@ -86,7 +86,7 @@ fn check_uncertainty(uncertainty: &Uncertainty, n: usize, place: &str) -> Result
 }
 
 fn check_preflight(preflight: &Preflight, n: usize, place: &str) -> Result<(), String> {
-    same(place, "parameters", (preflight.parameters.len(), n))?;
+    same(place, "parameters", preflight.parameters.len(), n)?;
     below(place, "confounded", &pairs(&preflight.confounded), n)
 }
 
@@ -94,7 +94,7 @@ fn pairs(confounded: &[(usize, usize, f64)]) -> Vec<usize> {
     confounded.iter().flat_map(|(a, b, _)| [*a, *b]).collect()
 }
 
-fn same(place: &str, field: &str, (found, wanted): (usize, usize)) -> Result<(), String> {
+fn same(place: &str, field: &str, found: usize, wanted: usize) -> Result<(), String> {
     match found == wanted {
         true => Ok(()),
         false => Err(format!(

@@ -5,12 +5,12 @@ use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
 use crate::fit::output_fit::KeptResiduals;
-use crate::fit::phase::FitPhase;
-use crate::fit::stage::{Fit, FitOptions, add_earlier, checkpoint_of, ended_by};
-use crate::uncertainty::active_bounds::{Findings, is_over};
-use crate::uncertainty::estimate::UncertaintyOptions;
+use crate::fit::stage::{
+    Fit, FitObserver, FitOptions, Job, Made, Searched, Spent, add_earlier, checkpoint_of, ended_by,
+};
+use crate::uncertainty::active_bounds::StuckParameters;
 use base::RunContext;
-use dfo::{AnyMethod, AskedRun, Limits, Progress, Record, RunOptions, Termination, Tolerances};
+use dfo::{AnyMethod, AskedRun, Limits, Progress, Record, Report, RunOptions, Termination, Tolerances};
 use ode::Stats;
 use std::sync::Arc;
 use std::time::Duration;
@@ -107,22 +107,24 @@ fn least<T: PartialOrd>(a: Option<T>, b: Option<T>) -> Option<T> {
 /// Part of the limits of a fit that its first stages have left.
 #[derive(Debug, Clone, Copy)]
 struct Left {
-    n_evaluations: usize,
-    n_iterations: usize,
+    spent: Spent,
     limits: Limits,
 }
 
 impl Left {
     fn after(fits: &[Fit], limits: &Limits, context: &RunContext<'_>) -> Self {
-        let n_evaluations = fits.iter().map(|fit| fit.report.n_evaluations).sum();
-        let n_iterations = fits.iter().map(|fit| fit.report.n_iterations).sum();
+        let spent = Spent {
+            n_evaluations: fits.iter().map(|fit| fit.report.n_evaluations).sum(),
+            n_iterations: fits.iter().map(|fit| fit.report.n_iterations).sum(),
+            seconds: context.elapsed().as_secs_f64(),
+        };
         let limits = Limits {
-            max_evaluations: limits.max_evaluations.map(|n| n.saturating_sub(n_evaluations)),
-            max_iterations: limits.max_iterations.map(|n| n.saturating_sub(n_iterations)),
+            max_evaluations: limits.max_evaluations.map(|n| n.saturating_sub(spent.n_evaluations)),
+            max_iterations: limits.max_iterations.map(|n| n.saturating_sub(spent.n_iterations)),
             max_time: context.left(),
             ..*limits
         };
-        Self { n_evaluations, n_iterations, limits }
+        Self { spent, limits }
     }
 
     /// The limit of which nothing is left.
@@ -157,6 +159,67 @@ impl Left {
     }
 }
 
+/// Stages that were made.
+#[derive(Default)]
+struct Done {
+    fits: Vec<Fit>,
+    /// The residuals at the start of the first and at the end of the last one, as they counted.
+    at_start: Option<Vec<f64>>,
+    at_end: Option<Vec<f64>>,
+    /// Why the next stage was not made.
+    ended: Option<Termination>,
+}
+
+/// An error of a stage, by its number from 0.
+fn in_stage(k: usize) -> impl Fn(CalibrationError) -> CalibrationError {
+    move |source| CalibrationError::Stage { number: k + 1, source: Box::new(source) }
+}
+
+/// Parameters that ended at a bound or had no effect in the last stage that freed them.
+fn stuck_in_all(fits: &[Fit], freed: &[Vec<usize>]) -> StuckParameters {
+    let mut all = StuckParameters::default();
+    for (fit, freed) in fits.iter().zip(freed) {
+        all.at_bound.retain(|(i, _)| !freed.contains(i));
+        all.without_effect.retain(|i| !freed.contains(i));
+        all.at_bound.extend(&fit.at_bound);
+        all.without_effect.extend(&fit.without_effect);
+        all.n_checks += fit.n_checks;
+    }
+    all.at_bound.sort_by_key(|(i, _)| *i);
+    all.without_effect.sort_unstable();
+    all
+}
+
+/// The report of the last stage, with what all took; its trace is that of the last stages with one window.
+fn report_of_all(stages: &[Stage], fits: &[Fit], ended: Option<&Termination>) -> Report {
+    let (n, last) = (fits.len(), &fits[fits.len() - 1]);
+    let mut report = last.report.clone();
+    // Each takes what other stages hold as known.
+    (report.jacobian, report.active) = (None, Vec::new());
+    let of_stage = |k: usize, message: &str| format!("stage {} of {}: {message}", k + 1, stages.len());
+    report.message = of_stage(n - 1, &report.message);
+    for (k, Fit { report: before, .. }) in fits[..n - 1].iter().enumerate().rev() {
+        add_earlier(&mut report, before);
+        if report.is_success() {
+            report.termination.clone_from(&before.termination);
+            report.tests = before.tests;
+        }
+        report.message = format!("{}; {}", of_stage(k, &before.message), report.message);
+    }
+    let is_same = |k: usize| stages[k].windows == stages[n - 1].windows && fits[k].noise == last.noise;
+    let first = (0..n).rev().take_while(|k| is_same(*k)).last().unwrap_or(0);
+    let mut traces = fits[first..].iter().map(|fit| fit.report.trace.clone());
+    if let Some(mut trace) = traces.next() {
+        traces.for_each(|later| trace.append(later));
+        report.trace = trace;
+    }
+    if let Some(termination) = ended {
+        report.message += &format!("; the fit ended before stage {}: {termination}", n + 1);
+        report.termination = termination.clone();
+    }
+    report
+}
+
 impl Calibration {
     /// Fits in stages. Each frees its parameters, from where the last stage left them, and holds the others;
     /// those that no stage frees stay at the start.
@@ -182,118 +245,99 @@ impl Calibration {
         stages: &[Stage],
         options: impl Into<FitOptions<'a>>,
     ) -> Result<Fit, CalibrationError> {
-        let FitOptions {
-            run,
-            start,
-            held,
-            cutoffs,
-            objective,
-            loss,
-            noise,
-            preflight,
-            uncertainty,
-            mut observer,
-            context,
-            engine,
-            phase,
-        } = options.into();
-        let context = context.within(run.limits.max_time);
-        let start = start.unwrap_or_else(|| self.start());
-        let in_stage =
-            |k: usize| move |source| CalibrationError::Stage { number: k + 1, source: Box::new(source) };
+        let mut job = Job::new(self, options.into(), None)?;
         if stages.is_empty() {
             return Err(CalibrationError::Setup("stages: there are none".to_owned()));
         }
         let freed = (stages.iter().enumerate())
-            .map(|(k, stage)| self.freed(stage, &held).map_err(in_stage(k)))
+            .map(|(k, stage)| self.checked(stage, &job).map_err(in_stage(k)))
             .collect::<Result<Vec<_>, _>>()?;
-        for (k, stage) in stages.iter().enumerate() {
-            let held: Vec<usize> = (0..start.len()).filter(|i| !freed[k].contains(i)).collect();
-            let method = stage.method.clone().unwrap_or_else(|| run.method.clone());
-            let mut own = RunOptions { method, ..RunOptions::default() };
-            self.choose_method(&mut own, &held, &objective).map_err(in_stage(k))?;
-        }
-        if let Some(checkpoint) = &run.checkpoint {
+        if let Some(checkpoint) = &job.run.checkpoint {
             self.adopt_solver(&checkpoint_of(checkpoint, ".stage1", true))?;
         }
         let mut stats = Stats::default();
         // The stages have one solver and one tolerance. Where there is no time for that, the first one ends at its start.
-        let chosen = self.solver_counted(&context, &mut stats).and_then(|_| {
-            self.choose_tolerance((&start, None), (loss, &run.tolerances), &context, &mut stats)
-        });
+        let chosen = self
+            .solver_counted(&job.context, &mut stats)
+            .and_then(|_| self.choose_tolerance(&job, None, &mut stats));
         let tolerance = match chosen {
-            Err(error) if !context.is_late() || context.is_cancelled() => return Err(error),
+            Err(error) if !job.context.is_late() || job.context.is_cancelled() => return Err(error),
             chosen => chosen.ok().flatten().map(|(tolerance, _)| tolerance),
         };
         let tolerant = self.with_tolerance(tolerance.as_ref())?;
         let this = tolerant.as_ref().unwrap_or(self);
+        let done = this.in_turn(stages, &freed, &job)?;
+        let is_freed = |i: &usize| freed.iter().any(|freed| freed.contains(i));
+        job.held = (0..job.start.len()).filter(|i| !is_freed(i)).collect();
+        job.is_whole = true;
+        let mut made = this.all_in_one(stages, &freed, &done, &job, &mut stats)?;
+        made.searched.raised.extend(tolerance.and_then(|chosen| chosen.finding()));
+        made.tolerance = tolerance;
+        done.fits.iter().for_each(|fit| stats += fit.stats);
+        let (mut fit, _) = this.judged(&job, made, stats);
+        fit.stages = done.fits;
+        Ok(fit)
+    }
+
+    /// The stages one after the other, each from where the last one ended.
+    fn in_turn(
+        &self,
+        stages: &[Stage],
+        freed: &[Vec<usize>],
+        job: &Job<'_>,
+    ) -> Result<Done, CalibrationError> {
+        let mut done = Done::default();
         let windowed = (stages.iter().enumerate())
             .map(|(k, stage)| match stage.windows.is_empty() {
                 true => Ok(None),
-                false => this.windowed(&stage.windows).map(Some).map_err(in_stage(k)),
+                false => self.windowed(&stage.windows).map(Some).map_err(in_stage(k)),
             })
             .collect::<Result<Vec<_>, _>>()?;
-        let (mut x, mut fits, mut ended) = (start.clone(), Vec::<Fit>::new(), None);
-        let (mut first_kept, mut last_kept) = (KeptResiduals::default(), KeptResiduals::default());
+        let mut observer = job.observer.borrow_mut();
         for (k, stage) in stages.iter().enumerate() {
-            let left = Left::after(&fits, &run.limits, &context);
-            ended = left.reached().filter(|_| k > 0);
-            if ended.is_some() {
+            let left = Left::after(&done.fits, &job.run.limits, &job.context);
+            done.ended = left.reached().filter(|_| k > 0);
+            if done.ended.is_some() {
                 break;
             }
-            let (mut own, of_stage) = left.run(&run, stage);
+            let (mut run, of_stage) = left.run(&job.run, stage);
             let part = format!(".stage{}", k + 1);
-            own.checkpoint = run.checkpoint.as_ref().map(|c| checkpoint_of(c, &part, k == 0));
-            let before = context.elapsed().as_secs_f64();
-            let within = if of_stage.is_some() { context.within(of_stage) } else { context };
+            run.checkpoint = job.run.checkpoint.as_ref().map(|c| checkpoint_of(c, &part, k == 0));
+            let within = if of_stage.is_some() { job.context.within(of_stage) } else { job.context };
             let options = FitOptions {
-                run: own,
-                start: Some(x.clone()),
-                held: (0..x.len()).filter(|i| !freed[k].contains(i)).collect(),
-                cutoffs,
-                objective: objective.clone(),
-                loss,
-                noise,
-                preflight: preflight && k == 0,
-                uncertainty: uncertainty.clone(),
+                run,
+                start: Some(done.fits.last().map_or_else(|| job.start.clone(), |fit| fit.x.clone())),
+                held: (0..job.start.len()).filter(|i| !freed[k].contains(i)).collect(),
+                cutoffs: job.cutoffs,
+                objective: job.objective.clone(),
+                loss: job.loss,
+                noise: job.noise,
+                preflight: job.wants_preflight && k == 0,
+                uncertainty: job.uncertainty.clone(),
                 observer: observer.as_mut().map(|observer| {
-                    Box::new(move |progress: &Progress<'_>| {
-                        let mut progress = *progress;
-                        progress.n_evaluations += left.n_evaluations;
-                        progress.n_iterations += left.n_iterations;
-                        progress.seconds += before;
-                        observer(&progress)
-                    }) as Box<crate::fit::stage::FitObserver<'_>>
+                    Box::new(move |progress: &Progress<'_>| observer(&left.spent.before(progress)))
+                        as Box<FitObserver<'_>>
                 }),
-                context,
-                engine: engine.clone(),
-                phase: Arc::clone(&phase),
+                context: job.context,
+                engine: job.engine.clone(),
+                phase: Arc::clone(&job.phase),
             };
-            let fitted = windowed[k].as_ref().unwrap_or(this).fit_and_keep(options, Some(within));
-            let fit = match fitted {
-                // It had no time for a single evaluation.
-                Ok((fit, _)) if k > 0 && fit.cost.is_nan() && context.is_late() => {
-                    ended = Some(fit.report.termination);
-                    break;
-                }
-                Ok((fit, kept)) => {
-                    if k == 0 {
-                        first_kept = KeptResiduals::of_start(kept.at_start().map(<[f64]>::to_vec));
-                    }
-                    last_kept = kept;
-                    fit
-                }
+            let (fit, kept) = match windowed[k].as_ref().unwrap_or(self).fit_and_keep(options, Some(within)) {
+                Ok(fitted) => fitted,
                 // The results of the stages before are not lost.
-                Err(error) if k > 0 => match ended_by(&error) {
+                Err(error) => match ended_by(&error).filter(|_| k > 0) {
                     Some(termination) => {
-                        ended = Some(termination);
+                        done.ended = Some(termination);
                         break;
                     }
                     None => return Err(in_stage(k)(error)),
                 },
-                Err(error) => return Err(in_stage(k)(error)),
             };
-            x.clone_from(&fit.x);
+            // It had no time for a single evaluation.
+            if k > 0 && fit.cost.is_nan() && job.context.is_late() {
+                done.ended = Some(fit.report.termination);
+                break;
+            }
             let is_last = match &fit.report.termination {
                 Termination::Interrupted
                 | Termination::StoppedByObserver
@@ -302,155 +346,83 @@ impl Calibration {
                 Termination::Target => stage.limits.target.is_none(),
                 _ => false,
             };
-            fits.push(fit);
+            if k == 0 {
+                done.at_start = kept.at_start().map(<[f64]>::to_vec);
+            }
+            done.at_end = kept.at(&fit.x).map(<[f64]>::to_vec);
+            done.fits.push(fit);
             if is_last {
                 break;
             }
         }
-        // What all stages give has the weights of the last one.
-        let noise = fits[fits.len() - 1].noise.clone();
-        let weighed = this.with_noise(noise.as_ref())?;
-        let own = weighed.as_ref().unwrap_or(this);
-        let mut n_checks = 0;
-        let mut cost_at = |x: &[f64]| {
-            n_checks += 1;
-            let found = own.cost_and_residuals(x, (&objective, loss), &context, &mut stats);
-            found.map(|(cost, residuals)| (cost, this.rms_of(&residuals, own.residual_layout())))
-        };
-        let is_own = |k: usize| stages[k].windows.is_empty() && fits[k].noise == noise;
-        let (n_fits, is_kept) = (fits.len(), |k: usize| stages[k].windows.is_empty());
-        let (is_first_own, is_last_own) = (is_own(0), is_own(n_fits - 1));
-        let at_end = if is_last_own { None } else { Some(cost_at(&x).unwrap_or((f64::NAN, f64::NAN))) };
-        let cost_at_start = match is_first_own {
-            true => fits[0].start_cost.zip(fits[0].start_rms),
-            false => cost_at(&start),
-        };
-        let mut fit = self.in_all(stages, fits, &freed, ended);
-        fit.stats += stats;
-        fit.n_checks += n_checks;
-        if let Some((cost, rms)) = at_end {
-            (fit.cost, fit.report.fun, fit.rms) = (cost, cost, rms);
-        }
-        phase.set(FitPhase::Checks);
-        let is_checked = uncertainty.is_some() && is_over(&fit.report.termination) && !context.is_over();
-        let (at_start, at_end) = match is_checked || !(is_first_own && is_last_own) {
-            true => {
-                let of_stage = &fit.stages[fit.stages.len() - 1].start;
-                let known = KeptResiduals::of_both(
-                    first_kept.at_start().filter(|_| is_kept(0)),
-                    last_kept
-                        .at((&x, of_stage))
-                        .filter(|_| is_kept(n_fits - 1))
-                        .map(|residuals| (x.as_slice(), residuals)),
-                );
-                let known = known.reweighed(this.residual_layout(), own.residual_layout());
-                own.plain_residuals((&start, &x), (&known, loss), &context, &mut fit.stats)
-            }
-            false => (None, None),
-        };
-        if let Some(at_end) = at_end.as_deref().filter(|_| is_checked) {
-            let (from, to) = ((start.as_slice(), at_start.as_deref()), (x.as_slice(), at_end));
-            let mut found = own.check_after_fit(from, to, &context, &mut fit.stats);
-            found.retain(|finding| !fit.setup_findings.contains(finding));
-            fit.setup_findings.extend(found);
-        }
-        phase.set(FitPhase::Uncertainty);
-        fit.uncertainty = uncertainty.filter(|_| objective.has_uncertainty()).and_then(|mut options| {
-            options.workers = options.workers.or(Some(fit.report.workers));
-            options.held.extend((0..x.len()).filter(|i| !freed.iter().any(|freed| freed.contains(i))));
-            if !is_last_own {
-                fit.report.residuals = None;
-            }
-            let asked = UncertaintyOptions { loss, is_likelihood: objective.is_likelihood(), ..options };
-            let found = Findings {
-                at_bound: fit.at_bound.clone(),
-                without_effect: fit.without_effect.clone(),
-                n_checks: 0,
-            };
-            let known = fit.report.residuals.as_deref().or(at_end.as_deref());
-            own.uncertainty_of_fit(
-                (&fit.report, &found, known),
-                &run.tolerances,
-                asked,
-                &context,
-                &mut fit.stats,
-            )
-        });
-        (fit.start_cost, fit.start_rms) = cost_at_start.unzip();
-        (fit.n_measurements, fit.tolerance) = (self.n_measurements(), tolerance);
-        fit.setup_findings.extend(tolerance.and_then(|chosen| chosen.finding()));
-        if is_first_own && is_last_own {
-            let at_start = fit.stages[0].outputs.iter().map(|output| output.start_rms);
-            fit.outputs.iter_mut().zip(at_start).for_each(|(output, rms)| output.start_rms = rms);
-        } else {
-            fit.outputs =
-                at_end.map_or_else(Vec::new, |at_end| own.output_fits_of(&at_end, at_start.as_deref()));
-        }
-        Ok(fit)
+        Ok(done)
     }
 
-    /// The fit of all stages, from that of each.
-    fn in_all(
+    /// The stages as one search, with the weights of the last one. The cost at the start and at the end is
+    /// computed again where the first or the last stage saw another one.
+    fn all_in_one(
         &self,
         stages: &[Stage],
-        fits: Vec<Fit>,
         freed: &[Vec<usize>],
-        ended: Option<Termination>,
-    ) -> Fit {
-        let mut all = fits[fits.len() - 1].clone();
-        all.start.clone_from(&fits[0].start);
-        all.preflight.clone_from(&fits[0].preflight);
-        let (at_bound, without_effect) = (&mut all.at_bound, &mut all.without_effect);
-        at_bound.clear();
-        without_effect.clear();
-        for (fit, freed) in fits.iter().zip(freed) {
-            at_bound.retain(|(i, _)| !freed.contains(i));
-            without_effect.retain(|i| !freed.contains(i));
-            at_bound.extend(&fit.at_bound);
-            without_effect.extend(&fit.without_effect);
-        }
-        at_bound.sort_by_key(|(i, _)| *i);
-        without_effect.sort_unstable();
-        let report = &mut all.report;
-        // Each takes what other stages hold as known.
-        (report.jacobian, report.active) = (None, Vec::new());
-        report.message = format!("stage {} of {}: {}", fits.len(), stages.len(), report.message);
-        for (k, earlier) in fits[..fits.len() - 1].iter().enumerate().rev() {
-            let before = &earlier.report;
-            add_earlier(report, before);
-            if report.is_success() {
-                report.termination.clone_from(&before.termination);
-                report.tests = before.tests;
+        done: &Done,
+        job: &Job<'_>,
+        stats: &mut Stats,
+    ) -> Result<Made, CalibrationError> {
+        let Done { fits, ended, .. } = done;
+        let (first, last) = (&fits[0], &fits[fits.len() - 1]);
+        let weighed = self.with_noise(last.noise.as_ref())?;
+        let own = weighed.as_ref().unwrap_or(self);
+        let (mut report, mut stuck) =
+            (report_of_all(stages, fits, ended.as_ref()), stuck_in_all(fits, freed));
+        let is_own = |k: usize| stages[k].windows.is_empty() && fits[k].noise == last.noise;
+        let mut evaluated = |x: &[f64]| {
+            stuck.n_checks += 1;
+            own.cost_and_residuals(x, &job.objective, job.loss, &job.context, stats)
+        };
+        let reweighed = |known: &Option<Vec<f64>>| {
+            known.as_deref().map(|r| own.residual_layout().reweighed(r, self.residual_layout()))
+        };
+        let at_end = match is_own(fits.len() - 1) {
+            true => reweighed(&done.at_end),
+            false => {
+                let (cost, at_end) = evaluated(&last.x).unzip();
+                (report.fun, report.residuals) = (cost.unwrap_or(f64::NAN), None);
+                at_end
             }
-            report.message =
-                format!("stage {} of {}: {}; {}", k + 1, stages.len(), before.message, report.message);
-            all.stats += earlier.stats;
-            all.n_checks += earlier.n_checks;
-        }
-        let last_windows = &stages[fits.len() - 1].windows;
-        let noise = &fits[fits.len() - 1].noise;
-        let is_same = |k: usize| stages[k].windows == *last_windows && fits[k].noise == *noise;
-        let same_windows = |k: &usize| (*k..fits.len()).all(is_same);
-        let first = (0..fits.len()).find(same_windows).unwrap_or(0);
-        let mut traces = fits[first..].iter().map(|fit| fit.report.trace.clone());
-        if let Some(mut trace) = traces.next() {
-            traces.for_each(|later| trace.append(later));
-            report.trace = trace;
-        }
-        if let Some(termination) = ended {
-            report.message += &format!("; the fit ended before stage {}: {termination}", fits.len() + 1);
-            report.termination = termination;
-        }
-        let is_freed = |i: &usize| freed.iter().any(|freed| freed.contains(i));
-        let held = (0..all.x.len()).filter(|i| !is_freed(i) && !self.parameters()[*i].is_fixed());
-        let names: Vec<&str> = held.map(|i| all.names[i].as_str()).collect();
+        };
+        let (start_cost, at_start) = match is_own(0) {
+            true => (first.start_cost, reweighed(&done.at_start)),
+            false => evaluated(&job.start).unzip(),
+        };
+        let held = job.held.iter().filter(|i| !self.parameters()[**i].is_fixed());
+        let names: Vec<&str> = held.map(|i| last.names[*i].as_str()).collect();
+        let mut raised = last.setup_findings.clone();
         if !names.is_empty() {
             let names = names.join(", ");
             let sentence = format!("no stage frees {names}: at the start");
-            all.setup_findings.push(Finding::new(Severity::Note, names, sentence, ""));
+            raised.push(Finding::new(Severity::Note, names, sentence, ""));
         }
-        all.stages = fits;
-        all
+        let searched = Searched {
+            residuals: KeptResiduals::new(&job.start, at_start).with(&report.x, at_end.as_deref()),
+            report,
+            stuck,
+            start_cost,
+            preflight: first.preflight.clone(),
+            solver: last.solver.clone(),
+            tolerances: job.run.tolerances,
+            raised,
+        };
+        Ok(Made { own: weighed, searched, noise: last.noise.clone(), tolerance: None })
+    }
+
+    /// The entries of `x` that a stage frees, once it is sure that its method can fit them.
+    fn checked(&self, stage: &Stage, job: &Job<'_>) -> Result<Vec<usize>, CalibrationError> {
+        let freed = self.freed(stage, &job.held)?;
+        let held: Vec<usize> = (0..job.start.len()).filter(|i| !freed.contains(i)).collect();
+        let method = stage.method.clone().unwrap_or_else(|| job.run.method.clone());
+        let mut run = RunOptions { method, ..RunOptions::default() };
+        self.choose_method(&mut run, &held, &job.objective)?;
+        Ok(freed)
     }
 
     /// The entries of `x` that a stage frees.

@@ -5,9 +5,11 @@ use crate::cost::parallel;
 use crate::error::CalibrationError;
 use crate::fit::stage::{Fit, FitNoise};
 use crate::problem::parameter::Parameter;
+use crate::problem::residual_layout::OutputResiduals;
 use crate::uncertainty::active_bounds::{inner, outer};
 use crate::uncertainty::estimate::{Uncertainty, check_level};
 use base::RunContext;
+use fmi::Trajectory;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use ode::Number;
 use serde::{Deserialize, Serialize};
@@ -80,7 +82,48 @@ pub struct PredictionBand {
 /// A step along a principal axis, forward and backward as parts of one standard error.
 struct Step {
     direction: DVector<f64>,
-    sides: (f64, f64),
+    forward: f64,
+    backward: f64,
+}
+
+/// Quantiles of Student's t: for the uncertainty of the parameters, and for the noise of a measurement.
+struct Quantiles {
+    of_parameters: f64,
+    of_noise: f64,
+}
+
+impl Quantiles {
+    /// Half the width of an interval, from the variance that the parameters leave and the noise.
+    fn width(&self, variance: f64, noise: f64) -> f64 {
+        (self.of_parameters * self.of_parameters * variance + (self.of_noise * noise).powi(2)).sqrt()
+    }
+}
+
+/// The uncertainty of a fit from which bands can be computed.
+fn usable_uncertainty(fit: &Fit, is_corrected: bool) -> Result<Uncertainty, CalibrationError> {
+    let setup = |message: String| Err(CalibrationError::Setup(message));
+    let Some(uncertainty) = &fit.uncertainty else {
+        return setup(
+            "a prediction band needs the covariance of the parameters: this fit has none, for it was ended early, made without \
+             its uncertainty, or minimised neither a sum of squares nor the likelihood"
+                .to_owned(),
+        );
+    };
+    if !uncertainty.undetermined.is_empty() {
+        let names: Vec<&str> = uncertainty.undetermined.iter().map(|i| fit.names[*i].as_str()).collect();
+        return setup(format!(
+            "there is no prediction band: the data do not determine {}; fix it, or fit in stages",
+            names.join(", ")
+        ));
+    }
+    if uncertainty.degrees_of_freedom == 0 {
+        return setup(format!(
+            "there is no prediction band: {} residuals are no more than the parameters that were fitted, and say nothing of the \
+             noise; fit fewer parameters, or give more measurements",
+            uncertainty.residuals.len()
+        ));
+    }
+    Ok(if is_corrected { uncertainty.clone() } else { uncertainty.uncorrected() })
 }
 
 impl Calibration {
@@ -103,38 +146,19 @@ impl Calibration {
         options: &BandOptions,
         context: &RunContext<'_>,
     ) -> Result<Vec<PredictionBand>, CalibrationError> {
-        let setup = |message: String| Err(CalibrationError::Setup(message));
         self.check_length(&fit.x)?;
-        let Some(uncertainty) = &fit.uncertainty else {
-            return setup(
-                "a prediction band needs the covariance of the parameters: this fit has none, for it was ended early, made without \
-                 its uncertainty, or minimised neither a sum of squares nor the likelihood"
-                    .to_owned(),
-            );
-        };
-        let uncertainty = &if options.is_corrected { uncertainty.clone() } else { uncertainty.uncorrected() };
-        if !uncertainty.undetermined.is_empty() {
-            let names: Vec<&str> = uncertainty.undetermined.iter().map(|i| fit.names[*i].as_str()).collect();
-            return setup(format!(
-                "there is no prediction band: the data do not determine {}; fix it, or fit in stages",
-                names.join(", ")
-            ));
-        }
-        if uncertainty.degrees_of_freedom == 0 {
-            return setup(format!(
-                "there is no prediction band: {} residuals are no more than the parameters that were fitted, and say nothing of the \
-                 noise; fit fewer parameters, or give more measurements",
-                uncertainty.residuals.len()
-            ));
-        }
-        let of_noise = check_level(options.level, uncertainty.degrees_of_freedom as f64)?;
+        let uncertainty = &usable_uncertainty(fit, options.is_corrected)?;
         let fewest = uncertainty.effective_degrees_of_freedom.iter().copied().fold(f64::INFINITY, f64::min);
-        let quantile = check_level(options.level, fewest)?;
-        let known: Vec<&str> =
-            self.residual_layout().outputs.iter().map(|output| output.variable.as_str()).collect();
+        let quantiles = Quantiles {
+            of_parameters: check_level(options.level, fewest)?,
+            of_noise: check_level(options.level, uncertainty.degrees_of_freedom as f64)?,
+        };
+        let layout = self.residual_layout();
+        let known: Vec<&str> = layout.outputs.iter().map(|output| output.variable.as_str()).collect();
         let chosen = options.outputs.as_deref();
         if let Some(name) = chosen.unwrap_or_default().iter().find(|name| !known.contains(&name.as_str())) {
-            return setup(format!("there is no output '{name}'; there are: {}", known.join(", ")));
+            let known = known.join(", ");
+            return Err(CalibrationError::Setup(format!("there is no output '{name}'; there are: {known}")));
         }
         self.solver(context)?;
         self.prepare()?;
@@ -143,6 +167,52 @@ impl Calibration {
             return Err(CalibrationError::Cancelled);
         }
         let steps = self.principal_steps(fit, uncertainty);
+        let simulated = self.simulated_beside(fit, &steps, options, context)?;
+        let is_chosen = |name: &str| chosen.is_none_or(|chosen| chosen.iter().any(|c| c == name));
+        let outputs = layout.outputs.iter().filter(|output| is_chosen(&output.variable));
+        let band = |output: &OutputResiduals| {
+            let n = self.problem().experiments.len();
+            let column = |i: usize| simulated[i * n + output.experiment].columns[output.output].as_slice();
+            let values = column(0).to_vec();
+            let mut variances = vec![0.0; values.len()];
+            for (k, step) in steps.iter().enumerate() {
+                let length = step.forward + step.backward;
+                let ends = column(1 + 2 * k).iter().zip(column(2 + 2 * k));
+                for (variance, (f, b)) in variances.iter_mut().zip(ends) {
+                    *variance += ((f - b) / length) * ((f - b) / length);
+                }
+            }
+            let noise = self.noise_of(output, fit, uncertainty);
+            let at = |sign: f64, noise: f64| -> Vec<f64> {
+                let width = |v: &f64| sign * quantiles.width(*v, noise);
+                values.iter().zip(&variances).map(|(y, v)| y + width(v)).collect()
+            };
+            let declared = self.fmu().description().variable(&output.variable);
+            PredictionBand {
+                experiment: self.evaluator().simulations[output.experiment].name.clone(),
+                variable: output.variable.clone(),
+                unit: declared.and_then(|variable| variable.unit.clone()),
+                times: simulated[output.experiment].time.clone(),
+                lower: at(-1.0, 0.0),
+                upper: at(1.0, 0.0),
+                measured_lower: at(-1.0, noise),
+                measured_upper: at(1.0, noise),
+                standard_errors: variances.iter().map(|v| v.sqrt()).collect(),
+                values,
+                noise,
+            }
+        };
+        Ok(outputs.map(band).collect())
+    }
+
+    /// The experiments simulated at the parameters of a fit, and at both ends of each step.
+    fn simulated_beside(
+        &self,
+        fit: &Fit,
+        steps: &[Step],
+        options: &BandOptions,
+        context: &RunContext<'_>,
+    ) -> Result<Vec<Trajectory>, CalibrationError> {
         let point = |step: &Step, by: f64| -> Vec<f64> {
             let moved = fit.x.iter().zip(step.direction.iter()).zip(self.parameters());
             let value = |((x, d), p): ((&f64, &f64), &Parameter)| match *d {
@@ -152,8 +222,8 @@ impl Calibration {
             moved.map(value).collect()
         };
         let mut points = vec![fit.x.clone()];
-        for step in &steps {
-            points.extend([point(step, step.sides.0), point(step, -step.sides.1)]);
+        for step in steps {
+            points.extend([point(step, step.forward), point(step, -step.backward)]);
         }
         let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
         let n = self.problem().experiments.len();
@@ -161,61 +231,28 @@ impl Calibration {
             self.simulate_experiment(i % n, &points[i / n], options.times.as_deref(), context)
         };
         let mut found = Vec::with_capacity(points.len() * n);
-        for simulated in parallel::map((points.len() * n, workers), context, &task) {
+        for simulated in parallel::map(points.len() * n, workers, context, &task) {
             found.push(simulated.unwrap_or(Err(CalibrationError::Cancelled))?);
         }
         if let Some(i) = (0..found.len()).find(|i| found[*i].time.len() != found[i % n].time.len()) {
             let end = Number(found[i].time.last().copied().unwrap_or(f64::NAN));
-            return setup(format!(
+            return Err(CalibrationError::Setup(format!(
                 "there is no prediction band: with parameters one standard error away the model ended the simulation at t = {end}"
-            ));
+            )));
         }
+        Ok(found)
+    }
+
+    /// Standard deviation of the noise of a measurement of an output.
+    fn noise_of(&self, output: &OutputResiduals, fit: &Fit, uncertainty: &Uncertainty) -> f64 {
         let estimated = fit.noise.as_ref().and_then(FitNoise::estimated);
-        let noise_of = |output: &crate::problem::residual_layout::OutputResiduals| {
-            let variable = &output.variable;
-            if let Some(sd) = estimated.and_then(|noise| noise.of_measurements(self.problem(), output)) {
-                return sd;
-            }
-            let own = || fit.outputs.iter().filter(|output| output.variable == *variable);
+        let of_fit = estimated.and_then(|noise| noise.of_measurements(self.problem(), output));
+        of_fit.unwrap_or_else(|| {
+            let own = || fit.outputs.iter().filter(|own| own.variable == output.variable);
             let squares: f64 = own().map(|output| output.n as f64 * output.rms * output.rms).sum();
             let (n, dof) = (uncertainty.residuals.len() as f64, uncertainty.degrees_of_freedom as f64);
             (squares / own().map(|output| output.n).sum::<usize>() as f64 * n / dof).sqrt()
-        };
-        let is_chosen = |name: &str| chosen.is_none_or(|chosen| chosen.iter().any(|c| c == name));
-        let outputs = self.residual_layout().outputs.iter().filter(|output| is_chosen(&output.variable));
-        let band = |output: &crate::problem::residual_layout::OutputResiduals| {
-            let column = |i: usize| found[i * n + output.experiment].columns[output.output].as_slice();
-            let values = column(0).to_vec();
-            let noise = noise_of(output);
-            let mut variances = vec![0.0; values.len()];
-            for (k, step) in steps.iter().enumerate() {
-                let (forward, backward) = (column(1 + 2 * k), column(2 + 2 * k));
-                let length = step.sides.0 + step.sides.1;
-                for ((variance, f), b) in variances.iter_mut().zip(forward).zip(backward) {
-                    *variance += ((f - b) / length) * ((f - b) / length);
-                }
-            }
-            let standard_errors: Vec<f64> = variances.iter().map(|v| v.sqrt()).collect();
-            let at = |sign: f64, noise: f64| -> Vec<f64> {
-                let width = |v: &f64| sign * (quantile * quantile * v + (of_noise * noise).powi(2)).sqrt();
-                values.iter().zip(&variances).map(|(y, v)| y + width(v)).collect()
-            };
-            let declared = self.fmu().description().variable(&output.variable);
-            PredictionBand {
-                experiment: self.evaluator().simulations[output.experiment].name.clone(),
-                variable: output.variable.clone(),
-                unit: declared.and_then(|variable| variable.unit.clone()),
-                times: found[output.experiment].time.clone(),
-                lower: at(-1.0, 0.0),
-                upper: at(1.0, 0.0),
-                measured_lower: at(-1.0, noise),
-                measured_upper: at(1.0, noise),
-                values,
-                standard_errors,
-                noise,
-            }
-        };
-        Ok(outputs.map(band).collect())
+        })
     }
 
     /// Steps of one standard error along the principal axes of the correlation, in the coordinates of the
@@ -254,15 +291,15 @@ impl Calibration {
             }
             let length = (SHORTEST / part).max(1.0);
             let (forward, backward) = (forward.min(length), backward.min(length));
-            let sides = match (forward < TOO_NARROW * length, backward < TOO_NARROW * length) {
+            let (forward, backward) = match (forward < TOO_NARROW * length, backward < TOO_NARROW * length) {
                 (true, false) => (0.0, backward),
                 (false, true) => (forward, 0.0),
                 _ => (forward, backward),
             };
-            Step { direction, sides }
+            Step { direction, forward, backward }
         };
         let is_real = |k: &usize| axes.eigenvalues[*k] > ROUNDING * largest;
         let steps = (0..free.len()).filter(is_real).map(step);
-        steps.filter(|step| step.sides.0 + step.sides.1 > 0.0).collect()
+        steps.filter(|step| step.forward + step.backward > 0.0).collect()
     }
 }

@@ -194,11 +194,8 @@ impl Problem {
         check_targets(&self.parameters, &self.experiments, &names, description)?;
         for parameter in &self.parameters {
             if let Some(tie) = parameter.tie().filter(|tie| !tie.across_units) {
-                check_units_of_tie(
-                    (parameter, &self.parameters[self.tied_to(parameter, tie)?]),
-                    tie,
-                    description,
-                )?;
+                let other = &self.parameters[self.tied_to(parameter, tie)?];
+                check_units_of_tie(parameter, other, tie, description)?;
             }
         }
         let mut warnings = Vec::new();
@@ -216,7 +213,8 @@ impl Problem {
 
 /// Refuses a tie between quantities of unlike kinds, and one of equal numbers in unlike units.
 fn check_units_of_tie(
-    (parameter, other): (&Parameter, &Parameter),
+    parameter: &Parameter,
+    other: &Parameter,
     tie: &Tie,
     description: &ModelDescription,
 ) -> Result<(), CalibrationError> {

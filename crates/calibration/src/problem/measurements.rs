@@ -130,7 +130,7 @@ fn in_windows(experiment: &Experiment) -> Result<Vec<Counted>, CalibrationError>
     };
     let rows = first..time.iter().rposition(counts).unwrap_or(first) + 1;
     let of_output = |Measured { variable, column, weight }: &Measured| {
-        let weights = weights(experiment, (variable, column), weight)?;
+        let weights = weights(experiment, variable, column, weight)?;
         let measured = data.measured(column, rows.clone())?;
         let all = Counted { times: data.time_series().clone(), values: measured.clone(), weights };
         let counted = all.rows(|row| {
@@ -150,7 +150,8 @@ fn in_windows(experiment: &Experiment) -> Result<Vec<Counted>, CalibrationError>
 /// The weights of an output, one per row.
 fn weights(
     experiment: &Experiment,
-    (variable, column): (&str, &str),
+    variable: &str,
+    column: &str,
     weight: &Weight,
 ) -> Result<Series, CalibrationError> {
     let (data, n) = (&experiment.data, experiment.data.time().len());

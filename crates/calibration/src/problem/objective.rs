@@ -202,7 +202,8 @@ impl CostKind {
     pub(crate) fn outcome(
         &self,
         layout: &ResidualLayout,
-        (sum, residuals): (f64, &[f64]),
+        sum: f64,
+        residuals: &[f64],
         own: &mut Vec<f64>,
     ) -> Outcome {
         match self {
@@ -332,7 +333,7 @@ mod tests {
         let mut own = Vec::new();
         let kind = CostKind::Custom(custom);
         let r = [1.0, -2.0, 3.0, 0.0, -1.0, 2.0, 4.0];
-        let outcome = kind.outcome(&layout(), (35.0, &r), &mut own);
+        let outcome = kind.outcome(&layout(), 35.0, &r, &mut own);
         assert_eq!(own, [1.0, 0.0, 1.5, 2.0, 3.5, 2.0, 6.0]);
         assert_eq!(outcome, Outcome::Value(1.0 + 2.25 + 4.0 + 12.25 + 4.0 + 36.0));
         assert!(kind.has_residuals() && !kind.is_sum_of_squares());

@@ -84,7 +84,7 @@ impl Calibration {
         let simulate = |k: usize, context: &RunContext<'_>| {
             self.response(k / 2, if k.is_multiple_of(2) { &fit.start } else { &fit.x }, context)
         };
-        let mut responses = parallel::map((2 * names.len(), workers), context, &simulate).into_iter();
+        let mut responses = parallel::map(2 * names.len(), workers, context, &simulate).into_iter();
         let mut response = || responses.next().flatten().unwrap_or(Err(CalibrationError::Cancelled));
         let curves = |(k, name): (usize, String)| {
             let (at_start, at_end) = (response()?, response()?);

@@ -39,7 +39,7 @@ impl BoundSide {
 
 /// Parameters of a fit that ended at a bound or did not change the cost.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Findings {
+pub(crate) struct StuckParameters {
     /// Parameters that ended at a bound, by number.
     pub(crate) at_bound: Vec<(usize, BoundSide)>,
     /// Parameters that did not change the cost, by number.
@@ -72,23 +72,33 @@ struct Suspect {
     is_seen: bool,
 }
 
+/// A run that has ended, and what was asked of it.
+pub(crate) struct EndedRun<'a> {
+    pub(crate) start: &'a [f64],
+    /// Parameters that stayed at the start, by number.
+    pub(crate) held: &'a [usize],
+    pub(crate) report: &'a Report,
+    pub(crate) kind: &'a CostKind,
+    pub(crate) tolerances: &'a Tolerances,
+}
+
 impl Calibration {
     /// Parameters at their bounds and without effect. What the evaluations of the run leave open is
     /// simulated, unless time or an interrupt ended the run: one simulation at the bound for each parameter
     /// that ended as near to it as the tolerance of the run, one with the parameter moved for each that no
     /// evaluation has shown to change the cost. No budget of the search counts them.
-    pub(crate) fn findings(
+    pub(crate) fn stuck_parameters(
         &self,
-        (start, held, report, kind): (&[f64], &[usize], &Report, &CostKind),
-        tolerances: &Tolerances,
+        run: &EndedRun<'_>,
         context: &RunContext<'_>,
         stats: &mut Stats,
-    ) -> Findings {
+    ) -> StuckParameters {
+        let EndedRun { start, held, report, kind, tolerances } = *run;
         let mut candidates = self.near_bound(report, tolerances);
         candidates.retain(|c| !held.contains(&c.index));
         let mut suspects = self.suspects(start, report, kind);
         suspects.retain(|s| !held.contains(&s.index));
-        let mut found = Findings {
+        let mut found = StuckParameters {
             at_bound: candidates.iter().filter(|c| c.is_likely).map(|c| (c.index, c.side)).collect(),
             without_effect: suspects.iter().filter(|s| s.is_seen).map(|s| s.index).collect(),
             n_checks: 0,
@@ -96,7 +106,7 @@ impl Calibration {
         if !is_over(&report.termination) {
             return found;
         }
-        let mut checked = Findings::default();
+        let mut checked = StuckParameters::default();
         let mut residuals = vec![0.0; self.n_residuals()];
         let mut cost_with = |index: usize, value: f64| {
             checked.n_checks += 1;
@@ -104,7 +114,7 @@ impl Calibration {
             x[index] = value;
             let rule = CostRule::whole(report.loss, context);
             let sum = self.evaluate_into(&x, rule, &mut residuals, stats)?;
-            let outcome = kind.outcome(self.residual_layout(), (sum, &residuals), &mut Vec::new());
+            let outcome = kind.outcome(self.residual_layout(), sum, &residuals, &mut Vec::new());
             outcome.value().ok_or_else(|| NoCost::failed(FailureKind::Error, "there is no cost".to_owned()))
         };
         // The budget of the search is no budget for these, but what an evaluation has shown need not cost another one.

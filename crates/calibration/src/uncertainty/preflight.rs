@@ -5,6 +5,7 @@ use crate::cost::accuracy::Accuracy;
 use crate::cost::batch::{Point, Simulations};
 use crate::cost::calibration::Calibration;
 use crate::cost::residual::sum_of_squares;
+use crate::cost::solver::AtStart;
 use crate::error::CalibrationError;
 use crate::problem::parameter::Parameter;
 use crate::uncertainty::active_bounds::{inner, outer};
@@ -119,15 +120,15 @@ impl Calibration {
     pub(crate) fn preflight_counted(
         &self,
         options: &PreflightOptions,
-        known: &mut Option<(Vec<f64>, f64)>,
+        known: &mut Option<AtStart>,
         context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Result<Preflight, CalibrationError> {
         let start = options.start.clone().unwrap_or_else(|| self.start());
         self.check_length(&start)?;
         let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
-        let mut simulations = Simulations::new(self, (options.loss, workers), context)?;
-        let (residuals, seconds_per_evaluation) = match known {
+        let mut simulations = Simulations::new(self, options.loss, workers, context)?;
+        let AtStart { residuals, seconds: seconds_per_evaluation } = match known {
             Some(known) => known.clone(),
             None => {
                 // One alone, on a machine that does nothing else: that is its time.
@@ -135,7 +136,7 @@ impl Calibration {
                 let at_start = simulations.residuals(&[Point::new(start.clone())])?.swap_remove(0);
                 let seconds = began.elapsed().as_secs_f64();
                 let residuals = at_start.map_err(|message| self.failed_at(&start, message, None))?;
-                known.insert((residuals, seconds)).clone()
+                known.insert(AtStart { residuals, seconds }).clone()
             }
         };
         let parameters = self.parameters();

@@ -122,13 +122,13 @@ impl Calibration {
             let mut run = options.run.clone();
             (run.workers, run.checkpoint) = (Some((workers / k).max(1)), None);
             run.limits.max_time = context.left().map(|left| left.max(Duration::from_millis(1)));
-            match self.fold((fold, k), run, options, &context) {
+            match self.fold(fold, k, run, options, &context) {
                 // What it was when the time was up says nothing.
                 _ if context.is_late() && !context.is_cancelled() => Ok(None),
                 fold => fold.map(Some),
             }
         };
-        let made = parallel::map((k, workers), context, &task).into_iter();
+        let made = parallel::map(k, workers, context, &task).into_iter();
         let made: Vec<Option<Fold>> =
             made.map(|fold| fold.unwrap_or(Err(CalibrationError::Cancelled))).collect::<Result<_, _>>()?;
         let names = self.problem().experiment_names();
@@ -165,7 +165,8 @@ impl Calibration {
     /// The fit without the recordings of a fold, validated on them.
     fn fold(
         &self,
-        (fold, k): (usize, usize),
+        fold: usize,
+        k: usize,
         run: RunOptions<AnyMethod>,
         options: &CrossValidationOptions,
         context: &RunContext<'_>,
@@ -204,8 +205,8 @@ impl Calibration {
         let mut validation = validation.map_err(without)?;
         let mut fit_rms = fit.rms;
         if !options.loss.is_linear() {
-            let plain = (&options.objective, RobustLoss::default());
-            let found = fitted.cost_and_residuals(&fit.x, plain, context, &mut validation.stats);
+            let (objective, stats) = (&options.objective, &mut validation.stats);
+            let found = fitted.cost_and_residuals(&fit.x, objective, RobustLoss::default(), context, stats);
             validation.n_simulations += 1;
             fit_rms = found.map_or(f64::NAN, |(_, r)| fitted.rms_of(&r, fitted.residual_layout()));
         }

@@ -3,7 +3,7 @@
 
 use crate::cost::calibration::Calibration;
 use crate::cost::failure::NoCost;
-use crate::cost::residual::CostRule;
+use crate::cost::residual::{CostRule, PointResiduals};
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity, table};
 use crate::fit::output_fit::OutputFit;
@@ -152,7 +152,7 @@ impl Calibration {
         match set {
             ValidationSet::Windows(windows) => {
                 let other = self.windowed(windows)?;
-                let validation = other.validation((&fit.start, &fit.x), Stats::default(), 0, context)?;
+                let validation = other.validation(&fit.start, &fit.x, Stats::default(), 0, context)?;
                 Ok(Validation { findings: self.seen(&other, 0.0), ..validation })
             }
             ValidationSet::Experiments(experiments) => {
@@ -190,7 +190,7 @@ impl Calibration {
                     n = refit.report.n_evaluations + refit.report.n_speculative + refit.n_checks;
                     (stats, x) = (refit.stats, refit.x);
                 }
-                let validation = other.validation((&start, &x), stats, n, context)?;
+                let validation = other.validation(&start, &x, stats, n, context)?;
                 // A time and a value may be equal by chance.
                 Ok(Validation { findings: self.seen(&other, 0.5), ..validation })
             }
@@ -228,40 +228,43 @@ impl Calibration {
     /// Compares with the measurements of this calibration.
     fn validation(
         &self,
-        (start, x): (&[f64], &[f64]),
+        start: &[f64],
+        x: &[f64],
         mut stats: Stats,
         n_simulations: usize,
         context: &RunContext<'_>,
     ) -> Result<Validation, CalibrationError> {
-        let residuals = self.residuals(x, context)?;
-        let mut at_start = vec![0.0; self.n_residuals()];
+        let end = PointResiduals { x: x.to_vec(), residuals: self.residuals(x, context)? };
+        let mut residuals = vec![0.0; self.n_residuals()];
         let rule = CostRule::whole(RobustLoss::default(), context);
-        let at_start = match self.evaluate_into(start, rule, &mut at_start, &mut stats) {
-            Ok(_) => Some(at_start),
+        let start = match self.evaluate_into(start, rule, &mut residuals, &mut stats) {
+            Ok(_) => Some(PointResiduals { x: start.to_vec(), residuals }),
             Err(NoCost::Cancelled) => return Err(CalibrationError::Cancelled),
             Err(_) => None,
         };
-        let fits = self.output_fits_of(&residuals, at_start.as_deref());
+        let fits = self.output_fits(&end, start.as_ref());
         let outputs = self.residual_layout().outputs.iter().zip(fits).map(|(own, fit)| {
-            let plain =
-                |of: &[f64]| of[own.range.clone()].iter().zip(&own.weights).map(|(r, w)| r / w).collect();
+            let plain = |of: &PointResiduals| {
+                of.residuals[own.range.clone()].iter().zip(&own.weights).map(|(r, w)| r / w).collect()
+            };
             ValidatedOutput {
                 fit,
                 times: own.times.to_vec(),
                 measured: own.measured.to_vec(),
-                residuals: plain(&residuals),
-                start_residuals: at_start.as_deref().map(plain),
+                residuals: plain(&end),
+                start_residuals: start.as_ref().map(plain),
             }
         });
         let n = self.n_measurements();
-        let rms = |of: &[f64]| (of[..n].iter().map(|r| r * r).sum::<f64>() / n as f64).sqrt();
+        let rms =
+            |of: &PointResiduals| (of.residuals[..n].iter().map(|r| r * r).sum::<f64>() / n as f64).sqrt();
         Ok(Validation {
             names: self.parameters().iter().map(|p| p.name().to_owned()).collect(),
             x: x.to_vec(),
             outputs: outputs.collect(),
             n,
-            rms: rms(&residuals),
-            start_rms: at_start.as_deref().map(rms),
+            rms: rms(&end),
+            start_rms: start.as_ref().map(rms),
             findings: Vec::new(),
             n_simulations: n_simulations + 2,
             stats,

@@ -1,10 +1,12 @@
 //! The searches of a fit: one, or several that take turns with estimates of the noise.
 
 use super::noise::{EstimatedNoise, FitNoise, MOST_ROUNDS, NoiseRule, leverages};
-use super::search::{Job, Searched, Spent};
-use super::tolerance::{AtStart, ChosenTolerance};
+use super::search::{Job, Searched, Spent, start_cost_in};
+use super::tolerance::ChosenTolerance;
 use crate::cost::batch::{Point, Simulations};
 use crate::cost::calibration::Calibration;
+use crate::cost::residual::sum_of_squares;
+use crate::cost::solver::AtStart;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
 use crate::fit::output_fit::KeptResiduals;
@@ -16,17 +18,17 @@ use dfo::{Checkpoint, Report, Resume, Termination};
 use ode::Stats;
 
 /// The last search of a fit, and what it was made with.
-pub(super) struct Made {
+pub(crate) struct Made {
     /// The calibration with the fit's own weights and tolerance; `None`: it is the one that was asked.
-    pub(super) own: Option<Calibration>,
-    pub(super) searched: Searched,
-    pub(super) noise: Option<FitNoise>,
-    pub(super) tolerance: Option<ChosenTolerance>,
+    pub(crate) own: Option<Calibration>,
+    pub(crate) searched: Searched,
+    pub(crate) noise: Option<FitNoise>,
+    pub(crate) tolerance: Option<ChosenTolerance>,
 }
 
 impl Made {
     /// A search with the weights and the tolerance of the calibration that was asked.
-    pub(super) fn of(searched: Searched) -> Self {
+    pub(crate) fn of(searched: Searched) -> Self {
         Self { own: None, searched, noise: None, tolerance: None }
     }
 }
@@ -72,6 +74,85 @@ pub(crate) fn add_earlier(report: &mut Report, before: &Report) {
     report.failures.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
 }
 
+/// Searches that take turns with estimates of the noise.
+struct Turns {
+    noise: EstimatedNoise,
+    /// The search before, and what it was made with.
+    last: Option<(Calibration, Searched)>,
+    raised: Vec<Finding>,
+    /// The residuals at the start of the fit, by the weights of the calibration that was asked.
+    at_start: Option<Vec<f64>>,
+}
+
+impl Turns {
+    /// The search before one that has found nothing, ended by that: what it has found is not lost. `None`:
+    /// there is none, or it is an error.
+    fn before(&mut self, error: &CalibrationError, job: &Job<'_>) -> Option<(Calibration, Searched)> {
+        let termination = ended_by(error)?;
+        let (own, mut before) = self.last.take()?;
+        let is_late = job.context.is_late() && !job.context.is_cancelled();
+        end_early(&mut before.report, if is_late { Termination::MaxTime } else { termination });
+        self.noise.n_rounds -= 1;
+        Some((own, before))
+    }
+
+    /// Adds what the search before took and found to a search.
+    fn add_to(&mut self, searched: &mut Searched) {
+        if let Some((_, before)) = self.last.take() {
+            add_earlier(&mut searched.report, &before.report);
+            searched.stuck.n_checks += before.stuck.n_checks;
+            searched.preflight = before.preflight;
+        }
+        self.raised.append(&mut searched.raised);
+    }
+
+    /// True if the next estimate is the same, so that no search has to follow.
+    fn is_settled_by(&mut self, next: &EstimatedNoise) -> bool {
+        self.noise.is_settled = next.is_close(&self.noise);
+        for (own, next) in self.noise.outputs.iter_mut().zip(&next.outputs) {
+            own.is_of_residuals |= self.noise.is_settled && next.is_of_residuals;
+        }
+        self.noise.is_settled
+    }
+}
+
+impl Job<'_> {
+    /// The limit that the searches so far have used up.
+    fn exhausted(&self) -> Option<Termination> {
+        let is_spent = |most: Option<usize>, n: usize| most.is_some_and(|most| n >= most);
+        match () {
+            () if is_spent(self.run.limits.max_evaluations, self.spent.n_evaluations) => {
+                Some(Termination::MaxEvaluations)
+            }
+            () if is_spent(self.run.limits.max_iterations, self.spent.n_iterations) => {
+                Some(Termination::MaxIterations)
+            }
+            () if self.context.is_late() => Some(Termination::MaxTime),
+            () => None,
+        }
+    }
+
+    /// Makes this the job of the round that follows a search.
+    fn go_on_from(&mut self, searched: &Searched, checkpoint: Option<&Checkpoint>, round: usize) {
+        self.start.clone_from(&searched.report.x);
+        self.wants_preflight = false;
+        self.run.tolerances = searched.tolerances;
+        self.run.seed = self.run.seed.or(searched.report.seed);
+        // Points of other weights would only say where to start.
+        self.run.known.clear();
+        self.run.checkpoint = checkpoint.map(|checkpoint| {
+            let own = checkpoint_of(checkpoint, &format!(".round{round}"), false);
+            if searched.report.resumed.is_none() { own.resume(Resume::Never) } else { own }
+        });
+    }
+}
+
+/// Notes that a fit was ended before its noise was known.
+fn end_early(report: &mut Report, termination: Termination) {
+    report.message += &format!("; the fit ended before its noise was known to 1 %: {termination}");
+    report.termination = termination;
+}
+
 impl Calibration {
     /// The same measurements with other weights or another tolerance: what it warned of is said once.
     fn derived_for_fit(&self, problem: Problem) -> Result<Self, CalibrationError> {
@@ -112,28 +193,25 @@ impl Calibration {
     }
 
     /// Chooses the solver; with the residuals at the start, as they count, where that has made them known.
-    fn start_by_solver(&self, job: &Job<'_>, stats: &mut Stats) -> Result<AtStart, CalibrationError> {
+    fn start_by_solver(&self, job: &Job<'_>, stats: &mut Stats) -> Result<Option<AtStart>, CalibrationError> {
         if let Some(checkpoint) = &job.run.checkpoint {
             self.adopt_solver(checkpoint)?;
         }
         job.phase.set(FitPhase::Solver);
         let (_, raced) = self.solver_counted(&job.context, stats)?;
-        let raced = raced.filter(|_| job.start == self.start());
-        let counted =
-            |plain: Vec<f64>| plain.into_iter().map(|r| job.loss.transform(r)).collect::<Vec<f64>>();
-        Ok(raced.map(|raced| (counted(raced.residuals), raced.seconds)))
+        Ok(raced.filter(|_| job.start == self.start()).map(|AtStart { residuals, seconds }| AtStart {
+            residuals: residuals.into_iter().map(|r| job.loss.transform(r)).collect(),
+            seconds,
+        }))
     }
 
     /// All searches of a fit, with what comes before them.
     pub(super) fn made(&self, job: &mut Job<'_>, stats: &mut Stats) -> Result<Made, CalibrationError> {
         let mut at_start = self.start_by_solver(job, stats)?;
-        *job.at_start.borrow_mut() = at_start.as_ref().map(|(residuals, _)| residuals.clone());
+        *job.at_start.borrow_mut() = at_start.as_ref().map(|known| known.residuals.clone());
         let chosen = match job.is_part {
             true => None,
-            false => {
-                let asked = (job.loss, &job.run.tolerances);
-                self.choose_tolerance((&job.start, at_start.take()), asked, &job.context, stats)?
-            }
+            false => self.choose_tolerance(job, at_start.take(), stats)?,
         };
         let (tolerance, known) = chosen.unzip();
         let tolerant = self.with_tolerance(tolerance.as_ref())?;
@@ -167,130 +245,83 @@ impl Calibration {
     /// Searches that take turns with estimates of the noise.
     fn take_turns(
         &self,
-        mut noise: EstimatedNoise,
+        noise: EstimatedNoise,
         job: &mut Job<'_>,
-        mut at_start: AtStart,
+        at_start: Option<AtStart>,
         stats: &mut Stats,
     ) -> Result<Made, CalibrationError> {
         let (begun, checkpoint) = (job.start.clone(), job.run.checkpoint.clone());
-        // The residuals at the start of the fit, by the weights of this calibration.
-        let mut first_start: Option<Vec<f64>> = None;
-        let mut last: Option<(Calibration, Searched)> = None;
-        let mut raised: Vec<Finding> = Vec::new();
+        let mut turns = Turns { noise, last: None, raised: Vec::new(), at_start: None };
         let (own, mut searched) = loop {
-            noise.n_rounds += 1;
+            turns.noise.n_rounds += 1;
             let mut problem = self.problem().clone();
-            noise.weigh(&mut problem)?;
+            turns.noise.weigh(&mut problem)?;
             let own = self.derived_for_fit(problem)?;
-            // A product with one is exact: it has the bits of a simulation with these weights.
-            let is_one = |o: &OutputResiduals| o.weights.iter().all(|weight| *weight == 1.0);
-            let is_exact = |_: &(Vec<f64>, f64)| self.residual_layout().outputs.iter().all(is_one);
-            let here = at_start.take().filter(is_exact).map(|(residuals, seconds)| {
-                (own.residual_layout().reweighed(&residuals, self.residual_layout()), seconds)
-            });
-            let found = own.search(job, here, stats);
-            let mut searched = match (found, last.take()) {
-                (Ok(mut searched), before) => {
-                    if let Some((_, before)) = &before {
-                        add_earlier(&mut searched.report, &before.report);
-                        searched.found.n_checks += before.found.n_checks;
-                        searched.preflight = before.preflight.clone();
+            let here = if turns.noise.n_rounds == 1 { at_start.as_ref() } else { None };
+            let here = here.and_then(|known| self.exactly_reweighed(known, &own));
+            let mut searched = match own.search(job, here, stats) {
+                Ok(searched) => searched,
+                Err(error) => match turns.before(&error, job) {
+                    Some(before) => break before,
+                    None => {
+                        let known = job.at_start.take();
+                        *job.at_start.borrow_mut() =
+                            known.map(|r| self.residual_layout().reweighed(&r, own.residual_layout()));
+                        return Err(error);
                     }
-                    searched
-                }
-                // What the search before has found is not lost.
-                (Err(error), Some((own, mut before))) => match ended_by(&error) {
-                    Some(termination) => {
-                        let is_late = job.context.is_late() && !job.context.is_cancelled();
-                        let ended = if is_late { Termination::MaxTime } else { termination };
-                        before.report.message +=
-                            &format!("; the fit ended before its noise was known to 1 %: {ended}");
-                        before.report.termination = ended;
-                        noise.n_rounds -= 1;
-                        break (own, before);
-                    }
-                    None => return Err(error),
                 },
-                (Err(error), None) => {
-                    let known = job.at_start.take();
-                    *job.at_start.borrow_mut() =
-                        known.map(|r| self.residual_layout().reweighed(&r, own.residual_layout()));
-                    return Err(error);
-                }
             };
-            raised.append(&mut searched.raised);
-            let start = if noise.n_rounds == 1 { &begun } else { &job.start };
-            let known = (&searched.residuals, job.loss);
-            let (of_start, of_end) =
-                own.plain_residuals((start, &searched.report.x), known, &job.context, stats);
-            if noise.n_rounds == 1 {
-                first_start = of_start.map(|r| self.residual_layout().reweighed(&r, own.residual_layout()));
+            turns.add_to(&mut searched);
+            let (x, known) = (&searched.report.x, &searched.residuals);
+            let ends = own.end_residuals(x, known, job.loss, &job.context, stats);
+            if turns.noise.n_rounds == 1 {
+                turns.at_start = (ends.start)
+                    .map(|start| self.residual_layout().reweighed(&start.residuals, own.residual_layout()));
             }
-            let next = match of_end.filter(|_| is_at_end(&searched.report.termination)) {
-                Some(residuals) => {
-                    let jacobian = own.jacobian_at(&searched, &residuals, job, stats)?;
-                    jacobian.map(|jacobian| {
-                        let fitted = leverages(&jacobian, searched.report.x.len());
-                        noise.next(self, &residuals, &fitted)
-                    })
-                }
+            let next = match ends.end.filter(|_| is_at_end(&searched.report.termination)) {
+                Some(end) => own.jacobian_at(&searched, &end.residuals, job, stats)?.map(|jacobian| {
+                    turns.noise.next(self, &end.residuals, &leverages(&jacobian, end.x.len()))
+                }),
                 None => None,
             };
             let Some(next) = next else { break (own, searched) };
-            noise.is_settled = next.is_close(&noise);
-            for (own, next) in noise.outputs.iter_mut().zip(&next.outputs) {
-                own.is_of_residuals |= noise.is_settled && next.is_of_residuals;
-            }
-            if noise.is_settled || noise.n_rounds == MOST_ROUNDS {
+            if turns.is_settled_by(&next) || turns.noise.n_rounds == MOST_ROUNDS {
                 break (own, searched);
             }
-            let report = &searched.report;
-            job.spent = Spent {
-                n_evaluations: report.n_evaluations,
-                n_iterations: report.n_iterations,
-                seconds: report.seconds,
-            };
-            let is_spent = |most: Option<usize>, n: usize| most.is_some_and(|most| n >= most);
-            let limits = job.run.limits;
-            let ended = match () {
-                () if is_spent(limits.max_evaluations, report.n_evaluations) => {
-                    Some(Termination::MaxEvaluations)
-                }
-                () if is_spent(limits.max_iterations, report.n_iterations) => {
-                    Some(Termination::MaxIterations)
-                }
-                () if job.context.is_late() => Some(Termination::MaxTime),
-                () => None,
-            };
-            if let Some(termination) = ended {
-                searched.report.message +=
-                    &format!("; the fit ended before its noise was known to 1 %: {termination}");
-                searched.report.termination = termination;
+            job.spent = Spent::of(&searched.report);
+            if let Some(termination) = job.exhausted() {
+                end_early(&mut searched.report, termination);
                 break (own, searched);
             }
-            job.start.clone_from(&report.x);
-            job.wants_preflight = false;
-            job.run.tolerances = searched.tolerances;
-            job.run.seed = job.run.seed.or(report.seed);
-            // Points of other weights would only say where to start.
-            job.run.known.clear();
-            let part = format!(".round{}", noise.n_rounds + 1);
-            job.run.checkpoint = checkpoint.as_ref().map(|checkpoint| {
-                let own = checkpoint_of(checkpoint, &part, false);
-                if report.resumed.is_none() { own.resume(Resume::Never) } else { own }
-            });
-            (noise, last) = (EstimatedNoise { n_rounds: noise.n_rounds, ..next }, Some((own, searched)));
+            job.go_on_from(&searched, checkpoint.as_ref(), turns.noise.n_rounds + 1);
+            turns.noise = EstimatedNoise { n_rounds: turns.noise.n_rounds, ..next };
+            turns.last = Some((own, searched));
         };
-        job.start = begun;
+        let Turns { noise, raised, at_start, .. } = turns;
         searched.raised = raised;
         searched.raised.extend(noise.findings());
-        let at_start = first_start.map(|r| own.residual_layout().reweighed(&r, self.residual_layout()));
-        let x = searched.report.x.clone();
         if noise.n_rounds > 1 {
-            let best = searched.residuals.at((&x, &[])).map(|residuals| (x.as_slice(), residuals));
-            searched.residuals = KeptResiduals::of_both(at_start.as_deref(), best);
+            let at_start = at_start.map(|r| own.residual_layout().reweighed(&r, self.residual_layout()));
+            let x = &searched.report.x;
+            let kept = KeptResiduals::new(&begun, at_start);
+            searched.residuals = kept.with(x, searched.residuals.at(x));
         }
+        job.start = begun;
+        // The last of several searches began elsewhere.
+        let in_trace = start_cost_in(&searched.report, &job.start);
+        searched.start_cost = in_trace.or_else(|| searched.residuals.at_start().map(sum_of_squares));
         Ok(Made { own: Some(own), searched, noise: Some(FitNoise::Estimated(noise)), tolerance: None })
+    }
+
+    /// Residuals that are known by the weights of this calibration, by those of another one, where that has
+    /// the bits of a simulation with them: a product with one is exact.
+    fn exactly_reweighed(&self, known: &AtStart, own: &Calibration) -> Option<AtStart> {
+        let is_one = |o: &OutputResiduals| o.weights.iter().all(|weight| *weight == 1.0);
+        let (from, to) = (self.residual_layout(), own.residual_layout());
+        from.outputs
+            .iter()
+            .all(is_one)
+            .then(|| AtStart { residuals: to.reweighed(&known.residuals, from), seconds: known.seconds })
     }
 
     /// Derivatives of the residuals at the end of a search, m x n: those that it had, else of one step of
@@ -306,7 +337,7 @@ impl Calibration {
         let (report, n) = (&searched.report, searched.report.x.len());
         let is_free = |i: usize, p: &Parameter| {
             let is_held = job.held.contains(&i) || p.is_fixed() || p.lower() == p.upper();
-            let is_at_bound = searched.found.at_bound.iter().any(|(k, _)| *k == i);
+            let is_at_bound = searched.stuck.at_bound.iter().any(|(k, _)| *k == i);
             !is_held && !is_at_bound
         };
         let free: Vec<usize> =
@@ -325,7 +356,7 @@ impl Calibration {
         });
         let points: Vec<Point> = points.collect();
         let (context, workers) = (job.context, job.run.workers.unwrap_or(1));
-        let found = Simulations::new(self, (job.loss, workers), &context).and_then(|mut simulations| {
+        let found = Simulations::new(self, job.loss, workers, &context).and_then(|mut simulations| {
             let found = simulations.residuals(&points);
             *stats += simulations.stats;
             found

@@ -4,25 +4,24 @@ use super::engine::Engine;
 use super::fresh::Fresh;
 use super::noise::NoiseRule;
 use super::options::{FitObserver, FitOptions};
-use super::tolerance::AtStart;
 use crate::cost::calibration::Calibration;
 use crate::cost::process::HIDDEN_STATE;
 use crate::cost::residual::sum_of_squares;
-use crate::cost::solver::Solver;
+use crate::cost::solver::{AtStart, Solver};
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::{CurrentPhase, FitPhase};
 use crate::problem::objective::CostKind;
 use crate::problem::parameter::{Parameter, Scale};
-use crate::uncertainty::active_bounds::Findings;
+use crate::uncertainty::active_bounds::{EndedRun, StuckParameters};
 use crate::uncertainty::estimate::{UncertaintyOptions, digits};
 use crate::uncertainty::preflight::{Preflight, PreflightOptions};
 use base::RunContext;
 use dfo::{
     Answer, AnyMethod, ByRef, Evaluator, GivesUp, Kind, Measure, NothingFound, Objective, Outcome, Polled,
-    ProblemClass, Query, Report, Resume, RobustLoss, RunOptions, Search, Termination, Tolerances, Trace,
-    Wait, Want,
+    ProblemClass, Progress, Query, Report, Resume, RobustLoss, RunOptions, Search, Termination, Tolerances,
+    Trace, Wait, Want,
 };
 use ode::{Number, Stats};
 use std::cell::RefCell;
@@ -30,6 +29,10 @@ use std::collections::{HashMap, VecDeque};
 use std::rc::Rc;
 use std::sync::{Arc, Mutex};
 use std::thread::available_parallelism;
+
+/// Finding about an FMU whose results depend on more than what is set.
+const NOT_REPRODUCED: &str =
+    "two evaluations of the best point in fresh processes differ: no cost can be reproduced";
 
 /// The objective of one fit, which adds up what its simulations take.
 struct Counted<'a> {
@@ -73,10 +76,10 @@ impl Counted<'_> {
         if let Some(sum) = answer.outcome.value() {
             // A function of the user's may take its time.
             let layout = self.calibration.residual_layout();
-            answer.outcome = self.kind.outcome(layout, (sum, &answer.residuals), &mut own);
+            answer.outcome = self.kind.outcome(layout, sum, &answer.residuals, &mut own);
             if let Some(cost) = answer.outcome.value() {
                 let mut known = self.stats.lock().unwrap_or_else(|e| e.into_inner());
-                known.1.note((x, self.start), cost, &answer.residuals);
+                known.1.note(x, cost, &answer.residuals);
             }
             if !self.kind.is_sum_of_squares() {
                 answer.residuals = own;
@@ -166,38 +169,56 @@ impl Evaluator for OnEngine<'_, '_> {
 
 /// Part of the limits that earlier searches have used.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Spent {
-    pub(super) n_evaluations: usize,
-    pub(super) n_iterations: usize,
-    pub(super) seconds: f64,
+pub(crate) struct Spent {
+    pub(crate) n_evaluations: usize,
+    pub(crate) n_iterations: usize,
+    pub(crate) seconds: f64,
+}
+
+impl Spent {
+    pub(crate) fn of(report: &Report) -> Self {
+        let Report { n_evaluations, n_iterations, seconds, .. } = *report;
+        Self { n_evaluations, n_iterations, seconds }
+    }
+
+    /// The progress of a fit, of which a later search is this far.
+    pub(crate) fn before<'p>(&self, progress: &Progress<'p>) -> Progress<'p> {
+        let mut whole = *progress;
+        whole.n_evaluations += self.n_evaluations;
+        whole.n_iterations += self.n_iterations;
+        whole.seconds += self.seconds;
+        whole
+    }
 }
 
 /// Options of a fit, checked, with its clock.
-pub(super) struct Job<'a> {
-    pub(super) run: RunOptions<AnyMethod>,
-    pub(super) start: Vec<f64>,
-    pub(super) held: Vec<usize>,
-    pub(super) cutoffs: bool,
-    pub(super) objective: CostKind,
-    pub(super) loss: RobustLoss,
-    pub(super) noise: NoiseRule,
-    pub(super) wants_preflight: bool,
-    pub(super) uncertainty: Option<UncertaintyOptions>,
-    pub(super) observer: RefCell<Option<Box<FitObserver<'a>>>>,
-    pub(super) engine: Option<Rc<RefCell<dyn Engine>>>,
-    pub(super) phase: Arc<CurrentPhase>,
+pub(crate) struct Job<'a> {
+    pub(crate) run: RunOptions<AnyMethod>,
+    pub(crate) start: Vec<f64>,
+    pub(crate) held: Vec<usize>,
+    pub(crate) cutoffs: bool,
+    pub(crate) objective: CostKind,
+    pub(crate) loss: RobustLoss,
+    pub(crate) noise: NoiseRule,
+    pub(crate) wants_preflight: bool,
+    pub(crate) uncertainty: Option<UncertaintyOptions>,
+    pub(crate) observer: RefCell<Option<Box<FitObserver<'a>>>>,
+    pub(crate) engine: Option<Rc<RefCell<dyn Engine>>>,
+    pub(crate) phase: Arc<CurrentPhase>,
     /// Who may end it, and its time.
-    pub(super) context: RunContext<'a>,
+    pub(crate) context: RunContext<'a>,
     /// True if it is a part of a fit, which has chosen the tolerance.
-    pub(super) is_part: bool,
+    pub(crate) is_part: bool,
+    /// True if nothing is held but what no stage frees, so that the problem can be judged by its result.
+    pub(crate) is_whole: bool,
     /// Of the limits, by searches before.
-    pub(super) spent: Spent,
+    pub(crate) spent: Spent,
     /// The residuals at the start, as they count, where they were known before the search.
-    pub(super) at_start: RefCell<Option<Vec<f64>>>,
+    pub(crate) at_start: RefCell<Option<Vec<f64>>>,
 }
 
 impl<'a> Job<'a> {
-    pub(super) fn new(
+    pub(crate) fn new(
         calibration: &Calibration,
         options: FitOptions<'a>,
         within: Option<RunContext<'a>>,
@@ -223,10 +244,10 @@ impl<'a> Job<'a> {
                 "parameter {index} is held, but there are only {n}"
             )));
         }
-        calibration.choose_method(&mut run, &options.held, &options.objective)?;
         Ok(Self {
             run,
             start,
+            is_whole: options.held.is_empty(),
             held: options.held,
             cutoffs: options.cutoffs && options.objective.is_sum_of_squares(),
             objective: options.objective,
@@ -245,17 +266,43 @@ impl<'a> Job<'a> {
     }
 }
 
+impl Job<'_> {
+    /// True if the problem is checked again at the result.
+    pub(super) fn is_checked(&self) -> bool {
+        self.is_whole && self.uncertainty.is_some()
+    }
+}
+
 /// Result of the search of a fit.
-pub(super) struct Searched {
-    pub(super) report: Report,
-    pub(super) found: Findings,
-    pub(super) residuals: KeptResiduals,
-    pub(super) preflight: Option<Preflight>,
-    pub(super) solver: Solver,
+pub(crate) struct Searched {
+    pub(crate) report: Report,
+    pub(crate) stuck: StuckParameters,
+    pub(crate) residuals: KeptResiduals,
+    /// The cost at the start, if an evaluation of the fit has found it.
+    pub(crate) start_cost: Option<f64>,
+    pub(crate) preflight: Option<Preflight>,
+    pub(crate) solver: Solver,
     /// Those that held.
-    pub(super) tolerances: Tolerances,
+    pub(crate) tolerances: Tolerances,
     /// Findings of the search, about its tolerances and the noise.
-    pub(super) raised: Vec<Finding>,
+    pub(crate) raised: Vec<Finding>,
+}
+
+/// Raises the relative `f_tol` of a run to the noise of the simulations, where that is larger.
+fn raise_f_tol(tolerances: &mut Tolerances, preflight: &Preflight) -> Option<Finding> {
+    let is_larger = preflight.f_tol_above_noise(tolerances.f_tol) > tolerances.f_tol;
+    (tolerances.measure == Measure::Relative && is_larger).then(|| {
+        tolerances.f_tol = preflight.noise;
+        let noise = digits(preflight.noise);
+        let sentence = format!("f_tol was raised to the noise of the simulations, {noise}");
+        Finding::new(Severity::Note, "f_tol", sentence, "")
+    })
+}
+
+/// The start's own cost, if a run has found it.
+pub(super) fn start_cost_in(report: &Report, start: &[f64]) -> Option<f64> {
+    let of_trace = report.trace.iter().find(|e| e.x == start).and_then(|e| e.outcome.value());
+    of_trace.or_else(|| Some(report.fun).filter(|fun| report.trace.is_empty() && fun.is_finite()))
 }
 
 impl Calibration {
@@ -264,139 +311,153 @@ impl Calibration {
     pub(super) fn search(
         &self,
         job: &Job<'_>,
-        mut at_start: AtStart,
+        mut at_start: Option<AtStart>,
         stats: &mut Stats,
     ) -> Result<Searched, CalibrationError> {
-        let Job { start, held, cutoffs, objective, loss, context, .. } = job;
-        let (cutoffs, loss) = (*cutoffs, *loss);
-        let mut described = job.run.clone();
-        let bound = |side: fn(&Parameter) -> f64| {
-            let mut bounds: Vec<f64> = self.parameters().iter().map(side).collect();
-            held.iter().for_each(|&i| bounds[i] = start[i]);
-            bounds
-        };
-        let transforms: Vec<Scale> = self.parameters().iter().map(Parameter::scale_kind).collect();
-        let mut kinds: Vec<Kind> = self.parameters().iter().map(Parameter::value_kind).collect();
-        // What is held can have any value, and does not choose the method.
-        held.iter().for_each(|&i| kinds[i] = Kind::Continuous);
-        let sizes: Vec<Option<f64>> = self.parameters().iter().map(|p| self.given_size(p)).collect();
+        let Job { start, context, .. } = job;
         let solver = self.solver(context)?;
         job.phase.set(FitPhase::ModelTest);
         self.prepare()?;
-        let problem = self.problem_hash(solver);
-        let problem = if loss.is_linear() { problem } else { format!("{problem}, loss {loss}") };
-        let is_usual = objective.is_sum_of_squares();
-        described.problem =
-            Some(if is_usual { problem } else { format!("{problem}, objective {}", objective.name()) });
-        described.checkpoint = described.checkpoint.map(|checkpoint| self.tag(checkpoint, solver));
+        let mut run = self.run_of_search(job, solver);
         let preflight = job.wants_preflight.then(|| {
             job.phase.set(FitPhase::Preflight);
-            let options = PreflightOptions { start: Some(start.clone()), workers: described.workers, loss };
+            let (workers, loss) = (run.workers, job.loss);
+            let options = PreflightOptions { start: Some(start.clone()), workers, loss };
             self.preflight_counted(&options, &mut at_start, context, stats)
         });
         let preflight = preflight.transpose()?;
-        let mut raised = Vec::new();
-        if let Some(found) = &preflight
-            && described.tolerances.measure == Measure::Relative
-            && found.f_tol_above_noise(described.tolerances.f_tol) > described.tolerances.f_tol
-        {
-            described.tolerances.f_tol = found.noise;
-            let sentence =
-                format!("f_tol was raised to the noise of the simulations, {}", digits(found.noise));
-            raised.push(Finding::new(Severity::Note, "f_tol", sentence, ""));
-        }
-        let tolerances = described.tolerances;
+        let mut raised: Vec<Finding> =
+            preflight.iter().filter_map(|found| raise_f_tol(&mut run.tolerances, found)).collect();
         job.phase.set(FitPhase::Search);
         if let Ok(remote) = &self.evaluator().remote {
             remote.set_checked();
         }
-        let mut observer = job.observer.borrow_mut();
         let mut remark = None;
-        let (report, found, residuals) = loop {
-            let known = at_start.take().map(|(residuals, _)| residuals);
+        let (report, stuck, residuals) = loop {
+            let known = at_start.take().map(|known| known.residuals);
             job.at_start.borrow_mut().clone_from(&known);
-            let counted = Counted {
-                calibration: self,
-                cutoffs,
-                kind: objective,
-                loss,
-                start,
-                at_start: known.clone(),
-                stats: Mutex::new((Stats::default(), KeptResiduals::of_start(known))),
-            };
-            let limits = job.run.limits;
-            described.limits.max_evaluations =
-                limits.max_evaluations.map(|n| n.saturating_sub(job.spent.n_evaluations));
-            described.limits.max_iterations =
-                limits.max_iterations.map(|n| n.saturating_sub(job.spent.n_iterations));
-            let mut engine = job.engine.as_ref().map(|engine| engine.borrow_mut());
-            let run = match &mut engine {
-                Some(engine) => {
-                    engine.begin(self, loss);
-                    let (under_way, known) = (HashMap::new(), VecDeque::new());
-                    let on_engine = OnEngine { counted: &counted, engine: &mut **engine, under_way, known };
-                    dfo::minimize_by(on_engine).with_residuals(counted.has_residuals()).loss(loss)
-                }
-                None => dfo::minimize(ByRef(&counted)),
-            };
-            let mut run = run
-                .start(start)
-                .bounds(&bound(Parameter::lower), &bound(Parameter::upper))
-                .map_err(|e| self.name_parameter(e))?
-                .transforms(&transforms)
-                .kinds(&kinds)
-                .known_scales(&sizes)
-                .spent(context.elapsed())
-                .options(described.clone());
-            if let Some(observer) = &mut *observer {
-                run = run.observer(|progress| {
-                    let mut progress = *progress;
-                    progress.n_evaluations += job.spent.n_evaluations;
-                    progress.n_iterations += job.spent.n_iterations;
-                    progress.seconds += job.spent.seconds;
-                    observer(&progress)
-                });
-            }
-            let outcome = run.context(*context).run().map_err(|error| match error {
-                dfo::Error::NeedsResiduals { method } => CalibrationError::Setup(format!(
-                    "{method} minimises sums of squares, and the objective '{}' is none: leave the method to the fit \
-                     (method auto), or take nelder-mead",
-                    objective.name()
-                )),
-                error => self.name_parameter(error),
-            });
+            let (report, residuals) = self.run_once(job, &run, known, stats)?;
             job.phase.set(FitPhase::Checks);
-            let (taken, residuals) = counted.stats.into_inner().unwrap_or_else(|e| e.into_inner());
-            *stats += taken;
-            let report = outcome?;
-            let of_run = (start.as_slice(), held.as_slice(), &report, objective);
-            let best = residuals.at((&report.x, start)).map(|known| (report.x.as_slice(), known));
+            let ended = EndedRun {
+                start,
+                held: &job.held,
+                report: &report,
+                kind: &job.objective,
+                tolerances: &run.tolerances,
+            };
+            let best = residuals.at(&report.x).map(|known| (report.x.as_slice(), known));
             let best = best.filter(|_| job.uncertainty.is_some());
-            let (found, again) = self.beside_fresh_process(best, loss, context, || {
-                self.findings(of_run, &tolerances, context, stats)
+            let (stuck, again) = self.beside_fresh_process(best, job.loss, context, || {
+                self.stuck_parameters(&ended, context, stats)
             });
             match again {
-                Fresh::Same => break (report, found, residuals),
+                Fresh::Same => break (report, stuck, residuals),
                 Fresh::Random => {
-                    remark = Some(
-                        "two evaluations of the best point in fresh processes differ: no cost can be reproduced",
-                    );
-                    break (report, found, residuals);
+                    remark = Some(NOT_REPRODUCED);
+                    break (report, stuck, residuals);
                 }
-                Fresh::Other => {
-                    log::warn!(
-                        "{}: {HIDDEN_STATE}: the fit begins anew",
-                        self.fmu().description().model_name
-                    );
-                    remark = Some(HIDDEN_STATE);
-                }
+                Fresh::Other => remark = Some(HIDDEN_STATE),
             }
+            log::warn!("{}: {HIDDEN_STATE}: the fit begins anew", self.fmu().description().model_name);
             // What was stored, here or by an earlier fit, may depend on what ran before.
-            described.checkpoint = described.checkpoint.map(|checkpoint| checkpoint.resume(Resume::Never));
-            described.known.iter_mut().for_each(|known| known.problem = None);
+            run.checkpoint = run.checkpoint.map(|checkpoint| checkpoint.resume(Resume::Never));
+            run.known.iter_mut().for_each(|known| known.problem = None);
         };
         raised.extend(remark.map(|sentence| Finding::new(Severity::Warning, "FMU", sentence, "")));
-        Ok(Searched { report, found, residuals, preflight, solver: solver.clone(), tolerances, raised })
+        Ok(Searched {
+            start_cost: start_cost_in(&report, start),
+            report,
+            stuck,
+            residuals,
+            preflight,
+            solver: solver.clone(),
+            tolerances: run.tolerances,
+            raised,
+        })
+    }
+
+    /// The options of the optimiser for a search: with the identity of its problem, and what earlier searches
+    /// have left of the limits.
+    fn run_of_search(&self, job: &Job<'_>, solver: &Solver) -> RunOptions<AnyMethod> {
+        let mut run = job.run.clone();
+        let mut problem = self.problem_hash(solver);
+        if !job.loss.is_linear() {
+            problem += &format!(", loss {}", job.loss);
+        }
+        if !job.objective.is_sum_of_squares() {
+            problem += &format!(", objective {}", job.objective.name());
+        }
+        run.problem = Some(problem);
+        run.checkpoint = run.checkpoint.map(|checkpoint| self.tag(checkpoint, solver));
+        let left = |limit: Option<usize>, spent: usize| limit.map(|n| n.saturating_sub(spent));
+        run.limits.max_evaluations = left(run.limits.max_evaluations, job.spent.n_evaluations);
+        run.limits.max_iterations = left(run.limits.max_iterations, job.spent.n_iterations);
+        run
+    }
+
+    /// One run of the optimiser. `at_start`: the residuals at the start, as they count, where they are known.
+    fn run_once(
+        &self,
+        job: &Job<'_>,
+        run: &RunOptions<AnyMethod>,
+        at_start: Option<Vec<f64>>,
+        stats: &mut Stats,
+    ) -> Result<(Report, KeptResiduals), CalibrationError> {
+        let Job { start, held, objective, loss, context, .. } = job;
+        let parameters = self.parameters();
+        let bound = |side: fn(&Parameter) -> f64| {
+            let mut bounds: Vec<f64> = parameters.iter().map(side).collect();
+            held.iter().for_each(|&i| bounds[i] = start[i]);
+            bounds
+        };
+        let transforms: Vec<Scale> = parameters.iter().map(Parameter::scale_kind).collect();
+        let mut kinds: Vec<Kind> = parameters.iter().map(Parameter::value_kind).collect();
+        // What is held can have any value, and does not choose the method.
+        held.iter().for_each(|&i| kinds[i] = Kind::Continuous);
+        let sizes: Vec<Option<f64>> = parameters.iter().map(|p| self.given_size(p)).collect();
+        let counted = Counted {
+            calibration: self,
+            cutoffs: job.cutoffs,
+            kind: objective,
+            loss: *loss,
+            start,
+            at_start: at_start.clone(),
+            stats: Mutex::new((Stats::default(), KeptResiduals::new(start, at_start))),
+        };
+        let mut observer = job.observer.borrow_mut();
+        let mut engine = job.engine.as_ref().map(|engine| engine.borrow_mut());
+        let search = match &mut engine {
+            Some(engine) => {
+                engine.begin(self, *loss);
+                let (under_way, known) = (HashMap::new(), VecDeque::new());
+                let on_engine = OnEngine { counted: &counted, engine: &mut **engine, under_way, known };
+                dfo::minimize_by(on_engine).with_residuals(counted.has_residuals()).loss(*loss)
+            }
+            None => dfo::minimize(ByRef(&counted)),
+        };
+        let mut search = search
+            .start(start)
+            .bounds(&bound(Parameter::lower), &bound(Parameter::upper))
+            .map_err(|e| self.name_parameter(e))?
+            .transforms(&transforms)
+            .kinds(&kinds)
+            .known_scales(&sizes)
+            .spent(context.elapsed())
+            .options(run.clone());
+        if let Some(observer) = &mut *observer {
+            search = search.observer(|progress| observer(&job.spent.before(progress)));
+        }
+        let outcome = search.context(*context).run().map_err(|error| match error {
+            dfo::Error::NeedsResiduals { method } => CalibrationError::Setup(format!(
+                "{method} minimises sums of squares, and the objective '{}' is none: leave the method to the fit \
+                 (method auto), or take nelder-mead",
+                objective.name()
+            )),
+            error => self.name_parameter(error),
+        });
+        let (taken, residuals) = counted.stats.into_inner().unwrap_or_else(|e| e.into_inner());
+        *stats += taken;
+        Ok((outcome?, residuals))
     }
 
     /// The start as the result of a search that had no time for a single evaluation.
@@ -426,10 +487,10 @@ impl Calibration {
             found,
             job.context.elapsed().as_secs_f64(),
         );
-        let residuals = KeptResiduals::of_start(job.at_start.take());
+        let residuals = KeptResiduals::new(&job.start, job.at_start.take());
         if let Some(known) = residuals.at_start() {
-            let of_squares = (sum_of_squares(known), known);
-            let outcome = job.objective.outcome(self.residual_layout(), of_squares, &mut Vec::new());
+            let (layout, sum) = (self.residual_layout(), sum_of_squares(known));
+            let outcome = job.objective.outcome(layout, sum, known, &mut Vec::new());
             report.fun = outcome.value().unwrap_or(f64::NAN);
         }
         report.message = format!(
@@ -439,8 +500,9 @@ impl Calibration {
         report.workers = job.run.workers.unwrap_or(1);
         report.loss = job.loss;
         Ok(Searched {
+            start_cost: start_cost_in(&report, &job.start),
             report,
-            found: Findings::default(),
+            stuck: StuckParameters::default(),
             residuals,
             preflight: None,
             solver: self.known_solver().cloned().unwrap_or(named),

@@ -1,15 +1,16 @@
 //! The relative tolerance of a fit's simulations: small enough for its `f_tol`.
 
 use super::noise::{EstimatedNoise, NoiseRule};
+use super::search::Job;
 use crate::cost::accuracy::Accuracy;
 use crate::cost::calibration::Calibration;
 use crate::cost::failure::NoCost;
 use crate::cost::residual::{CostRule, sum_of_squares};
+use crate::cost::solver::AtStart;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
 use crate::problem::residual_layout::OutputResiduals;
-use base::RunContext;
-use dfo::{Measure, RobustLoss, Tolerances};
+use dfo::{Measure, RobustLoss};
 use fmi::InterfaceKind;
 use ode::{Number, Stats};
 use serde::{Deserialize, Serialize};
@@ -50,10 +51,6 @@ const SMALLEST: f64 = 1e-9;
 /// Measurements are supposed to have noise of this part of their size, or more.
 const LEAST_NOISE: f64 = 1e-4;
 
-/// Evaluation of the start during a choice: its residuals as they count, with the chosen tolerance, and the
-/// seconds they took.
-pub(crate) type AtStart = Option<(Vec<f64>, f64)>;
-
 impl ChosenTolerance {
     /// Finding about the tolerance where it is smaller than that of the model.
     pub(crate) fn finding(&self) -> Option<Finding> {
@@ -69,16 +66,17 @@ impl ChosenTolerance {
 }
 
 impl Calibration {
-    /// Chooses the tolerance of a fit from this start, with the residuals there, as they count, where they
+    /// Chooses the tolerance of a fit from its start, with the residuals there, as they count, where they
     /// are known with the tolerance of the calibration; hands on those that are known with the chosen one.
     /// `None`: it was given, a co-simulation has its own, the step is fixed, or `f_tol` is zero.
     pub(crate) fn choose_tolerance(
         &self,
-        (start, known): (&[f64], AtStart),
-        (loss, tolerances): (RobustLoss, &Tolerances),
-        context: &RunContext<'_>,
+        job: &Job<'_>,
+        known: Option<AtStart>,
         stats: &mut Stats,
-    ) -> Result<Option<(ChosenTolerance, AtStart)>, CalibrationError> {
+    ) -> Result<Option<(ChosenTolerance, Option<AtStart>)>, CalibrationError> {
+        let Job { start, loss, context, .. } = job;
+        let (loss, tolerances) = (*loss, &job.run.tolerances);
         let stated = self.fmu().description().default_experiment.tolerance.filter(|t| *t > 0.0 && *t < 1.0);
         let plan = self.evaluator().simulations[0].pool.plan();
         let is_given = self.problem().settings.relative_tolerance.is_some();
@@ -105,7 +103,7 @@ impl Calibration {
                 stats,
             );
             match cost {
-                Ok(_) => Ok(Some((residuals, stats.seconds.get() - before))),
+                Ok(_) => Ok(Some(AtStart { residuals, seconds: stats.seconds.get() - before })),
                 Err(NoCost::Cancelled) => Err(CalibrationError::Cancelled),
                 Err(_) => Ok(None),
             }
@@ -113,9 +111,10 @@ impl Calibration {
         let first = if known.is_some() { known } else { simulated(first_used)? };
         let second = if first.is_some() { simulated(first_used / 10.0)? } else { None };
         let (Some(first), Some(second)) = (first, second) else { return Ok(Some((chosen, None))) };
-        let error = first.0.iter().zip(&second.0).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt();
+        let error =
+            first.residuals.iter().zip(&second.residuals).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt();
         let n = self.n_measurements() as f64;
-        let least = self.squares_of_noise(loss).min(sum_of_squares(&first.0)).max(f64::MIN_POSITIVE);
+        let least = self.squares_of_noise(loss).min(sum_of_squares(&first.residuals)).max(f64::MIN_POSITIVE);
         let uncertain = |error: f64| 2.0 * error / (n * least).sqrt() + error * error / least;
         let most = SHARE * if is_relative { tolerances.f_tol } else { tolerances.f_tol / least };
         let mut tenths = 0;

@@ -18,7 +18,7 @@ use crate::uncertainty::active_bounds::{AT, BoundSide, inner};
 use crate::uncertainty::estimate::{Criterion, KnownPoint, Uncertainty, check_level};
 use base::RunContext;
 use dfo::{Kind, RobustLoss};
-use refit::{NoFit, Refits};
+use refit::Refits;
 pub use result::{ParameterProfile, Profile, ProfileEnd, ProfilePoint};
 use saved::{SavedSides, Side};
 use std::path::PathBuf;
@@ -103,83 +103,41 @@ impl Calibration {
         options: &ProfileOptions,
         context: &RunContext<'_>,
     ) -> Result<Profile, CalibrationError> {
-        let setup = |message: String| Err(CalibrationError::Setup(message));
-        if fit.objective != CostKind::default().name() {
-            let what = &fit.objective;
-            return setup(format!(
-                "a profile likelihood is that of a sum of squares, and the fit minimised another cost ({what})"
-            ));
-        }
         let held = self.held_in(fit);
-        let (n, is_free) = (fit.x.len(), |i: &usize| !held.contains(i));
-        let asked = match &options.parameters {
-            None => (0..n).filter(is_free).collect(),
-            Some(asked) => asked.clone(),
-        };
-        if let Some(index) = asked.iter().find(|i| **i >= n) {
-            return setup(format!("there is no parameter {index}, there are only {n}"));
-        }
-        if let Some(index) = asked.iter().find(|i| !is_free(i)) {
-            return setup(format!(
-                "parameter '{}' was not fitted (it is fixed, held or no continuous number), and has no profile",
-                fit.names[*index]
-            ));
-        }
-        if let Some(k) = (1..asked.len()).find(|k| asked[..*k].contains(&asked[*k])) {
-            return setup(format!("parameter '{}' is named twice", fit.names[asked[k]]));
-        }
-        if asked.is_empty() {
-            return setup("no parameter is free, so there is no profile".to_owned());
-        }
-        if options.max_points == 0 {
-            return setup("a profile needs one point or more on each side of the optimum, not 0".to_owned());
-        }
+        let n = fit.x.len();
+        let asked = profiled(fit, &held, options)?;
         let n_free = n - held.len();
         let degrees_of_freedom = self.n_residuals().saturating_sub(n_free);
         if degrees_of_freedom == 0 {
             let n = self.n_residuals();
-            return setup(format!(
+            return Err(CalibrationError::Setup(format!(
                 "{n} residuals say nothing of the noise of a fit of {n_free} parameters: there is no profile without more of them"
-            ));
+            )));
         }
         let quantile = check_level(options.level, degrees_of_freedom as f64)?;
         let threshold = quantile * quantile;
         let estimator = fit.uncertainty.as_ref().map(|uncertainty| uncertainty.estimator).unwrap_or_default();
         let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
         let size = |i: usize| self.size_of(&self.parameters()[i], fit.x[i]);
+        let step = |i: usize| step_of(fit.uncertainty.as_ref(), i).unwrap_or_else(|| 0.01 * size(i));
         let mut refits = Refits {
             calibration: self,
             loss: fit.report.loss,
             held: &held,
-            sizes: (0..n)
-                .map(|i| step_of(fit.uncertainty.as_ref(), i).unwrap_or_else(|| 0.01 * size(i)))
-                .collect(),
+            sizes: (0..n).map(step).collect(),
             f_tol: refit::F_TOL * threshold / (self.n_residuals() as f64).max(threshold),
             stats: Mutex::default(),
         };
-        let problem = self.profile_hash(
-            fit,
-            &format!("{held:?} {estimator:?} {} {}", fit.report.loss, options.is_corrected),
-            options,
-        );
-        let saved = SavedSides::open(options.checkpoint.as_deref(), problem, n)?;
+        let statistic = format!("{held:?} {estimator:?} {} {}", fit.report.loss, options.is_corrected);
+        let saved =
+            SavedSides::open(options.checkpoint.as_deref(), self.profile_hash(fit, &statistic, options), n)?;
         let mut n_simulations = 0;
-        let (x, cost) = refits.refit(&fit.x, n, &mut n_simulations, context).map_err(|e| match e {
-            NoFit::Cancelled => CalibrationError::Cancelled,
-            NoFit::Failed(message) => {
-                CalibrationError::Setup(format!("the optimum of the cost is not found: {message}"))
-            }
-        })?;
-        if !(cost > 0.0 && cost.is_finite()) {
-            return setup(
-                "the residuals are all zero: without noise there is no profile likelihood".to_owned(),
-            );
-        }
-        let mut simulations = Simulations::new(self, (RobustLoss::default(), workers), context)?;
+        let optimum = refits.optimum(&fit.x, &mut n_simulations, context)?;
+        let mut simulations = Simulations::new(self, RobustLoss::default(), workers, context)?;
         let criterion = Criterion::Loss(fit.report.loss);
         let known = KnownPoint { held: held.clone(), f_tol: 1e-4, criterion, ..KnownPoint::default() };
         let (uncertainty, curvature) =
-            self.uncertainty_and_curvature(&x, estimator, &known, &mut simulations)?;
+            self.uncertainty_and_curvature(&optimum.x, estimator, &known, &mut simulations)?;
         let uncertainty = if options.is_corrected { uncertainty } else { uncertainty.uncorrected() };
         n_simulations += simulations.n;
         refits.sizes = (0..n).map(|i| step_of(Some(&uncertainty), i).unwrap_or(refits.sizes[i])).collect();
@@ -188,13 +146,14 @@ impl Calibration {
             let found = curvature[i] / uncertainty.covariance[i * n + i] * threshold / (own * own);
             // Of one that is not determined, or at its bound, nothing else is known.
             let is_known = found > 0.0 && found.is_finite();
-            Ok(if is_known { found } else { degrees_of_freedom as f64 / cost })
+            Ok(if is_known { found } else { degrees_of_freedom as f64 / optimum.cost })
         };
         let origins = (asked.iter())
             .map(|&i| {
                 Ok(Origin {
-                    x: &x,
-                    cost,
+                    index: i,
+                    x: &optimum.x,
+                    cost: optimum.cost,
                     threshold,
                     per_rise: per_rise(i)?,
                     max_points: options.max_points,
@@ -203,52 +162,25 @@ impl Calibration {
                 })
             })
             .collect::<Result<Vec<Origin<'_>>, CalibrationError>>()?;
-        let sides: Vec<(usize, BoundSide)> = (0..asked.len())
-            .flat_map(|k| [BoundSide::Lower, BoundSide::Upper].map(|side| (k, side)))
-            .collect();
-        let saved = Mutex::new(saved);
-        let task = |s: usize, context: &RunContext<'_>| {
-            let (k, side) = sides[s];
-            // A poisoned lock is no reason to fail: the list is whole at every instant.
-            let lock = || saved.lock().unwrap_or_else(|e| e.into_inner());
-            if let Some(side) = lock().of(asked[k], side) {
-                return side.clone();
-            }
-            let walked = walk(&refits, (asked[k], side), &origins[k], context);
-            if walked.end != ProfileEnd::Interrupted {
-                lock().add(walked.clone());
-            }
-            walked
-        };
-        let mut walked = parallel::map((sides.len(), workers), context, &task).into_iter();
+        let sides = sides_of(&refits, &origins, saved, workers, context);
+        n_simulations += sides.iter().map(|side| side.n_simulations).sum::<usize>();
+        let is_interrupted = sides.iter().any(|side| side.end == ProfileEnd::Interrupted);
+        let mut sides = sides.into_iter();
         let mut parameters = Vec::with_capacity(asked.len());
-        for &i in &asked {
-            let mut next = |side| {
-                let none = || Side {
-                    parameter: i,
-                    side,
-                    points: Vec::new(),
-                    end: ProfileEnd::Interrupted,
-                    n_simulations: 0,
-                };
-                walked.next().flatten().unwrap_or_else(none)
-            };
-            let (lower, upper) = (next(BoundSide::Lower), next(BoundSide::Upper));
-            n_simulations += lower.n_simulations + upper.n_simulations;
-            let optimum = ProfilePoint { value: x[i], statistic: 0.0, x: x.clone() };
+        while let (Some(lower), Some(upper)) = (sides.next(), sides.next()) {
+            let i = lower.parameter;
             let mut points: Vec<ProfilePoint> = lower.points.into_iter().rev().collect();
-            points.push(optimum);
+            points.push(ProfilePoint { value: optimum.x[i], statistic: 0.0, x: optimum.x.clone() });
             points.extend(upper.points);
             parameters.push(ParameterProfile {
                 parameter: i,
                 name: fit.names[i].clone(),
-                optimum: x[i],
+                optimum: optimum.x[i],
                 points,
                 lower: lower.end,
                 upper: upper.end,
             });
         }
-        let is_cut = |p: &ParameterProfile| [&p.lower, &p.upper].contains(&&ProfileEnd::Interrupted);
         let mut stats = simulations.stats;
         drop(origins);
         stats += refits.stats.into_inner().unwrap_or_else(|e| e.into_inner());
@@ -256,13 +188,13 @@ impl Calibration {
             level: options.level,
             threshold,
             degrees_of_freedom,
-            is_interrupted: parameters.iter().any(is_cut),
+            is_interrupted,
             is_autocorrelated: uncertainty.uncorrected_covariance.is_some(),
             parameters,
             n_simulations,
             stats,
-            cost,
-            x,
+            cost: optimum.cost,
+            x: optimum.x,
         })
     }
 
@@ -291,6 +223,69 @@ impl Calibration {
         let words = format!("{costs} {:?} {bounds:?} {statistic} {level:?} {points}", fit.x);
         hash_of_bytes(words.as_bytes())
     }
+}
+
+/// The parameters of a fit whose profiles are wanted, by number.
+fn profiled(fit: &Fit, held: &[usize], options: &ProfileOptions) -> Result<Vec<usize>, CalibrationError> {
+    let setup = |message: String| Err(CalibrationError::Setup(message));
+    if fit.objective != CostKind::default().name() {
+        let what = &fit.objective;
+        return setup(format!(
+            "a profile likelihood is that of a sum of squares, and the fit minimised another cost ({what})"
+        ));
+    }
+    let (n, is_free) = (fit.x.len(), |i: &usize| !held.contains(i));
+    let asked = match &options.parameters {
+        None => (0..n).filter(is_free).collect(),
+        Some(asked) => asked.clone(),
+    };
+    if let Some(index) = asked.iter().find(|i| **i >= n) {
+        return setup(format!("there is no parameter {index}, there are only {n}"));
+    }
+    if let Some(index) = asked.iter().find(|i| !is_free(i)) {
+        return setup(format!(
+            "parameter '{}' was not fitted (it is fixed, held or no continuous number), and has no profile",
+            fit.names[*index]
+        ));
+    }
+    if let Some(k) = (1..asked.len()).find(|k| asked[..*k].contains(&asked[*k])) {
+        return setup(format!("parameter '{}' is named twice", fit.names[asked[k]]));
+    }
+    if asked.is_empty() {
+        return setup("no parameter is free, so there is no profile".to_owned());
+    }
+    if options.max_points == 0 {
+        return setup("a profile needs one point or more on each side of the optimum, not 0".to_owned());
+    }
+    Ok(asked)
+}
+
+/// The sides of all parameters, lower and upper in turn: those that were saved, the others in parallel.
+fn sides_of(
+    refits: &Refits<'_>,
+    origins: &[Origin<'_>],
+    saved: SavedSides,
+    workers: usize,
+    context: &RunContext<'_>,
+) -> Vec<Side> {
+    let saved = Mutex::new(saved);
+    let side_of = |s: usize| if s.is_multiple_of(2) { BoundSide::Lower } else { BoundSide::Upper };
+    let task = |s: usize, context: &RunContext<'_>| {
+        let (origin, side) = (&origins[s / 2], side_of(s));
+        // A poisoned lock is no reason to fail: the list is whole at every instant.
+        let lock = || saved.lock().unwrap_or_else(|e| e.into_inner());
+        if let Some(side) = lock().of(origin.index, side) {
+            return side.clone();
+        }
+        let walked = walk(refits, side, origin, context);
+        if walked.end != ProfileEnd::Interrupted {
+            lock().add(walked.clone());
+        }
+        walked
+    };
+    let walked = parallel::map(2 * origins.len(), workers, context, &task).into_iter().enumerate();
+    let not_begun = |s: usize| Side::new(origins[s / 2].index, side_of(s));
+    walked.map(|(s, side)| side.unwrap_or_else(|| not_begun(s))).collect()
 }
 
 /// The standard error of a parameter in the coordinate of the search, where it is known.

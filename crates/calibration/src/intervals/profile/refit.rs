@@ -36,6 +36,12 @@ pub(super) struct Refits<'a> {
     pub(super) stats: Mutex<Stats>,
 }
 
+/// The best values of a refit, and the cost there.
+pub(super) struct Refitted {
+    pub(super) x: Vec<f64>,
+    pub(super) cost: f64,
+}
+
 /// Why there is no refit.
 pub(super) enum NoFit {
     Cancelled,
@@ -59,21 +65,42 @@ impl Objective for Refits<'_> {
 }
 
 impl Refits<'_> {
-    /// The best values with `index` held where `start` has it, and the cost there; an `index` that there is
-    /// not: none is held.
+    /// The minimum of the cost itself.
+    ///
+    /// # Errors
+    /// There is none, or it is zero; [`CalibrationError::Cancelled`].
+    pub(super) fn optimum(
+        &self,
+        start: &[f64],
+        n_simulations: &mut usize,
+        context: &RunContext<'_>,
+    ) -> Result<Refitted, CalibrationError> {
+        match self.refit(start, None, n_simulations, context) {
+            Ok(optimum) if optimum.cost > 0.0 && optimum.cost.is_finite() => Ok(optimum),
+            Ok(_) => Err(CalibrationError::Setup(
+                "the residuals are all zero: without noise there is no profile likelihood".to_owned(),
+            )),
+            Err(NoFit::Cancelled) => Err(CalibrationError::Cancelled),
+            Err(NoFit::Failed(message)) => {
+                Err(CalibrationError::Setup(format!("the optimum of the cost is not found: {message}")))
+            }
+        }
+    }
+
+    /// The best values, with one parameter held where `start` has it.
     pub(super) fn refit(
         &self,
         start: &[f64],
-        index: usize,
+        held: Option<usize>,
         n_simulations: &mut usize,
         context: &RunContext<'_>,
-    ) -> Result<(Vec<f64>, f64), NoFit> {
+    ) -> Result<Refitted, NoFit> {
         let failed = |error: dfo::Error| match error {
             dfo::Error::EndedWithoutPoint { termination: Termination::Interrupted, .. } => NoFit::Cancelled,
             error => NoFit::Failed(CalibrationError::from(error).to_string()),
         };
         let parameters = self.calibration.parameters();
-        let is_held = |i: usize| i == index || self.held.contains(&i);
+        let is_held = |i: usize| held == Some(i) || self.held.contains(&i);
         let bound = |side: fn(&Parameter) -> f64| -> Vec<f64> {
             let own = parameters.iter().enumerate();
             own.map(|(i, p)| if is_held(i) { start[i] } else { side(p) }).collect()
@@ -100,7 +127,7 @@ impl Refits<'_> {
         match report.termination {
             Termination::Interrupted => Err(NoFit::Cancelled),
             Termination::Aborted(message) => Err(NoFit::Failed(message)),
-            _ => Ok((report.x, report.fun)),
+            _ => Ok(Refitted { x: report.x, cost: report.fun }),
         }
     }
 }

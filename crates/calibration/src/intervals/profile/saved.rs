@@ -23,6 +23,13 @@ pub(super) struct Side {
     pub(super) n_simulations: usize,
 }
 
+impl Side {
+    /// One that is not begun.
+    pub(super) fn new(parameter: usize, side: BoundSide) -> Self {
+        Self { parameter, side, points: Vec::new(), end: ProfileEnd::Interrupted, n_simulations: 0 }
+    }
+}
+
 /// Sides that are complete.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct SavedSides {

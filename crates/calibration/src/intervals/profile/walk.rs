@@ -1,8 +1,9 @@
 //! One side of a profile: from the optimum outwards in steps, the other parameters fitted again at each.
 
-use super::refit::{NoFit, Refits};
+use super::refit::{NoFit, Refits, Refitted};
 use super::result::{ProfileEnd, ProfilePoint};
 use super::saved::Side;
+use crate::problem::parameter::Parameter;
 use crate::uncertainty::active_bounds::{AT, BoundSide, inner, outer};
 use base::RunContext;
 
@@ -34,6 +35,8 @@ const RETRIES: usize = 3;
 
 /// From where the walk goes.
 pub(super) struct Origin<'a> {
+    /// The parameter, by number.
+    pub(super) index: usize,
     pub(super) x: &'a [f64],
     pub(super) cost: f64,
     pub(super) threshold: f64,
@@ -53,115 +56,145 @@ struct Place {
     root: f64,
 }
 
+/// A walk along one side of a parameter.
+struct Walk<'a> {
+    refits: &'a Refits<'a>,
+    origin: &'a Origin<'a>,
+    context: &'a RunContext<'a>,
+    /// 1 towards the upper bound, -1 towards the lower one.
+    sign: f64,
+    bound: f64,
+    done: Side,
+}
+
 /// Walks, until the statistic crosses the threshold or the side is found to be open.
 pub(super) fn walk(
     refits: &Refits<'_>,
-    (index, side): (usize, BoundSide),
+    side: BoundSide,
     origin: &Origin<'_>,
     context: &RunContext<'_>,
 ) -> Side {
-    let parameter = &refits.calibration.parameters()[index];
+    let parameter = &refits.calibration.parameters()[origin.index];
     let (sign, bound) = match side {
         BoundSide::Lower => (-1.0, parameter.lower()),
         BoundSide::Upper => (1.0, parameter.upper()),
     };
-    let mut done =
-        Side { parameter: index, side, points: Vec::new(), end: ProfileEnd::Interrupted, n_simulations: 0 };
-    let parameters = refits.calibration.parameters();
-    let limit = inner(parameter, bound);
-    let start: Vec<f64> = parameters.iter().zip(origin.x).map(|(p, x)| inner(p, *x)).collect();
-    let size = refits.calibration.size_of(parameter, origin.x[index]);
-    let is_at_limit = |u: f64| (limit - u) * sign <= AT * size;
-    let (goal, center) = (origin.threshold.sqrt(), start[index]);
-    // At `u`, the others from where those of `from` and `to` lead.
-    let at = |u: f64, from: &[f64], slope: &[f64], done: &mut Side| -> Result<Place, ProfileEnd> {
-        let along = |(i, value): (usize, &f64)| {
-            let (p, moved) = (&parameters[i], value + slope[i] * (u - from[index]));
-            let value = if moved.is_finite() { outer(p, moved) } else { outer(p, *value) };
-            value.clamp(p.lower(), p.upper())
+    let mut walk = Walk { refits, origin, context, sign, bound, done: Side::new(origin.index, side) };
+    walk.done.end = walk.walk_on();
+    let mut done = walk.done;
+    done.points.sort_by(|a, b| (a.value * sign).total_cmp(&(b.value * sign)));
+    done
+}
+
+impl Walk<'_> {
+    fn parameters(&self) -> &[Parameter] {
+        self.refits.calibration.parameters()
+    }
+
+    fn parameter(&self) -> &Parameter {
+        &self.parameters()[self.origin.index]
+    }
+
+    /// The bound, in the coordinate of the search.
+    fn limit(&self) -> f64 {
+        inner(self.parameter(), self.bound)
+    }
+
+    fn is_at_limit(&self, u: f64) -> bool {
+        let size = self.refits.calibration.size_of(self.parameter(), self.origin.x[self.origin.index]);
+        (self.limit() - u) * self.sign <= AT * size
+    }
+
+    /// A refit with the parameter at `u`, the others from where their slopes lead.
+    fn at(&mut self, u: f64, from: &Place, slopes: &[f64]) -> Result<Place, ProfileEnd> {
+        let Origin { index, cost, per_rise, threshold, .. } = *self.origin;
+        let along = |(p, (value, slope)): (&Parameter, (&f64, &f64))| {
+            let moved = value + slope * (u - from.u[index]);
+            outer(p, if moved.is_finite() { moved } else { *value }).clamp(p.lower(), p.upper())
         };
-        let mut x: Vec<f64> = from.iter().enumerate().map(along).collect();
-        x[index] = if is_at_limit(u) { bound } else { outer(parameter, u) };
+        let mut x: Vec<f64> = self.parameters().iter().zip(from.u.iter().zip(slopes)).map(along).collect();
+        x[index] = if self.is_at_limit(u) { self.bound } else { outer(self.parameter(), u) };
         let value = x[index];
-        let (x, cost) = refits.refit(&x, index, &mut done.n_simulations, context).map_err(|e| match e {
+        let refitted = self.refits.refit(&x, Some(index), &mut self.done.n_simulations, self.context);
+        let Refitted { x, cost: found } = refitted.map_err(|e| match e {
             NoFit::Cancelled => ProfileEnd::Interrupted,
             NoFit::Failed(message) => ProfileEnd::Failed { at: value, message },
         })?;
-        let statistic = (cost - origin.cost) * origin.per_rise;
-        let place = Place {
-            u: parameters.iter().zip(&x).map(|(p, x)| inner(p, *x)).collect(),
-            root: statistic.max(0.0).sqrt(),
-        };
-        done.points.push(ProfilePoint { value, statistic, x });
-        match statistic < -BELOW * origin.threshold {
+        let statistic = (found - cost) * per_rise;
+        let u = self.parameters().iter().zip(&x).map(|(p, x)| inner(p, *x)).collect();
+        self.done.points.push(ProfilePoint { value, statistic, x });
+        match statistic < -BELOW * threshold {
             true => Err(ProfileEnd::LowerCost(value)),
-            false => Ok(place),
+            false => Ok(Place { u, root: statistic.max(0.0).sqrt() }),
         }
-    };
-    let slope = |a: &Place, b: &Place| -> Vec<f64> {
-        let by = b.u[index] - a.u[index];
-        a.u.iter().zip(&b.u).map(|(a, b)| if by == 0.0 { 0.0 } else { (b - a) / by }).collect()
-    };
-    let (mut last, mut toward) = (Place { u: start, root: 0.0 }, origin.direction.clone());
-    let mut step = (FIRST * origin.threshold).sqrt() * origin.standard_error;
-    let mut retries = RETRIES;
-    done.end = loop {
-        if is_at_limit(last.u[index]) {
-            break ProfileEnd::AtBound(bound);
-        }
-        if done.points.len() >= origin.max_points {
-            break ProfileEnd::PointLimit(outer(parameter, last.u[index]));
-        }
-        let wanted = last.u[index] + sign * step;
-        let u = if (limit - wanted) * sign <= 0.0 { limit } else { wanted };
-        let next = match at(u, &last.u, &toward, &mut done) {
-            Ok(next) => next,
-            Err(ProfileEnd::Failed { .. }) if retries > 0 => {
-                (retries, step) = (retries - 1, 0.25 * step);
-                continue;
+    }
+
+    fn walk_on(&mut self) -> ProfileEnd {
+        let Origin { index, threshold, max_points, standard_error, .. } = *self.origin;
+        let (sign, limit, goal) = (self.sign, self.limit(), threshold.sqrt());
+        let start = self.parameters().iter().zip(self.origin.x).map(|(p, x)| inner(p, *x)).collect();
+        let (mut last, mut slopes) = (Place { u: start, root: 0.0 }, self.origin.direction.clone());
+        let mut step = (FIRST * threshold).sqrt() * standard_error;
+        let mut retries = RETRIES;
+        loop {
+            if self.is_at_limit(last.u[index]) {
+                return ProfileEnd::AtBound(self.bound);
             }
-            Err(end) => break end,
-        };
-        let (rise, length) = (next.root - last.root, ((next.u[index] - last.u[index]) * sign).max(0.0));
-        if next.root >= goal {
-            // The statistic is about quadratic, so its root is about linear.
-            let (mut low, mut high) = (last, next);
-            let crossing = |low: &Place, high: &Place| {
-                let part = (goal - low.root) / (high.root - low.root);
-                low.u[index] + part * (high.u[index] - low.u[index])
+            if self.done.points.len() >= max_points {
+                return ProfileEnd::PointLimit(outer(self.parameter(), last.u[index]));
+            }
+            let wanted = last.u[index] + sign * step;
+            let u = if (limit - wanted) * sign <= 0.0 { limit } else { wanted };
+            let next = match self.at(u, &last, &slopes) {
+                Ok(next) => next,
+                Err(ProfileEnd::Failed { .. }) if retries > 0 => {
+                    (retries, step) = (retries - 1, 0.25 * step);
+                    continue;
+                }
+                Err(end) => return end,
             };
-            let mut end = None;
-            for n in 0..REFINEMENTS {
-                let nearest = (high.root - goal).min(goal - low.root);
-                let width = (high.u[index] - low.u[index]).abs();
-                if 2.0 * nearest <= CROSSING * goal || width <= WIDTH * (high.u[index] - center).abs() {
-                    break;
-                }
-                // Of a kink the line knows nothing.
-                let is_bent = high.root > 2.0 * goal || n % 3 == 2;
-                let middle = 0.5 * (low.u[index] + high.u[index]);
-                let u = if is_bent { middle } else { crossing(&low, &high) };
-                match at(u, &low.u, &toward, &mut done) {
-                    Ok(found) if found.root >= goal => high = found,
-                    Ok(found) => low = found,
-                    // Without a refinement the crossing is less accurate.
-                    Err(ProfileEnd::Failed { .. }) => break,
-                    Err(other) => {
-                        end = Some(other);
-                        break;
-                    }
-                }
+            if next.root >= goal {
+                return self.crossing(last, next, &slopes);
             }
-            break end.unwrap_or_else(|| ProfileEnd::Crossed(outer(parameter, crossing(&low, &high))));
+            let (rise, length) = (next.root - last.root, ((next.u[index] - last.u[index]) * sign).max(0.0));
+            let target = (next.root * next.root + PER_STEP * threshold).sqrt();
+            // A little beyond the threshold rather than just below it.
+            let target = if target > 0.95 * goal { 1.02 * goal } else { target };
+            let asked = if rise > 0.0 { (target - next.root) * length / rise } else { f64::INFINITY };
+            let by = next.u[index] - last.u[index];
+            let changes = last.u.iter().zip(&next.u);
+            slopes = changes.map(|(a, b)| if by == 0.0 { 0.0 } else { (b - a) / by }).collect();
+            step = asked.clamp(GROWTH.0 * length, GROWTH.1 * length);
+            last = next;
         }
-        let target = (next.root * next.root + PER_STEP * origin.threshold).sqrt();
-        // A little beyond the threshold rather than just below it.
-        let target = if target > 0.95 * goal { 1.02 * goal } else { target };
-        let asked = if rise > 0.0 { (target - next.root) * length / rise } else { f64::INFINITY };
-        toward = slope(&last, &next);
-        step = asked.clamp(GROWTH.0 * length, GROWTH.1 * length);
-        last = next;
-    };
-    done.points.sort_by(|a, b| (a.value * sign).total_cmp(&(b.value * sign)));
-    done
+    }
+
+    /// Finds where the statistic crosses the threshold between two points.
+    fn crossing(&mut self, mut low: Place, mut high: Place, slopes: &[f64]) -> ProfileEnd {
+        let (index, goal) = (self.origin.index, self.origin.threshold.sqrt());
+        let center = inner(self.parameter(), self.origin.x[index]);
+        // The statistic is about quadratic, so its root is about linear.
+        let linear = |low: &Place, high: &Place| {
+            let part = (goal - low.root) / (high.root - low.root);
+            low.u[index] + part * (high.u[index] - low.u[index])
+        };
+        for n in 0..REFINEMENTS {
+            let nearest = (high.root - goal).min(goal - low.root);
+            let width = (high.u[index] - low.u[index]).abs();
+            if 2.0 * nearest <= CROSSING * goal || width <= WIDTH * (high.u[index] - center).abs() {
+                break;
+            }
+            // Of a kink the line knows nothing.
+            let is_bent = high.root > 2.0 * goal || n % 3 == 2;
+            let u = if is_bent { 0.5 * (low.u[index] + high.u[index]) } else { linear(&low, &high) };
+            match self.at(u, &low, slopes) {
+                Ok(found) if found.root >= goal => high = found,
+                Ok(found) => low = found,
+                // Without a refinement the crossing is less accurate.
+                Err(ProfileEnd::Failed { .. }) => break,
+                Err(other) => return other,
+            }
+        }
+        ProfileEnd::Crossed(outer(self.parameter(), linear(&low, &high)))
+    }
 }

@@ -135,7 +135,8 @@ impl<'a> Dependence<'a> {
     /// autocorrelation that is no chance (by the ratio of the likelihoods). Residuals of no group are
     /// independent with their variances.
     pub(crate) fn find(
-        (base, residuals): (&'a DMatrix<f64>, &[f64]),
+        base: &'a DMatrix<f64>,
+        residuals: &[f64],
         groups: &'a [Group],
         variances: &[f64],
     ) -> Option<Self> {
@@ -335,7 +336,7 @@ mod tests {
         for rho in [0.5, 0.9] {
             let (base, residuals) = left(&autoregressive(rho, 400));
             let groups = [group(std::slice::from_ref(&(0..400)))];
-            let found = Dependence::find((&base, &residuals), &groups, &[1.0; 400]).unwrap();
+            let found = Dependence::find(&base, &residuals, &groups, &[1.0; 400]).unwrap();
             assert!((found.autocorrelation(0) - rho).abs() < 0.06, "{}", found.autocorrelation(0));
             // U'S U of the Toeplitz matrix.
             let (rho, variance) = (found.autocorrelation(0), found.found[0].0.exp());
@@ -347,13 +348,13 @@ mod tests {
         }
         let (base, residuals) = left(&normal(400));
         assert!(
-            Dependence::find((&base, &residuals), &[group(std::slice::from_ref(&(0..400)))], &[1.0; 400])
+            Dependence::find(&base, &residuals, &[group(std::slice::from_ref(&(0..400)))], &[1.0; 400])
                 .is_none()
         );
         // Nothing is read from rounding.
         let (base, residuals) = left(&autoregressive(0.9, 400));
         let rounding = Group { is_rounding: true, ..group(std::slice::from_ref(&(0..400))) };
-        assert!(Dependence::find((&base, &residuals), &[rounding], &[1.0; 400]).is_none());
+        assert!(Dependence::find(&base, &residuals, &[rounding], &[1.0; 400]).is_none());
     }
 
     #[test]
@@ -362,7 +363,7 @@ mod tests {
             normal(300).into_iter().chain(autoregressive(0.8, 300).iter().map(|e| 5.0 * e)).collect();
         let (base, residuals) = left(&errors);
         let groups = [group(&[0..150, 150..300]), group(std::slice::from_ref(&(300..600)))];
-        let found = Dependence::find((&base, &residuals), &groups, &[1.0; 600]).unwrap();
+        let found = Dependence::find(&base, &residuals, &groups, &[1.0; 600]).unwrap();
         assert_eq!(found.autocorrelation(0), 0.0);
         assert!((found.autocorrelation(1) - 0.8).abs() < 0.08, "{}", found.autocorrelation(1));
         let variances: Vec<f64> = found.found.iter().map(|(ln, _)| ln.exp()).collect();

@@ -19,7 +19,7 @@ const BY_CHANCE: f64 = 4.0;
 ///
 /// `n`: how many of the residuals are those of measurements. An output that is as good without the priors, by
 /// the same weights, is kept away by these.
-pub(super) fn mark(checks: &mut [ResidualCheck], (residuals, n): (&[f64], usize), jacobian: &DMatrix<f64>) {
+pub(super) fn mark(checks: &mut [ResidualCheck], residuals: &[f64], n: usize, jacobian: &DMatrix<f64>) {
     let p = jacobian.ncols();
     let mut variables: Vec<(String, Vec<usize>)> = Vec::new();
     let mut from = 0;
@@ -137,7 +137,7 @@ mod tests {
         };
         let layout = ResidualLayout { outputs: vec![output(0), output(1)], priors: Vec::new() };
         let mut checks = ResidualCheck::all(&layout, &["run1".to_owned()], r.as_slice());
-        mark(&mut checks, (r.as_slice(), 2 * n), &j);
+        mark(&mut checks, r.as_slice(), 2 * n, &j);
         checks
     }
 

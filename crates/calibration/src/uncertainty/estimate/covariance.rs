@@ -45,7 +45,8 @@ pub(crate) struct Factors {
 pub(super) fn groups(
     layout: &ResidualLayout,
     residuals: &[f64],
-    (estimator, criterion): (Estimator, Criterion),
+    estimator: Estimator,
+    criterion: Criterion,
 ) -> Vec<Vec<usize>> {
     let is_all_rounding =
         layout.outputs.iter().all(|output| is_rounding(output, &residuals[output.range.clone()]));
@@ -69,10 +70,12 @@ impl Noise {
     /// several, all are `r'r / N_g N / (N - p)`. Residuals of priors have the variance 1: they are measured
     /// in standard deviations.
     pub(crate) fn estimate(
-        (layout, plain): (&ResidualLayout, &[f64]),
+        layout: &ResidualLayout,
+        plain: &[f64],
         working: &Working,
         groups: &[Vec<usize>],
-        (base, p): (&DMatrix<f64>, usize),
+        base: &DMatrix<f64>,
+        p: usize,
     ) -> Self {
         let n = working.residuals.len();
         let degrees_of_freedom = n.saturating_sub(p);
@@ -221,9 +224,9 @@ mod tests {
         estimator: Estimator,
     ) -> Noise {
         let criterion = Criterion::default();
-        let groups = groups(layout, residuals, (estimator, criterion));
-        let working = Working::new(criterion, (layout, residuals), &groups, base.ncols());
-        Noise::estimate((layout, residuals), &working, &groups, (base, base.ncols()))
+        let groups = groups(layout, residuals, estimator, criterion);
+        let working = Working::new(criterion, layout, residuals, &groups, base.ncols());
+        Noise::estimate(layout, residuals, &working, &groups, base, base.ncols())
     }
 
     fn line() -> Differences {

@@ -186,7 +186,7 @@ impl Differences {
         let mut round = 0;
         loop {
             round += 1;
-            let steps = principal_steps(center, &guess, (deviation, noise));
+            let steps = principal_steps(center, &guess, deviation, noise);
             let predicted: Vec<f64> =
                 steps.iter().map(|(step, _)| (&guess * &step.direction).norm() * step.length).collect();
             let is_narrow = steps.iter().any(|(step, _)| center.span(step).is_none());
@@ -324,7 +324,8 @@ fn first_reason(found: &[Found]) -> Option<String> {
 fn principal_steps(
     center: &Center<'_>,
     jacobian: &DMatrix<f64>,
-    (deviation, noise): (f64, f64),
+    deviation: f64,
+    noise: f64,
 ) -> Vec<(Step, bool)> {
     let p = center.free.len();
     let references = center.references(jacobian, deviation);

@@ -124,7 +124,8 @@ impl Uncertainty {
 
     pub(super) fn find_identifiable(
         &mut self,
-        (differences, noise): (&Differences, &Noise),
+        differences: &Differences,
+        noise: &Noise,
         free: &[usize],
         sizes: &[f64],
     ) {

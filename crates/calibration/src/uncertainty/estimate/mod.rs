@@ -18,6 +18,7 @@ use crate::cost::calibration::Calibration;
 use crate::cost::residual::sum_of_squares;
 use crate::error::CalibrationError;
 use crate::problem::parameter::{Parameter, Scale};
+use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::active_bounds::{AT, inner};
 use autocorrelation::Dependence;
 use base::RunContext;
@@ -56,6 +57,84 @@ pub(crate) struct KnownPoint<'a> {
     pub(crate) criterion: Criterion,
 }
 
+/// The residuals at a point.
+struct CenterResiduals {
+    residuals: Vec<f64>,
+    /// Those of more accurate simulations; `None`: they fail.
+    accurate: Option<Vec<f64>>,
+    /// Size of the difference.
+    simulation_error: f64,
+}
+
+/// The estimate of a covariance: of the free ones of `n` parameters.
+struct Estimate<'a> {
+    n: usize,
+    free: &'a [usize],
+    /// Derivative of each of them by its coordinate in the search.
+    per_unit: &'a [f64],
+    factors: &'a Factors,
+    noise: &'a Noise,
+}
+
+/// Covariances of all parameters, n x n, in the user's units.
+struct Covariances {
+    covariance: Vec<f64>,
+    /// That of uncorrelated residuals, where the other is corrected for autocorrelation.
+    uncorrected: Option<Vec<f64>>,
+    /// Diagonal of the inverse of half the cost's second derivatives.
+    curvature: Vec<f64>,
+    /// Of each parameter.
+    degrees_of_freedom: Vec<f64>,
+    /// Of each output.
+    autocorrelations: Vec<f64>,
+}
+
+impl Estimate<'_> {
+    fn covariances(&self, working: &Working, layout: &ResidualLayout, outputs: &[Vec<usize>]) -> Covariances {
+        let Self { n, free, factors, noise, .. } = *self;
+        let dependence = (noise.degrees_of_freedom > 0)
+            .then(|| Dependence::find(&factors.base, &working.residuals, &noise.groups, &noise.variances))
+            .flatten();
+        let most = noise.degrees_of_freedom as f64;
+        let mut degrees_of_freedom = vec![most; n];
+        let independent = self.of_all(&factors.covariance(noise));
+        let (covariance, uncorrected) = match &dependence {
+            None => (independent, None),
+            Some(dependence) => {
+                let (corrected, degrees) = dependence.covariance(&factors.inverse, most);
+                free.iter().zip(&degrees).for_each(|(&i, degrees)| degrees_of_freedom[i] = *degrees);
+                (self.of_all(&corrected), Some(independent))
+            }
+        };
+        let mut autocorrelations = vec![0.0; layout.outputs.len()];
+        for (g, group) in outputs.iter().enumerate() {
+            let of_group = dependence.as_ref().map_or(0.0, |found| found.autocorrelation(g));
+            group.iter().for_each(|k| autocorrelations[*k] = of_group);
+        }
+        let curvature = self.of_all(&(&factors.inverse * factors.inverse.transpose()));
+        let curvature = curvature.into_iter().step_by(n + 1).collect();
+        Covariances { covariance, uncorrected, curvature, degrees_of_freedom, autocorrelations }
+    }
+
+    /// A covariance of the free parameters, in the coordinates of the search, as one of all in the user's
+    /// units: infinite variances, and no covariances, where the data do not determine a parameter.
+    fn of_all(&self, of_free: &DMatrix<f64>) -> Vec<f64> {
+        let Self { n, free, per_unit, factors, noise } = *self;
+        let is_open = |k: usize| factors.is_undetermined[k] || noise.degrees_of_freedom == 0;
+        let mut matrix = vec![0.0; n * n];
+        for (a, &i) in free.iter().enumerate() {
+            for (b, &j) in free.iter().enumerate() {
+                matrix[i * n + j] = match (is_open(a) || is_open(b), a == b) {
+                    (false, _) => of_free[(a, b)] * per_unit[a] * per_unit[b],
+                    (true, true) => f64::INFINITY,
+                    (true, false) => f64::NAN,
+                };
+            }
+        }
+        matrix
+    }
+}
+
 impl Calibration {
     /// Uncertainty of a point as the result of a fit: covariance and correlation of the parameters,
     /// parameters that the data do not determine, checks of the residuals, and the cost with a hundredth of
@@ -74,7 +153,7 @@ impl Calibration {
     ) -> Result<Uncertainty, CalibrationError> {
         self.check_length(x)?;
         let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
-        let mut simulations = Simulations::new(self, (RobustLoss::default(), workers), context)?;
+        let mut simulations = Simulations::new(self, RobustLoss::default(), workers, context)?;
         if let Some(index) = options.held.iter().find(|i| **i >= x.len()) {
             let n = x.len();
             return Err(CalibrationError::Setup(format!(
@@ -105,114 +184,55 @@ impl Calibration {
         known: &KnownPoint<'_>,
         simulations: &mut Simulations<'_>,
     ) -> Result<(Uncertainty, Vec<f64>), CalibrationError> {
-        let parameters = self.parameters();
-        let (n, before) = (x.len(), simulations.n);
-        let is_held = |i: usize| {
-            let p = &parameters[i];
-            let is_at_bound = self.is_at_bound(p, x[i]) && !known.inert.contains(&i);
-            let is_fixed = p.is_fixed() || p.lower() == p.upper() || p.value_kind() != Kind::Continuous;
-            known.held.contains(&i) || is_fixed || is_at_bound
-        };
-        let (held, free): (Vec<usize>, Vec<usize>) = (0..n).partition(|i| is_held(*i));
-        let mut points = vec![Point { x: x.to_vec(), is_accurate: true }];
-        if known.residuals.is_none() {
-            points.push(Point::new(x.to_vec()));
-        }
-        let mut found = simulations.residuals(&points)?;
-        let residuals: Vec<f64> = match (known.residuals, found.len()) {
-            (Some(plain), _) => plain.to_vec(),
-            (None, _) => found.swap_remove(1).map_err(|message| self.failed_at(x, message, None))?,
-        };
-        let accurate = found.swap_remove(0).ok();
-        let is_step_halved = self.has_fixed_step();
-        // That of a fixed step is the same on all sides.
-        let simulation_error = accurate.as_ref().filter(|_| !is_step_halved).map_or(0.0, |accurate| {
-            accurate.iter().zip(&residuals).map(|(a, r)| (a - r) * (a - r)).sum::<f64>().sqrt()
-        });
-        let layout = self.residual_layout();
-        let measured = layout.outputs.iter().flat_map(|o| o.measured.iter().zip(&o.weights));
+        let (parameters, layout, before) = (self.parameters(), self.residual_layout(), simulations.n);
+        let (held, free) = self.held_and_free(x, known);
+        let at_center = self.residuals_at_center(x, known, simulations)?;
+        let (residuals, accurate) = (&at_center.residuals, &at_center.accurate);
         let sizes: Vec<f64> = free.iter().map(|&i| self.size_of(&parameters[i], x[i])).collect();
+        let measured = layout.outputs.iter().flat_map(|o| o.measured.iter().zip(&o.weights));
         let center = Center {
             parameters,
             x,
             free: &free,
             sizes: &sizes,
-            residuals: &residuals,
+            residuals,
             measured: measured.map(|(y, w)| (y * w) * (y * w)).sum::<f64>().sqrt(),
-            simulation_error,
+            simulation_error: at_center.simulation_error,
         };
         // By the coordinates of the search.
         let per_unit: Vec<f64> = free.iter().map(|&i| slope(&parameters[i], x[i])).collect();
+        let n = x.len();
         let guess = known.jacobian.filter(|_| known.residuals.is_some()).map(|jacobian| {
             DMatrix::from_fn(residuals.len(), free.len(), |r, k| jacobian[r * n + free[k]] * per_unit[k])
         });
         let differences = Differences::around(&center, guess, simulations)?
             .map_err(|message| self.failed_at(x, format!("around this point: {message}"), None))?;
         let jacobian = differences.jacobian();
-        let outputs = groups(layout, &residuals, (estimator, known.criterion));
-        let working = Working::new(known.criterion, (layout, &residuals), &outputs, free.len());
+        let outputs = groups(layout, residuals, estimator, known.criterion);
+        let working = Working::new(known.criterion, layout, residuals, &outputs, free.len());
         let differences_noise = differences.noise;
         let differences = differences.weighted(&working.roots);
         let factors = Factors::new(&differences);
-        let of_fit = (&factors.base, free.len());
-        let noise = Noise::estimate((layout, &residuals), &working, &outputs, of_fit);
-        let most = noise.degrees_of_freedom as f64;
-        let of_base = (&factors.base, working.residuals.as_slice());
-        let measured_cost = sum_of_squares(&residuals);
-        let is_exact = self.is_within_tolerance(measured_cost);
-        let left_to_gain = if is_exact { 0.0 } else { left_to_gain(&factors.base, &working.residuals) };
+        let noise = Noise::estimate(layout, residuals, &working, &outputs, &factors.base, free.len());
+        let estimate = Estimate { n, free: &free, per_unit: &per_unit, factors: &factors, noise: &noise };
+        let covariances = estimate.covariances(&working, layout, &outputs);
+        let (standard_errors, correlation) = errors_and_correlation(&covariances.covariance, n);
+        let is_exact = self.is_within_tolerance(sum_of_squares(residuals));
         let is_linear = matches!(known.criterion, Criterion::Loss(loss) if loss.is_linear());
         let prior_conflicts = match is_linear {
-            true => PriorConflict::all(layout, (parameters, x), (&free, &per_unit), (&jacobian, &residuals)),
+            true => PriorConflict::all(&center, layout, &per_unit, &jacobian),
             false => Vec::new(),
         };
-        let dependence = (noise.degrees_of_freedom > 0)
-            .then(|| Dependence::find(of_base, &noise.groups, &noise.variances))
-            .flatten();
-        let spread = |of_free: DMatrix<f64>| {
-            let mut matrix = vec![0.0; n * n];
-            for (a, &i) in free.iter().enumerate() {
-                for (b, &j) in free.iter().enumerate() {
-                    let is_open = |k: usize| factors.is_undetermined[k] || noise.degrees_of_freedom == 0;
-                    matrix[i * n + j] = match (is_open(a) || is_open(b), a == b) {
-                        (false, _) => of_free[(a, b)] * per_unit[a] * per_unit[b],
-                        (true, true) => f64::INFINITY,
-                        (true, false) => f64::NAN,
-                    };
-                }
-            }
-            matrix
-        };
-        let independent = factors.covariance(&noise);
-        let (corrected, degrees) = match &dependence {
-            None => (None, vec![most; free.len()]),
-            Some(dependence) => {
-                let (corrected, degrees) = dependence.covariance(&factors.inverse, most);
-                (Some(corrected), degrees)
-            }
-        };
-        let mut effective_degrees_of_freedom = vec![most; n];
-        free.iter().zip(&degrees).for_each(|(&i, degrees)| effective_degrees_of_freedom[i] = *degrees);
-        let mut autocorrelations = vec![0.0; layout.outputs.len()];
-        for (g, group) in outputs.iter().enumerate() {
-            let of_group = dependence.as_ref().map_or(0.0, |found| found.autocorrelation(g));
-            group.iter().for_each(|k| autocorrelations[*k] = of_group);
-        }
-        let uncorrected_covariance = corrected.is_some().then(|| spread(independent.clone()));
-        let covariance = spread(corrected.unwrap_or(independent));
-        let curvature = spread(&factors.inverse * factors.inverse.transpose());
-        let (standard_errors, correlation) = errors_and_correlation(&covariance, n);
-        let residual_checks = ResidualCheck::all(layout, &self.problem().experiment_names(), &residuals);
         let mut by_parameters = vec![0.0; residuals.len() * n];
         for (k, &i) in free.iter().enumerate() {
             (0..residuals.len()).for_each(|r| by_parameters[r * n + i] = jacobian[(r, k)] / per_unit[k]);
         }
-        let select = |flags: &dyn Fn(usize) -> bool| {
-            (0..free.len()).filter(|k| flags(*k)).map(|k| free[k]).collect::<Vec<usize>>()
-        };
-        let longest: Vec<f64> = differences.steps.row_iter().map(|row| row.amax()).collect();
         let is_inert = |k: usize| {
-            factors.is_undetermined[k] && jacobian.column(k).norm() * longest[k] <= differences_noise
+            let longest = differences.steps.row(k).amax();
+            factors.is_undetermined[k] && jacobian.column(k).norm() * longest <= differences_noise
+        };
+        let select = |is_selected: &dyn Fn(usize) -> bool| -> Vec<usize> {
+            (0..free.len()).filter(|k| is_selected(*k)).map(|k| free[k]).collect()
         };
         let cost = |residuals: &[f64]| known.criterion.cost(layout, residuals);
         let mut uncertainty = Uncertainty {
@@ -221,51 +241,94 @@ impl Calibration {
             x: x.to_vec(),
             is_log: parameters.iter().map(|p| p.scale_kind() == Scale::Log).collect(),
             correlation,
-            uncorrected_covariance,
-            autocorrelations,
-            effective_degrees_of_freedom,
-            covariance,
+            uncorrected_covariance: covariances.uncorrected,
+            autocorrelations: covariances.autocorrelations,
+            effective_degrees_of_freedom: covariances.degrees_of_freedom,
+            covariance: covariances.covariance,
             standard_errors,
             degrees_of_freedom: noise.degrees_of_freedom,
-            held,
             undetermined: select(&|k| factors.is_undetermined[k]),
             without_effect: select(&is_inert),
+            held,
             confounded: Vec::new(),
             weakest: Vec::new(),
             identifiable: Vec::new(),
             findings: Vec::new(),
-            cost: cost(&residuals),
+            cost: cost(residuals),
             is_exact,
             accurate_cost: accurate.as_deref().map(cost),
-            is_step_halved,
-            left_to_gain,
+            is_step_halved: self.has_fixed_step(),
+            left_to_gain: if is_exact { 0.0 } else { left_to_gain(&factors.base, &working.residuals) },
             prior_conflicts,
             has_loss: matches!(known.criterion, Criterion::Loss(loss) if !loss.is_linear()),
             jacobian: by_parameters,
-            residuals,
             n_simulations: simulations.n - before,
-            residual_checks,
+            residual_checks: ResidualCheck::all(layout, &self.problem().experiment_names(), residuals),
+            residuals: at_center.residuals.clone(),
         };
         uncertainty.find_confounded();
         uncertainty.find_weakest(&jacobian, &free);
-        uncertainty.find_identifiable((&differences, &noise), &free, &sizes);
-        // What is no minimum has residuals that other values of the parameters leave none of, whatever the weights.
-        if left_to_gain == 0.0 {
-            by_weights::mark(
-                &mut uncertainty.residual_checks,
-                (&uncertainty.residuals, layout.n_measurements()),
-                &jacobian,
-            );
+        uncertainty.find_identifiable(&differences, &noise, &free, &sizes);
+        self.explain_residuals(&mut uncertainty, &jacobian, is_linear.then_some(&factors.base));
+        uncertainty.findings = uncertainty.all_findings(self.problem().experiments.len() > 1, known.f_tol);
+        Ok((uncertainty, covariances.curvature))
+    }
+
+    /// Parameters that are taken as known, and the others, by number.
+    fn held_and_free(&self, x: &[f64], known: &KnownPoint<'_>) -> (Vec<usize>, Vec<usize>) {
+        let is_held = |i: &usize| {
+            let p = &self.parameters()[*i];
+            let is_at_bound = self.is_at_bound(p, x[*i]) && !known.inert.contains(i);
+            let is_fixed = p.is_fixed() || p.lower() == p.upper() || p.value_kind() != Kind::Continuous;
+            known.held.contains(i) || is_fixed || is_at_bound
+        };
+        (0..x.len()).partition(is_held)
+    }
+
+    /// The residuals at a point, where they are not known, and those of more accurate simulations.
+    fn residuals_at_center(
+        &self,
+        x: &[f64],
+        known: &KnownPoint<'_>,
+        simulations: &mut Simulations<'_>,
+    ) -> Result<CenterResiduals, CalibrationError> {
+        let mut points = vec![Point { x: x.to_vec(), is_accurate: true }];
+        if known.residuals.is_none() {
+            points.push(Point::new(x.to_vec()));
         }
-        if is_linear && !is_exact {
-            for (check, output) in uncertainty.residual_checks.iter_mut().zip(&layout.outputs) {
-                if check.is_systematic() && !check.is_by_weights {
-                    check.unmodelled = Unmodelled::find(output, &uncertainty.residuals, &factors.base);
-                }
+        let mut found = simulations.residuals(&points)?;
+        let residuals = match known.residuals {
+            Some(plain) => plain.to_vec(),
+            None => found.swap_remove(1).map_err(|message| self.failed_at(x, message, None))?,
+        };
+        let accurate = found.swap_remove(0).ok();
+        // That of a fixed step is the same on all sides.
+        let simulation_error = accurate.as_ref().filter(|_| !self.has_fixed_step()).map_or(0.0, |accurate| {
+            accurate.iter().zip(&residuals).map(|(a, r)| (a - r) * (a - r)).sum::<f64>().sqrt()
+        });
+        Ok(CenterResiduals { residuals, accurate, simulation_error })
+    }
+
+    /// Finds causes of residuals that are no noise: weights, and terms that the model lacks (with the base of
+    /// the changes, where the cost is a plain sum of squares).
+    fn explain_residuals(
+        &self,
+        uncertainty: &mut Uncertainty,
+        jacobian: &DMatrix<f64>,
+        base: Option<&DMatrix<f64>>,
+    ) {
+        let layout = self.residual_layout();
+        // What is no minimum has residuals that other values of the parameters leave none of, whatever the weights.
+        if uncertainty.left_to_gain == 0.0 {
+            let (checks, n) = (&mut uncertainty.residual_checks, layout.n_measurements());
+            by_weights::mark(checks, &uncertainty.residuals, n, jacobian);
+        }
+        let Some(base) = base.filter(|_| !uncertainty.is_exact) else { return };
+        for (check, output) in uncertainty.residual_checks.iter_mut().zip(&layout.outputs) {
+            if check.is_systematic() && !check.is_by_weights {
+                check.unmodelled = Unmodelled::find(output, &uncertainty.residuals, base);
             }
         }
-        uncertainty.findings = uncertainty.all_findings(self.problem().experiments.len() > 1, known.f_tol);
-        Ok((uncertainty, (0..n).map(|i| curvature[i * n + i]).collect()))
     }
 
     /// True if a parameter lies at one of its bounds.

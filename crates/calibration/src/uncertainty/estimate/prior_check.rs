@@ -1,8 +1,8 @@
 //! Priors that the measurements contradict.
 
+use super::differences::Center;
 use super::digits::digits;
 use crate::findings::finding::{Finding, Severity};
-use crate::problem::parameter::Parameter;
 use crate::problem::prior::Prior;
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::active_bounds::{inner, outer};
@@ -32,11 +32,12 @@ impl PriorConflict {
     /// residuals (m), of which those of the priors are the last. `slopes`: of the free parameters by these
     /// coordinates.
     pub(super) fn all(
+        at: &Center<'_>,
         layout: &ResidualLayout,
-        (parameters, x): (&[Parameter], &[f64]),
-        (free, slopes): (&[usize], &[f64]),
-        (jacobian, residuals): (&DMatrix<f64>, &[f64]),
+        slopes: &[f64],
+        jacobian: &DMatrix<f64>,
     ) -> Vec<Self> {
+        let Center { parameters, x, free, residuals, .. } = *at;
         let (n, p) = (layout.n_measurements(), free.len());
         if layout.priors.is_empty() || n <= p {
             return Vec::new();

@@ -52,7 +52,8 @@ impl Working {
     /// the likelihood an output counts by the inverse of its variance, which is Fisher's information.
     pub(crate) fn new(
         criterion: Criterion,
-        (layout, plain): (&ResidualLayout, &[f64]),
+        layout: &ResidualLayout,
+        plain: &[f64],
         groups: &[Vec<usize>],
         p: usize,
     ) -> Self {
@@ -149,7 +150,7 @@ mod tests {
         let (layout, groups) = (layout(100), vec![vec![0]]);
         let with = |kind, scale| {
             let criterion = Criterion::Loss(RobustLoss::new(kind, scale).unwrap());
-            Working::new(criterion, (&layout, &r), &groups, 2)
+            Working::new(criterion, &layout, &r, &groups, 2)
         };
         for kind in [Loss::Linear, Loss::Huber, Loss::SoftL1, Loss::Cauchy] {
             let working = with(kind, 1e6);
@@ -167,7 +168,7 @@ mod tests {
         let expected = (1.0 + 0.02 * ((0.47 + 1.06 / 3.0) * 0.49 - 0.49 * 0.49) / (0.49 * 0.49_f64)).powi(2);
         assert!((working.corrections[0] - expected).abs() < 2e-3, "{}", working.corrections[0]);
         assert!((working.residuals[98] * working.roots[98] - 1.0).abs() < 1e-12);
-        let likelihood = Working::new(Criterion::Likelihood, (&layout, &r), &groups, 2);
+        let likelihood = Working::new(Criterion::Likelihood, &layout, &r, &groups, 2);
         let squares: f64 = likelihood.residuals.iter().map(|r| r * r).sum();
         assert!((squares - 100.0).abs() < 1e-9);
     }

@@ -1,0 +1,253 @@
+//! What the result of a search is worth: findings, the quality of fit of each output, and the uncertainty.
+
+use super::noise::{self, FitNoise};
+use super::result::Fit;
+use super::rounds::Made;
+use super::search::{Job, Searched};
+use crate::cost::batch::Simulations;
+use crate::cost::calibration::Calibration;
+use crate::cost::residual::{CostRule, sum_of_squares};
+use crate::findings::finding::{Finding, Severity};
+use crate::fit::output_fit::{EndResiduals, KeptResiduals};
+use crate::fit::phase::FitPhase;
+use crate::problem::objective::CostKind;
+use crate::problem::parameter::Parameter;
+use crate::problem::residual_layout::ResidualLayout;
+use crate::uncertainty::active_bounds::is_over;
+use crate::uncertainty::estimate::{KnownPoint, SEARCH, Uncertainty, UncertaintyOptions, digits};
+use base::RunContext;
+use dfo::{Measure, RobustLoss, Termination, Tolerances};
+use ode::{Number, Stats};
+
+/// With a relative tolerance of this size or more a search ends anywhere.
+const LOOSE: f64 = 0.1;
+
+impl Calibration {
+    /// The fit of which the searches are made, with the residuals that they have computed, by the weights of
+    /// this calibration. `stats`: what the searches took.
+    pub(crate) fn judged(&self, job: &Job<'_>, made: Made, mut stats: Stats) -> (Fit, KeptResiduals) {
+        // With the weights and the tolerance of the fit.
+        let own = made.own.as_ref().unwrap_or(self);
+        let Searched { report, residuals, start_cost, .. } = &made.searched;
+        let Job { start, objective, loss, context, phase, .. } = job;
+        phase.set(FitPhase::Checks);
+        let ends = own.end_residuals(&report.x, residuals, *loss, context, &mut stats);
+        let mut findings = own.findings_of_search(job, &made, &ends, &mut stats);
+        let outputs =
+            ends.end.as_ref().map_or_else(Vec::new, |end| own.output_fits(end, ends.start.as_ref()));
+        phase.set(FitPhase::Uncertainty);
+        let uncertainty = own.uncertainty_of_fit(job, &made.searched, &ends, &mut stats);
+        if uncertainty.is_none() {
+            findings.extend(own.findings_without_uncertainty(job, &made.searched, &ends, &mut stats));
+        }
+        let is_estimated = made.noise.as_ref().is_some_and(|noise| noise.estimated().is_some());
+        let mut rms = |x: &[f64], cost: f64| match residuals.at(x) {
+            _ if objective.is_sum_of_squares() && !is_estimated => Some(self.rms(x, cost, *loss)),
+            // Of another cost, or by other weights, the residuals have to be known.
+            Some(known) => Some(self.rms_of(known, own.residual_layout())),
+            None => {
+                let found = own.cost_and_residuals(x, objective, *loss, context, &mut stats);
+                found.map(|(_, residuals)| self.rms_of(&residuals, own.residual_layout()))
+            }
+        };
+        let (rms, start_rms) = (rms(&report.x, report.fun), start_cost.and_then(|cost| rms(start, cost)));
+        let parameters = self.parameters();
+        let names: Vec<String> = parameters.iter().map(|p| p.name().to_owned()).collect();
+        let shown_names: Vec<String> = parameters.iter().map(|p| p.shown_name().to_owned()).collect();
+        let description = self.fmu().description();
+        let unit = |p: &Parameter| p.unit(description).map(str::to_owned);
+        let kept_by = own.residual_layout().clone();
+        let Searched { report, stuck, residuals, start_cost, preflight, solver, .. } = made.searched;
+        let fit = Fit {
+            units: parameters.iter().map(unit).collect(),
+            bounds: parameters.iter().map(|p| (p.lower(), p.upper())).collect(),
+            model: description.model_name.clone(),
+            n_measurements: self.n_measurements(),
+            in_this_process: self.isolation().1.map(str::to_owned),
+            noise: made.noise,
+            tolerance: made.tolerance,
+            x: report.x.clone(),
+            shown_names: if shown_names == names { Vec::new() } else { shown_names },
+            names,
+            outputs,
+            preflight,
+            setup_findings: findings,
+            uncertainty,
+            cost: report.fun,
+            rms: rms.unwrap_or(f64::NAN),
+            tied: self.tied_values(&report.x),
+            start_cost,
+            start_rms,
+            objective: objective.name().to_owned(),
+            start: start.clone(),
+            stages: Vec::new(),
+            at_bound: stuck.at_bound,
+            without_effect: stuck.without_effect,
+            n_checks: stuck.n_checks,
+            stats,
+            solver,
+            report,
+        };
+        (fit, residuals.reweighed(&kept_by, self.residual_layout()))
+    }
+
+    /// Findings of the search and of the problem at its result; each is listed once.
+    fn findings_of_search(
+        &self,
+        job: &Job<'_>,
+        made: &Made,
+        ends: &EndResiduals,
+        stats: &mut Stats,
+    ) -> Vec<Finding> {
+        let Searched { report, tolerances, raised, .. } = &made.searched;
+        let mut found = raised.clone();
+        found.extend(self.unstated_noise(job, made.noise.as_ref()));
+        if let Some(reason) = self.runs_here_by_its_inputs() {
+            let sentence = format!("the FMU ran in this process: {reason}");
+            found.push(Finding::new(Severity::Note, "isolation", sentence, ""));
+        }
+        found.extend(self.loose(tolerances, &report.x));
+        if job.is_checked() {
+            match &ends.end {
+                Some(end) if is_over(&report.termination) => {
+                    found.extend(self.check_after_fit(ends.start.as_ref(), end, &job.context, stats));
+                }
+                _ if report.termination == Termination::MaxTime => {
+                    found.extend(self.check_of_setup(&report.x));
+                }
+                _ => {}
+            }
+        }
+        if let (Some(end), Some(FitNoise::Stated)) = (&ends.end, &made.noise) {
+            found.extend(noise::contradictions_of_stated(self, &end.residuals));
+        }
+        let mut once: Vec<Finding> = Vec::with_capacity(found.len());
+        found.into_iter().for_each(|finding| {
+            if !once.contains(&finding) {
+                once.push(finding);
+            }
+        });
+        once
+    }
+
+    /// Findings that stand for an uncertainty that was requested and is not known.
+    fn findings_without_uncertainty(
+        &self,
+        job: &Job<'_>,
+        searched: &Searched,
+        ends: &EndResiduals,
+        stats: &mut Stats,
+    ) -> Vec<Finding> {
+        let mut found = Vec::new();
+        let is_requested = job.uncertainty.is_some() && job.objective.has_uncertainty();
+        if is_requested && is_over(&searched.report.termination) && job.context.is_late() {
+            let sentence = "the time was up before the standard errors were known";
+            found.push(Finding::new(Severity::Warning, "max_time", sentence, ""));
+        }
+        if let Some(end) = ends.end.as_ref().filter(|_| self.has_fixed_step() && job.is_checked()) {
+            found.extend(self.large_step_after_fit(end, &job.context, stats));
+        }
+        found
+    }
+
+    /// Tolerances of the search that mean nothing. An absolute `f_tol` may be above the cost, which is 0
+    /// where there is no noise.
+    fn loose(&self, tolerances: &Tolerances, x: &[f64]) -> Option<Finding> {
+        let Tolerances { x_tol, f_tol, measure, .. } = *tolerances;
+        let said: Vec<String> = match measure {
+            Measure::Relative => {
+                let given =
+                    [("x_tol", x_tol, "of the size of each parameter"), ("f_tol", f_tol, "of the cost")];
+                let loose = given.into_iter().filter(|(_, tolerance, _)| *tolerance >= LOOSE);
+                loose
+                    .map(|(name, tolerance, of)| format!("{name} {} is a part {of}", Number(tolerance)))
+                    .collect()
+            }
+            Measure::Absolute => {
+                let free = self.parameters().iter().zip(x).filter(|(p, _)| p.lower() < p.upper());
+                let sizes = free.map(|(p, x)| (p.name(), self.size_of(p, *x)));
+                let loose = sizes.filter(|(_, size)| x_tol >= LOOSE * size);
+                let said = |(name, size)| {
+                    format!("x_tol {} is absolute, {name} has the size {}", Number(x_tol), digits(size))
+                };
+                loose.map(said).collect()
+            }
+        };
+        (!said.is_empty()).then(|| {
+            let sentence = format!("{}: the search may end far from the minimum", said.join(", "));
+            Finding::new(Severity::Warning, "tolerances", sentence, "leave them out, or give 1e-4, relative")
+        })
+    }
+
+    /// The root of the mean squared residual of the measurements by the weights of this calibration, as they
+    /// count, from residuals by other weights.
+    pub(crate) fn rms_of(&self, residuals: &[f64], weights: &ResidualLayout) -> f64 {
+        let own = self.residual_layout().reweighed(residuals, weights);
+        let n = self.n_measurements();
+        (sum_of_squares(&own[..n]) / n as f64).sqrt()
+    }
+
+    /// The cost at `x` and the residuals there, as they count; `None` where the simulation fails.
+    pub(crate) fn cost_and_residuals(
+        &self,
+        x: &[f64],
+        kind: &CostKind,
+        loss: RobustLoss,
+        context: &RunContext<'_>,
+        stats: &mut Stats,
+    ) -> Option<(f64, Vec<f64>)> {
+        let mut residuals = vec![0.0; self.n_residuals()];
+        let sum = self.evaluate_into(x, CostRule::whole(loss, context), &mut residuals, stats).ok()?;
+        let outcome = kind.outcome(self.residual_layout(), sum, &residuals, &mut Vec::new());
+        Some((outcome.value()?, residuals))
+    }
+
+    /// Uncertainty of the result of a search; `None` where it cannot be estimated, or is not requested.
+    fn uncertainty_of_fit(
+        &self,
+        job: &Job<'_>,
+        searched: &Searched,
+        ends: &EndResiduals,
+        stats: &mut Stats,
+    ) -> Option<Uncertainty> {
+        let Searched { report, stuck, tolerances, .. } = searched;
+        let options = job.uncertainty.as_ref().filter(|_| job.objective.has_uncertainty())?;
+        if !is_over(&report.termination) || job.context.is_over() {
+            return None;
+        }
+        let workers = options.workers.or(job.run.workers).unwrap_or(1);
+        let mut simulations = Simulations::new(self, RobustLoss::default(), workers, &job.context).ok()?;
+        let is_likelihood = job.objective.is_likelihood();
+        let criterion = UncertaintyOptions { loss: job.loss, is_likelihood, ..options.clone() }.criterion();
+        let at_bound = stuck.at_bound.iter().map(|(index, _)| *index);
+        let held = at_bound.filter(|index| !stuck.without_effect.contains(index));
+        // Those of a stage with a window of its own are others.
+        let of_report = report.residuals.as_deref().filter(|r| r.len() == self.n_residuals());
+        let known = KnownPoint {
+            residuals: of_report.or(ends.end.as_ref().map(|end| end.residuals.as_slice())),
+            jacobian: report.jacobian.as_deref(),
+            held: options.held.iter().chain(&job.held).copied().chain(held).collect(),
+            inert: &stuck.without_effect,
+            f_tol: match tolerances.measure {
+                Measure::Relative => tolerances.f_tol,
+                Measure::Absolute => tolerances.f_tol / report.fun.abs(),
+            },
+            criterion,
+        };
+        let uncertainty = self.uncertainty_of(&report.x, options.estimator, &known, &mut simulations);
+        *stats += simulations.stats;
+        match uncertainty {
+            Ok(mut uncertainty) => {
+                // Whoever gives a target wants no minimum.
+                if report.termination == Termination::Target {
+                    uncertainty.findings.retain(|finding| finding.subject != SEARCH);
+                }
+                Some(uncertainty)
+            }
+            Err(error) => {
+                log::info!("the uncertainty of the fit could not be found: {error}");
+                None
+            }
+        }
+    }
+}
