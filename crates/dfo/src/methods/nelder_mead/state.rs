@@ -155,8 +155,8 @@ impl NelderMeadState {
         self.n_points
     }
 
-    /// Takes the cost of the start point, which need not be evaluated then, and the size of the first costs of
-    /// the search before.
+    /// Takes the cost of the start point, which need not be evaluated then, and the size of the first costs
+    /// of the search before.
     pub(crate) fn set_start_cost(&mut self, cost: f64, f_0: f64) {
         self.simplex.set_cost(0, Cost::Value(cost));
         self.f_0 = f_0;
