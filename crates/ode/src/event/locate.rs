@@ -42,7 +42,7 @@ impl Domains {
     /// Time and value of indicator `i` at the place `k` of what is known of the step from `start` to `end`,
     /// of which the last place is one more than points were looked at inside.
     #[inline]
-    fn known(&self, (i, k): (usize, usize), start: f64, end: f64) -> (f64, f64) {
+    fn known(&self, i: usize, k: usize, start: f64, end: f64) -> (f64, f64) {
         match k.checked_sub(1) {
             None => (start, self.base[i]),
             Some(inside) if inside < self.looked_at.len() => {
@@ -63,7 +63,7 @@ impl Domains {
     /// its turning point, if that lies in the other domain or near it: a crossing and its return may hide
     /// there.
     pub(crate) fn turning_point(&self, i: usize, start: f64, end: f64) -> Option<f64> {
-        let known = |k| self.known((i, k), start, end);
+        let known = |k| self.known(i, k, start, end);
         let (mut a, mut b, next) = match self.before_time {
             Some(t) => ((t, self.before[i]), known(0), 1),
             None => (known(0), known(1), 2),
@@ -79,11 +79,11 @@ impl Domains {
     /// Where between `start` and `end` a crossing and its return may hide in what is not known of indicator
     /// `i`: the middle of the wider one of two neighbouring intervals of at least `least`, between whose
     /// three ends, all in one domain, its graph bends by more than it stays away from zero.
-    pub(crate) fn unresolved(&self, i: usize, (start, end): (f64, f64), least: f64) -> Option<f64> {
+    pub(crate) fn unresolved(&self, i: usize, start: f64, end: f64, least: f64) -> Option<f64> {
         if self.slides(i) {
             return None;
         }
-        let known = |k| self.known((i, k), start, end);
+        let known = |k| self.known(i, k, start, end);
         let (mut a, mut b) = (known(0), known(1));
         (2..self.looked_at.len() + 2).find_map(|k| {
             let c = known(k);
@@ -149,7 +149,8 @@ impl Domains {
         &mut self,
         t_lo: f64,
         t_hi: f64,
-        (tolerance, for_jumps): (f64, f64),
+        tolerance: f64,
+        for_jumps: f64,
         mut evaluate: impl FnMut(f64, &mut [f64]) -> CallResult<()>,
     ) -> CallResult<Located> {
         let start = if self.counts_since.is_some() { &self.from } else { &self.base };
@@ -260,7 +261,7 @@ mod tests {
         d.end.copy_from_slice(&z(hi));
         assert!(d.changed());
         let found = d
-            .locate(lo, hi, (tolerance, tolerance), |t, out| {
+            .locate(lo, hi, tolerance, tolerance, |t, out| {
                 out.copy_from_slice(&z(t));
                 Ok(())
             })
@@ -308,7 +309,7 @@ mod tests {
                 out[0] = z(t);
                 Ok(())
             };
-            d.locate(0.0, 1.0, (1e-14, 1e-3), read).unwrap().time
+            d.locate(0.0, 1.0, 1e-14, 1e-3, read).unwrap().time
         };
         let jump = found(|t| if t < 0.7 { -1.0 } else { 1.0 });
         assert!((1e-6..1e-3).contains(&(jump - 0.7)), "{jump}");
@@ -356,7 +357,7 @@ mod tests {
             let before = look.filter(|t| d.changed_at(*t, read).unwrap());
             let hi = before.or_else(|| d.changed().then_some(1.0));
             let lo = d.counts_since().unwrap_or(0.0);
-            let found = d.locate(lo, hi?, (1e-12, 1e-12), read).unwrap();
+            let found = d.locate(lo, hi?, 1e-12, 1e-12, read).unwrap();
             assert!(d.changed());
             d.mark(1.0, 0.0);
             Some((found.time, d.crossings.clone()))
@@ -389,7 +390,7 @@ mod tests {
             out.copy_from_slice(&z(t));
             Ok(())
         };
-        let found = d.locate(0.0, 1.0, (1e-12, 0.0), read).unwrap();
+        let found = d.locate(0.0, 1.0, 1e-12, 0.0, read).unwrap();
         d.mark(1.0, 0.0);
         assert_eq!((d.crossings.clone(), d.counts_since()), (vec![-1, 0], Some(0.5)));
         assert!((found.time - 0.6).abs() < 2e-12, "{}", found.time);
