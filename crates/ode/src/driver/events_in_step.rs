@@ -76,7 +76,7 @@ where
         let mut left = if asked || points == 0 { 0 } else { MAX_LOOKS };
         let mut has_changed = self.space.domains.changed();
         for i in 0..self.space.domains.len() {
-            if !has_changed && self.space.domains.stands_still(i) {
+            if !has_changed && self.space.domains.keeps_clear(i, start, end) {
                 continue;
             }
             loop {

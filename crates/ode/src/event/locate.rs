@@ -38,6 +38,16 @@ fn turning_point([(t0, z0), (t1, z1), (t2, z2)]: [(f64, f64); 3], start: f64) ->
     (t > start.max(t0) && t < t2 && t != t1 && beyond).then_some(t)
 }
 
+/// True if three points `(t, z)` are as far from zero as [`Domains::keeps_clear`] asks for; all are finite.
+#[inline]
+fn is_clear([(t0, z0), (t1, z1), (t2, z2)]: [(f64, f64); 3]) -> bool {
+    let least = |a: f64, b: f64| if a < b { a } else { b };
+    let most = |a: f64, b: f64| if a > b { a } else { b };
+    let (left, right) = (t1 - t0, t2 - t1);
+    let (low, high) = (least(least(z0, z1), z2), most(most(z0, z1), z2));
+    (high - low) * most(left, right) <= low * least(left, right)
+}
+
 impl Domains {
     /// Time and value of indicator `i` at the place `k` of what is known of the step from `start` to `end`,
     /// of which the last place is one more than points were looked at inside.
@@ -52,11 +62,30 @@ impl Domains {
         }
     }
 
-    /// Whether indicator `i` has the same value wherever it was looked at: it does not turn.
-    pub(crate) fn stands_still(&self, i: usize) -> bool {
-        let z = self.base[i];
-        let stood = self.before_time.is_none() || self.before[i] == z;
-        stood && self.end[i] == z && self.looked.iter().skip(i).step_by(self.len()).all(|looked| *looked == z)
+    /// True if indicator `i` stays so far from zero that [`turning_point`](Self::turning_point) and
+    /// [`unresolved`](Self::unresolved) find nothing: of three neighbouring values the largest difference d and
+    /// the ratio r of their distances in time bound the curvature of the parabola through them, which reaches
+    /// at most d r / 4 beyond the least.
+    #[inline]
+    pub(crate) fn keeps_clear(&self, i: usize, start: f64, end: f64) -> bool {
+        let sign = if self.base[i] > 0.0 { 1.0 } else { -1.0 };
+        let n_inside = self.looked_at.len();
+        let inside = |k: usize| (self.looked_at[k], sign * self.looked[k * self.len() + i]);
+        let (base, last) = ((start, sign * self.base[i]), (end, sign * self.end[i]));
+        let (mut a, mut b) = (base, if n_inside > 0 { inside(0) } else { last });
+        if let Some(before) = self.before_time
+            && !is_clear([(before, sign * self.before[i]), a, b])
+        {
+            return false;
+        }
+        for k in 1..n_inside {
+            let c = inside(k);
+            if !is_clear([a, b, c]) {
+                return false;
+            }
+            (a, b) = (b, c);
+        }
+        n_inside == 0 || is_clear([a, b, last])
     }
 
     /// Where between `start` and `end` a parabola through three neighbouring values of indicator `i` comes to
@@ -267,6 +296,41 @@ mod tests {
             })
             .unwrap();
         (found.time, found.evaluations, d)
+    }
+
+    /// Values at uneven times in either domain, with zeros: nothing is missed, and most of what is far from
+    /// zero is not looked at further.
+    #[test]
+    fn what_keeps_clear_of_zero_does_not_turn_there() {
+        let mut state = 7_u64;
+        let mut random = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1_u64 << 53) as f64
+        };
+        let (mut n_clear, mut n_found) = (0, 0);
+        for round in 0..20_000 {
+            let sign = if random() < 0.5 { 1.0 } else { -1.0 };
+            let spread = random() * random();
+            let mut value = || if random() < 0.02 { 0.0 } else { sign * (1.0 - spread + spread * random()) };
+            let mut d = Domains::default();
+            d.begin(1, |_| Direction::Both);
+            (d.base[0], d.before[0], d.end[0]) = (value(), value(), value());
+            let inside = value();
+            d.before_time = (random() < 0.5).then(|| -2.0 * random());
+            if round % 3 > 0 {
+                d.changed_at(random(), |_, z| {
+                    z[0] = inside;
+                    Ok(())
+                })
+                .unwrap();
+            }
+            let found = d.turning_point(0, 0.0, 1.0).or(d.unresolved(0, 0.0, 1.0, 0.0));
+            let is_clear = d.keeps_clear(0, 0.0, 1.0);
+            assert!(!is_clear || found.is_none(), "{d:?}: {found:?}");
+            n_clear += u32::from(is_clear);
+            n_found += u32::from(found.is_some());
+        }
+        assert!(n_clear > 10_000 && n_found > 1_000, "{n_clear} {n_found}");
     }
 
     #[test]
