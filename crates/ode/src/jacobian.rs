@@ -127,8 +127,8 @@ impl Jacobian {
         }
     }
 
-    /// Evaluates it at a point, where the slopes are the right-hand side. [`CallError::Discard`]: it cannot be had
-    /// there.
+    /// Evaluates it at a point, where the slopes are the right-hand side. [`CallError::Discard`]: it cannot
+    /// be had there.
     pub(crate) fn evaluate<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,

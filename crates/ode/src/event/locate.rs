@@ -63,9 +63,9 @@ impl Domains {
     }
 
     /// True if indicator `i` stays so far from zero that [`turning_point`](Self::turning_point) and
-    /// [`unresolved`](Self::unresolved) find nothing: of three neighbouring values the largest difference d and
-    /// the ratio r of their distances in time bound the curvature of the parabola through them, which reaches
-    /// at most d r / 4 beyond the least.
+    /// [`unresolved`](Self::unresolved) find nothing: of three neighbouring values the largest difference d
+    /// and the ratio r of their distances in time bound the curvature of the parabola through them, which
+    /// reaches at most d r / 4 beyond the least.
     #[inline]
     pub(crate) fn keeps_clear(&self, i: usize, start: f64, end: f64) -> bool {
         let sign = if self.base[i] > 0.0 { 1.0 } else { -1.0 };

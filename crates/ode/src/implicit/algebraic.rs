@@ -203,8 +203,8 @@ impl Algebraic {
     }
 
     /// Sees to it that the algebraic equations hold at a point, where the slopes are the right-hand side;
-    /// changes state and slopes if they do not. `known`: there is a Jacobian, though perhaps not of this point; it is one of this
-    /// point afterwards where there was none.
+    /// changes state and slopes if they do not. `known`: there is a Jacobian, though perhaps not of this
+    /// point; it is one of this point afterwards where there was none.
     pub(super) fn make_consistent<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
