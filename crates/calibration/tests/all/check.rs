@@ -6,7 +6,7 @@ use calibration::RunContext;
 use calibration::dfo::{DifferentialEvolution, RunOptions};
 use calibration::{
     Calibration, CalibrationBuilder, Check, CheckOptions, Data, Experiment, Finding, FitOptions, Parameter,
-    Scale, Severity,
+    PreflightOptions, Scale, Severity, SimulationSettings,
 };
 use example_models::example_fmu;
 use fmi::{Fmu, SimulateOptions};
@@ -327,4 +327,43 @@ fn what_a_check_says_of_the_start_is_judged_again_after_the_fit() {
     assert!((fit.x[0] - 2e-3).abs() < 1e-4, "{fit}");
     let in_ms = |f: &Finding| f.severity == Severity::Warning && f.sentence.contains("as if they were in ms");
     assert!(fit.findings().iter().any(in_ms), "{fit}");
+}
+
+/// Rows of an input cut the steps of a fixed-step method: half of what is really taken is compared.
+#[test]
+fn a_fixed_step_is_halved_where_the_rows_of_an_input_cut_it() {
+    let time: Vec<f64> = (0..41).map(|k| 15.0 * f64::from(k)).collect();
+    let u1: Vec<f64> = (0..41).map(|k| 5.0 + 2.0 * noise(k)).collect();
+    let options = SimulateOptions {
+        times: Some(time.clone()),
+        final_time: time.last().copied(),
+        inputs: Some(fmi::Inputs::new().series("u1", time.clone(), u1.clone()).series("u2", [0.0], [5.0])),
+        outputs: Some(vec!["qt.x1".to_owned()]),
+        ..SimulateOptions::default()
+    };
+    let level = open("quad_tank").simulate(&options).unwrap().columns.remove(0);
+    let columns = vec![("u1".to_owned(), u1), ("x1".to_owned(), level)];
+    let said_with = |step: f64| {
+        let experiment = Experiment::new(Data::from_columns(time.clone(), columns.clone()).unwrap())
+            .output("qt.x1", "x1")
+            .input("u1", "u1")
+            .constant_input("u2", 5.0);
+        let settings = SimulationSettings {
+            method: ode::Method::Euler,
+            step_size: Some(step),
+            ..SimulationSettings::default()
+        };
+        let builder = Calibration::builder(open("quad_tank")).experiment(experiment).settings(settings);
+        let calibration =
+            builder.parameter(Parameter::new("qt.a1", 3e-6).bounds(2e-6, 4e-6)).build().unwrap();
+        let preflight = calibration.preflight(&PreflightOptions::default(), &RunContext::new()).unwrap();
+        (calibration.check().to_string().contains("half the step of the solver 'euler'"), preflight.noise)
+    };
+    let (is_named, of_rows) = said_with(15.0);
+    assert!(is_named && of_rows > 1e-3);
+    // The same steps, cut at the rows.
+    for step in [30.0, 60.0] {
+        assert_eq!(said_with(step), (true, of_rows), "step {step}");
+    }
+    assert!(!said_with(0.5).0);
 }
