@@ -116,7 +116,8 @@ fn halved_steps_are_half_of_those_that_were_taken() {
         let report = Driver::new(options).unwrap().run(&mut system, 0.0, 1.0, &[1.0], &mut seen).unwrap();
         (report.stats.accepted_steps, seen.rows.last().unwrap().3[0])
     };
-    for (step, given, n) in [(0.4, &stops[..], 20), (0.05, &stops[..], 20), (0.25, &[][..], 4), (0.4, &[], 3)] {
+    for (step, given, n) in [(0.4, &stops[..], 20), (0.05, &stops[..], 20), (0.25, &[][..], 4), (0.4, &[], 3)]
+    {
         let ((whole, _), (halves, x)) = (run(step, false, given), run(step, true, given));
         assert_eq!((whole, halves), (n, 2 * n), "step {step}");
         let expected = match (n, given.is_empty()) {
