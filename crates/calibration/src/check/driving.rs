@@ -1,9 +1,9 @@
-//! Checks of the columns that drive inputs: all zero, frozen, with a value far off, missing for long, beyond the
-//! range of the model or in degC for K.
+//! Checks of the columns that drive inputs: all zero, frozen, with a value far off, missing for long, beyond
+//! the range of the model or in degC for K.
 
 use super::columns::{frozen, longest_run, placeholder};
 use super::parameters::{Given, beside_the_model};
-use super::series::{range, rounded, rounded_time};
+use super::series::{range, rounded, rounded_time, size_of_difference};
 use super::subject::Subject;
 use crate::data::sampling_interval;
 use crate::findings::finding::{Finding, Severity};
@@ -19,7 +19,7 @@ const FEW_VALUES: usize = 20;
 /// each other, is none of the signal: an impulse on a signal at rest, or on noise, is meant.
 const FAR: f64 = 100.0;
 
-/// Autocorrelation of steps from row to row from which on rows follow each other.
+/// Autocorrelation from row to row from which on rows follow each other.
 const FOLLOWS: f64 = 0.5;
 
 /// A value that stays for so many rows in a signal that else never stays for more than the second number of
@@ -209,9 +209,13 @@ fn n_different(values: &[f64]) -> usize {
     different.len()
 }
 
-/// True if a value tells the next one.
+/// True if a value tells the next one: steps from row to row are smaller than those of independent rows,
+/// whose mean square is twice the variance.
 fn follows(values: &[f64]) -> bool {
-    crate::uncertainty::estimate::autocorrelation(values) > FOLLOWS
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    let steps = size_of_difference(&values[1..], values[..values.len() - 1].iter().copied());
+    let deviation = size_of_difference(values, std::iter::repeat(mean));
+    steps * steps < 2.0 * (1.0 - FOLLOWS) * deviation * deviation
 }
 
 #[cfg(test)]

@@ -97,8 +97,8 @@ pub struct SimulateOptions {
     /// model takes steps of any length, there are further communication points at the rows and wherever an
     /// input jumps or changes its slope.
     pub step_size: Option<f64>,
-    /// Takes each step of a fixed-step method in two halves, also one that an input or an event has cut (model
-    /// exchange): for comparison with a run that does not.
+    /// Takes each step of a fixed-step method in two halves, also one that an input or an event has cut
+    /// (model exchange): for comparison with a run that does not.
     pub halve_steps: bool,
     /// Rows between the steps of a co-simulation that cannot stop there; default: interpolated.
     pub between_steps: BetweenSteps,
