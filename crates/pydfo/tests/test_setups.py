@@ -533,6 +533,17 @@ def test_arguments_are_named_in_what_is_wrong_with_them():
         (lambda: fit.profile(points=3), "did you mean max_points"),
         (lambda: calibration.fit(start="x"), "start must be numbers, not 'x'"),
         (lambda: calibration.fit("ga", options={"resolution": []}), "'resolution' of ga must be one number per parameter"),
+        (lambda: pydfo.Calibration(example_fmu("dahlquist"), {"time": TIME, "x": DECAY}, ["x"], 5), "must be a list of pydfo.Parameter"),
+        (lambda: decay({"time": TIME, "x": DECAY}, window=(0, 10**400)), "window must be a number up to 1.8e+308, not 1000"),
+        (lambda: fit.to_csv("fit.csv", what=5), "what must be a string, not 5"),
+        (lambda: fit.to_dataframe(what=5), "what must be a string, not 5"),
+        (lambda: pydfo.build_fmu(None, "out.fmu"), "folder must be a path, not None"),
+        (lambda: pydfo.build_fmu("folder", 3), "out must be a path, not 3"),
+        (lambda: calibration.fit(checkpoint=""), "checkpoint must be a path, not an empty text"),
+        (lambda: pydfo.minimize(lambda x: x[0] ** 2, [1.0], checkpoint=""), "checkpoint must be a path, not an empty text"),
+        (lambda: pydfo.minimize(lambda x: x[0] ** 2, [1.0], workers=lambda f, points: None), "workers must return the results"),
+        (lambda: pydfo.least_squares(lambda x: [x[0], 10**400], [1.0]), "residuals as a one-dimensional array of numbers, not"),
+        (lambda: pydfo.minimize(lambda x: 10**400, [1.0]), "the objective must return one number"),
         (lambda: calibration.fit("de", options={"mutation": 0.5}), "'de-classic' has the option weight"),
     ]:
         with pytest.raises((TypeError, ValueError)) as info:

@@ -176,6 +176,7 @@ impl Calibration {
     fn findings_of_description_and_data(&self, subjects: &[Subject<'_>], x: &[f64]) -> Vec<Finding> {
         let (parameters, description) = (self.parameters(), self.fmu().description());
         let mut findings = parameters::ranges(parameters, description);
+        findings.extend(parameters::nominals(parameters));
         findings.extend(parameters::far_from_own_start(parameters, x, description));
         findings.extend(settings::loose_tolerance(self));
         findings.extend(repeated::findings(self, subjects));

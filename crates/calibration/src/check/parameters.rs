@@ -8,7 +8,7 @@ use crate::findings::finding::{Finding, Severity};
 use crate::problem::column_units::declared;
 use crate::problem::experiment::Experiment;
 use crate::problem::input::InputSource;
-use crate::problem::parameter::Parameter;
+use crate::problem::parameter::{Parameter, Scale};
 use fmi::description::Variable;
 use fmi::{ModelDescription, Value};
 use ode::Number;
@@ -22,6 +22,39 @@ const BOUNDS_UNLIKE: f64 = 50.0;
 
 /// A temperature in K above the first, beside one below the second, is one beside degC.
 const KELVIN: (f64, f64) = (200.0, 150.0);
+
+/// A nominal value this many times as large or as small as the start, or as large as the range, is no size of
+/// the parameter.
+const NO_SIZE: f64 = 1e6;
+
+/// Nominal values that are no size of their parameters: steps in units of them change nothing, or leave the
+/// range.
+pub(super) fn nominals(parameters: &[Parameter]) -> Vec<Finding> {
+    let of = |parameter: &Parameter| {
+        let nominal = parameter.nominal_size()?;
+        let (start, range) = (parameter.start().abs(), parameter.upper() - parameter.lower());
+        let (size, beside) = match range.is_finite() && range > 0.0 && nominal > start {
+            true => (range, format!("its range {}", Number(rounded(range)))),
+            false => (start, format!("its start {}", Number(parameter.start()))),
+        };
+        let is_size = size == 0.0 || factor(nominal, size) < NO_SIZE || parameter.scale_kind() == Scale::Log;
+        (!is_size && parameter.lower() < parameter.upper()).then(|| {
+            let sentence = format!(
+                "nominal {} is {} times {beside}: steps of the search are in units of it",
+                Number(nominal),
+                Number(rounded(nominal / size))
+            );
+            let subject = format!("parameter '{}'", parameter.name());
+            Finding::new(
+                Severity::Warning,
+                subject,
+                sentence,
+                "give the size of the parameter, or leave nominal out",
+            )
+        })
+    };
+    parameters.iter().filter_map(of).collect()
+}
 
 /// Start value that the model states for a variable, where it indicates its size: finite and not zero.
 fn own_start(variable: &Variable) -> Option<f64> {

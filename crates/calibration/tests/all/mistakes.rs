@@ -573,3 +573,21 @@ fn the_correction_for_autocorrelation_is_told() {
     let sound = fitted(sound(1e-3), k());
     assert!(sound.findings().iter().all(|f| f.subject != "standard errors"), "{sound}");
 }
+
+#[test]
+fn nominal_values_that_are_no_size_are_named() {
+    let said = |parameter: Parameter| {
+        let calibration = calibration(vec![sound(1e-3)], parameter, SimulationSettings::default());
+        let findings = calibration.fit(FitOptions::default()).unwrap().findings();
+        let check = calibration.check().to_string();
+        [check.contains("steps of the search are in units of it"), warns(&findings, "nominal")]
+    };
+    for nominal in [1e-8, 1e9] {
+        assert_eq!(said(k().nominal(nominal)), [true; 2], "{nominal}");
+    }
+    for parameter in
+        [k().nominal(1e-3), k().nominal(1e3), k(), Parameter::new("k", 0.0).nominal(0.1).bounds(-1.0, 5.0)]
+    {
+        assert_eq!(said(parameter), [false; 2]);
+    }
+}

@@ -227,6 +227,9 @@ fn file_failed(path: &Path, e: &std::io::Error) -> Error {
 fn load(options: &Checkpoint) -> Result<Option<Snapshot>, Error> {
     let path = &options.path;
     let is_required = options.resume == Resume::Require;
+    if path.as_os_str().is_empty() {
+        return Err(failed(path, "its path is empty; give that of a file"));
+    }
     let file = match base::files::open_regular(path) {
         Ok(file) => file,
         Err(e) if e.kind() == ErrorKind::NotFound && !is_required => return Ok(None),

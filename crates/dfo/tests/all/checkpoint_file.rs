@@ -74,4 +74,6 @@ fn what_is_no_regular_file_is_refused_and_left_alone() {
         }
         assert!(!std::fs::metadata(path).unwrap().is_file());
     }
+    let nowhere = minimize(|x: &[f64]| x[0] * x[0]).start(&[1.0]).checkpoint(Checkpoint::new("")).run();
+    assert!(nowhere.unwrap_err().to_string().contains("its path is empty"));
 }

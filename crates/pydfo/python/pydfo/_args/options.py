@@ -213,6 +213,8 @@ def number(name: str, value: SupportsFloat | SupportsIndex) -> float:
         return float(value)
     except (TypeError, ValueError):
         raise TypeError(f"{name} must be a number, not {show(value)}") from None
+    except OverflowError:
+        raise ValueError(f"{name} must be a number up to {sys.float_info.max:.2g}, not {show(value)}") from None
 
 
 def optional_number(name: str, value: SupportsFloat | SupportsIndex | None) -> float | None:
@@ -232,9 +234,12 @@ def flag(name: str, value: object) -> bool:
 def path(name: str, value: str | os.PathLike[str]) -> str:
     """The argument `name`, which must be a path."""
     try:
-        return os.fsdecode(value)
+        found = os.fsdecode(value)
     except TypeError:
         raise TypeError(f"{name} must be a path, not {show(value)}") from None
+    if not found:
+        raise ValueError(f"{name} must be a path, not an empty text")
+    return found
 
 
 def choice(name: str, value: str) -> str:

@@ -8,7 +8,7 @@ import os
 import sys
 import warnings
 from contextlib import closing, nullcontext
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, SupportsFloat, SupportsIndex
 
 import numpy as np
@@ -203,12 +203,13 @@ class Calibration(Point):
             "resample": resample,
         }
         experiments, parameters = collected(data, outputs, parameters, inputs, **own)
+        needed = "parameters must be a list of pydfo.Parameter(name, start, lower, upper)"
+        if not isinstance(parameters, (Parameter, Iterable)):
+            raise TypeError(f"{needed}, not {_options.show(parameters)}")
         self._parameters = (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
         for parameter in self._parameters:
             if not isinstance(parameter, Parameter):
-                raise TypeError(
-                    f"parameters must be a list of pydfo.Parameter(name, start, lower, upper), not of {_options.show(parameter)}"
-                )
+                raise TypeError(f"{needed}, not of {_options.show(parameter)}")
         settings: dict[str, Any] = {
             "kind": getattr(model, "kind", "auto") if kind is None else kind,
             "timeout": timeout,

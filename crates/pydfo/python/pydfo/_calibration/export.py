@@ -148,7 +148,7 @@ def native_of(fit: Fit) -> _core.Fit:
 
 def dataframe(fit: Fit, what: str) -> Any:
     """A table of a fit as a pandas.DataFrame."""
-    text = _core.fit_to_csv(native_of(fit), what)
+    text = _core.fit_to_csv(native_of(fit), _options.choice("what", what))
     return _options.pandas().read_csv(io.StringIO(text), float_precision="round_trip")
 
 

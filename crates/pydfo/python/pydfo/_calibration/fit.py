@@ -522,7 +522,7 @@ class Fit(OptimizeResult):
         OSError
             The file cannot be written.
         """
-        _core.fit_to_csv(_export.native_of(self), what, _options.path("path", path))
+        _core.fit_to_csv(_export.native_of(self), _options.choice("what", what), _options.path("path", path))
 
     def to_dataframe(self, what: Literal["parameters", "trajectories", "trace"] = "parameters") -> Any:
         """The same table as a pandas.DataFrame. Needs pandas."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .. import _core
+from .._args import options as _options
 
 PathLike = str | os.PathLike[str]
 
@@ -68,7 +69,7 @@ def build_fmu(folder: PathLike, out: PathLike) -> Path:
     KeyboardInterrupt
         Ctrl-C: the compiler is ended, and nothing is written.
     """
-    _core.build_fmu(folder, out)
+    _core.build_fmu(_options.path("folder", folder), _options.path("out", out))
     return Path(out)
 
 

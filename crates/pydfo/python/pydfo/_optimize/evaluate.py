@@ -113,7 +113,7 @@ def residual_vector(value: Any) -> FloatArray:
         if array.dtype.kind in "cUSMm":
             raise TypeError
         array = np.ma.asarray(array, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise TypeError(f"{needed}, not {_options.show(value)}") from None
     if array.ndim == 0:
         raise TypeError(f"{needed}, not one number ({_options.show(value)}): a cost is for minimize, a single residual r is [r]")
@@ -150,7 +150,10 @@ def mapped(fun: Callable[..., Any], apply: Callable[..., Iterable[Any]], takes_c
     returning, pieces = _in_pieces(fun, takes_cutoff)
 
     def evaluate(points: FloatArray, cutoffs: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
-        return list(apply(returning, pieces(points, cutoffs)))
+        results = apply(returning, pieces(points, cutoffs))
+        if not isinstance(results, Iterable):
+            raise TypeError(f"workers must return the results of a batch as map does, not {_options.show(results)}")
+        return list(results)
 
     return evaluate
 
