@@ -108,5 +108,5 @@ def test_a_checkpoint_of_another_fit_is_refused_in_words(tmp_path):
     ]:
         with pytest.raises(pydfo.CheckpointError, match=said):
             other.fit("nelder-mead", max_evaluations=5, checkpoint=path)
-    with pytest.raises(pydfo.CheckpointError, match="option restarts: 2 in the file, 1 here"):
+    with pytest.raises(pydfo.CheckpointError, match="option restarts: 20 in the file, 1 here"):
         bouncing().fit(max_evaluations=5, checkpoint=path, options={"restarts": 1})

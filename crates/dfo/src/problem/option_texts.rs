@@ -70,7 +70,7 @@ mod tests {
                 "bounds_handling: sine",
                 "coefficients: custom (contraction 0.5, expansion 1.5, reflection 1.0, shrink 0.9)",
                 "initial_simplex: steps [0.1, 2.0]",
-                "restarts: 2",
+                "restarts: 20",
             ]
         );
         let told = Genetic::default().selection(Selection::Tournament(3)).describe();

@@ -2,14 +2,16 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::common;
+use crate::problems;
 
 use common::{
     helical_valley, plan, powell_singular, probe, probe_fails, quiet_panics_on_purpose, rosenbrock,
 };
 use dfo::{
-    Answers, Batch, BatchPlan, Bounds, BoundsHandling, Measure, Method, MethodOptions, NelderMead, Outcome,
-    Setup, Space, Stop, Termination, Transform, fallible, minimize, with_query,
+    Answers, AnyMethod, Batch, BatchPlan, Bounds, BoundsHandling, Measure, Method, MethodOptions, NelderMead,
+    Outcome, Search, Setup, Space, Stop, Termination, Transform, fallible, minimize, with_query,
 };
+use problems::rotated::{Random, piecewise_linear, smooth};
 
 #[test]
 fn classic_problems_are_solved() {
@@ -89,6 +91,44 @@ fn a_flat_simplex_is_built_anew() {
     println!("{without}\n{with}");
     assert!(without.fun > -1e-6 && without.is_success(), "{without}");
     assert!((with.fun + 0.25).abs() < 1e-6 && (with.x[1] + 0.5).abs() < 1e-3, "{with}");
+}
+
+/// A simplex that collapses on a kink away from the minimum claims no success.
+#[test]
+fn kinks_in_rotated_axes_are_followed_to_the_minimum() {
+    for method in [AnyMethod::from(NelderMead::default()), AnyMethod::auto(Search::Local)] {
+        let (mut all, mut solved, mut wrong) = (0, 0, 0);
+        for (n, seed) in (2..=6).flat_map(|n| (20..28).map(move |seed| (n, seed))) {
+            for f in piecewise_linear(n, seed) {
+                let mut random = Random::new(seed * 100 + n as u64);
+                let start: Vec<f64> = f.minimum.iter().map(|c| c + 2.0 * random.normal()).collect();
+                let run = minimize(|x: &[f64]| f.cost(x)).start(&start).method(method.clone());
+                let report = run.run().unwrap();
+                let is_solved = report.fun <= 1e-4 * f.cost(&start);
+                all += 1;
+                solved += usize::from(is_solved);
+                wrong += usize::from(report.is_success() && !is_solved);
+            }
+        }
+        println!("{}: {solved} of {all}, {wrong} wrong", method.name());
+        assert!(solved * 100 >= 93 * all && wrong * 100 <= 4 * all, "{solved} of {all}, {wrong} wrong");
+    }
+}
+
+/// Smooth costs are taken for what they are: no restart.
+#[test]
+fn smooth_costs_need_no_restart() {
+    for (n, seed) in (2..=6).flat_map(|n| (0..4).map(move |seed| (n, seed))) {
+        for f in smooth(n, seed) {
+            let mut random = Random::new(seed * 100 + n as u64);
+            let start: Vec<f64> = f.minimum.iter().map(|c| c + 0.5 * random.normal()).collect();
+            let run = |restarts| {
+                let method = NelderMead::default().restarts(restarts);
+                minimize(|x: &[f64]| f.cost(x)).start(&start).method(method).run().unwrap()
+            };
+            assert_eq!(run(0).n_evaluations, run(20).n_evaluations, "{}, n = {n}, seed {seed}", f.name);
+        }
+    }
 }
 
 #[test]

@@ -12,6 +12,7 @@ use dfo::{
 use problems::boxes::boxes;
 use problems::calibration::{Fit, fits};
 use problems::instances;
+use problems::rotated::smooth;
 
 fn quadratic() -> QuadraticModel {
     QuadraticModel::default()
@@ -264,4 +265,18 @@ fn restarts_at_a_cost_of_zero_end() {
     let kinked = |x: &[f64]| (x[0] - 1.0).abs() + 10.0 * (x[1] - x[0]).abs();
     let report = minimize(kinked).start(&[1.0, 1.0]).method(QuadraticModel::default()).run().unwrap();
     assert!(report.fun == 0.0 && report.n_evaluations < 500, "{report}");
+}
+
+/// At a minimum no step succeeds, which is no sign of noise where the cost is smooth.
+#[test]
+fn a_start_at_the_minimum_of_a_smooth_cost_converges() {
+    for (n, seed) in (2..=10).flat_map(|n| (0..6).map(move |seed| (n, seed))) {
+        let offset = [0.0, 1.0, 100.0][seed as usize % 3];
+        for f in smooth(n, seed) {
+            let run = minimize(|x: &[f64]| offset + f.cost(x)).start(&f.minimum);
+            let report = run.method(quadratic().hand_over(true)).run().unwrap();
+            let handed_over = report.message.contains("took over");
+            assert!(report.is_success() && !handed_over, "{}, n = {n}, seed {seed}: {report}", f.name);
+        }
+    }
 }

@@ -6,6 +6,7 @@
 pub mod boxes;
 pub mod calibration;
 pub mod nist;
+pub mod rotated;
 pub mod solve;
 
 /// An instance: number of the function, parameters, residuals, exponent of the start's scale, best known sum of squares.

@@ -31,7 +31,7 @@ impl LeastSquaresState {
         self.phase = match SimplexSearch::new(&simplex_method(), &self.setup, x, counts) {
             Ok(mut simplex) => {
                 if let Some(cost) = cost {
-                    simplex.state.set_start_cost(cost);
+                    simplex.state.set_start_cost(cost, self.f_0);
                 }
                 Phase::Simplex(Box::new(simplex))
             }

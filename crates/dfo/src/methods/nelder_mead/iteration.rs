@@ -118,16 +118,17 @@ impl NelderMeadState {
         let x_size = self.simplex.x_size(space, tolerances.measure);
         let tests = tolerances.judge(x_size, self.simplex.f_spread(self.simplex.order()), f_best, self.f_0);
         let before = self.tests.replace(tests).map(|before| before.x_size);
+        self.spreads.enter(&tests);
         let collapsed = self.simplex.is_collapsed(space);
         if tests.passed {
             // All vertices on one point say nothing, unless they came there through simplices that were about as small.
             let came_there = before.is_some_and(|size| size <= (10.0 * tolerances.x_tol).max(RESOLVED));
             if x_size == 0.0 && !came_there {
                 self.end(Termination::Collapsed);
-            } else if self.may_restart(&tests) {
-                let space = &self.setup.space;
-                let x_size = self.simplex.relative_size(space);
-                restart::orient(&mut self.simplex, space, x_size);
+            } else if let Some(side) = self.side_of_restart(&tests) {
+                self.restarts -= 1;
+                self.f_restart = Some(tests.f_best);
+                restart::orient(&mut self.simplex, &self.setup.space, side);
                 self.phase = Phase::Restarting;
             } else if self.sizing {
                 let best = self.simplex.best();
@@ -147,17 +148,20 @@ impl NelderMeadState {
         }
     }
 
-    /// Counts a restart and returns true if the simplex is to be built anew although the tests passed: it is
-    /// flat, not because of a bound, and the last restart, if there was one, lowered the cost by more than
-    /// the f test allows.
-    fn may_restart(&mut self, tests: &Tests) -> bool {
+    /// The side of the simplex that is to be built anew although the tests passed, in units of the sizes: the
+    /// old one lies on a kink, or is flat, not because of a bound; and the last restart, if there was one,
+    /// lowered the cost by more than the f test allows.
+    fn side_of_restart(&mut self, tests: &Tests) -> Option<f64> {
         let useless = self.f_restart.is_some_and(|f| f - tests.f_best <= tests.f_limit);
-        if self.restarts == 0 || useless || !restart::is_flat(&self.simplex, &self.setup.space) {
-            return false;
+        let space = &self.setup.space;
+        let is_on_bound = || restart::free_coordinates(&self.simplex, space).count() < space.n_free();
+        if self.restarts == 0 || useless {
+            None
+        } else if self.spreads.judge() && !is_on_bound() {
+            Some(restart::SIDE_AT_KINKS)
+        } else {
+            restart::is_flat(&self.simplex, space).then(|| self.simplex.relative_size(space))
         }
-        self.restarts -= 1;
-        self.f_restart = Some(tests.f_best);
-        true
     }
 
     fn end(&mut self, termination: Termination) {
@@ -210,7 +214,7 @@ impl NelderMeadState {
         }
         // Steps in search of sizes may have come near to the minimum already.
         let start = self.sizes.as_ref().map(|search| search.base().1.abs()).filter(|f| *f > 0.0);
-        self.f_0 = start.unwrap_or_else(|| self.simplex.smallest_cost());
+        self.f_0 = self.f_0.max(start.unwrap_or_else(|| self.simplex.smallest_cost()));
         self.operation = Some(Operation::Initial);
         if self.setup.space.n_free() == 0 {
             return self.end(Termination::AllFixed);

@@ -1,8 +1,10 @@
-//! When a simplex has become flat, and the one that takes its place.
+//! When a simplex says nothing of the cost around it, and the one that takes its place.
 
 use super::initial::stepped;
+use crate::method::tolerances::Tests;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::problem::space::Space;
+use serde::{Deserialize, Serialize};
 
 /// Smallest thickness of a simplex, in units of its largest edge, that still is a body.
 const FLAT: f64 = 1e-7;
@@ -11,19 +13,77 @@ const TOUCHING: f64 = 1e-6;
 /// Side of the new simplex in units of the sizes, if it is not already larger.
 const SIDE: f64 = 1e-3;
 
+/// Side of the new simplex where the cost has kinks, in units of the sizes.
+pub(super) const SIDE_AT_KINKS: f64 = 0.05;
+/// The spread of the costs is compared with that of simplices so many times as large.
+const LARGER: [f64; 2] = [1e2, 1e4];
+/// The largest power of the size with which the spread falls at a kink (there it is 1, where the cost is
+/// smooth 2).
+const FALL: f64 = 1.5;
+/// The least spread that counts, as a share of the cost.
+const VISIBLE: f64 = 1e3 * f64::EPSILON;
+
+/// The size of a simplex, and the spread of its costs.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+struct Spread {
+    size: f64,
+    spread: f64,
+}
+
+/// How the costs of the simplex spread while it shrinks: where they fall with its size, not with the square
+/// of it, it is on a kink, along which it may have collapsed away from any minimum.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(super) struct Spreads {
+    since_start: Vec<Spread>,
+    /// True once the cost is known to have kinks.
+    pub(super) has_kinks: bool,
+}
+
+impl Spreads {
+    /// Enters a simplex that is ten times as small as the one before, as long as its spread can be told from
+    /// rounding.
+    pub(super) fn enter(&mut self, tests: &Tests) {
+        let (size, Some(spread)) = (tests.x_size, tests.f_spread) else { return };
+        let is_smaller = self.since_start.last().is_none_or(|last| size <= 0.1 * last.size);
+        if is_smaller && spread > VISIBLE * tests.f_best.abs() {
+            self.since_start.push(Spread { size, spread });
+        }
+    }
+
+    /// A point failed: next to such points the simplex is bent by them.
+    pub(super) fn forget(&mut self) {
+        self.since_start.clear();
+    }
+
+    /// Looks for kinks in what has been seen since the last start, and forgets it.
+    pub(super) fn judge(&mut self) -> bool {
+        let list = std::mem::take(&mut self.since_start);
+        self.has_kinks |= list.last().is_some_and(|last| {
+            let falls_slowly =
+                |before: &Spread| last.spread > before.spread * (last.size / before.size).powf(FALL);
+            LARGER.iter().any(|factor| {
+                list.iter().rev().find(|before| before.size >= factor * last.size).is_some_and(falls_slowly)
+            })
+        });
+        self.has_kinks
+    }
+}
+
+/// The coordinates along which the simplex does not lie on a bound.
+pub(super) fn free_coordinates(simplex: &RankedPoints, space: &Space) -> impl Iterator<Item = usize> {
+    (0..space.n_free()).filter(move |&k| {
+        let (lower, upper) = space.working_bounds(k);
+        let near = |bound: f64| {
+            simplex.order().iter().all(|&s| (simplex.u(s)[k] - bound).abs() <= TOUCHING * space.size(k))
+        };
+        !(near(lower) || near(upper))
+    })
+}
+
 /// True if the simplex is flat in the coordinates along which it does not lie on a bound.
 pub(super) fn is_flat(simplex: &RankedPoints, space: &Space) -> bool {
-    let n = space.n_free();
     let best = simplex.best();
-    let free: Vec<usize> = (0..n)
-        .filter(|&k| {
-            let (lower, upper) = space.working_bounds(k);
-            let near = |bound: f64| {
-                simplex.order().iter().all(|&s| (simplex.u(s)[k] - bound).abs() <= TOUCHING * space.size(k))
-            };
-            !(near(lower) || near(upper))
-        })
-        .collect();
+    let free: Vec<usize> = free_coordinates(simplex, space).collect();
     let mut edges: Vec<Vec<f64>> = simplex.order()[1..]
         .iter()
         .map(|&s| free.iter().map(|&k| (simplex.u(s)[k] - simplex.u(best)[k]) / space.size(k)).collect())

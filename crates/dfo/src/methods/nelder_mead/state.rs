@@ -5,6 +5,7 @@
 
 use super::lee_wiswall::{LeeWiswall, Verdict};
 use super::options::{BatchPlan, CoefficientValues};
+use super::restart::Spreads;
 use super::speculation::{Problem, Speculation};
 use super::trial::{Seen, Trial, TrialPoint};
 use crate::error::Error;
@@ -88,6 +89,8 @@ pub struct NelderMeadState {
     pub(super) parallel: Option<LeeWiswall>,
     pub(super) restarts: usize,
     pub(super) f_restart: Option<f64>,
+    /// Spreads of the costs since the last start.
+    pub(super) spreads: Spreads,
     /// True if there are parameters of unknown size, and the user gave no simplex.
     pub(super) sizing: bool,
     /// The last search for sizes.
@@ -127,6 +130,7 @@ impl NelderMeadState {
             parallel: (plan == BatchPlan::LeeWiswall).then(|| LeeWiswall::new(n, n_user)),
             restarts,
             f_restart: None,
+            spreads: Spreads::default(),
             sizing,
             sizes: None,
             phase: if sizing { Phase::Sizing } else { Phase::Starting },
@@ -151,9 +155,16 @@ impl NelderMeadState {
         self.n_points
     }
 
-    /// Takes the cost of the start point, which need not be evaluated then.
-    pub(crate) fn set_start_cost(&mut self, cost: f64) {
+    /// Takes the cost of the start point, which need not be evaluated then, and the size of the first costs
+    /// of the search before.
+    pub(crate) fn set_start_cost(&mut self, cost: f64, f_0: f64) {
         self.simplex.set_cost(0, Cost::Value(cost));
+        self.f_0 = f_0;
+    }
+
+    /// Expects kinks wherever the tests pass.
+    pub(crate) fn expect_kinks(&mut self) {
+        self.spreads.has_kinks = true;
     }
 
     /// True if this state fits to a problem and to itself.
@@ -236,6 +247,9 @@ impl Method for NelderMeadState {
         for (k, outcome) in outcomes.iter().enumerate() {
             let Ok(cost) = cost_of(outcome) else { continue };
             let seen = cost.map_or(Seen::Rejected, Seen::Cost);
+            if matches!(outcome, Outcome::Failed(_)) {
+                self.spreads.forget();
+            }
             match self.roles[k] {
                 Role::Vertex(slot) => {
                     self.simplex.set_cost(slot, cost.map_or(Cost::Failed, Cost::Value));

@@ -12,6 +12,8 @@ const WIDER: f64 = 25.0;
 /// The least power of 1/extent with which it grows at a kink (there it is 1, at noise 2, where the cost is
 /// smooth 0). Chosen with `benches/choice.rs` at seed 0, looked at with seeds 1 to 5.
 const GROWTH: f64 = 0.5;
+/// Of two failed steps in a row the error of the slope, in units of the extent, has grown by this factor.
+const GROWN: f64 = 2.0;
 /// Least change of the cost by the curvature within rho that counts, as a share of the cost.
 const VISIBLE: f64 = 1e3 * f64::EPSILON;
 
@@ -24,13 +26,23 @@ impl ModelSearch {
         median(known.map(|slot| norm(&self.displacement(base, points.u(slot)))))
     }
 
+    /// Counts a step that failed among near points if the error of the model's slope, in units of the extent,
+    /// has grown: it falls with the extent where the cost is smooth and grows at kinks and with noise. At a
+    /// minimum no step can succeed, and the error alone tells.
+    fn judge_refusal(&mut self, extent: f64) {
+        let Some(error) = self.refused.filter(|_| extent <= FAR * self.rho) else { return };
+        let bend = error / extent;
+        self.n_refused += usize::from(bend >= GROWN * self.largest_bend);
+        self.largest_bend = self.largest_bend.max(bend);
+    }
+
     /// Looks for noise and kinks when a resolution is exhausted. Where the cost has kinks the model bends as
     /// much as the slope changes among its points, so that its curvature grows with 1/extent; what noise adds
     /// to it grows with 1/extent^2. Steps that fail while the points lie far off say nothing of the cost: the
     /// model need not be right within the resolution.
     pub(super) fn look_for_roughness(&mut self) {
         let extent = self.extent();
-        self.n_refused += usize::from(self.is_refused && extent <= FAR * self.rho);
+        self.judge_refusal(extent);
         let curvature = self.model.hessian.iter().map(|h| h * h).sum::<f64>().sqrt();
         let refused = self.n_refused >= MOST_REFUSED;
         // Where nothing is seen within the radius the tests mean nothing.
@@ -57,7 +69,8 @@ impl ModelSearch {
         let (start, cost) = (self.points.x(best).to_vec(), self.points.cost(best));
         let simplex = SimplexSearch::new(&NelderMead::default(), &self.setup, &start, self.rounds.counts());
         let (Ok(mut simplex), Cost::Value(cost)) = (simplex, cost) else { return false };
-        simplex.state.set_start_cost(cost);
+        simplex.state.set_start_cost(cost, self.f_0);
+        simplex.state.expect_kinks();
         (self.simplex, self.phase) = (Some(simplex), Phase::HandedOver);
         true
     }

@@ -383,17 +383,20 @@ impl ModelSearch {
             (0.5 * self.delta).max(2.0 * length)
         });
         if ratio > 0.1 {
-            self.n_refused = 0;
-            self.is_refused = false;
+            self.forget_refusals();
         }
         self.take_trial(&from, &s, decrease > 0.0);
         if !self.has_many() || ratio <= 0.1 {
             self.compare_with_least_norm();
         }
         if ratio <= 0.1 && !self.improve_geometry() && ratio <= 0.0 && self.delta.max(length) <= self.rho {
-            self.is_refused = true;
+            self.refused = Some((predicted - decrease) / length);
             self.refine();
         }
+    }
+
+    fn forget_refusals(&mut self) {
+        (self.refused, self.largest_bend, self.n_refused) = (None, 0.0, 0);
     }
 
     /// The slot that the trial point takes: an empty one, else that without which the others determine a
@@ -477,7 +480,7 @@ impl ModelSearch {
             _ => tolerance,
         };
         self.delta = self.delta.max(self.rho);
-        self.is_refused = false;
+        self.refused = None;
     }
 
     /// New points around the best one.
@@ -492,8 +495,7 @@ impl ModelSearch {
         }
         self.f_restart = f;
         self.curvatures.clear();
-        self.n_refused = 0;
-        self.is_refused = false;
+        self.forget_refusals();
         (self.delta, self.rho) = (self.radius, self.radius);
         self.trial.copy_from(0, &self.points, best);
         self.points.copy_from(0, &self.trial, 0);

@@ -68,9 +68,10 @@ pub struct ModelSearch {
     pub(super) retries: Vec<u32>,
     /// Working coordinates of points that failed, the last ones.
     pub(super) failed: Vec<Vec<f64>>,
-    /// True if a step of this resolution has failed; and the number of resolutions given up for that in a
-    /// row.
-    pub(super) is_refused: bool,
+    /// Error of the model's slope along a step of this resolution that failed; the largest of the resolutions
+    /// given up for that in a row, in units of the model's extent; and the number of these at which it grew.
+    pub(super) refused: Option<f64>,
+    pub(super) largest_bend: f64,
     pub(super) n_refused: usize,
     /// The radius of the last start; restarts in a row that brought nothing; the best cost when the last
     /// began.
@@ -113,7 +114,8 @@ impl ModelSearch {
             phase: Phase::Starting,
             retries: vec![0; n_points],
             failed: Vec::new(),
-            is_refused: false,
+            refused: None,
+            largest_bend: 0.0,
             n_refused: 0,
             radius,
             n_useless: 0,

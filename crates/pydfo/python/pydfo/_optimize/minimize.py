@@ -111,9 +111,9 @@ def minimize(
         ("standard": reflection 1, expansion 2, contraction 1/2, shrink 1/2; "adaptive": those of Gao and Han, which depend on n; four
         numbers; "auto", the default: "standard" below five free parameters, "adaptive" from there on),
         ``bounds_handling`` ("sine", the default: the search runs over angles, so that bounds are smooth; "mirror";
-        "clamp"), ``initial_simplex`` (vertices or steps), ``restarts`` (2: how often a simplex that has become flat, all
-        vertices nearly in a plane, is built anew around its best vertex; a sound one is not, so this finds no other
-        minima). Barrier: ``batch``, ``coefficients``, ``mu``, ``factor``. DE: ``population``, ``sampling``
+        "clamp"), ``initial_simplex`` (vertices or steps), ``restarts`` (20: how often at most a simplex that has become flat, all
+        vertices nearly in a plane, or lies on a kink is built anew around its best vertex, as long as that lowers the
+        cost; a sound one is not, so this finds no other minima). Barrier: ``batch``, ``coefficients``, ``mu``, ``factor``. DE: ``population``, ``sampling``
         ("uniform", "latin-hypercube", "sobol"), ``repair`` ("midpoint", "mirror", "clamp", "resample"), ``include_start``,
         ``lag`` (number of trials made ahead of selection; 0: a whole generation at a time, best for one worker);
         L-SHADE also ``budget``, ``p_best``, ``memory``, ``archive``, ``final_population``; classic also ``strategy``
