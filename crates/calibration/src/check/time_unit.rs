@@ -17,9 +17,11 @@ const UNEXPLAINED: f64 = 0.5;
 /// A fit that leaves more of it than this is worse than one at which times are not looked at again.
 const POOR: f64 = 0.05;
 
-/// Another reading of the times leaves so small a part of what they leave as they are: of the simulation at
-/// the start values, and of a poor fit.
-const BETTER: (f64, f64) = (0.04, 0.2);
+/// Another reading of the times leaves so small a part of what the simulation at the start values leaves as
+/// they are: by a factor of at least [`FAR_OFF`], and by a smaller one, which start values may be off by; and
+/// of what a poor fit leaves.
+const BETTER: (f64, f64, f64) = (0.1, 0.04, 0.2);
+const FAR_OFF: f64 = 1e3;
 
 /// A fit that has taken up another unit has moved a parameter by its factor, but for this one.
 const TAKEN: f64 = 3.0;
@@ -132,13 +134,14 @@ pub(super) fn findings(
     let is_open = fitted.is_some_and(|left| left >= UNEXPLAINED);
     let mut limit = None;
     for reading in Reading::all(subjects) {
-        let moved = reading.factor.max(1.0 / reading.factor) / TAKEN;
+        let factor = reading.factor.max(1.0 / reading.factor);
+        let better = if factor >= FAR_OFF { BETTER.0 } else { BETTER.1 };
         let most = match fitted {
-            Some(left) if !is_open && !outputs.has_moved_by(moved) => {
+            Some(left) if !is_open && !outputs.has_moved_by(factor / TAKEN) => {
                 if left < POOR {
                     continue;
                 }
-                BETTER.1 * left
+                BETTER.2 * left
             }
             _ => UNEXPLAINED,
         };
@@ -147,7 +150,7 @@ pub(super) fn findings(
             limit = Some(patience(calibration, evaluations)?);
         }
         if let Some(left) = left_by(&other, limit.filter(|_| reading.factor > 1.0), evaluations)?
-            && left < BETTER.0 * as_given
+            && left < better * as_given
             && left < most
         {
             return Ok(vec![reading.finding(&subjects[0], (as_given / left).sqrt())]);
