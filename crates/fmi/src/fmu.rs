@@ -7,7 +7,7 @@ use crate::description::{
 };
 use crate::error::{FmiError, Result};
 use crate::gate::Gate;
-use crate::libraries::{Libraries, LoadedLibrary, Maker, Reuse, Setting, Verdict, Wanted};
+use crate::libraries::{Libraries, LibraryFile, LoadedLibrary, Maker, Reuse, Setting, Verdict, Wanted};
 use crate::macros::getters;
 use crate::open_options::{LogOptions, OpenOptions};
 use crate::sys::{InterfaceKind, Library, LoadFrom};
@@ -330,6 +330,15 @@ impl Fmu {
         self.inner.libraries.verdict(kind)
     }
 
+    /// Unpacks what simulations need, for this process and copies of it (see `fork` of POSIX), which share
+    /// it; runs nothing of the FMU. Where it has resources, which simulations may change, nothing is done.
+    ///
+    /// # Errors
+    /// As [`Archive::unpack`].
+    pub fn unpack_for_copies(&self) -> Result<()> {
+        self.archive().unpack_for_copies(&Cancel::default())
+    }
+
     /// Unpacks, compiles and loads what the first simulation needs, so that it is not kept waiting; ends
     /// early when `cancel` asks for it. **This loads the library and runs its code.**
     ///
@@ -364,7 +373,7 @@ impl Fmu {
                 );
                 return Err(FmiError::bad_archive(self.path(), reason));
             }
-            Ok((library, archive.unpack_part(Part::Running, cancel)?))
+            Ok(LibraryFile { library, root: archive.unpack_part(Part::Running, cancel)? })
         };
         let only_one = interface.capabilities.can_be_instantiated_only_once_per_process;
         let maker = Maker {
@@ -478,7 +487,7 @@ impl Fmu {
             description,
             interface,
             &hash,
-            (cancel, self.inner.options.compile_time),
+            &source::Patience { cancel, limit: self.inner.options.compile_time },
             check,
         ) {
             // With the binaries of other platforms, for the message.

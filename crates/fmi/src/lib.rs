@@ -76,5 +76,8 @@ pub use simulation::{
 };
 pub use simulators::{InstanceOptions, Pool, Simulator};
 pub use source::{build_library, clear_caches, pack, pack_texts, pack_unless};
+#[cfg(target_os = "linux")]
+#[doc(hidden)]
+pub use sys::is_loaded_to_serve;
 pub use sys::{ElementDependency, InterfaceKind, LoaderOptions};
 pub use value::Value;

@@ -98,7 +98,7 @@ impl Weights {
     }
 
     /// Norm of `a - b` over that of `c - d`, at the state `x`; zero if the latter is.
-    pub(crate) fn ratio(&self, x: &[f64], (a, b): (&[f64], &[f64]), (c, d): (&[f64], &[f64])) -> f64 {
+    pub(crate) fn ratio(&self, x: &[f64], [a, b]: [&[f64]; 2], [c, d]: [&[f64]; 2]) -> f64 {
         let (mut above, mut below) = (0.0, 0.0);
         for i in 0..x.len() {
             let inverse = 1.0 / self.weight(i, x[i], x[i]);

@@ -3,7 +3,7 @@
 
 use crate::lu;
 use crate::sparsity::{Groups, JacobianPattern};
-use crate::stepper::Equations;
+use crate::stepper::{Equations, Point};
 use crate::system::{CallError, CallResult, HybridSystem};
 
 /// Shares of the usual increment that are tried, in this order, until the model can be evaluated.
@@ -127,13 +127,14 @@ impl Jacobian {
         }
     }
 
-    /// Evaluates it at `(t, x)`, where the right-hand side is `f`. [`CallError::Discard`]: it cannot be had
-    /// there.
+    /// Evaluates it at a point, where the slopes are the right-hand side. [`CallError::Discard`]: it cannot
+    /// be had there.
     pub(crate) fn evaluate<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
-        (t, x, f): (f64, &[f64], &[f64]),
+        point: Point<'_>,
     ) -> CallResult<()> {
+        let Point { t, x, .. } = point;
         equations.stats.jacobians += 1;
         self.values.fill(0.0);
         if self.source == Source::Entries && !self.take_entries(equations.system, t, x)? {
@@ -150,7 +151,7 @@ impl Jacobian {
                 self.source = Source::Differences;
             }
             if self.source == Source::Differences {
-                self.difference(equations, (t, x, f), g)?;
+                self.difference(equations, point, g)?;
             }
         }
         Ok(())
@@ -223,9 +224,10 @@ impl Jacobian {
     fn difference<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
-        (t, x, f): (f64, &[f64], &[f64]),
+        point: Point<'_>,
         g: usize,
     ) -> CallResult<()> {
+        let Point { t, x, slopes: f } = point;
         let columns = self.groups.range(g);
         for share in LADDER {
             self.point.copy_from_slice(x);
@@ -348,7 +350,7 @@ mod tests {
         let (mut jacobian, mut stats) = (Jacobian::default(), Stats::default());
         jacobian.begin(chain).unwrap();
         let mut equations = Equations { system: chain, weights: &weights, stats: &mut stats };
-        let result = jacobian.evaluate(&mut equations, (0.0, x, &f));
+        let result = jacobian.evaluate(&mut equations, Point { t: 0.0, x, slopes: &f });
         let exact = chain.exact(x);
         let worst = exact.iter().zip(&jacobian.values).map(|(e, j)| (e - j).abs()).fold(0.0, f64::max);
         (result, worst, stats)

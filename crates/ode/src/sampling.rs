@@ -62,10 +62,11 @@ impl Sampler {
         &mut self,
         system: &mut (impl HybridSystem + ?Sized),
         here: &Here<'_>,
-        row: (f64, Option<usize>, Side),
+        time: f64,
+        index: Option<usize>,
+        side: Side,
         observer: &mut (impl Observer + ?Sized),
     ) -> CallResult<ControlFlow<()>> {
-        let (time, index, side) = row;
         system.outputs(here.t, here.x, &mut self.outputs)?;
         self.delivered += 1;
         Ok(observer.sample(&Sample { time, index, side, states: here.x, outputs: &self.outputs }))
@@ -81,7 +82,7 @@ impl Sampler {
     ) -> CallResult<ControlFlow<()>> {
         let index = self.cursor;
         let side = if self.twice(times) { Side::Left } else { Side::Right };
-        let flow = self.emit(system, here, (times[index], Some(index), side), observer)?;
+        let flow = self.emit(system, here, times[index], Some(index), side, observer)?;
         self.cursor += 1;
         Ok(flow)
     }
@@ -97,7 +98,7 @@ impl Sampler {
         if self.due_before(times, here.t + here.time_tolerance).is_some() && self.twice(times) {
             self.deliver(system, times, here, observer)
         } else if here.record {
-            self.emit(system, here, (here.t, None, Side::Left), observer)
+            self.emit(system, here, here.t, None, Side::Left, observer)
         } else {
             Ok(ControlFlow::Continue(()))
         }
@@ -120,7 +121,7 @@ impl Sampler {
             }
         }
         if here.record && !any {
-            return self.emit(system, here, (here.t, None, Side::Right), observer);
+            return self.emit(system, here, here.t, None, Side::Right, observer);
         }
         Ok(ControlFlow::Continue(()))
     }

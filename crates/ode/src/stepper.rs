@@ -21,6 +21,22 @@ impl<S: HybridSystem + ?Sized> Equations<'_, S> {
     }
 }
 
+/// A point of a system: time, state, and the slopes there.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Point<'a> {
+    pub(crate) t: f64,
+    pub(crate) x: &'a [f64],
+    pub(crate) slopes: &'a [f64],
+}
+
+/// A point whose state and slopes are looked for, from those that it has.
+#[derive(Debug)]
+pub(crate) struct PointMut<'a> {
+    pub(crate) t: f64,
+    pub(crate) x: &'a mut [f64],
+    pub(crate) slopes: &'a mut [f64],
+}
+
 /// A trial step from `(t, x)` to `end`; `h = end - t` as the method computes with it.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Trial<'a> {

@@ -1,6 +1,7 @@
 """FMUs in processes of their own: the same bits, deaths that are outcomes, and nothing left behind."""
 
 import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -159,6 +160,37 @@ def test_a_program_that_embeds_python_finds_an_interpreter_or_says_so(tmp_path):
     for case, expected in (("one", "1.0\n"), ("none", "1.0 the FMU runs in this process")):
         done = subprocess.run([sys.executable, script, case], capture_output=True, text=True, check=True)
         assert done.stdout.startswith(expected), done.stdout
+
+
+FIT = """
+import sys, numpy as np, pydfo
+t = np.linspace(0, 1, 11)
+data = {'time': t, 'y': np.exp(-1.7 * t)}
+print(round(pydfo.Calibration(sys.argv[1], data, {'y': 'y'}, [pydfo.Parameter('k', 1, 0.1, 5)]).fit().x[0], 4))
+"""
+
+
+def fitted(fmu, **environment):
+    """What a program that fits prints, with this environment."""
+    command = [sys.executable, "-c", FIT, str(fmu)]
+    return subprocess.run(command, capture_output=True, text=True, env={**os.environ, **environment}, check=True).stdout
+
+
+def test_programs_that_an_fmu_starts_find_the_environment_of_this_one(tmp_path):
+    fmu = evil(tmp_path / "starts.fmu", "FAULT_ABOVE=0", f'FAULT=(void)!system("env > {tmp_path}/environment")')
+    library = next(name for name in ("/lib/x86_64-linux-gnu/libm.so.6", "/lib64/libm.so.6", "/lib/libm.so.6", "") if os.path.exists(name) or not name)
+    for before in {"", library}:
+        assert fitted(fmu, LD_PRELOAD=before) == "1.7\n"
+        found = dict(line.split("=", 1) for line in (tmp_path / "environment").read_text().splitlines() if "=" in line)
+        assert found.get("LD_PRELOAD", "") == before
+        assert "FMUFIT_WORKER_PRELOADED_BEFORE" not in found
+
+
+def test_a_module_that_cannot_be_loaded_ahead_of_a_program_is_imported(tmp_path):
+    # The dynamic linker takes spaces for the ends of names.
+    place = tmp_path / "with a space"
+    shutil.copytree(os.path.dirname(pydfo.__file__), place / "pydfo")
+    assert fitted(evil(tmp_path / "sound.fmu"), PYTHONPATH=str(place)) == "1.7\n"
 
 
 def test_limits_are_looked_at(tmp_path):

@@ -359,9 +359,10 @@ impl Calibration {
         }
     }
 
-    /// Has the model compiled and loaded before its first use, where it runs in this process.
+    /// Has the model compiled and loaded before its first use, here or in a further process for it.
     pub(crate) fn prepare(&self) -> Result<(), CalibrationError> {
-        if self.evaluator.remote.is_ok() {
+        if let Ok(remote) = &self.evaluator.remote {
+            remote.prepare_second();
             return Ok(());
         }
         Ok(self.fmu().prepare(self.problem().settings.kind, &Cancel::default())?)

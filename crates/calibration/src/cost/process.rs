@@ -10,7 +10,7 @@ use crate::problem::definition::{ModelFile, Problem};
 use crate::problem::experiment::SimulationSettings;
 use base::RunContext;
 use dfo::RobustLoss;
-use fmi::worker::{Frame, Isolation, Load, WorkerLimits, Workers};
+use fmi::worker::{Ask, Frame, Isolation, Load, WorkerLimits, Workers};
 use fmi::{FmiError, Fmu, OpenOptions, SimulateOptions, Trajectory};
 use ode::{Method, Stats};
 use serde::{Deserialize, Serialize};
@@ -146,12 +146,15 @@ impl Processes {
         let frames = || self.frames.lock().unwrap_or_else(PoisonError::into_inner);
         let (mut asked, mut answer) = frames().pop().unwrap_or_default();
         asked.set_head(job).map_err(unsaid)?;
-        let is_fresh = process == Asked::Fresh || self.is_always_fresh.load(Ordering::Relaxed);
-        let is_checked = || self.is_checked.load(Ordering::Relaxed);
-        if process != Asked::Checked || is_fresh || is_checked() {
-            self.call(&asked, &mut answer, (is_fresh, limit), context)?;
-        } else {
-            self.ask_checked(&asked, &mut answer, limit, context)?;
+        let whom = match process {
+            _ if self.is_always_fresh.load(Ordering::Relaxed) => Some(Ask::FreshOnce),
+            Asked::Fresh => Some(Ask::Fresh),
+            Asked::Checked if !self.is_checked.load(Ordering::Relaxed) => None,
+            Asked::Any | Asked::Checked => Some(Ask::Any),
+        };
+        match whom {
+            Some(whom) => self.call(&asked, &mut answer, whom, limit, context)?,
+            None => self.ask_checked(&asked, &mut answer, limit, context)?,
         }
         let used = use_answer(&mut answer).map_err(unsaid);
         frames().push((asked, answer));
@@ -162,10 +165,11 @@ impl Processes {
         &self,
         asked: &Frame,
         answer: &mut Frame,
-        (is_fresh, limit): (bool, Option<Duration>),
+        whom: Ask,
+        limit: Option<Duration>,
         context: &RunContext<'_>,
     ) -> Result<(), FmiError> {
-        let quirks = self.workers.call(&self.load, asked, answer, context, limit, is_fresh)?;
+        let quirks = self.workers.call(&self.load, asked, answer, context, limit, whom)?;
         self.fmu.add_quirks(quirks);
         Ok(())
     }
@@ -183,22 +187,22 @@ impl Processes {
         let known = || self.first.lock().unwrap_or_else(PoisonError::into_inner);
         let first = known().clone();
         let Some((first, numbers)) = first.filter(|(first, _)| first != asked) else {
-            self.call(asked, answer, (false, limit), context)?;
+            self.call(asked, answer, Ask::Any, limit, context)?;
             known().get_or_insert_with(|| (asked.clone(), answer.numbers.clone()));
             return Ok(());
         };
         if self.is_checked.swap(true, Ordering::Relaxed) {
-            return self.call(asked, answer, (false, limit), context);
+            return self.call(asked, answer, Ask::Any, limit, context);
         }
         let (began, mut again) = (Instant::now(), Frame::default());
         let in_fresh = |context: &RunContext<'_>| {
             let mut answer = Frame::default();
-            self.call(asked, &mut answer, (true, limit), context).map(|()| answer)
+            self.call(asked, &mut answer, Ask::Fresh, limit, context).map(|()| answer)
         };
         let (own, fresh) = beside(context, in_fresh, || {
-            self.call(asked, answer, (false, limit), context)?;
+            self.call(asked, answer, Ask::Any, limit, context)?;
             match began.elapsed() < START {
-                true => self.call(&first, &mut again, (false, limit), context),
+                true => self.call(&first, &mut again, Ask::Any, limit, context),
                 false => Ok(()),
             }
         });
@@ -208,7 +212,7 @@ impl Processes {
         if is_first_same && has_same_bits(&fresh.numbers, &answer.numbers) {
             return Ok(());
         }
-        self.call(asked, answer, (true, limit), context)?;
+        self.call(asked, answer, Ask::Fresh, limit, context)?;
         let model = &self.fmu.description().model_name;
         if has_same_bits(&fresh.numbers, &answer.numbers) {
             log::warn!("{model}: {HIDDEN_STATE}");
@@ -262,6 +266,11 @@ impl Remote {
     /// A fit evaluates its best point in a fresh process: its evaluations need no check of their own.
     pub(crate) fn set_checked(&self) {
         self.processes.is_checked.store(true, Ordering::Relaxed);
+    }
+
+    /// Has a process started that will be needed for a fit: beside that which searches, or at its end.
+    pub(crate) fn prepare_second(&self) {
+        self.processes.workers.prepare_second(&self.processes.load);
     }
 
     /// Evaluates each point in a process of its own from now on.

@@ -48,6 +48,8 @@ impl Server {
         (self.model, self.n_quirks) = (None, 0);
         let fmu = Fmu::open_with(&model.path, options)?;
         model.check(&fmu)?;
+        // Who simulates meets the error.
+        let _ = fmu.unpack_for_copies();
         self.model = Some((model, fmu.clone()));
         Ok(fmu)
     }
@@ -91,6 +93,13 @@ impl Service for Server {
         let is_last = |(_, fmu): &(ModelFile, Fmu)| fmu.reuse() == Some(Reuse::NewProcess);
         answer.is_last |= self.model.as_ref().is_some_and(is_last);
         Ok(())
+    }
+
+    fn prepare(&mut self) {
+        if let Some(calibration) = &self.calibration {
+            // Who simulates meets the error.
+            let _ = calibration.prepare();
+        }
     }
 
     fn new_quirks(&mut self) -> Vec<Quirk> {

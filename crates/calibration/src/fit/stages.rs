@@ -274,7 +274,8 @@ impl Calibration {
         made.searched.raised.extend(tolerance.and_then(|chosen| chosen.finding()));
         made.tolerance = tolerance;
         done.fits.iter().for_each(|fit| stats += fit.stats);
-        let (mut fit, _) = this.judged(&job, made, stats);
+        let own = made.own.take();
+        let (mut fit, _) = this.judged(own.as_ref().unwrap_or(this), &job, made, stats);
         fit.stages = done.fits;
         Ok(fit)
     }

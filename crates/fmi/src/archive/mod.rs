@@ -137,6 +137,17 @@ impl Archive {
         self.unpack_part(Part::All, &Cancel::default())
     }
 
+    /// Unpacks what a simulation needs for this process and copies of it, unless there are resources: these
+    /// may be changed by simulations.
+    pub(crate) fn unpack_for_copies(&self, cancel: &Cancel) -> Result<()> {
+        match &self.content {
+            Content::Packed(packed) if !packed.has_resources() => {
+                packed.unpack(Part::Running, cancel).map(drop)
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Unpacks a part of it; what is there already stays, and what somebody has removed is unpacked again.
     pub(crate) fn unpack_part(&self, part: Part, cancel: &Cancel) -> Result<PathBuf> {
         match &self.content {

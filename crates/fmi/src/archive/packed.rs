@@ -94,6 +94,10 @@ impl Packed {
         self.entries.iter().filter(|entry| entry.is_repeated).map(|entry| entry.name.as_str())
     }
 
+    pub(super) fn has_resources(&self) -> bool {
+        self.entries.iter().any(|entry| entry.name.starts_with("resources/"))
+    }
+
     /// Names, sizes, compressed sizes and checksums of the entries, from the directory of the archive:
     /// archives of the same content have the same.
     fn directory(&self) -> impl Iterator<Item = (&str, u64, u64, u32)> {

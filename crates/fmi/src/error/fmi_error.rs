@@ -285,7 +285,7 @@ pub enum FmiError {
         given: &'static str,
     },
     /// A number that the type of the variable has no room for.
-    #[error("{name} is of type {kind} ({} bits, from {} to {}), {value} does not fit", bits(*range), range.0, range.1)]
+    #[error("{name} is of type {kind} ({} bits, from {} to {}), {value} does not fit", bits(range.0, range.1), range.0, range.1)]
     OutOfRange {
         /// The variable.
         name: String,
@@ -370,7 +370,7 @@ pub enum FmiError {
 }
 
 /// Width of a type of integers.
-fn bits((least, most): (i128, i128)) -> u32 {
+fn bits(least: i128, most: i128) -> u32 {
     i128::BITS - (most - least).leading_zeros()
 }
 

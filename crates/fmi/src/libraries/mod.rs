@@ -21,6 +21,7 @@ use crate::archive::Archive;
 use crate::error::FmiError;
 use crate::gate::Gate;
 use crate::sys::{InterfaceKind, Library, LoadFrom, LoaderOptions};
+pub(crate) use source::LibraryFile;
 use source::Source;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -71,8 +72,8 @@ pub(crate) struct Wanted<'a> {
 pub(crate) struct Maker<'a> {
     pub(crate) archive: &'a Arc<Archive>,
     pub(crate) loader: LoaderOptions,
-    /// Finds the file, or builds it; with the folder of the FMU.
-    pub(crate) find: &'a dyn Fn() -> Result<(PathBuf, PathBuf), FmiError>,
+    /// Finds the file, or builds it.
+    pub(crate) find: &'a dyn Fn() -> Result<LibraryFile, FmiError>,
     pub(crate) open: &'a dyn Fn(LoadFrom<'_>) -> Result<Library, FmiError>,
 }
 

@@ -30,6 +30,15 @@ struct Content {
 /// The contents of this process, which loaded libraries do not leave either.
 static CONTENTS: Mutex<Option<HashMap<Key, Arc<Content>>>> = Mutex::new(None);
 
+/// Place of a library.
+#[derive(Debug)]
+pub(crate) struct LibraryFile {
+    /// The original file.
+    pub(crate) library: PathBuf,
+    /// The folder of the FMU.
+    pub(crate) root: PathBuf,
+}
+
 /// The file of a library.
 #[derive(Debug)]
 pub(super) struct Source {
@@ -46,7 +55,7 @@ impl Source {
     /// # Errors
     /// The file cannot be looked at.
     pub(super) fn new(
-        (library, root): (PathBuf, PathBuf),
+        LibraryFile { library, root }: LibraryFile,
         archive: &Archive,
         loader: LoaderOptions,
     ) -> Result<Self, FmiError> {

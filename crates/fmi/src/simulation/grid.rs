@@ -5,6 +5,7 @@ use crate::description::DefaultExperiment;
 use crate::error::{FmiError::BadSetting, Result};
 use crate::platform::memory;
 use ode::Number;
+use std::ops::Range;
 
 /// More rows than this are taken for a mistake.
 const MAX_ROWS: usize = 100_000_000;
@@ -45,7 +46,7 @@ impl SimulateOptions {
         let time_tolerance = 100.0 * U * start.abs().max(end.abs()).max(end - start);
         let mut interval = self.output_interval;
         let times: Vec<f64> = match (&self.times, self.output_interval, self.ncp) {
-            (Some(times), ..) => snap(times, (start, end), time_tolerance, &self.suggested(experiment))?,
+            (Some(times), ..) => snap(times, start..end, time_tolerance, &self.suggested(experiment))?,
             (_, Some(interval), _) => intervals(start, end, time_tolerance, interval)?,
             (_, _, Some(0)) => return Err(BadSetting("ncp = 0: at least one interval is needed".to_owned())),
             (_, _, ncp) => {
@@ -144,7 +145,8 @@ fn intervals(start: f64, end: f64, time_tolerance: f64, interval: f64) -> Result
 }
 
 /// Checks given times, and makes those one that are within rounding of each other or of the ends of the span.
-fn snap(times: &[f64], (start, end): (f64, f64), time_tolerance: f64, suggested: &str) -> Result<Vec<f64>> {
+fn snap(times: &[f64], span: Range<f64>, time_tolerance: f64, suggested: &str) -> Result<Vec<f64>> {
+    let Range { start, end } = span;
     let mut snapped: Vec<f64> = memory::list_of("the list of times", times.len())?;
     for (i, &time) in times.iter().enumerate() {
         if !(time >= start - time_tolerance && time <= end + time_tolerance) {

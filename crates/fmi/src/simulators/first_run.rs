@@ -47,7 +47,7 @@ impl FirstRun {
     }
 
     /// The run is over.
-    pub(super) fn end(&mut self, running: &mut Running, n_steps: u64, (starting, took): (f64, f64)) {
+    pub(super) fn end(&mut self, running: &mut Running, n_steps: u64, starting: f64, took: f64) {
         self.digest = running.end_digest().unwrap_or_default();
         (self.n_steps, self.starting, self.took, self.spent) = (n_steps, starting, took, took);
     }

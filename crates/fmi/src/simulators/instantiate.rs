@@ -71,7 +71,7 @@ impl Fmu {
         options: &InstanceOptions,
     ) -> Result<(Core, Arc<LoadedLibrary>), FmiError> {
         let mut library = self.library(kind, None, &Cancel::default(), &mut || true)?;
-        let raw = self.instantiate_in(&mut library, (kind, None), options)?;
+        let raw = self.instantiate_in(&mut library, kind, None, options)?;
         Ok((Core::new(raw, self.clone()), library))
     }
 
@@ -79,7 +79,8 @@ impl Fmu {
     pub(crate) fn instantiate_for_runs(
         &self,
         library: &mut Arc<LoadedLibrary>,
-        (kind, settings): (InterfaceKind, &[Setting]),
+        kind: InterfaceKind,
+        settings: &[Setting],
     ) -> Result<RawInstance, FmiError> {
         let LogOptions { asked, categories, filter, .. } = self.logging();
         let options = InstanceOptions {
@@ -88,7 +89,7 @@ impl Fmu {
             log_filter: *filter,
             ..InstanceOptions::default()
         };
-        self.instantiate_in(library, (kind, Some(settings)), &options)
+        self.instantiate_in(library, kind, Some(settings), &options)
     }
 
     /// Makes an instance of either kind. Some models can be instantiated only so often in one loaded library:
@@ -96,7 +97,8 @@ impl Fmu {
     fn instantiate_in(
         &self,
         library: &mut Arc<LoadedLibrary>,
-        (kind, settings): (InterfaceKind, Option<&[Setting]>),
+        kind: InterfaceKind,
+        settings: Option<&[Setting]>,
         options: &InstanceOptions,
     ) -> Result<RawInstance, FmiError> {
         let is_used = library.is_used();

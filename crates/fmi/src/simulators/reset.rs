@@ -58,7 +58,7 @@ impl Simulator {
 
     fn instantiate(&mut self) -> Result<RawInstance, FmiError> {
         let library = self.library.as_mut().ok_or_else(no_instance)?;
-        self.plan.fmu().instantiate_for_runs(library, (self.plan.kind, &self.plan.settings))
+        self.plan.fmu().instantiate_for_runs(library, self.plan.kind, &self.plan.settings)
     }
 
     /// True if instances may be reset by a saved state, as far as is known. Not in co-simulation: some models

@@ -134,7 +134,7 @@ impl Simulator {
             Some(first) => first.spent += took,
             None => {
                 if let Some(first) = &mut first {
-                    first.end(self.engine.running(), n_steps, (starting, took));
+                    first.end(self.engine.running(), n_steps, starting, took);
                 }
                 self.first = first;
             }

@@ -233,27 +233,26 @@ pub fn build_library(
     interface: &Interface,
     content_hash: &str,
 ) -> Result<PathBuf> {
-    let (cancel, limit) = (&Cancel::default(), COMPILE_TIME);
-    build_unchanged(root, description, interface, content_hash, (cancel, limit), || Ok(()))
+    let patience = Patience { cancel: &Cancel::default(), limit: COMPILE_TIME };
+    build_unchanged(root, description, interface, content_hash, &patience, || Ok(()))
 }
 
-/// The same; the compiler is ended when `cancel` asks for it and after `limit`, and the library is kept only
+/// The same; the compiler is ended when `patience` is at an end, and the library is kept only
 /// if `check` finds the sources unchanged after the compiler has run.
 pub(crate) fn build_unchanged(
     root: &Path,
     description: &ModelDescription,
     interface: &Interface,
     content_hash: &str,
-    (cancel, limit): (&Cancel, Duration),
+    patience: &Patience<'_>,
     check: impl FnOnce() -> Result<()>,
 ) -> Result<PathBuf> {
     let recipe = Recipe::find(root, description, interface)?;
-    let patience = Patience { cancel, limit };
-    let compiler = Compiler::find(&interface.model_identifier, &patience)?;
+    let compiler = Compiler::find(&interface.model_identifier, patience)?;
     let key = recipe.key(&compiler, content_hash);
     let file_name = format!("{}.{}", interface.model_identifier, platform::LIBRARY_EXTENSION);
     cache::get_or_make(cache::LIBRARIES, &key, &file_name, |target| {
-        recipe.build(&compiler, target, &patience)?;
+        recipe.build(&compiler, target, patience)?;
         check()
     })
 }

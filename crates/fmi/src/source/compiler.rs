@@ -22,9 +22,9 @@ const SEARCHED_BYTES: u64 = 1 << 20;
 const LOOK_EVERY: Duration = Duration::from_millis(5);
 
 /// Conditions that end a running compiler: cancellation and a time limit.
-pub(super) struct Patience<'a> {
-    pub(super) cancel: &'a Cancel,
-    pub(super) limit: Duration,
+pub(crate) struct Patience<'a> {
+    pub(crate) cancel: &'a Cancel,
+    pub(crate) limit: Duration,
 }
 
 impl Patience<'_> {

@@ -10,5 +10,6 @@ mod pack;
 pub use build::build_library;
 pub(crate) use build::{COMPILE_TIME, build_unchanged};
 pub use cache::clear_caches;
+pub(crate) use compiler::Patience;
 pub(crate) use pack::write_archive;
 pub use pack::{pack, pack_texts, pack_unless};

@@ -2,6 +2,7 @@
 
 use super::build::{COMPILE_TIME, build_unchanged};
 use super::cache;
+use super::compiler::Patience;
 use crate::archive::{Archive, ArchiveLimits, MODEL_DESCRIPTION, check_names, files_below, hash_of_texts};
 use crate::cancel::Cancel;
 use crate::description::{DescriptionLimits, Interface, ModelDescription};
@@ -36,9 +37,9 @@ pub fn pack_unless(folder: &Path, out: &Path, cancel: &Cancel) -> Result<()> {
     let mut files = files_to_pack(&root, out)?;
     for interface in distinct_interfaces(&description) {
         if root.join("sources").is_dir() {
-            let limits = (cancel, COMPILE_TIME);
+            let patience = Patience { cancel, limit: COMPILE_TIME };
             let hash = source.content_hash()?;
-            let library = build_unchanged(&root, &description, interface, hash, limits, || Ok(()))?;
+            let library = build_unchanged(&root, &description, interface, hash, &patience, || Ok(()))?;
             files.insert(library_name(&description, interface), library);
         }
     }

@@ -39,6 +39,7 @@
 //! is a column of the tables, a further implementation and a line in `library.rs`.
 #![allow(unsafe_code)]
 
+mod before_main;
 mod callbacks;
 mod child_limits;
 mod environment;
@@ -73,6 +74,10 @@ mod symbols;
 mod types;
 mod version;
 
+#[cfg(target_os = "linux")]
+pub use before_main::is_loaded_to_serve;
+#[cfg(unix)]
+pub(crate) use before_main::{PRELOAD, PRELOADED_BEFORE};
 #[cfg(unix)]
 pub(crate) use child_limits::close_inherited;
 pub(crate) use child_limits::limit as limit_child;

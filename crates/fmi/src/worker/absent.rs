@@ -1,7 +1,7 @@
 //! Where processes cannot be started as workers: there are none.
 
 use super::frame::Frame;
-use super::limits::WorkerLimits;
+use super::limits::{Ask, WorkerLimits};
 use super::load::Load;
 use super::service::Service;
 use crate::description::Quirk;
@@ -31,6 +31,11 @@ impl Workers {
     }
 
     /// Not reached.
+    pub fn prepare_second(&self, _: &Load) {
+        match *self {}
+    }
+
+    /// Not reached.
     ///
     /// # Errors
     /// None.
@@ -41,7 +46,7 @@ impl Workers {
         _: &mut Frame,
         _: &RunContext<'_>,
         _: Option<Duration>,
-        _: bool,
+        _: Ask,
     ) -> Result<Vec<Quirk>, FmiError> {
         match **self {}
     }

@@ -1,11 +1,11 @@
 //! The worker process itself: it limits itself, and answers until the other end of its socket is closed.
 
-use super::folder::{leave_for, remove, worker_folder};
+use super::folder::{leave_for, remove};
 use super::frame::Frame;
 use super::limits::WorkerLimits;
 use super::notes::{Notes, take_lines};
 use super::service::Service;
-use super::template::{DESCRIPTORS, Start};
+use super::template::{DESCRIPTORS, Hello, Start};
 use crate::error::{Told, ToldKind};
 use crate::sys::{Page, tell_calls};
 use base::RunContext;
@@ -17,7 +17,7 @@ use std::io::{self, BufReader, Write};
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// The next question is waited for without sleeping for so long, where the other side allows it.
@@ -29,16 +29,20 @@ const BUFFER: usize = 16 << 10;
 /// The stack of the thread that runs the FMU: compiled models put large arrays there.
 const STACK_SIZE: usize = 64 << 20;
 
+/// A worker that a copy of its template is to be.
+pub(super) struct Worker {
+    pub(super) folder: PathBuf,
+    pub(super) start: Start,
+    pub(super) descriptors: Vec<OwnedFd>,
+    /// The template has loaded what it was to load.
+    pub(super) has_loaded: bool,
+}
+
 /// Serves as a worker, in a copy of the process that worker processes are copied from; then the process ends.
-pub(super) fn run(
-    service: Box<dyn Service + Send>,
-    template: &Path,
-    start: &Start,
-    descriptors: Vec<OwnedFd>,
-) -> ! {
-    let folder = worker_folder(template, start.number);
+pub(super) fn run(service: Box<dyn Service + Send>, worker: Worker) -> ! {
+    let folder = worker.folder.clone();
     let served = std::thread::scope(|scope| {
-        let serve = || serve(service, &folder, start, descriptors);
+        let serve = || serve(service, worker);
         let thread = std::thread::Builder::new().stack_size(STACK_SIZE).spawn_scoped(scope, serve);
         thread.map(|thread| thread.join())
     });
@@ -56,12 +60,8 @@ pub(super) fn run(
     std::process::exit(1);
 }
 
-fn serve(
-    mut service: Box<dyn Service + Send>,
-    folder: &Path,
-    start: &Start,
-    descriptors: Vec<OwnedFd>,
-) -> io::Result<()> {
+fn serve(mut service: Box<dyn Service + Send>, worker: Worker) -> io::Result<()> {
+    let Worker { folder, start, descriptors, has_loaded } = worker;
     let Ok([socket, page, output]) = <[OwnedFd; DESCRIPTORS]>::try_from(descriptors) else {
         return Err(io::ErrorKind::InvalidInput.into());
     };
@@ -69,21 +69,25 @@ fn serve(
     rustix::process::setpgid(None, None)?;
     rustix::stdio::dup2_stdout(&output)?;
     rustix::stdio::dup2_stderr(output)?;
-    leave_for(folder)?;
+    leave_for(&folder)?;
     log::set_max_level(start.level);
     let (socket, page) = (UnixStream::from(socket), File::from(page));
     let page = tell_calls(Page::of(&page)?).map_err(io::Error::other)?;
-    let (watched, folder_to_remove) = (socket.try_clone()?, folder.to_owned());
+    let (watched, folder_to_remove) = (socket.try_clone()?, folder.clone());
     std::thread::Builder::new().spawn(move || end_with(&watched, &folder_to_remove))?;
     limit_self(&start.limits)?;
     if start.limits.sandbox {
-        confine(folder)?;
+        confine(&folder)?;
     }
 
     let own = std::process::id();
     let (mut asked, mut answer, mut buffer) = (Frame::default(), Frame::default(), Vec::new());
     let (mut questions, mut answers) = (BufReader::with_capacity(BUFFER, &socket), &socket);
-    answer.write(0, &mut answers, &mut buffer)?;
+    if start.is_prepared {
+        // Where that fails, so does what is asked, and says why.
+        let _ = catch_unwind(AssertUnwindSafe(|| service.prepare()));
+    }
+    Frame::of(&Hello { pid: own.cast_signed(), has_loaded })?.write(0, &mut answers, &mut buffer)?;
     loop {
         page.wait_for_question(asked.number, SPIN);
         match asked.read(&mut questions, &mut buffer, &mut || Ok(())) {
@@ -177,17 +181,21 @@ fn confine(folder: &Path) -> io::Result<()> {
         ABI, Access, AccessFs, AccessNet, CompatLevel, Compatible, PathBeneath, PathFd, Ruleset, RulesetAttr,
         RulesetCreatedAttr,
     };
-    let write = AccessFs::from_write(ABI::V1);
+    // A rule may speak of what is restricted only: reading is not.
+    let (write, write_and_more) = (AccessFs::from_write(ABI::V1), AccessFs::from_write(ABI::V3));
     let confined = || -> Result<(), Box<dyn std::error::Error>> {
         Ruleset::default()
             .set_compatibility(CompatLevel::HardRequirement)
             .handle_access(write)?
             .set_compatibility(CompatLevel::BestEffort)
-            .handle_access(AccessFs::from_write(ABI::V3))?
+            .handle_access(write_and_more)?
             .handle_access(AccessNet::from_all(ABI::V4))?
             .create()?
-            .add_rule(PathBeneath::new(PathFd::new(folder)?, AccessFs::from_all(ABI::V3)))?
-            .add_rule(PathBeneath::new(PathFd::new("/dev/null")?, AccessFs::from_file(ABI::V3)))?
+            .add_rule(PathBeneath::new(PathFd::new(folder)?, write_and_more))?
+            .add_rule(PathBeneath::new(
+                PathFd::new("/dev/null")?,
+                write_and_more & AccessFs::from_file(ABI::V3),
+            ))?
             .restrict_self()?;
         Ok(())
     };

@@ -40,6 +40,17 @@ impl FromStr for Isolation {
     }
 }
 
+/// Process that is asked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ask {
+    /// Any that is idle.
+    Any,
+    /// One that was never asked before.
+    Fresh,
+    /// One that was never asked before, and is not asked again.
+    FreshOnce,
+}
+
 /// Memory that a worker may gain before it is replaced, in bytes.
 const GROWTH: u64 = 512 << 20;
 

@@ -12,6 +12,8 @@ mod absent;
 #[cfg(unix)]
 mod child;
 #[cfg(unix)]
+mod end;
+#[cfg(unix)]
 mod folder;
 mod frame;
 mod launcher;
@@ -36,7 +38,7 @@ mod workers;
 pub use absent::{StartedAhead, Workers, serve_if_asked, start_ahead};
 pub use frame::Frame;
 pub use launcher::Launcher;
-pub use limits::{Isolation, WorkerLimits};
+pub use limits::{Ask, Isolation, WorkerLimits};
 pub use load::Load;
 #[cfg(unix)]
 pub use serve::serve_if_asked;

@@ -1,20 +1,19 @@
 //! One worker process, as the process sees it that has started it.
 
+use super::end::{ProcessEnd, in_words};
 use super::frame::{Frame, decode};
 use super::limits::WorkerLimits;
 use super::notes::Notes;
 use super::printed::Printed;
-use super::template::{Template, no_worker};
+use super::template::{Hello, Template, no_worker};
 use crate::description::Quirk;
 use crate::error::{EndKind, FmiError, WorkerEnd};
 use crate::sys::Page;
 use base::RunContext;
-use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, Signal, kill_process};
 use std::io::{BufReader, ErrorKind};
-use std::os::fd::{AsFd, OwnedFd};
+use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
-use std::os::unix::process::ExitStatusExt;
 use std::process::ExitStatus;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, LazyLock};
@@ -27,9 +26,6 @@ const LOOK: Duration = Duration::from_millis(10);
 /// A worker that was asked to end what it does, or whose simulation has reached its time limit, has so long
 /// to answer.
 const GRACE: Duration = Duration::from_millis(250);
-
-/// A worker is there after this time.
-const START: Duration = Duration::from_secs(60);
 
 /// An answer that comes within this time is waited for without sleeping, as long as there is a core for each
 /// side: to wake up takes up to 50 us.
@@ -55,12 +51,12 @@ pub(super) enum NoAnswer {
 /// A worker process. It ends when this is dropped.
 #[derive(Debug)]
 pub(super) struct Process {
-    pid: Pid,
+    /// `None` before it has said that it is there.
+    pid: Option<Pid>,
     /// Its number among those of the template.
     number_of_worker: u32,
     template: Arc<Template>,
-    /// Readable when it has ended; `None` where the system has no such thing.
-    end: Option<OwnedFd>,
+    end: ProcessEnd,
     socket: BufReader<UnixStream>,
     page: Page,
     printed: Printed,
@@ -83,44 +79,54 @@ pub(super) struct Process {
 }
 
 impl Process {
-    /// Starts one, and waits until it is there.
-    pub(super) fn start(
+    /// Has one started; it [arrives](Self::arrive) later.
+    pub(super) fn begin(
         template: &Arc<Template>,
         limits: &WorkerLimits,
-        context: &RunContext<'_>,
+        is_prepared: bool,
     ) -> Result<Self, FmiError> {
         let (socket, theirs) = UnixStream::pair().map_err(no_worker)?;
         socket.set_read_timeout(Some(LOOK)).map_err(no_worker)?;
         let (page, file) = Page::new().map_err(no_worker)?;
         let (printed, pipe) = Printed::pipe().map_err(no_worker)?;
-        let worker = template.worker(limits, [theirs.as_fd(), file.as_fd(), pipe.as_fd()], context)?;
+        let (number_of_worker, loaded) =
+            template.begin_worker(limits, is_prepared, [theirs.as_fd(), file.as_fd(), pipe.as_fd()])?;
         // It holds the other ends.
-        drop((theirs, pipe));
-        let mut process = Self {
-            pid: worker.pid,
-            number_of_worker: worker.number,
+        Ok(Self {
+            pid: None,
+            number_of_worker,
             template: Arc::clone(template),
-            end: end_of(worker.pid),
+            end: ProcessEnd::default(),
             socket: BufReader::with_capacity(BUFFER, socket),
             page,
             printed,
             buffer: Vec::new(),
             owner: std::process::id(),
             has_ended: false,
-            loaded: worker.loaded,
+            loaded,
             quirks: Vec::new(),
             n_calls: 0,
             number: 0,
             last_took: Duration::MAX,
             first_size: None,
             most_memory: limits.memory.unwrap_or(u64::MAX),
+        })
+    }
+
+    /// Waits until it is there, no longer than so.
+    pub(super) fn arrive(&mut self, context: &RunContext<'_>, longest: Duration) -> Result<(), FmiError> {
+        let (mut hello, late) = (Frame::default(), Some(Instant::now() + longest));
+        let said = match self.receive(&mut hello, context, &mut None, late) {
+            Ok(()) if hello.is_error => Err(hello.head::<String>().unwrap_or_default()),
+            Ok(()) => hello.head::<Hello>().map_err(|error| error.to_string()),
+            Err(NoAnswer::Cancelled) => return Err(FmiError::Cancelled),
+            Err(NoAnswer::Ended(end)) => Err(end.to_string()),
         };
-        let (began, mut none) = (Instant::now(), None);
-        match process.receive(&mut Frame::default(), context, &mut none, Some(began + START)) {
-            Ok(()) => Ok(process),
-            Err(NoAnswer::Cancelled) => Err(FmiError::Cancelled),
-            Err(NoAnswer::Ended(end)) => Err(FmiError::NoWorker { reason: end.to_string() }),
-        }
+        let Hello { pid, has_loaded } = said.map_err(|error| self.template.without_worker(&error))?;
+        self.pid = Pid::from_raw(pid);
+        self.end = self.pid.map(ProcessEnd::of).unwrap_or_default();
+        self.loaded = self.loaded.filter(|_| has_loaded);
+        Ok(())
     }
 
     /// Asks for something and waits for the answer. `run_limit`: the wall-clock time of a single simulation.
@@ -169,12 +175,12 @@ impl Process {
         limit: &mut Option<RunLimit>,
         end: Option<Instant>,
     ) -> Result<(), NoAnswer> {
-        let (page, end_of, pid, most_memory) = (&self.page, self.end.as_ref(), self.pid, self.most_memory);
+        let (page, end_of, pid, most_memory) = (&self.page, &self.end, self.pid, self.most_memory);
         let (mut asked_to_end, mut why) = (None::<Instant>, None);
         let mut wait = || {
             let now = Instant::now();
             // Processes that it has started may keep its end of the socket open.
-            if is_over_within(end_of, Duration::ZERO) {
+            if end_of.is_over_within(Duration::ZERO) {
                 return Err(ErrorKind::UnexpectedEof.into());
             }
             if asked_to_end.is_none() && context.is_over() {
@@ -185,7 +191,7 @@ impl Process {
             let is_hung = limit.as_mut().is_some_and(|limit| limit.is_over(page.runs(), now));
             if is_out_of_grace {
                 why = Some(Stop::Cancelled);
-            } else if size_of(pid).is_some_and(|size| size > most_memory) {
+            } else if pid.and_then(size_of).is_some_and(|size| size > most_memory) {
                 // What it shares with others the system's limit does not count.
                 why = Some(Stop::Memory);
             } else if is_hung || end.is_some_and(|end| now > end) {
@@ -214,14 +220,19 @@ impl Process {
     fn ended(&mut self, kind: EndKind, detail: &str) -> WorkerEnd {
         let last = self.page.last_call();
         // A process that has closed its socket is about to end.
-        let has_died = kind == EndKind::Died && is_over_within(self.end.as_ref(), Duration::from_secs(2));
-        let status = self.kill().filter(|_| has_died);
+        let has_died = kind == EndKind::Died && self.end.is_over_within(Duration::from_secs(2));
+        let status = self.kill();
         let what = match (kind, status) {
             (EndKind::Hung, _) => "no answer within the time limit".to_owned(),
             (EndKind::Memory, _) => format!("more memory than its limit of {} bytes", self.most_memory),
             (EndKind::Garbage, _) => format!("garbage instead of an answer ({detail})"),
-            (EndKind::Died, None) => "no connection any more".to_owned(),
+            (EndKind::Died, _) if !has_died => "it has closed the connection".to_owned(),
             (EndKind::Died, Some(status)) => in_words(status),
+            // Its status was for the template.
+            (EndKind::Died, None) => format!(
+                "the process ended; how is not known, for the process that it was copied from had ended before: {}",
+                self.template.end_in_words().unwrap_or_else(|| "it does not answer".to_owned())
+            ),
         };
         let (function, time) = last.map_or((None, None), |last| (Some(last.function), last.time));
         WorkerEnd { kind, what, function, time, output: self.printed.last_words() }
@@ -234,7 +245,7 @@ impl Process {
 
     /// Bytes that it has in memory, where the system tells.
     pub(super) fn size(&self) -> Option<u64> {
-        size_of(self.pid)
+        self.pid.and_then(size_of)
     }
 
     /// Ends it, and all processes that it has started; how it has ended.
@@ -243,11 +254,14 @@ impl Process {
             return None;
         }
         self.has_ended = true;
-        let status = self.template.end(self.number_of_worker);
-        if status.is_none() && !is_over_within(self.end.as_ref(), Duration::ZERO) {
+        if self.template.is_over() {
+            return None;
+        }
+        let status = self.template.end_worker(self.number_of_worker);
+        if let Some(pid) = self.pid.filter(|_| status.is_none() && !self.end.is_over_within(Duration::ZERO)) {
             // The template has ended.
-            let _ = kill_process(self.pid, Signal::KILL);
-            is_over_within(self.end.as_ref(), Duration::from_secs(1));
+            let _ = kill_process(pid, Signal::KILL);
+            self.end.is_over_within(Duration::from_secs(1));
         }
         status
     }
@@ -257,28 +271,6 @@ impl Drop for Process {
     fn drop(&mut self) {
         self.kill();
     }
-}
-
-/// Readable when a process has ended, which keeps its number until the template is told to end it.
-#[cfg(target_os = "linux")]
-fn end_of(pid: Pid) -> Option<OwnedFd> {
-    rustix::process::pidfd_open(pid, rustix::process::PidfdFlags::empty()).ok()
-}
-
-#[cfg(not(target_os = "linux"))]
-fn end_of(_: Pid) -> Option<OwnedFd> {
-    None
-}
-
-/// True if a process ends within this time. Where nothing tells, only its socket does, and it ends soon after
-/// that.
-fn is_over_within(end: Option<&OwnedFd>, longest: Duration) -> bool {
-    let Some(end) = end else {
-        std::thread::sleep(longest.min(LOOK));
-        return !longest.is_zero();
-    };
-    let longest = Timespec { tv_sec: longest.as_secs() as i64, tv_nsec: longest.subsec_nanos().into() };
-    matches!(poll(&mut [PollFd::new(end, PollFlags::IN)], Some(&longest)), Ok(n) if n > 0)
 }
 
 /// Bytes that a process has in memory, where the system tells.
@@ -329,21 +321,5 @@ impl RunLimit {
         }
         // The worker looks at the limit itself, between two calls of the FMU.
         now > self.since + self.limit + GRACE
-    }
-}
-
-fn in_words(status: ExitStatus) -> String {
-    let signal = status.signal();
-    match (signal, status.code()) {
-        (Some(libc::SIGSEGV), _) => "segmentation fault".to_owned(),
-        (Some(libc::SIGABRT), _) => "abort".to_owned(),
-        (Some(libc::SIGBUS), _) => "bus error".to_owned(),
-        (Some(libc::SIGFPE), _) => "arithmetic exception".to_owned(),
-        (Some(libc::SIGILL), _) => "illegal instruction".to_owned(),
-        (Some(libc::SIGKILL), _) => "killed from outside, or for want of memory".to_owned(),
-        (Some(libc::SIGXCPU | libc::SIGXFSZ), _) => "a limit of resources was reached".to_owned(),
-        (Some(signal), _) => format!("signal {signal}"),
-        (None, Some(code)) => format!("the process was ended with exit({code})"),
-        (None, None) => "the process ended".to_owned(),
     }
 }

@@ -1,6 +1,6 @@
 //! The process that worker processes are copied from: it takes its orders until the other end is closed.
 
-use super::child::{self, respond};
+use super::child::{self, Worker, respond};
 use super::folder::{enter, remove, worker_folder};
 use super::frame::Frame;
 use super::notes::keep_lines;
@@ -46,21 +46,19 @@ fn serve(mut service: Box<dyn Service + Send>) -> io::Result<()> {
     keep_lines(
         std::env::var(LEVEL).ok().and_then(|level| level.parse().ok()).unwrap_or(log::LevelFilter::Warn),
     );
-    let mut workers = Workers { folder, running: Vec::new() };
+    let mut workers = Workers { folder, running: Vec::new(), has_loaded: false };
     loop {
         match take_order(&control, &mut *service, &mut workers) {
             Ok(None) => {}
-            Ok(Some((start, descriptors))) => {
+            Ok(Some(worker)) => {
                 drop(control);
-                child::run(service, &workers.folder, &start, descriptors)
+                child::run(service, worker)
             }
             // The other end is closed, or says what this version does not know.
             Err(_) => break,
         }
     }
-    while let Some((_, number)) = workers.running.last() {
-        workers.end(*number);
-    }
+    workers.end_all();
     remove(&workers.folder);
     Ok(())
 }
@@ -70,27 +68,35 @@ fn take_order(
     control: &UnixStream,
     service: &mut dyn Service,
     workers: &mut Workers,
-) -> io::Result<Option<(Start, Vec<OwnedFd>)>> {
+) -> io::Result<Option<Worker>> {
     let (mut asked, mut answer, mut buffer) = (Frame::default(), Frame::default(), Vec::new());
     let (order, descriptors) = receive(control)?;
     asked.read(&mut &*control, &mut buffer, &mut || Ok(()))?;
-    match order {
-        order if order == Order::Load as u8 => {
-            respond(service, &asked, &RunContext::new(), &mut answer)?;
-        }
-        order if order == Order::Start as u8 => {
-            let start: Start = asked.head()?;
-            match fork() {
-                Ok(None) => return Ok(Some((start, descriptors))),
-                Ok(Some(pid)) => {
-                    workers.running.push((pid, start.number));
-                    answer.set_head(&Ok::<_, String>(pid.as_raw_nonzero().get()))?;
+    if order == Order::Load as u8 {
+        respond(service, &asked, &RunContext::new(), &mut answer)?;
+        // Where it failed, a worker tries again, and says why.
+        workers.has_loaded = !answer.is_error;
+        return Ok(None);
+    }
+    if order == Order::Start as u8 {
+        let start: Start = asked.head()?;
+        match fork() {
+            Ok(None) => {
+                let folder = worker_folder(&workers.folder, start.number);
+                return Ok(Some(Worker { folder, start, descriptors, has_loaded: workers.has_loaded }));
+            }
+            Ok(Some(pid)) => workers.running.push((pid, start.number)),
+            Err(error) => {
+                let mut refusal = Frame::of(&error.to_string())?;
+                refusal.is_error = true;
+                if let Some(socket) = descriptors.into_iter().next() {
+                    refusal.write(0, &mut UnixStream::from(socket), &mut buffer)?;
                 }
-                Err(error) => answer.set_head(&Err::<i32, _>(error.to_string()))?,
             }
         }
-        _ => answer.set_head(&workers.end(asked.head()?))?,
+        return Ok(None);
     }
+    answer.set_head(&workers.end(asked.head()?))?;
     answer.write(0, &mut &*control, &mut buffer)?;
     Ok(None)
 }
@@ -115,9 +121,21 @@ fn receive(control: &UnixStream) -> io::Result<(u8, Vec<OwnedFd>)> {
 struct Workers {
     folder: PathBuf,
     running: Vec<(Pid, u32)>,
+    /// They have what is to be loaded from this process.
+    has_loaded: bool,
 }
 
 impl Workers {
+    /// Ends all of them.
+    fn end_all(&mut self) {
+        for (pid, _) in &self.running {
+            let _ = kill_process_group(*pid, Signal::KILL);
+        }
+        while let Some((_, number)) = self.running.last() {
+            self.end(*number);
+        }
+    }
+
     /// Ends a worker, with what it has started and left behind; its status.
     fn end(&mut self, number: u32) -> i32 {
         let place = self.running.iter().position(|(_, other)| *other == number);

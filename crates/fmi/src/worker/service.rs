@@ -14,6 +14,9 @@ pub trait Service {
     fn answer(&mut self, asked: &Frame, context: &RunContext<'_>, answer: &mut Frame)
     -> Result<(), FmiError>;
 
+    /// Has the model compiled and loaded, so that the first answer takes less.
+    fn prepare(&mut self);
+
     /// Departures from the standard that have shown in runs since the last call.
     fn new_quirks(&mut self) -> Vec<Quirk>;
 }

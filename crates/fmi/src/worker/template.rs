@@ -4,6 +4,7 @@
 //! takes a millisecond. It runs no foreign code, has one thread, and is the parent of its copies and of
 //! whatever they leave behind.
 
+use super::end::{ProcessEnd, in_words};
 use super::folder::{Folder, remove, worker_folder};
 use super::frame::Frame;
 use super::launcher::Launcher;
@@ -12,7 +13,7 @@ use super::load::Load;
 use super::printed::Printed;
 use super::settings::{ASKED, FOLDER, LEVEL, TEMPORARY, VERSION};
 use crate::error::FmiError;
-use base::RunContext;
+use crate::sys::{PRELOAD, PRELOADED_BEFORE};
 use log::LevelFilter;
 use rustix::net::{SendAncillaryBuffer, SendAncillaryMessage, SendFlags, sendmsg};
 use rustix::process::Pid;
@@ -30,13 +31,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
-/// Order to the template; its byte goes before the frame, and the descriptors with it.
+/// Order to the template; its byte goes before the frame, and the descriptors with it. Only the last one has
+/// an answer of the template: a worker says by itself that it is there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub(super) enum Order {
     /// To load what the frame says.
     Load = b'L',
-    /// To start a worker: [`Start`], with [`DESCRIPTORS`]; the answer is its process.
+    /// To start a worker: [`Start`], with [`DESCRIPTORS`]; on its socket follows a [`Hello`], or an error
+    /// with its text.
     Start = b'S',
     /// To end a worker, by its number, and what it has left behind; the answer is its status.
     End = b'E',
@@ -51,14 +54,16 @@ pub(super) struct Start {
     pub(super) number: u32,
     pub(super) limits: WorkerLimits,
     pub(super) level: LevelFilter,
+    /// It [prepares](super::Service::prepare) before it says that it is there.
+    pub(super) is_prepared: bool,
 }
 
-/// A worker that was started.
-pub(super) struct Worker {
-    pub(super) pid: Pid,
-    pub(super) number: u32,
-    /// What it has loaded.
-    pub(super) loaded: Option<u64>,
+/// First message of a worker.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct Hello {
+    pub(super) pid: i32,
+    /// Its template has loaded what it was to load.
+    pub(super) has_loaded: bool,
 }
 
 /// An order is done after this time.
@@ -67,18 +72,19 @@ const LONGEST: Duration = Duration::from_secs(60);
 /// It has so long to end.
 const END: Duration = Duration::from_secs(2);
 
-/// Time between two checks for cancellation while an answer is awaited.
+/// Time between two looks whether it has ended.
 const LOOK: Duration = Duration::from_millis(10);
 
 /// A process that worker processes are copied from. It ends when this is dropped.
 #[derive(Debug)]
 pub(super) struct Template {
-    child: Child,
     program: Launcher,
     printed: Printed,
     orders: Mutex<Orders>,
-    /// It has ended, or an answer was not waited for.
+    /// It has ended, or is about to.
     is_broken: AtomicBool,
+    /// It has ended with all of its workers.
+    is_over: AtomicBool,
     /// The process that has started it.
     owner: u32,
     folder: Folder,
@@ -86,13 +92,13 @@ pub(super) struct Template {
 
 #[derive(Debug)]
 struct Orders {
+    child: Child,
     socket: UnixStream,
     buffer: Vec<u8>,
     answer: Frame,
     n_started: u32,
-    /// A load whose answer was not read yet.
-    loading: Option<u64>,
-    loaded: Option<u64>,
+    /// The load that was sent.
+    load: Option<u64>,
 }
 
 /// A template that was started before there is a problem to load. It ends with this, unless it was taken.
@@ -134,7 +140,7 @@ impl Template {
         let template = StartedAhead::take(launcher).map_or_else(|| Self::start(launcher), Ok)?;
         let mut orders = template.orders();
         load.frame().and_then(|frame| orders.send(Order::Load, &frame, &[])).map_err(no_worker)?;
-        orders.loading = Some(load.id);
+        orders.load = Some(load.id);
         drop(orders);
         Ok(template)
     }
@@ -158,24 +164,25 @@ impl Template {
             .stderr(pipe)
             // Ctrl-C in a terminal goes to all processes of a group.
             .process_group(0);
+        if let Some(library) = &launcher.preload {
+            let before = std::env::var_os(PRELOAD).unwrap_or_default();
+            let mut libraries = before.clone();
+            libraries.push(if before.is_empty() { "" } else { ":" });
+            libraries.push(library);
+            command.env(PRELOAD, libraries).env(PRELOADED_BEFORE, before);
+        }
         let child = command.spawn().map_err(|error| FmiError::NoWorker {
             reason: format!("{}: {error}", launcher.program.display()),
         })?;
-        let orders = Orders {
-            socket,
-            buffer: Vec::new(),
-            answer: Frame::default(),
-            n_started: 0,
-            loading: None,
-            loaded: None,
-        };
+        let (buffer, answer) = (Vec::new(), Frame::default());
+        let orders = Orders { child, socket, buffer, answer, n_started: 0, load: None };
         let (program, owner) = (launcher.clone(), std::process::id());
         Ok(Self {
-            child,
             program,
             printed,
             orders: Mutex::new(orders),
             is_broken: AtomicBool::new(false),
+            is_over: AtomicBool::new(false),
             owner,
             folder,
         })
@@ -190,52 +197,60 @@ impl Template {
         self.is_broken.load(Ordering::Relaxed)
     }
 
-    /// Starts a worker with these descriptors.
-    pub(super) fn worker(
+    /// True if all of its workers have ended with it.
+    pub(super) fn is_over(&self) -> bool {
+        self.is_over.load(Ordering::Relaxed)
+    }
+
+    /// Has a worker with these descriptors started; does not wait for it. Its number, and what it has loaded
+    /// if the template could load it.
+    pub(super) fn begin_worker(
         &self,
         limits: &WorkerLimits,
+        is_prepared: bool,
         descriptors: [BorrowedFd<'_>; DESCRIPTORS],
-        context: &RunContext<'_>,
-    ) -> Result<Worker, FmiError> {
+    ) -> Result<(u32, Option<u64>), FmiError> {
         let mut orders = self.orders();
         orders.n_started += 1;
-        let start = Start { number: orders.n_started, limits: *limits, level: log::max_level() };
+        let level = log::max_level();
+        let start = Start { number: orders.n_started, limits: *limits, level, is_prepared };
         let asked = Frame::of(&start).map_err(no_worker)?;
-        let mut ask = || -> io::Result<Pid> {
-            orders.send(Order::Start, &asked, &descriptors)?;
-            if let Some(load) = orders.loading {
-                orders.receive(context)?;
-                // Where it failed, the worker tries again, and says why.
-                orders.loaded = (!orders.answer.is_error).then_some(load);
-                orders.loading = None;
-            }
-            orders.receive(context)?;
-            let pid = orders.answer.head::<Result<i32, String>>()?.map_err(io::Error::other)?;
-            Pid::from_raw(pid).ok_or_else(|| ErrorKind::InvalidData.into())
-        };
-        match ask() {
-            Ok(pid) => Ok(Worker { pid, number: start.number, loaded: orders.loaded }),
+        match orders.send(Order::Start, &asked, &descriptors) {
+            Ok(()) => Ok((start.number, orders.load)),
             Err(error) => {
-                self.is_broken.store(true, Ordering::Relaxed);
-                if context.is_over() {
-                    return Err(FmiError::Cancelled);
-                }
-                let printed = self.printed.last_words();
-                let printed = if printed.is_empty() { error.to_string() } else { printed };
-                Err(FmiError::NoWorker { reason: format!("{}: {printed}", self.program.program.display()) })
+                drop(orders);
+                Err(self.without_worker(&error.to_string()))
             }
         }
     }
 
+    /// Error for a worker that was not started: the template, if it has ended, can start no other one.
+    pub(super) fn without_worker(&self, error: &str) -> FmiError {
+        let reason = match self.end_in_words() {
+            Some(end) => Some(self.printed.last_words()).filter(|printed| !printed.is_empty()).unwrap_or(end),
+            None => error.to_owned(),
+        };
+        FmiError::NoWorker { reason: format!("{}: {reason}", self.program.program.display()) }
+    }
+
+    /// How it has ended, if it has.
+    pub(super) fn end_in_words(&self) -> Option<String> {
+        let mut orders = self.orders();
+        orders.has_ended_within(LOOK);
+        let status = orders.child.try_wait().ok().flatten()?;
+        self.is_broken.store(true, Ordering::Relaxed);
+        Some(in_words(status))
+    }
+
     /// Ends a worker, and all processes that it has started; how it has ended.
-    pub(super) fn end(&self, number: u32) -> Option<ExitStatus> {
+    pub(super) fn end_worker(&self, number: u32) -> Option<ExitStatus> {
         let mut orders = self.orders();
         let mut ask = || -> io::Result<i32> {
             if self.is_broken() {
                 return Err(ErrorKind::BrokenPipe.into());
             }
             orders.send(Order::End, &Frame::of(&number)?, &[])?;
-            orders.receive(&RunContext::new())?;
+            orders.receive()?;
             orders.answer.head()
         };
         let status = ask();
@@ -244,6 +259,26 @@ impl Template {
             remove(&worker_folder(self.folder.path(), number));
         }
         status.ok().map(ExitStatus::from_raw)
+    }
+
+    /// Ends it, with all of its workers and what they have started.
+    pub(super) fn end(&self) {
+        // A child that was forked meanwhile has no templates.
+        if self.owner != std::process::id() {
+            return;
+        }
+        self.is_broken.store(true, Ordering::Relaxed);
+        let mut orders = self.orders();
+        let _ = orders.socket.shutdown(Shutdown::Both);
+        if orders.n_started == 0 {
+            // Nothing is lost.
+            let _ = orders.child.kill();
+        }
+        let began = Instant::now();
+        while !orders.has_ended_within(LOOK) && began.elapsed() < END {}
+        let _ = orders.child.kill();
+        let _ = orders.child.wait();
+        self.is_over.store(true, Ordering::Relaxed);
     }
 }
 
@@ -260,9 +295,19 @@ impl Orders {
         frame.write(0, &mut &self.socket, &mut self.buffer)
     }
 
-    fn receive(&mut self, context: &RunContext<'_>) -> io::Result<()> {
+    /// True if the template ends within this time.
+    fn has_ended_within(&mut self, longest: Duration) -> bool {
+        let is_running = |child: &mut Child| matches!(child.try_wait(), Ok(None));
+        if is_running(&mut self.child) {
+            let pid = i32::try_from(self.child.id()).ok().and_then(Pid::from_raw);
+            pid.map(ProcessEnd::of).unwrap_or_default().is_over_within(longest);
+        }
+        !is_running(&mut self.child)
+    }
+
+    fn receive(&mut self) -> io::Result<()> {
         let began = Instant::now();
-        let mut wait = || match context.is_over() || began.elapsed() > LONGEST {
+        let mut wait = || match began.elapsed() > LONGEST {
             true => Err(ErrorKind::TimedOut.into()),
             false => Ok(()),
         };
@@ -272,18 +317,7 @@ impl Orders {
 
 impl Drop for Template {
     fn drop(&mut self) {
-        // A child that was forked meanwhile has no templates.
-        if self.owner != std::process::id() {
-            return;
-        }
-        // It ends what is left of its workers, and itself.
-        let _ = self.orders().socket.shutdown(Shutdown::Both);
-        let began = Instant::now();
-        while matches!(self.child.try_wait(), Ok(None)) && began.elapsed() < END {
-            std::thread::sleep(Duration::from_micros(200));
-        }
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        self.end();
     }
 }
 

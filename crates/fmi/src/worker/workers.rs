@@ -3,7 +3,7 @@
 
 use super::frame::Frame;
 use super::launcher::Launcher;
-use super::limits::WorkerLimits;
+use super::limits::{Ask, WorkerLimits};
 use super::load::Load;
 use super::process::{NoAnswer, Process};
 use super::template::Template;
@@ -15,6 +15,12 @@ use std::time::{Duration, Instant};
 
 /// A worker that nobody has asked for anything for so long is ended.
 const IDLE: Duration = Duration::from_secs(5);
+
+/// A worker is there after this time.
+const START: Duration = Duration::from_secs(60);
+
+/// So is one that was started before it was needed.
+const PREPARED: Duration = Duration::from_secs(10);
 
 /// The memory of a worker is looked at after each so many calls, and after every one that took so long.
 const LOOK_EVERY: u64 = 32;
@@ -32,6 +38,8 @@ pub struct Workers {
 struct Idle {
     /// With the time since when they are; those that were asked last at the end.
     processes: Vec<(Process, Instant)>,
+    /// One that is being started.
+    begun: Option<Process>,
     /// What they are copied from.
     template: Option<Arc<Template>>,
     /// Somebody looks after those that are idle for long.
@@ -52,11 +60,29 @@ impl Workers {
         &self.limits
     }
 
-    /// Starts the program of the workers, and has it load this in the background: both take longer than a
-    /// short evaluation.
+    /// Starts the program of the workers, has it load this, and the first worker copied from it, in the
+    /// background: that takes longer than a short evaluation.
     pub fn prepare(&self, load: &Load) {
         // Who needs a worker meets the same error.
-        let _ = self.template(load);
+        let begun = self.begin(load, false).ok();
+        self.idle().begun = begun;
+    }
+
+    /// Has a second worker started in the background, and its model loaded: it will be needed soon.
+    pub fn prepare_second(&self, load: &Load) {
+        let has_two = |idle: &Idle| idle.begun.is_some() || idle.processes.len() > 1;
+        if !has_two(&self.idle()) {
+            let begun = self.begin(load, true).ok();
+            self.idle().begun = begun;
+        }
+    }
+
+    fn has_no_template(&self) -> bool {
+        self.idle().template.as_ref().is_none_or(|template| template.is_broken())
+    }
+
+    fn begin(&self, load: &Load, is_prepared: bool) -> Result<Process, FmiError> {
+        Process::begin(&self.template(load)?, &self.limits, is_prepared)
     }
 
     /// The process that workers are copied from.
@@ -71,10 +97,15 @@ impl Workers {
     /// A process that was never asked for anything. An FMU may have ended the template: then there is another
     /// one.
     fn new_process(&self, load: &Load, context: &RunContext<'_>) -> Result<Process, FmiError> {
-        let template = self.template(load)?;
-        match Process::start(&template, &self.limits, context) {
-            Err(FmiError::NoWorker { .. }) if template.is_broken() => {
-                Process::start(&self.template(load)?, &self.limits, context)
+        let arrived = |mut process: Process, longest| process.arrive(context, longest).map(|()| process);
+        let begun = self.idle().begun.take();
+        // One that does not arrive may have loaded a model that ends it: then the next one says so.
+        if let Some(Ok(process)) = begun.map(|process| arrived(process, PREPARED)) {
+            return Ok(process);
+        }
+        match arrived(self.begin(load, false)?, START) {
+            Err(FmiError::NoWorker { .. }) if self.has_no_template() => {
+                arrived(self.begin(load, false)?, START)
             }
             outcome => outcome,
         }
@@ -83,7 +114,7 @@ impl Workers {
     /// Asks a worker that has loaded `load`, and returns the quirks of the model that it has found. The
     /// context is looked at every 10 ms, and the worker has 0.25 s to answer after that; a single simulation
     /// that takes longer than `run_limit` and 0.25 s ends the worker. Where a worker dies, the same is asked
-    /// once more in a fresh one; with `is_fresh` the first one is new, too, and is all.
+    /// once more in a fresh one, unless it was one.
     ///
     /// # Errors
     /// [`FmiError::Told`]: what the worker says; [`FmiError::WorkerEnded`]: it ended twice, or once by the time limit; [`FmiError::NoWorker`]; [`FmiError::Cancelled`].
@@ -94,8 +125,9 @@ impl Workers {
         answer: &mut Frame,
         context: &RunContext<'_>,
         run_limit: Option<Duration>,
-        is_fresh: bool,
+        whom: Ask,
     ) -> Result<Vec<Quirk>, FmiError> {
+        let is_fresh = whom != Ask::Any;
         let mut call = |process: Option<Process>| {
             let mut process = match process {
                 Some(process) => process,
@@ -103,7 +135,7 @@ impl Workers {
             };
             let (quirks, can_go_on) = self.call_in(&mut process, load, asked, answer, context, run_limit);
             // Otherwise it ends here.
-            if can_go_on && !is_fresh {
+            if can_go_on && whom != Ask::FreshOnce {
                 self.give_back(process);
             }
             quirks
@@ -170,7 +202,7 @@ impl Workers {
         let this = std::process::id();
         if idle.owner != this {
             idle.processes.clear();
-            idle.template = None;
+            (idle.begun, idle.template) = (None, None);
             (idle.owner, idle.is_watched) = (this, false);
         }
         idle
@@ -205,10 +237,10 @@ impl Workers {
                 let old =
                     idle.processes.extract_if(.., |(_, since)| since.elapsed() > IDLE).collect::<Vec<_>>();
                 let is_over = idle.processes.is_empty();
-                let template = if is_over { idle.template.take() } else { None };
+                let rest = is_over.then(|| (idle.begun.take(), idle.template.take()));
                 idle.is_watched = !is_over;
                 drop(idle);
-                drop((old, template));
+                drop((old, rest));
                 if is_over {
                     break;
                 }
@@ -216,6 +248,15 @@ impl Workers {
         };
         let thread = std::thread::Builder::new().name("fmufit-idle-workers".to_owned()).spawn(watch);
         idle.is_watched = thread.is_ok();
+    }
+}
+
+impl Drop for Workers {
+    fn drop(&mut self) {
+        // All at once.
+        if let Some(template) = self.idle().template.take() {
+            template.end();
+        }
     }
 }
 

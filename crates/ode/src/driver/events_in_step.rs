@@ -76,7 +76,7 @@ where
         let mut left = if asked || points == 0 { 0 } else { MAX_LOOKS };
         let mut has_changed = self.space.domains.changed();
         for i in 0..self.space.domains.len() {
-            if !has_changed && self.space.domains.stands_still(i) {
+            if !has_changed && self.space.domains.keeps_clear(i, start, end) {
                 continue;
             }
             loop {
@@ -93,7 +93,7 @@ where
                 if left == 0 {
                     break;
                 }
-                let Some(at) = self.space.domains.unresolved(i, (start, end), h / 32.0) else { break };
+                let Some(at) = self.space.domains.unresolved(i, start, end, h / 32.0) else { break };
                 left -= 1;
                 if self.changed_at(at, end, h, ready)? {
                     return Ok(Some(at));
@@ -146,7 +146,7 @@ where
         let for_jumps = if self.options.loose_jump_indicators { 1e-10 * self.t.abs().max(h) } else { 0.0 };
         let (stepper, system) = (&*self.stepper, &mut *self.system);
         let lo = domains.counts_since().unwrap_or(self.t);
-        let found = domains.locate(lo, hi, (tolerance, for_jumps), |t, z| {
+        let found = domains.locate(lo, hi, tolerance, for_jumps, |t, z| {
             stepper.interpolate(trial, (t - trial.t) / h, x_mid);
             read_indicators(system, t, x_mid, z)
         });
@@ -269,7 +269,7 @@ where
         let lo = domains.counts_since().map_or(lo, |from| lo.max(from));
         let trial = Trial { t: self.t, end, h, x };
         let (stepper, system) = (&*self.stepper, &mut *self.system);
-        let located = domains.locate(lo, hi, (tight, 0.0), |t, z| {
+        let located = domains.locate(lo, hi, tight, 0.0, |t, z| {
             stepper.interpolate(trial, (t - trial.t) / h, x_mid);
             read_indicators(system, t, x_mid, z)
         })?;

@@ -24,7 +24,7 @@ mod trial;
 mod watched;
 
 use backward::{Backward, BackwardObserver, turned, turned_end};
-use run::{Exit, Run, Space, Step, finish, no_retreat};
+use run::{Exit, Run, Space, Step, Task, finish, no_retreat};
 use trial::{Found, Inside, Shrink, Tried};
 use watched::{CallWatch, Watched};
 pub use watched::{Stopped, Watch};
@@ -155,17 +155,18 @@ impl Driver {
             turned_times.extend(times.iter().map(|t| turned(*t)));
             let system: &mut dyn HybridSystem = &mut Backward { system, slopes: &mut slopes };
             let observer: &mut dyn Observer = &mut BackwardObserver(observer);
-            let ended = self.run_forward(system, (turned(start), turned(end)), &turned_times, observer);
+            let ended = self.run_forward(system, turned(start), turned(end), &turned_times, observer);
             (self.turned_times, self.turned_slopes) = (turned_times, slopes);
             return turned_end(ended);
         }
-        self.run_forward(system, (start, end), times, observer)
+        self.run_forward(system, start, end, times, observer)
     }
 
     fn run_forward<S, O>(
         &mut self,
         system: &mut S,
-        (start, end): (f64, f64),
+        start: f64,
+        end: f64,
         times: &[f64],
         observer: &mut O,
     ) -> Result<Report, Box<SimulationError>>
@@ -176,9 +177,10 @@ impl Driver {
         let Self { options, method, space, stopwatch, .. } = self;
         let watch = Watch::new(options);
         let system = &mut Watched::new(system, watch, stopwatch);
+        let task = Task { start, end, times, observer, watch };
         macro_rules! run {
             ($stepper:expr) => {
-                Run::new(options, $stepper, space, system, (start, end), times, (observer, watch)).run()
+                Run::new(options, $stepper, space, system, task).run()
             };
         }
         let mut ended = match method {

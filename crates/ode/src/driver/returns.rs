@@ -55,7 +55,7 @@ where
         let trial = Trial { t: self.t, end, h, x };
         let (stepper, system) = (&*self.stepper, &mut *self.system);
         let count = &mut self.stats.event_indicators;
-        domains.find_slopes((h, reach), |s, z| {
+        domains.find_slopes(h, reach, |s, z| {
             *count += 1;
             let (at, s) = later(trial.t, s);
             if follows_trial {
@@ -83,7 +83,7 @@ where
             equations.derivatives(at, x_new, slope)?;
             let (system, count) = (&mut *self.system, &mut self.stats.event_indicators);
             let z = domains.end[i];
-            let found = domains.slope_along((i, z), (SLOPE_STEP * h, reach), &mut |s, z: &mut [f64]| {
+            let found = domains.slope_along(i, z, SLOPE_STEP * h, reach, &mut |s, z: &mut [f64]| {
                 *count += 1;
                 let (at, s) = later(at, s);
                 move_along(x_mid, s, x_new, slope);
@@ -110,7 +110,7 @@ where
         let mut shorter = None;
         if slope != 0.0 {
             let (mut s, z_end) = (h, self.space.domains.end[i]);
-            let (mut turn, top) = self.space.domains.turn(i, (s, z_end));
+            let (mut turn, top) = self.space.domains.turn(i, s, z_end);
             let helps =
                 self.fixed_step.is_none() && turn > self.time_tolerance && self.space.domains.leaves(i, top);
             shorter = helps.then_some(turn).filter(|turn| is_inside(*turn, h));
@@ -126,7 +126,7 @@ where
                     return Ok(Return::Found(at));
                 }
                 s = turn;
-                (turn, _) = domains.turn(i, (s, z));
+                (turn, _) = domains.turn(i, s, z);
             }
         }
         let lost = self.space.domains.is_lost(i);

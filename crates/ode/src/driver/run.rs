@@ -63,6 +63,15 @@ impl From<Box<dyn std::error::Error + Send + Sync>> for Exit {
 
 pub(super) type Step<T> = Result<T, Exit>;
 
+/// Request of a run: from when to when, which samples for whom, and until when.
+pub(super) struct Task<'a, O: ?Sized> {
+    pub(super) start: f64,
+    pub(super) end: f64,
+    pub(super) times: &'a [f64],
+    pub(super) observer: &'a mut O,
+    pub(super) watch: Watch<'a>,
+}
+
 /// One run: everything that changes between `start` and `end`.
 pub(super) struct Run<'a, S: ?Sized, M, O: ?Sized> {
     pub(super) options: &'a Options,
@@ -103,9 +112,7 @@ where
         stepper: &'a mut M,
         space: &'a mut Space,
         system: &'a mut S,
-        (start, end): (f64, f64),
-        times: &'a [f64],
-        (observer, watch): (&'a mut O, Watch<'a>),
+        Task { start, end, times, observer, watch }: Task<'a, O>,
     ) -> Self {
         let span = end - start;
         let time_tolerance = 100.0 * U * start.abs().max(end.abs()).max(span);

@@ -38,11 +38,21 @@ fn turning_point([(t0, z0), (t1, z1), (t2, z2)]: [(f64, f64); 3], start: f64) ->
     (t > start.max(t0) && t < t2 && t != t1 && beyond).then_some(t)
 }
 
+/// True if three points `(t, z)` are as far from zero as [`Domains::keeps_clear`] asks for; all are finite.
+#[inline]
+fn is_clear([(t0, z0), (t1, z1), (t2, z2)]: [(f64, f64); 3]) -> bool {
+    let least = |a: f64, b: f64| if a < b { a } else { b };
+    let most = |a: f64, b: f64| if a > b { a } else { b };
+    let (left, right) = (t1 - t0, t2 - t1);
+    let (low, high) = (least(least(z0, z1), z2), most(most(z0, z1), z2));
+    (high - low) * most(left, right) <= low * least(left, right)
+}
+
 impl Domains {
     /// Time and value of indicator `i` at the place `k` of what is known of the step from `start` to `end`,
     /// of which the last place is one more than points were looked at inside.
     #[inline]
-    fn known(&self, (i, k): (usize, usize), start: f64, end: f64) -> (f64, f64) {
+    fn known(&self, i: usize, k: usize, start: f64, end: f64) -> (f64, f64) {
         match k.checked_sub(1) {
             None => (start, self.base[i]),
             Some(inside) if inside < self.looked_at.len() => {
@@ -52,18 +62,37 @@ impl Domains {
         }
     }
 
-    /// Whether indicator `i` has the same value wherever it was looked at: it does not turn.
-    pub(crate) fn stands_still(&self, i: usize) -> bool {
-        let z = self.base[i];
-        let stood = self.before_time.is_none() || self.before[i] == z;
-        stood && self.end[i] == z && self.looked.iter().skip(i).step_by(self.len()).all(|looked| *looked == z)
+    /// True if indicator `i` stays so far from zero that [`turning_point`](Self::turning_point) and
+    /// [`unresolved`](Self::unresolved) find nothing: of three neighbouring values the largest difference d
+    /// and the ratio r of their distances in time bound the curvature of the parabola through them, which
+    /// reaches at most d r / 4 beyond the least.
+    #[inline]
+    pub(crate) fn keeps_clear(&self, i: usize, start: f64, end: f64) -> bool {
+        let sign = if self.base[i] > 0.0 { 1.0 } else { -1.0 };
+        let n_inside = self.looked_at.len();
+        let inside = |k: usize| (self.looked_at[k], sign * self.looked[k * self.len() + i]);
+        let (base, last) = ((start, sign * self.base[i]), (end, sign * self.end[i]));
+        let (mut a, mut b) = (base, if n_inside > 0 { inside(0) } else { last });
+        if let Some(before) = self.before_time
+            && !is_clear([(before, sign * self.before[i]), a, b])
+        {
+            return false;
+        }
+        for k in 1..n_inside {
+            let c = inside(k);
+            if !is_clear([a, b, c]) {
+                return false;
+            }
+            (a, b) = (b, c);
+        }
+        n_inside == 0 || is_clear([a, b, last])
     }
 
     /// Where between `start` and `end` a parabola through three neighbouring values of indicator `i` comes to
     /// its turning point, if that lies in the other domain or near it: a crossing and its return may hide
     /// there.
     pub(crate) fn turning_point(&self, i: usize, start: f64, end: f64) -> Option<f64> {
-        let known = |k| self.known((i, k), start, end);
+        let known = |k| self.known(i, k, start, end);
         let (mut a, mut b, next) = match self.before_time {
             Some(t) => ((t, self.before[i]), known(0), 1),
             None => (known(0), known(1), 2),
@@ -79,11 +108,11 @@ impl Domains {
     /// Where between `start` and `end` a crossing and its return may hide in what is not known of indicator
     /// `i`: the middle of the wider one of two neighbouring intervals of at least `least`, between whose
     /// three ends, all in one domain, its graph bends by more than it stays away from zero.
-    pub(crate) fn unresolved(&self, i: usize, (start, end): (f64, f64), least: f64) -> Option<f64> {
+    pub(crate) fn unresolved(&self, i: usize, start: f64, end: f64, least: f64) -> Option<f64> {
         if self.slides(i) {
             return None;
         }
-        let known = |k| self.known((i, k), start, end);
+        let known = |k| self.known(i, k, start, end);
         let (mut a, mut b) = (known(0), known(1));
         (2..self.looked_at.len() + 2).find_map(|k| {
             let c = known(k);
@@ -149,7 +178,8 @@ impl Domains {
         &mut self,
         t_lo: f64,
         t_hi: f64,
-        (tolerance, for_jumps): (f64, f64),
+        tolerance: f64,
+        for_jumps: f64,
         mut evaluate: impl FnMut(f64, &mut [f64]) -> CallResult<()>,
     ) -> CallResult<Located> {
         let start = if self.counts_since.is_some() { &self.from } else { &self.base };
@@ -260,12 +290,47 @@ mod tests {
         d.end.copy_from_slice(&z(hi));
         assert!(d.changed());
         let found = d
-            .locate(lo, hi, (tolerance, tolerance), |t, out| {
+            .locate(lo, hi, tolerance, tolerance, |t, out| {
                 out.copy_from_slice(&z(t));
                 Ok(())
             })
             .unwrap();
         (found.time, found.evaluations, d)
+    }
+
+    /// Values at uneven times in either domain, with zeros: nothing is missed, and most of what is far from
+    /// zero is not looked at further.
+    #[test]
+    fn what_keeps_clear_of_zero_does_not_turn_there() {
+        let mut state = 7_u64;
+        let mut random = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1_u64 << 53) as f64
+        };
+        let (mut n_clear, mut n_found) = (0, 0);
+        for round in 0..20_000 {
+            let sign = if random() < 0.5 { 1.0 } else { -1.0 };
+            let spread = random() * random();
+            let mut value = || if random() < 0.02 { 0.0 } else { sign * (1.0 - spread + spread * random()) };
+            let mut d = Domains::default();
+            d.begin(1, |_| Direction::Both);
+            (d.base[0], d.before[0], d.end[0]) = (value(), value(), value());
+            let inside = value();
+            d.before_time = (random() < 0.5).then(|| -2.0 * random());
+            if round % 3 > 0 {
+                d.changed_at(random(), |_, z| {
+                    z[0] = inside;
+                    Ok(())
+                })
+                .unwrap();
+            }
+            let found = d.turning_point(0, 0.0, 1.0).or(d.unresolved(0, 0.0, 1.0, 0.0));
+            let is_clear = d.keeps_clear(0, 0.0, 1.0);
+            assert!(!is_clear || found.is_none(), "{d:?}: {found:?}");
+            n_clear += u32::from(is_clear);
+            n_found += u32::from(found.is_some());
+        }
+        assert!(n_clear > 10_000 && n_found > 1_000, "{n_clear} {n_found}");
     }
 
     #[test]
@@ -308,7 +373,7 @@ mod tests {
                 out[0] = z(t);
                 Ok(())
             };
-            d.locate(0.0, 1.0, (1e-14, 1e-3), read).unwrap().time
+            d.locate(0.0, 1.0, 1e-14, 1e-3, read).unwrap().time
         };
         let jump = found(|t| if t < 0.7 { -1.0 } else { 1.0 });
         assert!((1e-6..1e-3).contains(&(jump - 0.7)), "{jump}");
@@ -356,7 +421,7 @@ mod tests {
             let before = look.filter(|t| d.changed_at(*t, read).unwrap());
             let hi = before.or_else(|| d.changed().then_some(1.0));
             let lo = d.counts_since().unwrap_or(0.0);
-            let found = d.locate(lo, hi?, (1e-12, 1e-12), read).unwrap();
+            let found = d.locate(lo, hi?, 1e-12, 1e-12, read).unwrap();
             assert!(d.changed());
             d.mark(1.0, 0.0);
             Some((found.time, d.crossings.clone()))
@@ -389,7 +454,7 @@ mod tests {
             out.copy_from_slice(&z(t));
             Ok(())
         };
-        let found = d.locate(0.0, 1.0, (1e-12, 0.0), read).unwrap();
+        let found = d.locate(0.0, 1.0, 1e-12, 0.0, read).unwrap();
         d.mark(1.0, 0.0);
         assert_eq!((d.crossings.clone(), d.counts_since()), (vec![-1, 0], Some(0.5)));
         assert!((found.time - 0.6).abs() < 2e-12, "{}", found.time);

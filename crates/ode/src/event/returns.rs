@@ -89,8 +89,10 @@ impl Domains {
     /// `step` to `reach`, as rounding lets it; 0: over none.
     pub(crate) fn slope_along(
         &mut self,
-        (i, z0): (usize, f64),
-        (step, reach): (f64, f64),
+        i: usize,
+        z0: f64,
+        step: f64,
+        reach: f64,
         evaluate: &mut impl FnMut(f64, &mut [f64]) -> CallResult<()>,
     ) -> CallResult<f64> {
         let shorter = (0..=SHORTER).map(|k| step * 8f64.powi(-k));
@@ -132,7 +134,8 @@ impl Domains {
     /// settled.
     pub(crate) fn find_slopes(
         &mut self,
-        (h, reach): (f64, f64),
+        h: f64,
+        reach: f64,
         mut evaluate: impl FnMut(f64, &mut [f64]) -> CallResult<()>,
     ) -> CallResult<()> {
         let step = SLOPE_STEP * h;
@@ -155,7 +158,7 @@ impl Domains {
                 continue;
             }
             let z0 = self.base[i];
-            self.slopes[i] = self.slope_along((i, z0), (step, reach), &mut evaluate)?;
+            self.slopes[i] = self.slope_along(i, z0, step, reach, &mut evaluate)?;
             let points_back = (z0 > 0.0) == (self.slopes[i] < 0.0);
             let is_new = matches!(self.since_event[i], SinceEvent::New { .. });
             if self.slopes[i] == 0.0 && self.since_event[i] == SinceEvent::Settled {
@@ -226,7 +229,7 @@ impl Domains {
 
     /// When after the start the parabola through the value of such an indicator there, with its slope, and
     /// that at the time `s`, which is `z`, turns, and its value there.
-    pub(crate) fn turn(&self, i: usize, (s, z): (f64, f64)) -> (f64, f64) {
+    pub(crate) fn turn(&self, i: usize, s: f64, z: f64) -> (f64, f64) {
         let (z0, slope) = (self.base[i], self.slopes[i]);
         let curvature = ((z - z0) / s - slope) / s;
         (-0.5 * slope / curvature, z0 - 0.25 * slope * slope / curvature)

@@ -49,7 +49,7 @@ impl<const S: usize> ExplicitRk<S> {
     /// 1.
     pub(crate) fn response(&self, x: &[f64], x_new: &[f64], weights: &Weights) -> f64 {
         let end = self.tableau.end;
-        weights.ratio(x, (&self.k[end], &self.k[end - 1]), (x_new, &self.stage))
+        weights.ratio(x, [&self.k[end], &self.k[end - 1]], [x_new, &self.stage])
     }
 
     /// Takes over in the middle of a run from a method that knows the right-hand side at the current point.
@@ -80,8 +80,9 @@ impl<const S: usize> ExplicitRk<S> {
     fn error_by(
         &mut self,
         weights: &Weights,
-        (x, x_new): (&[f64], &[f64]),
-        (h, of_error): (f64, &[(usize, f64)]),
+        Trial { h, x, .. }: Trial<'_>,
+        x_new: &[f64],
+        of_error: &[(usize, f64)],
     ) -> f64 {
         weighted_sum(&mut self.error, h, terms(of_error, &self.k));
         weights.error_norm(x, x_new, &self.error)
@@ -155,10 +156,10 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
             equations.derivatives(end, x_new, &mut self.k[tableau.end])?;
         }
         self.error_norm = match tableau.error {
-            Estimate::Embedded(error) => self.error_by(equations.weights, (x, x_new), (h, error)),
+            Estimate::Embedded(error) => self.error_by(equations.weights, trial, x_new, error),
             Estimate::Two(fifth, third) => {
-                let third = self.error_by(equations.weights, (x, x_new), (h, third));
-                let fifth = self.error_by(equations.weights, (x, x_new), (h, fifth));
+                let third = self.error_by(equations.weights, trial, x_new, third);
+                let fifth = self.error_by(equations.weights, trial, x_new, fifth);
                 let both = fifth.hypot(0.1 * third);
                 if both == 0.0 { 0.0 } else { fifth * (fifth / both) }
             }

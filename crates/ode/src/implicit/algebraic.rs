@@ -12,7 +12,7 @@ use crate::control::Weights;
 use crate::error::Undetermined;
 use crate::jacobian::Jacobian;
 use crate::lu::Lu;
-use crate::stepper::{Consistency, Equations};
+use crate::stepper::{Consistency, Equations, Point, PointMut};
 use crate::system::{CallError, CallResult, HybridSystem};
 
 const U: f64 = f64::EPSILON / 2.0;
@@ -202,14 +202,15 @@ impl Algebraic {
         shares.fold(0.0, |a, b| if b.is_nan() { f64::INFINITY } else { a.max(b) })
     }
 
-    /// Sees to it that the algebraic equations hold at `(t, x)`, where the right-hand side is `f`; changes
-    /// both if they do not. `known`: there is a Jacobian, though perhaps not of this point; it is one of this
-    /// point afterwards where there was none.
+    /// Sees to it that the algebraic equations hold at a point, where the slopes are the right-hand side;
+    /// changes state and slopes if they do not. `known`: there is a Jacobian, though perhaps not of this
+    /// point; it is one of this point afterwards where there was none.
     pub(super) fn make_consistent<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
-        (t, x, f): (f64, &mut [f64], &mut [f64]),
-        (jacobian, known): (&mut Jacobian, bool),
+        PointMut { t, x, slopes: f }: PointMut<'_>,
+        jacobian: &mut Jacobian,
+        known: bool,
     ) -> CallResult<Consistency> {
         if self.measure(f) {
             return Ok(Consistency::Holds);
@@ -221,7 +222,7 @@ impl Algebraic {
             }
             self.measure(f);
         }
-        jacobian.evaluate(equations, (t, x, f))?;
+        jacobian.evaluate(equations, Point { t, x, slopes: f })?;
         self.start.copy_from_slice(x);
         let worst = self.worst(jacobian);
         for count in 0..MAX_NEWTON {
@@ -237,7 +238,7 @@ impl Algebraic {
                 Some(left) if left <= CONVERGED => return Ok(Consistency::Corrected),
                 Some(_) => {}
             }
-            jacobian.evaluate(equations, (t, x, f))?;
+            jacobian.evaluate(equations, Point { t, x, slopes: f })?;
             equations.weights.inverse_at(x, 1.0, &mut self.inverse);
             self.measure(f);
         }
@@ -247,7 +248,7 @@ impl Algebraic {
         // They hold, though they do not decide the states: a system of higher index.
         x.copy_from_slice(&self.start);
         equations.derivatives(t, x, f)?;
-        jacobian.evaluate(equations, (t, x, f))?;
+        jacobian.evaluate(equations, Point { t, x, slopes: f })?;
         Ok(Consistency::Holds)
     }
 
@@ -269,7 +270,7 @@ impl Algebraic {
             (0..n).map(|i| x[i] + (0.05 + 0.05 * ((i + 1) as f64).sqrt().fract()) * sizes[i]).collect();
         let mut f = vec![0.0; n];
         equations.derivatives(t, &near, &mut f).ok()?;
-        jacobian.evaluate(equations, (t, &near, &f)).ok()?;
+        jacobian.evaluate(equations, Point { t, x: &near, slopes: &f }).ok()?;
         self.deficit(jacobian, &sizes)
     }
 

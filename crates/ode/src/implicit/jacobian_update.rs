@@ -3,7 +3,7 @@
 use super::newton::INITIAL_RATE;
 use crate::jacobian::Jacobian;
 use crate::stats::Stats;
-use crate::stepper::Equations;
+use crate::stepper::{Equations, Point};
 use crate::system::{CallResult, HybridSystem};
 
 /// More iterations than this are slow.
@@ -130,13 +130,13 @@ impl Freshness {
         self.age = self.age.max(1);
     }
 
-    /// Sees to it that there is a Jacobian, evaluated at the point `(t, x)` with the right-hand side `f`
+    /// Sees to it that there is a Jacobian, evaluated at a point whose slopes are the right-hand side
     /// where it must be a new one, and a decomposition for this coefficient, which `decompose` makes.
     pub(super) fn prepare<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
         coefficient: f64,
-        point: (f64, &[f64], &[f64]),
+        point: Point<'_>,
         mut decompose: impl FnMut(&Jacobian, &mut Stats) -> bool,
     ) -> CallResult<Matrix> {
         loop {

@@ -90,9 +90,9 @@ impl<'a> ClosureSystem<'a> {
         }
     }
 
-    fn fill_jacobian(&mut self, at: (f64, &[f64], &[f64]), argument: Argument, j: &mut [f64]) -> bool {
+    fn fill_jacobian(&mut self, t: f64, x: &[f64], dx: &[f64], argument: Argument, j: &mut [f64]) -> bool {
         let Some(jacobian) = &mut self.jacobian else { return false };
-        jacobian(at.0, at.1, at.2, argument, j);
+        jacobian(t, x, dx, argument, j);
         true
     }
 }
@@ -144,7 +144,7 @@ impl HybridSystem for ClosureSystem<'_> {
         argument: Argument,
         j: &mut [f64],
     ) -> CallResult<bool> {
-        Ok(self.fill_jacobian((t, x, dx), argument, j))
+        Ok(self.fill_jacobian(t, x, dx, argument, j))
     }
     fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
         self.pattern.as_ref()
@@ -153,7 +153,7 @@ impl HybridSystem for ClosureSystem<'_> {
         self.jacobian.is_some()
     }
     fn jacobian(&mut self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
-        Ok(self.fill_jacobian((t, x, &[]), Argument::States, j))
+        Ok(self.fill_jacobian(t, x, &[], Argument::States, j))
     }
     fn mass_matrix(&self) -> Option<&[f64]> {
         self.mass.as_deref()

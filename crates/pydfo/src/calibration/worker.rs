@@ -6,10 +6,14 @@ use std::ffi::OsString;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Sets how worker processes are started: a program with arguments that ends up in `serve_worker`.
+// Without the start of an interpreter, where the file of this module can be loaded ahead of one.
+fmi::serve_before_main!(calibration::serve_if_asked);
+
+/// Sets how worker processes are started: a program with arguments that ends up in `serve_worker`. `library`:
+/// the file of this module.
 #[pyfunction]
-pub(crate) fn set_launcher(program: PathBuf, arguments: Vec<OsString>) {
-    Launcher { program, arguments }.set();
+pub(crate) fn set_launcher(program: PathBuf, arguments: Vec<OsString>, library: PathBuf) {
+    Launcher { program, arguments, preload: None }.preloading(library).set();
 }
 
 /// The program of the worker processes, started before it is needed; it ends with this, unless it is in use.

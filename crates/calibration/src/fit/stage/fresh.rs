@@ -23,14 +23,17 @@ pub(super) enum Fresh {
 }
 
 /// A point, and its residuals as they count.
-type Known<'a> = (&'a [f64], &'a [f64]);
+pub(crate) struct KnownPoint {
+    pub(crate) x: Vec<f64>,
+    pub(crate) residuals: Vec<f64>,
+}
 
 impl Calibration {
-    /// Does `work` while a point is evaluated again; `best`: the point, and its residuals as they count.
+    /// Does `work` while a point is evaluated again; `best`: the point.
     /// Where these are others, each evaluation has a process of its own from now on.
     pub(super) fn beside_fresh_process<T>(
         &self,
-        best: Option<Known<'_>>,
+        best: Option<&KnownPoint>,
         loss: RobustLoss,
         context: &RunContext<'_>,
         work: impl FnOnce() -> T,
@@ -47,7 +50,7 @@ impl Calibration {
     fn again(
         &self,
         remote: &Remote,
-        (x, known): Known<'_>,
+        KnownPoint { x, residuals: known }: &KnownPoint,
         loss: RobustLoss,
         context: &RunContext<'_>,
     ) -> Fresh {

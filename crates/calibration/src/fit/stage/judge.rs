@@ -24,10 +24,15 @@ const LOOSE: f64 = 0.1;
 
 impl Calibration {
     /// The fit of which the searches are made, with the residuals that they have computed, by the weights of
-    /// this calibration. `stats`: what the searches took.
-    pub(crate) fn judged(&self, job: &Job<'_>, made: Made, mut stats: Stats) -> (Fit, KeptResiduals) {
-        // With the weights and the tolerance of the fit.
-        let own = made.own.as_ref().unwrap_or(self);
+    /// this calibration. `own`: that with the weights and the tolerance of the fit; `stats`: what the
+    /// searches took.
+    pub(crate) fn judged(
+        &self,
+        own: &Self,
+        job: &Job<'_>,
+        made: Made,
+        mut stats: Stats,
+    ) -> (Fit, KeptResiduals) {
         let Searched { report, residuals, start_cost, .. } = &made.searched;
         let Job { start, objective, loss, context, phase, .. } = job;
         phase.set(FitPhase::Checks);

@@ -18,12 +18,23 @@ pub(crate) use rounds::{add_earlier, checkpoint_of, ended_by};
 pub use tolerance::ChosenTolerance;
 
 use crate::cost::calibration::Calibration;
+use crate::cost::process::HIDDEN_STATE;
 use crate::error::CalibrationError;
+use crate::findings::finding::{Finding, Severity};
 use crate::fit::output_fit::KeptResiduals;
 use base::RunContext;
+use fresh::Fresh;
 use ode::Stats;
 pub(crate) use rounds::Made;
 pub(crate) use search::{Job, Searched, Spent};
+
+/// Finding about an FMU whose results depend on more than what is set.
+const NOT_REPRODUCED: &str =
+    "two evaluations of the best point in fresh processes differ: no cost can be reproduced";
+
+fn finding_about_fmu(sentence: &str) -> Finding {
+    Finding::new(Severity::Warning, "FMU", sentence, "")
+}
 
 impl Calibration {
     /// Fits the parameters.
@@ -48,11 +59,30 @@ impl Calibration {
     ) -> Result<(Fit, KeptResiduals), CalibrationError> {
         let mut job = Job::new(self, options, within)?;
         self.choose_method(&mut job.run, &job.held, &job.objective)?;
-        let mut stats = Stats::default();
-        let made = match self.made(&mut job, &mut stats) {
-            Err(error) if !job.context.is_cancelled() => Made::of(self.start_alone(&job, error)?),
-            made => made?,
-        };
-        Ok(self.judged(&job, made, stats))
+        let (run, wants_preflight) = (job.run.clone(), job.wants_preflight);
+        let (mut stats, mut remark) = (Stats::default(), None);
+        loop {
+            let mut made = match self.made(&mut job, &mut stats) {
+                Err(error) if !job.context.is_cancelled() => Made::of(self.start_alone(&job, error)?),
+                made => made?,
+            };
+            made.searched.raised.extend(remark.map(finding_about_fmu));
+            let (own, best) = (made.own.take(), made.best().filter(|_| job.uncertainty.is_some()));
+            let own = own.as_ref().unwrap_or(self);
+            let ((mut fit, kept), again) =
+                own.beside_fresh_process(best.as_ref(), job.loss, &job.context, || {
+                    self.judged(own, &job, made, stats)
+                });
+            match again {
+                Fresh::Same => return Ok((fit, kept)),
+                Fresh::Random => {
+                    fit.setup_findings.push(finding_about_fmu(NOT_REPRODUCED));
+                    return Ok((fit, kept));
+                }
+                Fresh::Other => (stats, remark) = (fit.stats, Some(HIDDEN_STATE)),
+            }
+            log::warn!("{}: {HIDDEN_STATE}: the fit begins anew", self.fmu().description().model_name);
+            job.begin_anew(run.clone(), wants_preflight);
+        }
     }
 }

@@ -1,5 +1,6 @@
 //! The searches of a fit: one, or several that take turns with estimates of the noise.
 
+use super::fresh::KnownPoint;
 use super::noise::{EstimatedNoise, FitNoise, MOST_ROUNDS, NoiseRule, leverages};
 use super::search::{Job, Searched, Spent, start_cost_in};
 use super::tolerance::ChosenTolerance;
@@ -30,6 +31,12 @@ impl Made {
     /// A search with the weights and the tolerance of the calibration that was asked.
     pub(crate) fn of(searched: Searched) -> Self {
         Self { own: None, searched, noise: None, tolerance: None }
+    }
+
+    /// The result of the search, and the residuals there, if they are known.
+    pub(super) fn best(&self) -> Option<KnownPoint> {
+        let Searched { report, residuals, .. } = &self.searched;
+        residuals.at(&report.x).map(|known| KnownPoint { x: report.x.clone(), residuals: known.to_vec() })
     }
 }
 

@@ -1,11 +1,9 @@
 //! The search for the best point, with what comes before it: the objective meets an optimiser.
 
 use super::engine::Engine;
-use super::fresh::Fresh;
 use super::noise::NoiseRule;
 use super::options::{FitObserver, FitOptions};
 use crate::cost::calibration::Calibration;
-use crate::cost::process::HIDDEN_STATE;
 use crate::cost::residual::sum_of_squares;
 use crate::cost::solver::{AtStart, Solver};
 use crate::error::CalibrationError;
@@ -29,10 +27,6 @@ use std::collections::{HashMap, VecDeque};
 use std::rc::Rc;
 use std::sync::{Arc, Mutex};
 use std::thread::available_parallelism;
-
-/// Finding about an FMU whose results depend on more than what is set.
-const NOT_REPRODUCED: &str =
-    "two evaluations of the best point in fresh processes differ: no cost can be reproduced";
 
 /// The objective of one fit, which adds up what its simulations take.
 struct Counted<'a> {
@@ -211,6 +205,8 @@ pub(crate) struct Job<'a> {
     pub(crate) is_part: bool,
     /// True if nothing is held but what no stage frees, so that the problem can be judged by its result.
     pub(crate) is_whole: bool,
+    /// True if a simulation depends on those before it in the same process.
+    pub(crate) has_hidden_state: bool,
     /// Of the limits, by searches before.
     pub(crate) spent: Spent,
     /// The residuals at the start, as they count, where they were known before the search.
@@ -260,6 +256,7 @@ impl<'a> Job<'a> {
             phase: options.phase,
             context,
             is_part,
+            has_hidden_state: false,
             spent: Spent::default(),
             at_start: RefCell::default(),
         })
@@ -267,6 +264,15 @@ impl<'a> Job<'a> {
 }
 
 impl Job<'_> {
+    /// Makes it one that has not begun, where each evaluation has a process of its own. What was stored, here
+    /// or by an earlier fit, may depend on what ran before.
+    pub(super) fn begin_anew(&mut self, run: RunOptions<AnyMethod>, wants_preflight: bool) {
+        (self.run, self.wants_preflight) = (run, wants_preflight);
+        self.run.checkpoint = self.run.checkpoint.take().map(|checkpoint| checkpoint.resume(Resume::Never));
+        self.run.known.iter_mut().for_each(|known| known.problem = None);
+        (self.has_hidden_state, self.spent) = (true, Spent::default());
+    }
+
     /// True if the problem is checked again at the result.
     pub(super) fn is_checked(&self) -> bool {
         self.is_whole && self.uncertainty.is_some()
@@ -326,44 +332,27 @@ impl Calibration {
             self.preflight_counted(&options, &mut at_start, context, stats)
         });
         let preflight = preflight.transpose()?;
-        let mut raised: Vec<Finding> =
+        let raised: Vec<Finding> =
             preflight.iter().filter_map(|found| raise_f_tol(&mut run.tolerances, found)).collect();
         job.phase.set(FitPhase::Search);
         if let Ok(remote) = &self.evaluator().remote {
             remote.set_checked();
-        }
-        let mut remark = None;
-        let (report, stuck, residuals) = loop {
-            let known = at_start.take().map(|known| known.residuals);
-            job.at_start.borrow_mut().clone_from(&known);
-            let (report, residuals) = self.run_once(job, &run, known, stats)?;
-            job.phase.set(FitPhase::Checks);
-            let ended = EndedRun {
-                start,
-                held: &job.held,
-                report: &report,
-                kind: &job.objective,
-                tolerances: &run.tolerances,
-            };
-            let best = residuals.at(&report.x).map(|known| (report.x.as_slice(), known));
-            let best = best.filter(|_| job.uncertainty.is_some());
-            let (stuck, again) = self.beside_fresh_process(best, job.loss, context, || {
-                self.stuck_parameters(&ended, context, stats)
-            });
-            match again {
-                Fresh::Same => break (report, stuck, residuals),
-                Fresh::Random => {
-                    remark = Some(NOT_REPRODUCED);
-                    break (report, stuck, residuals);
-                }
-                Fresh::Other => remark = Some(HIDDEN_STATE),
+            if job.has_hidden_state {
+                remote.set_always_fresh();
             }
-            log::warn!("{}: {HIDDEN_STATE}: the fit begins anew", self.fmu().description().model_name);
-            // What was stored, here or by an earlier fit, may depend on what ran before.
-            run.checkpoint = run.checkpoint.map(|checkpoint| checkpoint.resume(Resume::Never));
-            run.known.iter_mut().for_each(|known| known.problem = None);
+        }
+        let known = at_start.take().map(|known| known.residuals);
+        job.at_start.borrow_mut().clone_from(&known);
+        let (report, residuals) = self.run_once(job, &run, known, stats)?;
+        job.phase.set(FitPhase::Checks);
+        let ended = EndedRun {
+            start,
+            held: &job.held,
+            report: &report,
+            kind: &job.objective,
+            tolerances: &run.tolerances,
         };
-        raised.extend(remark.map(|sentence| Finding::new(Severity::Warning, "FMU", sentence, "")));
+        let stuck = self.stuck_parameters(&ended, context, stats);
         Ok(Searched {
             start_cost: start_cost_in(&report, start),
             report,

@@ -279,11 +279,13 @@ impl InputPlan {
                         plan.add_held(starts, place, column, &mut stops)?;
                     } else {
                         let numbers: Vec<f64> = converted.iter().filter_map(Value::as_number).collect();
-                        plan.add_numbers(starts, place, (times, &numbers.into()), &mut stops)?;
+                        let column = Column { times: Arc::clone(times), values: numbers.into() };
+                        plan.add_numbers(starts, place, column, &mut stops)?;
                     }
                 }
                 SourceValues::Numbers(times, values) => {
-                    plan.add_numbers(starts, place, (times, values), &mut stops)?;
+                    let column = Column { times: Arc::clone(times), values: Arc::clone(values) };
+                    plan.add_numbers(starts, place, column, &mut stops)?;
                 }
             }
         }
@@ -296,12 +298,11 @@ impl InputPlan {
         &mut self,
         starts: &Starts<'_>,
         place: VariableElement,
-        (times, values): (&Arc<[f64]>, &Arc<[f64]>),
+        column: Column,
         stops: &mut Vec<InputStop>,
     ) -> Result<()> {
         let variable = &starts.description.variables[place.variable];
-        check_rows(variable, times, values)?;
-        let column = Column { times: Arc::clone(times), values: Arc::clone(values) };
+        check_rows(variable, &column.times, &column.values)?;
         if is_linear(variable) {
             let column = column.times(if variable.negated { -1.0 } else { 1.0 });
             column.linear_stops(self.time_tolerance, stops);

@@ -5,12 +5,12 @@
 //! the user mark, the algebraic variables, is what `M` has no part in here, be it a state or a sum of states.
 
 use super::fixed::{AtSlopes, Kind};
-use super::left_side::{LeftSide, NOISE, Point};
+use super::left_side::{LeftSide, NOISE};
 use crate::control::Weights;
 use crate::implicit::algebraic::{Algebraic, sizes};
 use crate::implicit::jacobian_update::Freshness;
 use crate::lu::make_room;
-use crate::stepper::{Consistency, Equations};
+use crate::stepper::{Consistency, Equations, Point, PointMut};
 use crate::system::{CallError, CallResult, HybridSystem};
 
 /// Slopes that Newton's method would change by less than this share are consistent.
@@ -30,7 +30,8 @@ impl LeftSide {
     pub(super) fn make_consistent<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
-        (t, x, slopes, defect): (f64, &mut [f64], &mut [f64], &mut [f64]),
+        PointMut { t, x, slopes }: PointMut<'_>,
+        defect: &mut [f64],
         freshness: &mut Freshness,
     ) -> CallResult<Consistency> {
         if self.kind == Kind::Identity {
@@ -43,13 +44,13 @@ impl LeftSide {
         }
         let is_sparse = self.kind == Kind::Residual && self.slopes.is_sparse();
         let found = match is_sparse {
-            true => self.make_sparse_consistent(equations, (t, x, slopes, defect), freshness)?,
+            true => self.make_sparse_consistent(equations, PointMut { t, x, slopes }, defect, freshness)?,
             false => None,
         };
         let found = match found {
             Some(found) => found,
             None if is_sparse && x.len() > MAX_DENSE => self.unmet(equations.weights, x, defect, freshness),
-            None => self.make_dense_consistent(equations, (t, x, slopes, defect), freshness)?,
+            None => self.make_dense_consistent(equations, PointMut { t, x, slopes }, defect, freshness)?,
         };
         let is_failure = !matches!(found, Consistency::Holds | Consistency::Corrected);
         let may_be_wrong = found == Consistency::Corrected && self.is_affine != Some(true);
@@ -60,11 +61,11 @@ impl LeftSide {
             x.copy_from_slice(&self.guess.0);
             slopes.copy_from_slice(&self.guess.1);
         }
-        let is_singular = self.is_singular_only_here(equations, (t, x, slopes), is_failure)?;
+        let is_singular = self.is_singular_only_here(equations, Point { t, x, slopes }, is_failure)?;
         if is_singular || matches!(found, Consistency::NoSlopes { .. }) {
             x.copy_from_slice(&self.guess.0);
             slopes.copy_from_slice(&self.guess.1);
-            self.defect(equations, (t, x, slopes), defect)?;
+            self.defect(equations, Point { t, x, slopes }, defect)?;
             let worst = (0..x.len()).max_by(|i, k| defect[*i].abs().total_cmp(&defect[*k].abs()));
             let equation = worst.unwrap_or_default();
             return Ok(Consistency::NoSlopes { equation, residual: -defect[equation], is_singular });
@@ -84,7 +85,7 @@ impl LeftSide {
         equations: &mut Equations<'_, S>,
         point: Point<'_>,
     ) -> CallResult<Vec<f64>> {
-        let n = point.1.len();
+        let n = point.x.len();
         let mut defect = vec![0.0; n];
         self.defect(equations, point, &mut defect)?;
         self.is_known = false;
@@ -100,14 +101,14 @@ impl LeftSide {
     fn is_singular_only_here<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
-        (t, x, slopes): Point<'_>,
+        Point { t, x, slopes }: Point<'_>,
         moves_states: bool,
     ) -> CallResult<bool> {
         let n = x.len();
         if n > MAX_DENSE && self.slopes.is_sparse() {
             return Ok(false);
         }
-        let mut here = self.matrix_at(equations, (t, x, slopes))?;
+        let mut here = self.matrix_at(equations, Point { t, x, slopes })?;
         let kept = self.slopes.values.clone();
         sizes(equations.weights, x, &mut self.point);
         // Shares that have nothing in common.
@@ -116,7 +117,7 @@ impl LeftSide {
         let near_x: Vec<f64> = (0..n).map(|i| x[i] + states * share(i) * self.point[i]).collect();
         let near_slopes: Vec<f64> =
             (0..n).map(|i| slopes[i] + share(i) * slopes[i].abs().max(x[i].abs()).max(1.0)).collect();
-        let near = match self.matrix_at(equations, (t, &near_x, &near_slopes)) {
+        let near = match self.matrix_at(equations, Point { t, x: &near_x, slopes: &near_slopes }) {
             Err(CallError::Discard) => return Ok(false),
             near => near?,
         };
@@ -143,7 +144,8 @@ impl LeftSide {
     fn make_dense_consistent<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
-        (t, x, slopes, defect): (f64, &mut [f64], &mut [f64], &mut [f64]),
+        PointMut { t, x, slopes }: PointMut<'_>,
+        defect: &mut [f64],
         freshness: &mut Freshness,
     ) -> CallResult<Consistency> {
         let n = x.len();
@@ -153,7 +155,7 @@ impl LeftSide {
         let mut fewest = n;
         let mut outcome = Consistency::Holds;
         for _ in 0..MAX_ROUNDS {
-            let is_new = self.renew(equations, (t, x, slopes), defect)?;
+            let is_new = self.renew(equations, Point { t, x, slopes }, defect)?;
             if is_sparse {
                 make_room(&mut self.mass, n, 0.0)?;
                 self.mass.fill(0.0);
@@ -174,7 +176,7 @@ impl LeftSide {
                 fewest = self.algebraic.count();
                 if outcome == Consistency::Corrected {
                     self.algebraic.move_from(&self.guess.0, x);
-                    self.defect(equations, (t, x, slopes), defect)?;
+                    self.defect(equations, Point { t, x, slopes }, defect)?;
                     freshness.moved();
                     self.is_checked = false;
                 }
@@ -187,7 +189,9 @@ impl LeftSide {
                 weights: equations.weights,
                 stats: &mut *equations.stats,
             };
-            let found = algebraic.make_consistent(&mut inner, (t, x, defect), freshness.jacobian_mut())?;
+            let (jacobian, is_known) = freshness.jacobian_mut();
+            let point = PointMut { t, x, slopes: defect };
+            let found = algebraic.make_consistent(&mut inner, point, jacobian, is_known)?;
             if inner.stats.jacobians > before {
                 freshness.take_new(found == Consistency::Holds);
             }
@@ -198,7 +202,7 @@ impl LeftSide {
             }
             if !std::mem::replace(is_checked, true) {
                 if !freshness.is_here() {
-                    freshness.jacobian_mut().0.evaluate(&mut inner, (t, x, defect))?;
+                    freshness.jacobian_mut().0.evaluate(&mut inner, Point { t, x, slopes: defect })?;
                     freshness.take_new(true);
                 }
                 sizes(inner.weights, x, &mut self.point);
@@ -223,7 +227,7 @@ impl LeftSide {
             if self.kind == Kind::Mass || (converged && found == Consistency::Holds) {
                 return Ok(outcome);
             }
-            self.defect(equations, (t, x, slopes), defect)?;
+            self.defect(equations, Point { t, x, slopes }, defect)?;
         }
         Ok(NO_SLOPES)
     }
@@ -234,19 +238,20 @@ impl LeftSide {
     fn make_sparse_consistent<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
-        (t, x, slopes, defect): (f64, &mut [f64], &mut [f64], &mut [f64]),
+        PointMut { t, x, slopes }: PointMut<'_>,
+        defect: &mut [f64],
         freshness: &mut Freshness,
     ) -> CallResult<Option<Consistency>> {
         let (mut outcome, mut is_singular) = (Consistency::Holds, false);
         for _ in 0..MAX_ROUNDS {
-            self.renew(equations, (t, x, slopes), defect)?;
+            self.renew(equations, Point { t, x, slopes }, defect)?;
             let given = x.iter_mut().zip(&self.guess.0).zip(&self.has_slope);
             let mut is_other = false;
             for ((x, guess), _) in given.filter(|((x, guess), has_slope)| **has_slope && x != guess) {
                 (*x, is_other) = (*guess, true);
             }
             if is_other {
-                self.defect(equations, (t, x, slopes), defect)?;
+                self.defect(equations, Point { t, x, slopes }, defect)?;
             }
             let mut at_slopes = self.at_slopes(&mut *equations.system, slopes);
             let mut inner = Equations {
@@ -254,7 +259,7 @@ impl LeftSide {
                 weights: equations.weights,
                 stats: &mut *equations.stats,
             };
-            freshness.jacobian_mut().0.evaluate(&mut inner, (t, x, defect))?;
+            freshness.jacobian_mut().0.evaluate(&mut inner, Point { t, x, slopes: defect })?;
             freshness.take_new(true);
             let jacobian = freshness.jacobian();
             let Some(pattern) = jacobian.pattern() else { return Ok(None) };
@@ -289,12 +294,12 @@ impl LeftSide {
             if converged {
                 return Ok(Some(outcome));
             }
-            self.defect(equations, (t, x, slopes), defect)?;
+            self.defect(equations, Point { t, x, slopes }, defect)?;
         }
         // A matrix that is singular by its numbers may have been decomposed all the same.
         x.copy_from_slice(&self.guess.0);
         slopes.copy_from_slice(&self.guess.1);
-        self.defect(equations, (t, x, slopes), defect)?;
+        self.defect(equations, Point { t, x, slopes }, defect)?;
         Ok((!is_singular && x.len() > MAX_DENSE).then_some(NO_SLOPES))
     }
 
@@ -323,11 +328,12 @@ impl LeftSide {
     pub(super) fn correct<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
-        (t, x, slopes, defect): (f64, &mut [f64], &mut [f64], &mut [f64]),
+        PointMut { t, x, slopes }: PointMut<'_>,
+        defect: &mut [f64],
         freshness: &mut Freshness,
     ) -> CallResult<()> {
-        self.defect(equations, (t, x, slopes), defect)?;
-        self.make_consistent(equations, (t, x, slopes, defect), freshness)?;
+        self.defect(equations, Point { t, x, slopes }, defect)?;
+        self.make_consistent(equations, PointMut { t, x, slopes }, defect, freshness)?;
         Ok(())
     }
 }

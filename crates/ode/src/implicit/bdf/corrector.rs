@@ -4,7 +4,7 @@ use super::left_side::LeftSide;
 use crate::control::scaled_norm;
 use crate::implicit::newton::Iteration;
 use crate::lu::Lu;
-use crate::stepper::Equations;
+use crate::stepper::{Equations, Point};
 use crate::system::{CallResult, HybridSystem};
 
 /// Where the corrector stands.
@@ -57,7 +57,7 @@ impl Iteration for Corrector<'_> {
                     slopes[i] = (share * self.z[1][i] + e) / gamma;
                 }
             }
-            self.left.defect(equations, (self.end, x, slopes), rhs)?;
+            self.left.defect(equations, Point { t: self.end, x, slopes }, rhs)?;
         }
         for (i, b) in increment.iter_mut().enumerate() {
             *b = gamma * rhs[i];

@@ -12,7 +12,7 @@ use crate::implicit::jacobian_update::Freshness;
 use crate::jacobian::Jacobian;
 use crate::lu::{Lu, make_room};
 use crate::options::Options;
-use crate::stepper::Equations;
+use crate::stepper::{Equations, Point};
 use crate::system::{CallError, CallResult, HybridSystem};
 
 /// Entries of a matrix of differences below this share of its largest ones are zero.
@@ -54,9 +54,6 @@ pub(super) struct LeftSide {
     /// States and slopes that consistent ones are looked for from.
     pub(super) guess: (Vec<f64>, Vec<f64>),
 }
-
-/// Where the system is looked at: time, state, slopes.
-pub(super) type Point<'a> = (f64, &'a [f64], &'a [f64]);
 
 impl LeftSide {
     /// `exclude`: the error test is to leave out the states that `M` has no part in.
@@ -127,7 +124,7 @@ impl LeftSide {
     pub(super) fn defect<S: HybridSystem + ?Sized>(
         &self,
         equations: &mut Equations<'_, S>,
-        (t, x, slopes): Point<'_>,
+        Point { t, x, slopes }: Point<'_>,
         defect: &mut [f64],
     ) -> CallResult<()> {
         equations.stats.right_hand_sides += 1;
@@ -158,20 +155,21 @@ impl LeftSide {
     pub(super) fn renew<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
-        (t, x, slopes): Point<'_>,
+        point: Point<'_>,
         defect: &[f64],
     ) -> CallResult<bool> {
         if self.kind != Kind::Residual {
             return Ok(false);
         }
+        let Point { t, x, slopes } = point;
         for (i, nominal) in self.nominals.iter_mut().enumerate() {
             *nominal = slopes[i].abs().max(equations.weights.scale(i));
         }
         if self.is_affine.is_none() {
-            self.is_affine = Some(self.look_for_curvature(equations, (t, x, slopes), defect)?);
+            self.is_affine = Some(self.look_for_curvature(equations, point, defect)?);
         }
         let is_affine = self.is_affine == Some(true);
-        if self.is_known && is_affine && self.is_as_before(equations, (t, x, slopes), defect)? {
+        if self.is_known && is_affine && self.is_as_before(equations, point, defect)? {
             return Ok(false);
         }
         // Where the residual is affine, differences are the more exact the longer they are.
@@ -184,7 +182,7 @@ impl LeftSide {
         let mut at_state = AtState { system: &mut *equations.system, x };
         let mut inner =
             Equations { system: &mut at_state, weights: &self.weights, stats: &mut *equations.stats };
-        self.slopes.evaluate(&mut inner, (t, slopes, &self.value))?;
+        self.slopes.evaluate(&mut inner, Point { t, x: slopes, slopes: &self.value })?;
         equations.stats.jacobians -= 1;
         let has_changed = !self.is_known || self.last != self.slopes.values;
         self.is_known = true;
@@ -201,7 +199,7 @@ impl LeftSide {
     fn ahead<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
-        (t, x, slopes): Point<'_>,
+        Point { t, x, slopes }: Point<'_>,
         share: f64,
     ) -> CallResult<bool> {
         // Shares that have nothing in common.
@@ -266,7 +264,7 @@ impl LeftSide {
     pub(super) fn undetermined<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
-        (t, x, slopes): Point<'_>,
+        Point { t, x, slopes }: Point<'_>,
         freshness: &mut Freshness,
     ) -> Option<Undetermined> {
         if self.kind == Kind::Identity || !self.is_split {

@@ -21,7 +21,7 @@ use crate::error::Undetermined;
 use crate::jacobian::Jacobian;
 use crate::lu::Lu;
 use crate::stats::Stats;
-use crate::stepper::{Attempt, Consistency, Equations, Properties, Stepper, Trial};
+use crate::stepper::{Attempt, Consistency, Equations, Point, PointMut, Properties, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 
 mod array;
@@ -155,7 +155,7 @@ impl Bdf {
     fn prepare<S: HybridSystem + ?Sized>(
         &mut self,
         equations: &mut Equations<'_, S>,
-        (t, x, h): (f64, &[f64], f64),
+        Trial { t, h, x, .. }: Trial<'_>,
     ) -> CallResult<()> {
         if !self.fresh && self.error_failures >= 3 {
             // The derivatives in the array are not those of the solution: a new start at order 1, as in DASSL; where equations
@@ -169,7 +169,7 @@ impl Bdf {
                     equations.derivatives(t, x, &mut self.f)?;
                 } else if self.error_failures == 3 {
                     let Self { left, z, f, iterate: Iterate { rhs, .. }, freshness, .. } = self;
-                    left.correct(equations, (t, &mut z[0], f, rhs), freshness)?;
+                    left.correct(equations, PointMut { t, x: &mut z[0], slopes: f }, rhs, freshness)?;
                 }
                 self.z[1].iter_mut().zip(&self.f).for_each(|(z, f)| *z = self.h * f);
             }
@@ -211,7 +211,7 @@ impl Bdf {
             self.iterate.slopes.iter_mut().zip(&self.z_new[1]).for_each(|(s, z)| *s = z / self.h);
             let Self { freshness, lu, left, z_new, iterate: Iterate { slopes, rhs, .. }, .. } = self;
             let x = &z_new[0][..];
-            left.defect(equations, (end, x, slopes), rhs)?;
+            left.defect(equations, Point { t: end, x, slopes }, rhs)?;
             let before = equations.stats.jacobians;
             let mut decompose = |left: &LeftSide, jacobian: &Jacobian, stats: &mut Stats| {
                 stats.decompositions += 1;
@@ -221,11 +221,14 @@ impl Bdf {
             let mut system = left.at_slopes(equations.system, slopes);
             let mut inner =
                 Equations { system: &mut system, weights: equations.weights, stats: &mut *equations.stats };
-            let mut matrix = freshness.prepare(&mut inner, gamma, (end, x, rhs), |jacobian, stats| {
-                decompose(left, jacobian, stats)
-            })?;
+            let mut matrix = freshness.prepare(
+                &mut inner,
+                gamma,
+                Point { t: end, x, slopes: rhs },
+                |jacobian, stats| decompose(left, jacobian, stats),
+            )?;
             if equations.stats.jacobians > before
-                && left.renew(equations, (end, x, slopes), rhs)?
+                && left.renew(equations, Point { t: end, x, slopes }, rhs)?
                 && !decompose(left, freshness.jacobian(), equations.stats)
             {
                 matrix = Matrix::Singular;
@@ -359,7 +362,7 @@ impl Stepper for Bdf {
         if !std::mem::replace(&mut self.has_started, true) {
             equations.system.slopes_at_start(&mut self.f);
         }
-        self.left.defect(equations, (t, x, &self.f), &mut self.iterate.rhs)
+        self.left.defect(equations, Point { t, x, slopes: &self.f }, &mut self.iterate.rhs)
     }
 
     fn make_consistent<S: HybridSystem + ?Sized>(
@@ -369,7 +372,7 @@ impl Stepper for Bdf {
         x: &mut [f64],
     ) -> CallResult<Consistency> {
         let Self { left, f, iterate: Iterate { rhs, .. }, freshness, .. } = self;
-        let found = left.make_consistent(equations, (t, x, f, rhs), freshness)?;
+        let found = left.make_consistent(equations, PointMut { t, x, slopes: f }, rhs, freshness)?;
         self.z[0].copy_from_slice(x);
         Ok(found)
     }
@@ -380,7 +383,7 @@ impl Stepper for Bdf {
         t: f64,
         x: &[f64],
     ) -> Option<Undetermined> {
-        self.left.undetermined(equations, (t, x, &self.f), &mut self.freshness)
+        self.left.undetermined(equations, Point { t, x, slopes: &self.f }, &mut self.freshness)
     }
 
     fn forget(&mut self) {
@@ -424,14 +427,14 @@ impl Stepper for Bdf {
         trial: Trial<'_>,
         x_new: &mut [f64],
     ) -> CallResult<Attempt> {
-        let Trial { t, end, h, x } = trial;
+        let Trial { end, h, x, .. } = trial;
         if x.is_empty() {
             return Ok(Attempt::Good);
         }
         equations.weights.inverse_at(x, 1.0, &mut self.inverse);
         self.tested.copy_from_slice(&self.inverse);
         self.left.choose_tested(&mut self.tested);
-        self.prepare(equations, (t, x, h))?;
+        self.prepare(equations, trial)?;
         if !self.correct(equations, end)? {
             self.growth = 1.0;
             self.freshness.want_jacobian();

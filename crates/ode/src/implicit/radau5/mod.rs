@@ -11,7 +11,9 @@ use super::jacobian_update::{Freshness, Matrix, Rules};
 use super::newton::{Convergence, Newton};
 use crate::control::scaled_norm;
 use crate::error::Undetermined;
-use crate::stepper::{Attempt, Consistency, Equations, Properties, StepWithEvent, Stepper, Trial};
+use crate::stepper::{
+    Attempt, Consistency, Equations, Point, PointMut, Properties, StepWithEvent, Stepper, Trial,
+};
 use crate::system::{CallError, CallResult, HybridSystem};
 use num_complex::Complex;
 
@@ -279,7 +281,9 @@ impl Stepper for Radau5 {
         }
         let before = equations.stats.jacobians;
         let Self { algebraic, freshness, f, .. } = self;
-        let found = algebraic.make_consistent(equations, (t, x, f), freshness.jacobian_mut())?;
+        let (jacobian, is_known) = freshness.jacobian_mut();
+        let point = PointMut { t, x, slopes: f };
+        let found = algebraic.make_consistent(equations, point, jacobian, is_known)?;
         if equations.stats.jacobians > before {
             // Where nothing was changed it is of the current point.
             freshness.take_new(found == Consistency::Holds);
@@ -342,7 +346,7 @@ impl Stepper for Radau5 {
         loop {
             let before = equations.stats.jacobians;
             let Self { freshness, stages, .. } = self;
-            let point = (t, x, &self.f[..]);
+            let point = Point { t, x, slopes: &self.f };
             let decompose = |jacobian: &_, stats: &mut _| stages.decompose(jacobian, h, stats);
             let matrix = freshness.prepare(equations, h, point, decompose)?;
             if equations.stats.jacobians > before {

@@ -38,5 +38,6 @@ def know_interpreter() -> None:
     """Has worker processes started by this interpreter."""
     global is_known
     if (program := _interpreter()) is not None:
-        _core.set_launcher(program, ["-I", "-S", "-c", _PROGRAM, os.path.dirname(os.path.abspath(_core.__file__))])
+        library = os.path.abspath(_core.__file__)
+        _core.set_launcher(program, ["-I", "-S", "-c", _PROGRAM, os.path.dirname(library)], library)
         is_known = True

@@ -1,0 +1,56 @@
+//! Ends of processes.
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::process::Pid;
+use std::os::fd::OwnedFd;
+use std::os::unix::process::ExitStatusExt;
+use std::process::ExitStatus;
+use std::time::Duration;
+
+/// Time after which a process whose end no system call tells is looked at again.
+const LOOK: Duration = Duration::from_millis(10);
+
+/// The end of a process, which keeps its number until it is waited for. Where the system has no such thing
+/// (`None`), only its socket tells, and it ends soon after that.
+#[derive(Debug, Default)]
+pub(super) struct ProcessEnd(Option<OwnedFd>);
+
+impl ProcessEnd {
+    /// The end of a child of this process, or of a child of it.
+    #[cfg(target_os = "linux")]
+    pub(super) fn of(pid: Pid) -> Self {
+        Self(rustix::process::pidfd_open(pid, rustix::process::PidfdFlags::empty()).ok())
+    }
+
+    #[cfg(not(target_os = "linux"))]
+    pub(super) fn of(_: Pid) -> Self {
+        Self(None)
+    }
+
+    /// True if it comes within this time.
+    pub(super) fn is_over_within(&self, longest: Duration) -> bool {
+        let Some(end) = &self.0 else {
+            std::thread::sleep(longest.min(LOOK));
+            return !longest.is_zero();
+        };
+        let longest = Timespec { tv_sec: longest.as_secs() as i64, tv_nsec: longest.subsec_nanos().into() };
+        matches!(poll(&mut [PollFd::new(end, PollFlags::IN)], Some(&longest)), Ok(n) if n > 0)
+    }
+}
+
+/// How a process has ended.
+pub(super) fn in_words(status: ExitStatus) -> String {
+    let signal = status.signal();
+    match (signal, status.code()) {
+        (Some(libc::SIGSEGV), _) => "segmentation fault".to_owned(),
+        (Some(libc::SIGABRT), _) => "abort".to_owned(),
+        (Some(libc::SIGBUS), _) => "bus error".to_owned(),
+        (Some(libc::SIGFPE), _) => "arithmetic exception".to_owned(),
+        (Some(libc::SIGILL), _) => "illegal instruction".to_owned(),
+        (Some(libc::SIGKILL), _) => "killed from outside, or for want of memory".to_owned(),
+        (Some(libc::SIGXCPU | libc::SIGXFSZ), _) => "a limit of resources was reached".to_owned(),
+        (Some(signal), _) => format!("signal {signal}"),
+        (None, Some(code)) => format!("the process was ended with exit({code})"),
+        (None, None) => "the process ended".to_owned(),
+    }
+}
