@@ -5,8 +5,8 @@
 use calibration::RunContext;
 use calibration::dfo::{Limits, Loss, Measure, RobustLoss, RunOptions, Stop, Tolerances};
 use calibration::{
-    Calibration, CheckOptions, Data, Experiment, Finding, Fit, FitOptions, NoiseRule, Parameter, Prior,
-    Scale, Severity, SimulationSettings, Stage, Weight,
+    Calibration, CheckOptions, Compared, CostKind, CustomCost, Data, Experiment, Finding, Fit, FitOptions,
+    NoiseRule, Parameter, Prior, Scale, Severity, SimulationSettings, Stage, UncertaintyOptions, Weight,
 };
 use example_models::example_fmu;
 use fmi::Fmu;
@@ -539,4 +539,107 @@ fn residuals_that_one_number_explains_say_which() {
         let fit = fit(change);
         assert!(warns(&fit.findings(), said), "{said}: {fit}");
     }
+}
+
+/// What the model leaves out is said of the residuals, whatever the cost is and with or without standard
+/// errors.
+#[test]
+fn residuals_are_looked_at_with_every_cost_and_without_a_covariance() {
+    let t = times(101, 0.05);
+    let with_offset: Vec<f64> = decay(&t, 2.0, 0.005).iter().map(|x| x + 0.1).collect();
+    let squares = CustomCost::cost("squares", |compared| {
+        let of =
+            |c: &Compared<'_>| c.simulated.iter().zip(c.measured).map(|(s, m)| (s - m).powi(2)).sum::<f64>();
+        Ok(compared.iter().map(of).sum())
+    });
+    let costs = || CostKind::named().chain([CostKind::Custom(squares.clone())]);
+    for objective in costs() {
+        for uncertainty in [None, Some(UncertaintyOptions::default())] {
+            let name = objective.name().to_owned();
+            let options = || FitOptions {
+                objective: objective.clone(),
+                uncertainty: uncertainty.clone(),
+                ..FitOptions::default()
+            };
+            let fit = fitted_as(recording(&t, with_offset.clone()), options());
+            let said = warnings(&fit.findings());
+            let text = "the residuals of x are autocorrelated";
+            let times_said = said.iter().filter(|said| said.contains(text)).count();
+            assert!(fit.report.is_success() && times_said == 1, "{name}: {fit}");
+            let has_errors = fit.uncertainty.is_some();
+            assert_eq!(said.iter().any(|said| said.contains("standard errors are corrected")), has_errors);
+            let fit = fitted_as(sound(1e-3), options());
+            assert!(warnings(&fit.findings()).is_empty(), "{name}: {fit}");
+        }
+    }
+    // Nothing is said of a search that was ended, nor of simulations that reproduce the measurements.
+    let without = || FitOptions { uncertainty: None, ..FitOptions::default() };
+    let limits = Limits { max_evaluations: Some(2), ..Limits::default() };
+    let ended = FitOptions { run: RunOptions { limits, ..FitOptions::default_run() }, ..without() };
+    assert!(warnings(&fitted_as(sound(1e-3), ended).findings()).is_empty());
+    assert!(warnings(&fitted_as(sound(0.0), without()).findings()).is_empty());
+}
+
+fn fitted_as(experiment: Experiment, options: FitOptions<'_>) -> Fit {
+    calibration(vec![experiment], k(), SimulationSettings::default()).fit(options).unwrap()
+}
+
+/// Uniform noise from -size to size has the standard deviation size / sqrt(3).
+#[test]
+fn residuals_are_compared_with_the_noise_that_weights_state() {
+    let sigma = 0.01 / 3f64.sqrt();
+    let t = times(201, 0.025);
+    let findings = |weight: Weight, change: &dyn Fn(f64) -> f64| {
+        let x = decay(&t, 2.0, 0.01).iter().zip(&t).map(|(x, t)| x + change(*t)).collect();
+        let data = Data::from_columns(t.clone(), [("x".to_owned(), x)]).unwrap();
+        let fit = fitted(Experiment::new(data).weighted_output("x", "x", weight), k());
+        fit.findings()
+            .iter()
+            .map(ToString::to_string)
+            .filter(|said| said.contains("state"))
+            .collect::<Vec<_>>()
+    };
+    let plain = |weight: f64| findings(weight.into(), &|_| 0.0);
+    for sound in [plain(1.0 / sigma), plain(0.9 / sigma), plain(1.05 / sigma), plain(1.0)] {
+        assert!(sound.is_empty(), "{sound:?}");
+    }
+    // Rows that count and rows that do not state no noise.
+    let chosen: Vec<f64> = (0..201).map(|k| f64::from(k % 2)).collect();
+    assert!(findings(Weight::Rows(chosen.into()), &|_| 0.0).is_empty());
+    let said = plain(1.5 / sigma);
+    assert!(
+        said.len() == 1 && said[0].starts_with("warning: noise of x: the residuals of x are 1.5"),
+        "{said:?}"
+    );
+    let said = plain(0.2 / sigma);
+    assert!(
+        said.len() == 1 && said[0].starts_with("note: ") && said[0].contains("smaller than stated"),
+        "{said:?}"
+    );
+    let said = plain(100.0 / sigma);
+    assert!(said.len() == 1 && said[0].starts_with("note: "), "{said:?}");
+    // Something fast that the model leaves out, of which no autocorrelation tells.
+    let said = findings((1.0 / sigma).into(), &|t| 0.012 * (80.0 * t).sin());
+    assert!(said.len() == 1 && said[0].contains("the model leaves out something"), "{said:?}");
+}
+
+#[test]
+fn the_correction_for_autocorrelation_is_told() {
+    let t = times(201, 0.025);
+    let mut last = 0.0;
+    let lasting = |(k, x): (usize, f64)| {
+        last = 0.8 * last + 0.005 * noise(k);
+        x + last
+    };
+    let x: Vec<f64> = decay(&t, 2.0, 0.0).into_iter().enumerate().map(lasting).collect();
+    let fit = fitted(recording(&t, x), k());
+    let uncertainty = fit.uncertainty.as_ref().unwrap();
+    let factor = uncertainty.standard_errors[0] / uncertainty.uncorrected_errors().unwrap()[0];
+    let said = fit.findings().iter().find(|f| f.subject == "standard errors").unwrap().to_string();
+    let told = said.strip_prefix("note: standard errors: the standard errors are ");
+    let told = told.or_else(|| said.strip_prefix("note: the standard errors are ")).unwrap();
+    let told: f64 = told.split(' ').next().unwrap().parse().unwrap();
+    assert!(factor > 1.5 && (told / factor - 1.0).abs() < 0.01, "{factor}: {said}");
+    let sound = fitted(sound(1e-3), k());
+    assert!(sound.findings().iter().all(|f| f.subject != "standard errors"), "{sound}");
 }
