@@ -6,7 +6,7 @@ use calibration::RunContext;
 use calibration::dfo::{Limits, Loss, Measure, RobustLoss, RunOptions, Stop, Tolerances};
 use calibration::{
     Calibration, CheckOptions, Compared, CostKind, CustomCost, Data, Experiment, Finding, Fit, FitOptions,
-    NoiseRule, Parameter, Prior, Scale, Severity, SimulationSettings, UncertaintyOptions, Weight,
+    NoiseRule, Parameter, Prior, Scale, Severity, SimulationSettings, Stage, UncertaintyOptions, Weight,
 };
 use example_models::example_fmu;
 use fmi::Fmu;
@@ -93,9 +93,11 @@ fn a_fixed_step_that_is_too_large_is_compared_with_half_of_it() {
     // The error of a fixed step is no noise, and no reason to end early.
     assert!(!fit.to_string().contains("f_tol was raised"), "{fit}");
     let mae =
-        FitOptions { objective: calibration::CostKind::of_name("mae").unwrap(), ..FitOptions::default() };
-    let fit = coarse.fit(mae).unwrap();
-    assert!(warns(&fit.findings(), "half the step of the solver 'euler' changes 'x'"), "{fit}");
+        || FitOptions { objective: calibration::CostKind::of_name("mae").unwrap(), ..FitOptions::default() };
+    let said = "half the step of the solver 'euler' changes 'x'";
+    for fit in [coarse.fit(mae()).unwrap(), coarse.fit_stages(&[Stage::new(["k"])], mae()).unwrap()] {
+        assert!(fit.uncertainty.is_none() && warns(&fit.findings(), said), "{fit}");
+    }
     let fine = calibration(vec![sound(1e-3)], k(), settings(Method::Rk4, 0.01));
     assert!(
         fine.check().is_ok() && warnings(&fine.fit(FitOptions::default()).unwrap().findings()).is_empty()
@@ -111,7 +113,7 @@ fn times_in_minutes_are_named() {
         Parameter::new("k", 1.5).bounds(0.01, 1e3).scale(Scale::Log),
         SimulationSettings::default(),
     );
-    let said = "are its times in min?";
+    let said = "the times look as if they were in min";
     assert!(warns(&calibration.check().findings, said), "{}", calibration.check());
     let fit = calibration.fit(FitOptions::default()).unwrap();
     assert!((fit.x[0] - 60.0).abs() < 1.0 && warns(&fit.findings(), said), "{fit}");
@@ -119,6 +121,74 @@ fn times_in_minutes_are_named() {
     let short = times(61, 0.005);
     let fit = fitted(recording(&short, decay(&short, 2.0, 1e-3)), k());
     assert!(warnings(&fit.findings()).is_empty(), "{fit}");
+}
+
+/// A rate from 1e-5 to 10 on a logarithmic scale.
+fn rate(start: f64) -> Parameter {
+    Parameter::new("k", start).bounds(1e-5, 10.0).scale(Scale::Log)
+}
+
+fn tank(data: Data) -> Calibration {
+    let driven = Experiment::new(data).input("u1", "u1").input("u2", "u2");
+    let measured = (1..=2).fold(driven, |e, i| e.output(format!("qt.x{i}"), format!("x{i}")));
+    let builder = Calibration::builder(open("quad_tank")).experiment(measured);
+    (1..=2)
+        .fold(builder, |b, i| b.parameter(Parameter::new(format!("qt.a{i}"), 3e-6).bounds(2e-6, 4e-6)))
+        .build()
+        .unwrap()
+}
+
+/// A recording of the examples with its times multiplied.
+fn example(name: &str, factor: f64) -> Data {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../examples/data/{name}.csv"));
+    let data = Data::from_csv(path).unwrap();
+    let columns = data.names().map(|name| (name.to_owned(), data.column(name).unwrap().to_vec()));
+    Data::from_columns(data.time().iter().map(|t| factor * t).collect(), columns).unwrap()
+}
+
+#[test]
+fn times_that_are_numbers_of_rows_or_in_another_unit_are_named() {
+    // A decay by 0.5 per second, minute or hour, whose times last as the model suggests but for the first.
+    let seconds = times(201, 0.05);
+    let rows = times(201, 1.0);
+    for (t, start, said) in [
+        (&rows, 0.4, "the times look like numbers of rows"),
+        (&seconds, 0.01, "the times look as if they were in min"),
+        (&seconds, 2e-4, "the times look as if they were in h"),
+    ] {
+        let calibration = calibration(
+            vec![recording(t, decay(&seconds, 0.5, 1e-2))],
+            rate(start),
+            SimulationSettings::default(),
+        );
+        assert!(warns(&calibration.check().findings, said), "{}", calibration.check());
+        let fit = calibration.fit(FitOptions::default()).unwrap();
+        assert!(fit.report.is_success() && warns(&fit.findings(), said), "{fit}");
+    }
+    // Bounds keep the parameters of a tank from making up for it, and the fit is poor.
+    let fit = tank(example("quad_tank", 1.0 / 60.0)).fit(FitOptions::default()).unwrap();
+    assert!(warns(&fit.findings(), "in min"), "{fit}");
+    let fit = tank(example("quad_tank", 1.0)).fit(FitOptions::default()).unwrap();
+    assert!(!warns(&fit.findings(), "in min"), "{fit}");
+}
+
+#[test]
+fn times_of_sound_setups_are_not_accused() {
+    let dice = |k: usize| 0.5 + 0.5 * noise(k);
+    for k in 0..100 {
+        let rate_of = 10f64.powf(-2.0 + 2.0 * dice(7 * k));
+        let n = 20 + (150.0 * dice(7 * k + 1)) as usize;
+        // A third of them by the second, from 0 or 1 on.
+        let interval = if k % 3 == 0 { 1.0 } else { (1.0 + 4.0 * dice(7 * k + 2)) / rate_of / n as f64 };
+        let start = rate_of * 10f64.powf(2.0 * dice(7 * k + 3) - 1.0);
+        let first = if k % 6 == 0 { 1.0 } else { 0.0 };
+        let t: Vec<f64> = times(n, interval).iter().map(|t| first + t).collect();
+        let experiment = recording(&t, decay(&t, rate_of, 1e-2)).start_time(0.0);
+        let fit = fitted(experiment, rate(start).bounds(1e-5, 1e2));
+        let accused: Vec<String> =
+            warnings(&fit.findings()).into_iter().filter(|text| text.contains("the times look")).collect();
+        assert!(accused.is_empty(), "set-up {k}: {accused:#?} {fit}");
+    }
 }
 
 #[test]

@@ -136,7 +136,7 @@ impl Template {
     pub(super) fn loading(launcher: &Launcher, load: &Load) -> Result<Self, FmiError> {
         let template = StartedAhead::take(launcher).map_or_else(|| Self::start(launcher), Ok)?;
         let mut orders = template.orders();
-        orders.send(Order::Load, &load.frame, &[]).map_err(no_worker)?;
+        load.frame().and_then(|frame| orders.send(Order::Load, &frame, &[])).map_err(no_worker)?;
         orders.load = Some(load.id);
         drop(orders);
         Ok(template)
