@@ -170,6 +170,9 @@ pub struct Options {
     pub absolute_tolerance: AbsoluteTolerance,
     /// Step of the fixed-step methods in units of time; default: a 500th of the span.
     pub step_size: Option<f64>,
+    /// Take each step of a fixed-step method in two halves, also one that an input or an event has cut: for
+    /// comparison with a run that does not. Default `false`.
+    pub halve_steps: bool,
     /// Largest step of the adaptive methods; default: the span. One that cannot tell instants of the span
     /// apart is an [error](crate::ErrorKind::StepBelowRounding) of the run.
     pub max_step: Option<f64>,
@@ -210,6 +213,7 @@ impl Default for Options {
             relative_tolerance: 1e-6,
             absolute_tolerance: AbsoluteTolerance::FromNominals,
             step_size: None,
+            halve_steps: false,
             max_step: None,
             initial_step: None,
             record_events: false,

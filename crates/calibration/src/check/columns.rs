@@ -154,7 +154,7 @@ pub(super) fn longest_run(values: &[f64]) -> Range<usize> {
 
 /// Number of consecutive equal values in a signal that is noisy elsewhere; `None` if it is not frozen. A
 /// machine that stands still at zero, before or after it runs, does not count.
-fn frozen(values: &[f64]) -> Option<usize> {
+pub(super) fn frozen(values: &[f64]) -> Option<usize> {
     let (least, times) = FROZEN;
     let run = longest_run(values);
     let is_rest = values.get(run.start) == Some(&0.0) && (run.start == 0 || run.end == values.len());
@@ -179,7 +179,7 @@ fn frozen(values: &[f64]) -> Option<usize> {
 
 /// A value far outside of the others that stands for none, how often it is there, and the range of the
 /// others.
-fn placeholder(values: &[f64], is_measured: bool) -> Option<(f64, usize, (f64, f64))> {
+pub(super) fn placeholder(values: &[f64], is_measured: bool) -> Option<(f64, usize, (f64, f64))> {
     let known = || values.iter().copied().filter(|v| !v.is_nan());
     let ends = [known().fold(f64::NEG_INFINITY, f64::max), known().fold(f64::INFINITY, f64::min)];
     ends.into_iter().find_map(|value| {

@@ -1,6 +1,7 @@
 //! Check before a fit: contradictions between model, recordings and parameters.
 
 mod columns;
+mod driving;
 mod model;
 mod options;
 mod parameters;
@@ -36,9 +37,9 @@ impl Calibration {
     /// Looked at are the times (order, gaps, unit, start, months taken for days), the recorded values
     /// (constant, clipped, frozen, missing, placeholders, units, initial values, wrapped angles, columns that
     /// are swapped, recordings that are there twice), outputs that count unlike in the cost, inputs that
-    /// nothing drives or that end early, values, ranges and start values that the model states for its
-    /// parameters, and how accurate the simulations are. What cannot be evaluated at all is refused when the
-    /// calibration is built.
+    /// nothing drives, that end early, or whose column is all zero, frozen, missing for long or in another
+    /// unit, values, ranges and start values that the model states for its parameters, and how accurate the
+    /// simulations are. What cannot be evaluated at all is refused when the calibration is built.
     pub fn check(&self) -> Check {
         self.check_with(&CheckOptions::default(), &RunContext::new()).unwrap_or_default()
     }
@@ -184,6 +185,7 @@ impl Calibration {
             findings.extend(parameters::given_values(subject, &self.problem().parameters));
             findings.extend(times::findings(subject));
             findings.extend(columns::findings(subject));
+            findings.extend(driving::findings(subject));
         }
         findings
     }

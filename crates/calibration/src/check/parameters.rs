@@ -83,6 +83,32 @@ pub(super) fn far_from_own_start(
     parameters.iter().zip(values).filter_map(of).collect()
 }
 
+/// Values that are given for a variable.
+#[derive(Clone, Copy)]
+pub(super) struct Given {
+    pub(super) lowest: f64,
+    pub(super) highest: f64,
+    /// True for one value, which is compared with the model's own: a signal may start anywhere.
+    pub(super) is_constant: bool,
+}
+
+/// What the model states that values do not go with: its range, its own start value; `None` if they do.
+pub(super) fn beside_the_model(variable: &Variable, given: Given) -> Option<String> {
+    let Given { lowest, highest, is_constant } = given;
+    let is_below = variable.min.is_some_and(|min| lowest < min);
+    let is_above = variable.max.is_some_and(|max| highest > max);
+    if is_below || is_above {
+        let bounds = [("at least ", variable.min), ("at most ", variable.max)];
+        let bounds = bounds.into_iter().filter_map(|(word, limit)| Some(format!("{word}{}", Number(limit?))));
+        return Some(format!("the model's range is {}", bounds.collect::<Vec<_>>().join(" and ")));
+    }
+    let own = own_start(variable)?;
+    let is_far = is_constant && highest != 0.0 && highest * own > 0.0 && factor(highest, own) >= UNLIKE;
+    let is_celsius = variable.unit.as_deref() == Some("K") && highest < KELVIN.1 && own > KELVIN.0;
+    let hint = if is_celsius { ": degC for K?" } else { "" };
+    (is_far || is_celsius).then(|| format!("the model's own is {}{hint}", Number(own)))
+}
+
 /// Start values and constant inputs of an experiment that lie outside of the model's range, or far from its
 /// own start value.
 pub(super) fn given_values(subject: &Subject<'_>, parameters: &[Parameter]) -> Vec<Finding> {
@@ -100,27 +126,12 @@ pub(super) fn given_values(subject: &Subject<'_>, parameters: &[Parameter]) -> V
     let of = |(name, what, value): (&String, &str, f64)| {
         let variable = declared(description, name)?;
         let unit = variable.unit.as_deref().unwrap_or_default();
-        let is_below = variable.min.is_some_and(|min| value < min);
-        let is_above = variable.max.is_some_and(|max| value > max);
-        let own = own_start(variable);
-        let is_far = own.is_some_and(|own| value != 0.0 && value * own > 0.0 && factor(value, own) >= UNLIKE);
-        let is_celsius = unit == "K" && value < KELVIN.1 && own.is_some_and(|own| own > KELVIN.0);
-        let beside = if is_below || is_above {
-            let bounds = [("at least ", variable.min), ("at most ", variable.max)];
-            let bounds =
-                bounds.into_iter().filter_map(|(word, limit)| Some(format!("{word}{}", Number(limit?))));
-            format!("the model's range is {}", bounds.collect::<Vec<_>>().join(" and "))
-        } else if is_far || is_celsius {
-            format!("the model's own is {}", Number(own.unwrap_or_default()))
-        } else {
-            return None;
-        };
+        let beside = beside_the_model(variable, Given { lowest: value, highest: value, is_constant: true })?;
         let in_unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
-        let hint = if is_celsius { ": degC for K?" } else { "" };
         Some(Finding::new(
             Severity::Warning,
             format!("{prefix}{what} of '{name}'"),
-            format!("it is {}{in_unit}, {beside}{hint}", Number(value)),
+            format!("it is {}{in_unit}, {beside}", Number(value)),
             "give it in the unit of the model",
         ))
     };

@@ -67,9 +67,14 @@ impl<'a> Outputs<'a> {
     /// True without a fit, or if the fit has moved a parameter as far as a factor in the data or in time
     /// requires: by half of it on a logarithmic scale, or from zero or through it.
     pub(super) fn may_have_taken(&self, factor: f64) -> bool {
+        self.has_moved_by(factor.sqrt())
+    }
+
+    /// True without a fit, or if the fit has moved a parameter by a factor, or from zero or through it.
+    pub(super) fn has_moved_by(&self, factor: f64) -> bool {
         let (start, Some(x)) = self.x else { return true };
         let has = |(from, to): (&f64, &f64)| {
-            from != to && (from * to <= 0.0 || (to / from).ln().abs() >= 0.5 * factor.ln().abs())
+            from != to && (from * to <= 0.0 || (to / from).ln().abs() >= factor.ln().abs())
         };
         start.iter().zip(x).any(has)
     }

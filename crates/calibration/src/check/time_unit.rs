@@ -1,6 +1,6 @@
 //! Times in another unit than s, as the response of the model tells.
 
-use super::series::{Evaluations, Outputs, Series, all_series, rounded, rounded_time, unexplained};
+use super::series::{Evaluations, Outputs, all_series, rounded, rounded_time, unexplained};
 use super::subject::Subject;
 use crate::cost::calibration::Calibration;
 use crate::cost::failure::NoCost;
@@ -9,12 +9,29 @@ use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
 use dfo::RobustLoss;
 use ode::Number;
+use std::time::{Duration, Instant};
 
 /// A simulation that leaves more of the variance of the measurements than this has not followed them.
 const UNEXPLAINED: f64 = 0.5;
 
-/// A millisecond in s.
-const MILLI: f64 = 1e-3;
+/// A fit that leaves more of it than this is worse than one at which times are not looked at again.
+const POOR: f64 = 0.05;
+
+/// Another reading of the times leaves so small a part of what the simulation at the start values leaves as
+/// they are: by a factor of at least [`FAR_OFF`], and by a smaller one, which start values may be off by; and
+/// of what a poor fit leaves.
+const BETTER: (f64, f64, f64) = (0.1, 0.04, 0.2);
+const FAR_OFF: f64 = 1e3;
+
+/// A fit that has taken up another unit has moved a parameter by its factor, but for this one.
+const TAKEN: f64 = 3.0;
+
+/// A simulation of longer times may take so many times as long as one of those given, and this time.
+const PATIENCE: (f64, f64) = (20.0, 0.5);
+
+/// Times from 0 or 1 on by ones are numbers of rows where they are so many times as long as the experiment
+/// that the model suggests, or this part of it; of fewer rows nothing is said.
+const ROWS: (f64, f64, usize) = (15.0, 1.0 / 15.0, 5);
 
 /// Recordings that last so many times the experiment that the model suggests, or this part of it.
 const FAR: (f64, f64) = (100.0, 1.0 / 20.0);
@@ -24,6 +41,80 @@ const UNITS: [(f64, &str); 4] = [(1e6, "us"), (1e3, "ms"), (1.0 / 60.0, "min"), 
 
 /// The ratio of durations is about that of a unit within this factor.
 const ABOUT: f64 = 1.5;
+
+/// Another reading of the times of all recordings.
+#[derive(Clone, Copy)]
+struct Reading {
+    /// What they are multiplied with.
+    factor: f64,
+    of: ReadAs,
+}
+
+#[derive(Clone, Copy)]
+enum ReadAs {
+    Unit(&'static str),
+    /// Numbers of rows of a recording that takes as long as the model suggests, in s.
+    Rows(f64),
+}
+
+impl Reading {
+    /// The readings that the times allow: of ms and us a row is at least a half.
+    fn all(subjects: &[Subject<'_>]) -> Vec<Self> {
+        let is_coarse = |s: &Subject<'_>| s.experiment.data.sampling_interval().is_some_and(|dt| dt >= 0.5);
+        let is_coarse = subjects.iter().all(is_coarse);
+        let units = UNITS
+            .into_iter()
+            .map(|(per_second, unit)| Self { factor: 1.0 / per_second, of: ReadAs::Unit(unit) });
+        let units = units.filter(|reading| reading.factor > 1.0 || is_coarse);
+        units.chain(Self::rows(subjects)).collect()
+    }
+
+    fn rows(subjects: &[Subject<'_>]) -> Option<Self> {
+        let [subject] = subjects else { return None };
+        let (duration, asked) = subject.durations()?;
+        let time = subject.experiment.data.time();
+        let is_numbered = time.len() >= ROWS.2
+            && (time[0] == 0.0 || time[0] == 1.0)
+            && time.windows(2).all(|pair| pair[1] - pair[0] == 1.0);
+        let is_other = !(ROWS.1..=ROWS.0).contains(&(duration / asked));
+        (is_numbered && is_other).then(|| Self { factor: asked / duration, of: ReadAs::Rows(asked) })
+    }
+
+    /// What is said of recordings that the simulation at the start values follows so many times closer by
+    /// this reading.
+    fn finding(self, subject: &Subject<'_>, closer: f64) -> Finding {
+        let time = subject.experiment.data.time();
+        let closer = Number(rounded(closer));
+        let (sentence, remedy) = match self.of {
+            ReadAs::Unit(unit) => (
+                format!(
+                    "it lasts {} s; with times in {unit} the simulation at the start values is {closer} times closer: the times look as \
+                     if they were in {unit}",
+                    Number(rounded_time(time[time.len() - 1] - time[0]))
+                ),
+                format!("state the unit in the name of the column: 'time [{unit}]'"),
+            ),
+            ReadAs::Rows(end) => (
+                format!(
+                    "its times are {}, {}, {} and so on to {}; with as many rows in {} s, which the experiment that the model suggests \
+                     lasts, the simulation at the start values is {closer} times closer: the times look like numbers of rows",
+                    Number(time[0]),
+                    Number(time[1]),
+                    Number(time[2]),
+                    Number(time[time.len() - 1]),
+                    Number(end)
+                ),
+                "give the times in s as the column of times".to_owned(),
+            ),
+        };
+        Finding::new(
+            Severity::Warning,
+            format!("{}{}", subject.prefix, subject.experiment.data.source()),
+            sentence,
+            remedy,
+        )
+    }
+}
 
 /// Recordings whose times look as if they were in another unit.
 ///
@@ -35,14 +126,35 @@ pub(super) fn findings(
     outputs: &Outputs<'_>,
     evaluations: &mut Evaluations<'_>,
 ) -> Result<Vec<Finding>, CalibrationError> {
-    let is_open = outputs.fitted.as_ref().is_some_and(|fitted| unexplained(fitted) >= UNEXPLAINED);
-    if (outputs.may_have_taken(MILLI) || is_open)
-        && let Some(found) = in_milliseconds(calibration, &outputs.at_start, subjects, evaluations)?
-    {
-        return Ok(vec![found]);
-    }
-    if unexplained(&outputs.at_start) < UNEXPLAINED {
+    let as_given = unexplained(&outputs.at_start);
+    if as_given < UNEXPLAINED {
         return Ok(Vec::new());
+    }
+    let fitted = outputs.fitted.as_ref().map(|fitted| unexplained(fitted));
+    let is_open = fitted.is_some_and(|left| left >= UNEXPLAINED);
+    let mut limit = None;
+    for reading in Reading::all(subjects) {
+        let factor = reading.factor.max(1.0 / reading.factor);
+        let better = if factor >= FAR_OFF { BETTER.0 } else { BETTER.1 };
+        let most = match fitted {
+            Some(left) if !is_open && !outputs.has_moved_by(factor / TAKEN) => {
+                if left < POOR {
+                    continue;
+                }
+                BETTER.2 * left
+            }
+            _ => UNEXPLAINED,
+        };
+        let Some(other) = read_otherwise(calibration, reading.factor) else { continue };
+        if reading.factor > 1.0 && limit.is_none() {
+            limit = Some(patience(calibration, evaluations)?);
+        }
+        if let Some(left) = left_by(&other, limit.filter(|_| reading.factor > 1.0), evaluations)?
+            && left < better * as_given
+            && left < most
+        {
+            return Ok(vec![reading.finding(&subjects[0], (as_given / left).sqrt())]);
+        }
     }
     let far = subjects.iter().filter_map(far_from_default_experiment);
     let far = far.filter(|(_, ratio)| is_open || outputs.may_have_taken(*ratio)).map(|(finding, _)| finding);
@@ -76,60 +188,54 @@ fn far_from_default_experiment(subject: &Subject<'_>) -> Option<(Finding, f64)> 
     Some((finding, ratio))
 }
 
-/// Recordings that the simulation answers a thousand times faster: each row at least half a unit from the
-/// next, the costs of the whole a tenth, and the measurements better explained than by their means.
-fn in_milliseconds(
+/// The part of the variance of the measurements that the simulation at the start values leaves, within a time
+/// if there is a limit; `None` where there is no such simulation.
+///
+/// # Errors
+/// [`CalibrationError::Cancelled`].
+fn left_by(
     calibration: &Calibration,
-    series: &[Series<'_>],
-    subjects: &[Subject<'_>],
+    limit: Option<Duration>,
     evaluations: &mut Evaluations<'_>,
-) -> Result<Option<Finding>, CalibrationError> {
-    let is_coarse =
-        |s: &Subject<'_>| s.experiment.data.sampling_interval().is_some_and(|interval| interval >= 0.5);
-    if !subjects.iter().all(is_coarse) {
-        return Ok(None);
-    }
-    let as_given = unexplained(series);
-    if as_given < UNEXPLAINED {
-        return Ok(None);
-    }
-    let Some(fast) = a_thousandth_as_long(calibration) else { return Ok(None) };
+) -> Result<Option<f64>, CalibrationError> {
     evaluations.n += 1;
-    let mut residuals = vec![0.0; fast.n_residuals()];
-    let rule = CostRule::whole(RobustLoss::default(), &evaluations.context);
-    match fast.evaluate_into(&fast.start(), rule, &mut residuals, &mut evaluations.stats) {
-        Ok(_) => {}
-        Err(NoCost::Cancelled) => return Err(CalibrationError::Cancelled),
-        Err(_) => return Ok(None),
+    let mut residuals = vec![0.0; calibration.n_residuals()];
+    let context = limit.map_or(evaluations.context, |limit| evaluations.context.within(Some(limit)));
+    let rule = CostRule::whole(RobustLoss::default(), &context);
+    match calibration.evaluate_into(&calibration.start(), rule, &mut residuals, &mut evaluations.stats) {
+        Ok(_) => Ok(Some(unexplained(&all_series(calibration, &residuals)))),
+        Err(NoCost::Cancelled) if evaluations.context.is_over() => Err(CalibrationError::Cancelled),
+        Err(_) => Ok(None),
     }
-    let in_ms = unexplained(&all_series(&fast, &residuals));
-    let duration = subjects[0].experiment.data.time();
-    let duration = duration[duration.len() - 1] - duration[0];
-    Ok((in_ms < 0.1 * as_given && in_ms < UNEXPLAINED).then(|| {
-        Finding::new(
-            Severity::Warning,
-            format!("{}{}", subjects[0].prefix, subjects[0].experiment.data.source()),
-            format!(
-                "it lasts {} s; with times a thousandth as long the simulation at the start values is {} times closer: the times look as if \
-                 they were in ms",
-                Number(rounded_time(duration)),
-                Number(rounded((as_given / in_ms).sqrt()))
-            ),
-            "state the unit in the name of the column: 'time [ms]'",
-        )
-    }))
 }
 
-/// The same calibration with its times a thousandth as long.
-fn a_thousandth_as_long(calibration: &Calibration) -> Option<Calibration> {
+/// The time that a simulation of longer times may take: it might take any.
+///
+/// # Errors
+/// [`CalibrationError::Cancelled`].
+fn patience(
+    calibration: &Calibration,
+    evaluations: &mut Evaluations<'_>,
+) -> Result<Duration, CalibrationError> {
+    let began = Instant::now();
+    left_by(calibration, None, evaluations)?;
+    Ok(began.elapsed().mul_f64(PATIENCE.0).max(Duration::from_secs_f64(PATIENCE.1)))
+}
+
+/// The same calibration with its times multiplied with a factor; `None` where a function of time drives an
+/// input.
+fn read_otherwise(calibration: &Calibration, factor: f64) -> Option<Calibration> {
     let mut problem = calibration.problem().clone();
     for experiment in &mut problem.experiments {
-        experiment.data.scale_times(MILLI);
+        if experiment.driven_by_function().is_some() {
+            return None;
+        }
+        experiment.data.scale_times(factor);
         let windows = experiment.windows.iter_mut();
-        windows.for_each(|(from, to)| (*from, *to) = (MILLI * *from, MILLI * *to));
-        experiment.warm_up = experiment.warm_up.map(|seconds| MILLI * seconds);
-        experiment.start_time = experiment.start_time.map(|start| MILLI * start);
-        experiment.delays.iter_mut().for_each(|(_, delay)| *delay *= MILLI);
+        windows.for_each(|(from, to)| (*from, *to) = (factor * *from, factor * *to));
+        experiment.warm_up = experiment.warm_up.map(|seconds| factor * seconds);
+        experiment.start_time = experiment.start_time.map(|start| factor * start);
+        experiment.delays.iter_mut().for_each(|(_, delay)| *delay *= factor);
     }
     calibration.derived(problem).ok()
 }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 pub(crate) enum Accuracy {
     /// With this relative tolerance.
     Tolerance(f64),
-    /// With half the step, of fixed-step methods: a tolerance has no effect on them.
+    /// With each step in two halves, of fixed-step methods: a tolerance has no effect on them.
     HalfStep,
 }
 

@@ -20,9 +20,6 @@ pub(crate) const ACCURATE: f64 = 100.0;
 /// Integration is not more accurate than this.
 const SMALLEST_TOLERANCE: f64 = 1e-13;
 
-/// A fixed-step method takes so many steps where none is asked for (see [`ode::Options::step_size`]).
-const DEFAULT_STEPS: f64 = 500.0;
-
 /// With a looser relative tolerance residuals may be noise, and their size says nothing of the error of the
 /// simulations.
 const LOOSEST_OF_EXACT: f64 = 1e-5;
@@ -167,11 +164,7 @@ impl Calibration {
             };
             match accuracy {
                 Accuracy::Tolerance(tolerance) => options.relative_tolerance = Some(tolerance),
-                Accuracy::HalfStep => {
-                    let span = options.start_time.zip(options.final_time).map(|(from, to)| to - from);
-                    let step = options.step_size.or(span.map(|span| span / DEFAULT_STEPS));
-                    options.step_size = step.map(|step| 0.5 * step);
-                }
+                Accuracy::HalfStep => options.halve_steps = true,
             }
             Ok(SimulationPlan::new(self.fmu(), &options)
                 .and_then(|plan| run(&mut Simulator::new(Arc::new(plan))?)))

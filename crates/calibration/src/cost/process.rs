@@ -121,10 +121,10 @@ struct Processes {
 
 impl Processes {
     /// Nothing is loaded yet.
-    fn new(fmu: &Fmu, limits: WorkerLimits, load: &Job) -> Result<Self, FmiError> {
+    fn new(fmu: &Fmu, limits: WorkerLimits, load: Job) -> Result<Self, FmiError> {
         let workers =
             fmu.workers(limits).ok_or_else(|| FmiError::NoWorker { reason: NO_LAUNCHER.to_owned() })?;
-        let load = Load::new(Frame::of(load).map_err(unsaid)?);
+        let load = Load::new(move || Frame::of(&load));
         workers.prepare(&load);
         Ok(Self {
             fmu: fmu.clone(),
@@ -277,7 +277,7 @@ impl Remote {
         let problem = Problem { model, settings, ..problem.clone() };
         let run_limit = problem.settings.timeout;
         let load = Job::Load(Box::new(Loaded { problem, options: fmu.options().clone() }));
-        let processes = Processes::new(fmu, limits, &load).map_err(|error| match error {
+        let processes = Processes::new(fmu, limits, load).map_err(|error| match error {
             FmiError::NoWorker { reason } => Some(reason),
             error => Some(error.to_string()),
         })?;
@@ -402,7 +402,7 @@ impl ModelProcess {
     /// processes for it.
     pub fn new(fmu: &Fmu, limits: WorkerLimits) -> Result<Self, FmiError> {
         let open = Job::Open(ModelFile::of(fmu)?, Box::new(fmu.options().clone()));
-        Ok(Self { processes: Processes::new(fmu, limits, &open)? })
+        Ok(Self { processes: Processes::new(fmu, limits, open)? })
     }
 
     /// As [`Fmu::simulate_with`], with the same bits. The context ends it. The second simulation is also made

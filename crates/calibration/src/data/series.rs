@@ -1,6 +1,8 @@
 //! Numbers that recordings, problems and their copies share.
 
+use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use std::fmt;
 use std::ops::Deref;
 use std::sync::Arc;
 
@@ -34,6 +36,12 @@ impl From<Vec<f64>> for Series {
     }
 }
 
+impl From<&[f64]> for Series {
+    fn from(values: &[f64]) -> Self {
+        Self(values.into())
+    }
+}
+
 impl FromIterator<f64> for Series {
     fn from_iter<T: IntoIterator<Item = f64>>(values: T) -> Self {
         Vec::from_iter(values).into()
@@ -57,14 +65,74 @@ impl<'a> IntoIterator for &'a Series {
     }
 }
 
+/// A list of numbers in texts; elsewhere their bytes, little-endian, of which there are fewer.
 impl Serialize for Series {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        self.0.serialize(serializer)
+        if serializer.is_human_readable() {
+            return self.0.serialize(serializer);
+        }
+        if cfg!(target_endian = "little") {
+            return serializer.serialize_bytes(bytemuck::cast_slice(&self.0));
+        }
+        let mut bytes = Vec::with_capacity(8 * self.len());
+        self.iter().for_each(|value| bytes.extend(value.to_le_bytes()));
+        serializer.serialize_bytes(&bytes)
     }
 }
 
 impl<'de> Deserialize<'de> for Series {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        Vec::deserialize(deserializer).map(Self::from)
+        match deserializer.is_human_readable() {
+            true => deserializer.deserialize_seq(Numbers),
+            // Files of before have lists here, too.
+            false => deserializer.deserialize_byte_buf(Numbers),
+        }
+    }
+}
+
+struct Numbers;
+
+impl<'de> Visitor<'de> for Numbers {
+    type Value = Series;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("numbers, or 8 bytes for each")
+    }
+
+    fn visit_bytes<E: Error>(self, bytes: &[u8]) -> Result<Series, E> {
+        match bytes.as_chunks::<8>() {
+            (words, []) => Ok(words.iter().map(|word| f64::from_le_bytes(*word)).collect()),
+            _ => Err(E::invalid_length(bytes.len(), &self)),
+        }
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut numbers: A) -> Result<Series, A::Error> {
+        let mut values = Vec::new();
+        while let Some(value) = numbers.next_element()? {
+            values.push(value);
+        }
+        Ok(values.into())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_keep_their_bits_in_few_bytes_and_lists_of_before_are_read() {
+        let series = Series::from(vec![1.5, -0.0, f64::NAN, 1e-310, f64::INFINITY]);
+        let bits = |series: &Series| series.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+        let (mut bytes, mut list) = (Vec::new(), Vec::new());
+        ciborium::into_writer(&series, &mut bytes).unwrap();
+        ciborium::into_writer(&series.to_vec(), &mut list).unwrap();
+        assert_eq!(bytes.len(), 2 + 8 * series.len());
+        for stored in [&bytes[..], &list] {
+            assert_eq!(bits(&ciborium::from_reader(stored).unwrap()), bits(&series));
+        }
+        let finite = Series::from(vec![1.5, -0.1]);
+        assert_eq!(serde_json::to_string(&finite).unwrap(), "[1.5,-0.1]");
+        assert_eq!(serde_json::from_str::<Series>("[1.5,-0.1]").unwrap(), finite);
+        assert!(ciborium::from_reader::<Series, _>(&[0x43, 1, 2, 3][..]).is_err());
     }
 }

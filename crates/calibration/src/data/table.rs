@@ -64,16 +64,17 @@ impl Data {
     ///
     /// # Errors
     /// No column of times, columns of different length, times that are not finite or not ascending.
-    pub fn from_table(
-        columns: impl IntoIterator<Item = (String, Vec<f64>)>,
+    pub fn from_table<S: Into<Series>>(
+        columns: impl IntoIterator<Item = (String, S)>,
         time: Option<&str>,
     ) -> Result<Self, CalibrationError> {
-        let mut columns: Vec<(String, Vec<f64>)> = columns.into_iter().collect();
+        let columns = columns.into_iter().map(|(name, values)| (name, values.into()));
+        let mut columns: Vec<(String, Series)> = columns.collect();
         let found = TimeColumn::find(columns.iter().map(|(name, _)| name.as_str()), time);
         let found =
             found.map_err(|message| CalibrationError::Data { source_name: "data".to_owned(), message })?;
         let (name, mut times) = columns.remove(found.index);
-        times.iter_mut().for_each(|t| *t = found.seconds(*t));
+        times.to_mut().iter_mut().for_each(|t| *t = found.seconds(*t));
         let columns = columns.into_iter().map(|(name, values)| Column::new(name, values)).collect();
         Self::new("data".to_owned(), name, times, columns, |row| format!("row {row}"))
     }

@@ -82,6 +82,7 @@ fn text(value: &Value) -> String {
         Value::Integer(number) => i128::from(*number).to_string(),
         Value::Float(number) => format!("{number:?}"),
         Value::Text(text) => text.clone(),
+        Value::Bytes(bytes) if bytes.len() > 8 * LONGEST => hash_of_bytes(bytes),
         Value::Bytes(bytes) => hex(bytes),
         Value::Array(items) => match items.iter().map(Value::as_float).collect::<Option<Vec<f64>>>() {
             Some(numbers) if numbers.len() > LONGEST => hash_of_numbers(&numbers),

@@ -6,7 +6,7 @@ use calibration::RunContext;
 use calibration::dfo::{DifferentialEvolution, RunOptions};
 use calibration::{
     Calibration, CalibrationBuilder, Check, CheckOptions, Data, Experiment, Finding, FitOptions, Parameter,
-    Scale, Severity,
+    PreflightOptions, Scale, Severity, SimulationSettings,
 };
 use example_models::example_fmu;
 use fmi::{Fmu, SimulateOptions};
@@ -327,4 +327,113 @@ fn what_a_check_says_of_the_start_is_judged_again_after_the_fit() {
     assert!((fit.x[0] - 2e-3).abs() < 1e-4, "{fit}");
     let in_ms = |f: &Finding| f.severity == Severity::Warning && f.sentence.contains("as if they were in ms");
     assert!(fit.findings().iter().any(in_ms), "{fit}");
+}
+
+/// Rows of an input cut the steps of a fixed-step method: half of what is really taken is compared.
+#[test]
+fn a_fixed_step_is_halved_where_the_rows_of_an_input_cut_it() {
+    let time: Vec<f64> = (0..41).map(|k| 15.0 * f64::from(k)).collect();
+    let u1: Vec<f64> = (0..41).map(|k| 5.0 + 2.0 * noise(k)).collect();
+    let options = SimulateOptions {
+        times: Some(time.clone()),
+        final_time: time.last().copied(),
+        inputs: Some(fmi::Inputs::new().series("u1", time.clone(), u1.clone()).series("u2", [0.0], [5.0])),
+        outputs: Some(vec!["qt.x1".to_owned()]),
+        ..SimulateOptions::default()
+    };
+    let level = open("quad_tank").simulate(&options).unwrap().columns.remove(0);
+    let columns = vec![("u1".to_owned(), u1), ("x1".to_owned(), level)];
+    let said_with = |step: f64| {
+        let experiment = Experiment::new(Data::from_columns(time.clone(), columns.clone()).unwrap())
+            .output("qt.x1", "x1")
+            .input("u1", "u1")
+            .constant_input("u2", 5.0);
+        let settings = SimulationSettings {
+            method: ode::Method::Euler,
+            step_size: Some(step),
+            ..SimulationSettings::default()
+        };
+        let builder = Calibration::builder(open("quad_tank")).experiment(experiment).settings(settings);
+        let calibration =
+            builder.parameter(Parameter::new("qt.a1", 3e-6).bounds(2e-6, 4e-6)).build().unwrap();
+        let preflight = calibration.preflight(&PreflightOptions::default(), &RunContext::new()).unwrap();
+        (calibration.check().to_string().contains("half the step of the solver 'euler'"), preflight.noise)
+    };
+    let (is_named, of_rows) = said_with(15.0);
+    assert!(is_named && of_rows > 1e-3);
+    // The same steps, cut at the rows.
+    for step in [30.0, 60.0] {
+        assert_eq!(said_with(step), (true, of_rows), "step {step}");
+    }
+    assert!(!said_with(0.5).0);
+}
+
+/// Columns that drive inputs are looked at as those that are measured.
+#[test]
+fn mistakes_in_columns_of_inputs_are_named() {
+    let with_u1 = |name: &'static str, u1: &dyn Fn(f64) -> f64| {
+        let time: Vec<f64> = (0..601).map(|k| 0.1 * f64::from(k)).collect();
+        let columns = vec![
+            ("x1".to_owned(), time.iter().map(|t| 0.06 + 1e-4 * t).collect()),
+            (name.to_owned(), time.iter().map(|t| u1(*t)).collect()),
+        ];
+        let experiment = Experiment::new(Data::from_columns(time, columns).unwrap())
+            .output("qt.x1", "x1")
+            .input("u1", name)
+            .constant_input("u2", 5.0);
+        let calibration = Calibration::builder(open("quad_tank"))
+            .experiment(experiment)
+            .parameter(Parameter::new("qt.a1", 3e-6).bounds(2e-6, 4e-6))
+            .build()
+            .unwrap();
+        let check = calibration.check_with(&NO_SIMULATION, &RunContext::new()).unwrap();
+        let said = check.findings.iter().map(ToString::to_string);
+        said.filter(|said| said.contains("'u1'") && !said.contains("without a unit")).collect::<Vec<_>>()
+    };
+    let sine = |t: f64| 5.0 + (0.65 * t).sin();
+    let near = |t: f64, other: f64| (t - other).abs() < 0.01;
+    let mistakes: [(&dyn Fn(f64) -> f64, &str); 5] = [
+        (&|_| 0.0, "input 'u1' (column 'u1'): all 601 values are 0"),
+        (&|t| if near(t, 20.0) { 1e4 } else { sine(t) }, "it is 10000 in one row, at 20 s"),
+        (&|t| if near(t, 20.0) || near(t, 30.0) { -999.0 } else { sine(t) }, "2 values are -999"),
+        (&|t| if t > 10.0 && t < 30.0 { sine(10.0) } else { sine(t) }, "and moves else: frozen?"),
+        (&|t| if t > 10.0 && t < 15.0 { f64::NAN } else { sine(t) }, "it has no value from 10 s to 15 s"),
+    ];
+    for (u1, expected) in mistakes {
+        let said = with_u1("u1", u1);
+        assert!(said.len() == 1 && said[0].contains(expected), "{expected}: {said:?}");
+    }
+    let sound: [&dyn Fn(f64) -> f64; 6] = [
+        &sine,
+        &|_| 5.0,
+        &|t| if t < 20.0 { 5.0 } else { 6.0 },
+        &|t| (0.2 * t).min(8.0),
+        &|t| sine(t).clamp(4.5, 5.5),
+        &|t| if (t / 7.0).fract() < 0.5 { 0.0 } else { 10.0 },
+    ];
+    for (which, u1) in sound.into_iter().enumerate() {
+        let said = with_u1("u1", u1);
+        assert!(said.is_empty(), "{which}: {said:?}");
+    }
+}
+
+#[test]
+fn an_input_in_degrees_celsius_for_kelvin_is_named() {
+    let time: Vec<f64> = (0..60).map(|k| 2.0 * f64::from(k)).collect();
+    for (zero, is_said) in [(0.0, true), (273.15, false)] {
+        let inlet = time.iter().map(|t| zero + 20.0 + 0.1 * t).collect();
+        let outlet = time.iter().map(|t| 290.0 + 0.1 * t).collect();
+        let columns = [("inlet".to_owned(), inlet), ("outlet".to_owned(), outlet)];
+        let experiment = Experiment::new(Data::from_columns(time.clone(), columns).unwrap())
+            .output("T_out", "outlet")
+            .input("T_in", "inlet");
+        let calibration = Calibration::builder(open("exhaust"))
+            .experiment(experiment)
+            .parameter(Parameter::new("C1", 2500.0).bounds(1.0, 50e3))
+            .build()
+            .unwrap();
+        let check = calibration.check_with(&NO_SIMULATION, &RunContext::new()).unwrap();
+        let said = "its values lie between 20 and 31.8 K, the model's own is 550: degC for K?";
+        assert_eq!(check.to_string().contains(said), is_said, "{check}");
+    }
 }

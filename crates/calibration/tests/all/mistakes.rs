@@ -5,8 +5,8 @@
 use calibration::RunContext;
 use calibration::dfo::{Limits, Loss, Measure, RobustLoss, RunOptions, Stop, Tolerances};
 use calibration::{
-    Calibration, CheckOptions, Data, Experiment, Finding, Fit, FitOptions, NoiseRule, Parameter, Prior,
-    Scale, Severity, SimulationSettings, Weight,
+    Calibration, CheckOptions, Compared, CostKind, CustomCost, Data, Experiment, Finding, Fit, FitOptions,
+    NoiseRule, Parameter, Prior, Scale, Severity, SimulationSettings, Stage, UncertaintyOptions, Weight,
 };
 use example_models::example_fmu;
 use fmi::Fmu;
@@ -93,9 +93,11 @@ fn a_fixed_step_that_is_too_large_is_compared_with_half_of_it() {
     // The error of a fixed step is no noise, and no reason to end early.
     assert!(!fit.to_string().contains("f_tol was raised"), "{fit}");
     let mae =
-        FitOptions { objective: calibration::CostKind::of_name("mae").unwrap(), ..FitOptions::default() };
-    let fit = coarse.fit(mae).unwrap();
-    assert!(warns(&fit.findings(), "half the step of the solver 'euler' changes 'x'"), "{fit}");
+        || FitOptions { objective: calibration::CostKind::of_name("mae").unwrap(), ..FitOptions::default() };
+    let said = "half the step of the solver 'euler' changes 'x'";
+    for fit in [coarse.fit(mae()).unwrap(), coarse.fit_stages(&[Stage::new(["k"])], mae()).unwrap()] {
+        assert!(fit.uncertainty.is_none() && warns(&fit.findings(), said), "{fit}");
+    }
     let fine = calibration(vec![sound(1e-3)], k(), settings(Method::Rk4, 0.01));
     assert!(
         fine.check().is_ok() && warnings(&fine.fit(FitOptions::default()).unwrap().findings()).is_empty()
@@ -111,7 +113,7 @@ fn times_in_minutes_are_named() {
         Parameter::new("k", 1.5).bounds(0.01, 1e3).scale(Scale::Log),
         SimulationSettings::default(),
     );
-    let said = "are its times in min?";
+    let said = "the times look as if they were in min";
     assert!(warns(&calibration.check().findings, said), "{}", calibration.check());
     let fit = calibration.fit(FitOptions::default()).unwrap();
     assert!((fit.x[0] - 60.0).abs() < 1.0 && warns(&fit.findings(), said), "{fit}");
@@ -119,6 +121,74 @@ fn times_in_minutes_are_named() {
     let short = times(61, 0.005);
     let fit = fitted(recording(&short, decay(&short, 2.0, 1e-3)), k());
     assert!(warnings(&fit.findings()).is_empty(), "{fit}");
+}
+
+/// A rate from 1e-5 to 10 on a logarithmic scale.
+fn rate(start: f64) -> Parameter {
+    Parameter::new("k", start).bounds(1e-5, 10.0).scale(Scale::Log)
+}
+
+fn tank(data: Data) -> Calibration {
+    let driven = Experiment::new(data).input("u1", "u1").input("u2", "u2");
+    let measured = (1..=2).fold(driven, |e, i| e.output(format!("qt.x{i}"), format!("x{i}")));
+    let builder = Calibration::builder(open("quad_tank")).experiment(measured);
+    (1..=2)
+        .fold(builder, |b, i| b.parameter(Parameter::new(format!("qt.a{i}"), 3e-6).bounds(2e-6, 4e-6)))
+        .build()
+        .unwrap()
+}
+
+/// A recording of the examples with its times multiplied.
+fn example(name: &str, factor: f64) -> Data {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../examples/data/{name}.csv"));
+    let data = Data::from_csv(path).unwrap();
+    let columns = data.names().map(|name| (name.to_owned(), data.column(name).unwrap().to_vec()));
+    Data::from_columns(data.time().iter().map(|t| factor * t).collect(), columns).unwrap()
+}
+
+#[test]
+fn times_that_are_numbers_of_rows_or_in_another_unit_are_named() {
+    // A decay by 0.5 per second, minute or hour, whose times last as the model suggests but for the first.
+    let seconds = times(201, 0.05);
+    let rows = times(201, 1.0);
+    for (t, start, said) in [
+        (&rows, 0.4, "the times look like numbers of rows"),
+        (&seconds, 0.01, "the times look as if they were in min"),
+        (&seconds, 2e-4, "the times look as if they were in h"),
+    ] {
+        let calibration = calibration(
+            vec![recording(t, decay(&seconds, 0.5, 1e-2))],
+            rate(start),
+            SimulationSettings::default(),
+        );
+        assert!(warns(&calibration.check().findings, said), "{}", calibration.check());
+        let fit = calibration.fit(FitOptions::default()).unwrap();
+        assert!(fit.report.is_success() && warns(&fit.findings(), said), "{fit}");
+    }
+    // Bounds keep the parameters of a tank from making up for it, and the fit is poor.
+    let fit = tank(example("quad_tank", 1.0 / 60.0)).fit(FitOptions::default()).unwrap();
+    assert!(warns(&fit.findings(), "in min"), "{fit}");
+    let fit = tank(example("quad_tank", 1.0)).fit(FitOptions::default()).unwrap();
+    assert!(!warns(&fit.findings(), "in min"), "{fit}");
+}
+
+#[test]
+fn times_of_sound_setups_are_not_accused() {
+    let dice = |k: usize| 0.5 + 0.5 * noise(k);
+    for k in 0..100 {
+        let rate_of = 10f64.powf(-2.0 + 2.0 * dice(7 * k));
+        let n = 20 + (150.0 * dice(7 * k + 1)) as usize;
+        // A third of them by the second, from 0 or 1 on.
+        let interval = if k % 3 == 0 { 1.0 } else { (1.0 + 4.0 * dice(7 * k + 2)) / rate_of / n as f64 };
+        let start = rate_of * 10f64.powf(2.0 * dice(7 * k + 3) - 1.0);
+        let first = if k % 6 == 0 { 1.0 } else { 0.0 };
+        let t: Vec<f64> = times(n, interval).iter().map(|t| first + t).collect();
+        let experiment = recording(&t, decay(&t, rate_of, 1e-2)).start_time(0.0);
+        let fit = fitted(experiment, rate(start).bounds(1e-5, 1e2));
+        let accused: Vec<String> =
+            warnings(&fit.findings()).into_iter().filter(|text| text.contains("the times look")).collect();
+        assert!(accused.is_empty(), "set-up {k}: {accused:#?} {fit}");
+    }
 }
 
 #[test]
@@ -469,4 +539,107 @@ fn residuals_that_one_number_explains_say_which() {
         let fit = fit(change);
         assert!(warns(&fit.findings(), said), "{said}: {fit}");
     }
+}
+
+/// What the model leaves out is said of the residuals, whatever the cost is and with or without standard
+/// errors.
+#[test]
+fn residuals_are_looked_at_with_every_cost_and_without_a_covariance() {
+    let t = times(101, 0.05);
+    let with_offset: Vec<f64> = decay(&t, 2.0, 0.005).iter().map(|x| x + 0.1).collect();
+    let squares = CustomCost::cost("squares", |compared| {
+        let of =
+            |c: &Compared<'_>| c.simulated.iter().zip(c.measured).map(|(s, m)| (s - m).powi(2)).sum::<f64>();
+        Ok(compared.iter().map(of).sum())
+    });
+    let costs = || CostKind::named().chain([CostKind::Custom(squares.clone())]);
+    for objective in costs() {
+        for uncertainty in [None, Some(UncertaintyOptions::default())] {
+            let name = objective.name().to_owned();
+            let options = || FitOptions {
+                objective: objective.clone(),
+                uncertainty: uncertainty.clone(),
+                ..FitOptions::default()
+            };
+            let fit = fitted_as(recording(&t, with_offset.clone()), options());
+            let said = warnings(&fit.findings());
+            let text = "the residuals of x are autocorrelated";
+            let times_said = said.iter().filter(|said| said.contains(text)).count();
+            assert!(fit.report.is_success() && times_said == 1, "{name}: {fit}");
+            let has_errors = fit.uncertainty.is_some();
+            assert_eq!(said.iter().any(|said| said.contains("standard errors are corrected")), has_errors);
+            let fit = fitted_as(sound(1e-3), options());
+            assert!(warnings(&fit.findings()).is_empty(), "{name}: {fit}");
+        }
+    }
+    // Nothing is said of a search that was ended, nor of simulations that reproduce the measurements.
+    let without = || FitOptions { uncertainty: None, ..FitOptions::default() };
+    let limits = Limits { max_evaluations: Some(2), ..Limits::default() };
+    let ended = FitOptions { run: RunOptions { limits, ..FitOptions::default_run() }, ..without() };
+    assert!(warnings(&fitted_as(sound(1e-3), ended).findings()).is_empty());
+    assert!(warnings(&fitted_as(sound(0.0), without()).findings()).is_empty());
+}
+
+fn fitted_as(experiment: Experiment, options: FitOptions<'_>) -> Fit {
+    calibration(vec![experiment], k(), SimulationSettings::default()).fit(options).unwrap()
+}
+
+/// Uniform noise from -size to size has the standard deviation size / sqrt(3).
+#[test]
+fn residuals_are_compared_with_the_noise_that_weights_state() {
+    let sigma = 0.01 / 3f64.sqrt();
+    let t = times(201, 0.025);
+    let findings = |weight: Weight, change: &dyn Fn(f64) -> f64| {
+        let x = decay(&t, 2.0, 0.01).iter().zip(&t).map(|(x, t)| x + change(*t)).collect();
+        let data = Data::from_columns(t.clone(), [("x".to_owned(), x)]).unwrap();
+        let fit = fitted(Experiment::new(data).weighted_output("x", "x", weight), k());
+        fit.findings()
+            .iter()
+            .map(ToString::to_string)
+            .filter(|said| said.contains("state"))
+            .collect::<Vec<_>>()
+    };
+    let plain = |weight: f64| findings(weight.into(), &|_| 0.0);
+    for sound in [plain(1.0 / sigma), plain(0.9 / sigma), plain(1.05 / sigma), plain(1.0)] {
+        assert!(sound.is_empty(), "{sound:?}");
+    }
+    // Rows that count and rows that do not state no noise.
+    let chosen: Vec<f64> = (0..201).map(|k| f64::from(k % 2)).collect();
+    assert!(findings(Weight::Rows(chosen.into()), &|_| 0.0).is_empty());
+    let said = plain(1.5 / sigma);
+    assert!(
+        said.len() == 1 && said[0].starts_with("warning: noise of x: the residuals of x are 1.5"),
+        "{said:?}"
+    );
+    let said = plain(0.2 / sigma);
+    assert!(
+        said.len() == 1 && said[0].starts_with("note: ") && said[0].contains("smaller than stated"),
+        "{said:?}"
+    );
+    let said = plain(100.0 / sigma);
+    assert!(said.len() == 1 && said[0].starts_with("note: "), "{said:?}");
+    // Something fast that the model leaves out, of which no autocorrelation tells.
+    let said = findings((1.0 / sigma).into(), &|t| 0.012 * (80.0 * t).sin());
+    assert!(said.len() == 1 && said[0].contains("the model leaves out something"), "{said:?}");
+}
+
+#[test]
+fn the_correction_for_autocorrelation_is_told() {
+    let t = times(201, 0.025);
+    let mut last = 0.0;
+    let lasting = |(k, x): (usize, f64)| {
+        last = 0.8 * last + 0.005 * noise(k);
+        x + last
+    };
+    let x: Vec<f64> = decay(&t, 2.0, 0.0).into_iter().enumerate().map(lasting).collect();
+    let fit = fitted(recording(&t, x), k());
+    let uncertainty = fit.uncertainty.as_ref().unwrap();
+    let factor = uncertainty.standard_errors[0] / uncertainty.uncorrected_errors().unwrap()[0];
+    let said = fit.findings().iter().find(|f| f.subject == "standard errors").unwrap().to_string();
+    let told = said.strip_prefix("note: standard errors: the standard errors are ");
+    let told = told.or_else(|| said.strip_prefix("note: the standard errors are ")).unwrap();
+    let told: f64 = told.split(' ').next().unwrap().parse().unwrap();
+    assert!(factor > 1.5 && (told / factor - 1.0).abs() < 0.01, "{factor}: {said}");
+    let sound = fitted(sound(1e-3), k());
+    assert!(sound.findings().iter().all(|f| f.subject != "standard errors"), "{sound}");
 }

@@ -297,12 +297,6 @@ impl Round {
         let new = self.sources.iter().any(is_new);
         self.stale = if new { 0 } else { self.stale + 1 };
         self.ledger.record(batch, &self.answers, &self.sources);
-        self.told.clear();
-        for answer in &self.answers {
-            let residuals = if batch.want() == Want::Residuals { &answer.residuals[..] } else { &[] };
-            let known = answer.outcome.value().is_some();
-            self.told.push(answer.outcome.clone(), if known { residuals } else { &[] });
-        }
     }
 
     /// Keeps the answer to point `k` of `work` that the path did not come to after all.
@@ -334,8 +328,17 @@ impl Round {
         self.ledger.trim(true);
     }
 
-    /// Answers to the last batch; what was not evaluated is [`Outcome::Skipped`].
-    pub(crate) fn told(&self) -> &Answers {
+    /// Answers to the last batch, which are nowhere else then; what was not evaluated is
+    /// [`Outcome::Skipped`].
+    pub(crate) fn told(&mut self, batch: &Batch) -> &Answers {
+        self.told.clear();
+        for answer in &mut self.answers {
+            if batch.want() == Want::Residuals && answer.outcome.value().is_some() {
+                self.told.push_taken(answer.outcome.clone(), &mut answer.residuals);
+            } else {
+                self.told.push(answer.outcome.clone(), &[]);
+            }
+        }
         &self.told
     }
 

@@ -195,13 +195,21 @@ impl Answer {
     }
 }
 
-/// The answers to a batch, in request order. The residuals of all points lie in one array.
-#[derive(Debug, Clone, PartialEq, Default)]
+/// The answers to a batch, in request order.
+#[derive(Debug, Clone, Default)]
 pub struct Answers {
     outcomes: Vec<Outcome>,
     /// Number of residuals of each point; 0 if none were wanted.
     m: usize,
-    residuals: Vec<f64>,
+    residuals: Vec<Vec<f64>>,
+    /// Memory of residuals that were removed.
+    spare: Vec<Vec<f64>>,
+}
+
+impl PartialEq for Answers {
+    fn eq(&self, other: &Self) -> bool {
+        (&self.outcomes, &self.residuals) == (&other.outcomes, &other.residuals)
+    }
 }
 
 impl Answers {
@@ -223,26 +231,38 @@ impl Answers {
     /// The residuals of point `k`; `None` where there are none, or none were wanted.
     pub fn residuals(&self, k: usize) -> Option<&[f64]> {
         let known = self.m > 0 && self.outcomes[k].value().is_some();
-        known.then(|| &self.residuals[k * self.m..(k + 1) * self.m])
+        known.then(|| &self.residuals[k][..])
     }
 
     /// Adds a point. All residual vectors have the length of the first one: of a longer one the rest is left
     /// out, a shorter one is filled up with zeros.
     pub fn push(&mut self, outcome: Outcome, residuals: &[f64]) {
+        let mut own = self.spare.pop().unwrap_or_default();
+        own.clear();
+        own.extend_from_slice(residuals);
+        self.push_own(outcome, own);
+    }
+
+    /// As [`push`](Self::push), without a copy: what is left of the residuals is some memory.
+    pub(crate) fn push_taken(&mut self, outcome: Outcome, residuals: &mut Vec<f64>) {
+        let own = std::mem::replace(residuals, self.spare.pop().unwrap_or_default());
+        self.push_own(outcome, own);
+    }
+
+    fn push_own(&mut self, outcome: Outcome, mut residuals: Vec<f64>) {
         if self.m == 0 && !residuals.is_empty() {
             self.m = residuals.len();
-            self.residuals.clear();
-            self.residuals.resize(self.outcomes.len() * self.m, 0.0);
+            self.residuals.iter_mut().for_each(|before| before.resize(self.m, 0.0));
         }
+        residuals.resize(self.m, 0.0);
         self.outcomes.push(outcome);
-        self.residuals.extend_from_slice(&residuals[..residuals.len().min(self.m)]);
-        self.residuals.resize(self.outcomes.len() * self.m, 0.0);
+        self.residuals.push(residuals);
     }
 
     /// Removes all points; keeps their memory.
     pub fn clear(&mut self) {
         self.outcomes.clear();
-        self.residuals.clear();
+        self.spare.append(&mut self.residuals);
         self.m = 0;
     }
 }

@@ -8,7 +8,7 @@ use crate::evaluation::store::{Early, FIRST_ID};
 use crate::evaluation::{Evaluator, GivesUp, Guesses, Polled, Reached, RunControl, StopCause};
 use crate::method::interface::{Batch, Details, Method, Status};
 use crate::method::tolerances::Limits;
-use crate::outcome::answer::{Answer, Outcome};
+use crate::outcome::answer::{Answer, Outcome, Want};
 use crate::outcome::termination::{Termination, UNBOUNDED};
 use crate::run::checkpoint::Writer;
 use crate::run::progress::Progress;
@@ -121,6 +121,11 @@ impl<M: Method> Drive<M> {
         }
     }
 
+    /// True if the method was not asked to its end.
+    pub(crate) fn is_put_off(&self) -> bool {
+        self.stage == Stage::Ask
+    }
+
     /// Drives the run to its end and reports.
     pub(crate) fn run(mut self, mut around: Around<'_, '_, '_>) -> Result<Report, Error> {
         while !self.advance(&mut around)? {}
@@ -187,7 +192,11 @@ impl<M: Method> Drive<M> {
         loop {
             match self.stage {
                 Stage::Over(_) => return Ok(true),
-                Stage::Ask => self.ask(around)?,
+                Stage::Ask => {
+                    if self.ask(around)? {
+                        return Ok(false);
+                    }
+                }
                 Stage::Evaluate if self.n_missing == 0 && !around.evaluator.is_ready() => {
                     self.close(around)?
                 }
@@ -200,7 +209,9 @@ impl<M: Method> Drive<M> {
         }
     }
 
-    fn ask(&mut self, around: &mut Around<'_, '_, '_>) -> Result<(), Error> {
+    /// True where a run by hand is to be asked again: the method has nothing yet, and the caller waits no
+    /// longer.
+    fn ask(&mut self, around: &mut Around<'_, '_, '_>) -> Result<bool, Error> {
         let cause = Cell::new(None);
         let is_over = || {
             cause.set(cause.get().or_else(|| around.control.check()));
@@ -210,6 +221,9 @@ impl<M: Method> Drive<M> {
         let is_running = self.method.status() == Status::Running;
         let limit = match cause.get() {
             Some(StopCause::Interrupted) if self.batch.is_empty() && is_running => {
+                if self.by_hand {
+                    return Ok(true);
+                }
                 Some(Termination::Interrupted)
             }
             Some(StopCause::OutOfTime) if self.batch.is_empty() && is_running => {
@@ -222,14 +236,15 @@ impl<M: Method> Drive<M> {
         if let Some(limit) = limit {
             self.save(&[]);
             self.stage = Stage::Over(Some(self.unless_unsaved(limit)));
-            return Ok(());
+            return Ok(false);
         }
         self.cause = None;
         if self.batch.is_empty() {
-            return self.observe_and_end(None, around);
+            self.observe_and_end(None, around)?;
+        } else {
+            self.open(around);
         }
-        self.open(around);
-        Ok(())
+        Ok(false)
     }
 
     /// The limit that forbids to start another evaluation, if one does.
@@ -253,7 +268,8 @@ impl<M: Method> Drive<M> {
         reset(answers, n_work);
         (self.n_missing, self.n_unsaved, self.stage) = (n_work, 0, Stage::Evaluate);
         self.end = usize::MAX;
-        self.cause = around.control.check();
+        // Who makes the evaluations goes on after an interrupt, or stops the run.
+        self.cause = around.control.check().filter(|cause| !self.by_hand || *cause != StopCause::Interrupted);
         if self.cause.is_some() {
             self.n_missing = 0;
             return;
@@ -376,7 +392,11 @@ impl<M: Method> Drive<M> {
             self.save(&known);
         }
         self.round.close(&self.batch, &mut self.answers);
-        self.method.tell(self.round.told())?;
+        // Nothing follows from residuals any more, and many of them take their time.
+        let is_left = stopped == Some(Termination::Interrupted) && self.batch.want() == Want::Residuals;
+        if !is_left {
+            self.method.tell(self.round.told(&self.batch))?;
+        }
         self.observe_and_end(stopped, around)
     }
 

@@ -59,19 +59,24 @@ impl Optimizer {
         let deadline = RunContext::new().within(left).end();
         let drive = Drive::new(started.map_method(BoxedMethod::new), true);
         let mut optimizer = Self { drive, hand: ByHand::new(workers), deadline };
-        optimizer.advance(|drive, around| drive.advance(around).map(|_| ()))?;
+        optimizer.go_on(&RunContext::new())?;
         Ok(optimizer)
     }
 
     /// Goes on as far as the answers reach; an error where the checkpoint could not be written.
     fn advance(
         &mut self,
+        context: &RunContext<'_>,
         go_on: impl FnOnce(&mut Drive<BoxedMethod>, &mut Around<'_, '_, '_>) -> Result<(), Error>,
     ) -> Result<(), Error> {
-        let control = RunControl::new(RunContext::new().until(self.deadline));
+        let control = RunControl::new(context.until(self.deadline));
         let mut around = Around { evaluator: &mut self.hand, control: &control, observer: None };
         go_on(&mut self.drive, &mut around)?;
         self.drive.unsaved.take().map_or(Ok(()), Err)
+    }
+
+    fn go_on(&mut self, context: &RunContext<'_>) -> Result<(), Error> {
+        self.advance(context, |drive, around| drive.advance(around).map(|_| ()))
     }
 
     /// Writes the checkpoint, if there is one, with the answers of the round that is under way.
@@ -86,7 +91,16 @@ impl Optimizer {
     /// Points to evaluate, at most so many; none while the answers to all points of a round are awaited, and
     /// none after the end.
     pub fn ask(&mut self, at_most: usize) -> Vec<Point> {
+        self.ask_unless(at_most, &RunContext::new())
+    }
+
+    /// As [`ask`](Self::ask); where a call was cancelled before the method had chosen its points, it goes on
+    /// with that, unless this context is cancelled, too: then there are none yet.
+    pub fn ask_unless(&mut self, at_most: usize, context: &RunContext<'_>) -> Vec<Point> {
         let mut points = Vec::new();
+        if self.drive.is_put_off() && self.go_on(context).is_err() {
+            return points;
+        }
         while self.drive.ended().is_none()
             && points.len() < at_most
             && let Some(handed) = self.hand.hand_out()
@@ -105,6 +119,20 @@ impl Optimizer {
     /// An id that was not handed out, or was answered already; a checkpoint that cannot be written (the
     /// answer counts all the same).
     pub fn tell(&mut self, id: u64, answer: impl Into<Answer>) -> Result<(), Error> {
+        self.tell_unless(id, answer, &RunContext::new())
+    }
+
+    /// As [`tell`](Self::tell); the answer counts, whatever the context says: where it is cancelled, the next
+    /// points are chosen by [`ask`](Self::ask).
+    ///
+    /// # Errors
+    /// As [`tell`](Self::tell).
+    pub fn tell_unless(
+        &mut self,
+        id: u64,
+        answer: impl Into<Answer>,
+        context: &RunContext<'_>,
+    ) -> Result<(), Error> {
         let mut answer = answer.into();
         let Some(handed) = self.hand.take_back(id) else { return Err(Error::UnknownPoint { id }) };
         if self.drive.ended().is_some() {
@@ -118,7 +146,7 @@ impl Optimizer {
         let is_final = answer.outcome.is_known() || matches!(answer.outcome, Outcome::Abort(_));
         let ends = matches!(answer.outcome, Outcome::Abort(_)) && id < FIRST_ID;
         self.hand.answered(handed, answer, is_final);
-        self.advance(|drive, around| match drive.advance(around)? {
+        self.advance(context, |drive, around| match drive.advance(around)? {
             // The points before it will have no answer.
             false if ends => drive.abandon(around),
             _ => Ok(()),
@@ -131,7 +159,7 @@ impl Optimizer {
     /// # Errors
     /// The checkpoint cannot be written.
     pub fn stop(&mut self) -> Result<(), Error> {
-        self.advance(|drive, around| drive.interrupt(around))
+        self.advance(&RunContext::new(), |drive, around| drive.interrupt(around))
     }
 
     /// Points handed out and not answered yet.

@@ -31,6 +31,8 @@ fn boxed<M, D>(run: Minimize<'_, M, D>, batch: usize) -> Minimize<'_, LeastSquar
     run.method(LeastSquares::default().batch(batch))
 }
 
+static OVER: AtomicBool = AtomicBool::new(true);
+
 const BATCHES: [usize; 4] = [1, 2, 4, 7];
 
 #[test]
@@ -76,6 +78,39 @@ fn budgets_are_exact_inside_of_rounds() {
         let report = boxed(minimize(residuals(probe)), batch).target(0.2).run().unwrap();
         assert!(report.termination == Termination::Target && report.fun <= 0.2, "{report}");
     }
+}
+
+#[test]
+fn a_run_by_hand_that_is_cancelled_while_points_are_chosen_goes_on_with_the_same_bits() {
+    // So many residuals that the model is made in pieces.
+    let many = |x: &[f64], out: &mut Vec<f64>| {
+        out.extend((0..30_000).map(|i| {
+            let t = 1e-4 * f64::from(i);
+            x[0] * (-x[1] * t).exp() - 2.0 * (-0.5 * t).exp() + 1e-3 * (37.0 * t).sin()
+        }));
+    };
+    let objective = residuals(many);
+    let run = |is_cancelled: bool| {
+        let mut optimizer = boxed(by_hand(), 1).max_evaluations(20).optimizer().unwrap();
+        let over = RunContext::new().flagged(&OVER);
+        let context = if is_cancelled { over } else { RunContext::new() };
+        let mut n_put_off = 0;
+        while optimizer.termination().is_none() {
+            let mut points = optimizer.ask_unless(1, &context);
+            n_put_off += usize::from(points.is_empty());
+            if points.is_empty() {
+                points = optimizer.ask(1);
+            }
+            for point in points {
+                let answer = objective.answer(&point.x, &point.query());
+                optimizer.tell_unless(point.id, answer, &context).unwrap();
+            }
+        }
+        let report = optimizer.report().unwrap();
+        ((timeless(&report.trace), report.x, report.termination), n_put_off)
+    };
+    let ((cancelled, n_put_off), (plain, none)) = (run(true), run(false));
+    assert!(cancelled == plain && n_put_off > 0 && none == 0, "{n_put_off} {cancelled:?} {plain:?}");
 }
 
 #[test]

@@ -97,6 +97,9 @@ pub struct SimulateOptions {
     /// model takes steps of any length, there are further communication points at the rows and wherever an
     /// input jumps or changes its slope.
     pub step_size: Option<f64>,
+    /// Takes each step of a fixed-step method in two halves, also one that an input or an event has cut
+    /// (model exchange): for comparison with a run that does not.
+    pub halve_steps: bool,
     /// Rows between the steps of a co-simulation that cannot stop there; default: interpolated.
     pub between_steps: BetweenSteps,
     /// Largest step of the adaptive methods.
@@ -132,6 +135,7 @@ impl SimulateOptions {
         kind(Kind) = |kind| kind;
         method(Method) = |method| method;
         step_size(f64) = |step| Some(step);
+        halve_steps(bool) = |halve| halve;
         between_steps(BetweenSteps) = |choice| choice;
         max_step(f64) = |step| Some(step);
         timeout(Duration) = |limit| Some(limit);
@@ -185,7 +189,7 @@ impl SimulateOptions {
             }};
         }
         same!(but inputs, cancel; start_time, final_time, times, output_interval, ncp, start_values, clock_intervals,
-            parameters, outputs, input_derivatives, relative_tolerance, kind, method, step_size, between_steps, max_step, timeout,
+            parameters, outputs, input_derivatives, relative_tolerance, kind, method, step_size, halve_steps, between_steps, max_step, timeout,
             max_work, chattering, record_events)
     }
 
@@ -201,6 +205,7 @@ impl SimulateOptions {
             method: self.method,
             relative_tolerance: self.stated_tolerance(experiment).unwrap_or(DEFAULT_TOLERANCE),
             step_size: self.step_size,
+            halve_steps: self.halve_steps,
             max_step: self.max_step,
             record_events: self.record_events,
             limits: ode::Limits { timeout: self.timeout, max_work: self.max_work, ..ode::Limits::default() },

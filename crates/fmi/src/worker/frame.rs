@@ -38,6 +38,10 @@ impl Frame {
     /// It cannot be encoded.
     pub fn of(head: &impl Serialize) -> io::Result<Self> {
         let mut frame = Self::default();
+        // Memory that grows would take twice as much.
+        let mut length = Length(0);
+        encode(head, &mut length)?;
+        frame.head.reserve_exact(length.0);
         frame.set_head(head)?;
         Ok(frame)
     }
@@ -56,8 +60,7 @@ impl Frame {
     /// It cannot be encoded.
     pub fn set_head(&mut self, head: &impl Serialize) -> io::Result<()> {
         self.head.clear();
-        ciborium::into_writer(head, &mut self.head)
-            .map_err(|e| bad(format!("a message cannot be encoded: {e}")))
+        encode(head, &mut self.head)
     }
 
     /// Decodes the head.
@@ -76,12 +79,22 @@ impl Frame {
         for length in [self.head.len(), self.notes.len(), self.numbers.len()] {
             buffer.extend((length as u64).to_le_bytes());
         }
-        buffer.extend_from_slice(&self.head);
-        buffer.extend_from_slice(&self.notes);
-        let begin = buffer.len();
-        buffer.resize(begin + 8 * self.numbers.len(), 0);
-        let words = buffer[begin..].as_chunks_mut::<8>().0;
-        words.iter_mut().zip(&self.numbers).for_each(|(word, number)| *word = number.to_le_bytes());
+        for part in [&self.head, &self.notes] {
+            if part.len() < PIECE {
+                buffer.extend_from_slice(part);
+            } else {
+                to.write_all(buffer)?;
+                buffer.clear();
+                to.write_all(part)?;
+            }
+        }
+        for part in self.numbers.chunks(PIECE / 8) {
+            if buffer.len() >= PIECE {
+                to.write_all(buffer)?;
+                buffer.clear();
+            }
+            part.iter().for_each(|number| buffer.extend(number.to_le_bytes()));
+        }
         to.write_all(buffer)
     }
 
@@ -111,12 +124,35 @@ impl Frame {
         (self.is_error, self.is_last, self.number) = (is_error, is_last, word(8));
         read_part(from, &mut self.head, lengths[0], wait)?;
         read_part(from, &mut self.notes, lengths[1], wait)?;
-        read_part(from, buffer, lengths[2], wait)?;
         self.numbers.clear();
-        let words = buffer.as_chunks::<8>().0;
-        self.numbers.extend(words.iter().map(|word| f64::from_le_bytes(*word)));
+        let mut left = lengths[2];
+        while left > 0 {
+            let piece = left.min(PIECE as u64);
+            read_part(from, buffer, piece, wait)?;
+            let words = buffer.as_chunks::<8>().0;
+            self.numbers.extend(words.iter().map(|word| f64::from_le_bytes(*word)));
+            left -= piece;
+        }
         Ok(())
     }
+}
+
+/// The number of bytes written to it.
+struct Length(usize);
+
+impl Write for Length {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0 += bytes.len();
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+fn encode(head: &impl Serialize, to: impl Write) -> io::Result<()> {
+    ciborium::into_writer(head, to).map_err(|e| bad(format!("a message cannot be encoded: {e}")))
 }
 
 /// Decodes what a head or notes say.
@@ -128,7 +164,7 @@ fn bad(message: String) -> io::Error {
     io::Error::new(ErrorKind::InvalidData, message)
 }
 
-/// Memory is taken as the bytes arrive: a false length takes none.
+/// Memory is taken as the bytes arrive: a false length takes none. Longer parts are not copied to be sent.
 const PIECE: usize = 1 << 20;
 
 fn read_part(
@@ -176,6 +212,18 @@ mod tests {
         let mut bytes = Vec::new();
         frame.write(7, &mut bytes, &mut Vec::new()).unwrap();
         bytes
+    }
+
+    #[test]
+    fn long_frames_arrive_and_take_no_buffer() {
+        let mut frame = Frame::of(&"x".repeat(3 * PIECE)).unwrap();
+        frame.numbers = (0..PIECE / 2).map(|k| k as f64).collect();
+        let (mut bytes, mut buffer) = (Vec::new(), Vec::new());
+        frame.write(7, &mut bytes, &mut buffer).unwrap();
+        assert!(buffer.capacity() <= 4 * PIECE, "{}", buffer.capacity());
+        let (mut found, mut buffer) = (Frame::default(), Vec::new());
+        found.read(&mut &bytes[..], &mut buffer, &mut || Err(ErrorKind::TimedOut.into())).unwrap();
+        assert!(buffer.capacity() <= PIECE && found.head == frame.head && found.numbers == frame.numbers);
     }
 
     proptest! {

@@ -66,11 +66,8 @@ pub(super) struct Hello {
     pub(super) has_loaded: bool,
 }
 
-/// An order is done after this time.
+/// An order is done after this time, and its end.
 const LONGEST: Duration = Duration::from_secs(60);
-
-/// It has so long to end.
-const END: Duration = Duration::from_secs(2);
 
 /// Time between two looks whether it has ended.
 const LOOK: Duration = Duration::from_millis(10);
@@ -139,7 +136,7 @@ impl Template {
     pub(super) fn loading(launcher: &Launcher, load: &Load) -> Result<Self, FmiError> {
         let template = StartedAhead::take(launcher).map_or_else(|| Self::start(launcher), Ok)?;
         let mut orders = template.orders();
-        orders.send(Order::Load, &load.frame, &[]).map_err(no_worker)?;
+        load.frame().and_then(|frame| orders.send(Order::Load, &frame, &[])).map_err(no_worker)?;
         orders.load = Some(load.id);
         drop(orders);
         Ok(template)
@@ -275,10 +272,15 @@ impl Template {
             let _ = orders.child.kill();
         }
         let began = Instant::now();
-        while !orders.has_ended_within(LOOK) && began.elapsed() < END {}
+        let mut has_ended = false;
+        // There may be many processes to be ended.
+        while !has_ended && began.elapsed() < LONGEST {
+            has_ended = orders.has_ended_within(LOOK);
+        }
         let _ = orders.child.kill();
         let _ = orders.child.wait();
-        self.is_over.store(true, Ordering::Relaxed);
+        // Else each worker is ended alone, and its folder removed.
+        self.is_over.store(has_ended, Ordering::Relaxed);
     }
 }
 

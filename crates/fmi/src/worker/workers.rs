@@ -291,7 +291,8 @@ fn ask_to_load(
     context: &RunContext<'_>,
 ) -> Result<(), FmiError> {
     process.loaded = None;
-    ask(process, &load.frame, answer, context, None)?;
+    let frame = load.frame().map_err(|error| FmiError::NoWorker { reason: error.to_string() })?;
+    ask(process, &frame, answer, context, None)?;
     process.loaded = Some(load.id);
     Ok(())
 }

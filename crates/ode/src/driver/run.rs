@@ -89,6 +89,8 @@ pub(super) struct Run<'a, S: ?Sized, M, O: ?Sized> {
     pub(super) h: f64,
     pub(super) h_tried: f64,
     pub(super) fixed_step: Option<f64>,
+    /// Where the first half of a fixed step ends that is taken in two.
+    pub(super) middle: Option<f64>,
     pub(super) next_time_event: Option<f64>,
     pub(super) input_stop: Option<InputStop>,
     pub(super) sliding: Sliding,
@@ -132,6 +134,7 @@ where
             h: 0.0,
             h_tried: 0.0,
             fixed_step,
+            middle: None,
             next_time_event: None,
             input_stop: None,
             sliding: Sliding::new(span, time_tolerance),

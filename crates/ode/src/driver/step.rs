@@ -29,7 +29,7 @@ where
 
     /// The step to try: what the controller proposes, cut or stretched so that no sliver is left before the
     /// target.
-    pub(super) fn step_towards(&self, target: f64) -> f64 {
+    pub(super) fn step_towards(&mut self, target: f64) -> f64 {
         let remaining = target - self.t;
         if let Some(step) = self.fixed_step {
             // Grid points are start + k * step, never sums; an event does not shift them. The one we stand on, up to
@@ -39,7 +39,13 @@ where
                 k += 1.0;
             }
             let grid = self.start + k * step;
-            return if grid >= target - self.time_tolerance { remaining } else { grid - self.t };
+            let h = if grid >= target - self.time_tolerance { remaining } else { grid - self.t };
+            let is_second_half = self.middle.take() == Some(self.t);
+            if !self.options.halve_steps || is_second_half || h <= 8.0 * self.time_tolerance {
+                return h;
+            }
+            self.middle = Some(self.t + 0.5 * h);
+            return 0.5 * h;
         }
         if self.space.x.is_empty() && self.space.domains.len() == 0 {
             return remaining;

@@ -104,6 +104,53 @@ fn fixed_step_methods_have_their_order() {
     }
 }
 
+/// Steps that an input has cut are halved as well: Euler's method multiplies with 1 + h in each.
+#[test]
+fn halved_steps_are_half_of_those_that_were_taken() {
+    let stops: Vec<f64> = (1..20).map(|k| 0.05 * f64::from(k)).collect();
+    let run = |step: f64, halve_steps: bool, stops: &[f64]| {
+        let mut seen = Recorder::default();
+        let step_size = Some(step);
+        let options = Options { method: Method::Euler, step_size, halve_steps, ..Options::default() };
+        let mut system = Stopped { stops: stops.to_vec() };
+        let report = Driver::new(options).unwrap().run(&mut system, 0.0, 1.0, &[1.0], &mut seen).unwrap();
+        (report.stats.accepted_steps, seen.rows.last().unwrap().3[0])
+    };
+    for (step, given, n) in [(0.4, &stops[..], 20), (0.05, &stops[..], 20), (0.25, &[][..], 4), (0.4, &[], 3)]
+    {
+        let ((whole, _), (halves, x)) = (run(step, false, given), run(step, true, given));
+        assert_eq!((whole, halves), (n, 2 * n), "step {step}");
+        let expected = match (n, given.is_empty()) {
+            (3, _) => 1.2f64.powi(4) * 1.1f64.powi(2),
+            _ => (1.0 + 0.5 / n as f64).powi(2 * n as i32),
+        };
+        assert!((x - expected).abs() < 1e-12, "step {step}: {x} instead of {expected}");
+    }
+}
+
+/// x' = x with an input that has kinks.
+struct Stopped {
+    stops: Vec<f64>,
+}
+
+impl HybridSystem for Stopped {
+    fn n_states(&self) -> usize {
+        1
+    }
+    fn start(&mut self, _: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        x[0] = 1.0;
+        Ok(EventOutcome::default())
+    }
+    fn derivatives(&mut self, _: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        dx[0] = x[0];
+        Ok(())
+    }
+    fn next_input_stop(&mut self, t: f64) -> Option<InputStop> {
+        let time = *self.stops.iter().find(|stop| **stop > t + 1e-12)?;
+        Some(InputStop { time, jump: false })
+    }
+}
+
 /// An angle that turns on and on: against its size its error would be allowed to grow, and does.
 #[test]
 fn the_error_of_unbounded_states_does_not_grow_with_them() {

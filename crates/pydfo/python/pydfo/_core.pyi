@@ -1,7 +1,7 @@
 """Types of the native module."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, final
 
@@ -152,7 +152,7 @@ def check_regular(path: str) -> None: ...
 class Table:
     def __new__(
         cls,
-        columns: list[tuple[str, npt.NDArray[np.float64]]],
+        columns: Iterable[tuple[str, npt.NDArray[np.float64]]],
         time: str,
         left_out: list[str],
         clock_change: tuple[str, str, bool] | None,

@@ -3,7 +3,7 @@
 use crate::convert::error;
 use crate::interrupt::watch::Watch;
 use calibration::RunContext;
-use calibration::{CalibrationError, ClockChange, CsvRequest, Data, DateError, PairUnit, TimeColumn};
+use calibration::{CalibrationError, ClockChange, CsvRequest, Data, DateError, PairUnit, Series, TimeColumn};
 use numpy::{PyArray1, PyReadonlyArray1};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -81,19 +81,22 @@ pub(crate) struct PyTable {
 
 #[pymethods]
 impl PyTable {
-    /// Columns of which one, `time`, holds the times; the names of others; an hour that is missing in the
-    /// times.
+    /// Columns (an iterator of names and arrays, each of which is needed no longer than the next one) of
+    /// which one, `time`, holds the times; the names of others; an hour that is missing in the times.
     #[new]
     fn new(
         py: Python<'_>,
-        columns: Vec<(String, PyReadonlyArray1<'_, f64>)>,
+        columns: &Bound<'_, PyAny>,
         time: &str,
         left_out: Vec<String>,
         clock_change: Option<Change>,
     ) -> PyResult<Self> {
-        let column =
-            |(name, values): (String, PyReadonlyArray1<'_, f64>)| Ok((name, values.as_slice()?.to_vec()));
-        let columns = columns.into_iter().map(column).collect::<PyResult<Vec<_>>>()?;
+        let column = |item: PyResult<Bound<'_, PyAny>>| {
+            py.check_signals()?;
+            let (name, values): (String, PyReadonlyArray1<'_, f64>) = item?.extract()?;
+            Ok((name, Series::from(values.as_slice()?)))
+        };
+        let columns = columns.try_iter()?.map(column).collect::<PyResult<Vec<_>>>()?;
         let change = clock_change.map(|(from, to, is_doubled)| ClockChange { from, to, is_doubled });
         let made = py.detach(|| Data::from_table(columns, Some(time)));
         let inner = made.map_err(|e| error::calibration(py, &e))?;

@@ -8,11 +8,11 @@ use crate::convert::values;
 use crate::model::inputs::{Callback, Callbacks};
 use calibration::RunContext;
 use calibration::{
-    CalibrationError, CsvRequest, Data, Experiment, InitialState, OutputScale, Parameter, Weight,
+    CalibrationError, CsvRequest, Data, Experiment, InitialState, OutputScale, Parameter, Series, Weight,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyBytes, PyDict};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -78,7 +78,20 @@ enum WeightFields {
     #[pyo3(transparent)]
     Inverse((String,)),
     #[pyo3(transparent)]
-    Rows(Vec<f64>),
+    Rows(Numbers),
+}
+
+/// Numbers as their bytes.
+struct Numbers(Series);
+
+impl<'a, 'py> FromPyObject<'a, 'py> for Numbers {
+    type Error = PyErr;
+
+    fn extract(object: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
+        let bytes = object.cast::<PyBytes>()?;
+        let words = bytes.as_bytes().as_chunks::<8>().0;
+        Ok(Self(words.iter().map(|word| f64::from_ne_bytes(*word)).collect()))
+    }
 }
 
 /// Source of the values of an input.
@@ -205,7 +218,7 @@ impl ExperimentFields {
                 WeightFields::Constant(weight) => Weight::Constant(weight),
                 WeightFields::Column(column) => Weight::Column(column),
                 WeightFields::Inverse((name,)) => Weight::Inverse(OutputScale::named(&name)?),
-                WeightFields::Rows(weights) => Weight::Rows(weights.into()),
+                WeightFields::Rows(Numbers(weights)) => Weight::Rows(weights),
             };
             experiment = experiment.weighted_output(variable, column, weight);
         }

@@ -4,6 +4,7 @@ use crate::convert::error;
 use crate::convert::record::PyRecord;
 use crate::convert::report::{self, ResultKind};
 use crate::interrupt::threads::lock;
+use crate::interrupt::watch::Watch;
 use crate::optimize::minimize::RunSetup;
 use crate::optimize::objective;
 use dfo::{Answer, MethodOptions, Outcome, RobustLoss, RunOptions};
@@ -44,7 +45,12 @@ impl PyOptimizer {
     }
 
     fn ask<'py>(&self, py: Python<'py>, at_most: Option<usize>) -> PyResult<Asked<'py>> {
-        let points = py.detach(|| lock(&self.inner).ask(at_most.unwrap_or(usize::MAX)));
+        let watch = Watch::without_handler(py);
+        let at_most = at_most.unwrap_or(usize::MAX);
+        let points = watch.run_here(|context| lock(&self.inner).ask_unless(at_most, context));
+        if points.is_empty() && watch.stop().is_asked() {
+            return Err(watch.interrupted());
+        }
         let flat: Vec<f64> = points.iter().flat_map(|p| p.x.iter().copied()).collect();
         Ok((
             PyArray1::from_iter(py, points.iter().map(|p| p.id)),
@@ -75,7 +81,10 @@ impl PyOptimizer {
             Outcome::Value(objective::number(value, "the objective")?)
         };
         // It may write the checkpoint, and another thread that waits for us may hold the interpreter lock.
-        py.detach(|| lock(&self.inner).tell(id, answer)).map_err(|e| error::optimiser(py, &e))
+        let watch = Watch::without_handler(py);
+        let told = watch.run_here(|context| lock(&self.inner).tell_unless(id, answer, context));
+        told.map_err(|e| error::optimiser(py, &e))?;
+        if watch.stop().is_asked() { Err(watch.interrupted()) } else { Ok(()) }
     }
 
     #[getter]

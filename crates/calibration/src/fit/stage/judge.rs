@@ -2,7 +2,7 @@
 
 use super::noise::{self, FitNoise};
 use super::result::Fit;
-use super::rounds::Made;
+use super::rounds::{Made, is_at_end};
 use super::search::{Job, Searched};
 use crate::cost::batch::Simulations;
 use crate::cost::calibration::Calibration;
@@ -10,11 +10,13 @@ use crate::cost::residual::{CostRule, sum_of_squares};
 use crate::findings::finding::{Finding, Severity};
 use crate::fit::output_fit::{EndResiduals, KeptResiduals};
 use crate::fit::phase::FitPhase;
-use crate::problem::objective::CostKind;
+use crate::problem::objective::{CostKind, NamedCost};
 use crate::problem::parameter::Parameter;
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::active_bounds::is_over;
-use crate::uncertainty::estimate::{KnownPoint, SEARCH, Uncertainty, UncertaintyOptions, digits};
+use crate::uncertainty::estimate::{
+    KnownPoint, ResidualCheck, SEARCH, Uncertainty, UncertaintyOptions, digits,
+};
 use base::RunContext;
 use dfo::{Measure, RobustLoss, Termination, Tolerances};
 use ode::{Number, Stats};
@@ -123,8 +125,8 @@ impl Calibration {
                 _ => {}
             }
         }
-        if let (Some(end), Some(FitNoise::Stated)) = (&ends.end, &made.noise) {
-            found.extend(noise::contradictions_of_stated(self, &end.residuals));
+        if let Some(end) = &ends.end {
+            found.extend(self.contradictions_of_stated_noise(job, made, &end.residuals));
         }
         let mut once: Vec<Finding> = Vec::with_capacity(found.len());
         found.into_iter().for_each(|finding| {
@@ -135,7 +137,24 @@ impl Calibration {
         once
     }
 
-    /// Findings that stand for an uncertainty that was requested and is not known.
+    /// Residuals that contradict the noise that the weights state: that priors are weighed with, and that a
+    /// sum of squares is compared with where it has come to its end.
+    fn contradictions_of_stated_noise(&self, job: &Job<'_>, made: &Made, residuals: &[f64]) -> Vec<Finding> {
+        if made.noise == Some(FitNoise::Stated) {
+            return noise::contradictions_of_stated(self, residuals);
+        }
+        let is_compared = job.objective.is_sum_of_squares()
+            && job.loss.is_linear()
+            && made.noise.is_none()
+            && job.is_whole
+            && is_at_end(&made.searched.report.termination)
+            && !self.is_within_tolerance(sum_of_squares(residuals));
+        let is_free = |(i, p): (usize, &Parameter)| p.lower() < p.upper() && !job.held.contains(&i);
+        let n_free = self.parameters().iter().enumerate().filter(|(i, p)| is_free((*i, p))).count();
+        if is_compared { noise::unlike_stated(self, residuals, n_free) } else { Vec::new() }
+    }
+
+    /// Findings where there is no uncertainty: why, if it was requested, and those that need none.
     fn findings_without_uncertainty(
         &self,
         job: &Job<'_>,
@@ -151,6 +170,14 @@ impl Calibration {
         }
         if let Some(end) = ends.end.as_ref().filter(|_| self.has_fixed_step() && job.is_checked()) {
             found.extend(self.large_step_after_fit(end, &job.context, stats));
+        }
+        // Of a search that was ended the residuals show something that other values take away.
+        let at_end = ends.end.as_ref().filter(|_| job.is_whole && is_at_end(&searched.report.termination));
+        if let Some(end) = at_end.filter(|end| !self.is_within_tolerance(sum_of_squares(&end.residuals))) {
+            let names = self.problem().experiment_names();
+            let checks = ResidualCheck::all(self.residual_layout(), &names, &end.residuals);
+            let has_loss = !job.loss.is_linear() || matches!(job.objective, CostKind::Named(NamedCost::Mae));
+            found.extend(ResidualCheck::all_findings(&checks, has_loss, false));
         }
         found
     }

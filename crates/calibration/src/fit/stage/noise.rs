@@ -9,7 +9,7 @@ use crate::findings::finding::{Finding, Severity};
 use crate::problem::definition::Problem;
 use crate::problem::experiment::Weight;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
-use crate::uncertainty::estimate::{MEDIAN_DEVIATION, digits, median};
+use crate::uncertainty::estimate::{MEDIAN_DEVIATION, autocorrelation, digits, median};
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -294,6 +294,64 @@ pub(super) fn contradictions_of_stated(calibration: &Calibration, residuals: &[f
         Some(Finding::new(Severity::Warning, format!("noise of {}", output.variable), sentence, remedy))
     };
     layout.outputs.iter().filter_map(of).collect()
+}
+
+/// Residuals that are more, or less, than the stated noise by so many times its standard deviation, and by
+/// so many standard deviations of a chi-squared number, are no chance. Beyond the last factor the weights
+/// state something else.
+const LIKE_STATED: (f64, f64) = (0.5, 1.1);
+const BY_CHANCE: f64 = 5.0;
+const OTHER_UNIT: f64 = 10.0;
+
+/// Outputs whose residuals are not of the size that their weights state, where all weights state the noise:
+/// the sum of their squares is compared with its degrees of freedom. `n_free`: the fitted parameters.
+pub(super) fn unlike_stated(calibration: &Calibration, residuals: &[f64], n_free: usize) -> Vec<Finding> {
+    let (problem, layout) = (calibration.problem(), calibration.residual_layout());
+    let counts = |output: &OutputResiduals| output.weights.iter().filter(|weight| **weight != 0.0).count();
+    // Weights of 0 and 1 choose measurements.
+    let is_stated = |output: &OutputResiduals| {
+        weight(problem, output).states_noise() && output.weights.iter().any(|w| *w != 0.0 && *w != 1.0)
+    };
+    if !layout.outputs.iter().all(is_stated) {
+        return Vec::new();
+    }
+    let n: usize = layout.outputs.iter().map(counts).sum();
+    let of = |output: &OutputResiduals| {
+        let own = &residuals[output.range.clone()];
+        let degrees = counts(output) as f64 * (1.0 - n_free as f64 / n as f64);
+        let chi_squared = own.iter().map(|r| r * r).sum::<f64>();
+        let ratio = (chi_squared / degrees).sqrt();
+        let deviations = deviations_of_chi_squared(chi_squared / degrees, degrees, autocorrelation(own));
+        let (severity, meaning) = if ratio > LIKE_STATED.1 && deviations > BY_CHANCE {
+            let severity = if ratio > OTHER_UNIT { Severity::Note } else { Severity::Warning };
+            (severity, "the model leaves out something, or the noise is larger than stated")
+        } else if ratio < LIKE_STATED.0 && deviations < -BY_CHANCE {
+            (Severity::Note, "the noise is smaller than stated")
+        } else {
+            return None;
+        };
+        let sentence = format!(
+            "the residuals of {} are {} times the noise that the weights state (chi-squared {} with {} degrees of freedom): {meaning}",
+            output.variable,
+            digits(ratio),
+            digits(chi_squared),
+            digits(degrees),
+        );
+        let remedy =
+            "are the weights 1/sigma? Standard errors are those of the residuals, whatever is stated";
+        Some(Finding::new(severity, format!("noise of {}", output.variable), sentence, remedy))
+    };
+    layout.outputs.iter().filter_map(of).collect()
+}
+
+/// By how many standard deviations a chi-squared number over its degrees of freedom is off one, by the cube
+/// root of Wilson and Hilferty (Proc. Natl. Acad. Sci. 17, 1931). Squares of autoregressive residuals of
+/// first order have the autocorrelation `rho^2`: they count as fewer.
+fn deviations_of_chi_squared(over_degrees: f64, degrees: f64, autocorrelation: f64) -> f64 {
+    let square = autocorrelation * autocorrelation;
+    let effective = degrees * if square < 1.0 { (1.0 - square) / (1.0 + square) } else { 1.0 };
+    let variance = 2.0 / (9.0 * effective);
+    (over_degrees.cbrt() - (1.0 - variance)) / variance.sqrt()
 }
 
 /// Leverage of each residual: the diagonal of the projection onto the changes that the parameters make, from

@@ -395,7 +395,7 @@ impl Calibration {
 }
 
 /// True if the search has come to its end: nothing from outside ended it.
-fn is_at_end(termination: &Termination) -> bool {
+pub(super) fn is_at_end(termination: &Termination) -> bool {
     matches!(
         termination,
         Termination::Converged

@@ -4,6 +4,7 @@
 use super::covariance::{Factors, Noise};
 use super::differences::Differences;
 use super::digits::digits;
+use super::residual_check::ResidualCheck;
 use super::result::{Uncertainty, errors_and_correlation};
 use crate::cost::accuracy::Accuracy;
 use crate::findings::finding::{Finding, Severity};
@@ -29,6 +30,9 @@ const MOVES: f64 = 1e-8;
 
 /// The data do not move a parameter off its prior whose derivatives are below this part of that of the prior.
 const PRIOR_ALONE: f64 = 1e-3;
+
+/// Factors that differ by less are told as one.
+const SAME_FACTOR: f64 = 1.05;
 
 /// Subject of a finding that says that a search ended early.
 pub(crate) const SEARCH: &str = "search";
@@ -271,8 +275,28 @@ impl Uncertainty {
         })
     }
 
+    /// Standard errors that were corrected for autocorrelation, and by how much.
+    fn correction(&self) -> Option<Finding> {
+        let uncorrected = self.uncorrected_errors()?;
+        let factors = self.standard_errors.iter().zip(uncorrected).map(|(own, without)| own / without);
+        let (low, high) = factors
+            .filter(|factor| factor.is_finite())
+            .fold((f64::INFINITY, 0.0_f64), |(low, high), factor| (low.min(factor), high.max(factor)));
+        let largest = self.autocorrelations.iter().copied().fold(0.0, f64::max);
+        let times = match high / low < SAME_FACTOR {
+            true => digits(high).to_string(),
+            false => format!("{} to {}", digits(low), digits(high)),
+        };
+        (high > 0.0).then(|| {
+            let sentence = format!(
+                "the standard errors are {times} times those of independent residuals: corrected for autocorrelation ({largest:.2} at lag one)"
+            );
+            Finding::new(Severity::Note, "standard errors", sentence, "")
+        })
+    }
+
     /// All of them.
-    pub(super) fn all_findings(&self, are_several: bool, f_tol: f64) -> Vec<Finding> {
+    pub(super) fn all_findings(&self, f_tol: f64) -> Vec<Finding> {
         let mut said = self.undetermined_findings();
         let mut note = |subject: String, sentence: String| {
             said.push(Finding::new(Severity::Note, subject, sentence, ""));
@@ -317,12 +341,9 @@ impl Uncertainty {
             let sentence = "the measurements are reproduced to the accuracy of the simulations: standard errors say little";
             said.push(Finding::new(Severity::Note, "measurements", sentence, ""));
         }
-        for check in self.residual_checks.iter().filter(|_| !self.is_exact) {
-            let name = match are_several {
-                true => format!("{} of {}", check.variable, check.experiment),
-                false => check.variable.clone(),
-            };
-            said.extend(check.findings(&name, self.has_loss));
+        if !self.is_exact {
+            said.extend(ResidualCheck::all_findings(&self.residual_checks, self.has_loss, true));
+            said.extend(self.correction());
         }
         said.extend(self.accuracy_finding(f_tol));
         said.extend(self.not_at_minimum());

@@ -30,7 +30,7 @@ pub(crate) use identifiability::SEARCH;
 use nalgebra::{DMatrix, DVector};
 pub use prior_check::PriorConflict;
 pub use residual_check::ResidualCheck;
-pub(crate) use residual_check::{MEDIAN_DEVIATION, median};
+pub(crate) use residual_check::{MEDIAN_DEVIATION, autocorrelation, median};
 pub(crate) use result::check_level;
 use result::errors_and_correlation;
 pub use result::{Estimator, Uncertainty, UncertaintyOptions};
@@ -270,7 +270,7 @@ impl Calibration {
         uncertainty.find_weakest(&jacobian, &free);
         uncertainty.find_identifiable(&differences, &noise, &free, &sizes);
         self.explain_residuals(&mut uncertainty, &jacobian, is_linear.then_some(&factors.base));
-        uncertainty.findings = uncertainty.all_findings(self.problem().experiments.len() > 1, known.f_tol);
+        uncertainty.findings = uncertainty.all_findings(known.f_tol);
         Ok((uncertainty, covariances.curvature))
     }
 

@@ -85,8 +85,21 @@ impl ResidualCheck {
         layout.outputs.iter().map(check).collect()
     }
 
-    /// Findings about the residuals; `name`: of the output.
-    pub(crate) fn findings(&self, name: &str, has_loss: bool) -> Vec<Finding> {
+    /// Findings about the residuals of all outputs, with the experiment where there are several. `has_loss`:
+    /// the cost counts outliers less; `has_errors`: there are standard errors, too.
+    pub(crate) fn all_findings(checks: &[Self], has_loss: bool, has_errors: bool) -> Vec<Finding> {
+        let are_several = checks.iter().any(|check| check.experiment != checks[0].experiment);
+        let of = |check: &Self| {
+            let name = match are_several {
+                true => format!("{} of {}", check.variable, check.experiment),
+                false => check.variable.clone(),
+            };
+            check.findings(&name, has_loss, has_errors)
+        };
+        checks.iter().flat_map(of).collect()
+    }
+
+    fn findings(&self, name: &str, has_loss: bool, has_errors: bool) -> Vec<Finding> {
         let mut said = Vec::new();
         if self.is_rounding {
             return said;
@@ -108,9 +121,12 @@ impl ResidualCheck {
             );
         } else {
             if self.is_autocorrelated() {
-                let what = "the model leaves out something that lasts, or the noise lasts: standard errors are corrected for that, \
-                            the values of the parameters are not";
-                find(Severity::Warning, format!("{lag}: {what}"), "");
+                let corrected = match has_errors {
+                    true => ": standard errors are corrected for that, the values of the parameters are not",
+                    false => "",
+                };
+                let what = "the model leaves out something that lasts, or the noise lasts";
+                find(Severity::Warning, format!("{lag}: {what}{corrected}"), "");
             } else if self.keeps_sign() {
                 find(Severity::Note, "keep their sign longer than independent ones would".to_owned(), "");
             }

@@ -231,14 +231,9 @@ impl Uncertainty {
         if names == self.names {
             return self.findings.clone();
         }
-        let experiments = self.residual_checks.iter().map(|check| &check.experiment);
-        let are_several = self
-            .residual_checks
-            .first()
-            .is_some_and(|first| experiments.clone().any(|e| *e != first.experiment));
         // No sentence that names a parameter depends on the tolerance.
-        let named = self.all_findings(are_several, 0.0);
-        let renamed = Self { names: names.to_vec(), ..self.clone() }.all_findings(are_several, 0.0);
+        let named = self.all_findings(0.0);
+        let renamed = Self { names: names.to_vec(), ..self.clone() }.all_findings(0.0);
         let shown = |finding: &Finding| {
             let place = named.iter().position(|other| other == finding);
             place.and_then(|place| renamed.get(place)).unwrap_or(finding).clone()

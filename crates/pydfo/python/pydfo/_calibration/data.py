@@ -92,8 +92,8 @@ def _selected(source: _data_files.Columns, needed: list[str], time: str | None) 
         raise BadCalibrationError(
             f"data: column '{at}' holds durations or dates, which have a unit of their own; take the unit out of its name"
         )
-    columns = [(name, _numbers(name, table[name])) for name in taken[1:]]
-    columns.insert(0, (at, _numbers(at, table[at]) if durations is None else durations))
+    # One after the other: no array that is made for it outlives its copy.
+    columns = ((name, _numbers(name, table[name]) if name != at or durations is None else durations) for name in taken)
     left_out = [name for name in names if name not in taken]
     return Table(None, _core.Table(columns, at, left_out, change), None)
 

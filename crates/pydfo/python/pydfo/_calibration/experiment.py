@@ -21,8 +21,8 @@ Names = Mapping[str, str] | Sequence[str] | str
 #: What drives an input: a column, a number, a function of time.
 Source = str | float | Callable[[float], float]
 Inputs = Mapping[str, Source] | Sequence[str] | str
-#: What residuals are multiplied with: a number, a column, a number per row.
-Weight = float | str | list[float] | tuple[str]
+#: What residuals are multiplied with: a number, a column, numbers per row (their bytes, as floats), the name of a scale.
+Weight = float | str | bytes | tuple[str]
 Weights = Mapping[str, Any] | Sequence[Any] | str
 
 
@@ -313,7 +313,7 @@ def _weight(variable: str, weight: Any) -> Weight:
         return _options.number("weights", weight)
     if np.ndim(weight) != 1:
         raise BadCalibrationError(f"weights of '{variable}' must be one-dimensional, not of shape {np.shape(weight)}")
-    return [_options.number("weights", one) for one in np.asarray(weight, dtype=float).tolist()]
+    return np.asarray(weight, dtype=np.float64).tobytes()
 
 
 def path_of(model: Any) -> str:

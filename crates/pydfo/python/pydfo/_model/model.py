@@ -178,7 +178,7 @@ class FMUModel:
             max_description_bytes=size_limit("max_description_bytes", max_description_bytes),
             max_elements=size_limit("max_elements", max_elements),
         )
-        self._fmu = _core.Fmu(path, self._opened)
+        self._fmu = _core.Fmu(_options.path("path", path), self._opened)
         self._kind = self._fmu.check_runnable(kind)
         self._model = _core.Model(self._fmu, self._kind)
 
