@@ -10,7 +10,7 @@ use crate::gate::Gate;
 use crate::libraries::{Libraries, LibraryFile, LoadedLibrary, Maker, Reuse, Setting, Verdict, Wanted};
 use crate::macros::getters;
 use crate::open_options::{LogOptions, OpenOptions};
-use crate::sys::{InterfaceKind, Library, LoadFrom};
+use crate::sys::{InterfaceKind, Library, LoadFrom, is_worker};
 use crate::worker::{WorkerLimits, Workers};
 use crate::{platform, source};
 use serde::{Deserialize, Serialize};
@@ -18,6 +18,12 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
+
+const KINDS: [InterfaceKind; 2] = [InterfaceKind::ModelExchange, InterfaceKind::CoSimulation];
+
+/// Quirk of a model of which [`Reuse::NewProcess`] holds.
+pub(crate) const HIDDEN_STATE: &str = "a simulation depends on earlier ones in the same process: the model keeps a state that no variable shows and \
+                                       that a new instance does not renew";
 
 const STALE_OUTPUTS: &str = "variables read at a new point are those of an earlier one until the derivatives are computed: they are \
                              computed before every reading";
@@ -257,14 +263,26 @@ impl Fmu {
         Some(workers)
     }
 
-    /// Lists departures from the standard that have shown in another process.
+    /// Lists departures from the standard that have shown in a worker process; those that are new go to the
+    /// program's logger, too.
     pub fn add_quirks(&self, quirks: Vec<Quirk>) {
-        let mut seen = self.inner.quirks_seen.lock().unwrap_or_else(PoisonError::into_inner);
-        for quirk in quirks {
-            if !seen.contains(&quirk) {
-                seen.push(quirk);
+        for Quirk { kind, message, .. } in quirks {
+            if message == HIDDEN_STATE {
+                self.note_hidden_state();
             }
+            self.note_quirk(kind, message);
         }
+    }
+
+    /// Notes that results depend on earlier simulations in the same process, also on new instances
+    /// ([`Reuse::NewProcess`]).
+    pub fn note_hidden_state(&self) {
+        KINDS.iter().for_each(|kind| self.verdict(*kind).note(Reuse::NewProcess));
+    }
+
+    /// True if that was noted: each simulation is to have a process of its own.
+    pub fn has_hidden_state(&self) -> bool {
+        KINDS.iter().any(|kind| self.reuse_of(*kind) == Some(Reuse::NewProcess))
     }
 
     /// The level at which lines of its log go to the program's logger.
@@ -277,7 +295,10 @@ impl Fmu {
     pub(crate) fn note_quirk(&self, kind: QuirkKind, message: impl AsRef<str> + Into<String>) {
         let mut seen = self.inner.quirks_seen.lock().unwrap_or_else(PoisonError::into_inner);
         if !seen.iter().any(|quirk| quirk.kind == kind && quirk.message == message.as_ref()) {
-            log::warn!("{}: {}", self.description().model_name, message.as_ref());
+            // A worker sends it to the process that has started it.
+            if !is_worker() {
+                log::warn!("{}: {}", self.description().model_name, message.as_ref());
+            }
             seen.push(Quirk { kind, message: message.into(), line: 0 });
         }
     }

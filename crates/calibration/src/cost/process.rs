@@ -14,7 +14,7 @@ use fmi::worker::{Ask, Frame, Isolation, Load, WorkerLimits, Workers};
 use fmi::{FmiError, Fmu, OpenOptions, SimulateOptions, Trajectory};
 use ode::{Method, Stats};
 use serde::{Deserialize, Serialize};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -87,9 +87,11 @@ pub(crate) enum RacedOutcome {
 pub(crate) enum Asked {
     /// Any that has loaded the problem.
     Any,
-    /// The same, but the second question of this kind is asked in a new process, too, to see whether the
-    /// answer is the same.
+    /// The same, but the second question of this kind is asked in a new process, too, and the first one again
+    /// after some of the later ones, to see whether the answers are the same.
     Checked,
+    /// Of those that have loaded the problem and are idle, the one that was asked longest ago.
+    LongestIdle,
     /// A new one.
     Fresh,
 }
@@ -107,11 +109,11 @@ struct Processes {
     fmu: Fmu,
     workers: Arc<Workers>,
     load: Load,
-    /// Each question has a process of its own.
-    is_always_fresh: AtomicBool,
-    /// True after the test for answers that depend on earlier requests.
+    /// No answer is checked for its dependence on earlier requests.
     is_checked: AtomicBool,
-    /// The first question that was to be checked, and the numbers of its answer.
+    /// Questions that were to be checked.
+    n_checked: AtomicU64,
+    /// The first of them, and the numbers of its answer.
     first: Mutex<Option<(Frame, Vec<f64>)>>,
     /// Frames that were used before.
     frames: Mutex<Vec<(Frame, Frame)>>,
@@ -128,8 +130,8 @@ impl Processes {
             fmu: fmu.clone(),
             workers,
             load,
-            is_always_fresh: AtomicBool::new(false),
             is_checked: AtomicBool::new(false),
+            n_checked: AtomicU64::new(0),
             first: Mutex::default(),
             frames: Mutex::default(),
         })
@@ -147,7 +149,8 @@ impl Processes {
         let (mut asked, mut answer) = frames().pop().unwrap_or_default();
         asked.set_head(job).map_err(unsaid)?;
         let whom = match process {
-            _ if self.is_always_fresh.load(Ordering::Relaxed) => Some(Ask::FreshOnce),
+            _ if self.fmu.has_hidden_state() => Some(Ask::FreshOnce),
+            Asked::LongestIdle => Some(Ask::LongestIdle),
             Asked::Fresh => Some(Ask::Fresh),
             Asked::Checked if !self.is_checked.load(Ordering::Relaxed) => None,
             Asked::Any | Asked::Checked => Some(Ask::Any),
@@ -174,9 +177,10 @@ impl Processes {
         Ok(())
     }
 
-    /// Asks a worker; the second question also asks a fresh one, at the same time, and the first question
-    /// again where that takes no longer than the start of a process. Where numbers differ, and two fresh
-    /// processes agree, each question has one of its own from now on.
+    /// Asks a worker. The second question also asks a fresh one, at the same time, and the first question
+    /// again where that takes no longer than the start of a process; the 4th, 8th, 16th and so on ask the
+    /// first one again in any case. Where numbers differ, and two fresh processes agree, each question has
+    /// one of its own from now on.
     fn ask_checked(
         &self,
         asked: &Frame,
@@ -186,12 +190,14 @@ impl Processes {
     ) -> Result<(), FmiError> {
         let known = || self.first.lock().unwrap_or_else(PoisonError::into_inner);
         let first = known().clone();
-        let Some((first, numbers)) = first.filter(|(first, _)| first != asked) else {
+        let Some((first, numbers)) = first else {
             self.call(asked, answer, Ask::Any, limit, context)?;
             known().get_or_insert_with(|| (asked.clone(), answer.numbers.clone()));
             return Ok(());
         };
-        if self.is_checked.swap(true, Ordering::Relaxed) {
+        let is_first = first == *asked;
+        let n = if is_first { 1 } else { self.n_checked.fetch_add(1, Ordering::Relaxed) + 2 };
+        if !n.is_power_of_two() {
             return self.call(asked, answer, Ask::Any, limit, context);
         }
         let (began, mut again) = (Instant::now(), Frame::default());
@@ -199,30 +205,45 @@ impl Processes {
             let mut answer = Frame::default();
             self.call(asked, &mut answer, Ask::Fresh, limit, context).map(|()| answer)
         };
-        let (own, fresh) = beside(context, in_fresh, || {
+        let mut in_used = || {
             self.call(asked, answer, Ask::Any, limit, context)?;
-            match began.elapsed() < START {
+            match !is_first && (n > 2 || began.elapsed() < START) {
                 true => self.call(&first, &mut again, Ask::Any, limit, context),
                 false => Ok(()),
             }
-        });
+        };
+        let (own, fresh) = match n {
+            2 => beside(context, in_fresh, in_used),
+            _ => (in_used(), None),
+        };
         own?;
-        let Some(Ok(fresh)) = fresh else { return Ok(()) };
-        let is_first_same = again == Frame::default() || has_same_bits(&again.numbers, &numbers);
-        if is_first_same && has_same_bits(&fresh.numbers, &answer.numbers) {
-            return Ok(());
-        }
+        let again = if is_first { &*answer } else { &again };
+        let is_first_same = *again == Frame::default() || has_same_bits(&again.numbers, &numbers);
+        let fresh = match fresh {
+            Some(Ok(fresh)) if is_first_same && has_same_bits(&fresh.numbers, &answer.numbers) => {
+                return Ok(());
+            }
+            Some(Ok(fresh)) => fresh,
+            None if !is_first_same => in_fresh(context)?,
+            _ => return Ok(()),
+        };
         self.call(asked, answer, Ask::Fresh, limit, context)?;
         let model = &self.fmu.description().model_name;
         if has_same_bits(&fresh.numbers, &answer.numbers) {
             log::warn!("{model}: {HIDDEN_STATE}");
-            self.is_always_fresh.store(true, Ordering::Relaxed);
+            self.fmu.note_hidden_state();
         } else {
             log::warn!(
                 "{model}: the same simulation in two fresh processes differs: nothing can be reproduced"
             );
         }
         Ok(())
+    }
+}
+
+impl Drop for Processes {
+    fn drop(&mut self) {
+        self.workers.forget(&self.load);
     }
 }
 
@@ -273,14 +294,9 @@ impl Remote {
         self.processes.workers.prepare_second(&self.processes.load);
     }
 
-    /// Evaluates each point in a process of its own from now on.
-    pub(crate) fn set_always_fresh(&self) {
-        self.processes.is_always_fresh.store(true, Ordering::Relaxed);
-    }
-
-    /// True if each point is evaluated in a process of its own.
-    pub(crate) fn is_always_fresh(&self) -> bool {
-        self.processes.is_always_fresh.load(Ordering::Relaxed)
+    /// Number of processes that have evaluated something, and are not asked at the moment.
+    pub(crate) fn n_idle(&self) -> usize {
+        self.processes.workers.n_idle(&self.processes.load)
     }
 
     fn ask<T>(

@@ -2,6 +2,7 @@
 
 use super::files::{check_belongs, check_path, check_suffix};
 use crate::cost::calibration::Calibration;
+use crate::cost::process::ModelProcess;
 use crate::error::CalibrationError;
 use crate::fit::stage::Fit;
 use base::RunContext;
@@ -53,7 +54,7 @@ impl Fit {
     ///
     /// `experiment`: whose values, where there are [local](crate::Parameter::local) parameters. Values that
     /// were given as [start values](crate::Experiment::start_value) of experiments are no part of the fit and
-    /// not written. Simulations end with the context.
+    /// not written. Simulations end with the context; they are made where those of the fit are.
     ///
     /// # Errors
     /// As [`Calibration::variable_values`]; [`CalibrationError::Setup`] for a name that does not end in
@@ -135,8 +136,15 @@ impl Fit {
         let method = calibration.solver(context)?.method;
         let simulation = &calibration.evaluator().simulations[k];
         let options = simulation.recording((&self.x, method), None, &outputs);
-        let mut poll = || if context.is_over() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
-        let copied = match copy.simulate_with(&options, &mut poll) {
+        let copied = if calibration.evaluator().remote.is_ok() {
+            let limits = calibration.problem().settings.worker_limits();
+            ModelProcess::new(copy, limits).and_then(|process| process.simulate(&options, context))
+        } else {
+            let mut poll =
+                || if context.is_over() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+            copy.simulate_with(&options, &mut poll)
+        };
+        let copied = match copied {
             Ok(trajectory) if trajectory.termination == Termination::StoppedByObserver => {
                 return Err(CalibrationError::Cancelled);
             }

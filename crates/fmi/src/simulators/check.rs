@@ -6,10 +6,11 @@ use super::reset::reset;
 use super::simulator::Simulator;
 use crate::description::QuirkKind;
 use crate::error::FmiError;
+use crate::fmu::HIDDEN_STATE;
 use crate::libraries::Reuse;
 use crate::simulation::digest::Digest;
 use crate::simulation::variable_elements::RunInput;
-use crate::sys::RawInstance;
+use crate::sys::{RawInstance, is_worker};
 use log::Level;
 use ode::{Checks, ErrorKind, Limits, Observer, Report, Sample, Seconds};
 use std::ops::ControlFlow;
@@ -94,11 +95,10 @@ impl Simulator {
             // At the other values, perhaps; another check could end so, too.
             _ if self.is_fatal() => fmu.verdict(plan.kind).note(Reuse::Reinstantiate),
             Ok(Finding::State) => {
-                fmu.verdict(plan.kind).note(Reuse::NewProcess);
-                let message = "a simulation depends on earlier ones: the model keeps a state that no variable shows and that a new \
-                               instance does not renew; results in this process may be wrong, isolation = \"process\" starts a \
-                               process for every simulation";
-                fmu.note_quirk(QuirkKind::Promise, message);
+                fmu.note_hidden_state();
+                let advice = "; results in this process may be wrong, isolation = \"process\" starts a process for every simulation";
+                let advice = if is_worker() { "" } else { advice };
+                fmu.note_quirk(QuirkKind::Promise, format!("{HIDDEN_STATE}{advice}"));
             }
             Ok(Finding::Way(reuse, None)) => {
                 self.proven = Some(reuse);

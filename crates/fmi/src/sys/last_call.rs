@@ -25,6 +25,8 @@ struct Shared {
     /// The last call: the place of its name, from 1; 0: none.
     call: AtomicU32,
     n_names: AtomicU32,
+    /// Not 0: an allocation had failed when a signal came.
+    no_memory: AtomicU32,
     /// The bits of the simulated time.
     time: AtomicU64,
     names: [[AtomicU8; NAME]; NAMES],
@@ -141,6 +143,11 @@ impl Page {
         self.shared().runs.load(Ordering::Relaxed)
     }
 
+    /// True if an allocation had failed when a signal came.
+    pub(crate) fn is_without_memory(&self) -> bool {
+        self.shared().no_memory.load(Ordering::Relaxed) != 0
+    }
+
     /// The last call; `None` before the first one.
     pub(crate) fn last_call(&self) -> Option<LastCall> {
         let shared = self.shared();
@@ -254,6 +261,13 @@ pub(crate) fn note_run() {
     if let Some(page) = PAGE.get() {
         page.shared().runs.fetch_add(1, Ordering::Relaxed);
         page.shared().time.store(f64::NAN.to_bits(), Ordering::Relaxed);
+    }
+}
+
+/// Tells that an allocation had failed when a signal came.
+pub(super) fn note_no_memory() {
+    if let Some(page) = PAGE.get() {
+        page.shared().no_memory.store(1, Ordering::Relaxed);
     }
 }
 

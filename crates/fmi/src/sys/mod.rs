@@ -43,6 +43,8 @@ mod before_main;
 mod callbacks;
 mod child_limits;
 mod environment;
+#[cfg(unix)]
+mod faults;
 mod fmi1;
 mod fmi1_fmi2_values;
 mod fmi2;
@@ -82,6 +84,8 @@ pub(crate) use before_main::{PRELOAD, PRELOADED_BEFORE};
 pub(crate) use child_limits::close_inherited;
 pub(crate) use child_limits::limit as limit_child;
 pub(crate) use environment::Inside;
+#[cfg(unix)]
+pub(crate) use faults::tell_faults;
 #[cfg(unix)]
 pub(crate) use fork::{fork, overwrite_variable};
 #[cfg(unix)]

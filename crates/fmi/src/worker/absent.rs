@@ -36,6 +36,16 @@ impl Workers {
     }
 
     /// Not reached.
+    pub fn n_idle(&self, _: &Load) -> usize {
+        match *self {}
+    }
+
+    /// Not reached.
+    pub fn forget(&self, _: &Load) {
+        match *self {}
+    }
+
+    /// Not reached.
     ///
     /// # Errors
     /// None.

@@ -7,7 +7,7 @@ use super::notes::{Notes, take_lines};
 use super::service::Service;
 use super::template::{DESCRIPTORS, Hello, Start};
 use crate::error::{Told, ToldKind};
-use crate::sys::{Page, tell_calls};
+use crate::sys::{Page, tell_calls, tell_faults};
 use base::RunContext;
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::fs::{Mode, OFlags};
@@ -73,6 +73,7 @@ fn serve(mut service: Box<dyn Service + Send>, worker: Worker) -> io::Result<()>
     log::set_max_level(start.level);
     let (socket, page) = (UnixStream::from(socket), File::from(page));
     let page = tell_calls(Page::of(&page)?).map_err(io::Error::other)?;
+    tell_faults()?;
     let (watched, folder_to_remove) = (socket.try_clone()?, folder.clone());
     std::thread::Builder::new().spawn(move || end_with(&watched, &folder_to_remove))?;
     limit_self(&start.limits)?;

@@ -43,8 +43,10 @@ impl FromStr for Isolation {
 /// Process that is asked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Ask {
-    /// Any that is idle.
+    /// Any that is idle and has loaded the same; a new one if there is none.
     Any,
+    /// Of these, the one that was asked longest ago.
+    LongestIdle,
     /// One that was never asked before.
     Fresh,
     /// One that was never asked before, and is not asked again.

@@ -227,6 +227,10 @@ impl Process {
             (EndKind::Memory, _) => format!("more memory than its limit of {} bytes", self.most_memory),
             (EndKind::Garbage, _) => format!("garbage instead of an answer ({detail})"),
             (EndKind::Died, _) if !has_died => "it has closed the connection".to_owned(),
+            (EndKind::Died, Some(status)) if self.page.is_without_memory() => {
+                let limit = self.most_memory;
+                format!("{} after an allocation beyond the memory limit of {limit} bytes", in_words(status))
+            }
             (EndKind::Died, Some(status)) => in_words(status),
             // Its status was for the template.
             (EndKind::Died, None) => format!(

@@ -48,6 +48,13 @@ struct Idle {
     owner: u32,
 }
 
+impl Idle {
+    /// Those that have loaded this.
+    fn of(&self, load: &Load) -> impl Iterator<Item = &Process> {
+        self.processes.iter().map(|(process, _)| process).filter(|process| process.loaded == Some(load.id))
+    }
+}
+
 impl Workers {
     /// Nothing is started yet. `None`: this program does not know how to start a worker (see [`Launcher`]).
     pub fn new(limits: WorkerLimits) -> Option<Arc<Self>> {
@@ -70,7 +77,7 @@ impl Workers {
 
     /// Has a second worker started in the background, and its model loaded: it will be needed soon.
     pub fn prepare_second(&self, load: &Load) {
-        let has_two = |idle: &Idle| idle.begun.is_some() || idle.processes.len() > 1;
+        let has_two = |idle: &Idle| idle.begun.is_some() || idle.of(load).count() > 1;
         if !has_two(&self.idle()) {
             let begun = self.begin(load, true).ok();
             self.idle().begun = begun;
@@ -127,7 +134,7 @@ impl Workers {
         run_limit: Option<Duration>,
         whom: Ask,
     ) -> Result<Vec<Quirk>, FmiError> {
-        let is_fresh = whom != Ask::Any;
+        let is_fresh = matches!(whom, Ask::Fresh | Ask::FreshOnce);
         let mut call = |process: Option<Process>| {
             let mut process = match process {
                 Some(process) => process,
@@ -140,7 +147,7 @@ impl Workers {
             }
             quirks
         };
-        let process = if is_fresh { None } else { self.idle_process(load.id) };
+        let process = self.idle_process(load, whom);
         let was_used = process.is_some();
         let error = match call(process) {
             Err(error) => error,
@@ -208,13 +215,29 @@ impl Workers {
         idle
     }
 
-    /// One that has loaded this if there is any, else the one that was asked last.
-    fn idle_process(&self, load: u64) -> Option<Process> {
+    /// Number of idle workers that have loaded this.
+    pub fn n_idle(&self, load: &Load) -> usize {
+        self.idle().of(load).count()
+    }
+
+    /// Ends the idle workers that have loaded this: nobody asks them any more.
+    pub fn forget(&self, load: &Load) {
+        let is_of_load = |(process, _): &mut (Process, Instant)| process.loaded == Some(load.id);
+        let ended: Vec<_> = self.idle().processes.extract_if(.., is_of_load).collect();
+        drop(ended);
+    }
+
+    /// One of those that have loaded this, and no other: what ran before in a process may show in its
+    /// answers.
+    fn idle_process(&self, load: &Load, whom: Ask) -> Option<Process> {
         let mut idle = self.idle();
-        let n = idle.processes.len();
-        let place = idle.processes.iter().rposition(|(process, _)| process.loaded == Some(load));
-        let place = place.or(n.checked_sub(1))?;
-        Some(idle.processes.remove(place).0)
+        let is_of_load = |(process, _): &(Process, Instant)| process.loaded == Some(load.id);
+        let place = match whom {
+            Ask::Any => idle.processes.iter().rposition(is_of_load),
+            Ask::LongestIdle => idle.processes.iter().position(is_of_load),
+            Ask::Fresh | Ask::FreshOnce => None,
+        };
+        Some(idle.processes.remove(place?).0)
     }
 
     fn give_back(self: &Arc<Self>, process: Process) {

@@ -32,6 +32,10 @@ pub(crate) use search::{Job, Searched, Spent};
 const NOT_REPRODUCED: &str =
     "two evaluations of the best point in fresh processes differ: no cost can be reproduced";
 
+/// The same, where there was no time for a fit without that.
+const NOT_ANEW: &str = "a cost depends on what ran before it in the same process (a state that the model keeps and no variable shows): the costs \
+                        of this fit may be wrong, and its time was over before it could begin anew";
+
 fn finding_about_fmu(sentence: &str) -> Finding {
     Finding::new(Severity::Warning, "FMU", sentence, "")
 }
@@ -60,27 +64,30 @@ impl Calibration {
         let mut job = Job::new(self, options, within)?;
         self.choose_method(&mut job.run, &job.held, &job.objective)?;
         let (run, wants_preflight) = (job.run.clone(), job.wants_preflight);
-        let (mut stats, mut remark) = (Stats::default(), None);
+        let mut stats = Stats::default();
         loop {
+            let is_apart = self.is_apart();
             let mut made = match self.made(&mut job, &mut stats) {
                 Err(error) if !job.context.is_cancelled() => Made::of(self.start_alone(&job, error)?),
                 made => made?,
             };
-            made.searched.raised.extend(remark.map(finding_about_fmu));
-            let (own, best) = (made.own.take(), made.best().filter(|_| job.uncertainty.is_some()));
+            made.searched.raised.extend(is_apart.then(|| finding_about_fmu(HIDDEN_STATE)));
+            let (own, best) = (made.own.take(), made.best());
             let own = own.as_ref().unwrap_or(self);
-            let ((mut fit, kept), again) =
-                own.beside_fresh_process(best.as_ref(), job.loss, &job.context, || {
-                    self.judged(own, &job, made, stats)
-                });
-            match again {
-                Fresh::Same => return Ok((fit, kept)),
-                Fresh::Random => {
-                    fit.setup_findings.push(finding_about_fmu(NOT_REPRODUCED));
-                    return Ok((fit, kept));
-                }
-                Fresh::Other => (stats, remark) = (fit.stats, Some(HIDDEN_STATE)),
+            let ((mut fit, kept), again) = own
+                .beside_fresh_process(&best, job.loss, &job.context, || self.judged(own, &job, made, stats));
+            // A worker may have found it out by itself.
+            let is_found_out = !is_apart && self.is_apart();
+            let doubt = match again {
+                Fresh::Random => Some(NOT_REPRODUCED),
+                _ if is_found_out && job.context.is_over() => Some(NOT_ANEW),
+                _ => None,
+            };
+            if doubt.is_some() || !is_found_out {
+                fit.setup_findings.extend(doubt.map(finding_about_fmu));
+                return Ok((fit, kept));
             }
+            stats = fit.stats;
             log::warn!("{}: {HIDDEN_STATE}: the fit begins anew", self.fmu().description().model_name);
             job.begin_anew(run.clone(), wants_preflight);
         }

@@ -1,6 +1,6 @@
 //! The searches of a fit: one, or several that take turns with estimates of the noise.
 
-use super::fresh::KnownPoint;
+use super::fresh::BestPoint;
 use super::noise::{EstimatedNoise, FitNoise, MOST_ROUNDS, NoiseRule, leverages};
 use super::search::{Job, Searched, Spent, start_cost_in};
 use super::tolerance::ChosenTolerance;
@@ -34,9 +34,9 @@ impl Made {
     }
 
     /// The result of the search, and the residuals there, if they are known.
-    pub(super) fn best(&self) -> Option<KnownPoint> {
+    pub(super) fn best(&self) -> BestPoint {
         let Searched { report, residuals, .. } = &self.searched;
-        residuals.at(&report.x).map(|known| KnownPoint { x: report.x.clone(), residuals: known.to_vec() })
+        BestPoint { x: report.x.clone(), residuals: residuals.at(&report.x).map(<[f64]>::to_vec) }
     }
 }
 

@@ -205,8 +205,6 @@ pub(crate) struct Job<'a> {
     pub(crate) is_part: bool,
     /// True if nothing is held but what no stage frees, so that the problem can be judged by its result.
     pub(crate) is_whole: bool,
-    /// True if a simulation depends on those before it in the same process.
-    pub(crate) has_hidden_state: bool,
     /// Of the limits, by searches before.
     pub(crate) spent: Spent,
     /// The residuals at the start, as they count, where they were known before the search.
@@ -256,7 +254,6 @@ impl<'a> Job<'a> {
             phase: options.phase,
             context,
             is_part,
-            has_hidden_state: false,
             spent: Spent::default(),
             at_start: RefCell::default(),
         })
@@ -270,7 +267,7 @@ impl Job<'_> {
         (self.run, self.wants_preflight) = (run, wants_preflight);
         self.run.checkpoint = self.run.checkpoint.take().map(|checkpoint| checkpoint.resume(Resume::Never));
         self.run.known.iter_mut().for_each(|known| known.problem = None);
-        (self.has_hidden_state, self.spent) = (true, Spent::default());
+        self.spent = Spent::default();
     }
 
     /// True if the problem is checked again at the result.
@@ -337,9 +334,6 @@ impl Calibration {
         job.phase.set(FitPhase::Search);
         if let Ok(remote) = &self.evaluator().remote {
             remote.set_checked();
-            if job.has_hidden_state {
-                remote.set_always_fresh();
-            }
         }
         let known = at_start.take().map(|known| known.residuals);
         job.at_start.borrow_mut().clone_from(&known);
