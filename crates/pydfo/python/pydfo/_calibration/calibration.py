@@ -475,8 +475,9 @@ class Calibration(Point):
 
         Looked at are the times (gaps, unit, start, months taken for days), the recorded values (constant, clipped, frozen, missing,
         placeholders, in other units than the model, far from the simulation at the start, wrapped angles, columns that are swapped,
-        recordings that are there twice, too coarse means), inputs that nothing drives or that end early, values, ranges and start values
-        that the model states for its parameters, and how accurate the simulations are.
+        recordings that are there twice, too coarse means), inputs that nothing drives, that end early, or whose column is all zero,
+        frozen, missing for long or in another unit, values, ranges and start values that the model states for its parameters, and how
+        accurate the simulations are.
 
         Parameters
         ----------
