@@ -234,9 +234,11 @@ def flag(name: str, value: object) -> bool:
 def path(name: str, value: str | os.PathLike[str]) -> str:
     """The argument `name`, which must be a path."""
     try:
-        found = os.fsdecode(value)
+        found = os.fspath(value)
     except TypeError:
-        raise TypeError(f"{name} must be a path, not {show(value)}") from None
+        found = None
+    if not isinstance(found, str):
+        raise TypeError(f"{name} must be a path, not {show(value)}")
     if not found:
         raise ValueError(f"{name} must be a path, not an empty text")
     return found
