@@ -7,9 +7,9 @@ use crate::findings::finding::{Finding, Severity};
 use ode::Number;
 use std::ops::Range;
 
-/// Fewer different values than these make a column of states or quantised values, for which to stay at its
-/// largest is no sign of clipping.
-const FEW_VALUES: usize = 20;
+/// Fewer different values than these make a column of states, steps or quantised values, for which a pulse,
+/// a stop, or to stay at its largest is no sign of anything.
+pub(super) const FEW_VALUES: usize = 20;
 
 /// A part of the values that lies exactly at the largest or the smallest one, in runs of at least so many
 /// that are entered at a slope of at least this part of the range in one row, is clipped. A response that
@@ -211,10 +211,15 @@ fn clipped(values: &[f64], limit: f64, range: f64) -> Option<usize> {
         }
         k += run.max(1);
     }
+    (n as f64 >= share * values.len() as f64 && n > 0 && n_distinct(values) >= FEW_VALUES).then_some(n)
+}
+
+/// Number of values that differ.
+pub(super) fn n_distinct(values: &[f64]) -> usize {
     let mut distinct = values.to_vec();
     distinct.sort_by(f64::total_cmp);
     distinct.dedup();
-    (n as f64 >= share * values.len() as f64 && n > 0 && distinct.len() >= FEW_VALUES).then_some(n)
+    distinct.len()
 }
 
 #[cfg(test)]

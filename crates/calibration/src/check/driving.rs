@@ -1,7 +1,7 @@
 //! Checks of the columns that drive inputs: all zero, frozen, with a value far off, missing for long, beyond
 //! the range of the model or in degC for K.
 
-use super::columns::{frozen, longest_run, placeholder};
+use super::columns::{FEW_VALUES, frozen, longest_run, n_distinct, placeholder};
 use super::parameters::{Given, beside_the_model};
 use super::series::{range, rounded, rounded_time, size_of_difference};
 use super::subject::Subject;
@@ -11,10 +11,6 @@ use crate::problem::column_units::declared;
 use fmi::description::{Variability, Variable};
 use ode::Number;
 
-/// Fewer different values than these make a column of states or steps, of which a pulse or a stop is no
-/// sign of anything.
-const FEW_VALUES: usize = 20;
-
 /// A value that lies so many ranges of all others away from them, in one row of a signal whose rows follow
 /// each other, is none of the signal: an impulse on a signal at rest, or on noise, is meant.
 const FAR: f64 = 100.0;
@@ -22,13 +18,17 @@ const FAR: f64 = 100.0;
 /// Autocorrelation from row to row from which on rows follow each other.
 const FOLLOWS: f64 = 0.5;
 
-/// A value that stays for so many rows in a signal that else never stays for more than the second number of
-/// them, and ends by a step so many times as large as nearly all others.
-const STAYS: (usize, usize, f64) = (10, 2, 5.0);
+/// A value that stays for so many rows,
+const STAYS: usize = 10;
+/// in a signal that else never stays for more than these,
+const STAYS_ELSE: usize = 2;
+/// and ends by a step so many times as large as nearly all others, stands still.
+const LEAPS: f64 = 5.0;
 
-/// So many of the sampling intervals of an input without a value are a gap, if its ends differ by this part
-/// of the range.
-const GAP: (f64, f64) = (20.0, 0.01);
+/// So many of the sampling intervals of an input without a value are a gap,
+const LONG_GAP: f64 = 20.0;
+/// if its ends differ by this part of the range.
+const CHANGE_IN_GAP: f64 = 0.01;
 
 /// Values beyond the range of the model by less than this part of their own range are noise of a sensor.
 const NOISE: f64 = 0.05;
@@ -128,7 +128,7 @@ impl Rows {
         let is_far = placeholder(&self.values, false).is_none()
             && others > 0.0
             && nearest > FAR * others
-            && n_different(&rest) >= FEW_VALUES;
+            && n_distinct(&rest) >= FEW_VALUES;
         (is_far && follows(&rest)).then(|| {
             let [low, high] = [f64::min, f64::max].map(|end| rest.iter().copied().reduce(end).unwrap_or(0.0));
             let [low, high] = [low, high].map(|value| Number(rounded(value)));
@@ -144,7 +144,6 @@ impl Rows {
     /// None that actuators have: zero, and the limits.
     fn stands_still(&self) -> Option<(String, &'static str)> {
         let (values, run) = (&self.values, longest_run(&self.values));
-        let (least, else_most, times) = STAYS;
         if [0.0, self.lowest(), self.highest()].contains(values.get(run.start)?) {
             return None;
         }
@@ -157,11 +156,11 @@ impl Rows {
             let usual = others.get(others.len() * 95 / 100).copied().unwrap_or(f64::INFINITY);
             let began = if run.start > 0 { step(run.start) } else { 0.0 };
             let is_end = run.start == 0 || run.end == values.len();
-            run.len() >= least
-                && next <= else_most
+            run.len() >= STAYS
+                && next <= STAYS_ELSE
                 && !is_end
-                && n_different(values) >= FEW_VALUES
-                && step(run.end) > times * usual
+                && n_distinct(values) >= FEW_VALUES
+                && step(run.end) > LEAPS * usual
                 && began <= usual
         };
         (frozen(values).is_some() || leaps()).then(|| {
@@ -180,12 +179,11 @@ impl Rows {
     /// Rows of the recording without a value, for long.
     fn gap(&self, time: &[f64]) -> Option<(String, &'static str)> {
         let interval = sampling_interval(&self.times)?;
-        let (long, differ) = GAP;
-        let least = differ * range(&self.values);
+        let least = CHANGE_IN_GAP * range(&self.values);
         let is_gap = |k: &usize| {
             let (from, to) = (self.times[k - 1], self.times[*k]);
             let is_between = |t: &f64| *t > from && *t < to;
-            to - from > long * interval
+            to - from > LONG_GAP * interval
                 && (self.values[*k] - self.values[k - 1]).abs() > least
                 && time.iter().any(is_between)
         };
@@ -200,13 +198,6 @@ impl Rows {
             "fill the gap with what the input was, or leave its time out with windows and a start_time",
         ))
     }
-}
-
-fn n_different(values: &[f64]) -> usize {
-    let mut different = values.to_vec();
-    different.sort_by(f64::total_cmp);
-    different.dedup();
-    different.len()
 }
 
 /// True if a value tells the next one: steps from row to row are smaller than those of independent rows,

@@ -17,21 +17,28 @@ const UNEXPLAINED: f64 = 0.5;
 /// A fit that leaves more of it than this is worse than one at which times are not looked at again.
 const POOR: f64 = 0.05;
 
-/// Another reading of the times leaves so small a part of what the simulation at the start values leaves as
-/// they are: by a factor of at least [`FAR_OFF`], and by a smaller one, which start values may be off by; and
-/// of what a poor fit leaves.
-const BETTER: (f64, f64, f64) = (0.1, 0.04, 0.2);
+/// Another reading of the times by a factor of at least this,
 const FAR_OFF: f64 = 1e3;
+/// leaves so small a part of what the simulation at the start values leaves with the times as they are;
+const BETTER_FAR_OFF: f64 = 0.1;
+/// one by a smaller factor, which start values may be off by, this part;
+const BETTER: f64 = 0.04;
+/// and this part of what a poor fit leaves.
+const BETTER_THAN_FIT: f64 = 0.2;
 
 /// A fit that has taken up another unit has moved a parameter by its factor, but for this one.
 const TAKEN: f64 = 3.0;
 
-/// A simulation of longer times may take so many times as long as one of those given, and this time.
-const PATIENCE: (f64, f64) = (20.0, 0.5);
+/// A simulation of longer times may take so many times as long as one of those given,
+const PATIENCE: f64 = 20.0;
+/// and this time in any case.
+const LEAST_PATIENCE: Duration = Duration::from_millis(500);
 
-/// Times from 0 or 1 on by ones are numbers of rows where they are so many times as long as the experiment
-/// that the model suggests, or this part of it; of fewer rows nothing is said.
-const ROWS: (f64, f64, usize) = (15.0, 1.0 / 15.0, 5);
+/// Times from 0 or 1 on by ones, of at least so many rows,
+const FEWEST_ROWS: usize = 5;
+/// are numbers of rows where they are so many times as long as the experiment that the model suggests, or as
+/// small a part of it.
+const ROWS: f64 = 15.0;
 
 /// Recordings that last so many times the experiment that the model suggests, or this part of it.
 const FAR: (f64, f64) = (100.0, 1.0 / 20.0);
@@ -73,10 +80,10 @@ impl Reading {
         let [subject] = subjects else { return None };
         let (duration, asked) = subject.durations()?;
         let time = subject.experiment.data.time();
-        let is_numbered = time.len() >= ROWS.2
+        let is_numbered = time.len() >= FEWEST_ROWS
             && (time[0] == 0.0 || time[0] == 1.0)
             && time.windows(2).all(|pair| pair[1] - pair[0] == 1.0);
-        let is_other = !(ROWS.1..=ROWS.0).contains(&(duration / asked));
+        let is_other = !(1.0 / ROWS..=ROWS).contains(&(duration / asked));
         (is_numbered && is_other).then(|| Self { factor: asked / duration, of: ReadAs::Rows(asked) })
     }
 
@@ -135,13 +142,13 @@ pub(super) fn findings(
     let mut limit = None;
     for reading in Reading::all(subjects) {
         let factor = reading.factor.max(1.0 / reading.factor);
-        let better = if factor >= FAR_OFF { BETTER.0 } else { BETTER.1 };
+        let better = if factor >= FAR_OFF { BETTER_FAR_OFF } else { BETTER };
         let most = match fitted {
             Some(left) if !is_open && !outputs.has_moved_by(factor / TAKEN) => {
                 if left < POOR {
                     continue;
                 }
-                BETTER.2 * left
+                BETTER_THAN_FIT * left
             }
             _ => UNEXPLAINED,
         };
@@ -219,7 +226,7 @@ fn patience(
 ) -> Result<Duration, CalibrationError> {
     let began = Instant::now();
     left_by(calibration, None, evaluations)?;
-    Ok(began.elapsed().mul_f64(PATIENCE.0).max(Duration::from_secs_f64(PATIENCE.1)))
+    Ok(began.elapsed().mul_f64(PATIENCE).max(LEAST_PATIENCE))
 }
 
 /// The same calibration with its times multiplied with a factor; `None` where a function of time drives an

@@ -6,7 +6,7 @@ use super::reset::reset;
 use super::simulator::Simulator;
 use crate::description::QuirkKind;
 use crate::error::FmiError;
-use crate::fmu::HIDDEN_STATE;
+use crate::fmu::HIDDEN_STATE_QUIRK;
 use crate::libraries::Reuse;
 use crate::simulation::digest::Digest;
 use crate::simulation::variable_elements::RunInput;
@@ -98,7 +98,7 @@ impl Simulator {
                 fmu.note_hidden_state();
                 let advice = "; results in this process may be wrong, isolation = \"process\" starts a process for every simulation";
                 let advice = if is_worker() { "" } else { advice };
-                fmu.note_quirk(QuirkKind::Promise, format!("{HIDDEN_STATE}{advice}"));
+                fmu.note_quirk(QuirkKind::Promise, format!("{HIDDEN_STATE_QUIRK}{advice}"));
             }
             Ok(Finding::Way(reuse, None)) => {
                 self.proven = Some(reuse);

@@ -1,4 +1,4 @@
-//! What the result of a search is worth: findings, the quality of fit of each output, and the uncertainty.
+//! Judgement of the result of a search: findings, the quality of fit of each output, and the uncertainty.
 
 use super::noise::{self, FitNoise};
 use super::result::Fit;
