@@ -78,6 +78,18 @@ fn the_bits_are_the_same_in_this_process_and_in_others() {
     }
 }
 
+/// The best point is evaluated again in the process that has searched and in a fresh one: neither is an evaluation of the path.
+#[test]
+fn the_best_point_made_again_is_counted_beside_the_path() {
+    let folder = faulty(&[]);
+    let calibration = decay(open(&folder), settings(Isolation::Process));
+    let found = fit(&calibration, 1, 3);
+    let one = calibration.simulate(&found.x, None, &RunContext::new()).unwrap()[0].stats;
+    let (checks, n) = (found.stats.checks, found.report.n_evaluations);
+    assert!(n == 3 && checks.runs >= 2 && checks.steps >= 2 * one.accepted_steps, "{n}, {checks:?}");
+    assert!(found.stats.seconds.get() > checks.seconds.get() && checks.seconds.get() > 0.0);
+}
+
 /// What happens, from k = 2.2 on, and what is said of it.
 const DEATHS: [(&str, &str); 5] = [
     ("raise(SIGSEGV)", "segmentation fault in fmi2GetDerivatives"),

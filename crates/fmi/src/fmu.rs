@@ -21,10 +21,6 @@ use std::time::Duration;
 
 const KINDS: [InterfaceKind; 2] = [InterfaceKind::ModelExchange, InterfaceKind::CoSimulation];
 
-/// Quirk of a model of which [`Reuse::NewProcess`] holds.
-pub(crate) const HIDDEN_STATE_QUIRK: &str = "a simulation depends on earlier ones in the same process: the model keeps a state that no variable shows and \
-                                       that a new instance does not renew";
-
 const STALE_OUTPUTS: &str = "variables read at a new point are those of an earlier one until the derivatives are computed: they are \
                              computed before every reading";
 
@@ -267,7 +263,7 @@ impl Fmu {
     /// program's logger, too.
     pub fn add_quirks(&self, quirks: Vec<Quirk>) {
         for Quirk { kind, message, .. } in quirks {
-            if message == HIDDEN_STATE_QUIRK {
+            if kind == QuirkKind::HiddenState {
                 self.note_hidden_state();
             }
             self.note_quirk(kind, message);

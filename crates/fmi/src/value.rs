@@ -4,6 +4,14 @@ use crate::macros::words;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
+/// Values that differ by no more than this part of them were stored in single precision, or printed and read.
+const FEWER_DIGITS: f64 = 1e-6;
+
+/// True if two values are one number, with fewer digits perhaps.
+pub(crate) fn is_same_number(one: f64, other: f64) -> bool {
+    one == other || (one - other).abs() <= FEWER_DIGITS * one.abs().max(other.abs()).min(f64::MAX)
+}
+
 words! {
     /// Type of a variable. Its name is the word of FMI 2.0, and of FMI 3.0 where FMI 2.0 has none.
     #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]

@@ -52,15 +52,16 @@ impl fmt::Debug for Seconds {
     }
 }
 
-/// Short runs that were made besides those asked for, to find out how a model can be brought back to its
-/// start. All are equal: when they are made depends on the clock, and no result depends on it.
+/// Runs that were made besides those asked for, to find out how a model can be brought back to its start, and
+/// whether its results depend on earlier runs. All are equal: when they are made depends on the clock and on
+/// the number of workers, and no result depends on it.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub struct Checks {
     /// Runs.
     pub runs: u64,
     /// Steps in them.
     pub steps: u64,
-    /// Wall-clock time, with that of making their instances.
+    /// Wall-clock time of the runs, with that of making their instances.
     pub seconds: Seconds,
 }
 
@@ -139,6 +140,21 @@ impl Stats {
     pub fn work(&self, n_states: usize) -> f64 {
         let calls = self.right_hand_sides + self.directional_derivatives + self.event_indicators;
         calls as f64 + self.linear_algebra as f64 / (OPERATIONS + OPERATIONS_PER_STATE * n_states as f64)
+    }
+
+    /// Adds runs made besides.
+    pub fn add_checks(&mut self, checks: Checks) {
+        self.seconds += checks.seconds;
+        self.checks += checks;
+    }
+
+    /// So many runs as ones made besides, with those made besides them.
+    pub fn as_checks(&self, runs: u64) -> Checks {
+        Checks {
+            runs: runs + self.checks.runs,
+            steps: self.accepted_steps + self.rejected_steps + self.checks.steps,
+            seconds: self.seconds,
+        }
     }
 }
 

@@ -147,7 +147,9 @@ impl Evaluator {
             Some(Stop::NotFinite(output)) => {
                 let name = &self.problem.experiments[k].outputs[output].variable;
                 let reason = format!("the residual of '{name}' is not finite");
-                return Err(NoCost::failed(FailureKind::NotFinite, reason));
+                let time = accumulator.last_time(output).unwrap_or(f64::NAN);
+                let message = format!("{reason} at t = {}", Number(time));
+                return Err(NoCost::Failed { kind: FailureKind::NotFinite, reason, message, source: None });
             }
             None => {}
         }

@@ -111,7 +111,11 @@ impl From<FmiError> for NoCost {
             FmiError::Simulation(e) => match &e.kind {
                 ErrorKind::Cancelled => return NoCost::Cancelled,
                 ErrorKind::Model(inner) => {
-                    inner.downcast_ref().map_or_else(|| inner.to_string(), call_reason)
+                    let inner_error = inner.downcast_ref();
+                    if matches!(inner_error, Some(FmiError::StateNotFinite { .. })) {
+                        kind = FailureKind::NotFinite;
+                    }
+                    inner_error.map_or_else(|| inner.to_string(), call_reason)
                 }
                 other => {
                     if matches!(other, ErrorKind::TimedOut(_)) {

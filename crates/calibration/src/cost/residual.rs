@@ -191,6 +191,11 @@ impl<'a> Accumulator<'a> {
         self.seen == self.schedule.times.len()
     }
 
+    /// The time of the measurement of an output that was compared last.
+    pub(crate) fn last_time(&self, output: usize) -> Option<f64> {
+        self.comparison.outputs[output].times.get(self.next[output].checked_sub(1)?).copied()
+    }
+
     fn end(&mut self, why: Stop) -> ControlFlow<()> {
         self.stop = Some(why);
         ControlFlow::Break(())

@@ -263,6 +263,9 @@ words! {
         Structure = "structure",
         /// The model does not do what the description promises.
         Promise = "promise",
+        /// A simulation depends on earlier ones in the same process: each one is to have a process of its
+        /// own.
+        HiddenState = "hidden-state",
         /// Something this version of the importer does not represent was left out.
         Unsupported = "unsupported",
     }

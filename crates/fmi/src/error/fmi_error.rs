@@ -326,6 +326,14 @@ pub enum FmiError {
         /// The value.
         value: f64,
     },
+    /// A variable that is a continuous state is NaN or infinite, and the state is not.
+    #[error("{name} is {value}, and the continuous state that it is by the description is finite", value = Number(*.value))]
+    StateNotFinite {
+        /// The variable.
+        name: String,
+        /// The value.
+        value: f64,
+    },
     /// A variable that cannot be an output.
     #[error("{name} cannot be an output: {reason}")]
     NotAnOutput {

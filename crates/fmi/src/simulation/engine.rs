@@ -87,6 +87,7 @@ impl Engine {
                 };
                 let mut integration = Integration { system, outside: &outside };
                 let ended = driver.run(&mut integration, plan.start, plan.end, &plan.times, &mut &outside);
+                let ended = ended.and_then(|report| system.compared_at_end(report));
                 ended.map_err(|mut error| {
                     if let Some(value) = &mut error.not_finite {
                         value.name = plan.name_of(value);

@@ -1,6 +1,6 @@
 //! A model-exchange instance as the hybrid system that the driver integrates, in FMI's order of calls.
 
-use crate::description::Variable;
+use crate::description::{QuirkKind, Variable};
 use crate::error::{FmiError, Result};
 use crate::instance::Core;
 use crate::simulation::inputs::{InputPlan, InputState};
@@ -10,8 +10,8 @@ use crate::simulation::running::{Mode, Running};
 use crate::simulation::variable_elements::RunInput;
 use crate::sys::{Direction, Fault, RawInstance};
 use ode::{
-    CallError, CallResult, EventOutcome, EventVisit, HybridSystem, InputStop, JacobianPattern, StepAction,
-    Stopped,
+    CallError, CallResult, ErrorKind, EventOutcome, EventVisit, HybridSystem, InputStop, JacobianPattern,
+    Report, SimulationError, StepAction, Stopped, Termination,
 };
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
@@ -63,6 +63,8 @@ impl Default for Freshness {
         Freshness::Open(0)
     }
 }
+
+const NOT_THE_STATE: &str = "has another value than the continuous state that it is by the description";
 
 /// Same bits, so that NaN and signed zeros count as what they are.
 fn same_bits(a: f64, b: f64) -> bool {
@@ -226,6 +228,79 @@ impl System {
             self.freshness =
                 if good + 1 < GOOD_SAMPLES { Freshness::Open(good + 1) } else { Freshness::WhenRead };
         }
+        Ok(())
+    }
+
+    /// Compares the states that are recorded with the variables that they are by the description. Where these
+    /// are others, they are what is recorded: the state vector may have another order.
+    fn compare_states(&mut self, x: &[f64]) -> CallResult<()> {
+        if let Some((column, _)) = self.contradicted_state(x)? {
+            self.running.buffers.reads_states = true;
+            let plan = &self.running.plan;
+            let name = &plan.output_names()[column];
+            plan.fmu()
+                .note_quirk(QuirkKind::Promise, format!("{name} {NOT_THE_STATE}: the variable is recorded"));
+        }
+        Ok(())
+    }
+
+    /// Column and value of a recorded state that is not what the state vector has.
+    fn contradicted_state(&mut self, x: &[f64]) -> CallResult<Option<(usize, f64)>> {
+        let Running { plan, buffers, current, .. } = &mut self.running;
+        if buffers.reads_states || !plan.outputs().has_states() {
+            return Ok(None);
+        }
+        current.call(|raw| buffers.read_states(plan.outputs(), raw))?;
+        Ok(buffers.contradiction(plan.outputs(), x))
+    }
+
+    /// A run that has come to its end, unless a recorded state is not finite there as the variable that it
+    /// is: the rows are not those of the model then.
+    ///
+    /// # Errors
+    /// That with [`FmiError::StateNotFinite`]; a call fails.
+    pub(crate) fn compared_at_end(&mut self, report: Report) -> Result<Report, Box<SimulationError>> {
+        if report.termination == Termination::StoppedByObserver {
+            return Ok(report);
+        }
+        match self.compare_states_at_end() {
+            Ok(()) | Err(CallError::Discard) => Ok(report),
+            Err(CallError::Failed(error)) => Err(Box::new(SimulationError {
+                kind: ErrorKind::Model(error),
+                time: report.time,
+                step: 0.0,
+                worst_state: None,
+                last_event: None,
+                not_finite: None,
+                undetermined: None,
+                refusal: None,
+                stats: report.stats,
+            })),
+        }
+    }
+
+    fn compare_states_at_end(&mut self) -> CallResult<()> {
+        if self.running.buffers.reads_states || !self.running.plan.outputs().has_states() {
+            return Ok(());
+        }
+        let x = self.last_states.clone();
+        self.set_point(self.last_time, &x)?;
+        let mut found = self.contradicted_state(&x)?;
+        if found.is_some() && !self.is_evaluated && self.running.current.mode == Mode::Continuous {
+            // The model may compute its variables with the derivatives only.
+            self.evaluate()?;
+            found = self.contradicted_state(&x)?;
+        }
+        let Some((column, value)) = found else { return Ok(()) };
+        let plan = &self.running.plan;
+        let name = &plan.output_names()[column];
+        if !value.is_finite() {
+            return Err(CallError::failed(FmiError::StateNotFinite { name: name.clone(), value }));
+        }
+        plan.fmu().note_quirk(
+            QuirkKind::Promise,
+            format!("at the end of a simulation {name} {NOT_THE_STATE}: the state is recorded"),
+        );
         Ok(())
     }
 
@@ -412,6 +487,7 @@ impl HybridSystem for Integration<'_> {
     fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
         let outcome = self.system.iterate_events(t0, self.outside)?;
         self.read_states(x)?;
+        self.compare_states(x)?;
         self.leave_event_mode(&outcome)?;
         self.running.note(x);
         self.commit(t0, x);
@@ -483,7 +559,7 @@ impl HybridSystem for Integration<'_> {
 
     /// Values that are not finite are passed on: an output that is NaN is for the reader to judge.
     fn outputs(&mut self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
-        if self.running.plan.outputs().needs_fmu() {
+        if self.running.plan.outputs().needs_fmu() || self.running.buffers.reads_states {
             self.set_point(t, x)?;
             self.read_outputs()?;
         }

@@ -6,7 +6,6 @@ use super::reset::reset;
 use super::simulator::Simulator;
 use crate::description::QuirkKind;
 use crate::error::FmiError;
-use crate::fmu::HIDDEN_STATE_QUIRK;
 use crate::libraries::Reuse;
 use crate::simulation::digest::Digest;
 use crate::simulation::variable_elements::RunInput;
@@ -16,6 +15,9 @@ use ode::{Checks, ErrorKind, Limits, Observer, Report, Sample, Seconds};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::Instant;
+
+const HIDDEN_STATE: &str = "a simulation depends on earlier ones in the same process: the model keeps a state that no variable shows and \
+                            that a new instance does not renew";
 
 const DIFFERS: &str = "a simulation after it differs from one on a new instance";
 
@@ -98,7 +100,7 @@ impl Simulator {
                 fmu.note_hidden_state();
                 let advice = "; results in this process may be wrong, isolation = \"process\" starts a process for every simulation";
                 let advice = if is_worker() { "" } else { advice };
-                fmu.note_quirk(QuirkKind::Promise, format!("{HIDDEN_STATE_QUIRK}{advice}"));
+                fmu.note_quirk(QuirkKind::HiddenState, format!("{HIDDEN_STATE}{advice}"));
             }
             Ok(Finding::Way(reuse, None)) => {
                 self.proven = Some(reuse);

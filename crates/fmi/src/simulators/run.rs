@@ -99,8 +99,7 @@ impl Simulator {
         };
         let mut outcome = self.run_inside(parameters, observer, &checks);
         if let Some(stats) = stats_of(&mut outcome) {
-            stats.seconds += checks.seconds;
-            stats.checks += checks;
+            stats.add_checks(checks);
         }
         outcome
     }

@@ -285,6 +285,40 @@ fn outputs_that_are_nan_are_passed_on() {
     assert!(result.get("y").unwrap().iter().all(|y| y.is_nan()));
 }
 
+/// A state is copied from the vector of the integration; the variable that it is by the description may say something else.
+#[test]
+fn a_state_that_its_variable_contradicts_is_found_out() {
+    let said = "x has another value than the continuous state that it is by the description";
+    let options = SimulateOptions::new().ncp(10).outputs(["x", "y"]);
+    let simulate = |value: &str| {
+        let folder = evil(&[&format!("STATE_VALUE={value}")]);
+        let fmu = folder.open();
+        let quirks = |fmu: &Fmu| fmu.quirks_seen().into_iter().map(|quirk| quirk.message).collect::<Vec<_>>();
+        (fmu.simulate(&options), quirks(&fmu))
+    };
+    // From the start: the variable is what was asked for.
+    let (result, quirks) = simulate("2*m->x");
+    let result = result.unwrap();
+    assert!(result.get("x").unwrap().iter().zip(result.get("y").unwrap()).all(|(x, y)| *x == 2.0 * y));
+    assert_eq!(quirks, [format!("{said}: the variable is recorded")]);
+    let (result, _) = simulate("NAN");
+    assert!(result.unwrap().get("x").unwrap().iter().all(|x| x.is_nan()));
+    // Later: too late for the rows.
+    let (result, quirks) = simulate("m->time>0.5?2*m->x:m->x");
+    let result = result.unwrap();
+    assert_eq!(result.get("x").unwrap(), result.get("y").unwrap());
+    assert_eq!(quirks, [format!("at the end of a simulation {said}: the state is recorded")]);
+    for (value, shown) in [("m->time>0.5?NAN:m->x", "NaN"), ("m->time>0.5?INFINITY:m->x", "inf")] {
+        let error = simulate(value).0.unwrap_err().to_string();
+        let expected = format!(
+            "at t = 1: x is {shown}, and the continuous state that it is by the description is finite"
+        );
+        assert!(error.contains(&expected), "{error}");
+    }
+    // In single precision.
+    assert!(simulate("(float)m->x").1.is_empty());
+}
+
 #[test]
 fn a_nominal_of_zero_counts_as_one() {
     let folder = evil(&["BAD_NOMINAL"]);

@@ -28,6 +28,9 @@ EXPORT fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference *vr, siz
         case 6: value[i] = m->time; break;
         default: return fmi2Error;
         }
+#ifdef STATE_VALUE
+        if (vr[i] == 0) value[i] = STATE_VALUE;
+#endif
 #ifdef NAN_OUTPUT
         if (vr[i] == 3) value[i] = NAN;
 #endif

@@ -8,8 +8,9 @@ use crate::cost::process::{Asked, Remote};
 use crate::cost::residual::CostRule;
 use base::RunContext;
 use dfo::RobustLoss;
-use ode::Stats;
+use ode::{Checks, Stats};
 use std::convert::Infallible;
+use std::sync::{Mutex, PoisonError};
 
 /// Result of the comparison with a fresh process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,6 +36,15 @@ fn bits(residuals: &[f64]) -> Bits {
     Some(residuals.iter().map(|residual| residual.to_bits()).collect())
 }
 
+/// The evaluations of the best point that are made again, and what they take.
+struct Repeated<'a> {
+    calibration: &'a Calibration,
+    remote: &'a Remote,
+    best: &'a BestPoint,
+    loss: RobustLoss,
+    taken: Mutex<Checks>,
+}
+
 impl Calibration {
     /// True if each evaluation has a process of its own.
     pub(super) fn is_apart(&self) -> bool {
@@ -42,42 +52,41 @@ impl Calibration {
     }
 
     /// Evaluates a point again in each process that is not asked at the moment, and in a fresh one while
-    /// `work` is done. Where these give others than before, each evaluation has a process of its own from now
-    /// on.
+    /// `work` is done; with what that takes. Where these give others than before, each evaluation has a
+    /// process of its own from now on.
     pub(super) fn beside_fresh_process<T>(
         &self,
         best: &BestPoint,
         loss: RobustLoss,
         context: &RunContext<'_>,
         work: impl FnOnce() -> T,
-    ) -> (T, Fresh) {
+    ) -> (T, Fresh, Checks) {
         let remote = self.evaluator().remote.as_ref().ok().filter(|_| !self.is_apart());
-        let (Some(remote), false) = (remote, context.is_over()) else { return (work(), Fresh::Same) };
+        let (Some(remote), false) = (remote, context.is_over()) else {
+            return (work(), Fresh::Same, Checks::default());
+        };
+        let repeated = Repeated { calibration: self, remote, best, loss, taken: Mutex::default() };
         let n = remote.n_idle();
-        let ask = |_, context: &RunContext<'_>| self.again(remote, best, loss, Asked::LongestIdle, context);
-        let used = map(n, n, context, &ask).into_iter().flatten().flatten();
+        let used = map(n, n, context, &|_, context| repeated.by(Asked::LongestIdle, context));
+        let used = used.into_iter().flatten().flatten();
         let known: Vec<Bits> = best.residuals.iter().map(|known| bits(known)).chain(used).collect();
-        let task = |context: &RunContext<'_>| self.compare(remote, best, loss, &known, context);
+        let task = |context: &RunContext<'_>| repeated.compare(&known, context);
         let (Ok(done), found) = beside(context, task, || Ok::<T, Infallible>(work()));
-        (done, found.unwrap_or(Fresh::Same))
+        let taken = repeated.taken.into_inner().unwrap_or_else(PoisonError::into_inner);
+        (done, found.unwrap_or(Fresh::Same), taken)
     }
+}
 
-    fn compare(
-        &self,
-        remote: &Remote,
-        best: &BestPoint,
-        loss: RobustLoss,
-        known: &[Bits],
-        context: &RunContext<'_>,
-    ) -> Fresh {
-        let fresh = || self.again(remote, best, loss, Asked::Fresh, context);
+impl Repeated<'_> {
+    fn compare(&self, known: &[Bits], context: &RunContext<'_>) -> Fresh {
+        let fresh = || self.by(Asked::Fresh, context);
         let Some(first) = fresh() else { return Fresh::Same };
         if known.iter().all(|known| *known == first) {
             return Fresh::Same;
         }
         match fresh() {
             Some(second) if second == first => {
-                self.fmu().note_hidden_state();
+                self.calibration.fmu().note_hidden_state();
                 Fresh::Other
             }
             Some(_) => Fresh::Random,
@@ -85,20 +94,16 @@ impl Calibration {
         }
     }
 
-    /// The residuals at a point by such a process; `None`: nothing was found out.
-    fn again(
-        &self,
-        remote: &Remote,
-        best: &BestPoint,
-        loss: RobustLoss,
-        process: Asked,
-        context: &RunContext<'_>,
-    ) -> Option<Bits> {
-        let rule = CostRule::whole(loss, context);
-        let mut residuals = vec![0.0; self.n_residuals()];
-        let method = self.method(context).ok()?;
-        let asked = (None, process);
-        match remote.evaluate((&best.x, method), rule, asked, &mut residuals, &mut Stats::default()) {
+    /// The residuals at the point by such a process; `None`: nothing was found out.
+    fn by(&self, process: Asked, context: &RunContext<'_>) -> Option<Bits> {
+        let rule = CostRule::whole(self.loss, context);
+        let mut residuals = vec![0.0; self.calibration.n_residuals()];
+        let method = self.calibration.method(context).ok()?;
+        let (asked, mut stats) = ((None, process), Stats::default());
+        let found = self.remote.evaluate((&self.best.x, method), rule, asked, &mut residuals, &mut stats);
+        let n_simulations = self.calibration.problem().experiments.len() as u64;
+        *self.taken.lock().unwrap_or_else(PoisonError::into_inner) += stats.as_checks(n_simulations);
+        match found {
             Ok(_) => Some(bits(&residuals)),
             Err(NoCost::Failed { .. }) => Some(None),
             Err(_) => None,

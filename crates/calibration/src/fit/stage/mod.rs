@@ -74,8 +74,11 @@ impl Calibration {
             made.searched.raised.extend(is_apart.then(|| finding_about_fmu(HIDDEN_STATE)));
             let (own, best) = (made.own.take(), made.best());
             let own = own.as_ref().unwrap_or(self);
-            let ((mut fit, kept), again) = own
-                .beside_fresh_process(&best, job.loss, &job.context, || self.judged(own, &job, made, stats));
+            let ((mut fit, kept), again, checks) =
+                own.beside_fresh_process(&best, job.loss, &job.context, || {
+                    self.judged(own, &job, made, stats)
+                });
+            fit.stats.add_checks(checks);
             // A worker may have found it out by itself.
             let is_found_out = !is_apart && self.is_apart();
             let doubt = match again {

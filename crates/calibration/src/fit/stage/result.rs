@@ -89,7 +89,8 @@ pub struct Fit {
     pub uncertainty: Option<Uncertainty>,
     /// Statistics of all simulations of the fit: right-hand sides, steps, events, seconds (added up over all
     /// workers), from the choice of a solver, where this fit made it, to the standard errors. Those that
-    /// failed or were given up count, those of a resumed fit from before do not.
+    /// failed or were given up count, those of a resumed fit from before do not. The best point evaluated
+    /// again, in a fresh process and in those used, is among the [checks](Stats::checks).
     pub stats: Stats,
     /// The integration method of all simulations, and how it was found.
     pub solver: Solver,

@@ -4,6 +4,7 @@ use super::texts::{self, ValueTable};
 use crate::description::{Causality, ModelDescription, Structure, Variability, Variable, VariableKind};
 use crate::instance::integer_codec;
 use crate::sys::{Fault, RawInstance};
+use crate::value::is_same_number;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::ops::Range;
@@ -12,8 +13,9 @@ use std::ops::Range;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum OutputSource {
     Time,
-    /// A state or an alias of one: copied, without a call.
-    State(usize),
+    /// A state or an alias of one: copied, without a call. Its places in the state vector and among the
+    /// values of type `Real`, behind those that are read for every row.
+    State(usize, usize),
     /// Place among the values of type `Real`.
     Real(usize),
     /// Place among the words of all other numbers.
@@ -69,6 +71,8 @@ pub(crate) struct OutputPlan {
     columns: Vec<Column>,
     reals: Vec<u32>,
     n_reals: usize,
+    /// The states as variables, and how many values they have.
+    states: (Vec<u32>, usize),
     groups: Vec<Group>,
     /// Of the array variables already there: first place of their values.
     arrays: HashMap<(VariableKind, u32), usize>,
@@ -100,6 +104,11 @@ impl OutputPlan {
     /// Number of columns, with and without names.
     pub(crate) fn len(&self) -> usize {
         self.columns.len()
+    }
+
+    /// True if states are recorded.
+    pub(crate) fn has_states(&self) -> bool {
+        self.states.1 > 0
     }
 
     /// True if a sample needs a call of the FMU.
@@ -147,23 +156,22 @@ impl OutputPlan {
             false => name.to_owned(),
         };
         let state = context.states.get(&variable.value_reference).filter(|_| kind == VariableKind::Real);
-        let first = match (variable.causality, state) {
-            (Causality::Independent, _) => 0,
-            (_, Some(first)) => *first,
-            _ => self.place(variable, n),
+        let first = match variable.causality {
+            Causality::Independent => 0,
+            _ => self.place(variable, n, state.is_some()),
         };
         let mut names = Vec::new();
         for element in wanted {
             let place = first + element;
             let column = |source| Column { source, negated, is_continuous };
-            let source = match kind {
+            let source = match (kind, state) {
                 _ if variable.causality == Causality::Independent => OutputSource::Time,
-                _ if state.is_some() => OutputSource::State(place),
-                VariableKind::Real => OutputSource::Real(place),
-                VariableKind::String => OutputSource::Text(place),
-                VariableKind::Binary => OutputSource::Bytes(place),
-                VariableKind::Clock => OutputSource::Tick(place),
-                kind => OutputSource::Packed(place, kind),
+                (_, Some(first)) => OutputSource::State(first + element, place),
+                (VariableKind::Real, _) => OutputSource::Real(place),
+                (VariableKind::String, _) => OutputSource::Text(place),
+                (VariableKind::Binary, _) => OutputSource::Bytes(place),
+                (VariableKind::Clock, _) => OutputSource::Tick(place),
+                (kind, _) => OutputSource::Packed(place, kind),
             };
             if kind.is_number() {
                 if is_continuous && !negated && variable.causality == Causality::Output && n == 1 && !is_array
@@ -195,12 +203,14 @@ impl OutputPlan {
 
     /// First place of the values of a variable; words are counted group by group, see
     /// [`finish`](Self::finish).
-    fn place(&mut self, variable: &Variable, n: usize) -> usize {
+    fn place(&mut self, variable: &Variable, n: usize, is_state: bool) -> usize {
         let (kind, reference) = (variable.kind, variable.value_reference);
         if let Some(first) = self.arrays.get(&(kind, reference)) {
             return *first;
         }
-        let (references, count) = if kind == VariableKind::Real {
+        let (references, count) = if is_state {
+            (&mut self.states.0, &mut self.states.1)
+        } else if kind == VariableKind::Real {
             (&mut self.reals, &mut self.n_reals)
         } else if kind == VariableKind::String {
             (&mut self.texts.0, &mut self.texts.1)
@@ -230,10 +240,15 @@ impl OutputPlan {
         first
     }
 
-    /// Puts the words of all kinds into one row, and the columns without names behind the others, when
-    /// everything has been added.
+    /// Puts the states behind the other values of type `Real`, the words of all kinds into one row, and the
+    /// columns without names behind the others, when everything has been added.
     pub(crate) fn finish(&mut self) {
         self.columns.append(&mut self.unnamed);
+        for column in &mut self.columns {
+            if let OutputSource::State(_, place) = &mut column.source {
+                *place += self.n_reals;
+            }
+        }
         let mut start = 0;
         for group in &self.groups {
             for column in &mut self.columns {
@@ -290,6 +305,8 @@ pub(crate) struct OutputBuffers {
     binaries: Vec<f64>,
     /// Numbers read before, to be compared.
     kept: (Vec<f64>, Vec<i64>),
+    /// The states are read as the variables that they are.
+    pub(crate) reads_states: bool,
     /// When the clocks recorded ticked last.
     pub(crate) ticked: Vec<f64>,
     /// The texts and binary values of the run.
@@ -300,11 +317,12 @@ impl OutputBuffers {
     pub(crate) fn new(plan: &OutputPlan) -> Self {
         let n_words = plan.groups.iter().map(|group| group.n_values).sum();
         Self {
-            reals: vec![0.0; plan.n_reals],
+            reals: vec![0.0; plan.n_reals + plan.states.1],
             words: vec![0; n_words],
             texts: vec![0.0; plan.texts.1],
             binaries: vec![0.0; plan.binaries.1],
-            kept: (vec![0.0; plan.n_reals], vec![0; n_words]),
+            kept: (vec![0.0; plan.n_reals + plan.states.1], vec![0; n_words]),
+            reads_states: false,
             ticked: vec![f64::NAN; plan.clocks.len()],
             table: ValueTable::default(),
         }
@@ -312,14 +330,18 @@ impl OutputBuffers {
 
     /// Forgets the run before.
     pub(crate) fn begin(&mut self) {
+        self.reads_states = false;
         self.table.clear();
         self.ticked.fill(f64::NAN);
     }
 
     /// Reads what comes from calls, one call per type.
     pub(crate) fn read(&mut self, plan: &OutputPlan, raw: &mut RawInstance) -> Result<(), Fault> {
-        if !self.reals.is_empty() {
-            raw.get_real(&plan.reals, &mut self.reals)?;
+        if plan.n_reals > 0 {
+            raw.get_real(&plan.reals, &mut self.reals[..plan.n_reals])?;
+        }
+        if self.reads_states {
+            self.read_states(plan, raw)?;
         }
         let mut rest = &mut self.words[..];
         for group in &plan.groups {
@@ -345,6 +367,24 @@ impl OutputBuffers {
         Ok(())
     }
 
+    /// Reads the states that are recorded, as variables.
+    pub(crate) fn read_states(&mut self, plan: &OutputPlan, raw: &mut RawInstance) -> Result<(), Fault> {
+        raw.get_real(&plan.states.0, &mut self.reals[plan.n_reals..])
+    }
+
+    /// A column of a state whose variable has another value than the state vector has: one that is not finite
+    /// where there is one.
+    pub(crate) fn contradiction(&self, plan: &OutputPlan, x: &[f64]) -> Option<(usize, f64)> {
+        let differs = |(k, column): (usize, &Column)| match column.source {
+            OutputSource::State(i, place) => {
+                let found = self.reals[place];
+                (!is_same_number(found, x[i])).then_some((k, found))
+            }
+            _ => None,
+        };
+        plan.columns.iter().enumerate().filter_map(differs).min_by_key(|(_, found)| found.is_finite())
+    }
+
     /// Keeps the numbers as they were read.
     pub(crate) fn keep(&mut self) {
         self.kept.0.copy_from_slice(&self.reals);
@@ -362,7 +402,8 @@ impl OutputBuffers {
         for (column, value) in plan.columns.iter().zip(y.iter_mut()) {
             *value = match column.source {
                 OutputSource::Time => t,
-                OutputSource::State(i) => x[i],
+                OutputSource::State(_, place) if self.reads_states => self.reals[place],
+                OutputSource::State(i, _) => x[i],
                 OutputSource::Real(i) => self.reals[i],
                 OutputSource::Packed(i, kind) => integer_codec::number(kind, self.words[i]),
                 OutputSource::Half(i, _, upper) => texts::half(self.words[i], upper),

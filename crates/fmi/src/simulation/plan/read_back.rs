@@ -6,6 +6,7 @@ use crate::error::Result;
 use crate::instance::Core;
 use crate::instance::assignments::Assignments;
 use crate::instance::integer_codec;
+use crate::value::is_same_number;
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -42,9 +43,6 @@ pub(crate) struct Lost<'d> {
     pub(crate) given: f64,
     pub(crate) found: f64,
 }
-
-/// Values that differ by no more than this part of them were stored in single precision, or printed and read.
-const FEWER_DIGITS: f64 = 1e-6;
 
 /// Buffers for what is read.
 #[derive(Debug, Default)]
@@ -184,9 +182,9 @@ impl ReadBack {
             group.read(core, &mut buffers)?;
             for ((reference, given), found) in group.references.iter().zip(&group.given).zip(&buffers.reals) {
                 let given = group.number(*given, start_values, &parameter);
-                let is_kept = (given - found).abs() <= FEWER_DIGITS * given.abs().max(found.abs());
                 let is = |v: &&Variable| v.kind == group.kind && v.value_reference == *reference;
-                let variable = description.variables.iter().find(is).filter(|_| !is_kept);
+                let variable =
+                    description.variables.iter().find(is).filter(|_| !is_same_number(given, *found));
                 let Some(variable) = variable else { continue };
                 let sign = if variable.negated { -1.0 } else { 1.0 };
                 let lost = Lost { variable, given: sign * given, found: sign * found };

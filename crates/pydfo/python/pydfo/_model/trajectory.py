@@ -51,8 +51,8 @@ class SimulationStats:
     chattering : int
         How often state events were found to follow each other while time hardly advanced, and the run went on.
     check_runs, check_steps : int
-        Short simulations made besides, to check how the model can be brought back to its beginning, and their steps. They are in no
-        other count, but in `seconds`.
+        Simulations made besides, and their steps: short ones to check how the model can be brought back to its beginning, and at the end
+        of a fit those of its best point again, in a fresh worker and in the used ones. They are in no other count, but in `seconds`.
     seconds : float
         Wall-clock time in s, from bringing the model to its beginning. Loading it and waiting for other simulations of it
         do not count. Of a fit: the sum over all simulations, so with several workers more than the fit took.
