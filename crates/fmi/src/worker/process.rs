@@ -28,8 +28,8 @@ const LOOK: Duration = Duration::from_millis(10);
 const GRACE: Duration = Duration::from_millis(250);
 
 /// An answer that comes within this time is waited for without sleeping, as long as there is a core for each
-/// side: to wake up takes up to 50 us.
-const SPIN: Duration = Duration::from_micros(200);
+/// side: to wake up takes up to 50 us, on each side.
+const SPIN: Duration = Duration::from_millis(1);
 
 /// Calls under way in this process.
 static CALLS: AtomicUsize = AtomicUsize::new(0);
