@@ -353,7 +353,29 @@ impl Fmu {
     /// # Errors
     /// As [`Archive::unpack`].
     pub fn unpack_for_copies(&self) -> Result<()> {
-        self.archive().unpack_for_copies(&Cancel::default())
+        let archive = self.archive();
+        if archive.serves_copies() {
+            let root = archive.unpack_part(Part::Running, &Cancel::default())?;
+            if self.interfaces().any(|(_, interface)| self.find_binary(&root, interface).is_err()) {
+                archive.unpack_part(Part::Sources, &Cancel::default())?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Unpacks or builds the libraries for this platform of all interfaces that the FMU offers; runs nothing
+    /// of them.
+    ///
+    /// # Errors
+    /// There is none, and it cannot be built.
+    pub fn provide_libraries(&self) -> Result<()> {
+        let (archive, loader) = (self.archive(), self.inner.options.loader);
+        let cancel = Cancel::default();
+        for (kind, interface) in self.interfaces() {
+            let find = || self.library_file(interface, &cancel);
+            self.inner.libraries.source(kind, archive, loader, &find)?;
+        }
+        Ok(())
     }
 
     /// Unpacks, compiles and loads what the first simulation needs, so that it is not kept waiting; ends
@@ -380,29 +402,30 @@ impl Fmu {
         wait: &mut dyn FnMut() -> bool,
     ) -> Result<Arc<LoadedLibrary>> {
         let interface = self.check_interface(kind)?;
-        let find = || {
-            let library = self.binary(interface, cancel)?;
-            let archive = self.archive();
-            if let Some(file) = archive.changed_library() {
-                let name = file.strip_prefix(archive.unpack()?).unwrap_or(file).display();
-                let reason = format!(
-                    "{name} was written over or removed after the folder had been opened; open it again"
-                );
-                return Err(FmiError::bad_archive(self.path(), reason));
-            }
-            Ok(LibraryFile { library, root: archive.unpack_part(Part::Running, cancel)? })
-        };
         let only_one = interface.capabilities.can_be_instantiated_only_once_per_process;
         let maker = Maker {
             archive: self.archive(),
             loader: self.inner.options.loader,
-            find: &find,
+            find: &|| self.library_file(interface, cancel),
             open: &|from| self.load(from, kind),
         };
         let library = self.inner.libraries.get(Wanted { kind, settings, only_one }, &maker, wait)?;
         // Somebody may have removed what was unpacked.
         self.running_root()?;
         Ok(library)
+    }
+
+    /// The file of the library for this platform, as the FMU had it when it was opened.
+    fn library_file(&self, interface: &Interface, cancel: &Cancel) -> Result<LibraryFile> {
+        let library = self.binary(interface, cancel)?;
+        let archive = self.archive();
+        if let Some(file) = archive.changed_library() {
+            let name = file.strip_prefix(archive.unpack()?).unwrap_or(file).display();
+            let reason =
+                format!("{name} was written over or removed after the folder had been opened; open it again");
+            return Err(FmiError::bad_archive(self.path(), reason));
+        }
+        Ok(LibraryFile { library, root: archive.unpack_part(Part::Running, cancel)? })
     }
 
     /// Uses a loaded library no more; the next one that is asked for is another.
@@ -459,6 +482,11 @@ impl Fmu {
         }
     }
 
+    /// All that it offers.
+    fn interfaces(&self) -> impl Iterator<Item = (InterfaceKind, &Interface)> {
+        KINDS.into_iter().filter_map(|kind| Some((kind, self.interface(kind)?)))
+    }
+
     /// Checks that the FMU can be run by this interface, and returns it.
     pub(crate) fn check_interface(&self, kind: InterfaceKind) -> Result<&Interface> {
         let description = self.description();
@@ -472,14 +500,16 @@ impl Fmu {
         Ok(interface)
     }
 
+    /// The file of the library for this platform among those of an unpacked part.
+    fn find_binary(&self, root: &Path, interface: &Interface) -> Result<platform::FoundBinary> {
+        let names = self.description().fmi_version.folder_names();
+        platform::find_binary(root, &interface.model_identifier, names)
+    }
+
     /// The file of the library for this platform: unpacked, or built from the sources.
     pub(crate) fn binary(&self, interface: &Interface, cancel: &Cancel) -> Result<PathBuf> {
         let (archive, description) = (&self.inner.archive, self.description());
-        let find = |part| {
-            let root = archive.unpack_part(part, cancel)?;
-            let names = description.fmi_version.folder_names();
-            platform::find_binary(&root, &interface.model_identifier, names)
-        };
+        let find = |part| self.find_binary(&archive.unpack_part(part, cancel)?, interface);
         match find(Part::Running) {
             Ok(found) => {
                 if let Some(note) = &found.note {

@@ -478,6 +478,32 @@ def test_folders_that_cannot_be_packed(tmp_path):
     assert not (tmp_path / "out.fmu").exists()
 
 
+@pytest.mark.parametrize("sandbox", [False, True])
+def test_workers_build_sources(tmp_path, monkeypatch, sandbox):
+    folder = tmp_path / "folder"
+    shutil.unpack_archive(example_fmu("dahlquist"), folder, format="zip")
+    shutil.rmtree(folder / "binaries")
+    source = folder / "sources" / "model.c"
+    source.write_text(source.read_text() + f"/* {tmp_path} */\n")  # in no cache
+    path = shutil.make_archive(str(tmp_path / "sources"), "zip", folder)
+    monkeypatch.setenv("FMUFIT_CACHE", str(tmp_path / "cache"))
+    t = np.linspace(0.0, 2.0, 21)
+    calibration = pydfo.Calibration(
+        path,
+        data={"time": t, "x": np.exp(-2.0 * t)},
+        outputs=["x"],
+        parameters=[pydfo.Parameter("k", 1.0, 0.1, 10.0)],
+        sandbox=sandbox,
+    )
+    try:
+        fit = calibration.fit(method="de", workers=2, max_evaluations=40, rng=1, disp=False)
+    except pydfo.PydfoError as error:
+        if sandbox and "incompatible access-rights" in str(error):
+            pytest.skip("this kernel has no Landlock")
+        raise
+    assert fit.stats.accepted_steps > 0 and abs(fit.x[0] - 2.0) < 0.5
+
+
 def test_sources_alone_are_built_when_needed(tmp_path, monkeypatch):
     folder = tmp_path / "folder"
     shutil.unpack_archive(example_fmu("dahlquist"), folder, format="zip")

@@ -95,6 +95,13 @@ impl Service for Server {
         Ok(())
     }
 
+    fn provide_files(&mut self) {
+        if let Some((_, fmu)) = &self.model {
+            // Who simulates meets the error.
+            let _ = fmu.provide_libraries();
+        }
+    }
+
     fn prepare(&mut self) {
         if let Some(calibration) = &self.calibration {
             // Who simulates meets the error.

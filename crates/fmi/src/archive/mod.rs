@@ -137,15 +137,10 @@ impl Archive {
         self.unpack_part(Part::All, &Cancel::default())
     }
 
-    /// Unpacks what a simulation needs for this process and copies of it, unless there are resources: these
-    /// may be changed by simulations.
-    pub(crate) fn unpack_for_copies(&self, cancel: &Cancel) -> Result<()> {
-        match &self.content {
-            Content::Packed(packed) if !packed.has_resources() => {
-                packed.unpack(Part::Running, cancel).map(drop)
-            }
-            _ => Ok(()),
-        }
+    /// True if this process and copies of it can share what is unpacked: it is packed, and there are no
+    /// resources, which simulations may change.
+    pub(crate) fn serves_copies(&self) -> bool {
+        matches!(&self.content, Content::Packed(packed) if !packed.has_resources())
     }
 
     /// Unpacks a part of it; what is there already stays, and what somebody has removed is unpacked again.

@@ -100,14 +100,7 @@ impl Libraries {
     ) -> Result<Arc<LoadedLibrary>, FmiError> {
         let Wanted { kind, settings, only_one } = wanted;
         let _turn = self.making.enter_while(wait).ok_or(FmiError::Cancelled)?;
-        let known = lock(&self.sources[kind as usize]).clone();
-        let source = match known {
-            Some(source) => source,
-            None => {
-                let source = Arc::new(Source::new((maker.find)()?, maker.archive, maker.loader)?);
-                Arc::clone(lock(&self.sources[kind as usize]).insert(source))
-            }
-        };
+        let source = self.source(kind, maker.archive, maker.loader, maker.find)?;
         let known = self.find(&source, settings, only_one);
         let is_known = known.is_some();
         let library = match known.or_else(|| take_kept(&source, settings)) {
@@ -125,6 +118,25 @@ impl Libraries {
             lock(&self.loaded).push((source, Arc::clone(&library)));
         }
         Ok(library)
+    }
+
+    /// The file of the library; found when it is first asked for.
+    ///
+    /// # Errors
+    /// Those of `find`; the file cannot be looked at.
+    pub(crate) fn source(
+        &self,
+        kind: InterfaceKind,
+        archive: &Archive,
+        loader: LoaderOptions,
+        find: &dyn Fn() -> Result<LibraryFile, FmiError>,
+    ) -> Result<Arc<Source>, FmiError> {
+        let known = lock(&self.sources[kind as usize]).clone();
+        if let Some(source) = known {
+            return Ok(source);
+        }
+        let source = Arc::new(Source::new(find()?, archive, loader)?);
+        Ok(Arc::clone(lock(&self.sources[kind as usize]).insert(source)))
     }
 
     /// A loaded copy that serves, the one in which most of the settings were set before. One that nobody uses

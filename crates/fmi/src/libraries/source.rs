@@ -41,7 +41,7 @@ pub(crate) struct LibraryFile {
 
 /// The file of a library.
 #[derive(Debug)]
-pub(super) struct Source {
+pub(crate) struct Source {
     /// The original file.
     pub(super) library: PathBuf,
     /// The folder of the FMU.

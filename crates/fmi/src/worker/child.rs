@@ -77,17 +77,18 @@ fn serve(mut service: Box<dyn Service + Send>, worker: Worker) -> io::Result<()>
     let (watched, folder_to_remove) = (socket.try_clone()?, folder.clone());
     std::thread::Builder::new().spawn(move || end_with(&watched, &folder_to_remove))?;
     limit_self(&start.limits)?;
+    // Where these fail, so does what is asked, and says why.
     if start.limits.sandbox {
+        let _ = catch_unwind(AssertUnwindSafe(|| service.provide_files()));
         confine(&folder)?;
+    }
+    if start.is_prepared {
+        let _ = catch_unwind(AssertUnwindSafe(|| service.prepare()));
     }
 
     let own = std::process::id();
     let (mut asked, mut answer, mut buffer) = (Frame::default(), Frame::default(), Vec::new());
     let (mut questions, mut answers) = (BufReader::with_capacity(BUFFER, &socket), &socket);
-    if start.is_prepared {
-        // Where that fails, so does what is asked, and says why.
-        let _ = catch_unwind(AssertUnwindSafe(|| service.prepare()));
-    }
     Frame::of(&Hello { pid: own.cast_signed(), has_loaded })?.write(0, &mut answers, &mut buffer)?;
     loop {
         page.wait_for_question(asked.number, SPIN);

@@ -14,6 +14,10 @@ pub trait Service {
     fn answer(&mut self, asked: &Frame, context: &RunContext<'_>, answer: &mut Frame)
     -> Result<(), FmiError>;
 
+    /// Has the files of the model unpacked, and its sources compiled: that writes outside of the folder of
+    /// the worker. Runs no code of the model.
+    fn provide_files(&mut self);
+
     /// Has the model compiled and loaded, so that the first answer takes less.
     fn prepare(&mut self);
 

@@ -19,7 +19,10 @@ const IDLE: Duration = Duration::from_secs(5);
 /// A worker is there after this time.
 const START: Duration = Duration::from_secs(60);
 
-/// So is one that was started before it was needed.
+/// A confined one compiles the sources of its model before.
+const START_CONFINED: Duration = Duration::from_secs(600);
+
+/// One that was started before it was needed is there after this time, or is not waited for.
 const PREPARED: Duration = Duration::from_secs(10);
 
 /// The memory of a worker is looked at after each so many calls, and after every one that took so long.
@@ -110,9 +113,10 @@ impl Workers {
         if let Some(Ok(process)) = begun.map(|process| arrived(process, PREPARED)) {
             return Ok(process);
         }
-        match arrived(self.begin(load, false)?, START) {
+        let longest = if self.limits.sandbox { START_CONFINED } else { START };
+        match arrived(self.begin(load, false)?, longest) {
             Err(FmiError::NoWorker { .. }) if self.has_no_template() => {
-                arrived(self.begin(load, false)?, START)
+                arrived(self.begin(load, false)?, longest)
             }
             outcome => outcome,
         }
