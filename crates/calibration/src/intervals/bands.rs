@@ -8,6 +8,7 @@ use crate::problem::parameter::Parameter;
 use crate::problem::residual_layout::OutputResiduals;
 use crate::uncertainty::active_bounds::{inner, outer};
 use crate::uncertainty::estimate::{Uncertainty, check_level};
+use crate::uncertainty::tall::go_on;
 use base::RunContext;
 use fmi::Trajectory;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
@@ -171,6 +172,7 @@ impl Calibration {
         let is_chosen = |name: &str| chosen.is_none_or(|chosen| chosen.iter().any(|c| c == name));
         let outputs = layout.outputs.iter().filter(|output| is_chosen(&output.variable));
         let band = |output: &OutputResiduals| {
+            go_on(context)?;
             let n = self.problem().experiments.len();
             let column = |i: usize| simulated[i * n + output.experiment].columns[output.output].as_slice();
             let values = column(0).to_vec();
@@ -188,7 +190,7 @@ impl Calibration {
                 values.iter().zip(&variances).map(|(y, v)| y + width(v)).collect()
             };
             let declared = self.fmu().description().variable(&output.variable);
-            PredictionBand {
+            Ok(PredictionBand {
                 experiment: self.evaluator().simulations[output.experiment].name.clone(),
                 variable: output.variable.clone(),
                 unit: declared.and_then(|variable| variable.unit.clone()),
@@ -200,9 +202,9 @@ impl Calibration {
                 standard_errors: variances.iter().map(|v| v.sqrt()).collect(),
                 values,
                 noise,
-            }
+            })
         };
-        Ok(outputs.map(band).collect())
+        outputs.map(band).collect()
     }
 
     /// The experiments simulated at the parameters of a fit, and at both ends of each step.

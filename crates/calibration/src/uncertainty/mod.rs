@@ -3,3 +3,4 @@
 pub(crate) mod active_bounds;
 pub(crate) mod estimate;
 pub(crate) mod preflight;
+pub(crate) mod tall;

@@ -10,6 +10,8 @@ use crate::problem::definition::Problem;
 use crate::problem::experiment::Weight;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
 use crate::uncertainty::estimate::{MEDIAN_DEVIATION, autocorrelation, digits, median};
+use crate::uncertainty::tall::{ThinSvd, thin_svd};
+use base::RunContext;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -356,9 +358,13 @@ fn deviations_of_chi_squared(over_degrees: f64, degrees: f64, autocorrelation: f
 
 /// Leverage of each residual: the diagonal of the projection onto the changes that the parameters make, from
 /// the m x n Jacobian of all residuals.
-pub(super) fn leverages(jacobian: &[f64], n: usize) -> Vec<f64> {
+pub(super) fn leverages(
+    jacobian: &[f64],
+    n: usize,
+    context: &RunContext<'_>,
+) -> Result<Vec<f64>, CalibrationError> {
     if jacobian.is_empty() {
-        return Vec::new();
+        return Ok(Vec::new());
     }
     let m = jacobian.len() / n;
     let mut columns = DMatrix::from_row_slice(m, n, jacobian);
@@ -367,13 +373,14 @@ pub(super) fn leverages(jacobian: &[f64], n: usize) -> Vec<f64> {
         let length = column.norm();
         column.iter_mut().for_each(|c| *c = if length > 0.0 { *c / length } else { 0.0 });
     }
-    let svd = columns.resize_vertically(m.max(n), 0.0).try_svd(true, false, f64::EPSILON, 10_000);
-    let Some((u, values)) = svd.and_then(|svd| Some((svd.u?, svd.singular_values))) else {
-        return vec![0.0; m];
-    };
-    let least = f64::EPSILON * m.max(n) as f64 * values.max();
+    let Some(ThinSvd { u, values, .. }) = thin_svd(&columns, context)? else { return Ok(vec![0.0; m]) };
+    let least = f64::EPSILON * m.max(n) as f64 * values.iter().copied().fold(0.0, f64::max);
     let kept: Vec<usize> = (0..values.len()).filter(|k| values[*k] > least).collect();
-    (0..m).map(|i| kept.iter().map(|k| u[(i, *k)] * u[(i, *k)]).sum::<f64>().min(1.0)).collect()
+    let mut leverages = vec![0.0; m];
+    for &k in &kept {
+        leverages.iter_mut().zip(u.column(k).iter()).for_each(|(sum, u)| *sum += u * u);
+    }
+    Ok(leverages.into_iter().map(|leverage: f64| leverage.min(1.0)).collect())
 }
 
 fn weight<'a>(problem: &'a Problem, output: &OutputResiduals) -> &'a Weight {
@@ -421,17 +428,21 @@ fn centered(values: &[f64]) -> Vec<f64> {
 mod tests {
     use super::*;
 
+    fn leverages_of(jacobian: &[f64], n: usize) -> Vec<f64> {
+        leverages(jacobian, n, &RunContext::new()).unwrap()
+    }
+
     #[test]
     fn leverages_are_the_diagonal_of_the_projection() {
         // A line at t = 0, 1, 2, 3 with its slope in another unit: 0.7, 0.3, 0.3, 0.7.
         let line = [1.0, 0.0, 1.0, 1e6, 1.0, 2e6, 1.0, 3e6];
-        for (got, expected) in leverages(&line, 2).iter().zip([0.7, 0.3, 0.3, 0.7]) {
+        for (got, expected) in leverages_of(&line, 2).iter().zip([0.7, 0.3, 0.3, 0.7]) {
             assert!((got - expected).abs() < 1e-12, "{got}");
         }
         // The same column twice counts once, and a parameter without effect does not; fewer residuals than parameters are all fitted.
         let twice = [1.0, 1.0, 0.0, 1.0, 1.0, 0.0];
-        assert!(leverages(&twice, 3).iter().all(|h| (h - 0.5).abs() < 1e-12));
-        assert!((leverages(&[1.0, 2.0], 2)[0] - 1.0).abs() < 1e-12);
-        assert!(leverages(&[], 0).is_empty());
+        assert!(leverages_of(&twice, 3).iter().all(|h| (h - 0.5).abs() < 1e-12));
+        assert!((leverages_of(&[1.0, 2.0], 2)[0] - 1.0).abs() < 1e-12);
+        assert!(leverages_of(&[], 0).is_empty());
     }
 }

@@ -286,9 +286,9 @@ impl Calibration {
                     .map(|start| self.residual_layout().reweighed(&start.residuals, own.residual_layout()));
             }
             let next = match ends.end.filter(|_| is_at_end(&searched.report.termination)) {
-                Some(end) => own.jacobian_at(&searched, &end.residuals, job, stats)?.map(|jacobian| {
-                    turns.noise.next(self, &end.residuals, &leverages(&jacobian, end.x.len()))
-                }),
+                Some(end) => own
+                    .leverages_at(&searched, &end.residuals, job, stats)?
+                    .map(|leverages| turns.noise.next(self, &end.residuals, &leverages)),
                 None => None,
             };
             let Some(next) = next else { break (own, searched) };
@@ -329,6 +329,22 @@ impl Calibration {
             .iter()
             .all(is_one)
             .then(|| AtStart { residuals: to.reweighed(&known.residuals, from), seconds: known.seconds })
+    }
+
+    /// Leverages of the residuals at the end of a search; `None`: it was interrupted meanwhile, or
+    /// simulations fail.
+    fn leverages_at(
+        &self,
+        searched: &Searched,
+        residuals: &[f64],
+        job: &Job<'_>,
+        stats: &mut Stats,
+    ) -> Result<Option<Vec<f64>>, CalibrationError> {
+        let Some(jacobian) = self.jacobian_at(searched, residuals, job, stats)? else { return Ok(None) };
+        match leverages(&jacobian, searched.report.x.len(), &job.context) {
+            Err(CalibrationError::Cancelled) => Ok(None),
+            found => found.map(Some),
+        }
     }
 
     /// Derivatives of the residuals at the end of a search, m x n: those that it had, else of one step of

@@ -1,6 +1,9 @@
 //! Residuals that follow first-order autoregressions: what they make of the covariance of the parameters, and
 //! how well that is known.
 
+use crate::error::CalibrationError;
+use crate::uncertainty::tall::{go_on, inner_products};
+use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
@@ -114,17 +117,22 @@ impl Likelihood {
     }
 
     /// The best autocorrelation of one group that is not negative.
-    fn best(&self, at: &[(f64, f64)], g: usize) -> (f64, Vec<(f64, f64)>) {
-        let value = |z: f64| self.with(at, g, z).0;
-        let values: Vec<f64> = (0..=STEPS).map(|k| value(STEP * k as f64)).collect();
+    fn best(
+        &self,
+        at: &[(f64, f64)],
+        g: usize,
+        context: &RunContext<'_>,
+    ) -> Result<(f64, Vec<(f64, f64)>), CalibrationError> {
+        let value = |z: f64| go_on(context).map(|()| self.with(at, g, z).0);
+        let values: Vec<f64> = (0..=STEPS).map(|k| value(STEP * k as f64)).collect::<Result<_, _>>()?;
         let k = (0..values.len()).fold(0, |best, k| if values[k] > values[best] { k } else { best });
         let (mut low, mut high) = (STEP * (k as f64 - 1.0).max(0.0), STEP * (k + 1).min(STEPS) as f64);
         let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
         for _ in 0..20 {
             let (a, b) = (high - golden * (high - low), low + golden * (high - low));
-            if value(a) > value(b) { high = b } else { low = a }
+            if value(a)? > value(b)? { high = b } else { low = a }
         }
-        self.with(at, g, 0.5 * (low + high))
+        Ok(self.with(at, g, 0.5 * (low + high)))
     }
 }
 
@@ -139,29 +147,33 @@ impl<'a> Dependence<'a> {
         residuals: &[f64],
         groups: &'a [Group],
         variances: &[f64],
-    ) -> Option<Self> {
+        context: &RunContext<'_>,
+    ) -> Result<Option<Self>, CalibrationError> {
         let q = base.ncols();
         let mut z = base.clone().insert_column(q, 0.0);
         z.column_mut(q).copy_from_slice(residuals);
-        let form = |group: &Group| {
+        let form = |group: &Group| -> Result<Form, CalibrationError> {
             let zero = || DMatrix::zeros(q + 1, q + 1);
             let (mut form, mut n) = ((zero(), zero(), zero()), 0);
             for range in &group.series {
-                let rows = |from: usize, len: usize| z.rows(range.start + from, len);
+                let products = |a: usize, b: usize, len: usize| {
+                    let rows = |from: usize| z.rows(range.start + from, len);
+                    inner_products(rows(a).as_view(), rows(b).as_view(), context)
+                };
                 let len = range.len();
                 n += len;
-                form.0 += rows(0, len).tr_mul(&rows(0, len));
+                form.0 += products(0, 0, len)?;
                 if len > 2 {
-                    form.1 += rows(1, len - 2).tr_mul(&rows(1, len - 2));
+                    form.1 += products(1, 1, len - 2)?;
                 }
                 if len > 1 {
-                    let product = rows(1, len - 1).tr_mul(&rows(0, len - 1));
+                    let product = products(1, 0, len - 1)?;
                     form.2 += &product + product.transpose();
                 }
             }
             let (whole, inner, neighbours) = form;
             let n_series = group.series.iter().filter(|range| !range.is_empty()).count() as f64;
-            Form { whole, inner, neighbours, n: n as f64, n_series }
+            Ok(Form { whole, inner, neighbours, n: n as f64, n_series })
         };
         let is_of_group = |i: usize| groups.iter().any(|g| g.series.iter().any(|range| range.contains(&i)));
         // Priors: few, behind all measurements.
@@ -175,9 +187,10 @@ impl<'a> Dependence<'a> {
         }
         let is_usable = |g: &Group| !g.is_rounding && g.variance > 0.0 && g.variance.is_finite();
         if q == 0 || !groups.iter().all(|g| g.variance > 0.0 && g.variance.is_finite()) {
-            return None;
+            return Ok(None);
         }
-        let likelihood = Likelihood { forms: groups.iter().map(form).collect(), rest, q };
+        let forms = groups.iter().map(form).collect::<Result<_, _>>()?;
+        let likelihood = Likelihood { forms, rest, q };
         let mut at: Vec<(f64, f64)> =
             groups.iter().map(|g| ((g.variance / g.correction).ln(), 0.0)).collect();
         likelihood.set_variances(&mut at);
@@ -188,7 +201,7 @@ impl<'a> Dependence<'a> {
         let rounds = if candidates.len() == 1 { 1 } else { 8 };
         for _ in 0..rounds {
             for &g in &candidates {
-                let (with, best) = likelihood.best(&at, g);
+                let (with, best) = likelihood.best(&at, g, context)?;
                 let (without, independent) = likelihood.with(&at, g, 0.0);
                 at = if 2.0 * (with - without) > SIGNIFICANT { best } else { independent };
             }
@@ -199,10 +212,10 @@ impl<'a> Dependence<'a> {
             last = now;
         }
         if at.iter().all(|(_, z)| *z == 0.0) {
-            return None;
+            return Ok(None);
         }
-        let uncertainty = uncertainty(&likelihood, &at);
-        Some(Self { base, groups, found: at, uncertainty, rest: of_rest })
+        let uncertainty = uncertainty(&likelihood, &at, context)?;
+        Ok(Some(Self { base, groups, found: at, uncertainty, rest: of_rest }))
     }
 
     /// The autocorrelation of a group at lag one; zero where it is none.
@@ -211,35 +224,41 @@ impl<'a> Dependence<'a> {
     }
 
     /// U'S U of a group with an autocorrelation, S its covariance for the variance that was found.
-    fn middle(&self, g: usize, z: f64) -> DMatrix<f64> {
+    fn middle(&self, g: usize, z: f64, context: &RunContext<'_>) -> Result<DMatrix<f64>, CalibrationError> {
         let (q, rho) = (self.base.ncols(), z.tanh());
         let mut middle = DMatrix::zeros(q, q);
         for range in &self.groups[g].series {
             let rows = self.base.rows(range.start, range.len());
             let mut sums = rows.clone_owned();
             for (values, mut sums) in rows.column_iter().zip(sums.column_iter_mut()) {
+                go_on(context)?;
                 let n = values.len();
                 add_neighbours(rho, &values, &mut sums, 0..n);
                 add_neighbours(rho, &values, &mut sums, (0..n).rev());
             }
-            middle += rows.tr_mul(&sums);
+            middle += inner_products(rows.as_view(), sums.as_view(), context)?;
         }
-        middle * (self.found[g].0.exp() * self.groups[g].correction)
+        Ok(middle * (self.found[g].0.exp() * self.groups[g].correction))
     }
 
     /// The covariance `G U'S U G'` of least squares with such residuals (Seber and Wild, Nonlinear
     /// Regression, 1989, chapter 6), and the degrees of freedom of each of its variances v: `2 / var(ln v)`
     /// with the uncertainty of what was found, at most `most` (Satterthwaite, Biometrics Bulletin 2, 1946;
     /// Kenward and Roger, Biometrics 53, 1997).
-    pub(crate) fn covariance(&self, inverse: &DMatrix<f64>, most: f64) -> (DMatrix<f64>, Vec<f64>) {
+    pub(crate) fn covariance(
+        &self,
+        inverse: &DMatrix<f64>,
+        most: f64,
+        context: &RunContext<'_>,
+    ) -> Result<(DMatrix<f64>, Vec<f64>), CalibrationError> {
         let n = self.found.len();
-        let middles: Vec<DMatrix<f64>> = (0..n).map(|g| self.middle(g, self.found[g].1)).collect();
-        let correlated = (0..n).filter(|g| self.found[*g].1 > 0.0);
-        let by_z = correlated.map(|g| {
-            let at = |sign: f64| self.middle(g, self.found[g].1 + sign * DIFFERENCE);
-            (at(1.0) - at(-1.0)) / (2.0 * DIFFERENCE)
-        });
-        let derivatives: Vec<DMatrix<f64>> = middles.iter().cloned().chain(by_z).collect();
+        let middles = (0..n).map(|g| self.middle(g, self.found[g].1, context));
+        let middles: Vec<DMatrix<f64>> = middles.collect::<Result<_, _>>()?;
+        let mut derivatives = middles.clone();
+        for g in (0..n).filter(|g| self.found[*g].1 > 0.0) {
+            let at = |sign: f64| self.middle(g, self.found[g].1 + sign * DIFFERENCE, context);
+            derivatives.push((at(1.0)? - at(-1.0)?) / (2.0 * DIFFERENCE));
+        }
         let middle = middles.iter().fold(self.rest.clone(), |sum, own| sum + own);
         let of_row = |i: usize| {
             let c = inverse.row(i).transpose();
@@ -252,12 +271,16 @@ impl<'a> Dependence<'a> {
             if found.is_finite() { found.clamp(FEWEST.min(most), most) } else { most }
         };
         let degrees = (0..inverse.nrows()).map(of_row).collect();
-        (inverse * middle * inverse.transpose(), degrees)
+        Ok((inverse * middle * inverse.transpose(), degrees))
     }
 }
 
 /// The inverse of the observed information; of what has none in a direction, that of a unit step.
-fn uncertainty(likelihood: &Likelihood, at: &[(f64, f64)]) -> DMatrix<f64> {
+fn uncertainty(
+    likelihood: &Likelihood,
+    at: &[(f64, f64)],
+    context: &RunContext<'_>,
+) -> Result<DMatrix<f64>, CalibrationError> {
     let n = at.len();
     let correlated: Vec<usize> = (0..n).filter(|g| at[*g].1 > 0.0).collect();
     let moved = |steps: &[(usize, f64)]| {
@@ -270,6 +293,7 @@ fn uncertainty(likelihood: &Likelihood, at: &[(f64, f64)]) -> DMatrix<f64> {
     let (h, m) = (DIFFERENCE, n + correlated.len());
     let mut information = DMatrix::zeros(m, m);
     for a in 0..m {
+        go_on(context)?;
         for b in 0..=a {
             let at = |i: f64, j: f64| moved(&[(a, i * h), (b, j * h)]);
             let second = (at(1.0, 1.0) - at(1.0, -1.0) - at(-1.0, 1.0) + at(-1.0, -1.0)) / (4.0 * h * h);
@@ -278,7 +302,7 @@ fn uncertainty(likelihood: &Likelihood, at: &[(f64, f64)]) -> DMatrix<f64> {
     }
     let mut axes = information.symmetric_eigen();
     axes.eigenvalues.iter_mut().for_each(|value| *value = value.max(1.0).recip());
-    axes.recompose()
+    Ok(axes.recompose())
 }
 
 /// Adds to each sum the values that come before it in this order, each with the power of rho that its
@@ -336,25 +360,39 @@ mod tests {
         for rho in [0.5, 0.9] {
             let (base, residuals) = left(&autoregressive(rho, 400));
             let groups = [group(std::slice::from_ref(&(0..400)))];
-            let found = Dependence::find(&base, &residuals, &groups, &[1.0; 400]).unwrap();
+            let found = Dependence::find(&base, &residuals, &groups, &[1.0; 400], &RunContext::new())
+                .unwrap()
+                .unwrap();
             assert!((found.autocorrelation(0) - rho).abs() < 0.06, "{}", found.autocorrelation(0));
             // U'S U of the Toeplitz matrix.
             let (rho, variance) = (found.autocorrelation(0), found.found[0].0.exp());
             let s = DMatrix::from_fn(400, 400, |i, j| variance * rho.powi((i as i32 - j as i32).abs()));
             let expected = base.transpose() * s * &base;
-            let (covariance, degrees) = found.covariance(&DMatrix::identity(2, 2), 398.0);
+            let (covariance, degrees) =
+                found.covariance(&DMatrix::identity(2, 2), 398.0, &RunContext::new()).unwrap();
             assert!((&covariance - &expected).amax() < 1e-9 * expected.amax());
             assert!(degrees.iter().all(|d| (3.0..200.0).contains(d)), "{degrees:?}");
         }
         let (base, residuals) = left(&normal(400));
         assert!(
-            Dependence::find(&base, &residuals, &[group(std::slice::from_ref(&(0..400)))], &[1.0; 400])
-                .is_none()
+            Dependence::find(
+                &base,
+                &residuals,
+                &[group(std::slice::from_ref(&(0..400)))],
+                &[1.0; 400],
+                &RunContext::new()
+            )
+            .unwrap()
+            .is_none()
         );
         // Nothing is read from rounding.
         let (base, residuals) = left(&autoregressive(0.9, 400));
         let rounding = Group { is_rounding: true, ..group(std::slice::from_ref(&(0..400))) };
-        assert!(Dependence::find(&base, &residuals, &[rounding], &[1.0; 400]).is_none());
+        assert!(
+            Dependence::find(&base, &residuals, &[rounding], &[1.0; 400], &RunContext::new())
+                .unwrap()
+                .is_none()
+        );
     }
 
     #[test]
@@ -363,7 +401,8 @@ mod tests {
             normal(300).into_iter().chain(autoregressive(0.8, 300).iter().map(|e| 5.0 * e)).collect();
         let (base, residuals) = left(&errors);
         let groups = [group(&[0..150, 150..300]), group(std::slice::from_ref(&(300..600)))];
-        let found = Dependence::find(&base, &residuals, &groups, &[1.0; 600]).unwrap();
+        let found =
+            Dependence::find(&base, &residuals, &groups, &[1.0; 600], &RunContext::new()).unwrap().unwrap();
         assert_eq!(found.autocorrelation(0), 0.0);
         assert!((found.autocorrelation(1) - 0.8).abs() < 0.08, "{}", found.autocorrelation(1));
         let variances: Vec<f64> = found.found.iter().map(|(ln, _)| ln.exp()).collect();

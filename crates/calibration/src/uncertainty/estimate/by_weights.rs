@@ -2,6 +2,9 @@
 //! parameters off.
 
 use super::residual_check::ResidualCheck;
+use crate::error::CalibrationError;
+use crate::uncertainty::tall::{ThinSvd, thin_svd};
+use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 
 /// An output takes part that has at least so many residuals for each parameter: of fewer the parameters
@@ -19,7 +22,13 @@ const BY_CHANCE: f64 = 4.0;
 ///
 /// `n`: how many of the residuals are those of measurements. An output that is as good without the priors, by
 /// the same weights, is kept away by these.
-pub(super) fn mark(checks: &mut [ResidualCheck], residuals: &[f64], n: usize, jacobian: &DMatrix<f64>) {
+pub(super) fn mark(
+    checks: &mut [ResidualCheck],
+    residuals: &[f64],
+    n: usize,
+    jacobian: &DMatrix<f64>,
+    context: &RunContext<'_>,
+) -> Result<(), CalibrationError> {
     let p = jacobian.ncols();
     let mut variables: Vec<(String, Vec<usize>)> = Vec::new();
     let mut from = 0;
@@ -32,15 +41,14 @@ pub(super) fn mark(checks: &mut [ResidualCheck], residuals: &[f64], n: usize, ja
         }
     }
     if variables.len() < 2 || p == 0 {
-        return;
+        return Ok(());
     }
     let residuals = DVector::from_column_slice(residuals);
-    let of_measurements: Vec<usize> = (0..n).collect();
-    let without_priors = (n < residuals.len()).then(|| {
-        let step = least_squares(jacobian.select_rows(&of_measurements), &residuals.rows(0, n).into_owned())?;
-        Some(jacobian * step + &residuals)
-    });
-    let without_priors = without_priors.flatten();
+    let without_priors = match n < residuals.len() {
+        true => least_squares(jacobian.rows(0, n).into_owned(), &residuals.rows(0, n).into_owned(), context)?,
+        false => None,
+    };
+    let without_priors = without_priors.map(|step| jacobian * step + &residuals);
     for (own, (name, rows)) in variables.iter().enumerate() {
         let is_systematic = checks.iter().any(|check| check.variable == *name && check.is_systematic());
         if !is_systematic || rows.len() < RESIDUALS_PER_PARAMETER * p {
@@ -48,7 +56,7 @@ pub(super) fn mark(checks: &mut [ResidualCheck], residuals: &[f64], n: usize, ja
         }
         // What the parameters leave of this output alone is its noise.
         let (part, r) = (jacobian.select_rows(rows), residuals.select_rows(rows));
-        let Some(step) = least_squares(part.clone(), &r) else { continue };
+        let Some(step) = least_squares(part.clone(), &r, context)? else { continue };
         let left = (&part * step + &r).norm_squared() / (rows.len() - p) as f64;
         let square = |rows: &[usize]| residuals.select_rows(rows).norm_squared() / rows.len() as f64;
         let variance = |k: usize| if k == own { left } else { square(&variables[k].1) };
@@ -62,7 +70,7 @@ pub(super) fn mark(checks: &mut [ResidualCheck], residuals: &[f64], n: usize, ja
         }
         let mut scaled = jacobian.clone();
         scaled.column_iter_mut().for_each(|mut column| column.component_mul_assign(&scale));
-        let Some(step) = least_squares(scaled, &residuals.component_mul(&scale)) else { continue };
+        let Some(step) = least_squares(scaled, &residuals.component_mul(&scale), context)? else { continue };
         let moved = jacobian * step + &residuals;
         let rise = |(k, (_, rows)): (usize, &(String, Vec<usize>))| {
             let after = moved.select_rows(rows).norm_squared();
@@ -85,21 +93,30 @@ pub(super) fn mark(checks: &mut [ResidualCheck], residuals: &[f64], n: usize, ja
             }
         }
     }
+    Ok(())
 }
 
 /// The step `d` of least `|j d + r|`.
-fn least_squares(mut j: DMatrix<f64>, r: &DVector<f64>) -> Option<DVector<f64>> {
+fn least_squares(
+    mut j: DMatrix<f64>,
+    r: &DVector<f64>,
+    context: &RunContext<'_>,
+) -> Result<Option<DVector<f64>>, CalibrationError> {
     let lengths: Vec<f64> = j.column_iter().map(|column| column.norm()).collect();
     for (mut column, length) in j.column_iter_mut().zip(&lengths) {
         if *length > 0.0 {
             column /= *length;
         }
     }
-    let svd = j.try_svd(true, true, f64::EPSILON, 10_000)?;
-    let smallest = 1e-10 * svd.singular_values.max();
-    let mut step = -svd.solve(r, smallest).ok()?;
+    let Some(ThinSvd { u, values, v_t }) = thin_svd(&j, context)? else { return Ok(None) };
+    let smallest = 1e-10 * values.iter().copied().fold(0.0, f64::max);
+    let mut along = u.tr_mul(r);
+    for (along, value) in along.iter_mut().zip(&values) {
+        *along *= if *value > smallest { -value.recip() } else { 0.0 };
+    }
+    let mut step = v_t.tr_mul(&along);
     step.iter_mut().zip(&lengths).filter(|(_, length)| **length > 0.0).for_each(|(d, length)| *d /= length);
-    Some(step)
+    Ok(Some(step))
 }
 
 #[cfg(test)]
@@ -124,7 +141,7 @@ mod tests {
         };
         let j = DMatrix::from_fn(2 * n, 1, |k, _| slope(k) * t(k));
         let r = DVector::from_fn(2 * n, |k, _| error(k));
-        let r = &j * least_squares(j.clone(), &r).unwrap() + r;
+        let r = &j * least_squares(j.clone(), &r, &RunContext::new()).unwrap().unwrap() + r;
         let output = |k: usize| OutputResiduals {
             experiment: 0,
             output: k,
@@ -137,7 +154,7 @@ mod tests {
         };
         let layout = ResidualLayout { outputs: vec![output(0), output(1)], priors: Vec::new() };
         let mut checks = ResidualCheck::all(&layout, &["run1".to_owned()], r.as_slice());
-        mark(&mut checks, r.as_slice(), 2 * n, &j);
+        mark(&mut checks, r.as_slice(), 2 * n, &j, &RunContext::new()).unwrap();
         checks
     }
 

@@ -6,7 +6,10 @@ use super::differences::Differences;
 use super::residual_check::{is_rounding, square_of_rounding};
 use super::result::Estimator;
 use super::scores::{Criterion, Working};
+use crate::error::CalibrationError;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
+use crate::uncertainty::tall::{ThinSvd, inner_products, thin_svd, triangle};
+use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -75,8 +78,8 @@ impl Noise {
         working: &Working,
         groups: &[Vec<usize>],
         base: &DMatrix<f64>,
-        p: usize,
-    ) -> Self {
+        (p, context): (usize, &RunContext<'_>),
+    ) -> Result<Self, CalibrationError> {
         let n = working.residuals.len();
         let degrees_of_freedom = n.saturating_sub(p);
         let is_rounded = |output: &OutputResiduals| is_rounding(output, &plain[output.range.clone()]);
@@ -93,14 +96,16 @@ impl Noise {
             (0..groups.len()).map(|g| outputs(g).map(|output| output.range.len()).sum()).collect();
         let gram = |range: Range<usize>| {
             let rows = base.rows(range.start, range.len());
-            rows.tr_mul(&rows)
+            inner_products(rows.as_view(), rows.as_view(), context)
         };
         let zero = || DMatrix::zeros(base.ncols(), base.ncols());
-        let grams: Vec<DMatrix<f64>> = (0..groups.len())
-            .map(|g| outputs(g).fold(zero(), |sum, output| sum + gram(output.range.clone())))
-            .collect();
-        let of_priors =
-            (layout.n_measurements()..n).fold(zero(), |sum, i| sum + gram(i..i + 1) * working.corrections[i]);
+        let of_group = |g: usize| -> Result<DMatrix<f64>, CalibrationError> {
+            outputs(g).try_fold(zero(), |sum, output| Ok(sum + gram(output.range.clone())?))
+        };
+        let grams: Vec<DMatrix<f64>> = (0..groups.len()).map(of_group).collect::<Result<_, _>>()?;
+        let of_priors = (layout.n_measurements()..n).try_fold(zero(), |sum, i| {
+            Ok::<_, CalibrationError>(sum + gram(i..i + 1)? * working.corrections[i])
+        })?;
         let shares = DMatrix::from_fn(groups.len(), groups.len(), |g, h| {
             let own = if g == h { counts[g] as f64 - 2.0 * grams[g].trace() } else { 0.0 };
             own + grams[g].dot(&grams[h])
@@ -124,33 +129,28 @@ impl Noise {
             Group { series, variance, correction, is_rounding: outputs(g).all(is_rounded) }
         };
         let groups = (0..groups.len()).map(of_group).collect();
-        Self { variances, groups, degrees_of_freedom }
+        Ok(Self { variances, groups, degrees_of_freedom })
     }
 }
 
 impl Factors {
     /// By the singular values of the changes: combinations below the noise are left out.
-    pub(crate) fn new(differences: &Differences) -> Self {
+    pub(crate) fn new(differences: &Differences, context: &RunContext<'_>) -> Result<Self, CalibrationError> {
         let Differences { changes, steps, noise } = differences;
         let (m, p) = changes.shape();
-        let rows = m.max(p);
-        let svd = (p > 0)
-            .then(|| changes.clone().resize_vertically(rows, 0.0).try_svd(true, true, f64::EPSILON, 10_000));
-        let Some((u, values, v_t)) =
-            svd.flatten().and_then(|svd| Some((svd.u?, svd.singular_values, svd.v_t?)))
-        else {
-            return Self {
+        let Some(ThinSvd { u, values, v_t }) = thin_svd(changes, context)? else {
+            return Ok(Self {
                 inverse: DMatrix::zeros(p, 0),
                 base: DMatrix::zeros(m, 0),
                 is_undetermined: vec![true; p],
-            };
+            });
         };
         let largest = values.iter().copied().fold(0.0, f64::max);
-        let least = noise.max(f64::EPSILON * rows as f64 * largest);
+        let least = noise.max(f64::EPSILON * m.max(p) as f64 * largest);
         let kept: Vec<usize> = (0..p).filter(|k| values[*k] > least).collect();
         let column = |k: &usize| steps * v_t.row(*k).transpose() / values[*k];
         let inverse: Vec<DVector<f64>> = kept.iter().map(column).collect();
-        let base: Vec<DVector<f64>> = kept.iter().map(|k| u.column(*k).rows(0, m).into_owned()).collect();
+        let base = u.select_columns(&kept);
         let mut is_undetermined = vec![false; p];
         // In a combination that is left out parameters are compared by the longest steps that were made with them.
         let sizes: Vec<f64> = steps.row_iter().map(|row| row.amax().max(f64::MIN_POSITIVE)).collect();
@@ -165,25 +165,46 @@ impl Factors {
                 *flag |= *share > SHARE * most;
             }
         }
-        let columns = |columns: Vec<DVector<f64>>, rows: usize| match columns.is_empty() {
-            true => DMatrix::zeros(rows, 0),
-            false => DMatrix::from_columns(&columns),
-        };
-        Self { inverse: columns(inverse, p), base: columns(base, m), is_undetermined }
+        let inverse = if inverse.is_empty() { DMatrix::zeros(p, 0) } else { DMatrix::from_columns(&inverse) };
+        Ok(Self { inverse, base, is_undetermined })
     }
 
-    /// The covariance with uncorrelated residuals, in the coordinates of the search.
-    pub(crate) fn covariance(&self, noise: &Noise) -> DMatrix<f64> {
+    /// The covariance with uncorrelated residuals of these variances, in the coordinates of the search.
+    pub(crate) fn covariance(
+        &self,
+        variances: &[f64],
+        context: &RunContext<'_>,
+    ) -> Result<DMatrix<f64>, CalibrationError> {
         let mut weighted = self.base.clone();
         for mut column in weighted.column_iter_mut() {
-            column.iter_mut().zip(&noise.variances).for_each(|(u, variance)| *u *= variance);
+            column.iter_mut().zip(variances).for_each(|(u, variance)| *u *= variance);
         }
-        self.between(&weighted)
+        let middle = inner_products(self.base.as_view(), weighted.as_view(), context)?;
+        Ok(&self.inverse * middle * self.inverse.transpose())
     }
+}
 
-    fn between(&self, weighted: &DMatrix<f64>) -> DMatrix<f64> {
-        &self.inverse * (self.base.transpose() * weighted) * self.inverse.transpose()
+/// Fewer rows with their variances that have the covariances of all, and of each choice of columns: the
+/// triangle of the rows of each variance.
+pub(crate) fn compressed(
+    rows: &DMatrix<f64>,
+    variances: &[f64],
+    context: &RunContext<'_>,
+) -> Result<(DMatrix<f64>, Vec<f64>), CalibrationError> {
+    let mut runs: BTreeMap<u64, Vec<Range<usize>>> = BTreeMap::new();
+    let mut from = 0;
+    for run in variances.chunk_by(|a, b| a.to_bits() == b.to_bits()) {
+        runs.entry(run[0].to_bits()).or_default().push(from..from + run.len());
+        from += run.len();
     }
+    let (mut few, mut of_few) = (DMatrix::zeros(0, rows.ncols()), Vec::new());
+    for (variance, ranges) in runs {
+        let (own, known) = (triangle(rows, &ranges, context)?, few.nrows());
+        of_few.resize(known + own.nrows(), f64::from_bits(variance));
+        few = few.resize_vertically(known + own.nrows(), 0.0);
+        few.rows_mut(known, own.nrows()).copy_from(&own);
+    }
+    Ok((few, of_few))
 }
 
 /// Recordings that share a variance: those of a variable with the same constant weight, which states how
@@ -226,7 +247,12 @@ mod tests {
         let criterion = Criterion::default();
         let groups = groups(layout, residuals, estimator, criterion);
         let working = Working::new(criterion, layout, residuals, &groups, base.ncols());
-        Noise::estimate(layout, residuals, &working, &groups, base, base.ncols())
+        Noise::estimate(layout, residuals, &working, &groups, base, (base.ncols(), &RunContext::new()))
+            .unwrap()
+    }
+
+    fn factors(differences: &Differences) -> Factors {
+        Factors::new(differences, &RunContext::new()).unwrap()
     }
 
     fn line() -> Differences {
@@ -241,10 +267,10 @@ mod tests {
     #[test]
     fn a_line_has_the_textbook_covariances() {
         let residuals = [0.1, -0.2, 0.3, -0.1];
-        let (factors, s2) = (Factors::new(&line()), 0.15 / 2.0);
+        let (factors, s2) = (factors(&line()), 0.15 / 2.0);
         let pooled = estimate(&layout(&[("y", 4)]), &residuals, &factors.base, Estimator::Pooled);
         assert!((pooled.variances[0] - s2).abs() < 1e-15 && pooled.degrees_of_freedom == 2);
-        let covariance = factors.covariance(&pooled);
+        let covariance = factors.covariance(&pooled.variances, &RunContext::new()).unwrap();
         for (got, expected) in covariance.iter().zip([0.7, -0.3, -0.3, 0.2]) {
             assert!((got - s2 * expected).abs() < 1e-14, "{covariance}");
         }
@@ -263,7 +289,12 @@ mod tests {
             expected += *variance * &row * row.transpose();
         }
         two.variances.iter().zip(variances).for_each(|(got, v)| assert!((got - v).abs() < 1e-15));
-        assert!((factors.covariance(&two) - expected).amax() < 1e-14);
+        assert!((factors.covariance(&two.variances, &RunContext::new()).unwrap() - &expected).amax() < 1e-14);
+        // Triangles of the rows of each variance have the same.
+        let Differences { changes, steps, noise } = line();
+        let (changes, variances) = compressed(&changes, &two.variances, &RunContext::new()).unwrap();
+        let few = super::tests::factors(&Differences { changes, steps, noise });
+        assert!((few.covariance(&variances, &RunContext::new()).unwrap() - expected).amax() < 1e-14);
     }
 
     #[test]
@@ -295,9 +326,9 @@ mod tests {
             DMatrix::from_fn(5, 3, |t, k| if k == 2 { t as f64 } else { 1.0 + 1e-9 * (t * t * k) as f64 });
         let differences =
             |noise| Differences { changes: changes.clone(), steps: DMatrix::identity(3, 3), noise };
-        assert_eq!(Factors::new(&differences(1e-6)).is_undetermined, [true, true, false]);
-        assert_eq!(Factors::new(&differences(0.0)).is_undetermined, [false; 3]);
+        assert_eq!(factors(&differences(1e-6)).is_undetermined, [true, true, false]);
+        assert_eq!(factors(&differences(0.0)).is_undetermined, [false; 3]);
         let none = Differences { changes: DMatrix::zeros(5, 1), steps: DMatrix::identity(1, 1), noise: 1e-9 };
-        assert_eq!(Factors::new(&none).is_undetermined, [true]);
+        assert_eq!(factors(&none).is_undetermined, [true]);
     }
 }

@@ -10,6 +10,8 @@ use crate::cost::batch::{Found, Point, Simulations};
 use crate::error::CalibrationError;
 use crate::problem::parameter::Parameter;
 use crate::uncertainty::active_bounds::{inner, outer};
+use crate::uncertainty::tall::{product, triangle};
+use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 
 /// Steps are no longer than this part of a parameter (of its size, where it is zero; on a log scale: of its
@@ -178,7 +180,7 @@ impl Differences {
                     false => (FIRST * center.coordinate(k).abs()).max(FIRST * USUAL * center.sizes[k]),
                 };
                 match Self::measured(center, center.axes(length), simulations)? {
-                    Ok(found) => found.jacobian(),
+                    Ok(found) => found.jacobian(&simulations.context)?,
                     Err(reason) => return Ok(Err(reason)),
                 }
             }
@@ -186,9 +188,10 @@ impl Differences {
         let mut round = 0;
         loop {
             round += 1;
-            let steps = principal_steps(center, &guess, deviation, noise);
-            let predicted: Vec<f64> =
-                steps.iter().map(|(step, _)| (&guess * &step.direction).norm() * step.length).collect();
+            let steps = principal_steps(center, &guess, (deviation, noise), &simulations.context)?;
+            let columns: Vec<DVector<f64>> = steps.iter().map(|(s, _)| &s.direction * s.length).collect();
+            let predicted = product(&guess, &DMatrix::from_columns(&columns), &simulations.context)?;
+            let predicted: Vec<f64> = predicted.column_iter().map(|change| change.norm()).collect();
             let is_narrow = steps.iter().any(|(step, _)| center.span(step).is_none());
             let (mut steps, are_long): (Vec<Step>, Vec<bool>) = steps.into_iter().unzip();
             if is_narrow {
@@ -205,7 +208,7 @@ impl Differences {
             };
             let is_as_predicted = (found.changes.column_iter().zip(&predicted))
                 .all(|(change, predicted)| is_within(change.norm().max(noise), predicted.max(noise)));
-            guess = found.jacobian();
+            guess = found.jacobian(&simulations.context)?;
             if is_narrow || is_as_predicted || round == ROUNDS {
                 return match are_long.contains(&true) && !is_narrow {
                     true => found.without_cubic_terms(center, &are_long, simulations),
@@ -300,13 +303,13 @@ impl Differences {
     }
 
     /// By the coordinates of the search, m x p.
-    pub(crate) fn jacobian(&self) -> DMatrix<f64> {
+    pub(crate) fn jacobian(&self, context: &RunContext<'_>) -> Result<DMatrix<f64>, CalibrationError> {
         if self.steps.is_empty() {
-            return self.changes.clone();
+            return Ok(self.changes.clone());
         }
         match self.steps.clone().try_inverse() {
-            Some(inverse) => &self.changes * inverse,
-            None => DMatrix::zeros(self.changes.nrows(), self.steps.ncols()),
+            Some(inverse) => product(&self.changes, &inverse, context),
+            None => Ok(DMatrix::zeros(self.changes.nrows(), self.steps.ncols())),
         }
     }
 }
@@ -324,19 +327,18 @@ fn first_reason(found: &[Found]) -> Option<String> {
 fn principal_steps(
     center: &Center<'_>,
     jacobian: &DMatrix<f64>,
-    deviation: f64,
-    noise: f64,
-) -> Vec<(Step, bool)> {
+    (deviation, noise): (f64, f64),
+    context: &RunContext<'_>,
+) -> Result<Vec<(Step, bool)>, CalibrationError> {
     let p = center.free.len();
     let references = center.references(jacobian, deviation);
-    let mut scaled = jacobian.clone();
-    scaled.column_iter_mut().zip(&references).for_each(|(mut column, size)| column *= *size);
-    let triangle = if scaled.nrows() > p { scaled.qr().r() } else { scaled };
+    let mut triangle = triangle(jacobian, std::slice::from_ref(&(0..jacobian.nrows())), context)?;
+    triangle.column_iter_mut().zip(&references).for_each(|(mut column, size)| column *= *size);
     let rows = triangle.nrows().max(p);
     let svd = triangle.resize_vertically(rows, 0.0).try_svd(false, true, f64::EPSILON, 10_000);
     let axes = svd.and_then(|svd| Some((svd.v_t?, svd.singular_values)));
     let (v_t, values) = axes.unwrap_or_else(|| (DMatrix::identity(p, p), DVector::zeros(p)));
-    (0..p)
+    Ok((0..p)
         .map(|i| {
             let axis = v_t.row(i).transpose();
             let largest = axis.amax().max(f64::MIN_POSITIVE);
@@ -345,5 +347,5 @@ fn principal_steps(
             let is_long = length > 1.01 * USUAL / largest;
             (Step { direction: axis.component_mul(&references), length }, is_long)
         })
-        .collect()
+        .collect())
 }

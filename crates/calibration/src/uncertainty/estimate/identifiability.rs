@@ -1,13 +1,15 @@
 //! Findings about the uncertainty, in words: parameters that the data do not determine, alone, in pairs or in
 //! combinations of more.
 
-use super::covariance::{Factors, Noise};
+use super::covariance::{Factors, Noise, compressed};
 use super::differences::Differences;
 use super::digits::digits;
 use super::residual_check::ResidualCheck;
 use super::result::{Uncertainty, errors_and_correlation};
 use crate::cost::accuracy::Accuracy;
+use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
+use base::RunContext;
 use nalgebra::DMatrix;
 use std::ops::Range;
 
@@ -47,17 +49,23 @@ impl Uncertainty {
         self.standard_errors[i] / self.x[i].abs()
     }
 
-    /// Length of a parameter's column of the Jacobian within these rows.
-    fn length(&self, i: usize, rows: Range<usize>) -> f64 {
-        rows.map(|r| self.jacobian[r * self.n() + i].powi(2)).sum::<f64>().sqrt()
+    /// Lengths of the columns of the Jacobian within these rows.
+    fn lengths(&self, rows: Range<usize>) -> Vec<f64> {
+        let n = self.n();
+        let mut squares = vec![0.0; n];
+        for row in self.jacobian[rows.start * n..rows.end * n].chunks_exact(n.max(1)) {
+            squares.iter_mut().zip(row).for_each(|(sum, entry)| *sum += entry * entry);
+        }
+        squares.into_iter().map(f64::sqrt).collect()
     }
 
-    fn moves(&self, i: usize, rows: &Range<usize>) -> bool {
+    /// True if a parameter moves the rows in which the columns of the Jacobian have these lengths.
+    fn moves(&self, i: usize, lengths: &[f64]) -> bool {
         // What is zero has no size: any effect counts.
-        let effect = |k: usize| self.length(k, rows.clone()) * self.x[k].abs();
+        let effect = |k: usize| lengths[k] * self.x[k].abs();
         let most = (0..self.n()).map(effect).fold(0.0, f64::max);
         let own = if self.x[i] == 0.0 { f64::INFINITY } else { effect(i) };
-        self.length(i, rows.clone()) > 0.0 && own > MOVES * most
+        lengths[i] > 0.0 && own > MOVES * most
     }
 
     /// The rows of each output of each experiment.
@@ -72,10 +80,14 @@ impl Uncertainty {
     /// Parameters that have a prior and that the data do not move off it.
     fn known_from_prior(&self) -> Vec<usize> {
         let measured = 0..self.rows().last().map_or(0, |rows| rows.end);
+        let of_priors = self.lengths(measured.end..self.residuals.len());
+        if of_priors.iter().all(|length| *length == 0.0) {
+            return Vec::new();
+        }
+        let of_data = self.lengths(measured);
         let is_prior_alone = |i: &usize| {
-            let of_prior = self.length(*i, measured.end..self.residuals.len());
-            let of_data = self.length(*i, measured.clone());
-            of_prior > 0.0 && (of_data <= PRIOR_ALONE * of_prior || !self.moves(*i, &measured))
+            let (of_prior, own) = (of_priors[*i], of_data[*i]);
+            of_prior > 0.0 && (own <= PRIOR_ALONE * of_prior || !self.moves(*i, &of_data))
         };
         (0..self.n()).filter(|i| !self.held.contains(i)).filter(is_prior_alone).collect()
     }
@@ -88,8 +100,8 @@ impl Uncertainty {
             Some(covariance) => errors_and_correlation(covariance, n).1,
             None => self.correlation.clone(),
         };
-        let rows = self.rows();
-        let share = |i, j| rows.iter().any(|rows| self.moves(i, rows) && self.moves(j, rows));
+        let outputs: Vec<Vec<f64>> = self.rows().into_iter().map(|rows| self.lengths(rows)).collect();
+        let share = |i, j| outputs.iter().any(|output| self.moves(i, output) && self.moves(j, output));
         let pairs = (0..n).flat_map(|i| (i + 1..n).map(move |j| (i, j)));
         let mut found: Vec<(usize, usize, f64)> = pairs
             .map(|(i, j)| (i, j, correlation[i * n + j]))
@@ -99,15 +111,15 @@ impl Uncertainty {
         self.confounded = found;
     }
 
-    /// The combination of parameters that the data determine worst, by the singular values of the Jacobian (m
-    /// x p) with columns of length one.
-    pub(super) fn find_weakest(&mut self, jacobian: &DMatrix<f64>, free: &[usize]) {
+    /// The combination of parameters that the data determine worst, by the singular values of the Jacobian
+    /// with columns of length one, of which the triangle is given.
+    pub(super) fn find_weakest(&mut self, triangle: &DMatrix<f64>, free: &[usize]) {
         let told: Vec<usize> = (0..free.len()).filter(|k| !self.undetermined.contains(&free[*k])).collect();
         let p = told.len();
-        if p < 3 || jacobian.nrows() < p {
+        if p < 3 || triangle.nrows() < p {
             return;
         }
-        let mut columns = jacobian.select_columns(&told);
+        let mut columns = triangle.select_columns(&told);
         columns.column_iter_mut().for_each(|mut column| {
             column.try_normalize_mut(0.0);
         });
@@ -126,40 +138,41 @@ impl Uncertainty {
         }
     }
 
+    /// `jacobian`: in the coordinates of the search, m x p; `noise`: of the residuals, with the norm of the
+    /// changes that are noise.
     pub(super) fn find_identifiable(
         &mut self,
-        differences: &Differences,
-        noise: &Noise,
-        free: &[usize],
-        sizes: &[f64],
-    ) {
+        jacobian: &DMatrix<f64>,
+        (noise, of_changes): (&Noise, f64),
+        (free, sizes): (&[usize], &[f64]),
+        context: &RunContext<'_>,
+    ) -> Result<(), CalibrationError> {
         if noise.degrees_of_freedom == 0 {
-            return;
+            return Ok(());
         }
-        let jacobian = differences.jacobian();
-        // Coordinates of the search are relative already where they are logarithms.
-        let size = |k: usize| match (self.is_log[free[k]], self.x[free[k]].abs()) {
-            (true, _) => 1.0,
-            (false, 0.0) => sizes[k],
-            (false, x) => x,
-        };
-        let scaled = DMatrix::from_fn(jacobian.nrows(), free.len(), |r, k| jacobian[(r, k)] * size(k));
+        let (mut scaled, variances) = compressed(jacobian, &noise.variances, context)?;
+        for (k, mut column) in scaled.column_iter_mut().enumerate() {
+            // Coordinates of the search are relative already where they are logarithms.
+            column *= match (self.is_log[free[k]], self.x[free[k]].abs()) {
+                (true, _) => 1.0,
+                (false, 0.0) => sizes[k],
+                (false, x) => x,
+            };
+        }
         let mut chosen: Vec<usize> = Vec::new();
         for k in pivots(scaled.clone()) {
             chosen.push(k);
             let p = chosen.len();
-            let part = Differences {
-                changes: scaled.select_columns(&chosen),
-                steps: DMatrix::identity(p, p),
-                noise: differences.noise,
-            };
-            let covariance = Factors::new(&part).covariance(noise);
+            let changes = scaled.select_columns(&chosen);
+            let part = Differences { changes, steps: DMatrix::identity(p, p), noise: of_changes };
+            let factors = Factors::new(&part, context)?;
+            let covariance = factors.covariance(&variances, context)?;
             let error = |a: usize| covariance[(a, a)].sqrt();
             let correlation = |a: usize, b: usize| covariance[(a, b)] / (error(a) * error(b));
             let is_told = (0..p)
                 .all(|a| error(a) < RELATIVE_ERROR && (0..a).all(|b| correlation(a, b).abs() < CONFOUNDED));
             // A combination below the noise has no variance there.
-            let is_whole = !Factors::new(&part).is_undetermined.contains(&true);
+            let is_whole = !factors.is_undetermined.contains(&true);
             if !(is_told && is_whole) {
                 chosen.pop();
                 break;
@@ -167,6 +180,7 @@ impl Uncertainty {
         }
         self.identifiable = chosen.iter().map(|k| free[*k]).collect();
         self.identifiable.sort_unstable();
+        Ok(())
     }
 
     /// "C1, G1 and C2"

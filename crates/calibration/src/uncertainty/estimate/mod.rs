@@ -20,6 +20,7 @@ use crate::error::CalibrationError;
 use crate::problem::parameter::{Parameter, Scale};
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::active_bounds::{AT, inner};
+use crate::uncertainty::tall::{go_on, triangle};
 use autocorrelation::Dependence;
 use base::RunContext;
 use covariance::{Factors, Noise, groups};
@@ -90,18 +91,28 @@ struct Covariances {
 }
 
 impl Estimate<'_> {
-    fn covariances(&self, working: &Working, layout: &ResidualLayout, outputs: &[Vec<usize>]) -> Covariances {
+    fn covariances(
+        &self,
+        working: &Working,
+        layout: &ResidualLayout,
+        outputs: &[Vec<usize>],
+        context: &RunContext<'_>,
+    ) -> Result<Covariances, CalibrationError> {
         let Self { n, free, factors, noise, .. } = *self;
-        let dependence = (noise.degrees_of_freedom > 0)
-            .then(|| Dependence::find(&factors.base, &working.residuals, &noise.groups, &noise.variances))
-            .flatten();
+        let dependence = match noise.degrees_of_freedom {
+            0 => None,
+            _ => {
+                let Noise { groups, variances, .. } = noise;
+                Dependence::find(&factors.base, &working.residuals, groups, variances, context)?
+            }
+        };
         let most = noise.degrees_of_freedom as f64;
         let mut degrees_of_freedom = vec![most; n];
-        let independent = self.of_all(&factors.covariance(noise));
+        let independent = self.of_all(&factors.covariance(&noise.variances, context)?);
         let (covariance, uncorrected) = match &dependence {
             None => (independent, None),
             Some(dependence) => {
-                let (corrected, degrees) = dependence.covariance(&factors.inverse, most);
+                let (corrected, degrees) = dependence.covariance(&factors.inverse, most, context)?;
                 free.iter().zip(&degrees).for_each(|(&i, degrees)| degrees_of_freedom[i] = *degrees);
                 (self.of_all(&corrected), Some(independent))
             }
@@ -113,7 +124,7 @@ impl Estimate<'_> {
         }
         let curvature = self.of_all(&(&factors.inverse * factors.inverse.transpose()));
         let curvature = curvature.into_iter().step_by(n + 1).collect();
-        Covariances { covariance, uncorrected, curvature, degrees_of_freedom, autocorrelations }
+        Ok(Covariances { covariance, uncorrected, curvature, degrees_of_freedom, autocorrelations })
     }
 
     /// A covariance of the free parameters, in the coordinates of the search, as one of all in the user's
@@ -202,30 +213,41 @@ impl Calibration {
         // By the coordinates of the search.
         let per_unit: Vec<f64> = free.iter().map(|&i| slope(&parameters[i], x[i])).collect();
         let n = x.len();
+        let context = simulations.context;
         let guess = known.jacobian.filter(|_| known.residuals.is_some()).map(|jacobian| {
-            DMatrix::from_fn(residuals.len(), free.len(), |r, k| jacobian[r * n + free[k]] * per_unit[k])
+            let mut guess = DMatrix::zeros(residuals.len(), free.len());
+            for (k, mut column) in guess.column_iter_mut().enumerate() {
+                go_on(&context)?;
+                let own = jacobian.iter().skip(free[k]).step_by(n);
+                column.iter_mut().zip(own).for_each(|(to, from)| *to = from * per_unit[k]);
+            }
+            Ok::<_, CalibrationError>(guess)
         });
-        let differences = Differences::around(&center, guess, simulations)?
+        let differences = Differences::around(&center, guess.transpose()?, simulations)?
             .map_err(|message| self.failed_at(x, format!("around this point: {message}"), None))?;
-        let jacobian = differences.jacobian();
+        let context = &context;
+        let jacobian = differences.jacobian(context)?;
         let outputs = groups(layout, residuals, estimator, known.criterion);
         let working = Working::new(known.criterion, layout, residuals, &outputs, free.len());
         let differences_noise = differences.noise;
         let differences = differences.weighted(&working.roots);
-        let factors = Factors::new(&differences);
-        let noise = Noise::estimate(layout, residuals, &working, &outputs, &factors.base, free.len());
+        let factors = Factors::new(&differences, context)?;
+        let of_free = (free.len(), context);
+        let noise = Noise::estimate(layout, residuals, &working, &outputs, &factors.base, of_free)?;
         let estimate = Estimate { n, free: &free, per_unit: &per_unit, factors: &factors, noise: &noise };
-        let covariances = estimate.covariances(&working, layout, &outputs);
+        let covariances = estimate.covariances(&working, layout, &outputs, context)?;
         let (standard_errors, correlation) = errors_and_correlation(&covariances.covariance, n);
         let is_exact = self.is_within_tolerance(sum_of_squares(residuals));
         let is_linear = matches!(known.criterion, Criterion::Loss(loss) if loss.is_linear());
         let prior_conflicts = match is_linear {
-            true => PriorConflict::all(&center, layout, &per_unit, &jacobian),
+            true => PriorConflict::all(&center, layout, &per_unit, &jacobian, context)?,
             false => Vec::new(),
         };
         let mut by_parameters = vec![0.0; residuals.len() * n];
         for (k, &i) in free.iter().enumerate() {
-            (0..residuals.len()).for_each(|r| by_parameters[r * n + i] = jacobian[(r, k)] / per_unit[k]);
+            go_on(context)?;
+            let own = by_parameters.iter_mut().skip(i).step_by(n);
+            own.zip(&jacobian.column(k)).for_each(|(to, from)| *to = from / per_unit[k]);
         }
         let is_inert = |k: usize| {
             let longest = differences.steps.row(k).amax();
@@ -266,10 +288,14 @@ impl Calibration {
             residual_checks: ResidualCheck::all(layout, &self.problem().experiment_names(), residuals),
             residuals: at_center.residuals.clone(),
         };
+        go_on(context)?;
         uncertainty.find_confounded();
-        uncertainty.find_weakest(&jacobian, &free);
-        uncertainty.find_identifiable(&differences, &noise, &free, &sizes);
-        self.explain_residuals(&mut uncertainty, &jacobian, is_linear.then_some(&factors.base));
+        let triangle = triangle(&jacobian, std::slice::from_ref(&(0..residuals.len())), context)?;
+        uncertainty.find_weakest(&triangle, &free);
+        let weighted = differences.jacobian(context)?;
+        uncertainty.find_identifiable(&weighted, (&noise, differences.noise), (&free, &sizes), context)?;
+        let base = is_linear.then_some(&factors.base);
+        self.explain_residuals(&mut uncertainty, &jacobian, base, context)?;
         uncertainty.findings = uncertainty.all_findings(known.f_tol);
         Ok((uncertainty, covariances.curvature))
     }
@@ -316,19 +342,21 @@ impl Calibration {
         uncertainty: &mut Uncertainty,
         jacobian: &DMatrix<f64>,
         base: Option<&DMatrix<f64>>,
-    ) {
+        context: &RunContext<'_>,
+    ) -> Result<(), CalibrationError> {
         let layout = self.residual_layout();
         // What is no minimum has residuals that other values of the parameters leave none of, whatever the weights.
         if uncertainty.left_to_gain == 0.0 {
             let (checks, n) = (&mut uncertainty.residual_checks, layout.n_measurements());
-            by_weights::mark(checks, &uncertainty.residuals, n, jacobian);
+            by_weights::mark(checks, &uncertainty.residuals, n, jacobian, context)?;
         }
-        let Some(base) = base.filter(|_| !uncertainty.is_exact) else { return };
+        let Some(base) = base.filter(|_| !uncertainty.is_exact) else { return Ok(()) };
         for (check, output) in uncertainty.residual_checks.iter_mut().zip(&layout.outputs) {
             if check.is_systematic() && !check.is_by_weights {
-                check.unmodelled = Unmodelled::find(output, &uncertainty.residuals, base);
+                check.unmodelled = Unmodelled::find(output, &uncertainty.residuals, base, context)?;
             }
         }
+        Ok(())
     }
 
     /// True if a parameter lies at one of its bounds.
@@ -346,7 +374,7 @@ const LEAST_GAIN: f64 = 0.01;
 /// orthonormal base of them.
 fn left_to_gain(base: &DMatrix<f64>, residuals: &[f64]) -> f64 {
     let all = sum_of_squares(residuals);
-    let along = (base.transpose() * DVector::from_column_slice(residuals)).norm_squared();
+    let along = base.tr_mul(&DVector::from_column_slice(residuals)).norm_squared();
     let degrees = residuals.len().saturating_sub(base.ncols()) as f64;
     let is_step = along > LEAST_GAIN * all && along * degrees > (all - along).max(0.0);
     if is_step { (along / all).min(1.0) } else { 0.0 }

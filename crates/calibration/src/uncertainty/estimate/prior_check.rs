@@ -2,10 +2,13 @@
 
 use super::differences::Center;
 use super::digits::digits;
+use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
 use crate::problem::prior::Prior;
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::active_bounds::{inner, outer};
+use crate::uncertainty::tall::{ThinSvd, thin_svd};
+use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
@@ -36,11 +39,12 @@ impl PriorConflict {
         layout: &ResidualLayout,
         slopes: &[f64],
         jacobian: &DMatrix<f64>,
-    ) -> Vec<Self> {
+        context: &RunContext<'_>,
+    ) -> Result<Vec<Self>, CalibrationError> {
         let Center { parameters, x, free, residuals, .. } = *at;
         let (n, p) = (layout.n_measurements(), free.len());
         if layout.priors.is_empty() || n <= p {
-            return Vec::new();
+            return Ok(Vec::new());
         }
         let mut j = jacobian.rows(0, n).into_owned();
         let lengths: Vec<f64> = j.column_iter().map(|column| column.norm()).collect();
@@ -49,10 +53,8 @@ impl PriorConflict {
             column /= *length;
         }
         let r = DVector::from_column_slice(&residuals[..n]);
-        let Some(svd) = j.clone().try_svd(true, true, f64::EPSILON, 10_000) else { return Vec::new() };
-        let (Some(u), Some(v_t)) = (&svd.u, &svd.v_t) else { return Vec::new() };
-        let values = &svd.singular_values;
-        let along = u.transpose() * &r;
+        let Some(ThinSvd { u, values, v_t }) = thin_svd(&j, context)? else { return Ok(Vec::new()) };
+        let along = u.tr_mul(&r);
         let step = |k: usize| -> f64 { (0..p).map(|i| -v_t[(i, k)] * along[i] / values[i]).sum() };
         let left = (r.norm_squared() - along.norm_squared()).max(0.0) / (n - p) as f64;
         let variance =
@@ -68,7 +70,7 @@ impl PriorConflict {
             let deviations = from_prior.abs() / (1.0 + (slope * error).powi(2)).sqrt();
             (deviations > CONTRADICTS).then_some(Self { parameter: i, prior, without_prior, deviations })
         };
-        (0..p).filter(|k| lengths[*k] > 0.0).filter_map(conflict).collect()
+        Ok((0..p).filter(|k| lengths[*k] > 0.0).filter_map(conflict).collect())
     }
 
     pub(super) fn finding(&self, name: &str) -> Finding {

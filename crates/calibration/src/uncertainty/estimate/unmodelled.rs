@@ -2,7 +2,10 @@
 //! delay, a drift of the measurements.
 
 use super::digits::digits;
+use crate::error::CalibrationError;
 use crate::problem::residual_layout::OutputResiduals;
+use crate::uncertainty::tall::go_on;
+use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
@@ -44,10 +47,15 @@ pub struct Unmodelled {
 impl Unmodelled {
     /// The best explanation of the residuals (m) of an output, beside an orthonormal base (m x q) of the
     /// changes that the parameters make.
-    pub(super) fn find(output: &OutputResiduals, residuals: &[f64], base: &DMatrix<f64>) -> Option<Self> {
+    pub(super) fn find(
+        output: &OutputResiduals,
+        residuals: &[f64],
+        base: &DMatrix<f64>,
+        context: &RunContext<'_>,
+    ) -> Result<Option<Self>, CalibrationError> {
         let OutputResiduals { range, times, measured, weights, .. } = output;
         if range.len() < FEWEST {
-            return None;
+            return Ok(None);
         }
         let own = &residuals[range.clone()];
         let simulated: Vec<f64> = (0..own.len()).map(|k| measured[k] + own[k] / weights[k]).collect();
@@ -64,7 +72,7 @@ impl Unmodelled {
             UnmodelledKind::Drift => -weights[k] * (times[k] - middle),
         };
         let beside = |v: DVector<f64>| {
-            let along = base * (base.transpose() * &v);
+            let along = base * base.tr_mul(&v);
             v - along
         };
         let squares = |v: &DVector<f64>| v.rows(range.start, range.len()).norm_squared();
@@ -83,7 +91,13 @@ impl Unmodelled {
             (explains && is_other && size.is_finite()).then_some(Self { kind, size, left })
         };
         use UnmodelledKind::{Delay, Drift, Factor, Offset};
-        [Offset, Factor, Delay, Drift].into_iter().filter_map(of).min_by(|a, b| a.left.total_cmp(&b.left))
+        let mut best: Option<Self> = None;
+        for kind in [Offset, Factor, Delay, Drift] {
+            go_on(context)?;
+            let found = of(kind).filter(|found| best.is_none_or(|best| found.left < best.left));
+            best = found.or(best);
+        }
+        Ok(best)
     }
 
     /// Description of the effect with its number, and the remedy.
@@ -154,7 +168,7 @@ mod tests {
                 measured: measured.into(),
                 weights: vec![2.0; t.len()].into(),
             };
-            let found = Unmodelled::find(&output, &residuals, &base).unwrap();
+            let found = Unmodelled::find(&output, &residuals, &base, &RunContext::new()).unwrap().unwrap();
             assert!(found.kind == kind && (found.size - size).abs() < 0.1 * size, "{found:?}");
             assert!(
                 found.left < 0.02 && found.words().0.contains("of the")

@@ -1,0 +1,149 @@
+//! Matrices of many rows, one block of rows after the other: between two blocks the context is looked at.
+
+use crate::error::CalibrationError;
+use base::RunContext;
+use nalgebra::{DMatrix, DMatrixView};
+use std::ops::Range;
+
+/// Operations on a block: some 10 ms.
+const OPERATIONS: usize = 1 << 24;
+
+/// Thin singular value decomposition of a matrix.
+pub(crate) struct ThinSvd {
+    /// m x p; the columns of singular values that are zero are zero.
+    pub(crate) u: DMatrix<f64>,
+    /// p of them.
+    pub(crate) values: Vec<f64>,
+    /// p x p.
+    pub(crate) v_t: DMatrix<f64>,
+}
+
+/// Does the work on each block of these rows, with so many operations on each row.
+fn by_blocks(
+    rows: Range<usize>,
+    (per_row, fewest): (usize, usize),
+    context: &RunContext<'_>,
+    mut work: impl FnMut(Range<usize>),
+) -> Result<(), CalibrationError> {
+    let at_once = (OPERATIONS / per_row.max(1)).max(fewest).max(1);
+    for from in rows.clone().step_by(at_once) {
+        go_on(context)?;
+        work(from..rows.end.min(from + at_once));
+    }
+    Ok(())
+}
+
+/// To be asked between two pieces of work that take some 10 ms.
+///
+/// # Errors
+/// [`CalibrationError::Cancelled`]: the work is to end.
+pub(crate) fn go_on(context: &RunContext<'_>) -> Result<(), CalibrationError> {
+    if context.is_over() { Err(CalibrationError::Cancelled) } else { Ok(()) }
+}
+
+/// The triangle of the QR factorisation of these rows of a matrix, which has their singular values; the rows
+/// themselves where they are no more than the columns.
+pub(crate) fn triangle(
+    matrix: &DMatrix<f64>,
+    rows: &[Range<usize>],
+    context: &RunContext<'_>,
+) -> Result<DMatrix<f64>, CalibrationError> {
+    let p = matrix.ncols();
+    let mut above: DMatrix<f64> = DMatrix::zeros(0, p);
+    for range in rows {
+        by_blocks(range.clone(), (2 * p * p, p), context, |block| {
+            let (known, n) = (above.nrows(), block.len());
+            let mut stacked =
+                std::mem::replace(&mut above, DMatrix::zeros(0, 0)).resize_vertically(known + n, 0.0);
+            stacked.rows_mut(known, n).copy_from(&matrix.rows(block.start, n));
+            above = if known + n > p { stacked.qr().r() } else { stacked };
+        })?;
+    }
+    Ok(above)
+}
+
+/// The product of a matrix and a small one.
+pub(crate) fn product(
+    matrix: &DMatrix<f64>,
+    by: &DMatrix<f64>,
+    context: &RunContext<'_>,
+) -> Result<DMatrix<f64>, CalibrationError> {
+    let mut product = DMatrix::zeros(matrix.nrows(), by.ncols());
+    by_blocks(0..matrix.nrows(), (2 * by.len(), 1), context, |block| {
+        let rows = matrix.rows(block.start, block.len());
+        product.rows_mut(block.start, block.len()).gemm(1.0, &rows, by, 0.0);
+    })?;
+    Ok(product)
+}
+
+/// The products `a'b` of the columns of two matrices.
+pub(crate) fn inner_products(
+    a: DMatrixView<'_, f64>,
+    b: DMatrixView<'_, f64>,
+    context: &RunContext<'_>,
+) -> Result<DMatrix<f64>, CalibrationError> {
+    let mut sum = DMatrix::zeros(a.ncols(), b.ncols());
+    by_blocks(0..a.nrows(), (2 * sum.len(), 1), context, |block| {
+        let (from, n) = (block.start, block.len());
+        sum.gemm_tr(1.0, &a.rows(from, n), &b.rows(from, n), 1.0);
+    })?;
+    Ok(sum)
+}
+
+/// The decomposition by that of the triangle; `None`: it does not converge, or there are no columns.
+pub(crate) fn thin_svd(
+    matrix: &DMatrix<f64>,
+    context: &RunContext<'_>,
+) -> Result<Option<ThinSvd>, CalibrationError> {
+    let (m, p) = matrix.shape();
+    if p == 0 {
+        return Ok(None);
+    }
+    let triangle = triangle(matrix, std::slice::from_ref(&(0..m)), context)?;
+    let svd = triangle.resize_vertically(p, 0.0).try_svd(false, true, f64::EPSILON, 10_000);
+    let Some((values, v_t)) = svd.and_then(|svd| Some((svd.singular_values, svd.v_t?))) else {
+        return Ok(None);
+    };
+    let mut by = v_t.transpose();
+    for (mut column, value) in by.column_iter_mut().zip(values.iter()) {
+        column *= if *value > 0.0 { value.recip() } else { 0.0 };
+    }
+    let u = product(matrix, &by, context)?;
+    Ok(Some(ThinSvd { u, values: values.as_slice().to_vec(), v_t }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::cell::Cell;
+
+    fn matrix(m: usize, p: usize) -> DMatrix<f64> {
+        DMatrix::from_fn(m, p, |i, k| (0.7 * (i * (k + 1)) as f64).sin() + f64::from(u8::from(i % p == k)))
+    }
+
+    /// Several blocks have the results of one, and the context is asked between them.
+    #[test]
+    fn many_rows_have_the_factors_of_few() {
+        let (context, p) = (RunContext::new(), 40);
+        let tall = matrix(3 * OPERATIONS / (2 * p * p), p);
+        let svd = thin_svd(&tall, &context).unwrap().unwrap();
+        let of_u = inner_products(svd.u.as_view(), svd.u.as_view(), &context).unwrap();
+        assert!((of_u - DMatrix::identity(p, p)).amax() < 1e-12);
+        let diagonal = DMatrix::from_diagonal(&nalgebra::DVector::from_vec(svd.values));
+        assert!((&svd.u * diagonal * svd.v_t - &tall).amax() < 1e-12);
+        let squares = tall.tr_mul(&tall);
+        let r = triangle(&tall, &[0..10, 10..tall.nrows()], &context).unwrap();
+        assert!(r.nrows() == p && (r.tr_mul(&r) - &squares).amax() < 1e-12 * squares.amax());
+        let few = triangle(&tall, std::slice::from_ref(&(5..8)), &context).unwrap();
+        assert_eq!(few, tall.rows(5, 3).into_owned());
+        let asked = Cell::new(0);
+        let ask = || {
+            asked.set(asked.get() + 1);
+            asked.get() == 3
+        };
+        let cancelled = RunContext::new().asking(&ask);
+        assert!(matches!(thin_svd(&tall, &cancelled), Err(CalibrationError::Cancelled)));
+        assert_eq!(asked.get(), 3);
+        assert!(thin_svd(&DMatrix::zeros(3, 0), &context).unwrap().is_none());
+    }
+}
