@@ -14,7 +14,11 @@ pub(super) const FEW_VALUES: usize = 20;
 /// A part of the values that lies exactly at the largest or the smallest one, in runs of at least so many
 /// that are entered at a slope of at least this part of the range in one row, is clipped. A response that
 /// settles comes to its end slowly.
-const CLIPPED: (f64, usize, f64) = (0.05, 5, 0.01);
+const CLIPPED: (f64, usize, f64) = (0.05, SHORTEST_CLIPPED, 0.01);
+pub(super) const SHORTEST_CLIPPED: usize = 5;
+
+/// End of the finding about such a part.
+pub(super) const CLIPPED_DOUBT: &str = ": clipped?";
 
 /// A value that stays for so many rows in a noisy signal, so many times longer than any other, is that of a
 /// sensor that stood still.
@@ -73,7 +77,7 @@ pub(super) fn findings(subject: &Subject<'_>) -> Vec<Finding> {
                     Severity::Warning,
                     name.clone(),
                     format!(
-                        "{share} % of the measurements are exactly {}, its {what} value: clipped?",
+                        "{share} % of the measurements are exactly {}, its {what} value{CLIPPED_DOUBT}",
                         Number(limit)
                     ),
                     "leave clipped rows empty (NaN), or mask them",

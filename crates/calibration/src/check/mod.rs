@@ -32,7 +32,7 @@ use subject::Subject;
 impl Calibration {
     /// Looks for what does not fit, and says what to do about it: with one evaluation at the parameters'
     /// start values, another with times a thousandth as long where the times could be in ms, and another with
-    /// half the step where that is fixed.
+    /// half the step where that is fixed, or half the communication step of a co-simulation.
     ///
     /// Looked at are the times (order, gaps, unit, start, months taken for days), the recorded values
     /// (constant, clipped, frozen, missing, placeholders, units, initial values, wrapped angles, columns that
@@ -121,7 +121,14 @@ impl Calibration {
         if let Some(start) = start {
             let outputs = Outputs::new(self, start, Some(end));
             doubts.extend(simulated::findings(&subjects, &outputs));
-            doubts.extend(signals::findings(&subjects, &outputs));
+            let found = signals::findings(&subjects, &outputs);
+            let is_certain = |doubt: &Finding| {
+                let same =
+                    |f: &Finding| f.subject == doubt.subject && f.sentence.starts_with(signals::CLIPPED_AT);
+                doubt.sentence.ends_with(columns::CLIPPED_DOUBT) && found.iter().any(same)
+            };
+            doubts.retain(|doubt| !is_certain(doubt));
+            doubts.extend(found);
             let mut evaluations = Evaluations { context: *context, n: 0, stats: Stats::default() };
             let found = time_unit::findings(self, &subjects, &outputs, &mut evaluations);
             *stats += evaluations.stats;
@@ -146,7 +153,7 @@ impl Calibration {
     }
 
     /// A fixed step that is too large at the result of a fit whose uncertainty, which compares with half of
-    /// it, is not known.
+    /// it, is not known; or the communication step of a co-simulation.
     pub(crate) fn large_step_after_fit(
         &self,
         end: &PointResiduals,

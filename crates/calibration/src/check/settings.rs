@@ -1,6 +1,6 @@
 //! Checks of the accuracy of the simulation settings: a loose tolerance, a step that is too large.
 
-use super::series::{Evaluations, Place, all_series, rounded, size_of_difference};
+use super::series::{Evaluations, Place, all_series, rounded, size, size_of_difference};
 use crate::cost::accuracy::Accuracy;
 use crate::cost::calibration::Calibration;
 use crate::cost::failure::NoCost;
@@ -33,8 +33,9 @@ pub(super) fn loose_tolerance(calibration: &Calibration) -> Option<Finding> {
     })
 }
 
-/// A fixed step that is too large: half of it changes an output by more than counts. One evaluation, where
-/// the step is fixed.
+/// A fixed step, or the communication step of a co-simulation, that is too large: half of it changes an
+/// output by more than counts, of a co-simulation that was fitted by more than its residuals. One evaluation,
+/// where there is such a step.
 ///
 /// # Errors
 /// [`CalibrationError::Cancelled`].
@@ -44,7 +45,8 @@ pub(super) fn large_step(
     place: Place,
     evaluations: &mut Evaluations<'_>,
 ) -> Result<Option<Finding>, CalibrationError> {
-    if !calibration.has_fixed_step() {
+    let is_co_simulation = calibration.is_co_simulation();
+    if !calibration.has_fixed_step() && !is_co_simulation {
         return Ok(None);
     }
     evaluations.n += 1;
@@ -56,27 +58,44 @@ pub(super) fn large_step(
         Err(NoCost::Cancelled) => return Err(CalibrationError::Cancelled),
         Err(_) => return Ok(None),
     }
-    let method = calibration.problem().settings.method.name();
+    let step = match is_co_simulation {
+        true => "the communication step".to_owned(),
+        false => format!("the step of the solver '{}'", calibration.problem().settings.method.name()),
+    };
     let [whole, half] = [&at.residuals, &residuals].map(|residuals| all_series(calibration, residuals));
     let changes = whole.iter().zip(&half).map(|(whole, half)| {
+        let measured = &whole.of.measured;
         let changed = size_of_difference(&whole.simulated, half.simulated.iter().copied());
-        let mean = whole.of.measured.iter().sum::<f64>() / whole.of.measured.len() as f64;
-        (changed, size_of_difference(&whole.of.measured, std::iter::repeat(mean)), whole.of)
+        let (limit, beside) = match is_co_simulation && place == Place::Fitted {
+            true => {
+                let left = size_of_difference(measured, whole.simulated.iter().copied());
+                // Of residuals that are all error of the simulations the model's tolerance is the measure.
+                let least = 10.0 * calibration.relative_tolerance() * size(measured.iter().copied());
+                (left.max(least), format!("its residuals have an RMS of {}", Number(rounded(left))))
+            }
+            false => {
+                let mean = measured.iter().sum::<f64>() / measured.len() as f64;
+                let sd = size_of_difference(measured, std::iter::repeat(mean));
+                let beside = format!("its measurements vary by {} (standard deviation)", Number(rounded(sd)));
+                (STEP_ERROR * sd, beside)
+            }
+        };
+        (changed, limit, beside, &whole.of.variable)
     });
-    let largest = changes.filter(|(changed, sd, _)| *changed > STEP_ERROR * sd);
+    let largest = changes.filter(|(changed, limit, ..)| changed > limit);
     let largest = largest.max_by(|a, b| (a.0 / a.1).total_cmp(&(b.0 / b.1)));
-    Ok(largest.map(|(changed, sd, of)| {
-        Finding::new(
-            Severity::Warning,
-            "step",
-            format!(
-                "half the step of the solver '{method}' changes '{}' {place} by {} (RMS), where its measurements vary by {} (standard \
-                 deviation): the step is too large",
-                of.variable,
-                Number(rounded(changed)),
-                Number(rounded(sd))
-            ),
-            "give a smaller step_size, or a solver that chooses its steps",
-        )
+    Ok(largest.map(|(changed, _, beside, variable)| {
+        let (changed, too_large) = (
+            Number(rounded(changed)),
+            if is_co_simulation { "the results depend on it" } else { "the step is too large" },
+        );
+        let remedy = match is_co_simulation {
+            true => "give a smaller step_size",
+            false => "give a smaller step_size, or a solver that chooses its steps",
+        };
+        let sentence = format!(
+            "half {step} changes '{variable}' {place} by {changed} (RMS), where {beside}: {too_large}"
+        );
+        Finding::new(Severity::Warning, "step", sentence, remedy)
     }))
 }

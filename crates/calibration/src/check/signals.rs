@@ -1,8 +1,8 @@
 //! Checks of the simulated course of an output against the measured one: wrong sign, worse than a constant,
 //! frozen, wrapped at a full turn.
 
-use super::columns::longest_run;
-use super::series::{Outputs, Place, Series, range, rounded, rounded_time, size_of_difference};
+use super::columns::{FEW_VALUES, SHORTEST_CLIPPED, longest_run, n_distinct};
+use super::series::{Outputs, Place, Series, range, rounded, rounded_time, size, size_of_difference};
 use super::subject::Subject;
 use crate::findings::finding::{Finding, Severity};
 use crate::problem::column_units::declared;
@@ -23,6 +23,9 @@ const WORSE: f64 = 1.1;
 /// part of the range.
 const FROZEN: (f64, usize, f64) = (0.05, 10, 0.1);
 
+/// Beginning of the finding about measurements that stay at a limit.
+pub(super) const CLIPPED_AT: &str = "it is clipped at";
+
 /// Values within so many turns may be wrapped; their usual step is smaller than this part of a turn.
 const WRAPPED: (f64, f64) = (1.02, 0.1);
 
@@ -39,7 +42,7 @@ pub(super) fn findings(subjects: &[Subject<'_>], outputs: &Outputs<'_>) -> Vec<F
         };
         find(wrapped(series, subject));
         if outputs.place() == Place::Fitted {
-            find(frozen(series));
+            find(clipped(series).or_else(|| frozen(series)));
             find(opposite(series).or_else(|| worse_than_a_constant(series)));
         }
     }
@@ -81,6 +84,42 @@ fn worse_than_a_constant(series: &Series<'_>) -> Option<(String, &'static str)> 
             Number(rounded(sd))
         );
         (sentence, "is it the right column, in the right unit, with the initial state of this recording?")
+    })
+}
+
+/// Measurements that stay at their largest or smallest value while the simulation goes beyond it: by more
+/// than the residuals elsewhere, and than the step to the next value.
+fn clipped(series: &Series<'_>) -> Option<(String, &'static str)> {
+    let (measured, simulated) = (&series.of.measured, &series.simulated);
+    if n_distinct(measured) < FEW_VALUES {
+        return None;
+    }
+    [(1.0, "largest"), (-1.0, "smallest")].into_iter().find_map(|(sign, what)| {
+        let limit = sign * measured.iter().map(|m| sign * m).fold(f64::NEG_INFINITY, f64::max);
+        let (mut beyond, mut elsewhere, mut step) = (Vec::new(), Vec::new(), f64::INFINITY);
+        let mut from = 0;
+        for run in measured.chunk_by(|a, b| a == b) {
+            let simulated = &simulated[from..from + run.len()];
+            from += run.len();
+            if run[0] == limit && run.len() >= SHORTEST_CLIPPED {
+                beyond.extend(simulated.iter().map(|s| sign * (s - limit)));
+            } else {
+                elsewhere.extend(run.iter().zip(simulated).map(|(m, s)| m - s));
+                step = if run[0] == limit { step } else { step.min(sign * (limit - run[0])) };
+            }
+        }
+        let most = beyond.iter().copied().fold(0.0, f64::max);
+        let usual = size(elsewhere.into_iter()).max(step);
+        (!beyond.is_empty() && mean(&beyond) > usual).then(|| {
+            let sentence = format!(
+                "{CLIPPED_AT} {}: {} measurements are exactly that, its {what} value, and the simulation at the fitted values goes \
+                 beyond it by up to {}",
+                Number(limit),
+                beyond.len(),
+                Number(rounded(most))
+            );
+            (sentence, "leave clipped rows empty (NaN), or mask them")
+        })
     })
 }
 

@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 pub(crate) enum Accuracy {
     /// With this relative tolerance.
     Tolerance(f64),
-    /// With each step in two halves, of fixed-step methods: a tolerance has no effect on them.
+    /// With each step in two halves, of fixed-step methods, on which a tolerance has no effect; of a
+    /// co-simulation with half the communication step.
     HalfStep,
 }
 

@@ -126,6 +126,11 @@ impl Calibration {
         plan.kind() == InterfaceKind::ModelExchange && self.problem().settings.method.is_fixed_step()
     }
 
+    /// True if the model integrates itself.
+    pub(crate) fn is_co_simulation(&self) -> bool {
+        self.evaluator().simulations[0].pool.plan().kind() == InterfaceKind::CoSimulation
+    }
+
     /// As [`evaluate_into`](Self::evaluate_into), with a hundredth of the relative tolerance or half the
     /// step.
     fn evaluate_accurately(
@@ -164,7 +169,11 @@ impl Calibration {
             };
             match accuracy {
                 Accuracy::Tolerance(tolerance) => options.relative_tolerance = Some(tolerance),
-                Accuracy::HalfStep => options.halve_steps = true,
+                Accuracy::HalfStep => {
+                    let communication = self.evaluator().simulations[k].pool.plan().communication_step();
+                    options.step_size = communication.map(|step| 0.5 * step).or(options.step_size);
+                    options.halve_steps = true;
+                }
             }
             Ok(SimulationPlan::new(self.fmu(), &options)
                 .and_then(|plan| run(&mut Simulator::new(Arc::new(plan))?)))

@@ -2,7 +2,8 @@
 
 #![allow(clippy::unwrap_used)]
 
-use calibration::{Calibration, Data, Experiment, FitOptions, Parameter};
+use crate::support::faulty;
+use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, SimulationSettings};
 use example_models::{ExampleKind, example_fmu_as};
 use fmi::Fmu;
 
@@ -22,4 +23,40 @@ fn a_decay_is_fitted_in_every_version() {
         let fit = calibration.fit(FitOptions::default()).unwrap();
         assert!((fit.x[0] - 2.0).abs() < 1e-3, "{kind:?}: {:?}", fit.x);
     }
+}
+
+/// Results that depend on the communication step: one step of Euler's method is made from one point to the next.
+#[test]
+fn a_communication_step_that_changes_the_results_is_named() {
+    let said = |defines: &[&str], step: f64, noise: f64| {
+        let folder = faulty(defines);
+        let description = folder.path().join("modelDescription.xml");
+        let xml = std::fs::read_to_string(&description).unwrap();
+        let interface =
+            "<CoSimulation modelIdentifier=\"evil\" canHandleVariableCommunicationStepSize=\"true\"/>";
+        std::fs::write(&description, xml.replace("<ModelExchange modelIdentifier=\"evil\"/>", interface))
+            .unwrap();
+        let t: Vec<f64> = (0..=20).map(|k| 0.1 * f64::from(k)).collect();
+        let y = t
+            .iter()
+            .enumerate()
+            .map(|(k, t)| (-2.0 * t).exp() + noise * f64::from(u8::from(k % 2 == 0)))
+            .collect();
+        let data = Data::from_columns(t, [("y".to_owned(), y)]).unwrap();
+        let settings = SimulationSettings { step_size: Some(step), ..SimulationSettings::default() };
+        let calibration = Calibration::builder(Fmu::open(folder.path()).unwrap())
+            .experiment(Experiment::new(data).output("y", "y"))
+            .parameter(Parameter::new("k", 1.0).bounds(0.1, 5.0))
+            .settings(settings)
+            .build()
+            .unwrap();
+        let findings =
+            (calibration.check().findings, calibration.fit(FitOptions::default()).unwrap().findings());
+        let is_said = |text: String| text.contains("half the communication step changes 'y'");
+        (findings.0.iter().any(|f| is_said(f.to_string())), findings.1.iter().any(|f| is_said(f.to_string())))
+    };
+    assert_eq!(said(&["ONE_EULER_STEP"], 0.1, 0.0), (true, true));
+    assert_eq!(said(&["ONE_EULER_STEP"], 0.1, 0.2), (true, false));
+    assert_eq!(said(&[], 0.1, 0.0), (false, false));
+    assert_eq!(said(&["ONE_EULER_STEP"], 1e-4, 1e-3), (false, false));
 }

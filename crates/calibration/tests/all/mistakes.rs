@@ -453,11 +453,25 @@ fn loose_simulations_are_named_and_reproduce_nothing() {
 fn outliers_are_those_of_many_residuals_and_a_robust_loss_is_not_proposed_to_itself() {
     let t = times(100, 0.03);
     let mut x = decay(&t, 2.0, 1e-3);
-    (30..35).for_each(|i| x[i] += 0.2);
+    let together = {
+        let mut x = x.clone();
+        (30..35).for_each(|i| x[i] += 0.2);
+        fitted(recording(&t, x), k())
+    };
+    (10..35).step_by(5).for_each(|i| x[i] += 0.2);
     let calibration = calibration(vec![recording(&t, x)], k(), SimulationSettings::default());
     let said = "a robust loss counts them less";
     let plain = calibration.fit(FitOptions::default()).unwrap();
     assert!(warns(&plain.findings(), said), "{plain}");
+    // A part of the recording that the model does not follow is no matter of the loss, nor is a wrong model: one that settles at 0.
+    assert!(!warns(&together.findings(), said) && !together.findings().is_empty(), "{together}");
+    let offset = decay(&t, 2.0, 1e-3)
+        .iter()
+        .zip(&t)
+        .map(|(x, t)| x + 0.2 * (1.0 - (-6.0 * t).exp()).powi(8))
+        .collect();
+    let misfit = fitted(recording(&t, offset), k());
+    assert!(!misfit.to_string().contains("robust"), "{misfit}");
     let loss = RobustLoss::new(Loss::SoftL1, 2e-3).unwrap();
     let robust = calibration.fit(FitOptions { loss, ..FitOptions::default() }).unwrap();
     assert!(
@@ -467,6 +481,45 @@ fn outliers_are_those_of_many_residuals_and_a_robust_loss_is_not_proposed_to_its
     let t = vec![0.0, 0.5, 1.0];
     let fit = fitted(recording(&t, vec![1.0, 0.37, 0.2]), k());
     assert!(!fit.to_string().contains("outliers"), "{fit}");
+}
+
+/// A sensor that ends at 0.8, in a part of the rows that is too small for a doubt without the simulation.
+#[test]
+fn a_column_that_stays_at_its_limit_below_the_simulation_is_clipped() {
+    let t = times(400, 0.01);
+    let of = |limit: f64| {
+        let x = decay(&t, 2.0, 1e-3).into_iter().map(|x| x.min(limit)).collect();
+        fitted(recording(&t, x), k())
+    };
+    let clipped = of(0.8);
+    let said = "it is clipped at 0.8: 12 measurements are exactly that, its largest value, and the simulation at the fitted values goes beyond it by up to";
+    assert!(warns(&clipped.findings(), said), "{clipped}");
+    assert!(!clipped.to_string().contains("clipped?"), "{clipped}");
+    let larger = of(0.5);
+    assert!(
+        warns(&larger.findings(), "it is clipped at 0.5") && !larger.to_string().contains("clipped?"),
+        "{larger}"
+    );
+    let sound = of(2.0);
+    assert!(!sound.to_string().contains("clipped"), "{sound}");
+}
+
+/// The same recording as the logger has it, and as it was exported in six digits.
+#[test]
+fn a_recording_that_is_there_twice_in_fewer_digits_is_named() {
+    let t: Vec<f64> = times(61, 0.05).iter().map(|t| t + 1e-8 * t.sin()).collect();
+    let x = decay(&t, 2.0, 1e-3);
+    let printed =
+        |values: &[f64]| values.iter().map(|v| format!("{v:.5e}").parse().unwrap()).collect::<Vec<f64>>();
+    let check = |other: Experiment| {
+        calibration(vec![recording(&t, x.clone()), other], k(), SimulationSettings::default()).check()
+    };
+    let twice = check(recording(&printed(&t), printed(&x)));
+    let said = "output 'x' has the same 61 measurements at the same times in both";
+    assert!(warns(&twice.findings, said), "{twice}");
+    let other: Vec<f64> = x.iter().enumerate().map(|(k, x)| x + 1e-3 * noise(k + 500)).collect();
+    let two = check(recording(&printed(&t), printed(&other)));
+    assert!(!two.to_string().contains("in both"), "{two}");
 }
 
 #[test]

@@ -203,3 +203,22 @@ fn the_layout_of_the_residuals_says_what_each_one_compares() {
         }
     }
 }
+
+/// A state is NaN as the variable that it is by the description, which the vector of the integration does not show.
+#[test]
+fn a_state_that_is_no_number_is_said_with_its_time() {
+    let said = |value: &str| {
+        let folder = crate::support::faulty(&[&format!("STATE_VALUE={value}")]);
+        let data = Data::from_columns(vec![0.0, 0.5, 1.0], [("x".to_owned(), vec![1.0, 0.4, 0.2])]).unwrap();
+        let calibration = Calibration::builder(Fmu::open(folder.path()).unwrap())
+            .experiment(Experiment::new(data).output("x", "x"))
+            .parameter(Parameter::new("k", 1.0).bounds(0.1, 5.0))
+            .build()
+            .unwrap();
+        calibration.cost(&[1.0], &RunContext::new()).unwrap_err().to_string()
+    };
+    let from_start = said("NAN");
+    assert!(from_start.contains("the residual of 'x' is not finite at t = 0"), "{from_start}");
+    let later = said("m->time>0.6?NAN:m->x");
+    assert!(later.contains("at t = 1: x is NaN"), "{later}");
+}

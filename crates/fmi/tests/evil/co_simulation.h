@@ -11,7 +11,11 @@ static void solve(Model *m, double h) {
     m->time += h;
     return;
 #endif
+#ifdef ONE_EULER_STEP
+    m->x *= 1 - K(m) * h;
+#else
     m->x *= exp(-K(m) * h);
+#endif
     m->time += h;
 }
 

@@ -118,6 +118,9 @@ impl Calibration {
             match &ends.end {
                 Some(end) if is_over(&report.termination) => {
                     found.extend(self.check_after_fit(ends.start.as_ref(), end, &job.context, stats));
+                    if self.is_co_simulation() {
+                        found.extend(self.large_step_after_fit(end, &job.context, stats));
+                    }
                 }
                 _ if report.termination == Termination::MaxTime => {
                     found.extend(self.check_of_setup(&report.x));

@@ -46,6 +46,9 @@ pub struct ResidualCheck {
     /// median; ten where there are fewer than 20 residuals, none where there are fewer than 8: few of them
     /// determine their deviation badly.
     pub n_outliers: usize,
+    /// Number of groups of neighbours that they form; as many as there are outliers where each is alone.
+    #[serde(default)]
+    pub n_outlier_groups: usize,
     /// Number of standard deviations by which the number of runs of one sign is above (below: negative) that
     /// of independent residuals (Wald and Wolfowitz, Ann. Math. Statist. 11, 1940); NaN where all have one
     /// sign.
@@ -75,6 +78,7 @@ impl ResidualCheck {
                 deviation: 0.0,
                 autocorrelation: 0.0,
                 n_outliers: 0,
+                n_outlier_groups: 0,
                 runs: 0.0,
                 is_rounding: is_rounding(output, r),
                 is_by_weights: false,
@@ -148,21 +152,32 @@ impl ResidualCheck {
             said.push(Finding::new(Severity::Warning, subject.clone(), sentence, remedy));
         }
         let share = 100.0 * self.n_outliers as f64 / self.n as f64;
-        if share > MANY_OUTLIERS {
+        // Those of a systematic misfit are said already.
+        if share > MANY_OUTLIERS && !(self.are_outliers_together() && self.is_systematic()) {
+            let (severity, what, remedy) = match (self.are_outliers_together(), has_loss) {
+                (true, _) => (
+                    Severity::Warning,
+                    ", most of them beside each other: the model does not follow these measurements",
+                    "look at what happens there, in the recording and in the model",
+                ),
+                (false, true) => (Severity::Note, ": outliers, which the robust loss counts less", ""),
+                (false, false) if self.is_autocorrelated() => (Severity::Warning, ": outliers", ""),
+                (false, false) => (Severity::Warning, ": outliers", "a robust loss counts them less"),
+            };
             let sentence = format!(
-                "{} of {} {subject} ({share:.1} %) lie beyond {} robust standard deviations: outliers{}",
+                "{} of {} {subject} ({share:.1} %) lie beyond {} robust standard deviations{what}",
                 self.n_outliers,
                 self.n,
                 outlier_limit(self.n).unwrap_or_default(),
-                if has_loss { ", which the robust loss counts less" } else { "" }
             );
-            let (severity, remedy) = match has_loss {
-                true => (Severity::Note, ""),
-                false => (Severity::Warning, "a robust loss counts them less"),
-            };
             said.push(Finding::new(severity, subject, sentence, remedy));
         }
         said
+    }
+
+    /// True if most outliers have another one beside them: of independent residuals few have.
+    fn are_outliers_together(&self) -> bool {
+        2 * self.n_outlier_groups <= self.n_outliers
     }
 
     fn keeps_sign(&self) -> bool {
@@ -182,12 +197,14 @@ impl ResidualCheck {
     /// The same with the numbers of other residuals.
     pub(super) fn with_numbers_of(self, r: &[f64]) -> Self {
         let (mean, deviation) = mean_and_deviation(r);
+        let (n_outliers, n_outlier_groups) = outliers(r);
         Self {
             n: r.len(),
             mean,
             deviation,
             autocorrelation: autocorrelation(r),
-            n_outliers: n_outliers(r),
+            n_outliers,
+            n_outlier_groups,
             runs: runs(r),
             ..self
         }
@@ -242,12 +259,18 @@ fn outlier_limit(n: usize) -> Option<f64> {
     OUTLIER.into_iter().find(|(least, _)| n >= *least).map(|(_, limit)| limit)
 }
 
-fn n_outliers(r: &[f64]) -> usize {
-    let Some(limit) = outlier_limit(r.len()) else { return 0 };
+/// Number of outliers, and of the groups of neighbours that they form.
+fn outliers(r: &[f64]) -> (usize, usize) {
+    let Some(limit) = outlier_limit(r.len()) else { return (0, 0) };
     let center = median(&mut r.to_vec());
     let mut distances: Vec<f64> = r.iter().map(|r| (r - center).abs()).collect();
     let limit = limit * median(&mut distances) / MEDIAN_DEVIATION;
-    if limit > 0.0 { distances.iter().filter(|d| **d > limit).count() } else { 0 }
+    if limit == 0.0 {
+        return (0, 0);
+    }
+    let is_outlier = |r: &f64| (r - center).abs() > limit;
+    let groups = r.chunk_by(|a, b| is_outlier(a) == is_outlier(b)).filter(|group| is_outlier(&group[0]));
+    groups.fold((0, 0), |(n, n_groups), group| (n + group.len(), n_groups + 1))
 }
 
 fn runs(r: &[f64]) -> f64 {
@@ -271,9 +294,11 @@ mod tests {
         assert!((autocorrelation(&[1.0, -1.0, 1.0, -1.0]) + 0.75).abs() < 1e-15);
         assert!((autocorrelation(&[-2.0, -1.0, 0.0, 1.0, 2.0]) - 0.4).abs() < 1e-15);
         let mut r: Vec<f64> = (0..99).map(|k| f64::from(k % 7) - 3.0).collect();
-        assert_eq!(n_outliers(&r), 0);
+        assert_eq!(outliers(&r), (0, 0));
         r[5] = 100.0;
-        assert_eq!((n_outliers(&r), n_outliers(&[1.0; 5])), (1, 0));
+        assert_eq!((outliers(&r), outliers(&[1.0; 5])), ((1, 1), (0, 0)));
+        r[20..24].fill(-100.0);
+        assert_eq!(outliers(&r), (5, 2));
         // 6 positive and 4 negative in 2 runs: expected 5.8, variance 48 (48 - 10) / 900.
         let two = [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0, -1.0, -1.0];
         assert!((runs(&two) - (2.0 - 5.8) / (48.0f64 * 38.0 / 900.0).sqrt()).abs() < 1e-14);

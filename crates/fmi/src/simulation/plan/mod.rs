@@ -251,6 +251,13 @@ impl SimulationPlan {
         pub recorded(self) -> &[Recorded] = &self.outputs.plan.recorded;
     }
 
+    /// The communication step of a co-simulation: where only the rows make points, their mean distance;
+    /// `None`: it is integrated.
+    pub fn communication_step(&self) -> Option<f64> {
+        let rows = self.times.len().saturating_sub(1).max(1) as f64;
+        self.communication.as_ref().map(|c| c.step.unwrap_or((self.end - self.start) / rows))
+    }
+
     /// Refuses outputs that are not single numbers, so that there is one column for each name.
     ///
     /// # Errors

@@ -483,7 +483,7 @@ class Calibration(Point):
         ----------
         simulate : bool
             Whether to simulate all experiments once at the start values (and once with times a thousandth as long, where they could be
-            in ms; and once with half the step, where that is fixed).
+            in ms; and once with half the step, where that is fixed, or half the communication step).
         max_time : float, optional
             Wall-clock limit of the whole check in s; None: no limit. What was found until then is the result, with a finding that says so.
 

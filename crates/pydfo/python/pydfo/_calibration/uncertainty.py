@@ -35,6 +35,8 @@ class ResidualCheck(NamedTuple):
     """How many lie beyond four robust standard deviations from the median (ten of fewer than 20 residuals; of fewer than 8 none do)."""
     runs: float
     """How many standard deviations the number of runs of one sign is above that of independent residuals."""
+    n_outlier_groups: int
+    """How many groups of neighbours the outliers form."""
 
 
 class Uncertainty:
