@@ -5,9 +5,8 @@
 #![allow(clippy::print_stdout, clippy::unwrap_used)]
 
 use dfo::{
-    Answers, Barrier, Batch, BatchPlan, Bounds, CmaEs, DifferentialEvolution, Genetic, LeastSquares, Method,
-    MethodOptions, NelderMead, Outcome, PatternSearch, PollPlan, QuadraticModel, Setup, Space, Status,
-    minimize,
+    Answers, Barrier, Batch, Bounds, CmaEs, DifferentialEvolution, Genetic, LeastSquares, Lookahead, Method,
+    MethodOptions, NelderMead, Outcome, PatternSearch, QuadraticModel, Setup, Space, Status, minimize,
 };
 use std::time::{Duration, Instant};
 
@@ -196,9 +195,7 @@ fn main() {
     const COUNT: usize = 200_000;
     println!("microseconds per evaluation, n = {N}: ask + tell, whole driven run");
     let line = |name: &str, asked: f64, whole: f64| println!("{name:28} {asked:8.3} {whole:8.3}");
-    for plan in
-        [BatchPlan::Serial, BatchPlan::Two, BatchPlan::Four, BatchPlan::TwoAhead, BatchPlan::LeeWiswall]
-    {
+    for plan in [Lookahead::None, Lookahead::Points(2), Lookahead::Points(4), Lookahead::Points(20)] {
         let options = NelderMead::default().batch(plan);
         line(&format!("nelder-mead {}", plan.name()), overhead(&options, COUNT, 0), driven(options));
     }
@@ -216,7 +213,7 @@ fn main() {
         let options = CmaEs::default().population(population);
         line(&format!("cma-es, {population} individuals"), overhead(&options, COUNT, 0), driven(options));
     }
-    let serial = PatternSearch::default().batch(PollPlan::Serial);
+    let serial = PatternSearch::default().batch(Lookahead::None);
     line("pattern-search", overhead(&serial, COUNT, 0), driven(serial));
     for n in [2, 5, N, 20, 50] {
         let asked = overhead_of(&QuadraticModel::default(), 20_000 / n, (n, 0));

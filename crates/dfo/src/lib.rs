@@ -30,8 +30,8 @@
 //!
 //! - **The same bits for any number of workers.** Outcomes are taken in request order, random numbers come
 //!   from one stream per generation and individual. How many points are evaluated ahead of need is an option
-//!   of the method ([`BatchPlan`]) and changes neither path nor counts (one plan takes another path, is never
-//!   chosen by itself, and says so): what was evaluated ahead means nothing before the path comes to it.
+//!   of the method ([`Lookahead`]) and changes neither path nor counts: what was evaluated ahead means
+//!   nothing before the path comes to it.
 //! - **A run can go on**: after a kill, an interrupt or with a larger budget, from a [`Checkpoint`], bit for
 //!   bit.
 //! - **A failure is a state, not a number.** NaN, infinities, errors and panics rank behind every finite
@@ -66,11 +66,11 @@ pub use method::linear_model::{Covariance, LinearModel};
 pub use method::sampling::Sampling;
 pub use method::tolerances::{Extent, Limits, Tests, Tolerances};
 pub use methods::{
-    Adaptive, AnyMethod, Auto, Barrier, BarrierState, BatchPlan, BoxedMethod, CmaBounds, CmaEs, CmaEsState,
+    Adaptive, AnyMethod, Auto, Barrier, BarrierState, BoxedMethod, CmaBounds, CmaEs, CmaEsState,
     Coefficients, Crossover, DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState,
     InitialSimplex, LeastSquares, LeastSquaresState, Multistart, MultistartState, NelderMead,
-    NelderMeadState, PatternSearch, PatternSearchState, Polish, PollPlan, QuadraticModel,
-    QuadraticModelState, Repair, Restarts, Scheme, Selection, StepPlan, Strategy, Weight,
+    NelderMeadState, PatternSearch, PatternSearchState, Polish, QuadraticModel, QuadraticModelState, Repair,
+    Restarts, Scheme, Selection, StepPlan, Strategy, Weight,
 };
 pub use outcome::answer::{Answer, Answers, Failure, FailureKind, Outcome, Want};
 pub use outcome::termination::Termination;

@@ -5,11 +5,11 @@ mod common;
 
 use common::{PLANS, Problem, plan, probe, problems, rosenbrock};
 use dfo::{
-    Answers, Batch, BatchPlan, Bounds, Details, Error, Method, MethodOptions, NelderMeadState, Outcome,
+    Answers, Batch, Bounds, Details, Error, Lookahead, Method, MethodOptions, NelderMeadState, Outcome,
     Setup, Space, Status, Termination, minimize,
 };
 
-fn search(problem: &Problem, p: BatchPlan) -> NelderMeadState {
+fn search(problem: &Problem, p: Lookahead) -> NelderMeadState {
     let bounds = match &problem.bounds {
         Some((lower, upper)) => Bounds::new(lower, upper).unwrap(),
         None => Bounds::unbounded(problem.x0.len()),
@@ -106,7 +106,7 @@ fn answers_may_come_in_pieces() {
 #[test]
 fn a_copy_continues_like_the_original() {
     let problem = &problems()[6];
-    let mut s = search(problem, BatchPlan::Two);
+    let mut s = search(problem, Lookahead::Points(2));
     let mut batch = Batch::new();
     for _ in 0..25 {
         s.ask(&mut batch);
@@ -130,7 +130,7 @@ fn a_copy_continues_like_the_original() {
 
 #[test]
 fn misuse_is_a_typed_error() {
-    let mut s = search(&problems()[0], BatchPlan::Serial);
+    let mut s = search(&problems()[0], Lookahead::None);
     assert_eq!(s.tell(&Answers::from(&[][..])), Err(Error::TellWithoutAsk));
     let mut batch = Batch::new();
     s.ask(&mut batch);
@@ -148,9 +148,12 @@ fn misuse_is_a_typed_error() {
 
 #[test]
 fn asking_and_telling_allocate_nothing_once_warm() {
-    for (n, p) in
-        [(2, BatchPlan::Serial), (10, BatchPlan::Two), (10, BatchPlan::Four), (6, BatchPlan::TwoAhead)]
-    {
+    for (n, p) in [
+        (2, Lookahead::None),
+        (10, Lookahead::Points(2)),
+        (10, Lookahead::Points(4)),
+        (6, Lookahead::Points(20)),
+    ] {
         let problem = Problem { name: "", f: rosenbrock, x0: vec![-1.2; n], bounds: None };
         let mut s = search(&problem, p);
         let mut batch = Batch::new();

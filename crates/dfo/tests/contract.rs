@@ -5,8 +5,8 @@ mod common;
 
 use common::{cutting, methods_for_costs, probe, probe_fails, quiet_panics_on_purpose, rosenbrock, timeless};
 use dfo::{
-    Answers, AnyMethod, BatchPlan, Bounds, ByHand, Checkpoint, Error, Limits, Minimize, NelderMead, Outcome,
-    PollPlan, Query, Report, Resume, Setup, Space, Termination, by_hand, minimize, with_query,
+    Answers, AnyMethod, Bounds, ByHand, Checkpoint, Error, Limits, Lookahead, Minimize, NelderMead, Outcome,
+    Query, Report, Resume, Setup, Space, Termination, by_hand, minimize, with_query,
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
@@ -14,8 +14,8 @@ use std::time::Duration;
 /// Every method, Nelder-Mead with its widest plan as well.
 fn methods() -> Vec<AnyMethod> {
     let mut all: Vec<AnyMethod> = methods_for_costs();
-    all.push(NelderMead::default().batch(BatchPlan::TwoAhead).into());
-    all.push(NelderMead::default().batch(BatchPlan::Four).into());
+    all.push(NelderMead::default().batch(Lookahead::Points(20)).into());
+    all.push(NelderMead::default().batch(Lookahead::Points(4)).into());
     all
 }
 
@@ -87,11 +87,11 @@ fn workers_and_cutoffs_change_nothing() {
         for workers in [2, 7] {
             let pinned = match &method {
                 // The automatic plan follows the workers; a pinned one does not.
-                AnyMethod::NelderMead(m) if m.batch == BatchPlan::Auto => {
-                    m.clone().batch(BatchPlan::Serial).into()
+                AnyMethod::NelderMead(m) if m.batch == Lookahead::Measured => {
+                    m.clone().batch(Lookahead::None).into()
                 }
-                AnyMethod::Barrier(m) => m.clone().batch(BatchPlan::Serial).into(),
-                AnyMethod::PatternSearch(m) => m.clone().batch(PollPlan::Serial).into(),
+                AnyMethod::Barrier(m) => m.clone().batch(Lookahead::None).into(),
+                AnyMethod::PatternSearch(m) => m.clone().batch(Lookahead::None).into(),
                 other => other.clone(),
             };
             let many = boxed(minimize(probe), &pinned).max_evaluations(600).workers(workers).run().unwrap();

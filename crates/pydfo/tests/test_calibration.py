@@ -143,7 +143,7 @@ def test_the_fit_is_the_same_for_any_number_of_workers_and_any_plan(dahlquist):
     calibration = decay(dahlquist, {"time": TIME, "x": noisy})
     reference = calibration.fit("nelder-mead", workers=1)
     for workers in (1, 2, 4, None, -1):
-        for batch in ("auto", "serial", "two", "four"):
+        for batch in ("auto", "serial", 2, 4):
             fit = calibration.fit("nelder-mead", workers=workers, batch=batch)
             assert fit.x.tobytes() == reference.x.tobytes()
             assert (fit.cost, fit.nit) == (reference.cost, reference.nit)

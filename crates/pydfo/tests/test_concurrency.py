@@ -47,8 +47,8 @@ def test_the_four_points_of_a_round_are_evaluated_at_once():
             barrier.wait(PATIENCE)
         return rosenbrock(x)
 
-    res = fmin(func, [-1.2, 1.0], nbr_cores=4, max_iters=5, batch="four", **QUIET)
-    assert res.batch == "four" and res.nit == 5
+    res = fmin(func, [-1.2, 1.0], nbr_cores=4, max_iters=5, batch=4, **QUIET)
+    assert res.batch == "4" and res.nit == 5
 
 
 @pytest.mark.parametrize("n", [3])
@@ -60,7 +60,7 @@ def test_four_workers_start_four_of_the_vertices_together(n):
         barrier.wait(PATIENCE)
         return float(np.sum(x**2))
 
-    assert fmin(func, np.ones(n), nbr_cores=4, max_iters=2, batch="four", **QUIET).nit == 2
+    assert fmin(func, np.ones(n), nbr_cores=4, max_iters=2, batch=4, **QUIET).nit == 2
 
 
 def test_one_worker_is_the_calling_thread_and_more_are_not():

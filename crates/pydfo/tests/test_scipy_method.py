@@ -34,8 +34,8 @@ def test_tolerances_arguments_and_options_are_carried_over():
     assert res.fun == shifted(res.x, 1.0, 2.0) and "<= x_tol 0.001" in res.message
     tight = optimize.minimize(rosenbrock, [0.0, 0.0], method=method, options={"xatol": 1e-8, "fatol": 1e-8})
     assert tight.nfev > res.nfev and tight.x_size <= 1e-8 and tight.f_spread <= 1e-8
-    res = optimize.minimize(rosenbrock, [0.0, 0.0], method=method, options={"maxiter": 11, "batch": "four"})
-    assert res.nit == 11 and res.status == 2 and res.batch == "four"
+    res = optimize.minimize(rosenbrock, [0.0, 0.0], method=method, options={"maxiter": 11, "batch": 4})
+    assert res.nit == 11 and res.status == 2 and res.batch == "4"
     simplex = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
     options = {"initial_simplex": simplex, "maxiter": 0, "adaptive": True}
     np.testing.assert_array_equal(optimize.minimize(rosenbrock, [0.0, 0.0], method=method, options=options).trace.x, simplex)

@@ -56,7 +56,7 @@ def test_the_time_in_python_functions():
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_fit_adds_up_what_its_simulations_took(workers):
-    fit = bouncing().fit(max_evaluations=15, workers=workers, batch="four")
+    fit = bouncing().fit(max_evaluations=15, workers=workers, batch=4)
     model = FMUModel(example_fmu("bouncing_ball"))
     counts = np.zeros(3, dtype=int)
     for x, above in zip(fit.trace.x[:, 0], fit.trace.above):

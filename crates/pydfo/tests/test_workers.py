@@ -50,7 +50,7 @@ def test_processes_change_nothing():
         assert run(executor.map) == run(1)
 
 
-@pytest.mark.parametrize("plan", ["auto", "serial", "two", "four", "two-ahead", "ahead"])
+@pytest.mark.parametrize("plan", ["auto", "serial", 2, 4, 20, "ahead"])
 @pytest.mark.parametrize("vectorized", [False, True])
 def test_an_exception_counts_when_the_path_comes_to_it(plan, vectorized):
     path = pydfo.minimize(rosenbrock, [-1.2, 1.0], max_evaluations=60, method="nelder-mead")

@@ -4,7 +4,7 @@
 
 use calibration::RunContext;
 use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, SimulationSettings};
-use dfo::{BatchPlan, Limits, NelderMead, RunOptions};
+use dfo::{Limits, Lookahead, NelderMead, RunOptions};
 use example_models::example_fmu;
 use fmi::Fmu;
 use ode::{Method, Stats};
@@ -25,7 +25,7 @@ fn options(evaluations: usize, workers: usize, cutoffs: bool) -> FitOptions<'sta
     let limits = Limits { max_evaluations: Some(evaluations), ..Limits::default() };
     // No speculation, whatever a machine takes for an evaluation: what it computes would count, too.
     let mut method = NelderMead::default();
-    method.batch = BatchPlan::Serial;
+    method.batch = Lookahead::None;
     let run =
         RunOptions { method: method.into(), limits, workers: Some(workers), ..FitOptions::default_run() };
     // The uncertainty of the fit takes simulations of its own.

@@ -11,8 +11,8 @@ use crate::problem::objective::Query;
 use crate::problem::space::Space;
 use crate::values::choices::{Kind, Search};
 use base::RunContext;
-use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
+use serde::de::{DeserializeOwned, Unexpected, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
 use std::fmt;
 
 /// The points that a method wants evaluated next, with their ids and cutoffs, and what it wants to know of
@@ -164,20 +164,81 @@ impl Batch {
 }
 
 /// Number of points that a run evaluates at once where the path of its method needs fewer; the others are
-/// those of [`Method::speculate`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+/// those of [`Method::speculate`]. The path is the same in any case. Users write a name or a number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize)]
 #[non_exhaustive]
 pub enum Lookahead {
-    /// The points that the path needs, no more.
+    /// `serial`: the points that the path needs, never an evaluation too many.
     #[default]
+    #[serde(rename = "serial")]
     None,
-    /// Up to so many, whatever they cost.
-    Points(usize),
-    /// As many as there are workers, whatever they cost.
+    /// `ahead`: as many as there are workers, however short an evaluation is.
+    #[serde(rename = "ahead")]
     Workers,
-    /// At most as many as there are workers: so many that the path advances fastest, as measured while the
-    /// run goes on.
+    /// `auto`: at most as many as there are workers: so many that the path advances fastest. That is measured
+    /// while the run goes on; where evaluations are too short to be handed over, it is one.
+    #[serde(rename = "auto")]
     Measured,
+    /// Up to so many, whatever they cost.
+    #[serde(untagged)]
+    Points(usize),
+}
+
+impl Lookahead {
+    /// Its name; a number has none of its own.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "serial",
+            Self::Workers => "ahead",
+            Self::Measured => "auto",
+            Self::Points(_) => "points",
+        }
+    }
+
+    /// # Errors
+    /// It would be no point at all.
+    pub(crate) fn check(self) -> Result<(), Error> {
+        match self {
+            Self::Points(0) => Err(Error::Option { name: "batch", value: 0.0, range: "at least 1" }),
+            _ => Ok(()),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Lookahead {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        const NAMES: [(&str, Lookahead); 3] =
+            [("auto", Lookahead::Measured), ("serial", Lookahead::None), ("ahead", Lookahead::Workers)];
+        let expected = "a whole number, 'auto', 'serial' or 'ahead'";
+        name_or_number(deserializer, expected, &NAMES, Lookahead::Points)
+    }
+}
+
+/// Reads one of some names, or a number; an untagged variant of an enum would not say what is `expected`.
+pub(crate) fn name_or_number<'de, D: Deserializer<'de>, T: Copy>(
+    deserializer: D,
+    expected: &'static str,
+    names: &[(&str, T)],
+    of_number: fn(usize) -> T,
+) -> Result<T, D::Error> {
+    struct NameOrNumber<'a, T>(&'static str, &'a [(&'a str, T)], fn(usize) -> T);
+    impl<T: Copy> Visitor<'_> for NameOrNumber<'_, T> {
+        type Value = T;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str(self.0)
+        }
+
+        fn visit_u64<E: serde::de::Error>(self, number: u64) -> Result<T, E> {
+            usize::try_from(number).map(self.2).map_err(E::custom)
+        }
+
+        fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<T, E> {
+            let known = self.1.iter().find(|(known, _)| known.eq_ignore_ascii_case(name));
+            known.map(|(_, value)| *value).ok_or_else(|| E::invalid_type(Unexpected::Str(name), &self))
+        }
+    }
+    deserializer.deserialize_any(NameOrNumber(expected, names, of_number))
 }
 
 /// Operation of one iteration of a method.
@@ -196,8 +257,6 @@ pub enum Operation {
     InsideContraction,
     /// The simplex was shrunk towards its best vertex.
     Shrink,
-    /// Several vertices moved at once.
-    ParallelMoves,
     /// A new simplex was built around the best vertex of one that had become flat.
     Restart,
     /// A generation was evaluated and selected from.
@@ -221,7 +280,6 @@ impl fmt::Display for Operation {
             Self::OutsideContraction => "outside contraction",
             Self::InsideContraction => "inside contraction",
             Self::Shrink => "shrink",
-            Self::ParallelMoves => "parallel moves",
             Self::Restart => "restart",
             Self::Generation => "generation",
             Self::TrustRegionStep => "trust region step",

@@ -11,11 +11,11 @@
 
 use crate::error::Error;
 use crate::method::interface::{
-    AnswersSoFar, BarrierStage, Batch, Details, Method, MethodOptions, Operation, Setup, Status, restored,
-    saved,
+    AnswersSoFar, BarrierStage, Batch, Details, Lookahead, Method, MethodOptions, Operation, Setup, Status,
+    restored, saved,
 };
 use crate::method::tolerances::Tolerances;
-use crate::methods::nelder_mead::{BatchPlan, Coefficients, NelderMead, NelderMeadState};
+use crate::methods::nelder_mead::{Coefficients, NelderMead, NelderMeadState};
 use crate::outcome::answer::{Answers, Best, Outcome};
 use crate::outcome::termination::Termination;
 use crate::problem::option_texts;
@@ -54,14 +54,14 @@ pub struct Barrier {
     /// Factor of the barrier parameter from stage to stage; default 0.1.
     pub factor: f64,
     /// Batch plan of Nelder-Mead.
-    pub batch: BatchPlan,
+    pub batch: Lookahead,
     /// Coefficients of Nelder-Mead.
     pub coefficients: Coefficients,
 }
 
 impl Default for Barrier {
     fn default() -> Self {
-        Self { mu: None, factor: 0.1, batch: BatchPlan::Auto, coefficients: Coefficients::Auto }
+        Self { mu: None, factor: 0.1, batch: Lookahead::Measured, coefficients: Coefficients::Auto }
     }
 }
 
@@ -80,10 +80,10 @@ impl Barrier {
         self
     }
 
-    /// Sets the batch plan.
+    /// Sets the number of points that are evaluated at once.
     #[must_use]
-    pub fn batch(mut self, plan: BatchPlan) -> Self {
-        self.batch = plan;
+    pub fn batch(mut self, points: Lookahead) -> Self {
+        self.batch = points;
         self
     }
 
@@ -106,6 +106,7 @@ impl MethodOptions for Barrier {
     fn begin(&self, setup: &Setup) -> Result<BarrierState, Error> {
         let space = &setup.space;
         space.require_continuous("barrier")?;
+        self.batch.check()?;
         if let Some(value) = self.mu.filter(|mu| !(*mu > 0.0 && *mu <= MAX_MU)) {
             return Err(Error::Option { name: "mu", value, range: "positive, at most 1e200" });
         }

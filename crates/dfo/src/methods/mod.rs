@@ -20,8 +20,8 @@ pub use differential_evolution::{
 pub use genetic::{Genetic, GeneticState, Selection};
 pub use least_squares::{LeastSquares, LeastSquaresState, StepPlan};
 pub use multistart::{Multistart, MultistartState, Polish};
-pub use nelder_mead::{BatchPlan, Coefficients, InitialSimplex, NelderMead, NelderMeadState};
-pub use pattern_search::{PatternSearch, PatternSearchState, PollPlan};
+pub use nelder_mead::{Coefficients, InitialSimplex, NelderMead, NelderMeadState};
+pub use pattern_search::{PatternSearch, PatternSearchState};
 pub use quadratic_model::{QuadraticModel, QuadraticModelState};
 
 use crate::error::Error;

@@ -51,14 +51,14 @@ fn text(value: &Value) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{AnyMethod, BatchPlan, Coefficients, Genetic, MethodOptions, NelderMead, Selection};
+    use crate::{AnyMethod, Coefficients, Genetic, Lookahead, MethodOptions, NelderMead, Selection};
 
     #[test]
     fn options_are_told_as_users_write_them() {
         let coefficients =
             Coefficients::Custom { reflection: 1.0, expansion: 1.5, contraction: 0.5, shrink: 0.9 };
         let options = NelderMead::default()
-            .batch(BatchPlan::TwoAhead)
+            .batch(Lookahead::Points(20))
             .coefficients(coefficients)
             .initial_steps(&[0.1, 2.0]);
         let told = options.describe();
@@ -66,7 +66,7 @@ mod tests {
         assert_eq!(
             told,
             [
-                "batch: two-ahead",
+                "batch: 20",
                 "bounds_handling: sine",
                 "coefficients: custom (contraction 0.5, expansion 1.5, reflection 1.0, shrink 0.9)",
                 "initial_simplex: steps [0.1, 2.0]",

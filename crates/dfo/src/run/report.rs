@@ -2,7 +2,7 @@
 
 use crate::error::{Error, NothingFound};
 use crate::evaluation::ledger::Ledger;
-use crate::method::interface::{BarrierStage, Method, Optimum, Simplex};
+use crate::method::interface::{BarrierStage, Lookahead, Method, Optimum, Simplex};
 use crate::method::linear_model::{Covariance, LinearModel};
 use crate::method::tolerances::{Limits, Tests};
 use crate::outcome::termination::{Termination, UNBOUNDED};
@@ -273,7 +273,10 @@ pub(crate) fn conclude<M: Method + ?Sized>(
         method: method.name().into(),
         method_reason: None,
         options: Vec::new(),
-        batch: details.plan.into(),
+        batch: match details.lookahead {
+            Lookahead::Points(points) => points.to_string().into(),
+            _ => details.plan.into(),
+        },
         workers,
         seconds,
         residuals,

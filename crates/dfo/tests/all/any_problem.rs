@@ -7,9 +7,9 @@ use crate::common;
 
 use common::timeless;
 use dfo::{
-    Answer, AnyMethod, Barrier, BatchPlan, BoundsHandling, Checkpoint, CmaBounds, CmaEs, Coefficients,
-    DifferentialEvolution, Error, Genetic, LeastSquares, Measure, MethodOptions, Multistart, NelderMead,
-    Objective, Outcome, PatternSearch, PollPlan, QuadraticModel, Query, Report, Restarts, Sampling,
+    Answer, AnyMethod, Barrier, BoundsHandling, Checkpoint, CmaBounds, CmaEs, Coefficients,
+    DifferentialEvolution, Error, Genetic, LeastSquares, Lookahead, Measure, MethodOptions, Multistart,
+    NelderMead, Objective, Outcome, PatternSearch, QuadraticModel, Query, Report, Restarts, Sampling,
     Selection, Stop, Termination, Transform, minimize,
 };
 use std::path::Path;
@@ -183,13 +183,8 @@ impl Objective for Costs<'_> {
 }
 
 fn method(dice: &mut Dice) -> AnyMethod {
-    let plan = dice.pick(&[
-        BatchPlan::Serial,
-        BatchPlan::Two,
-        BatchPlan::Four,
-        BatchPlan::TwoAhead,
-        BatchPlan::LeeWiswall,
-    ]);
+    let plan =
+        dice.pick(&[Lookahead::None, Lookahead::Points(2), Lookahead::Points(4), Lookahead::Points(20)]);
     match dice.below(14) {
         0..=3 => {
             let handling = dice.pick(&[BoundsHandling::Mirror, BoundsHandling::Clamp, BoundsHandling::Sine]);
@@ -222,7 +217,7 @@ fn method(dice: &mut Dice) -> AnyMethod {
             }
         }
         12 => {
-            let plan = dice.pick(&[PollPlan::Serial, PollPlan::Poll]);
+            let plan = dice.pick(&[Lookahead::None, Lookahead::Points(8)]);
             PatternSearch::default().frame(dice.pick(&[0.3, 1e-300, 1e300])).batch(plan).into()
         }
         _ => {

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use dfo::{
-    AnyMethod, AskedRun, BatchPlan, Coefficients, Error, Kind, Measure, MethodOptions, NelderMead,
+    AnyMethod, AskedRun, Coefficients, Error, Kind, Lookahead, Measure, MethodOptions, NelderMead,
     ProblemClass, QuadraticModel, Record, RunOptions, Search, Selection, Stop, Transform, Value, Weight,
 };
 use std::time::Duration;
@@ -36,7 +36,7 @@ fn chosen(mut json: serde_json::Value) -> Result<(AnyMethod, String), Error> {
 fn names_find_their_places() {
     let run = asked(serde_json::json!({
         "method": "NELDER_MEAD", "x_tol": 1e-3, "tolerances": "Absolute", "stop": "any", "max_fevals": 40.0, "max_time": 2,
-        "cache": null, "batch": "lee_wiswall", "coefficients": [1, 2, 0.5, 0.4], "scale": "log", "kinds": ["integer", "continuous"],
+        "cache": null, "batch": "Ahead", "coefficients": [1, 2, 0.5, 0.4], "scale": "log", "kinds": ["integer", "continuous"],
         "nominal": [null, 3], "checkpoint": "a.ckpt", "checkpoint_interval": 5
     }))
     .unwrap();
@@ -51,7 +51,7 @@ fn names_find_their_places() {
     assert_eq!(run.kinds, [Kind::Integer, Kind::Continuous]);
     let coefficients =
         Coefficients::Custom { reflection: 1.0, expansion: 2.0, contraction: 0.5, shrink: 0.4 };
-    let expected = NelderMead::default().batch(BatchPlan::LeeWiswall).coefficients(coefficients);
+    let expected = NelderMead::default().batch(Lookahead::Workers).coefficients(coefficients);
     assert_eq!(options.method, expected.into());
 }
 
@@ -83,13 +83,13 @@ fn infinite_limits_are_none() {
 fn open_choices_carry_their_options() {
     let (method, _) = chosen(serde_json::json!({ "points": 6 })).unwrap();
     assert_eq!(method, QuadraticModel::default().points(6).hand_over(true).into());
-    let (method, reason) = chosen(serde_json::json!({ "batch": "two" })).unwrap();
-    assert_eq!(method, NelderMead::default().batch(BatchPlan::Two).into());
-    assert_eq!(reason, "the batch plan 'two' is one of nelder-mead");
+    let (method, reason) = chosen(serde_json::json!({ "batch": "ahead" })).unwrap();
+    assert_eq!(method, NelderMead::default().batch(Lookahead::Workers).into());
+    assert_eq!(reason, "the batch plan 'ahead' is one of nelder-mead");
     let (method, reason) = chosen(serde_json::json!({ "initial_simplex": [0.1, 0.2] })).unwrap();
     assert_eq!(method, NelderMead::default().initial_steps(&[0.1, 0.2]).into());
     assert_eq!(reason, "the option 'initial_simplex' is one of nelder-mead");
-    let error = chosen(serde_json::json!({ "batsch": "two" })).unwrap_err().to_string();
+    let error = chosen(serde_json::json!({ "batsch": 2 })).unwrap_err().to_string();
     assert!(error.starts_with("quadratic-model has no option 'batsch'"), "{error}");
 }
 
@@ -117,7 +117,7 @@ fn errors_name_option_and_value() {
         let Error::Record(refused) = &error else { panic!("{error}") };
         assert_eq!((error.to_string().as_str(), refused.is_type()), (message, is_type));
     }
-    let error = asked(serde_json::json!({ "method": "nm", "batsch": "two" })).unwrap_err().to_string();
+    let error = asked(serde_json::json!({ "method": "nm", "batsch": 2 })).unwrap_err().to_string();
     assert!(
         error.starts_with("nelder-mead has no option 'batsch'; did you mean 'batch'? it has batch, "),
         "{error}"

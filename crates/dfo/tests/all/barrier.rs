@@ -4,9 +4,9 @@
 use crate::common;
 
 use common::{cutting, probe, rosenbrock, timeless};
-use dfo::{Barrier, BatchPlan, Error, Minimize, NelderMead, Report, minimize};
+use dfo::{Barrier, Error, Lookahead, Minimize, NelderMead, Report, minimize};
 
-fn run(m: Minimize<'_, NelderMead>, plan: BatchPlan) -> Report {
+fn run(m: Minimize<'_, NelderMead>, plan: Lookahead) -> Report {
     m.start(&[-1.2, 1.0])
         .bounds(&[-2.0, -2.0], &[0.5, f64::INFINITY])
         .unwrap()
@@ -17,7 +17,7 @@ fn run(m: Minimize<'_, NelderMead>, plan: BatchPlan) -> Report {
 
 #[test]
 fn active_bounds_are_approached_from_inside() {
-    let report = run(minimize(rosenbrock), BatchPlan::Serial);
+    let report = run(minimize(rosenbrock), Lookahead::None);
     println!("{report}");
     for stage in &report.schedule {
         println!(
@@ -39,8 +39,8 @@ fn active_bounds_are_approached_from_inside() {
 #[test]
 fn plans_workers_and_cutoffs_change_nothing() {
     for cost in [rosenbrock as fn(&[f64]) -> f64, probe] {
-        let one = run(minimize(cost), BatchPlan::Serial);
-        for plan in [BatchPlan::Two, BatchPlan::Four] {
+        let one = run(minimize(cost), Lookahead::None);
+        for plan in [Lookahead::Points(2), Lookahead::Points(4)] {
             let other = run(minimize(cost), plan);
             assert_eq!((&other.x, other.fun, other.n_iterations), (&one.x, one.fun, one.n_iterations));
             let many = run(minimize(cost).workers(4), plan);

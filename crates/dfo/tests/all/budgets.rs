@@ -4,7 +4,7 @@
 use crate::common;
 
 use common::{PLANS, plan, probe, problems, quiet_panics_on_purpose, rosenbrock};
-use dfo::{BatchPlan, BoundsHandling, Error, NelderMead, Outcome, Query, Termination, minimize, with_query};
+use dfo::{BoundsHandling, Error, Lookahead, NelderMead, Outcome, Query, Termination, minimize, with_query};
 use std::ops::ControlFlow;
 use std::time::Duration;
 
@@ -47,7 +47,7 @@ fn a_budget_cuts_the_path_but_does_not_bend_it() {
             for (a, b) in part.trace.iter().zip(whole.trace.iter()) {
                 assert_eq!((a.x, a.id, a.batch), (b.x, b.id, b.batch));
                 // The last batch may be cut before the point that says whether an earlier one is needed.
-                let cut = p == BatchPlan::TwoAhead && !a.used && a.batch + 1 == part.n_batches as u64;
+                let cut = p == Lookahead::Points(20) && !a.used && a.batch + 1 == part.n_batches as u64;
                 assert!(a.used == b.used || cut, "{p:?} {budget}");
             }
         }

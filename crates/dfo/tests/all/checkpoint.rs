@@ -5,7 +5,7 @@ use crate::common;
 
 use common::{methods_for_costs, probe, rosenbrock, timeless};
 use dfo::{
-    AnyMethod, BatchPlan, Checkpoint, Error, MethodOptions, Minimize, NelderMead, Outcome, Query, Report,
+    AnyMethod, Checkpoint, Error, Lookahead, MethodOptions, Minimize, NelderMead, Outcome, Query, Report,
     Resume, Termination, minimize, with_query,
 };
 use std::path::{Path, PathBuf};
@@ -33,7 +33,7 @@ impl Drop for Folder {
 
 fn methods() -> Vec<AnyMethod> {
     let mut all: Vec<AnyMethod> = methods_for_costs();
-    all.push(NelderMead::default().batch(BatchPlan::TwoAhead).into());
+    all.push(NelderMead::default().batch(Lookahead::Points(20)).into());
     all
 }
 
@@ -386,7 +386,7 @@ fn files_of_the_present_format_are_continued() {
     let folder = Folder::new("present");
     for name in methods_for_costs().iter().map(AnyMethod::name) {
         let golden =
-            Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/data/format_10_{name}.checkpoint"));
+            Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/data/format_11_{name}.checkpoint"));
         let method: AnyMethod = name.parse().unwrap();
         let calls = AtomicUsize::new(0);
         let limited = |limit: usize| {

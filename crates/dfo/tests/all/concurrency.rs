@@ -4,7 +4,7 @@
 use crate::common;
 
 use common::{plan, rosenbrock};
-use dfo::{BatchPlan, Error, Outcome, Query, Report, RunContext, Termination, minimize, with_query};
+use dfo::{Error, Lookahead, Outcome, Query, Report, RunContext, Termination, minimize, with_query};
 use std::cell::Cell;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -51,7 +51,7 @@ fn four_points_are_evaluated_at_once_where_that_is_worth_it() {
         });
         minimize(cost)
             .start(&[-1.2, 1.0])
-            .method(plan(BatchPlan::Four))
+            .method(plan(Lookahead::Points(4)))
             .workers(4)
             .max_iterations(5)
             .run()
@@ -75,7 +75,7 @@ fn a_shrink_is_evaluated_at_once() {
         });
         minimize(cost)
             .start(&[1.0; 4])
-            .method(plan(BatchPlan::Serial))
+            .method(plan(Lookahead::None))
             .workers(4)
             .max_iterations(1)
             .run()

@@ -9,9 +9,9 @@ use crate::common;
 use clocked::{Clocked, Seen, hash, one_in, rosenbrock};
 use common::timeless;
 use dfo::{
-    Answer, AnyMethod, BatchPlan, BatchView, Checkpoint, DifferentialEvolution, Evaluator, GivesUp, Minimize,
-    Multistart, NelderMead, Outcome, PatternSearch, Polish, PollPlan, Polled, Query, Report, Resume,
-    Termination, Wait, Want, by_hand, minimize, minimize_batches, minimize_by,
+    Answer, AnyMethod, BatchView, Checkpoint, DifferentialEvolution, Evaluator, GivesUp, Lookahead, Minimize,
+    Multistart, NelderMead, Outcome, PatternSearch, Polish, Polled, Query, Report, Resume, Termination, Wait,
+    Want, by_hand, minimize, minimize_batches, minimize_by,
 };
 use std::cell::Cell;
 use std::rc::Rc;
@@ -180,10 +180,10 @@ fn stragglers_hold_up_only_those_who_need_them() {
 
 #[test]
 fn evaluations_in_vain_are_bounded() {
-    let ahead: AnyMethod = NelderMead::default().batch(BatchPlan::Ahead).into();
-    let poll: AnyMethod = PatternSearch::default().batch(PollPlan::Poll).into();
+    let ahead: AnyMethod = NelderMead::default().batch(Lookahead::Workers).into();
+    let poll = |n: usize| -> AnyMethod { PatternSearch::default().batch(Lookahead::Points(2 * n)).into() };
     for (width, most) in [(16, 2), (64, 2), (300, 4), (1000, 4)] {
-        for (method, n) in [(&ahead, 5), (&poll, 5), (&poll, 200)] {
+        for (method, n) in [(&ahead, 5), (&poll(5), 5), (&poll(200), 200)] {
             let (report, seen) = run(method, (n, 400), width, 10);
             let in_vain = seen.begun.get() - report.n_evaluations;
             println!("{width} workers, n = {n}, {}: {in_vain} in vain", report.method);

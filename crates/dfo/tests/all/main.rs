@@ -24,7 +24,6 @@ mod genetic;
 mod hand_over;
 mod least_squares;
 mod least_squares_results;
-mod lee_wiswall;
 mod more_wild;
 mod multistart;
 mod names;

@@ -8,7 +8,7 @@ use common::{
     helical_valley, plan, powell_singular, probe, probe_fails, quiet_panics_on_purpose, rosenbrock,
 };
 use dfo::{
-    Answers, AnyMethod, Batch, BatchPlan, Bounds, BoundsHandling, Measure, Method, MethodOptions, NelderMead,
+    Answers, AnyMethod, Batch, Bounds, BoundsHandling, Lookahead, Measure, Method, MethodOptions, NelderMead,
     Outcome, Search, Setup, Space, Stop, Termination, Transform, fallible, minimize, with_query,
 };
 use problems::rotated::{Random, piecewise_linear, smooth};
@@ -344,7 +344,7 @@ fn the_first_iterations_are_those_of_the_book() {
     // Then the worst is (4, 4); centroid (3.5, 3.5); reflection (3, 3): 18 < 25; expansion (2.5, 2.5): 12.5.
     let report = minimize(|x: &[f64]| x[0] * x[0] + x[1] * x[1])
         .start(&[4.0, 3.0])
-        .method(plan(BatchPlan::Serial).initial_steps(&[1.0, 1.0]))
+        .method(plan(Lookahead::None).initial_steps(&[1.0, 1.0]))
         .max_iterations(2)
         .run()
         .unwrap();

@@ -5,7 +5,7 @@ use crate::common;
 use crate::problems;
 
 use common::rosenbrock;
-use dfo::{PatternSearch, PollPlan, Report, minimize};
+use dfo::{Lookahead, PatternSearch, Report, minimize};
 
 /// The best cost of a compass search (both ways along each axis, the first better point is taken, else half the step) after so
 /// many evaluations, and how many it takes to come to a cost.
@@ -82,16 +82,19 @@ fn plans_keep_the_path_and_save_rounds() {
             minimize(rosenbrock).start(&[-1.2, 1.0, 0.5]).bounds(&[-2.0; 3], &[0.9, 2.0, 2.0]).unwrap();
         search.method(PatternSearch::default().batch(plan)).workers(workers).run().unwrap()
     };
-    let serial = run(PollPlan::Serial, 1);
+    let serial = run(Lookahead::None, 1);
     assert!(serial.is_success() && serial.n_speculative == 0 && serial.batch == "serial", "{serial}");
-    for (plan, workers) in
-        [(PollPlan::Poll, 1), (PollPlan::Ahead, 4), (PollPlan::Ahead, 16), (PollPlan::Auto, 3)]
-    {
+    for (plan, workers) in [
+        (Lookahead::Points(6), 1),
+        (Lookahead::Workers, 4),
+        (Lookahead::Workers, 16),
+        (Lookahead::Measured, 3),
+    ] {
         let other = run(plan, workers);
         assert_eq!((&other.x, other.fun, &other.message), (&serial.x, serial.fun, &serial.message));
         assert_eq!((other.n_evaluations, other.n_iterations), (serial.n_evaluations, serial.n_iterations));
     }
-    let ahead = run(PollPlan::Poll, 6);
+    let ahead = run(Lookahead::Points(6), 6);
     println!("{} rounds, {} serial", ahead.n_batches, serial.n_batches);
     assert!(ahead.n_speculative > 0);
 }

@@ -4,14 +4,14 @@
 use crate::common;
 
 use common::{PLANS, cutting, plan, problems, run_with_path, timeless};
-use dfo::{BatchPlan, BatchView, Outcome, minimize, minimize_batches};
+use dfo::{BatchView, Lookahead, Outcome, minimize, minimize_batches};
 
 #[test]
 fn all_plans_walk_the_same_simplices() {
     for problem in problems() {
-        let (serial, path) = run_with_path(problem.minimize().method(plan(BatchPlan::Serial))).unwrap();
+        let (serial, path) = run_with_path(problem.minimize().method(plan(Lookahead::None))).unwrap();
         assert_eq!(serial.n_speculative, 0);
-        for p in [BatchPlan::Two, BatchPlan::Four] {
+        for p in [Lookahead::Points(2), Lookahead::Points(4)] {
             let (report, other) = run_with_path(problem.minimize().method(plan(p))).unwrap();
             assert_eq!(path, other, "{} {p:?}", problem.name);
             assert_eq!(
@@ -34,7 +34,7 @@ fn all_plans_walk_the_same_simplices() {
 fn cutoffs_change_no_decision() {
     let mut saved = 0;
     for problem in problems() {
-        let (plain, path) = run_with_path(problem.minimize().method(plan(BatchPlan::Serial))).unwrap();
+        let (plain, path) = run_with_path(problem.minimize().method(plan(Lookahead::None))).unwrap();
         for p in PLANS {
             let cut = problem.set_up(minimize(cutting(problem.f))).method(plan(p));
             let (report, other) = run_with_path(cut).unwrap();
@@ -102,7 +102,7 @@ fn unused_points_are_never_best() {
     let run = |at| {
         let cost = trap(at);
         let in_batches = |b: &BatchView<'_>| (0..b.len()).map(|k| Outcome::Value(cost(b.point(k)))).collect();
-        let run = minimize_batches(in_batches).start(&[-1.2, 1.0]).method(plan(BatchPlan::Four));
+        let run = minimize_batches(in_batches).start(&[-1.2, 1.0]).method(plan(Lookahead::Points(4)));
         run.max_iterations(30).run().unwrap()
     };
     let plain = run(None);

@@ -3,7 +3,7 @@
 
 use crate::problems::calibration;
 
-use dfo::{BatchPlan, BatchView, NelderMead, Outcome, minimize_batches};
+use dfo::{BatchView, Lookahead, NelderMead, Outcome, minimize_batches};
 use std::cell::Cell;
 
 type Problem = (Vec<f64>, Box<dyn Fn(&[f64]) -> f64>);
@@ -28,7 +28,7 @@ fn problems() -> Vec<Problem> {
 }
 
 /// Rounds to the target: evaluations that `workers` make at once take as long as one. None: it is not reached.
-fn rounds((start, cost): &Problem, batch: BatchPlan, workers: usize, target: f64) -> Option<usize> {
+fn rounds((start, cost): &Problem, batch: Lookahead, workers: usize, target: f64) -> Option<usize> {
     let count = Cell::new(0);
     let evaluate = |view: &BatchView<'_>| {
         count.set(count.get() + view.len().div_ceil(workers));
@@ -48,10 +48,10 @@ fn every_number_of_workers_saves_rounds() {
         let mut ratios = [const { Vec::new() }; 5];
         for problem in problems() {
             let target = share * (problem.1)(&problem.0);
-            let Some(serial) = rounds(&problem, BatchPlan::Serial, 1, target) else { continue };
+            let Some(serial) = rounds(&problem, Lookahead::None, 1, target) else { continue };
             let mut before = serial;
             for (workers, ratios) in [2, 3, 5, 8, 19].into_iter().zip(&mut ratios) {
-                let ahead = rounds(&problem, BatchPlan::Ahead, workers, target).unwrap();
+                let ahead = rounds(&problem, Lookahead::Workers, workers, target).unwrap();
                 let more = 10 * ahead > 11 * before + 10;
                 assert!(!more, "{workers} workers: {ahead} rounds, fewer ones: {before}");
                 before = ahead;

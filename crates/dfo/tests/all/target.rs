@@ -5,8 +5,8 @@ use crate::common;
 
 use common::{methods_for_costs, probe, timeless};
 use dfo::{
-    AnyMethod, BatchPlan, Checkpoint, Limits, NelderMead, Outcome, PollPlan, Report, Resume, Termination,
-    Trace, by_hand, minimize,
+    AnyMethod, Checkpoint, Limits, Lookahead, NelderMead, Outcome, Report, Resume, Termination, Trace,
+    by_hand, minimize,
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -15,13 +15,13 @@ fn methods() -> Vec<AnyMethod> {
     let mut all: Vec<AnyMethod> = methods_for_costs();
     for method in &mut all {
         match method {
-            AnyMethod::NelderMead(m) => m.batch = BatchPlan::Serial,
-            AnyMethod::Barrier(m) => *m = m.clone().batch(BatchPlan::Serial),
-            AnyMethod::PatternSearch(m) => m.batch = PollPlan::Serial,
+            AnyMethod::NelderMead(m) => m.batch = Lookahead::None,
+            AnyMethod::Barrier(m) => *m = m.clone().batch(Lookahead::None),
+            AnyMethod::PatternSearch(m) => m.batch = Lookahead::None,
             _ => {}
         }
     }
-    all.extend([BatchPlan::TwoAhead, BatchPlan::Four].map(|p| NelderMead::default().batch(p).into()));
+    all.extend([Lookahead::Points(20), Lookahead::Points(4)].map(|p| NelderMead::default().batch(p).into()));
     all
 }
 

@@ -6,17 +6,17 @@ use crate::common;
 
 use common::{methods_for_costs, probe_fails, quiet_panics_on_purpose, rosenbrock};
 use dfo::{
-    AnyMethod, BatchPlan, BatchView, Error, Minimize, NelderMead, Objective, Outcome, PatternSearch,
-    PollPlan, Query, Report, Termination, minimize, minimize_batches, with_query,
+    AnyMethod, BatchView, Error, Lookahead, Minimize, NelderMead, Objective, Outcome, PatternSearch, Query,
+    Report, Termination, minimize, minimize_batches, with_query,
 };
 
-const PLANS: [BatchPlan; 6] = [
-    BatchPlan::Auto,
-    BatchPlan::Serial,
-    BatchPlan::Two,
-    BatchPlan::Four,
-    BatchPlan::TwoAhead,
-    BatchPlan::Ahead,
+const PLANS: [Lookahead; 6] = [
+    Lookahead::Measured,
+    Lookahead::None,
+    Lookahead::Points(2),
+    Lookahead::Points(4),
+    Lookahead::Points(20),
+    Lookahead::Workers,
 ];
 
 /// A cost that fails in some regions, aborts in others and panics in others, after `how`, and makes use of its cutoff.
@@ -66,9 +66,9 @@ fn no_number_of_workers_changes_anything() {
     quiet_panics_on_purpose();
     let mut methods: Vec<AnyMethod> = methods_for_costs();
     methods.extend(PLANS.map(|plan| NelderMead::default().batch(plan).into()));
-    methods.push(dfo::Barrier::default().batch(BatchPlan::Ahead).into());
-    methods.push(PatternSearch::default().batch(PollPlan::Poll).into());
-    methods.push(PatternSearch::default().batch(PollPlan::Ahead).into());
+    methods.push(dfo::Barrier::default().batch(Lookahead::Workers).into());
+    methods.push(PatternSearch::default().batch(Lookahead::Points(6)).into());
+    methods.push(PatternSearch::default().batch(Lookahead::Workers).into());
     let mut dice = 1u64;
     for round in 0..20 {
         for method in &methods {
@@ -76,9 +76,9 @@ fn no_number_of_workers_changes_anything() {
             let (dice, how) = (dice >> 33, round % 5);
             let objective = with_query(cost(how));
             let pinned = match method {
-                AnyMethod::NelderMead(_) => NelderMead::default().batch(BatchPlan::Serial).into(),
-                AnyMethod::Barrier(_) => dfo::Barrier::default().batch(BatchPlan::Serial).into(),
-                AnyMethod::PatternSearch(_) => PatternSearch::default().batch(PollPlan::Serial).into(),
+                AnyMethod::NelderMead(_) => NelderMead::default().batch(Lookahead::None).into(),
+                AnyMethod::Barrier(_) => dfo::Barrier::default().batch(Lookahead::None).into(),
+                AnyMethod::PatternSearch(_) => PatternSearch::default().batch(Lookahead::None).into(),
                 other => other.clone(),
             };
             let serial = told(described(minimize(dfo::ByRef(&objective)), &pinned, dice).run());
@@ -116,7 +116,7 @@ fn an_exception_counts_when_the_path_comes_to_it() {
 #[test]
 fn more_workers_need_fewer_rounds() {
     let rounds = |n: usize, workers: usize| {
-        let method = NelderMead::default().batch(BatchPlan::Ahead);
+        let method = NelderMead::default().batch(Lookahead::Workers);
         let costs =
             |b: &BatchView<'_>| (0..b.len()).map(|k| Outcome::Value(rosenbrock(b.point(k)))).collect();
         let run = minimize_batches(costs).start(&vec![-1.2; n]).method(method).workers(workers);

@@ -2,7 +2,7 @@
 #![allow(dead_code, unreachable_pub, clippy::unwrap_used)]
 
 use dfo::{
-    AnyMethod, BatchPlan, Error, MethodOptions, Minimize, NelderMead, Outcome, Progress, Report, Simplex,
+    AnyMethod, Error, Lookahead, MethodOptions, Minimize, NelderMead, Outcome, Progress, Report, Simplex,
     Trace, WithQuery, minimize, with_query,
 };
 use std::ops::ControlFlow;
@@ -121,11 +121,12 @@ pub fn timeless(trace: &Trace) -> Vec<(Vec<u64>, Outcome, u64, u64, u64, bool)> 
         .collect()
 }
 
-pub fn plan(plan: BatchPlan) -> NelderMead {
+pub fn plan(plan: Lookahead) -> NelderMead {
     NelderMead::default().batch(plan)
 }
 
-pub const PLANS: [BatchPlan; 4] = [BatchPlan::Serial, BatchPlan::Two, BatchPlan::Four, BatchPlan::TwoAhead];
+pub const PLANS: [Lookahead; 4] =
+    [Lookahead::None, Lookahead::Points(2), Lookahead::Points(4), Lookahead::Points(20)];
 
 /// Keeps panics that a test makes on purpose (their text begins with "on purpose") out of the output.
 pub fn quiet_panics_on_purpose() {

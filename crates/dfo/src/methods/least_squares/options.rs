@@ -1,9 +1,8 @@
 //! Options of least squares.
 
 use crate::error::Error;
-use serde::de::{Unexpected, Visitor};
+use crate::method::interface::name_or_number;
 use serde::{Deserialize, Deserializer, Serialize};
-use std::fmt;
 
 /// Number of points that least squares evaluates at once after the first n + 1. Each plan takes a path of its
 /// own, the same for any number of workers.
@@ -23,30 +22,11 @@ pub enum StepPlan {
     Points(usize),
 }
 
-/// Reads a name or a number; an untagged variant would not say what is expected.
 impl<'de> Deserialize<'de> for StepPlan {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct NameOrNumber;
-        impl Visitor<'_> for NameOrNumber {
-            type Value = StepPlan;
-
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a whole number, 'serial' or 'rounds'")
-            }
-
-            fn visit_u64<E: serde::de::Error>(self, points: u64) -> Result<StepPlan, E> {
-                usize::try_from(points).map(StepPlan::Points).map_err(E::custom)
-            }
-
-            fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<StepPlan, E> {
-                match name {
-                    "serial" => Ok(StepPlan::Serial),
-                    "rounds" => Ok(StepPlan::Rounds),
-                    _ => Err(E::invalid_type(Unexpected::Str(name), &self)),
-                }
-            }
-        }
-        deserializer.deserialize_any(NameOrNumber)
+        const NAMES: [(&str, StepPlan); 2] = [("serial", StepPlan::Serial), ("rounds", StepPlan::Rounds)];
+        let expected = "a whole number, 'serial' or 'rounds'";
+        name_or_number(deserializer, expected, &NAMES, StepPlan::Points)
     }
 }
 

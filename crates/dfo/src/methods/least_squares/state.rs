@@ -6,10 +6,10 @@ use super::interpolation::Interpolation;
 use super::options::LeastSquares;
 use super::points::{Evaluated, distance};
 use crate::error::Error;
-use crate::method::interface::{Batch, Details, Method, Operation, Setup, Status, saved};
+use crate::method::interface::{Batch, Details, Lookahead, Method, Operation, Setup, Status, saved};
 use crate::method::linear_model::LinearModel;
 use crate::method::tolerances::{Extent, Tests};
-use crate::methods::nelder_mead::{BatchPlan, NelderMead, SimplexSearch};
+use crate::methods::nelder_mead::{NelderMead, SimplexSearch};
 use crate::outcome::answer::{Answers, Best, Want};
 use crate::outcome::termination::Termination;
 use crate::problem::memory;
@@ -576,5 +576,5 @@ impl Method for LeastSquaresState {
 
 /// The simplex search that goes on where points fail.
 pub(super) fn simplex_method() -> NelderMead {
-    NelderMead::default().batch(BatchPlan::Serial)
+    NelderMead::default().batch(Lookahead::None)
 }

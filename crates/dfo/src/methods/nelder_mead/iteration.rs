@@ -103,10 +103,6 @@ impl NelderMeadState {
         }
         self.simplex.centroid(&mut self.centroid);
         self.phase = Phase::Evaluating(Trial::Reflection);
-        if let Some(parallel) = self.parallel.as_mut().filter(|p| p.is_parallel()) {
-            parallel.begin();
-            self.phase = Phase::Moving;
-        }
     }
 
     pub(super) fn end_iteration(&mut self, operation: Operation) {
@@ -201,12 +197,7 @@ impl NelderMeadState {
         match phase {
             Phase::Shrinking => return self.end_iteration(Operation::Shrink),
             Phase::Restarting => return self.end_iteration(Operation::Restart),
-            Phase::Starting
-            | Phase::Sizing
-            | Phase::Checking
-            | Phase::Moving
-            | Phase::Evaluating(_)
-            | Phase::Done => {}
+            Phase::Starting | Phase::Sizing | Phase::Checking | Phase::Evaluating(_) | Phase::Done => {}
         }
         if self.simplex.cost(self.simplex.best()).value().is_none() {
             self.phase = Phase::Done;

@@ -13,14 +13,10 @@
 //! that is too bad.
 //!
 //! **Plans.** An iteration needs its points one after the other: the reflection, then perhaps one more. A
-//! plan says how many points are evaluated at once ([`BatchPlan`]). The others are guessed: half of all
+//! plan says how many points are evaluated at once ([`Lookahead`]). The others are guessed: half of all
 //! iterations accept the reflection as it is, a quarter contract inside and a quarter try an expansion, so
 //! the most probable next point is the reflection of the next iteration. Every plan takes the same path: the
 //! method is told what it would have been told one point at a time.
-//!
-//! One further plan, `lee-wiswall`, takes **another path**: it moves the n/2 worst vertices at once and comes
-//! down to the serial method when that stops paying. It is never chosen automatically, and its name is in the
-//! report.
 //!
 //! **Restarts.** When the tests pass although the simplex has become flat (as in McKinnon's example, SIAM J.
 //! Optim. 9, 1998), a new one with edges along the axes is built around its best vertex, each edge pointing
@@ -43,7 +39,6 @@
 
 mod initial;
 mod iteration;
-mod lee_wiswall;
 mod options;
 mod restart;
 mod simplex;
@@ -52,7 +47,7 @@ mod speculation;
 mod state;
 mod trial;
 
-pub use options::{BatchPlan, Coefficients, InitialSimplex, NelderMead};
+pub use options::{Coefficients, InitialSimplex, NelderMead};
 pub(crate) use simplex_search::SimplexSearch;
 pub use state::NelderMeadState;
 
@@ -66,11 +61,12 @@ impl MethodOptions for NelderMead {
 
     fn begin(&self, setup: &Setup) -> Result<NelderMeadState, Error> {
         setup.tolerances.check()?;
+        self.batch.check()?;
         setup.space.require_continuous("nelder-mead")?;
         let numbers = self.coefficients.resolve(setup.space.n_free())?;
         let (n, n_user) = (setup.space.n_free(), setup.space.n());
-        // The vertices on two scales, those of a batch, and twice the moves of Lee and Wiswall.
-        memory::check("a simplex of so many parameters", &[n + 1, 2 * n + 2 * n_user])?;
+        // The vertices on two scales, and those of a batch.
+        memory::check("a simplex of so many parameters", &[n + 1, n + 2 * n_user])?;
         let mut simplex = initial::simplex(&setup.space.without_far_bounds(), &self.initial)?;
         let setup = self.prepared(setup);
         simplex.rewrite(&setup.space);

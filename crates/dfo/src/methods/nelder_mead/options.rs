@@ -5,60 +5,6 @@ use crate::method::interface::{Lookahead, Setup};
 use crate::values::choices::BoundsHandling;
 use serde::{Deserialize, Serialize};
 
-/// Number of points that are evaluated at once. All plans take the same path but
-/// [`LeeWiswall`](Self::LeeWiswall): points beyond the one that the path needs are the most probable of those
-/// that it may need next.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-#[non_exhaustive]
-pub enum BatchPlan {
-    /// At most as many as there are workers: so many that the path advances fastest. That is measured while
-    /// the run goes on; where evaluations are too short to be handed over, it is one.
-    #[default]
-    Auto,
-    /// One point at a time: never an evaluation too many.
-    Serial,
-    /// Two points.
-    Two,
-    /// Four points.
-    Four,
-    /// Twenty points: about all that two iterations may need.
-    TwoAhead,
-    /// As many points as there are workers, however short an evaluation is.
-    Ahead,
-    /// Another path: the n/2 worst vertices move at once, fewer when that stops paying, in the end one (Lee
-    /// and Wiswall 2007), from where on points are evaluated ahead as in [`Auto`](Self::Auto). Fewer rounds
-    /// at first, more evaluations in all. The report calls the plan `lee-wiswall`, and `lee-wiswall, then
-    /// serial` once it has come down to one vertex.
-    LeeWiswall,
-}
-
-impl BatchPlan {
-    pub(super) fn lookahead(self) -> Lookahead {
-        match self {
-            Self::Auto | Self::LeeWiswall => Lookahead::Measured,
-            Self::Serial => Lookahead::None,
-            Self::Two => Lookahead::Points(2),
-            Self::Four => Lookahead::Points(4),
-            Self::TwoAhead => Lookahead::Points(20),
-            Self::Ahead => Lookahead::Workers,
-        }
-    }
-
-    /// Its name.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Auto => "auto",
-            Self::Serial => "serial",
-            Self::Two => "two",
-            Self::Four => "four",
-            Self::TwoAhead => "two-ahead",
-            Self::Ahead => "ahead",
-            Self::LeeWiswall => "lee-wiswall",
-        }
-    }
-}
-
 /// The coefficients of the simplex operations.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -164,15 +110,15 @@ pub enum InitialSimplex {
 /// Options of the Nelder-Mead method.
 ///
 /// ```
-/// use dfo::{BatchPlan, NelderMead};
-/// let method = NelderMead::default().batch(BatchPlan::Four).initial_steps(&[0.1, 0.02]);
-/// # assert_eq!(method.batch, BatchPlan::Four);
+/// use dfo::{Lookahead, NelderMead};
+/// let method = NelderMead::default().batch(Lookahead::Points(4)).initial_steps(&[0.1, 0.02]);
+/// # assert_eq!(method.batch, Lookahead::Points(4));
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct NelderMead {
-    /// Number of points that are evaluated at once; default [`BatchPlan::Auto`].
-    pub batch: BatchPlan,
+    /// Number of points that are evaluated at once; default [`Lookahead::Measured`].
+    pub batch: Lookahead,
     /// Coefficients; default standard below five parameters, adaptive from there on.
     pub coefficients: Coefficients,
     /// Treatment of bounds; default [`BoundsHandling::Sine`].
@@ -194,7 +140,7 @@ pub struct NelderMead {
 impl Default for NelderMead {
     fn default() -> Self {
         Self {
-            batch: BatchPlan::Auto,
+            batch: Lookahead::Measured,
             coefficients: Coefficients::Auto,
             bounds: BoundsHandling::default(),
             initial: InitialSimplex::Auto,
@@ -204,10 +150,10 @@ impl Default for NelderMead {
 }
 
 impl NelderMead {
-    /// Sets the batch plan.
+    /// Sets the number of points that are evaluated at once.
     #[must_use]
-    pub fn batch(mut self, plan: BatchPlan) -> Self {
-        self.batch = plan;
+    pub fn batch(mut self, points: Lookahead) -> Self {
+        self.batch = points;
         self
     }
 

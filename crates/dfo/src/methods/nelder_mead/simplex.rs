@@ -61,19 +61,6 @@ impl RankedPoints {
         out.iter_mut().for_each(|c| *c /= count);
     }
 
-    /// Centroid of all but the `left_out` worst vertices, failed ones left out.
-    pub(super) fn centroid_of_best(&self, left_out: usize, out: &mut [f64]) {
-        let best = self.order[..self.order.len() - left_out].iter();
-        let finite = best.filter(|slot| self.costs[**slot].value().is_some());
-        Self::centroid_of(finite.map(|slot| self.u(*slot)), out);
-    }
-
-    /// Puts another vertex in a slot; ranks are to be made anew.
-    pub(super) fn replace(&mut self, slot: usize, u: &[f64], x: &[f64], value: f64) {
-        self.set(slot, u, x);
-        self.set_cost(slot, Cost::Value(value));
-    }
-
     /// True if a vertex other than the worst lies exactly here.
     pub(super) fn has_vertex(&self, u: &[f64]) -> bool {
         self.order[..self.n].iter().any(|&slot| self.u(slot) == u)

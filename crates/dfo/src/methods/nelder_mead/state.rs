@@ -3,13 +3,14 @@
 //! There is one decision procedure. It runs over the trial points as far as they are known; where it meets an
 //! unknown one, that point is what the next batch asks for.
 
-use super::lee_wiswall::{LeeWiswall, Verdict};
-use super::options::{BatchPlan, CoefficientValues};
+use super::options::CoefficientValues;
 use super::restart::Spreads;
 use super::speculation::{Problem, Speculation};
 use super::trial::{Seen, Trial, TrialPoint};
 use crate::error::Error;
-use crate::method::interface::{AnswersSoFar, Batch, Details, Method, Operation, Setup, Status, saved};
+use crate::method::interface::{
+    AnswersSoFar, Batch, Details, Lookahead, Method, Operation, Setup, Status, saved,
+};
 use crate::method::tolerances::Tests;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
@@ -24,8 +25,6 @@ use serde::{Deserialize, Serialize};
 pub(super) enum Role {
     Vertex(usize),
     Trial(Trial),
-    /// A point of a vertex that moves together with others.
-    Move(usize),
     /// A step along a parameter of unknown size.
     Step(usize),
 }
@@ -42,8 +41,6 @@ pub(super) enum Phase {
     Shrinking,
     /// The same after a restart.
     Restarting,
-    /// Several vertices move at once.
-    Moving,
     /// An iteration needs this trial point next.
     Evaluating(Trial),
     Done,
@@ -78,7 +75,7 @@ pub(super) enum Phase {
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct NelderMeadState {
     pub(super) setup: Setup,
-    pub(super) plan: BatchPlan,
+    pub(super) batch: Lookahead,
     pub(super) numbers: CoefficientValues,
     pub(super) handling: BoundsHandling,
     pub(super) simplex: RankedPoints,
@@ -86,7 +83,6 @@ pub struct NelderMeadState {
     pub(super) trials: [TrialPoint; 4],
     #[serde(skip)]
     pub(super) speculation: Speculation,
-    pub(super) parallel: Option<LeeWiswall>,
     pub(super) restarts: usize,
     pub(super) f_restart: Option<f64>,
     /// Spreads of the costs since the last start.
@@ -110,7 +106,7 @@ pub struct NelderMeadState {
 impl NelderMeadState {
     pub(super) fn new(
         setup: Setup,
-        plan: BatchPlan,
+        batch: Lookahead,
         numbers: CoefficientValues,
         handling: BoundsHandling,
         simplex: RankedPoints,
@@ -120,14 +116,13 @@ impl NelderMeadState {
         let trial = || TrialPoint::new(n, n_user);
         Self {
             setup,
-            plan,
+            batch,
             numbers,
             handling,
             simplex,
             centroid: vec![0.0; n],
             trials: [trial(), trial(), trial(), trial()],
             speculation: Speculation::default(),
-            parallel: (plan == BatchPlan::LeeWiswall).then(|| LeeWiswall::new(n, n_user)),
             restarts,
             f_restart: None,
             spreads: Spreads::default(),
@@ -175,8 +170,6 @@ impl NelderMeadState {
             && self.simplex.is_sound(space)
             && self.centroid.len() == space.n_free()
             && self.trials.iter().all(|t| t.is_sound(space))
-            && self.parallel.is_some() == (self.plan == BatchPlan::LeeWiswall)
-            && self.parallel.as_ref().is_none_or(|p| p.is_sound(space))
     }
 }
 
@@ -213,13 +206,6 @@ impl Method for NelderMeadState {
                         batch.push(self.simplex.x(0), f64::INFINITY);
                         roles.push(Role::Vertex(0));
                     }
-                }
-            }
-            Phase::Moving => {
-                if let Some(parallel) = &mut self.parallel {
-                    let (space, roles) = (&self.setup.space, &mut self.roles);
-                    let problem = (space, self.handling, &self.numbers);
-                    parallel.ask(batch, |k| roles.push(Role::Move(k)), &self.simplex, problem);
                 }
             }
             Phase::Evaluating(trial) => {
@@ -260,11 +246,6 @@ impl Method for NelderMeadState {
                     }
                 }
                 Role::Trial(trial) => self.trials[trial as usize].seen = seen,
-                Role::Move(number) => {
-                    if let Some(parallel) = &mut self.parallel {
-                        parallel.see(number, seen);
-                    }
-                }
             }
         }
         match self.phase {
@@ -275,17 +256,6 @@ impl Method for NelderMeadState {
                 }
             }
             Phase::Sizing | Phase::Checking => self.size_step_told(),
-            Phase::Moving => {
-                let Some(parallel) = &mut self.parallel else { return Ok(()) };
-                match parallel.conclude(&mut self.simplex) {
-                    Verdict::Unfinished => {}
-                    Verdict::Moved => self.end_iteration(Operation::ParallelMoves),
-                    Verdict::Stuck => {
-                        self.simplex.shrink(self.numbers.shrink, &self.setup.space);
-                        self.phase = Phase::Shrinking;
-                    }
-                }
-            }
             Phase::Evaluating(_) => match self.decide() {
                 Err(needed) => self.phase = Phase::Evaluating(needed),
                 Ok(Operation::Shrink) => self.phase = Phase::Shrinking,
@@ -321,10 +291,6 @@ impl Method for NelderMeadState {
     }
 
     fn details(&self) -> Details<'_> {
-        let plan = match &self.parallel {
-            Some(parallel) if !parallel.is_parallel() => "lee-wiswall, then serial",
-            _ => self.plan.name(),
-        };
         let space = &self.setup.space;
         let unmoved = |search: &SizeSearch| search.without_effect(space).collect();
         Details {
@@ -332,8 +298,8 @@ impl Method for NelderMeadState {
             n_iterations: self.n_iterations,
             operation: self.operation,
             tests: self.tests,
-            plan,
-            lookahead: self.plan.lookahead(),
+            plan: self.batch.name(),
+            lookahead: self.batch,
             simplex: Some(self.simplex.view()),
             ..Details::default()
         }
@@ -349,18 +315,11 @@ impl Method for NelderMeadState {
                 best = Some((self.simplex.x(slot), v));
             }
         }
-        // What was seen and is no vertex counts too: steps in search of sizes, a reflection that waits for its expansion,
-        // vertices on the move.
+        // What was seen and is no vertex counts too: steps in search of sizes, a reflection that waits for its expansion.
         if let Some(seen) = self.sizes.as_ref().and_then(SizeSearch::best)
             && best.is_none_or(|(_, b)| seen.1 < b)
         {
             best = Some(seen);
-        }
-        if let (Phase::Moving, Some(seen)) =
-            (self.phase, self.parallel.as_ref().and_then(LeeWiswall::best_seen))
-            && best.is_none_or(|(_, b)| seen.1 < b)
-        {
-            return Some(seen);
         }
         let reflection = &self.trials[Trial::Reflection as usize];
         match (self.phase, reflection.seen) {

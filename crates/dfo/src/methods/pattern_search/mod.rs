@@ -30,7 +30,7 @@
 //! alone first (`shared/sizes.rs`).
 //!
 //! **Plan.** The path takes one point after the other. Ahead of need, the points that follow in the poll are
-//! evaluated, then those of the next poll ([`PollPlan`]). **Cutoff**: the cost of the best point.
+//! evaluated, then those of the next poll ([`Lookahead`]). **Cutoff**: the cost of the best point.
 //!
 //! **Tests.** The x test measures the frame of a poll that failed, the f test what the last four frames have
 //! gained.
@@ -39,7 +39,7 @@ mod options;
 mod poll;
 mod state;
 
-pub use options::{PatternSearch, PollPlan};
+pub use options::PatternSearch;
 
 use crate::error::Error;
 use crate::method::interface::{MethodOptions, Setup};

@@ -1,9 +1,11 @@
 //! The running search: which point the path needs next, and what follows from its cost.
 
-use super::options::{PatternSearch, PollPlan};
+use super::options::PatternSearch;
 use super::poll::Poll;
 use crate::error::Error;
-use crate::method::interface::{AnswersSoFar, Batch, Details, Method, Operation, Setup, Status, saved};
+use crate::method::interface::{
+    AnswersSoFar, Batch, Details, Lookahead, Method, Operation, Setup, Status, saved,
+};
 use crate::method::tolerances::{Extent, Tests};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
@@ -37,7 +39,7 @@ const LARGEST: f64 = 1e100;
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Polling {
     setup: Setup,
-    plan: PollPlan,
+    batch: Lookahead,
     phase: Phase,
     /// The best point, or the start.
     best: RankedPoints,
@@ -81,7 +83,7 @@ impl Polling {
             reference: best.u(0).to_vec(),
             trial: (best.u(0).to_vec(), best.x(0).to_vec()),
             best,
-            plan: options.batch,
+            batch: options.batch,
             phase: Phase::Starting,
             first: options.frame,
             scale: 1.0,
@@ -401,8 +403,8 @@ impl Method for Polling {
             operation: self.operation,
             tests,
             settled: tests.is_some_and(|tests| tests.passed),
-            plan: self.plan.name(),
-            lookahead: self.plan.lookahead(self.step.len()),
+            plan: self.batch.name(),
+            lookahead: self.batch,
             population: Some(self.best.view()),
             ..Details::default()
         }

@@ -308,7 +308,7 @@ class Calibration(Point):
             at once with it and comes after it counts as speculative.
         stop : {"all", "any"}, optional
             Whether both tests must hold (the default), or one ends the fit.
-        batch : {"auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"}, "workers" or int
+        batch : {"auto", "serial", "ahead"}, "rounds", "workers" or int
             Nelder-Mead and barrier: how many trial points are simulated at once in an iteration; see `fmin`. Least squares:
             "serial", "rounds", a number of points, or "workers"; see `least_squares`.
         disp : bool, optional

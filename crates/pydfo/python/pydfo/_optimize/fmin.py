@@ -88,7 +88,7 @@ def fmin(
     callback: Callback | None = None,
     rng: int | np.random.Generator | None = None,
     stop: Literal["any", "all"] = "any",
-    batch: str = "auto",
+    batch: str | SupportsIndex = "auto",
     initial_simplex: npt.ArrayLike | None = None,
     target: SupportsFloat | None = None,
     max_time: SupportsFloat | None = None,
@@ -147,10 +147,9 @@ def fmin(
     stop : {"any", "all"}
         Whether one of the two tests ends the run (as in the paper), or both must hold. A simplex that has not moved yet
         never passes.
-    batch : {"auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"}
-        Methods 1 and 2: how many trial points are evaluated at once in an iteration, ahead of need; "auto" follows
-        `nbr_cores`. The simplices are the same for all but the last; what these evaluate in vain
-        counts in ``n_speculative`` only.
+    batch : {"auto", "serial", "ahead"} or int
+        Methods 1 and 2: how many trial points are evaluated at once, ahead of need; "auto" takes at most `nbr_cores`, as many as
+        pay; "ahead" always as many. The simplices are the same; what is evaluated in vain counts in ``n_speculative`` only.
     initial_simplex : array_like, optional
         Vertices, shape (n + 1, n), or steps from `xstart` along each axis, shape (n,). By default each parameter has a
         step of its own: a tenth of the width of its box (up to 100 abs(xstart)), else 0.3 abs(xstart); where that is 0, one that is found by steps

@@ -107,7 +107,7 @@ def minimize(
         or points and costs: where to start), ``problem`` (a word or hash for what `fun` computes, which you vouch for: the
         costs of a warm start are reused only where it is the same in both runs), ``checkpoint_interval`` (seconds between
         writes, 0.2).
-        Nelder-Mead: ``batch`` ("auto", "serial", "two", "four", "two-ahead", "ahead", "lee-wiswall"), ``coefficients``
+        Nelder-Mead: ``batch`` ("auto", "serial", "ahead" or a number of points), ``coefficients``
         ("standard": reflection 1, expansion 2, contraction 1/2, shrink 1/2; "adaptive": those of Gao and Han, which depend on n; four
         numbers; "auto", the default: "standard" below five free parameters, "adaptive" from there on),
         ``bounds_handling`` ("sine", the default: the search runs over angles, so that bounds are smooth; "mirror";
@@ -125,8 +125,8 @@ def minimize(
         at once), ``max_starts``, ``exploration`` (share of the budget for differential evolution). CMA-ES: ``population``
         (4 + floor(3 ln n)), ``sigma`` (0.3: the first standard deviation, in units of the parameters' sizes), ``restarts``
         ("none": the run ends when its tests pass; "ipop" and "bipop": the search begins anew with other populations until a
-        limit ends the run), ``bounds_handling`` ("smooth", "mirror"). Pattern search: ``batch`` ("auto", "serial", "poll",
-        "ahead"), ``frame`` (0.3: the first distance of the points of a poll, in units of the parameters' sizes),
+        limit ends the run), ``bounds_handling`` ("smooth", "mirror"). Pattern search: ``batch`` ("auto", "serial",
+        "ahead" or a number of points), ``frame`` (0.3: the first distance of the points of a poll, in units of the parameters' sizes),
         ``restarts`` (2: so many searches in a row with new directions must gain nothing).
     checkpoint : path, optional
         A file for the state of the run, written after batches and at the end.
