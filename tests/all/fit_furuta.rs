@@ -8,7 +8,7 @@ use calibration::RunContext;
 use common::*;
 use fmufit::calibration::{Calibration, CalibrationError, Data, Experiment, Fit, FitOptions, Parameter};
 use fmufit::dfo::{
-    AnyMethod, BatchPlan, Checkpoint, Error, Limits, NelderMead, Objective, Outcome, Query, RunOptions,
+    AnyMethod, Checkpoint, Error, Limits, Lookahead, NelderMead, Objective, Outcome, Query, RunOptions,
 };
 
 fn calibration(data: Data) -> Calibration {
@@ -20,7 +20,7 @@ fn calibration(data: Data) -> Calibration {
         .unwrap()
 }
 
-fn fit(calibration: &Calibration, workers: usize, plan: BatchPlan) -> Fit {
+fn fit(calibration: &Calibration, workers: usize, plan: Lookahead) -> Fit {
     let method = NelderMead::default().batch(plan).into();
     calibration.fit(RunOptions { workers: Some(workers), method, ..FitOptions::default_run() }).unwrap()
 }
@@ -28,14 +28,17 @@ fn fit(calibration: &Calibration, workers: usize, plan: BatchPlan) -> Fit {
 #[test]
 fn the_fit_finds_the_friction_and_is_the_same_for_any_number_of_workers_and_plan() {
     let calibration = calibration(furuta_measurements());
-    let first = fit(&calibration, 1, BatchPlan::Serial);
+    let first = fit(&calibration, 1, Lookahead::None);
     // The measurements were made with (0.010, 0.001); standard deviations 1.4e-5 and 1.1e-6.
     assert!((first.x[0] - 0.010).abs() < 6e-5, "{first}");
     assert!((first.x[1] - 0.001).abs() < 6e-6, "{first}");
     assert!(first.start_cost.unwrap() > 100.0 * first.cost);
-    for (workers, plan) in
-        [(1, BatchPlan::Four), (2, BatchPlan::Auto), (4, BatchPlan::Auto), (3, BatchPlan::Two)]
-    {
+    for (workers, plan) in [
+        (1, Lookahead::Points(4)),
+        (2, Lookahead::Measured),
+        (4, Lookahead::Measured),
+        (3, Lookahead::Points(2)),
+    ] {
         let other = fit(&calibration, workers, plan);
         assert_eq!(first.x, other.x);
         assert_eq!(first.cost.to_bits(), other.cost.to_bits());
@@ -107,7 +110,7 @@ fn missing_values_and_a_window_shorten_the_vector_and_nothing_else() {
 /// Fits from ten seeds with default settings; how many came within 1 % of the cost that Nelder-Mead finds.
 fn seeds_that_solve_it(name: &str) -> usize {
     let calibration = calibration(furuta_measurements());
-    let nearby = fit(&calibration, 2, BatchPlan::Auto);
+    let nearby = fit(&calibration, 2, Lookahead::Measured);
     let solved = |seed: &u64| {
         let method: AnyMethod = name.parse().unwrap();
         let found =
@@ -120,7 +123,7 @@ fn seeds_that_solve_it(name: &str) -> usize {
 #[test]
 fn every_method_fits() {
     let calibration = calibration(furuta_measurements());
-    let nearby = fit(&calibration, 2, BatchPlan::Auto);
+    let nearby = fit(&calibration, 2, Lookahead::Measured);
     for name in AnyMethod::NAMES {
         let limits = Limits { max_evaluations: Some(1000), ..Limits::default() };
         let method = match name {
