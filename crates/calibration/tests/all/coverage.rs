@@ -243,6 +243,7 @@ fn studies() -> Vec<(&'static str, Study)> {
         ("huber", Loss::Huber, 1.345),
         ("soft_l1", Loss::SoftL1, 1.0),
         ("cauchy", Loss::Cauchy, 2.385),
+        ("huber, narrow", Loss::Huber, 0.1),
         ("cauchy, narrow", Loss::Cauchy, 0.1),
     ];
     for (name, kind, scale) in losses {

@@ -351,9 +351,10 @@ impl Calibration {
             by_weights::mark(checks, &uncertainty.residuals, n, jacobian, context)?;
         }
         let Some(base) = base.filter(|_| !uncertainty.is_exact) else { return Ok(()) };
+        let (residuals, before) = (&uncertainty.residuals, unmodelled::left(&uncertainty.residuals, base));
         for (check, output) in uncertainty.residual_checks.iter_mut().zip(&layout.outputs) {
             if check.is_systematic() && !check.is_by_weights {
-                check.unmodelled = Unmodelled::find(output, &uncertainty.residuals, base, context)?;
+                check.unmodelled = Unmodelled::find(output, (residuals, &before), base, context)?;
             }
         }
         Ok(())

@@ -99,10 +99,11 @@ impl Working {
         let mean_square = of(&|r| r * r);
         let spread = (median(&mut sorted) / MEDIAN_DEVIATION).max(1e-6 * mean_square.sqrt());
         let width = 0.9 * spread * n.powf(-0.2);
-        let mean = of(&|r| slope(loss, r, width));
+        let mean_of_all = of(&|r| slope(loss, r, width));
+        let mean = mean_slope(loss, rows.iter().map(|i| self.residuals[*i]), width, p_by_n);
         // A loss that falls far from zero may have no mean slope; that of normal residuals (Stein's identity) is above zero.
         let least = of(&|r| score(loss, r) * r) / mean_square;
-        let variance = of(&|r| (slope(loss, r, width) - mean).powi(2));
+        let variance = of(&|r| (slope(loss, r, width) - mean_of_all).powi(2));
         let mean = mean.max(least);
         let correction = (1.0 + p_by_n * variance / (mean * mean)).powi(2);
         for &i in rows {
@@ -110,6 +111,18 @@ impl Working {
             (self.roots[i], self.corrections[i]) = (mean.sqrt(), correction);
         }
     }
+}
+
+/// The mean slope of the score, without as many of the residuals next to zero as there are parameters: with a
+/// narrow loss a fit goes through so many measurements, nearly, and these say nothing of how many residuals
+/// of others lie there (Schrader and McKean in Dodge, ed., Statistical Data Analysis Based on the L1 Norm,
+/// 1987).
+fn mean_slope(loss: RobustLoss, residuals: impl Iterator<Item = f64>, width: f64, p_by_n: f64) -> f64 {
+    let mut sorted: Vec<f64> = residuals.collect();
+    sorted.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
+    let n_fitted = (p_by_n * sorted.len() as f64).round() as usize;
+    let others = sorted.get(n_fitted..).filter(|others| !others.is_empty()).unwrap_or(&sorted);
+    others.iter().map(|r| slope(loss, *r, width)).sum::<f64>() / others.len() as f64
 }
 
 /// Half the derivative of what a residual counts.
@@ -168,6 +181,10 @@ mod tests {
         let expected = (1.0 + 0.02 * ((0.47 + 1.06 / 3.0) * 0.49 - 0.49 * 0.49) / (0.49 * 0.49_f64)).powi(2);
         assert!((working.corrections[0] - expected).abs() < 2e-3, "{}", working.corrections[0]);
         assert!((working.residuals[98] * working.roots[98] - 1.0).abs() < 1e-12);
+        // Two residuals that a fit of two parameters has made zero say nothing of the density there.
+        let narrow = RobustLoss::new(Loss::Huber, 0.01).unwrap();
+        let exact = mean_slope(narrow, [0.0, 0.0].into_iter().chain(r.iter().copied()), 0.5, 2.0 / 102.0);
+        assert_eq!(exact, mean_slope(narrow, r.iter().copied(), 0.5, 0.0));
         let likelihood = Working::new(Criterion::Likelihood, &layout, &r, &groups, 2);
         let squares: f64 = likelihood.residuals.iter().map(|r| r * r).sum();
         assert!((squares - 100.0).abs() < 1e-9);

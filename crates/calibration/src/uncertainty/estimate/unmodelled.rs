@@ -18,6 +18,13 @@ const LEFT: (f64, f64) = (0.1, 0.5);
 /// A change that the parameters make, too, but for this part of its squares, is no other one.
 const OWN: f64 = 1e-3;
 
+/// What the changes along an orthonormal base leave of residuals.
+pub(super) fn left(residuals: &[f64], base: &DMatrix<f64>) -> DVector<f64> {
+    let residuals = DVector::from_column_slice(residuals);
+    let along = base.tr_mul(&residuals);
+    residuals - base * along
+}
+
 /// Kind of effect in the measurements that the simulation does not have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -45,11 +52,16 @@ pub struct Unmodelled {
 }
 
 impl Unmodelled {
-    /// The best explanation of the residuals (m) of an output, beside an orthonormal base (m x q) of the
-    /// changes that the parameters make.
+    /// The best explanation of the residuals (m) of an output, beside an orthonormal base U (m x q) of the
+    /// changes that the parameters make. `before`: what these leave of the residuals, to which U is
+    /// orthogonal: so of a change v of this output the rows of the others are not needed, `v'(I - U U') v` is
+    /// `v'v` less the square of `U'v`.
+    ///
+    /// # Errors
+    /// [`CalibrationError::Cancelled`].
     pub(super) fn find(
         output: &OutputResiduals,
-        residuals: &[f64],
+        (residuals, before): (&[f64], &DVector<f64>),
         base: &DMatrix<f64>,
         context: &RunContext<'_>,
     ) -> Result<Option<Self>, CalibrationError> {
@@ -71,22 +83,17 @@ impl Unmodelled {
             UnmodelledKind::Delay => weights[k] * slope(k),
             UnmodelledKind::Drift => -weights[k] * (times[k] - middle),
         };
-        let beside = |v: DVector<f64>| {
-            let along = base * base.tr_mul(&v);
-            v - along
-        };
-        let squares = |v: &DVector<f64>| v.rows(range.start, range.len()).norm_squared();
-        let before = beside(DVector::from_column_slice(residuals));
+        let (base, all_before) = (base.rows(range.start, range.len()), before.norm_squared());
+        let before = before.rows(range.start, range.len());
         let of = |kind: UnmodelledKind| {
-            let mut whole = DVector::zeros(residuals.len());
-            range.clone().enumerate().for_each(|(k, row)| whole[row] = change(kind, k));
-            let all = whole.norm_squared();
-            let other = beside(whole);
-            let size = other.dot(&before) / other.norm_squared();
-            let after = &before - &other * size;
-            let left = squares(&after) / squares(&before);
-            let explains = left < LEFT.0 && after.norm_squared() < LEFT.1 * before.norm_squared();
-            let is_other = all.is_finite() && other.norm_squared() > OWN * all;
+            let change = DVector::from_fn(range.len(), |k, _| change(kind, k));
+            let (along, all) = (base.tr_mul(&change), change.norm_squared());
+            let beside = all - along.norm_squared();
+            let size = change.dot(&before) / beside;
+            let after = before - (&change - base * along) * size;
+            let left = after.norm_squared() / before.norm_squared();
+            let explains = left < LEFT.0 && all_before - size * size * beside < LEFT.1 * all_before;
+            let is_other = all.is_finite() && beside > OWN * all;
             let size = if kind == UnmodelledKind::Factor { 1.0 + size } else { size };
             (explains && is_other && size.is_finite()).then_some(Self { kind, size, left })
         };
@@ -168,7 +175,10 @@ mod tests {
                 measured: measured.into(),
                 weights: vec![2.0; t.len()].into(),
             };
-            let found = Unmodelled::find(&output, &residuals, &base, &RunContext::new()).unwrap().unwrap();
+            let found =
+                Unmodelled::find(&output, (&residuals, &left(&residuals, &base)), &base, &RunContext::new())
+                    .unwrap()
+                    .unwrap();
             assert!(found.kind == kind && (found.size - size).abs() < 0.1 * size, "{found:?}");
             assert!(
                 found.left < 0.02 && found.words().0.contains("of the")
