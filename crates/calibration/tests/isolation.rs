@@ -287,6 +287,17 @@ fn limits_hold() {
     }
 }
 
+/// A fit that ends beside values at which the model crashes, with the minimum among them, says so and is no success.
+#[test]
+fn a_fit_that_ends_beside_crashes_is_no_success() {
+    let folder = faulty(&["FAULT_ABOVE=1.5", "FAULT=abort()"]);
+    let fit = decay(open(&folder), settings(Isolation::Process)).fit(FitOptions::default()).unwrap();
+    assert!(fit.report.n_failed > 0 && fit.x[0] <= 1.5 && !fit.is_success(), "{fit}");
+    let text = fit.to_string();
+    assert!(text.contains("The fit ended before the minimum"), "{text}");
+    assert!(text.contains("the cost falls towards values that cannot be simulated"), "{text}");
+}
+
 /// What an FMU does to its process in one evaluation, the next ones do not meet.
 #[test]
 fn other_evaluations_are_those_of_a_sound_model() {

@@ -189,7 +189,7 @@ def test_a_budget_that_ends_before_any_cost_is_an_error():
         ({"nbr_cores": 1.5}, TypeError, "nbr_cores must be a whole number"),
         ({"stop": "both"}, ValueError, "stop = 'both' is none of 'any', 'all'"),
         ({"stop": 1}, TypeError, "stop must be a string"),
-        ({"batch": "eight"}, ValueError, "batch = 'eight' is none of"),
+        ({"batch": "eight"}, ValueError, "'batch' of nelder-mead must be a whole number, 'auto', 'serial' or 'ahead', not 'eight'"),
         ({"on_error": "ignore"}, ValueError, "on_error = 'ignore'"),
         ({"callback": 3}, TypeError, "callback must be callable"),
         ({"initial_simplex": [[0.0, 0.0], [1.0, 1.0]]}, ValueError, "2 vertices; 3 are needed"),

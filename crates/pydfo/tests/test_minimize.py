@@ -347,7 +347,7 @@ def test_every_option_of_every_method_reaches_it(method, options):
         ({"method": "ga", "options": {"mutation_rate": np.nan}}, ValueError, "'mutation_rate' of ga must be a number.* not nan"),
         ({"options": {"batch": 0}}, ValueError, "batch = 0 must be at least 1"),
         ({"options": {"batch": 1.5}}, TypeError, "option 'batch' of nelder-mead must be a whole number, 'auto', 'serial' or 'ahead', not 1.5"),
-        ({"options": {"batch": "six"}}, TypeError, "option 'batch' of nelder-mead must be a whole number, 'auto', .*, not 'six'"),
+        ({"options": {"batch": "six"}}, ValueError, "option 'batch' of nelder-mead must be a whole number, 'auto', .*, not 'six'"),
         ({"options": {"coefficients": (1, 2)}}, TypeError, "option 'coefficients' of nelder-mead must be 'auto'"),
         ({"options": {"coefficients": (1, 0.5, 0.5, 0.5)}}, ValueError, "expansion = 0.5 must be above 1"),
         ({"method": "ga", "options": {"crossover_rate": 1.5}}, ValueError, "crossover_rate = 1.5 must be from 0 to 1"),

@@ -76,7 +76,7 @@ impl Fit {
             "noise": serde_json::to_value(&self.noise)?,
             "tolerance": serde_json::to_value(self.tolerance)?,
             "uncertainty": uncertainty,
-            "success": report.is_success(),
+            "success": self.is_success(),
             "termination": report.termination.name(),
             "message": report.message,
             "findings": serde_json::to_value(self.findings())?,

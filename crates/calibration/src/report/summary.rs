@@ -86,7 +86,7 @@ impl Summary {
         let first = fit.outputs.first().map(|output| &output.experiment);
         Self {
             title: format!("Fit of {}", fit.model),
-            is_success: fit.report.is_success(),
+            is_success: fit.is_success(),
             sentence: sentence(fit),
             findings: fit.findings_with(fit.shown_names()),
             parameters: (0..fit.x.len()).map(|i| parameter(fit, i)).collect(),
@@ -103,6 +103,7 @@ impl Summary {
 /// Sentence on the termination and the quality of the fit.
 fn sentence(fit: &Fit) -> String {
     let ended = match &fit.report.termination {
+        _ if fit.report.is_success() && fit.is_before_minimum() => "The fit ended before the minimum",
         Termination::Converged => "The fit converged",
         Termination::Noise if fit.report.is_success() => "The fit converged to the noise of the simulations",
         Termination::Noise => "The fit ended in the noise of the simulations before it converged",

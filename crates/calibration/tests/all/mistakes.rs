@@ -312,6 +312,14 @@ fn a_search_that_ended_before_the_minimum_is_named_and_not_taken_for_weights() {
     assert!(!at.to_string().contains("weights of the other outputs"), "{at}");
     let fit = calibration.fit(FitOptions::default()).unwrap();
     assert_eq!(fit.uncertainty.as_ref().unwrap().left_to_gain, 0.0, "{fit}");
+    assert!(fit.is_success(), "{fit}");
+    // A search that is satisfied too early is no success, whatever its own tests say.
+    let tolerances = Tolerances { x_tol: 0.5, f_tol: 1e-4, measure: Measure::Relative, stop: Stop::Any };
+    let method = calibration::dfo::NelderMead::default().into();
+    let run = RunOptions { tolerances, method, ..FitOptions::default_run() };
+    let fit = calibration.fit(run).unwrap();
+    assert!(fit.report.is_success() && !fit.is_success(), "{fit}");
+    assert!(fit.to_string().contains("The fit ended before the minimum"), "{fit}");
 }
 
 #[test]

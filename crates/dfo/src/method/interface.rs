@@ -235,7 +235,7 @@ pub(crate) fn name_or_number<'de, D: Deserializer<'de>, T: Copy>(
 
         fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<T, E> {
             let known = self.1.iter().find(|(known, _)| known.eq_ignore_ascii_case(name));
-            known.map(|(_, value)| *value).ok_or_else(|| E::invalid_type(Unexpected::Str(name), &self))
+            known.map(|(_, value)| *value).ok_or_else(|| E::invalid_value(Unexpected::Str(name), &self))
         }
     }
     deserializer.deserialize_any(NameOrNumber(expected, names, of_number))

@@ -298,7 +298,11 @@ impl de::Error for RecordError {
     }
 
     fn invalid_value(found: Unexpected<'_>, expected: &dyn de::Expected) -> Self {
-        Self::invalid_type(found, expected)
+        match found {
+            // One word of several that there are.
+            Unexpected::Str(_) => Self::expected(expected.to_string(), false),
+            _ => Self::invalid_type(found, expected),
+        }
     }
 
     fn unknown_variant(_: &str, expected: &'static [&'static str]) -> Self {

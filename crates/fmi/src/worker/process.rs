@@ -23,9 +23,11 @@ use std::time::{Duration, Instant};
 /// Time between two checks for cancellation and limits while an answer is awaited.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// A worker that was asked to end what it does, or whose simulation has reached its time limit, has so long
-/// to answer.
+/// A worker whose simulation has reached its time limit has so long to answer.
 const GRACE: Duration = Duration::from_millis(250);
+
+/// One that was asked to end what it does has so long: whoever has pressed Ctrl-C waits for it.
+const GRACE_OF_CANCELLED: Duration = Duration::from_millis(100);
 
 /// An answer that comes within this time is waited for without sleeping, as long as there is a core for each
 /// side: to wake up takes up to 50 us, on each side.
@@ -187,7 +189,7 @@ impl Process {
                 page.set_cancelled(true);
                 asked_to_end = Some(now);
             }
-            let is_out_of_grace = asked_to_end.is_some_and(|since| now > since + GRACE);
+            let is_out_of_grace = asked_to_end.is_some_and(|since| now > since + GRACE_OF_CANCELLED);
             let is_hung = limit.as_mut().is_some_and(|limit| limit.is_over(page.runs(), now));
             if is_out_of_grace {
                 why = Some(Stop::Cancelled);

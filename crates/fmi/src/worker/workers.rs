@@ -123,7 +123,7 @@ impl Workers {
     }
 
     /// Asks a worker that has loaded `load`, and returns the quirks of the model that it has found. The
-    /// context is looked at every 10 ms, and the worker has 0.25 s to answer after that; a single simulation
+    /// context is looked at every 10 ms, and the worker has 0.1 s to answer once it is over; a single simulation
     /// that takes longer than `run_limit` and 0.25 s ends the worker. Where a worker dies, the same is asked
     /// once more in a fresh one, unless it was one.
     ///

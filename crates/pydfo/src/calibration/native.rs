@@ -130,6 +130,7 @@ impl PyCalibration {
     /// A fit as `pydfo.OptimizeResult`, with what only a fit has.
     pub(crate) fn result<'py>(&self, py: Python<'py>, fit: calibration::Fit) -> PyResult<Bound<'py, PyAny>> {
         let result = report::to_python(py, &fit.report, ResultKind::Cost, &|| false)?;
+        result.setattr("success", fit.is_success())?;
         result.setattr("stats", Counts::new(&fit.stats))?;
         let at_bound = fit.at_bound.iter().map(|(i, side)| (&fit.names[*i], side.name()));
         result.setattr("at_bound", at_bound.into_py_dict(py)?)?;

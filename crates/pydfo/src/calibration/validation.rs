@@ -90,7 +90,7 @@ pub(crate) fn cross_validate<'py>(
             fold => held_out, fit_rms;
             "parameters": fold.fit.names.iter().zip(&fold.fit.x).into_py_dict(py)?,
             "nfev": fold.fit.report.n_evaluations,
-            "success": fold.fit.report.is_success(),
+            "success": fold.fit.is_success(),
             "message": &fold.fit.report.message,
             "validation": to_python(py, &fold.validation)?,
         ))

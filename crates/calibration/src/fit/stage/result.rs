@@ -99,6 +99,19 @@ pub struct Fit {
 }
 
 impl Fit {
+    /// True if the search was a success (see [`Report::is_success`](dfo::Report::is_success)) and no step
+    /// from its result gains more, as the uncertainty has found out.
+    pub fn is_success(&self) -> bool {
+        self.report.is_success() && !self.is_before_minimum()
+    }
+
+    /// True if a step of least squares from the result gains more than noise. Stages hold parameters that
+    /// others have freed, and do not end at a minimum in all of them.
+    pub(crate) fn is_before_minimum(&self) -> bool {
+        let gains = self.uncertainty.as_ref().is_some_and(|uncertainty| uncertainty.left_to_gain > 0.0);
+        gains && self.stages.is_empty()
+    }
+
     /// Meaning of each entry of the residual vector of this fit, with the weights that the fit had: those of
     /// the calibration, or those over the [noise](Fit::noise) that was estimated.
     pub fn residual_layout(&self, calibration: &Calibration) -> ResidualLayout {

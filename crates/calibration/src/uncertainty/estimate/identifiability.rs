@@ -279,14 +279,23 @@ impl Uncertainty {
 
     /// A search that ended before its minimum.
     fn not_at_minimum(&self) -> Option<Finding> {
-        (self.left_to_gain > 0.0).then(|| {
-            let sentence = format!(
-                "one more step of least squares would take away {} % of the cost: the search ended before the minimum",
-                digits(100.0 * self.left_to_gain)
-            );
-            let remedy = "give smaller x_tol and f_tol, or larger limits, and start from the result";
-            Finding::new(Severity::Warning, SEARCH, sentence, remedy)
-        })
+        let percent = digits(100.0 * self.left_to_gain);
+        let (sentence, remedy) = match self.is_at_failures {
+            _ if self.left_to_gain == 0.0 => return None,
+            true => (
+                format!(
+                    "the cost falls towards values that cannot be simulated (one more step of least squares would take away {percent} % of it): the search ended beside them, before the minimum"
+                ),
+                "look at why the simulations fail (failures), and give bounds that exclude these values if they mean nothing",
+            ),
+            false => (
+                format!(
+                    "one more step of least squares takes away {percent} % of the cost: the search ended before the minimum"
+                ),
+                "give smaller x_tol and f_tol, or larger limits, and start from the result",
+            ),
+        };
+        Some(Finding::new(Severity::Warning, SEARCH, sentence, remedy))
     }
 
     /// Standard errors that were corrected for autocorrelation, and by how much.

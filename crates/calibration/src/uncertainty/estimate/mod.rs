@@ -6,6 +6,7 @@ mod by_weights;
 mod covariance;
 mod differences;
 mod digits;
+mod gain;
 mod identifiability;
 mod prior_check;
 mod residual_check;
@@ -27,8 +28,9 @@ use covariance::{Factors, Noise, groups};
 use dfo::{Kind, RobustLoss};
 use differences::{Center, Differences};
 pub(crate) use digits::digits;
+use gain::{At, Gain};
 pub(crate) use identifiability::SEARCH;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 pub use prior_check::PriorConflict;
 pub use residual_check::ResidualCheck;
 pub(crate) use residual_check::{MEDIAN_DEVIATION, autocorrelation, median};
@@ -257,6 +259,18 @@ impl Calibration {
             (0..free.len()).filter(|k| is_selected(*k)).map(|k| free[k]).collect()
         };
         let cost = |residuals: &[f64]| known.criterion.cost(layout, residuals);
+        let at = At {
+            parameters,
+            x,
+            free: &free,
+            sizes: &sizes,
+            factors: &factors,
+            residuals: &working.residuals,
+        };
+        let gain = match is_exact {
+            true => Gain::default(),
+            false => at.left_to_gain(&cost, cost(residuals), simulations)?,
+        };
         let mut uncertainty = Uncertainty {
             estimator,
             names: parameters.iter().map(|p| p.name().to_owned()).collect(),
@@ -280,7 +294,8 @@ impl Calibration {
             is_exact,
             accurate_cost: accurate.as_deref().map(cost),
             is_step_halved: self.has_fixed_step(),
-            left_to_gain: if is_exact { 0.0 } else { left_to_gain(&factors.base, &working.residuals) },
+            left_to_gain: gain.part,
+            is_at_failures: gain.is_at_failures,
             prior_conflicts,
             has_loss: matches!(known.criterion, Criterion::Loss(loss) if !loss.is_linear()),
             jacobian: by_parameters,
@@ -365,20 +380,6 @@ impl Calibration {
         let (lower, upper, at) = (inner(p, p.lower()), inner(p, p.upper()), inner(p, x));
         (at - lower).min(upper - at) <= AT * self.size_of(p, x)
     }
-}
-
-/// A step of least squares that takes away less than this part of the cost, or is shorter than a standard
-/// error, is none.
-const LEAST_GAIN: f64 = 0.01;
-
-/// The part of the squares of these residuals that lies along the changes which the parameters make, by an
-/// orthonormal base of them.
-fn left_to_gain(base: &DMatrix<f64>, residuals: &[f64]) -> f64 {
-    let all = sum_of_squares(residuals);
-    let along = base.tr_mul(&DVector::from_column_slice(residuals)).norm_squared();
-    let degrees = residuals.len().saturating_sub(base.ncols()) as f64;
-    let is_step = along > LEAST_GAIN * all && along * degrees > (all - along).max(0.0);
-    if is_step { (along / all).min(1.0) } else { 0.0 }
 }
 
 /// Derivative of a parameter by its coordinate in the search.

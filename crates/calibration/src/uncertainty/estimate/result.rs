@@ -143,11 +143,14 @@ pub struct Uncertainty {
     /// True if the residuals are within ten relative tolerances of the measurements: the data hold no noise,
     /// and the accuracy of the cost does not matter.
     pub is_exact: bool,
-    /// The part of the cost that one more step of least squares would take away: 0 at a minimum. 0 too where
-    /// that step is within the standard errors, and where the measurements are reproduced
+    /// The part of the cost that one more step of least squares takes away, as simulated: 0 at a minimum. 0
+    /// too where that step is within the standard errors, and where the measurements are reproduced
     /// [exactly](Self::is_exact).
     #[serde(default)]
     pub left_to_gain: f64,
+    /// No part of that step can be simulated: what would be gained is predicted.
+    #[serde(default)]
+    pub is_at_failures: bool,
     /// Priors that the measurements contradict.
     #[serde(default)]
     pub prior_conflicts: Vec<PriorConflict>,
