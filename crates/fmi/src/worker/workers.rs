@@ -123,9 +123,9 @@ impl Workers {
     }
 
     /// Asks a worker that has loaded `load`, and returns the quirks of the model that it has found. The
-    /// context is looked at every 10 ms, and the worker has 0.1 s to answer once it is over; a single simulation
-    /// that takes longer than `run_limit` and 0.25 s ends the worker. Where a worker dies, the same is asked
-    /// once more in a fresh one, unless it was one.
+    /// context is looked at every 10 ms, and the worker has 0.1 s to answer once it is over; a single
+    /// simulation that takes longer than `run_limit` and 0.25 s ends the worker. Where a worker dies, the
+    /// same is asked once more in a fresh one, unless it was one.
     ///
     /// # Errors
     /// [`FmiError::Told`]: what the worker says; [`FmiError::WorkerEnded`]: it ended twice, or once by the time limit; [`FmiError::NoWorker`]; [`FmiError::Cancelled`].

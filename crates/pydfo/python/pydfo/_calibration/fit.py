@@ -142,6 +142,7 @@ class Fit(OptimizeResult):
     stages : list of Fit
         The fit of each stage; empty if there were none. Standard errors of a stage are conditional: they take
         what the stage holds as known. ``success`` of the whole fit is that of all its stages.
+        (Of a fit without stages it is False, too, where one more step of least squares makes the cost less: the first line says so.)
     uncertainty : Uncertainty or None
         Standard errors, correlation, and what the data cannot tell, in words (``print(fit.uncertainty)``). None: not asked for, the fit
         was ended by an interrupt, an error or its time, or simulations around the result fail.
