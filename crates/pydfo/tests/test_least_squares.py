@@ -270,5 +270,5 @@ def test_rounds_of_several_points():
     assert timeless(least_squares(decay, START, batch=6, workers=3)) == timeless(rounds)
     assert timeless(least_squares(decay, START, batch="workers", workers=6)) == timeless(rounds)
     assert timeless(least_squares(decay, START, batch="workers")) == timeless(least_squares(decay, START, batch=1))
-    with pytest.raises(TypeError, match="'batch' of least-squares must be a whole number"):
+    with pytest.raises(ValueError, match="'batch' of least-squares must be a whole number"):
         least_squares(decay, START, batch="many")

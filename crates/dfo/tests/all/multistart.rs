@@ -215,3 +215,28 @@ fn two_workers_are_busy() {
     let (alone, beside) = (run().run().unwrap(), beside.workers(2).run().unwrap());
     assert!(timeless(&alone.trace) == timeless(&beside.trace), "{beside}");
 }
+
+/// Valleys within a bowl: the points around the best one are one cluster, and lead to many minima.
+#[test]
+fn a_cluster_with_several_minima_is_not_taken_for_one() {
+    let bowl = |x: &[f64], out: &mut Vec<f64>| {
+        let r = |x: f64, at: f64| [x - at, 2.0 * (9.0 * (x - at)).sin()];
+        out.extend(r(x[0], 0.37));
+        out.extend(r(x[1], -0.81));
+    };
+    let run = |seed: u64| {
+        let method = Multistart::default().polish(Polish::LeastSquares);
+        minimize(residuals(bowl))
+            .bounds(&[-2.0; 2], &[2.0; 2])
+            .unwrap()
+            .method(method)
+            .seed(seed)
+            .run()
+            .unwrap()
+    };
+    // Success is claimed for the deepest one only.
+    let reports: Vec<Report> = (0..20).map(run).collect();
+    let wrong = reports.iter().filter(|r| r.is_success() && r.fun > 1e-6).count();
+    let right = reports.iter().filter(|r| r.fun <= 1e-6).count();
+    assert!(wrong == 0 && right >= 15, "{right} found, {wrong} wrong");
+}

@@ -56,6 +56,19 @@ pub(super) fn starts(space: &Space, sample: &RankedPoints, used: &[bool]) -> Vec
     (0..looked_at.len()).filter(|&rank| is_start(rank)).map(|rank| looked_at[rank]).collect()
 }
 
+/// Starts that test whether clusters have one minimum each.
+const TESTS: usize = 3;
+
+/// Points that stand for a minimum without a search of their own, from the best to the worst of those looked
+/// at. Needs up-to-date ranks.
+pub(super) fn tests(sample: &RankedPoints, used: &[bool]) -> Vec<usize> {
+    let looked_at = sample.order()[..n_looked_at(sample.len())].iter().copied();
+    let left: Vec<usize> =
+        looked_at.filter(|slot| !used[*slot] && sample.cost(*slot).value().is_some()).collect();
+    let n = left.len().min(TESTS);
+    (0..n).map(|k| left[k * (left.len() - 1) / (n - 1).max(1)]).collect()
+}
+
 /// Enters the end of a search into the list of minima, the best first.
 pub(super) fn enter(space: &Space, minima: &mut Vec<Optimum>, found: Optimum) {
     let (mut u, mut v) = (vec![0.0; space.n_free()], vec![0.0; space.n_free()]);

@@ -13,7 +13,8 @@
 //! The search ends when the minima found are probably all there are: with `w` of them in `t` trials the
 //! expected number is `w (t - 1) / (t - w - 2)` (Boender and Rinnooy Kan, Math. Program. 37, 1987, 59), and
 //! less than half a minimum is missing. Every point looked at counts as a trial, for it stands for the search
-//! of its cluster.
+//! of its cluster. Before the end searches from three such points test that: where one of them ends in
+//! another minimum, a cluster has several, and only searches count from then on.
 //!
 //! For costs without residuals, part of the budget goes to differential evolution before (`exploration`):
 //! what it finds is the first start, and its first population is the first sample.

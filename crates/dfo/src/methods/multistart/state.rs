@@ -54,6 +54,11 @@ struct Core {
     n_planned: usize,
     n_explored: usize,
     n_starts: usize,
+    /// Starts that test whether a cluster has one minimum, and whether one of them has ended in another one.
+    #[serde(default)]
+    n_tests_of_clusters: usize,
+    #[serde(default)]
+    clusters_are_split: bool,
     /// Points of all but the first local search.
     #[serde(default)]
     n_elsewhere: usize,
@@ -66,6 +71,15 @@ struct Core {
     n_points: u64,
     n_iterations: usize,
     operation: Option<Operation>,
+}
+
+impl Core {
+    /// True if the minima found are probably all there are.
+    fn has_all_minima(&self) -> bool {
+        let n_looked_at = clusters::n_looked_at(self.sample.len());
+        let n_trials = if self.clusters_are_split { self.n_starts } else { n_looked_at };
+        clusters::are_probably_all(self.minima.len(), n_trials)
+    }
 }
 
 /// A local search that is under way.
@@ -120,6 +134,8 @@ impl MultistartState {
             n_planned: if explores { planned } else { 0 },
             n_explored: 0,
             n_starts: 0,
+            n_tests_of_clusters: 0,
+            clusters_are_split: false,
             n_elsewhere: 0,
             minima: Vec::new(),
             best: Best::default(),
@@ -260,11 +276,10 @@ impl MultistartState {
             self.core.n_starts += 1;
             self.add(start, None)?;
         }
-        let Core { sample, minima, n_starts, tests, .. } = &self.core;
+        let Core { sample, n_starts, .. } = &self.core;
+        let most_starts = self.options.max_starts.unwrap_or(usize::MAX);
         // More minima only make it less probable that these are all.
-        let is_last = clusters::are_probably_all(minima.len(), clusters::n_looked_at(sample.len()))
-            || self.options.max_starts.is_some_and(|most| *n_starts >= most)
-            || sample.len() >= MAX_MEMBERS;
+        let is_last = self.core.has_all_minima() || *n_starts >= most_starts || sample.len() >= MAX_MEMBERS;
         if !self.searches.is_empty() {
             // The next sample, so that there are as many searches again before the last of these has ended.
             let has_room = self.first_has_ended() && self.searches.len() < self.at_once();
@@ -274,8 +289,10 @@ impl MultistartState {
             self.core.phase = Phase::Searching;
         } else if sample.is_pending() {
             self.core.phase = Phase::Sampling;
+        } else if is_last && self.test_clusters(most_starts) {
+            return self.next();
         } else if is_last {
-            let passed = tests.is_some_and(|tests| tests.passed);
+            let passed = self.core.tests.is_some_and(|tests| tests.passed);
             let end = if passed { Termination::Converged } else { Termination::Stalled };
             self.core.phase = Phase::Ended(end);
         } else {
@@ -283,6 +300,21 @@ impl MultistartState {
             self.enlarge()?;
         }
         Ok(())
+    }
+
+    /// Queues starts that test the clusters, once: points that stand for a minimum because a better one lies
+    /// near. True if there are any.
+    fn test_clusters(&mut self, most_starts: usize) -> bool {
+        let Core { sample, used, queue, n_starts, n_tests_of_clusters, .. } = &mut self.core;
+        if *n_tests_of_clusters > 0 {
+            return false;
+        }
+        for slot in clusters::tests(sample, used).into_iter().take(most_starts.saturating_sub(*n_starts)) {
+            queue.push(sample.x(slot).to_vec());
+            used[slot] = true;
+        }
+        *n_tests_of_clusters = queue.len();
+        !queue.is_empty()
     }
 
     fn first_has_ended(&self) -> bool {
@@ -366,6 +398,7 @@ impl MultistartState {
     /// Enters the searches that have ended, and goes on to the next.
     fn retire(&mut self) -> Result<(), Error> {
         let (core, before) = (&mut self.core, self.searches.len());
+        let n_minima = core.minima.len();
         self.searches.retain(|search| {
             let status = search.method.status();
             if let Some((x, cost)) = search.method.best().filter(|_| status != Status::Running) {
@@ -378,6 +411,7 @@ impl MultistartState {
             }
             status == Status::Running
         });
+        core.clusters_are_split |= core.n_tests_of_clusters > 0 && core.minima.len() > n_minima;
         let Self { searches, ahead, .. } = self;
         ahead.retain(|ahead| {
             searches.iter().map(|search| &search.start).chain(&core.queue).any(|start| *start == ahead.start)
@@ -608,7 +642,10 @@ impl Method for MultistartState {
             n_iterations: core.n_iterations,
             operation: core.operation,
             tests: core.tests,
-            settled: core.tests.is_some_and(|tests| tests.passed && is_best(&tests)),
+            // Several minima leave it open whether the best one is among them, until no other is expected; an exploration
+            // has looked for that.
+            settled: (core.n_planned > 0 || core.minima.len() < 2 || core.has_all_minima())
+                && core.tests.is_some_and(|tests| tests.passed && is_best(&tests)),
             plan: "sample, then searches side by side",
             seed: Some(core.seed),
             population: exploring.or_else(|| Some(core.sample.view())),
