@@ -4,8 +4,13 @@
 use crate::common;
 use crate::problems;
 
-use common::rosenbrock;
-use dfo::{Lookahead, PatternSearch, Report, minimize};
+use common::{rosenbrock, timeless};
+use dfo::{
+    Checkpoint, Lookahead, Minimize, Outcome, PatternSearch, Query, Report, Resume, Termination, minimize,
+    with_query,
+};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
 
 /// The best cost of a compass search (both ways along each axis, the first better point is taken, else half the step) after so
 /// many evaluations, and how many it takes to come to a cost.
@@ -105,5 +110,85 @@ fn narrow_cones_of_descent_are_met() {
     for x0 in [[-1.0, 2.0], [3.0, 1.0], [-2.0, -2.0], [0.5, 7.0]] {
         let report = minimize(kinks).start(&x0).method(PatternSearch::default()).run().unwrap();
         assert!(report.is_success() && report.fun < 1e-3, "{report}");
+    }
+}
+
+/// Where kinks cross, the way down is a cone that becomes narrower with each parameter: along a chain of equal parameters,
+/// along lines that are turned against the axes, between planes.
+fn crossing_kinks(n: usize) -> [(&'static str, Box<dyn Fn(&[f64]) -> f64 + Send + Sync>); 3] {
+    // The columns of a matrix of cosines are orthogonal.
+    let turned = move |x: &[f64], k: usize| -> f64 {
+        let angle = |i: usize| std::f64::consts::PI * (i as f64 + 0.5) * k as f64 / n as f64;
+        x.iter().enumerate().map(|(i, x)| angle(i).cos() * (x - 0.3)).sum()
+    };
+    let chain =
+        |x: &[f64]| (x[0] - 0.7).abs() + x.windows(2).map(|w| 10.0 * (w[1] - w[0]).abs()).sum::<f64>();
+    let sum = move |x: &[f64]| (0..n).map(|k| (1 + 9 * (k % 2)) as f64 * turned(x, k).abs()).sum();
+    let largest = move |x: &[f64]| (0..n).map(|k| turned(x, k).abs()).fold(0.0, f64::max);
+    [("chain", Box::new(chain)), ("sum", Box::new(sum)), ("largest", Box::new(largest))]
+}
+
+#[test]
+fn no_success_is_claimed_beside_the_minimum_where_kinks_cross() {
+    for n in 2..=6 {
+        for (name, cost) in crossing_kinks(n) {
+            for x0 in [vec![1.5; n], vec![0.0; n], (0..n).map(|k| 2.0 - (k % 3) as f64).collect()] {
+                let report =
+                    minimize(|x: &[f64]| cost(x)).start(&x0).method(PatternSearch::default()).run().unwrap();
+                assert!(report.is_success() && report.fun < 1e-3 * cost(&x0), "{name} {n} {x0:?}: {report}");
+            }
+        }
+    }
+}
+
+/// The same at bounds: the minimum lies on some of them.
+#[test]
+fn kinks_that_cross_at_bounds_are_followed() {
+    for n in [2, 4] {
+        let chain = |x: &[f64]| x[0].abs() + x.windows(2).map(|w| 10.0 * (w[1] - w[0]).abs()).sum::<f64>();
+        let (mut lower, mut upper) = (vec![-5.0; n], vec![5.0; n]);
+        (lower[1], upper[0]) = (1.0, 3.0);
+        let run = minimize(chain).start(&vec![2.5; n]).bounds(&lower, &upper).unwrap();
+        let report = run.method(PatternSearch::default()).run().unwrap();
+        assert!(report.is_success() && report.fun < 1.0 + 1e-3, "{report}");
+    }
+}
+
+/// A run that is aborted after so many evaluations.
+fn set_up(limit: usize) -> Minimize<'static, PatternSearch> {
+    let (_, kinks) = crossing_kinks(3).into_iter().next().unwrap();
+    let calls = AtomicUsize::new(0);
+    let cost = move |x: &[f64], _: &Query<'_>| match calls.fetch_add(1, Ordering::Relaxed) {
+        k if k >= limit => Outcome::Abort("stopped".to_owned()),
+        _ => Outcome::Value(kinks(x)),
+    };
+    minimize(with_query(cost)).start(&[1.5, -1.0, 0.5]).method(PatternSearch::default())
+}
+
+#[test]
+fn discrete_gradients_take_the_same_path_with_workers_and_interruptions() {
+    let same = |a: &Report, b: &Report| {
+        assert!(timeless(&a.trace) == timeless(&b.trace));
+        assert_eq!((&a.x, a.fun.to_bits(), &a.message), (&b.x, b.fun.to_bits(), &b.message));
+    };
+    let whole = set_up(usize::MAX).run().unwrap();
+    assert!(whole.is_success(), "{whole}");
+    for workers in [2, 5] {
+        for plan in [PollPlan::Ahead, PollPlan::Poll] {
+            let method = PatternSearch::default().batch(plan);
+            let other = set_up(usize::MAX).method(method).workers(workers).run().unwrap();
+            assert_eq!(
+                (&other.x, other.n_evaluations, &other.message),
+                (&whole.x, whole.n_evaluations, &whole.message)
+            );
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    for limit in (1..whole.n_evaluations).step_by(whole.n_evaluations / 6) {
+        let file = folder.path().join(format!("{limit}"));
+        let checkpoint = || Checkpoint::new(&file).interval(Duration::ZERO);
+        let stopped = set_up(limit).checkpoint(checkpoint()).run().unwrap();
+        assert_eq!(stopped.termination, Termination::Aborted("stopped".to_owned()));
+        same(&set_up(usize::MAX).checkpoint(checkpoint().resume(Resume::Require)).run().unwrap(), &whole);
     }
 }

@@ -18,9 +18,12 @@
 //! directions become dense on the sphere; with the first frame the axes stay as they are. The search is
 //! deterministic.
 //!
-//! **Restarts.** When the tests have passed, the search goes on with the first frame and new directions until
-//! that gains nothing any more: where the cost has kinks, few directions lead down, and the frame may have
-//! shrunk before one was met.
+//! **Kinks.** Where several kinks cross, few directions lead down, and the frame may shrink before one is met:
+//! passed tests alone tell nothing. Then discrete gradients around the best point either show a way down, or
+//! that there is none for steps from the first frame's length to the last one's (`discrete_gradients.rs`).
+//! Only where they show none has the search converged.
+//!
+//! **Restarts.** Then it goes on with the first frame and new directions until that gains nothing any more.
 //!
 //! **Bounds.** A point outside is moved onto the bound.
 //!
@@ -30,11 +33,14 @@
 //! alone first (`shared/sizes.rs`).
 //!
 //! **Plan.** The path takes one point after the other. Ahead of need, the points that follow in the poll are
-//! evaluated, then those of the next poll ([`Lookahead`]). **Cutoff**: the cost of the best point.
+//! evaluated, then those of the next poll ([`Lookahead`]). **Cutoff**: the cost of the best point; none for
+//! discrete gradients.
 //!
 //! **Tests.** The x test measures the frame of a poll that failed, the f test what the last four frames have
 //! gained.
 
+mod descent;
+mod discrete_gradients;
 mod options;
 mod poll;
 mod state;

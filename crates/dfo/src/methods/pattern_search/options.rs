@@ -24,16 +24,16 @@ pub struct PatternSearch {
     /// The first distance of the poll points from the best point along each parameter, in units of its size:
     /// the nominal value where one was given, else the width of the box, else |x0|, else 1. Default 0.3.
     pub frame: f64,
-    /// When the tests have passed, the search begins anew with the first frame and new directions, until so
-    /// many such searches in a row have gained nothing (no more than the f test allows); default 2. Where the
-    /// cost has kinks few directions lead down, and a frame may shrink before one is met. 0: the first search
-    /// is the only one.
+    /// When the tests have passed and discrete gradients show no way down, the search begins anew with the
+    /// first frame and new directions, until so many such searches in a row have gained nothing (no more than
+    /// the f test allows); default 1. They find what lies behind a step, of which no gradient tells. 0: the
+    /// first search is the only one.
     pub restarts: usize,
 }
 
 impl Default for PatternSearch {
     fn default() -> Self {
-        Self { batch: Lookahead::Measured, frame: 0.3, restarts: 2 }
+        Self { batch: Lookahead::Measured, frame: 0.3, restarts: 1 }
     }
 }
 

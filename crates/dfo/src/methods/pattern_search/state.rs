@@ -1,5 +1,6 @@
 //! The running search: which point the path needs next, and what follows from its cost.
 
+use super::descent::Descent;
 use super::options::PatternSearch;
 use super::poll::Poll;
 use crate::error::Error;
@@ -21,13 +22,15 @@ const FRAMES: usize = 4;
 const DOUBLINGS: u32 = 3;
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-enum Phase {
+pub(super) enum Phase {
     /// The start point is evaluated.
     Starting,
     /// The points of the poll are evaluated.
     Polling,
     /// A step that has gained is doubled.
     Extending,
+    /// A way down is looked for that no poll has met.
+    Descending,
     NoStart,
     Ended(Termination),
 }
@@ -38,25 +41,25 @@ const LARGEST: f64 = 1e100;
 /// A pattern search where all sizes are known.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Polling {
-    setup: Setup,
+    pub(super) setup: Setup,
     batch: Lookahead,
-    phase: Phase,
+    pub(super) phase: Phase,
     /// The best point, or the start.
-    best: RankedPoints,
-    trial: (Vec<f64>, Vec<f64>),
+    pub(super) best: RankedPoints,
+    pub(super) trial: (Vec<f64>, Vec<f64>),
     /// Size of the first frame, and of the present one as a multiple of it.
-    first: f64,
-    scale: f64,
+    pub(super) first: f64,
+    pub(super) scale: f64,
     poll: Poll,
     /// Place of the trial point in the poll.
     place: usize,
     /// Frames that have shrunk.
-    n_refined: u64,
+    pub(super) n_refined: u64,
     /// The best point when the frame last shrank, in working coordinates.
     reference: Vec<f64>,
     /// The last step, in units of the sizes, and how often it has been doubled.
-    step: Vec<f64>,
-    n_doubled: u32,
+    pub(super) step: Vec<f64>,
+    pub(super) n_doubled: u32,
     /// The best cost when each of the last frames shrank.
     gains: Vec<f64>,
     /// So many restarts in a row must gain nothing; how many have, and the best cost when the search last
@@ -64,8 +67,11 @@ pub struct Polling {
     restarts: usize,
     n_idle: usize,
     f_begin: f64,
-    /// The tests that had passed before the last restart; they hold while no better point is known.
+    /// The tests that had passed where no way down was found; they hold while no better point is known.
     passed: Option<Tests>,
+    /// The search for a way down.
+    #[serde(default)]
+    pub(super) descent: Option<Descent>,
     waiting: bool,
     n_points: u64,
     n_iterations: usize,
@@ -97,6 +103,7 @@ impl Polling {
             n_idle: 0,
             f_begin: f64::INFINITY,
             passed: None,
+            descent: None,
             waiting: false,
             n_points: 0,
             n_iterations: 0,
@@ -133,10 +140,12 @@ impl Polling {
             && space.bounds().contains(&self.trial.1)
             && self.poll.is_sound(n)
             && (self.place < self.poll.len() || self.phase != Phase::Polling)
+            && (self.phase != Phase::Descending || self.descent.is_some())
+            && self.descent.as_ref().is_none_or(|descent| descent.is_sound(n))
             && (self.reference.len(), self.step.len()) == (n, n)
     }
 
-    fn best_cost(&self) -> f64 {
+    pub(super) fn best_cost(&self) -> f64 {
         self.best.cost(0).value().unwrap_or(f64::INFINITY)
     }
 
@@ -160,7 +169,7 @@ impl Polling {
     }
 
     /// Makes this point the trial point.
-    fn place_trial(&mut self, step: &[f64]) -> bool {
+    pub(super) fn place_trial(&mut self, step: &[f64]) -> bool {
         let mut trial = std::mem::take(&mut self.trial);
         let is_new = self.place(step, &mut trial);
         self.trial = trial;
@@ -218,31 +227,49 @@ impl Polling {
             self.conclude(Operation::Refinement);
         }
         match self.tests.filter(|tests| tests.passed && counts) {
-            Some(tests) => {
-                let gains = self.f_begin - tests.f_best > tests.f_limit;
-                self.n_idle = if gains { 0 } else { self.n_idle + 1 };
-                if self.n_idle >= self.restarts {
-                    self.phase = Phase::Ended(Termination::Converged);
-                    return;
-                }
-                self.f_begin = tests.f_best;
-                self.passed = Some(tests);
-                self.gains.clear();
-                self.scale = 1.0;
+            Some(tests) if self.passed.is_none_or(|passed| tests.f_best < passed.f_best) => {
+                self.passed = None;
+                self.begin_descent(tests.f_limit);
             }
+            Some(_) => self.descended(false),
             None if self.first * self.scale < f64::EPSILON => {
                 self.phase = Phase::Ended(Termination::Collapsed);
+            }
+            None => {
+                self.scale *= 0.5;
+                self.begin_frame();
+            }
+        }
+    }
+
+    /// The best point is a minimum as far as polls and discrete gradients tell, or one has gained: ends, or
+    /// begins with the first frame.
+    pub(super) fn descended(&mut self, has_gained: bool) {
+        let (f, least) = (self.best_cost(), self.tests.map_or(0.0, |tests| tests.f_limit));
+        let gains = has_gained || self.f_begin - f > least;
+        self.n_idle = if gains { 0 } else { self.n_idle + 1 };
+        if !has_gained {
+            self.passed = self.tests;
+            if self.n_idle >= self.restarts {
+                self.phase = Phase::Ended(Termination::Converged);
                 return;
             }
-            None => self.scale *= 0.5,
         }
+        self.f_begin = f;
+        self.gains.clear();
+        self.scale = 1.0;
+        self.begin_frame();
+    }
+
+    /// Begins the polls of a frame of another size.
+    fn begin_frame(&mut self) {
         self.n_refined += 1;
         self.reference.copy_from_slice(self.best.u(0));
         self.begin_poll();
     }
 
     /// Ends an iteration.
-    fn conclude(&mut self, operation: Operation) {
+    pub(super) fn conclude(&mut self, operation: Operation) {
         self.n_iterations += 1;
         self.operation = Some(operation);
         let known = (self.gains.len() == FRAMES && operation == Operation::Refinement).then(|| self.gains[0]);
@@ -265,7 +292,7 @@ impl Polling {
     }
 
     /// The trial point is better.
-    fn accept(&mut self, cost: Cost) {
+    pub(super) fn accept(&mut self, cost: Cost) {
         let Self { setup, best, trial: (u, x), step, .. } = self;
         for (k, step) in step.iter_mut().enumerate() {
             *step = (u[k] - best.u(0)[k]) / setup.space.size(k);
@@ -275,7 +302,7 @@ impl Polling {
     }
 
     /// Tries twice the last step, or ends the iteration where that leads nowhere.
-    fn extend(&mut self) {
+    pub(super) fn extend(&mut self) {
         let doubled: Vec<f64> = self.step.iter().map(|s| 2.0 * s).collect();
         self.phase = Phase::Extending;
         if !self.place_trial(&doubled) {
@@ -285,6 +312,10 @@ impl Polling {
 
     /// The step was doubled for as long as that gained.
     fn extended(&mut self) {
+        if self.descent.is_some() {
+            self.descend_on();
+            return;
+        }
         if self.n_doubled >= DOUBLINGS && self.first * self.scale < LARGEST {
             self.scale *= 2.0;
         }
@@ -310,7 +341,9 @@ impl Method for Polling {
         batch.start(self.setup.space.n(), self.n_points, self.n_points);
         if self.status() == Status::Running {
             // The start is the first trial point.
-            batch.push(&self.trial.1, self.best_cost());
+            // Gradients are made of costs, however high.
+            let cutoff = if self.phase == Phase::Descending { f64::INFINITY } else { self.best_cost() };
+            batch.push(&self.trial.1, cutoff);
             self.waiting = true;
         }
     }
@@ -321,7 +354,8 @@ impl Method for Polling {
             Phase::Starting => (0, (self.next_poll(1, false), 0.5 * self.scale)),
             Phase::Polling => (self.place + 1, (self.next_poll(self.n_refined + 1, false), 0.5 * self.scale)),
             Phase::Extending => (self.poll.len(), (self.next_poll(self.n_refined, true), self.scale)),
-            _ => return,
+            Phase::Descending => return self.speculate_on_descent(wanted, known, batch),
+            Phase::NoStart | Phase::Ended(_) => return,
         };
         let mut ahead = self.trial.clone();
         let mut step = vec![0.0; self.step.len()];
@@ -378,6 +412,7 @@ impl Method for Polling {
                 self.extend();
             }
             Phase::Extending => self.extended(),
+            Phase::Descending => self.descend(cost),
             Phase::NoStart | Phase::Ended(_) => {}
         }
         Ok(())
@@ -387,7 +422,7 @@ impl Method for Polling {
         match &self.phase {
             Phase::NoStart => Status::NoStart,
             Phase::Ended(termination) => Status::Ended(termination.clone()),
-            Phase::Starting | Phase::Polling | Phase::Extending => Status::Running,
+            Phase::Starting | Phase::Polling | Phase::Extending | Phase::Descending => Status::Running,
         }
     }
 
@@ -402,7 +437,7 @@ impl Method for Polling {
             n_iterations: self.n_iterations,
             operation: self.operation,
             tests,
-            settled: tests.is_some_and(|tests| tests.passed),
+            settled: passed.is_some_and(|tests| tests.passed),
             plan: self.batch.name(),
             lookahead: self.batch,
             population: Some(self.best.view()),

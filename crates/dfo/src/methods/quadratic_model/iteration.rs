@@ -462,6 +462,9 @@ impl ModelSearch {
             // More may be seen farther off.
             self.radius *= 2.0;
             self.restart();
+            if self.phase == Phase::Starting {
+                self.roughness = None;
+            }
             return;
         }
         if passed || self.n_refused >= MOST_REFUSED || self.rho <= SMALLEST {

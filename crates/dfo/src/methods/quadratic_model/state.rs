@@ -91,7 +91,7 @@ pub struct ModelSearch {
     /// exhausted.
     #[serde(default)]
     pub(super) curvatures: Vec<(f64, f64)>,
-    /// Evidence of noise or kinks when the last resolution was exhausted.
+    /// Evidence of noise or kinks so far.
     #[serde(default)]
     pub(super) roughness: Option<Roughness>,
 }

@@ -1,0 +1,226 @@
+//! The search for a way down that no poll has met, before a point counts as a minimum.
+
+use super::discrete_gradients::{DIFFERENCE, DiscreteGradients, implied};
+use super::poll::Poll;
+use super::state::{Phase, Polling};
+use crate::method::interface::{AnswersSoFar, Batch, Operation};
+use crate::methods::shared::cost::Cost;
+use serde::{Deserialize, Serialize};
+
+/// The length of the steps is made so much smaller where none of this length leads down.
+const SHORTER: f64 = 0.1;
+
+/// A search along discrete gradients.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Descent {
+    gradients: DiscreteGradients,
+    /// The length of the steps, as a multiple of the first frame.
+    scale: f64,
+    /// What counts as a gain, and the cost at the beginning.
+    least: f64,
+    f_begin: f64,
+    /// The gradient that is being made; `None` while the end of a step is evaluated.
+    partial: Option<Partial>,
+}
+
+/// A gradient of which some derivatives are known.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Partial {
+    derivatives: Vec<f64>,
+    /// The coordinate along which the trial point lies.
+    axis: usize,
+    /// The point that it is compared with.
+    u: Vec<f64>,
+    cost: f64,
+    /// Change of the cost along the step, and the step in units of the sizes.
+    change: f64,
+    step: Vec<f64>,
+}
+
+impl Descent {
+    pub(super) fn is_sound(&self, n: usize) -> bool {
+        self.gradients.is_sound(n)
+            && self.scale > 0.0
+            && self.scale <= 1.0
+            && self.partial.as_ref().is_none_or(|partial| {
+                partial.axis < n
+                    && [&partial.derivatives, &partial.u, &partial.step].iter().all(|v| v.len() == n)
+            })
+    }
+}
+
+impl Polling {
+    /// Looks for a way down from the best point, with steps as long as the first frame and then shorter ones.
+    pub(super) fn begin_descent(&mut self, least: f64) {
+        let f_begin = self.best_cost();
+        self.phase = Phase::Descending;
+        self.descend_with(Descent {
+            gradients: self.no_gradients(),
+            scale: 1.0,
+            least,
+            f_begin,
+            partial: None,
+        });
+    }
+
+    fn no_gradients(&self) -> DiscreteGradients {
+        let mut first = vec![0.0; self.step.len()];
+        Poll::of_halton(first.len(), self.n_refined + 1).direction(0, &mut first);
+        DiscreteGradients::new(first)
+    }
+
+    /// Asks for the end of the next step, or ends where the steps have become as short as the frame.
+    fn descend_with(&mut self, mut descent: Descent) {
+        descent.partial = None;
+        loop {
+            let length = self.first * descent.scale;
+            let step: Vec<f64> = descent.gradients.direction().iter().map(|d| length * d).collect();
+            if self.place_trial(&step) {
+                self.descent = Some(descent);
+                return;
+            }
+            if !self.shorten(&mut descent) {
+                return;
+            }
+        }
+    }
+
+    /// The trial point as seen from the best one, in units of the sizes.
+    fn displacement(&self) -> Vec<f64> {
+        let (space, from) = (&self.setup.space, self.best.u(0));
+        self.trial.0.iter().enumerate().map(|(k, u)| (u - from[k]) / space.size(k)).collect()
+    }
+
+    /// Shorter steps; false at the end.
+    fn shorten(&mut self, descent: &mut Descent) -> bool {
+        descent.scale *= SHORTER;
+        descent.gradients = self.no_gradients();
+        if descent.scale >= self.scale {
+            return true;
+        }
+        self.descent = None;
+        self.descended(self.best_cost() < descent.f_begin);
+        false
+    }
+
+    /// Takes the cost of the trial point.
+    pub(super) fn descend(&mut self, cost: Cost) {
+        let Some(mut descent) = self.descent.take() else { return };
+        if descent.partial.is_some() {
+            self.differentiate(descent, cost);
+            return;
+        }
+        match cost.value() {
+            Some(value) if value < self.best_cost() - descent.least => {
+                self.accept(cost);
+                self.n_doubled = 0;
+                descent.gradients = self.no_gradients();
+                self.descent = Some(descent);
+                self.extend();
+            }
+            Some(value) => {
+                descent.partial = Some(Partial {
+                    derivatives: vec![0.0; self.step.len()],
+                    axis: 0,
+                    u: self.trial.0.clone(),
+                    cost: value,
+                    change: value - self.best_cost(),
+                    step: self.displacement(),
+                });
+                self.next_difference(descent, 0);
+            }
+            // A failure tells nothing of the cost.
+            None => {
+                if self.shorten(&mut descent) {
+                    self.descend_with(descent);
+                }
+            }
+        }
+    }
+
+    /// The next point of a gradient, along the coordinates from this one on; or the next step.
+    fn next_difference(&mut self, mut descent: Descent, from: usize) {
+        let Some(partial) = &mut descent.partial else { return };
+        let implied = implied(&partial.step);
+        let mut trial = std::mem::take(&mut self.trial);
+        let found = (from..self.step.len())
+            .find(|&axis| axis != implied && self.place_beside(&partial.u, axis, descent.scale, &mut trial));
+        self.trial = trial;
+        if let Some(axis) = found {
+            partial.axis = axis;
+            self.descent = Some(descent);
+            return;
+        }
+        let mut gradient = std::mem::take(&mut partial.derivatives);
+        let known: f64 = gradient.iter().zip(&partial.step).map(|(g, s)| g * s).sum();
+        gradient[implied] = (partial.change - known) / partial.step[implied];
+        let space = &self.setup.space;
+        let at = |is_at: &dyn Fn(f64, (f64, f64)) -> bool| -> Vec<bool> {
+            self.best.u(0).iter().enumerate().map(|(k, u)| is_at(*u, space.working_bounds(k))).collect()
+        };
+        let bounds = (at(&|u, (lower, _)| u <= lower), at(&|u, (_, upper)| u >= upper));
+        let slope = descent.gradients.add(gradient, (&bounds.0, &bounds.1));
+        let gain = slope.map_or(0.0, |slope| self.first * descent.scale * slope);
+        if gain > descent.least || self.shorten(&mut descent) {
+            self.descend_with(descent);
+        }
+    }
+
+    /// A point beside this one along a coordinate; false where there is none.
+    fn place_beside(
+        &self,
+        u: &[f64],
+        axis: usize,
+        scale: f64,
+        (trial, x): &mut (Vec<f64>, Vec<f64>),
+    ) -> bool {
+        let space = &self.setup.space;
+        let (lower, upper) = space.working_bounds(axis);
+        let distance = DIFFERENCE * scale * self.first * space.size(axis);
+        trial.copy_from_slice(u);
+        let forward = (u[axis] + distance).min(upper);
+        trial[axis] =
+            if forward - u[axis] >= 0.5 * distance { forward } else { (u[axis] - distance).max(lower) };
+        space.to_user(trial, x);
+        trial[axis] != u[axis]
+    }
+
+    fn differentiate(&mut self, mut descent: Descent, cost: Cost) {
+        let Some(partial) = &mut descent.partial else { return };
+        let axis = partial.axis;
+        if let Some(cost) = cost.value() {
+            let distance = (self.trial.0[axis] - partial.u[axis]) / self.setup.space.size(axis);
+            partial.derivatives[axis] = (cost - partial.cost) / distance;
+            (partial.u[axis], partial.cost) = (self.trial.0[axis], cost);
+        }
+        self.next_difference(descent, axis + 1);
+    }
+
+    /// A step that led down was doubled for as long as that gained.
+    pub(super) fn descend_on(&mut self) {
+        self.conclude(Operation::Poll);
+        self.phase = Phase::Descending;
+        if let Some(descent) = self.descent.take() {
+            self.descend_with(descent);
+        }
+    }
+
+    /// The points that follow if the step does not lead down.
+    pub(super) fn speculate_on_descent(&self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
+        let Some(descent) = &self.descent else { return };
+        let mut ahead = self.trial.clone();
+        let (from, implied) = match &descent.partial {
+            Some(partial) => (partial.axis + 1, implied(&partial.step)),
+            None => (0, implied(&self.displacement())),
+        };
+        for axis in (from..self.step.len()).filter(|axis| *axis != implied) {
+            if batch.len() == wanted {
+                return;
+            }
+            let u = ahead.0.clone();
+            if self.place_beside(&u, axis, descent.scale, &mut ahead) && !known.contains(&ahead.1) {
+                batch.push(&ahead.1, f64::INFINITY);
+            }
+        }
+    }
+}
