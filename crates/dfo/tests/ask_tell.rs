@@ -5,8 +5,8 @@ mod common;
 
 use common::{PLANS, Problem, plan, probe, problems, rosenbrock};
 use dfo::{
-    Answers, Batch, Bounds, Details, Error, Lookahead, Method, MethodOptions, NelderMeadState, Outcome,
-    Setup, Space, Status, Termination, minimize,
+    Answer, Answers, Batch, Bounds, Details, Error, LeastSquares, Lookahead, Method, MethodOptions,
+    NelderMeadState, Outcome, Setup, Space, Status, Termination, by_hand, minimize,
 };
 
 fn search(problem: &Problem, p: Lookahead) -> NelderMeadState {
@@ -220,4 +220,28 @@ fn own_methods_can_be_driven() {
     }
     let report = minimize(|x: &[f64]| (x[0] - 7.0).abs()).start(&[0.0]).method(CountOptions).run().unwrap();
     assert_eq!((report.x, report.fun, report.n_evaluations, &*report.method), (vec![7.0], 0.0, 20, "count"));
+}
+
+/// The answer that completes a round of many residuals is taken without a copy of those before it: nobody could interrupt that.
+#[test]
+fn residuals_that_are_told_are_not_copied() {
+    const N: usize = 20;
+    const M: usize = 100_000;
+    let run = by_hand().start(&[1.0; N]).method(LeastSquares::default());
+    let mut optimizer = run.optimizer().unwrap();
+    let points = optimizer.ask(N + 1);
+    assert_eq!(points.len(), N + 1);
+    for point in points {
+        let residuals: Vec<f64> = (0..M).map(|i| point.x[i % N] - (i as f64).cos()).collect();
+        let outcome = Outcome::Value(residuals.iter().map(|r| r * r).sum());
+        let answer = Answer { outcome, residuals, ..Answer::default() };
+        let context = dfo::RunContext::new();
+        let over = std::sync::atomic::AtomicBool::new(true);
+        let counted = allocation_counter::measure(|| {
+            // What follows from a whole round is put off.
+            optimizer.tell_unless(point.id, answer, &context.flagged(&over)).unwrap();
+        });
+        // The residuals at the best point are copied, for the report.
+        assert!(counted.bytes_total < (4 * M * size_of::<f64>()) as u64, "{counted:?}");
+    }
 }

@@ -330,7 +330,7 @@ impl Round {
 
     /// Answers to the last batch, which are nowhere else then; what was not evaluated is
     /// [`Outcome::Skipped`].
-    pub(crate) fn told(&mut self, batch: &Batch) -> &Answers {
+    pub(crate) fn told(&mut self, batch: &Batch) -> &mut Answers {
         self.told.clear();
         for answer in &mut self.answers {
             if batch.want() == Want::Residuals && answer.outcome.value().is_some() {
@@ -339,7 +339,7 @@ impl Round {
                 self.told.push(answer.outcome.clone(), &[]);
             }
         }
-        &self.told
+        &mut self.told
     }
 
     pub(crate) fn is_stale(&self) -> bool {

@@ -475,6 +475,15 @@ pub trait Method {
     /// Nothing was asked, or there are more answers than points.
     fn tell(&mut self, answers: &Answers) -> Result<(), Error>;
 
+    /// As [`tell`](Self::tell), with answers that nobody reads any more: a method that keeps residuals takes
+    /// them ([`Answers::take_residuals`]) instead of a copy, which would take a while where there are many.
+    ///
+    /// # Errors
+    /// As [`tell`](Self::tell).
+    fn tell_last(&mut self, answers: &mut Answers) -> Result<(), Error> {
+        self.tell(answers)
+    }
+
     /// Where the method stands.
     fn status(&self) -> Status;
 

@@ -145,6 +145,8 @@ pub enum Extent {
     Model,
     /// Of the frame of a poll.
     Frame,
+    /// Of the points with the residuals of the best one.
+    Plateau,
 }
 
 impl Extent {
@@ -156,6 +158,7 @@ impl Extent {
             Self::BestSeen => "best points seen:",
             Self::Model => "distance to the model's minimum:",
             Self::Frame => "frame",
+            Self::Plateau => "region of equal residuals:",
         }
     }
 }

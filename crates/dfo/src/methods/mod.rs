@@ -596,6 +596,9 @@ impl Method for BoxedMethod {
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
         self.0.tell(answers)
     }
+    fn tell_last(&mut self, answers: &mut Answers) -> Result<(), Error> {
+        self.0.tell_last(answers)
+    }
     fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
         self.0.speculate(wanted, known, batch);
     }

@@ -234,6 +234,12 @@ impl Answers {
         known.then(|| &self.residuals[k][..])
     }
 
+    /// As [`residuals`](Self::residuals), and leaves none behind.
+    pub fn take_residuals(&mut self, k: usize) -> Option<Vec<f64>> {
+        let known = self.m > 0 && self.outcomes[k].value().is_some();
+        known.then(|| std::mem::take(&mut self.residuals[k]))
+    }
+
     /// Adds a point. All residual vectors have the length of the first one: of a longer one the rest is left
     /// out, a shorter one is filled up with zeros.
     pub fn push(&mut self, outcome: Outcome, residuals: &[f64]) {

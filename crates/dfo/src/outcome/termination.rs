@@ -43,7 +43,8 @@ pub enum Termination {
     NotSaved(String),
     /// The tolerance tests passed, but every point had the same cost: nothing was learned.
     ConstantCost,
-    /// The search ended where numbers end: the cost fell below -1e300, so it has no minimum.
+    /// The search ended where numbers end: the cost fell below -1e300, so it has no minimum. Or the minimum
+    /// of a sum of squares lies at infinity: the parameters grew, and the cost still falls that way.
     Unbounded,
 }
 

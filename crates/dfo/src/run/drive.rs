@@ -395,7 +395,7 @@ impl<M: Method> Drive<M> {
         // Nothing follows from residuals any more, and many of them take their time.
         let is_left = stopped == Some(Termination::Interrupted) && self.batch.want() == Want::Residuals;
         if !is_left {
-            self.method.tell(self.round.told(&self.batch))?;
+            self.method.tell_last(self.round.told(&self.batch))?;
         }
         self.observe_and_end(stopped, around)
     }

@@ -313,6 +313,9 @@ fn message<M: Method + ?Sized>(
         Termination::ConstantCost => with_tests(
             "nothing was learned: the search came to its end, but the cost did not change".to_owned(),
         ),
+        Termination::Unbounded if fun >= UNBOUNDED => with_tests(
+            "not converged: the minimum lies at infinity, or bounds are missing: the cost still falls along the way that the parameters have gone from the start".to_owned(),
+        ),
         Termination::Unbounded => {
             format!(
                 "the cost has no minimum: it fell to {}, below {}, and would fall further",

@@ -43,6 +43,27 @@ fn kinks_are_handed_over_and_no_success_of_the_model() {
     assert!(model.fun < 1e-5 || !model.is_success() && model.message.contains("kinks"), "{model}");
 }
 
+/// Where `auto` would hand over, the model alone does not claim to have converged.
+#[test]
+fn a_model_that_has_met_kinks_claims_no_success_beside_the_minimum() {
+    let sum = |x: &[f64]| x.iter().map(|x| (x - 0.3).abs()).sum::<f64>();
+    let largest = |x: &[f64]| x.iter().fold(0.0, |m: f64, x| m.max((x - 0.3).abs()));
+    let chain =
+        |x: &[f64]| (x[0] - 0.7).abs() + x.windows(2).map(|w| 10.0 * (w[1] - w[0]).abs()).sum::<f64>();
+    let costs: [fn(&[f64]) -> f64; 3] = [sum, largest, chain];
+    for (n, cost) in (2..=6).flat_map(|n| costs.map(|cost| (n, cost))) {
+        for x0 in [vec![1.5; n], vec![-1.0; n], vec![0.0; n]] {
+            let run = minimize(cost).start(&x0).method(QuadraticModel::default());
+            let report = run.run().unwrap();
+            let is_near = report.fun < 1e-3 * cost(&x0);
+            assert!(
+                is_near || !report.is_success() && report.message.contains("kinks"),
+                "{n} {x0:?}: {report}"
+            );
+        }
+    }
+}
+
 /// Parameters that start at zero tell no size: it is looked for, then the model searches.
 #[test]
 fn unknown_sizes_are_looked_for() {

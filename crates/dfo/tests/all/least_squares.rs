@@ -488,3 +488,50 @@ fn residuals_that_do_not_fit_into_memory_are_refused() {
     answers.push(Outcome::Value(1.0), &vec![1e-4; 10_000_000]);
     assert!(matches!(method.tell(&answers), Err(Error::Memory { .. })));
 }
+
+/// Sums of squares that fall towards infinity: what the cost comes near to on the way is no minimum.
+#[test]
+fn a_minimum_at_infinity_is_no_success() {
+    let exponential: fn(&[f64], &mut Vec<f64>) = |x, out| out.push((-x[0]).exp());
+    let root: fn(&[f64], &mut Vec<f64>) = |x, out| out.push(x[0].powf(-0.4));
+    let with_rest: fn(&[f64], &mut Vec<f64>) = |x, out| out.extend([1.0 / x[0], 1.0]);
+    let with_another: fn(&[f64], &mut Vec<f64>) = |x, out| out.extend([(-x[0]).exp(), x[1] - 2.0]);
+    for (f, x0) in
+        [(exponential, vec![0.0]), (root, vec![1.0]), (with_rest, vec![1.0]), (with_another, vec![1.0, 0.5])]
+    {
+        let report = minimize(residuals(f)).start(&x0).method(LeastSquares::default()).run().unwrap();
+        assert!(report.termination == Termination::Unbounded && !report.is_success(), "{report}");
+        assert!(report.message.contains("the minimum lies at infinity"), "{report}");
+        // With a bound there is one.
+        let run = minimize(residuals(f)).start(&x0).bounds(&vec![-1.0; x0.len()], &vec![3.0; x0.len()]);
+        let report = run.unwrap().method(LeastSquares::default()).run().unwrap();
+        assert!(report.is_success() && report.x[0] == 3.0, "{report}");
+    }
+}
+
+/// Roots of any multiplicity are minima, however slow the way to them is.
+#[test]
+fn multiple_roots_are_no_minima_at_infinity() {
+    for power in 1..9 {
+        let f = |x: &[f64], out: &mut Vec<f64>| out.push((x[0] - 50.0).powi(power));
+        let report = minimize(residuals(f)).start(&[1.0]).method(LeastSquares::default()).run().unwrap();
+        assert!(report.is_success(), "{power}: {report}");
+    }
+}
+
+/// Where residuals are rounded the cost is the same around its least value, and no test tells where its minimum lies.
+#[test]
+fn rounded_residuals_are_no_success_where_the_rounding_decides() {
+    for digits in [10.0, 1e4] {
+        let line = |x: &[f64], out: &mut Vec<f64>| {
+            out.extend((0..20).map(|k| {
+                let (t, off) = (0.1 * f64::from(k), 0.1 * (f64::from(37 * k % 11) / 11.0 - 0.5));
+                (digits * (x[0] + x[1] * t - 2.0 - 3.0 * t + 2.0 * off)).round() / digits
+            }));
+        };
+        let report =
+            minimize(residuals(line)).start(&[1.0, 5.0]).method(LeastSquares::default()).run().unwrap();
+        assert!(report.fun > 0.0 && report.termination == Termination::Noise, "{digits}: {report}");
+        assert!(!report.is_success() && report.message.contains("region of equal residuals"), "{report}");
+    }
+}

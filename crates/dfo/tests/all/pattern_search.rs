@@ -113,9 +113,11 @@ fn narrow_cones_of_descent_are_met() {
     }
 }
 
+type Cost = Box<dyn Fn(&[f64]) -> f64 + Send + Sync>;
+
 /// Where kinks cross, the way down is a cone that becomes narrower with each parameter: along a chain of equal parameters,
 /// along lines that are turned against the axes, between planes.
-fn crossing_kinks(n: usize) -> [(&'static str, Box<dyn Fn(&[f64]) -> f64 + Send + Sync>); 3] {
+fn crossing_kinks(n: usize) -> [(&'static str, Cost); 3] {
     // The columns of a matrix of cosines are orthogonal.
     let turned = move |x: &[f64], k: usize| -> f64 {
         let angle = |i: usize| std::f64::consts::PI * (i as f64 + 0.5) * k as f64 / n as f64;
@@ -174,7 +176,7 @@ fn discrete_gradients_take_the_same_path_with_workers_and_interruptions() {
     let whole = set_up(usize::MAX).run().unwrap();
     assert!(whole.is_success(), "{whole}");
     for workers in [2, 5] {
-        for plan in [PollPlan::Ahead, PollPlan::Poll] {
+        for plan in [Lookahead::Workers, Lookahead::Points(6)] {
             let method = PatternSearch::default().batch(plan);
             let other = set_up(usize::MAX).method(method).workers(workers).run().unwrap();
             assert_eq!(

@@ -4,6 +4,7 @@ use super::points::{Evaluated, distance};
 use super::state::{LeastSquaresState, Phase, simplex_method};
 use crate::error::Error;
 use crate::method::interface::{Method, Status};
+use crate::method::tolerances::{Extent, Tests};
 use crate::methods::nelder_mead::SimplexSearch;
 use crate::outcome::answer::Answers;
 use crate::outcome::termination::Termination;
@@ -84,13 +85,28 @@ impl LeastSquaresState {
     }
 
     /// Ends, with the tests of the simplex where it was one.
-    fn end(&mut self, termination: Termination) {
+    fn end(&mut self, mut termination: Termination) {
         if let Phase::Simplex(simplex) = &self.phase {
             let details = simplex.state.details();
             self.tests = details.tests;
             self.operation = details.operation;
             self.n_iterations += details.n_iterations;
         }
+        if let Some(tests) = self.of_plateau().filter(|_| termination == Termination::Converged) {
+            (self.tests, termination) = (Some(tests), Termination::Noise);
+        }
         self.phase = Phase::Ended(termination);
+    }
+
+    /// The tests where a simplex has come to lie on points with one and the same cost: how small it is says
+    /// nothing of the minimum, which is known as well as the extent of the points with the same residuals
+    /// tells (rounded ones, for example).
+    fn of_plateau(&self) -> Option<Tests> {
+        let best = &self.points[self.base()];
+        let spread = self.tests?.f_spread?;
+        let far = |point: &Evaluated| distance(&point.z, &best.z);
+        let equal = self.points.iter().filter(|point| point.residuals == best.residuals);
+        let tests = self.judge(equal.map(far).fold(0.0, f64::max), spread, best.cost);
+        (spread == 0.0 && best.cost > 0.0).then_some(Tests { extent: Extent::Plateau, ..tests })
     }
 }

@@ -340,7 +340,7 @@ impl LeastSquaresState {
 
     /// Takes what is known of a point that was asked for. A neighbour of the start that failed is tried
     /// elsewhere.
-    fn take(&mut self, place: usize, answer: Option<(f64, &[f64])>) {
+    fn take(&mut self, place: usize, answer: Option<(f64, Vec<f64>)>) {
         let Candidate { role, z, x, retries, .. } = &self.round[place];
         if answer.is_none() {
             if self.failed.len() == MOST_FAILED {
@@ -351,7 +351,7 @@ impl LeastSquaresState {
         let known = match (answer, role) {
             (Some((cost, residuals)), _) => {
                 self.best_seen.offer(x, cost);
-                let (z, x, residuals) = (z.clone(), x.clone(), residuals.to_vec());
+                let (z, x) = (z.clone(), x.clone());
                 self.points.push(Evaluated { z, x, cost, residuals });
                 Known::Point(self.points.len() - 1)
             }
@@ -507,28 +507,36 @@ impl Method for LeastSquaresState {
     }
 
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
+        self.tell_last(&mut answers.clone())
+    }
+
+    fn tell_last(&mut self, answers: &mut Answers) -> Result<(), Error> {
         if matches!(self.phase, Phase::Simplex(_)) {
             return self.tell_simplex(answers);
         }
         let asked = self.asked.len();
-        let outcomes = answers.outcomes();
+        let told = answers.len();
         if !self.waiting {
             return Err(Error::TellWithoutAsk);
         }
-        if outcomes.len() > asked {
-            return Err(Error::TooManyOutcomes { asked, told: outcomes.len() });
+        if told > asked {
+            return Err(Error::TooManyOutcomes { asked, told });
         }
-        if let Some(m) = (0..outcomes.len()).find_map(|k| answers.residuals(k)).map(<[f64]>::len)
+        if let Some(m) = (0..told).find_map(|k| answers.residuals(k)).map(<[f64]>::len)
             && self.points.is_empty()
         {
-            // Those of the answers and those of the method.
+            // Those of the method, and as many that it works on.
             memory::check("the residuals of n + 1 points", &[2 * m, self.n() + 1])?;
         }
         self.waiting = false;
         self.n_batches += 1;
         self.n_points += asked as u64;
-        for (k, outcome) in outcomes.iter().enumerate().filter(|(_, o)| o.is_known()) {
-            self.take(self.asked[k], outcome.value().zip(answers.residuals(k)));
+        for k in 0..told {
+            let outcome = &answers.outcomes()[k];
+            if outcome.is_known() {
+                let cost = outcome.value();
+                self.take(self.asked[k], cost.zip(answers.take_residuals(k)));
+            }
         }
         self.asked.clear();
         if self.round.iter().all(|candidate| candidate.known != Known::Pending) {

@@ -2,7 +2,7 @@
 //! they gave.
 
 use super::interpolation::{Interpolation, Place, combine};
-use super::points::{Selection, difference, distance, dot, norm, sum};
+use super::points::{Evaluated, Selection, difference, distance, dot, norm, sum};
 use super::state::{Candidate, Known, LeastSquaresState, Phase, Role};
 use super::subproblem::{Cancelled, Linear, Subproblem, longest, smallest_singular_value};
 use crate::method::interface::Operation;
@@ -34,6 +34,12 @@ const SMALLER: f64 = 0.5;
 const MOST_NOISY: usize = 2;
 /// A change of the residuals next to a point, in units of the distance from the model, that is noise.
 const JUMP: f64 = 0.03;
+/// Where the sum of squares has fallen to 1e-20 of the first one on the way to a root of multiplicity p, the
+/// model's step is 10^(-10/p) / p of the way that is behind: for no p more than 1 / (10 e ln 10). A longer
+/// one leads on to a minimum at infinity.
+const ONWARD: f64 = 0.016;
+/// Where the sum does not fall to zero that is looked at so far from the start, in units of the first radius.
+const FAR: f64 = 100.0;
 /// Radii of the trial points of a round, in units of the trust region's, the most promising first.
 const RADII: [f64; 4] = [1.0, 0.3, 3.0, 0.1];
 /// Distance of the neighbours of a round's first trial point from it, in units of the step.
@@ -106,7 +112,10 @@ impl LeastSquaresState {
             if f <= ZERO * self.f_0 {
                 // The points need not make a model any more.
                 self.tests = Some(self.judge(self.rho, f, f));
-                self.phase = Phase::Ended(Termination::Converged);
+                let model = self.interpolation(base, context)?;
+                let recedes = f > 0.0 && model.is_some_and(|model| self.recedes(base, &model.linear, 0.0));
+                self.phase =
+                    Phase::Ended(if recedes { Termination::Unbounded } else { Termination::Converged });
                 break;
             }
             if self.set.len() <= self.n() && (self.completed.0 != base || self.completed.1 < MOST_TRIES) {
@@ -148,12 +157,13 @@ impl LeastSquaresState {
                 let (x_size, gain) = self.uncertainty(base, &model.linear, length, predicted);
                 tests = self.judge(x_size, gain, f);
             }
-            let mut is_kept_off = false;
+            let (mut is_kept_off, mut recedes) = (false, false);
             if tests.passed && (length >= 0.9 * self.delta || !self.failed.is_empty()) {
                 // What the radius and failed points keep away counts, too.
                 let radius = self.options.radius.max(self.delta);
                 tests =
                     self.judge(self.rho, self.best_step(&z, &model.linear, radius, (&lower, &upper)).1, f);
+                recedes = tests.passed && self.recedes(base, &model.linear, FAR);
                 if tests.passed {
                     let (lower, upper) = (&lower[..], &upper[..]);
                     let free = Subproblem { linear: &model.linear, radius, lower, upper }.solve().1;
@@ -167,10 +177,10 @@ impl LeastSquaresState {
             let rounding = 4.0 * self.points[base].residuals.len() as f64 * f64::EPSILON * f;
             let nothing = rounding.max(1e-7 * tests.f_limit);
             // Equal residuals at all points are no minimum where others are known: a simplex looks beyond them.
-            let is_plateau = tests.passed
-                && self.set.iter().all(|k| self.points[*k].residuals == self.points[base].residuals)
-                && self.points.iter().any(|point| point.residuals != self.points[base].residuals);
-            if tests.passed && !is_plateau {
+            let is_plateau = tests.passed && self.is_plateau(base, predicted);
+            if tests.passed && recedes {
+                self.phase = Phase::Ended(Termination::Unbounded);
+            } else if tests.passed && !is_plateau {
                 self.phase = Phase::Ended(Termination::Converged);
             } else if is_kept_off || is_plateau || (self.n_failed > 0 && self.delta < STUCK) {
                 self.begin_simplex();
@@ -215,6 +225,28 @@ impl LeastSquaresState {
             }
         }
         Ok(())
+    }
+
+    /// True if residuals that are the same at several points, and not at all, keep the model from any
+    /// decrease: those of all its points, or of one that is too far away for the x test.
+    fn is_plateau(&self, base: usize, predicted: f64) -> bool {
+        let Evaluated { z, residuals, .. } = &self.points[base];
+        let is_same = |point: &Evaluated| point.residuals == *residuals;
+        let is_far = |point: &Evaluated| distance(&point.z, z) > self.x_limit();
+        self.points.iter().any(|point| !is_same(point))
+            && (self.set.iter().all(|k| is_same(&self.points[*k]))
+                || predicted == 0.0 && self.points.iter().any(|point| is_same(point) && is_far(point)))
+    }
+
+    /// True if the search has come so far from the start, in units of the first radius, and the minimum of
+    /// the model lies farther away in the same direction than that of any root would (see [`ONWARD`]).
+    fn recedes(&self, base: usize, linear: &Linear, far: f64) -> bool {
+        let z = &self.points[base].z;
+        let (lower, upper) = self.space_around(z);
+        let way = norm(z);
+        let (step, _) = self.best_step(z, linear, ONWARD * way, (&lower, &upper));
+        let along = dot(&step, z) / way;
+        way >= far * self.options.radius && along >= 0.99 * ONWARD * way
     }
 
     /// Bound on the distance of the minimum from the base, and on the decrease of the cost up to it.

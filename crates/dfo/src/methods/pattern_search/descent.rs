@@ -1,53 +1,13 @@
 //! The search for a way down that no poll has met, before a point counts as a minimum.
 
-use super::discrete_gradients::{DIFFERENCE, DiscreteGradients, implied};
+use super::discrete_gradients::{DIFFERENCE, Descent, DiscreteGradients, Partial, implied};
 use super::poll::Poll;
 use super::state::{Phase, Polling};
 use crate::method::interface::{AnswersSoFar, Batch, Operation};
 use crate::methods::shared::cost::Cost;
-use serde::{Deserialize, Serialize};
 
 /// The length of the steps is made so much smaller where none of this length leads down.
 const SHORTER: f64 = 0.1;
-
-/// A search along discrete gradients.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(super) struct Descent {
-    gradients: DiscreteGradients,
-    /// The length of the steps, as a multiple of the first frame.
-    scale: f64,
-    /// What counts as a gain, and the cost at the beginning.
-    least: f64,
-    f_begin: f64,
-    /// The gradient that is being made; `None` while the end of a step is evaluated.
-    partial: Option<Partial>,
-}
-
-/// A gradient of which some derivatives are known.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Partial {
-    derivatives: Vec<f64>,
-    /// The coordinate along which the trial point lies.
-    axis: usize,
-    /// The point that it is compared with.
-    u: Vec<f64>,
-    cost: f64,
-    /// Change of the cost along the step, and the step in units of the sizes.
-    change: f64,
-    step: Vec<f64>,
-}
-
-impl Descent {
-    pub(super) fn is_sound(&self, n: usize) -> bool {
-        self.gradients.is_sound(n)
-            && self.scale > 0.0
-            && self.scale <= 1.0
-            && self.partial.as_ref().is_none_or(|partial| {
-                partial.axis < n
-                    && [&partial.derivatives, &partial.u, &partial.step].iter().all(|v| v.len() == n)
-            })
-    }
-}
 
 impl Polling {
     /// Looks for a way down from the best point, with steps as long as the first frame and then shorter ones.

@@ -3,10 +3,10 @@
 //!
 //! Where several kinks cross, the directions that lead down may fill so narrow a cone that no poll meets it.
 //! But each smooth piece of the cost around a point has a gradient, and against the shortest vector of the
-//! convex hull of all of them every piece falls. A discrete gradient holds the change of the cost along a step
-//! exactly, and that along the axes from the end of the step by differences: where a step against the shortest
-//! vector does not lead down, its discrete gradient shows a piece that was not known, and the vector becomes
-//! shorter. When it is zero the point is a minimum as far as these steps reach.
+//! convex hull of all of them every piece falls. A discrete gradient holds the change of the cost along a
+//! step exactly, and that along the axes from the end of the step by differences: where a step against the
+//! shortest vector does not lead down, its discrete gradient shows a piece that was not known, and the vector
+//! becomes shorter. When it is zero the point is a minimum as far as these steps reach.
 
 use crate::methods::shared::dot::dot;
 use serde::{Deserialize, Serialize};
@@ -116,6 +116,45 @@ impl DiscreteGradients {
             shortest = sum(weights);
         }
         shortest
+    }
+}
+
+/// A search along discrete gradients.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Descent {
+    pub(super) gradients: DiscreteGradients,
+    /// The length of the steps, as a multiple of the first frame.
+    pub(super) scale: f64,
+    /// What counts as a gain, and the cost at the beginning.
+    pub(super) least: f64,
+    pub(super) f_begin: f64,
+    /// The gradient that is being made; `None` while the end of a step is evaluated.
+    pub(super) partial: Option<Partial>,
+}
+
+/// A gradient of which some derivatives are known.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Partial {
+    pub(super) derivatives: Vec<f64>,
+    /// The coordinate along which the trial point lies.
+    pub(super) axis: usize,
+    /// The point that it is compared with.
+    pub(super) u: Vec<f64>,
+    pub(super) cost: f64,
+    /// Change of the cost along the step, and the step in units of the sizes.
+    pub(super) change: f64,
+    pub(super) step: Vec<f64>,
+}
+
+impl Descent {
+    pub(super) fn is_sound(&self, n: usize) -> bool {
+        self.gradients.is_sound(n)
+            && self.scale > 0.0
+            && self.scale <= 1.0
+            && self.partial.as_ref().is_none_or(|partial| {
+                partial.axis < n
+                    && [&partial.derivatives, &partial.u, &partial.step].iter().all(|v| v.len() == n)
+            })
     }
 }
 

@@ -18,10 +18,10 @@
 //! directions become dense on the sphere; with the first frame the axes stay as they are. The search is
 //! deterministic.
 //!
-//! **Kinks.** Where several kinks cross, few directions lead down, and the frame may shrink before one is met:
-//! passed tests alone tell nothing. Then discrete gradients around the best point either show a way down, or
-//! that there is none for steps from the first frame's length to the last one's (`discrete_gradients.rs`).
-//! Only where they show none has the search converged.
+//! **Kinks.** Where several kinks cross, few directions lead down, and the frame may shrink before one is
+//! met: passed tests alone tell nothing. Then discrete gradients around the best point either show a way
+//! down, or that there is none for steps from the first frame's length to the last one's
+//! (`discrete_gradients.rs`). Only where they show none has the search converged.
 //!
 //! **Restarts.** Then it goes on with the first frame and new directions until that gains nothing any more.
 //!

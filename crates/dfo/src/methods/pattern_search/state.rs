@@ -1,6 +1,6 @@
 //! The running search: which point the path needs next, and what follows from its cost.
 
-use super::descent::Descent;
+use super::discrete_gradients::Descent;
 use super::options::PatternSearch;
 use super::poll::Poll;
 use crate::error::Error;

@@ -39,24 +39,24 @@ impl ModelSearch {
     /// Looks for noise and kinks when a resolution is exhausted. Where the cost has kinks the model bends as
     /// much as the slope changes among its points, so that its curvature grows with 1/extent; what noise adds
     /// to it grows with 1/extent^2. Steps that fail while the points lie far off say nothing of the cost: the
-    /// model need not be right within the resolution. What was found once holds: a later start may miss it.
-    pub(super) fn look_for_roughness(&mut self) {
+    /// model need not be right within the resolution.
+    pub(super) fn look_for_roughness(&mut self) -> Option<Roughness> {
         let extent = self.extent();
         self.judge_refusal(extent);
         let curvature = self.model.hessian.iter().map(|h| h * h).sum::<f64>().sqrt();
         let refused = self.n_refused >= MOST_REFUSED;
         // Where nothing is seen within the radius the tests mean nothing.
-        if refused || self.is_flat() {
-            self.roughness = Some(Roughness::RefusedSteps);
-        }
+        let mut found = (refused || self.is_flat()).then_some(Roughness::RefusedSteps);
         let wider = self.curvatures.iter().rev().find(|(wider, _)| *wider >= WIDER * extent).copied();
-        self.curvatures.push((extent, curvature));
-        let Some((wider, least)) = wider else { return };
-        let f = self.points.cost(self.points.best()).value().map_or(0.0, f64::abs);
-        let grown = curvature > least * (wider / extent).powf(GROWTH);
-        if grown && least > 0.0 && curvature * self.rho * self.rho > VISIBLE * f {
-            self.roughness = Some(Roughness::Curvature);
+        if let Some((wider, least)) = wider {
+            let f = self.points.cost(self.points.best()).value().map_or(0.0, f64::abs);
+            let grown = curvature > least * (wider / extent).powf(GROWTH);
+            if grown && least > 0.0 && curvature * self.rho * self.rho > VISIBLE * f {
+                found = Some(Roughness::Curvature);
+            }
         }
+        self.curvatures.push((extent, curvature));
+        found
     }
 
     /// All points have one cost: of these none is better than another.

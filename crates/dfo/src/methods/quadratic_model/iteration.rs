@@ -449,12 +449,17 @@ impl ModelSearch {
     /// The resolution is exhausted: the end, a smaller one, or another start.
     fn refine(&mut self) {
         self.fold();
-        self.look_for_roughness();
-        if self.hand_over && self.roughness.is_some() && self.hand_over() {
+        let found = self.look_for_roughness();
+        self.roughness = found.or(self.roughness);
+        if self.hand_over && found.is_some() && self.hand_over() {
             return;
         }
         let passed = self.tests.is_some_and(|tests| tests.passed);
-        if passed && self.roughness.is_none() {
+        if passed {
+            self.n_smooth = if found.is_some() { 0 } else { self.n_smooth + 1 };
+        }
+        if passed && found.is_none() && (self.roughness.is_none() || self.n_smooth >= self.restarts) {
+            self.roughness = None;
             self.phase = Phase::Ended(Termination::Converged);
             return;
         }
@@ -466,6 +471,10 @@ impl ModelSearch {
                 self.roughness = None;
             }
             return;
+        }
+        if passed {
+            // The same points would show the same again; from farther off more resolutions are looked at.
+            self.radius *= 2.0;
         }
         if passed || self.n_refused >= MOST_REFUSED || self.rho <= SMALLEST {
             self.restart();

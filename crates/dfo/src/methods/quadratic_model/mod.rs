@@ -19,9 +19,10 @@
 //! Fiala, Marteau and Roberts, ACM TOMS 45, 2019).
 //!
 //! **Noise and kinks.** Where the cost is smooth the curvature of the model settles as the resolution
-//! shrinks; where it grows all the same there is a kink or noise, and passed tests mean nothing from then on,
-//! also those of later starts: the search starts anew, and does not end as converged, or it hands over to a simplex search (`hand_over.rs`, `nelder_mead/simplex_search.rs`),
-//! which goes on from the best point as Nelder-Mead does from a start.
+//! shrinks; where it grows all the same there is a kink or noise, and passed tests mean nothing: the search
+//! starts anew, too, from farther off, and has converged only where several starts in a row end without such
+//! evidence. Or it hands over to a simplex search (`hand_over.rs`, `nelder_mead/simplex_search.rs`), which
+//! goes on from the best point as Nelder-Mead does from a start.
 //!
 //! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, is moved
 //! alone first (`shared/sizes.rs`).

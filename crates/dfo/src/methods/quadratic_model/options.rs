@@ -33,7 +33,8 @@ pub struct QuadraticModel {
     pub points: Option<usize>,
     /// Number of times in a row that the search starts anew around its best point, with the first trust
     /// region, where steps that the model takes for good do not lower the cost (noise, kinks), before it
-    /// gives up; a start that finds a lower cost begins the count anew. Default 3.
+    /// gives up; a start that finds a lower cost begins the count anew. Where noise or kinks have shown, so
+    /// many starts in a row must end without, to have converged. Default 3.
     pub restarts: usize,
     /// True if the search goes on as [`NelderMead`](crate::NelderMead), from its best point, where the model
     /// shows noise or kinks: its curvature grows as its region shrinks, or its steps fail at several

@@ -91,9 +91,11 @@ pub struct ModelSearch {
     /// exhausted.
     #[serde(default)]
     pub(super) curvatures: Vec<(f64, f64)>,
-    /// Evidence of noise or kinks so far.
+    /// Evidence of noise or kinks so far, and the number of starts in a row since that have ended without.
     #[serde(default)]
     pub(super) roughness: Option<Roughness>,
+    #[serde(default)]
+    pub(super) n_smooth: usize,
 }
 
 impl ModelSearch {
@@ -129,6 +131,7 @@ impl ModelSearch {
             simplex: None,
             curvatures: Vec::new(),
             roughness: None,
+            n_smooth: 0,
             most_points,
             setup,
         };
