@@ -5,8 +5,8 @@ mod common;
 
 use common::{PLANS, Problem, plan, probe, problems, rosenbrock};
 use dfo::{
-    Answer, Answers, Batch, Bounds, Details, Error, LeastSquares, Lookahead, Method, MethodOptions,
-    NelderMeadState, Outcome, Setup, Space, Status, Termination, by_hand, minimize,
+    Answers, Batch, Bounds, Details, Error, LeastSquares, Lookahead, Method, MethodOptions, NelderMeadState,
+    Outcome, Setup, Space, Status, Termination, minimize,
 };
 
 fn search(problem: &Problem, p: Lookahead) -> NelderMeadState {
@@ -222,26 +222,20 @@ fn own_methods_can_be_driven() {
     assert_eq!((report.x, report.fun, report.n_evaluations, &*report.method), (vec![7.0], 0.0, 20, "count"));
 }
 
-/// The answer that completes a round of many residuals is taken without a copy of those before it: nobody could interrupt that.
+/// A round of many residuals is taken without a copy of them: nobody could interrupt that.
 #[test]
 fn residuals_that_are_told_are_not_copied() {
     const N: usize = 20;
     const M: usize = 100_000;
-    let run = by_hand().start(&[1.0; N]).method(LeastSquares::default());
-    let mut optimizer = run.optimizer().unwrap();
-    let points = optimizer.ask(N + 1);
-    assert_eq!(points.len(), N + 1);
-    for point in points {
-        let residuals: Vec<f64> = (0..M).map(|i| point.x[i % N] - (i as f64).cos()).collect();
-        let outcome = Outcome::Value(residuals.iter().map(|r| r * r).sum());
-        let answer = Answer { outcome, residuals, ..Answer::default() };
-        let context = dfo::RunContext::new();
-        let over = std::sync::atomic::AtomicBool::new(true);
-        let counted = allocation_counter::measure(|| {
-            // What follows from a whole round is put off.
-            optimizer.tell_unless(point.id, answer, &context.flagged(&over)).unwrap();
-        });
-        // The residuals at the best point are copied, for the report.
-        assert!(counted.bytes_total < (4 * M * size_of::<f64>()) as u64, "{counted:?}");
+    let setup = Setup::new(Space::new(&[1.0; N], Bounds::unbounded(N), &[], &[]).unwrap());
+    let mut search = LeastSquares::default().begin(&setup).unwrap();
+    let (mut batch, mut answers) = (Batch::new(), Answers::default());
+    search.ask(&mut batch);
+    assert_eq!(batch.len(), N + 1);
+    for x in batch.points() {
+        let residuals: Vec<f64> = (0..M).map(|i| x[i % N] - (i as f64).cos()).collect();
+        answers.push(Outcome::Value(residuals.iter().map(|r| r * r).sum()), &residuals);
     }
+    let counted = allocation_counter::measure(|| search.tell_last(&mut answers).unwrap());
+    assert!(counted.bytes_total < (M * size_of::<f64>()) as u64, "{counted:?}");
 }
