@@ -15,7 +15,8 @@ use serde::{Deserialize, Serialize};
 pub(super) const DIFFERENCE: f64 = 0.01;
 /// So many gradients, in units of n + 1, must tell of a way down at one length of the step: with half as many
 /// more ends lie beside the minimum where the residuals of Moré and Wild count by their sizes, with twice as
-/// many smooth ends take a third more evaluations (`tests/all/pattern_search.rs`).
+/// many smooth ends take a third more evaluations. Chosen from 5, 10 and 20 on functions with kinks, n = 2
+/// to 6.
 const MOST_GRADIENTS: usize = 10;
 /// Exchanges of weights in the search for the shortest vector.
 const MOST_EXCHANGES: usize = 1000;

@@ -127,7 +127,7 @@ def minimize(
         ("none": the run ends when its tests pass; "ipop" and "bipop": the search begins anew with other populations until a
         limit ends the run), ``bounds_handling`` ("smooth", "mirror"). Pattern search: ``batch`` ("auto", "serial",
         "ahead" or a number of points), ``frame`` (0.3: the first distance of the points of a poll, in units of the parameters' sizes),
-        ``restarts`` (2: so many searches in a row with new directions must gain nothing).
+        ``restarts`` (1: so many searches in a row with new directions must gain nothing).
     checkpoint : path, optional
         A file for the state of the run, written after batches and at the end.
     resume : {"auto", "never", "require"}
