@@ -1,6 +1,7 @@
 //! Outputs whose residuals show something that lasts only because the weights of other outputs keep the
 //! parameters off.
 
+use super::chance::OfIndependent;
 use super::residual_check::ResidualCheck;
 use crate::error::CalibrationError;
 use crate::uncertainty::tall::{ThinSvd, thin_svd};
@@ -27,7 +28,7 @@ pub(super) fn mark(
     residuals: &[f64],
     n: usize,
     jacobian: &DMatrix<f64>,
-    context: &RunContext<'_>,
+    (independent, context): (&[OfIndependent], &RunContext<'_>),
 ) -> Result<(), CalibrationError> {
     let p = jacobian.ncols();
     let mut variables: Vec<(String, Vec<usize>)> = Vec::new();
@@ -82,12 +83,13 @@ pub(super) fn mark(
             continue;
         }
         let mut from = 0;
-        for check in checks.iter_mut() {
+        for (k, check) in checks.iter_mut().enumerate() {
             let rows = from..from + check.n;
             from = rows.end;
             if check.variable == *name && check.is_systematic() {
                 let is_removed = |r: &DVector<f64>| {
-                    !check.clone().with_numbers_of(&r.as_slice()[rows.clone()]).is_systematic()
+                    let r = &r.as_slice()[rows.clone()];
+                    !check.clone().with_numbers_of(r, independent.get(k)).is_systematic()
                 };
                 check.is_by_weights = is_removed(&moved) && !without_priors.as_ref().is_some_and(is_removed);
             }
@@ -153,8 +155,8 @@ mod tests {
             weights: vec![1.0; n].into(),
         };
         let layout = ResidualLayout { outputs: vec![output(0), output(1)], priors: Vec::new() };
-        let mut checks = ResidualCheck::all(&layout, &["run1".to_owned()], r.as_slice());
-        mark(&mut checks, r.as_slice(), 2 * n, &j, &RunContext::new()).unwrap();
+        let mut checks = ResidualCheck::all(&layout, &["run1".to_owned()], r.as_slice(), None);
+        mark(&mut checks, r.as_slice(), 2 * n, &j, (&[], &RunContext::new())).unwrap();
         checks
     }
 

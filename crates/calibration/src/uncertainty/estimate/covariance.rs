@@ -2,6 +2,7 @@
 //! that an estimator supposes.
 
 use super::autocorrelation::Group;
+use super::chance::OfIndependent;
 use super::differences::Differences;
 use super::residual_check::{is_rounding, square_of_rounding};
 use super::result::Estimator;
@@ -130,6 +131,26 @@ impl Noise {
         };
         let groups = (0..groups.len()).map(of_group).collect();
         Ok(Self { variances, groups, degrees_of_freedom })
+    }
+}
+
+impl Noise {
+    /// The covariance that independent errors leave to the residuals of each output, U the base; none where
+    /// all have many.
+    pub(super) fn of_independent(&self, layout: &ResidualLayout, base: &DMatrix<f64>) -> Vec<OfIndependent> {
+        if layout.outputs.iter().all(|output| OfIndependent::is_of_many(output.range.len())) {
+            return Vec::new();
+        }
+        let mut weighted = base.clone();
+        for (mut row, variance) in weighted.row_iter_mut().zip(&self.variances) {
+            row *= *variance;
+        }
+        let middle = base.tr_mul(&weighted);
+        let of = |output: &OutputResiduals| {
+            let rows = base.rows(output.range.start, output.range.len());
+            OfIndependent::of_fit(rows.as_view(), &(&middle / self.variances[output.range.start]))
+        };
+        layout.outputs.iter().map(of).collect()
     }
 }
 

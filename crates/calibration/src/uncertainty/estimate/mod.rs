@@ -3,6 +3,7 @@
 
 mod autocorrelation;
 mod by_weights;
+mod chance;
 mod covariance;
 mod differences;
 mod digits;
@@ -24,6 +25,8 @@ use crate::uncertainty::active_bounds::{AT, inner};
 use crate::uncertainty::tall::{go_on, triangle};
 use autocorrelation::Dependence;
 use base::RunContext;
+use chance::OfIndependent;
+pub(crate) use chance::{MEDIAN_DEVIATION, median};
 use covariance::{Factors, Noise, groups};
 use dfo::{Kind, RobustLoss};
 use differences::{Center, Differences};
@@ -33,7 +36,7 @@ pub(crate) use identifiability::SEARCH;
 use nalgebra::DMatrix;
 pub use prior_check::PriorConflict;
 pub use residual_check::ResidualCheck;
-pub(crate) use residual_check::{MEDIAN_DEVIATION, autocorrelation, median};
+pub(crate) use residual_check::autocorrelation;
 pub(crate) use result::check_level;
 use result::errors_and_correlation;
 pub use result::{Estimator, Uncertainty, UncertaintyOptions};
@@ -236,6 +239,7 @@ impl Calibration {
         let factors = Factors::new(&differences, context)?;
         let of_free = (free.len(), context);
         let noise = Noise::estimate(layout, residuals, &working, &outputs, &factors.base, of_free)?;
+        let independent = noise.of_independent(layout, &factors.base);
         let estimate = Estimate { n, free: &free, per_unit: &per_unit, factors: &factors, noise: &noise };
         let covariances = estimate.covariances(&working, layout, &outputs, context)?;
         let (standard_errors, correlation) = errors_and_correlation(&covariances.covariance, n);
@@ -300,7 +304,12 @@ impl Calibration {
             has_loss: matches!(known.criterion, Criterion::Loss(loss) if !loss.is_linear()),
             jacobian: by_parameters,
             n_simulations: simulations.n - before,
-            residual_checks: ResidualCheck::all(layout, &self.problem().experiment_names(), residuals),
+            residual_checks: ResidualCheck::all(
+                layout,
+                &self.problem().experiment_names(),
+                residuals,
+                Some(&independent),
+            ),
             residuals: at_center.residuals.clone(),
         };
         go_on(context)?;
@@ -310,7 +319,7 @@ impl Calibration {
         let weighted = differences.jacobian(context)?;
         uncertainty.find_identifiable(&weighted, (&noise, differences.noise), (&free, &sizes), context)?;
         let base = is_linear.then_some(&factors.base);
-        self.explain_residuals(&mut uncertainty, &jacobian, base, context)?;
+        self.explain_residuals(&mut uncertainty, &jacobian, base, (&independent, context))?;
         uncertainty.findings = uncertainty.all_findings(known.f_tol);
         Ok((uncertainty, covariances.curvature))
     }
@@ -357,13 +366,13 @@ impl Calibration {
         uncertainty: &mut Uncertainty,
         jacobian: &DMatrix<f64>,
         base: Option<&DMatrix<f64>>,
-        context: &RunContext<'_>,
+        (independent, context): (&[OfIndependent], &RunContext<'_>),
     ) -> Result<(), CalibrationError> {
         let layout = self.residual_layout();
         // What is no minimum has residuals that other values of the parameters leave none of, whatever the weights.
         if uncertainty.left_to_gain == 0.0 {
             let (checks, n) = (&mut uncertainty.residual_checks, layout.n_measurements());
-            by_weights::mark(checks, &uncertainty.residuals, n, jacobian, context)?;
+            by_weights::mark(checks, &uncertainty.residuals, n, jacobian, (independent, context))?;
         }
         let Some(base) = base.filter(|_| !uncertainty.is_exact) else { return Ok(()) };
         let (residuals, before) = (&uncertainty.residuals, unmodelled::left(&uncertainty.residuals, base));

@@ -1,26 +1,26 @@
 //! Checks of the residuals of each output: mean, autocorrelation, outliers, runs.
 
+use super::chance::{BY_CHANCE, OfIndependent, chance_of_outliers, distances};
 use super::digits::digits;
 use super::unmodelled::Unmodelled;
 use crate::findings::finding::{Finding, Severity};
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
 use serde::{Deserialize, Serialize};
 
-/// Residuals farther than this many robust standard deviations from their median are outliers, from so many
-/// residuals on.
-const OUTLIER: [(usize, f64); 2] = [(20, 4.0), (8, 10.0)];
+/// Residuals farther than this many robust standard deviations from their median are outliers, if that many
+/// are no chance; else those beyond a larger number, of which a single one is none. Of fewer residuals
+/// nothing is known of their distances.
+const OUTLIER: f64 = 4.0;
+const FEWEST_WITH_OUTLIERS: usize = 20;
 
-/// That many of them, in percent, are no chance: of normally distributed ones 0.006 % lie there.
+/// Fewer outliers, in percent, change no parameter much.
 const MANY_OUTLIERS: f64 = 0.2;
-
-/// The median absolute deviation of normally distributed numbers is this part of their standard deviation.
-pub(crate) const MEDIAN_DEVIATION: f64 = 0.674_489_750_196_081_7;
 
 /// Autocorrelation above this makes standard errors too small that suppose independent residuals.
 pub(crate) const CORRELATED: f64 = 0.3;
 
 /// A mean, or a number of runs, that is farther off than this many standard deviations is no chance.
-const BY_CHANCE: f64 = 4.0;
+const DEVIATIONS: f64 = 4.0;
 
 /// Residuals below this part of the size of the measurements are rounding.
 const ROUNDING: f64 = 1e-10;
@@ -42,10 +42,21 @@ pub struct ResidualCheck {
     pub deviation: f64,
     /// Their autocorrelation at lag one; NaN for fewer than three, and where all are the same.
     pub autocorrelation: f64,
-    /// Number of residuals beyond four robust standard deviations (by the median absolute deviation) from the
-    /// median; ten where there are fewer than 20 residuals, none where there are fewer than 8: few of them
-    /// determine their deviation badly.
+    /// The chance that independent residuals show an autocorrelation as large, after the fit (the exact
+    /// distribution of von Neumann's ratio); None for more than 100 residuals, and where the fit leaves too
+    /// few.
+    #[serde(default)]
+    pub chance: Option<f64>,
+    /// The autocorrelation that is shown, without what the fit takes of it: see `chance`.
+    #[serde(default)]
+    pub autocorrelation_before_fit: Option<f64>,
+    /// Number of residuals beyond [`outlier_limit`](Self::outlier_limit) robust standard deviations (by the
+    /// median absolute deviation) from the median; none where there are fewer than 20.
     pub n_outliers: usize,
+    /// Four where so many beyond it have a chance of less than one in a thousand with normally distributed
+    /// residuals, else the number beyond which any has.
+    #[serde(default)]
+    pub outlier_limit: Option<f64>,
     /// Number of groups of neighbours that they form; as many as there are outliers where each is alone.
     #[serde(default)]
     pub n_outlier_groups: usize,
@@ -67,9 +78,18 @@ pub struct ResidualCheck {
 }
 
 impl ResidualCheck {
-    pub(crate) fn all(layout: &ResidualLayout, names: &[String], residuals: &[f64]) -> Vec<Self> {
-        let check = |output: &OutputResiduals| {
+    /// Of all outputs; `independent`: the covariance that independent errors leave to the residuals of each,
+    /// where it is known.
+    pub(crate) fn all(
+        layout: &ResidualLayout,
+        names: &[String],
+        residuals: &[f64],
+        independent: Option<&[OfIndependent]>,
+    ) -> Vec<Self> {
+        let check = |(k, output): (usize, &OutputResiduals)| {
             let r = &residuals[output.range.clone()];
+            let without_fit = independent.is_none().then(|| OfIndependent::without_fit(r.len()));
+            let independent = without_fit.as_ref().or(independent.and_then(|all| all.get(k)));
             Self {
                 experiment: names[output.experiment].clone(),
                 variable: output.variable.clone(),
@@ -77,6 +97,9 @@ impl ResidualCheck {
                 mean: 0.0,
                 deviation: 0.0,
                 autocorrelation: 0.0,
+                chance: None,
+                autocorrelation_before_fit: None,
+                outlier_limit: None,
                 n_outliers: 0,
                 n_outlier_groups: 0,
                 runs: 0.0,
@@ -84,9 +107,9 @@ impl ResidualCheck {
                 is_by_weights: false,
                 unmodelled: None,
             }
-            .with_numbers_of(r)
+            .with_numbers_of(r, independent)
         };
-        layout.outputs.iter().map(check).collect()
+        layout.outputs.iter().enumerate().map(check).collect()
     }
 
     /// Findings about the residuals of all outputs, with the experiment where there are several. `has_loss`:
@@ -112,7 +135,7 @@ impl ResidualCheck {
         let mut find = |severity, sentence: String, remedy: &str| {
             said.push(Finding::new(severity, subject.clone(), format!("the {subject} {sentence}"), remedy));
         };
-        let lag = format!("are autocorrelated ({:.2} at lag one)", self.autocorrelation);
+        let lag = format!("are autocorrelated ({:.2} at lag one)", self.size_of_autocorrelation());
         if self.is_by_weights {
             let how =
                 if self.is_autocorrelated() { lag } else { "have an offset or keep their sign".to_owned() };
@@ -168,7 +191,7 @@ impl ResidualCheck {
                 "{} of {} {subject} ({share:.1} %) lie beyond {} robust standard deviations{what}",
                 self.n_outliers,
                 self.n,
-                outlier_limit(self.n).unwrap_or_default(),
+                digits(self.outlier_limit.unwrap_or(OUTLIER)),
             );
             said.push(Finding::new(severity, subject, sentence, remedy));
         }
@@ -181,12 +204,12 @@ impl ResidualCheck {
     }
 
     fn keeps_sign(&self) -> bool {
-        self.runs < -BY_CHANCE
+        self.runs < -DEVIATIONS
     }
 
     fn has_offset(&self) -> bool {
         let of_mean = self.deviation / (self.n as f64).sqrt();
-        self.mean.abs() > BY_CHANCE * of_mean && self.mean.abs() > 0.1 * self.deviation && self.n > 2
+        self.mean.abs() > DEVIATIONS * of_mean && self.mean.abs() > 0.1 * self.deviation && self.n > 2
     }
 
     /// True if the residuals are systematic: autocorrelated, with long runs of one sign, or with an offset.
@@ -195,10 +218,14 @@ impl ResidualCheck {
     }
 
     /// The same with the numbers of other residuals.
-    pub(super) fn with_numbers_of(self, r: &[f64]) -> Self {
+    pub(super) fn with_numbers_of(self, r: &[f64], independent: Option<&OfIndependent>) -> Self {
         let (mean, deviation) = mean_and_deviation(r);
-        let (n_outliers, n_outlier_groups) = outliers(r);
+        let (outlier_limit, n_outliers, n_outlier_groups) = outliers(r);
+        let (chance, shown) = independent.and_then(|own| own.autocorrelation(r)).unzip();
         Self {
+            chance,
+            autocorrelation_before_fit: shown,
+            outlier_limit,
             n: r.len(),
             mean,
             deviation,
@@ -210,9 +237,18 @@ impl ResidualCheck {
         }
     }
 
+    /// The autocorrelation at lag one, without what the fit takes of it where that is known.
+    fn size_of_autocorrelation(&self) -> f64 {
+        self.autocorrelation_before_fit.unwrap_or(self.autocorrelation)
+    }
+
     pub(crate) fn is_autocorrelated(&self) -> bool {
         // Of n independent residuals it has the standard deviation 1 / sqrt(n).
-        !self.is_rounding && self.autocorrelation > CORRELATED.max(2.0 / (self.n as f64).sqrt())
+        let is_no_chance = match self.chance {
+            None => self.autocorrelation > 3.0 / (self.n as f64).sqrt(),
+            Some(chance) => chance < BY_CHANCE,
+        };
+        !self.is_rounding && is_no_chance && self.size_of_autocorrelation() > CORRELATED
     }
 }
 
@@ -244,33 +280,37 @@ pub(crate) fn autocorrelation(r: &[f64]) -> f64 {
     products / r.iter().map(|r| (r - mean) * (r - mean)).sum::<f64>()
 }
 
-/// The values are sorted.
-pub(crate) fn median(values: &mut [f64]) -> f64 {
-    values.sort_by(f64::total_cmp);
-    match values.len() {
-        0 => f64::NAN,
-        n if n % 2 == 1 => values[n / 2],
-        n => 0.5 * (values[n / 2 - 1] + values[n / 2]),
+/// Beyond how many robust standard deviations residuals are outliers, the number of outliers, and of the
+/// groups of neighbours that they form.
+fn outliers(r: &[f64]) -> (Option<f64>, usize, usize) {
+    let n = r.len();
+    let distances = distances(r);
+    if n < FEWEST_WITH_OUTLIERS || !distances.iter().all(|distance| distance.is_finite()) {
+        return (None, 0, 0);
     }
-}
-
-/// Beyond how many robust standard deviations residuals are outliers, of so many.
-fn outlier_limit(n: usize) -> Option<f64> {
-    OUTLIER.into_iter().find(|(least, _)| n >= *least).map(|(_, limit)| limit)
-}
-
-/// Number of outliers, and of the groups of neighbours that they form.
-fn outliers(r: &[f64]) -> (usize, usize) {
-    let Some(limit) = outlier_limit(r.len()) else { return (0, 0) };
-    let center = median(&mut r.to_vec());
-    let mut distances: Vec<f64> = r.iter().map(|r| (r - center).abs()).collect();
-    let limit = limit * median(&mut distances) / MEDIAN_DEVIATION;
-    if limit == 0.0 {
-        return (0, 0);
-    }
-    let is_outlier = |r: &f64| (r - center).abs() > limit;
-    let groups = r.chunk_by(|a, b| is_outlier(a) == is_outlier(b)).filter(|group| is_outlier(&group[0]));
-    groups.fold((0, 0), |(n, n_groups), group| (n + group.len(), n_groups + 1))
+    let is_no_chance =
+        |limit: f64, count: usize| count > 0 && chance_of_outliers(n, limit, count) < 0.5 * BY_CHANCE;
+    let beyond = |limit: f64| distances.iter().filter(|distance| **distance > limit).count();
+    let limit = match is_no_chance(OUTLIER, beyond(OUTLIER)) {
+        true => OUTLIER,
+        false => {
+            let (mut low, mut high) = (OUTLIER, distances.iter().copied().fold(OUTLIER, f64::max));
+            if !is_no_chance(high, 1) {
+                return (Some(OUTLIER), 0, 0);
+            }
+            // To the two digits that are shown.
+            while high - low > 0.01 * low {
+                let middle = 0.5 * (low + high);
+                if is_no_chance(middle, 1) { high = middle } else { low = middle }
+            }
+            high
+        }
+    };
+    let is_outlier = |distance: &f64| *distance >= limit;
+    let groups =
+        distances.chunk_by(|a, b| is_outlier(a) == is_outlier(b)).filter(|group| is_outlier(&group[0]));
+    let (n, n_groups) = groups.fold((0, 0), |(n, n_groups), group| (n + group.len(), n_groups + 1));
+    (Some(limit), n, n_groups)
 }
 
 fn runs(r: &[f64]) -> f64 {
@@ -294,11 +334,15 @@ mod tests {
         assert!((autocorrelation(&[1.0, -1.0, 1.0, -1.0]) + 0.75).abs() < 1e-15);
         assert!((autocorrelation(&[-2.0, -1.0, 0.0, 1.0, 2.0]) - 0.4).abs() < 1e-15);
         let mut r: Vec<f64> = (0..99).map(|k| f64::from(k % 7) - 3.0).collect();
-        assert_eq!(outliers(&r), (0, 0));
+        let number = |r: &[f64]| (outliers(r).1, outliers(r).2);
+        assert_eq!(number(&r), (0, 0));
         r[5] = 100.0;
-        assert_eq!((outliers(&r), outliers(&[1.0; 5])), ((1, 1), (0, 0)));
+        assert_eq!((number(&r), number(&[1.0; 5])), ((1, 1), (0, 0)));
+        // One beyond four standard deviations is nothing among few, several are.
+        r[5] = 12.0;
+        assert_eq!(number(&r[..25]), (0, 0));
         r[20..24].fill(-100.0);
-        assert_eq!(outliers(&r), (5, 2));
+        assert_eq!(number(&r), (5, 2));
         // 6 positive and 4 negative in 2 runs: expected 5.8, variance 48 (48 - 10) / 900.
         let two = [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0, -1.0, -1.0];
         assert!((runs(&two) - (2.0 - 5.8) / (48.0f64 * 38.0 / 900.0).sqrt()).abs() < 1e-14);

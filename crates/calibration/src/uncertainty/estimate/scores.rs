@@ -1,7 +1,7 @@
 //! Scores of the residuals in the equations that a fit solves, for least squares, robust losses and the
 //! likelihood: near its solution all of them are linear least squares with other residuals and rows.
 
-use super::residual_check::{MEDIAN_DEVIATION, median};
+use super::chance::{MEDIAN_DEVIATION, median};
 use crate::problem::objective::NamedCost;
 use crate::problem::residual_layout::ResidualLayout;
 use dfo::RobustLoss;
