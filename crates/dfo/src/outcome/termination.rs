@@ -43,13 +43,14 @@ pub enum Termination {
     NotSaved(String),
     /// The tolerance tests passed, but every point had the same cost: nothing was learned.
     ConstantCost,
-    /// The search ended where numbers end: the cost fell below -1e300, so it has no minimum. Or the minimum
-    /// of a sum of squares lies at infinity: the parameters grew, and the cost still falls that way.
+    /// The search ended beyond all quantities: the cost fell below -1e50, so it has no minimum. Or the
+    /// minimum of a sum of squares lies at infinity: the parameters grew, and the cost still falls that way.
     Unbounded,
 }
 
-/// A cost that has fallen below this counts as unbounded: the largest floating-point number is 1.8e308.
-pub(crate) const UNBOUNDED: f64 = -1e300;
+/// A cost that has fallen below this counts as unbounded: no quantity in any unit is as large. On the way to
+/// the largest number, 1.8e308, tests that are relative to the cost may pass.
+pub(crate) const UNBOUNDED: f64 = -1e50;
 
 impl Termination {
     /// True if the tolerance tests passed, or the target was reached, or there was nothing to search. The end

@@ -280,3 +280,16 @@ fn a_start_at_the_minimum_of_a_smooth_cost_converges() {
         }
     }
 }
+
+#[test]
+fn a_cost_without_a_minimum_is_no_success() {
+    let falls = |x: &[f64]| -x[0] + x[1] * x[1];
+    for start in [[0.0, 0.0], [1.0, -3.0], [1e3, 2.0]] {
+        let report = minimize(falls).start(&start).method(QuadraticModel::default()).run().unwrap();
+        assert!(!report.is_success() && report.fun < -1e6, "{report}");
+    }
+    // A deep minimum is one.
+    let deep = |x: &[f64]| 1e30 * ((x[0] - 1.0).powi(2) - 1.0);
+    let report = minimize(deep).start(&[3.0]).method(QuadraticModel::default()).run().unwrap();
+    assert!(report.is_success() && (report.x[0] - 1.0).abs() < 1e-3, "{report}");
+}
