@@ -6,6 +6,7 @@ use super::subject::Subject;
 use crate::data::{UnitConversion, parts, sampling_interval};
 use crate::findings::finding::{Finding, Severity};
 use crate::problem::column_units::declared;
+use crate::problem::experiment::InitialState;
 use ode::Number;
 use std::f64::consts::PI;
 
@@ -48,7 +49,9 @@ pub(super) fn findings(subjects: &[Subject<'_>], outputs: &Outputs<'_>) -> Vec<F
         let of_unit = unit(one, subject).filter(|(_, factor)| stays(*factor));
         // In another unit everything else is off, too.
         let found = of_unit.map(|(finding, _)| finding);
-        let found = found.or_else(|| held(last, subject, outputs.place())).or_else(|| initial(last, subject));
+        let found = found
+            .or_else(|| held(last, subject, outputs.place()))
+            .or_else(|| initial(last, subject, outputs.place()));
         findings.extend(found);
     }
     findings.extend(swapped(&outputs.at_start, subjects));
@@ -157,8 +160,14 @@ fn held(series: &Series<'_>, subject: &Subject<'_>, place: Place) -> Option<Find
 }
 
 /// Outputs that start far from their first measurement: by a quarter of the range, and by ten times the
-/// noise.
-fn initial(series: &Series<'_>, subject: &Subject<'_>) -> Option<Finding> {
+/// noise. Of a state whose initial value is fitted the start value says nothing.
+fn initial(series: &Series<'_>, subject: &Subject<'_>, place: Place) -> Option<Finding> {
+    let is_fitted = |(state, initial): &(String, InitialState)| {
+        *state == series.of.variable && matches!(initial, InitialState::Fitted(_))
+    };
+    if place == Place::Start && subject.experiment.initial_states.iter().any(is_fitted) {
+        return None;
+    }
     let (measured, simulated) = (&series.of.measured, &series.simulated);
     let (times, start) = (&series.of.times, subject.start_time);
     let interval = sampling_interval(times)?;

@@ -301,10 +301,28 @@ fn outputs_of_unlike_scale_are_named_before_the_fit_and_after_it_where_their_noi
     assert!(of_scales(&weighted.check().findings).is_empty(), "{}", weighted.check());
 }
 
+/// The start value of a state that is fitted is no mistake; one that is given is.
+#[test]
+fn the_start_of_a_fitted_state_is_not_compared_with_the_first_measurement() {
+    let t: Vec<f64> = (0..61).map(|k| 0.05 * f64::from(k)).collect();
+    let x = t.iter().enumerate().map(|(k, t)| 0.9 * (-2.0 * t).exp() + 1e-3 * noise(k)).collect();
+    let data = Data::from_columns(t, [("x".to_owned(), x)]).unwrap();
+    let says = |initial: calibration::InitialState| {
+        let experiment = Experiment::new(data.clone()).output("x", "x").initial_state("x", initial);
+        let calibration = Calibration::builder(open("dahlquist"))
+            .experiment(experiment)
+            .parameter(Parameter::new("k", 1.5).bounds(0.1, 10.0))
+            .build()
+            .unwrap();
+        calibration.check().to_string().contains("the simulation starts at 0.2")
+    };
+    assert!(says(0.2.into()) && !says(Parameter::new("x0", 0.2).bounds(0.0, 2.0).into()));
+}
+
 #[test]
 fn what_a_check_says_of_the_start_is_judged_again_after_the_fit() {
     let calibration = fast_decay([0.02, 0.02], [1.0; 2]);
-    let said = "the simulation starts at 0.5";
+    let said = "the simulation starts at -7.5";
     assert!(calibration.check().to_string().contains(said), "{}", calibration.check());
     let fit = calibration.fit(FitOptions::default()).unwrap();
     assert!((fit.x[1] - 0.9).abs() < 0.02 && !fit.to_string().contains(said), "{fit}");
