@@ -7,6 +7,7 @@ mod options;
 mod parameters;
 mod repeated;
 mod result;
+mod sampling;
 mod scales;
 mod series;
 mod settings;
@@ -29,10 +30,14 @@ use ode::Stats;
 use series::{Evaluations, Outputs, Place};
 use subject::Subject;
 
+/// A fit that moves no parameter by this factor leaves an oscillation about as fast as it was.
+const SLOWER: f64 = 1.5;
+
 impl Calibration {
     /// Looks for what does not fit, and says what to do about it: with one evaluation at the parameters'
     /// start values, another with times a thousandth as long where the times could be in ms, and another with
-    /// half the step where that is fixed, or half the communication step of a co-simulation.
+    /// half the step where that is fixed, or half the communication step of a co-simulation, and another with
+    /// the values between the rows where these are few.
     ///
     /// Looked at are the times (order, gaps, unit, start, months taken for days), the recorded values
     /// (constant, clipped, frozen, missing, placeholders, units, initial values, wrapped angles, columns that
@@ -104,6 +109,7 @@ impl Calibration {
         findings.extend(signals::findings(subjects, &outputs));
         findings.extend(time_unit::findings(self, subjects, &outputs, evaluations)?);
         findings.extend(settings::large_step(self, start, Place::Start, evaluations)?);
+        findings.extend(sampling::finding(self, start, Place::Start, evaluations)?);
         Ok(())
     }
 
@@ -130,7 +136,9 @@ impl Calibration {
             doubts.retain(|doubt| !is_certain(doubt));
             doubts.extend(found);
             let mut evaluations = Evaluations { context: *context, n: 0, stats: Stats::default() };
-            let found = time_unit::findings(self, &subjects, &outputs, &mut evaluations);
+            let is_fast = !self.has_fixed_step() && sampling::may_turn_back(stats) || self.is_co_simulation();
+            let at = (start, end, is_fast);
+            let found = self.findings_of_sampling_times(&subjects, &outputs, at, &mut evaluations);
             *stats += evaluations.stats;
             match found {
                 Ok(found) => doubts.extend(found),
@@ -143,6 +151,25 @@ impl Calibration {
         // Notes of the construction say how the data were read.
         doubts.extend(model::construction_warnings(self.warnings()));
         doubts
+    }
+
+    /// Findings about the times of the rows that take simulations, after a fit. `is_fast`: the simulations
+    /// may oscillate between rows.
+    fn findings_of_sampling_times(
+        &self,
+        subjects: &[Subject<'_>],
+        outputs: &Outputs<'_>,
+        (start, end, is_fast): (&PointResiduals, &PointResiduals, bool),
+        evaluations: &mut Evaluations<'_>,
+    ) -> Result<Vec<Finding>, CalibrationError> {
+        let mut found = time_unit::findings(self, subjects, outputs, evaluations)?;
+        let places = [(end, Place::Fitted), (start, Place::Start)];
+        for (at, place) in places {
+            if is_fast && found.is_empty() && (place == Place::Fitted || outputs.has_moved_by(SLOWER)) {
+                found.extend(sampling::finding(self, at, place, evaluations)?);
+            }
+        }
+        Ok(found)
     }
 
     /// Findings beyond notes that need no simulation.

@@ -16,6 +16,13 @@ use ode::Number;
 /// A value this many times as large or as small as the model's own is in another unit.
 const UNLIKE: f64 = 1e3;
 
+/// A fit that moves a parameter so many times away from its start, and from the model's own value, has made
+/// up for a mistake in the data, most likely: for times or values in another unit.
+const MOVED: f64 = 10.0;
+
+/// Own values of a model that say nothing of the size.
+const PLACEHOLDER: f64 = 1.0;
+
 /// Bounds that end so many times above or below the model's own start value leave it out by a mistake, not by
 /// intent.
 const BOUNDS_UNLIKE: f64 = 50.0;
@@ -98,6 +105,22 @@ pub(super) fn far_from_own_start(
                 Number(parameter.start()),
                 Number(rounded(parameter.start() / own))
             );
+            return Some(Finding::new(Severity::Warning, subject, sentence, remedy));
+        }
+        let is_moved = is_far(MOVED, *value) && factor(*value, parameter.start()) >= MOVED;
+        if is_moved && !is_far(MOVED, parameter.start()) && own != PLACEHOLDER {
+            let ratio = value / own;
+            let times = match ratio < 1.0 {
+                true => format!("1/{}", Number(rounded(1.0 / ratio))),
+                false => format!("{} times", Number(rounded(ratio))),
+            };
+            let sentence = format!(
+                "the fit has moved it from {} to {}, {times} the model's own value {shown}",
+                Number(parameter.start()),
+                Number(rounded(*value))
+            );
+            let remedy = "if that cannot be: are the times, inputs and measurements in the units of the model? Times in min for s move \
+                          time constants by 60";
             return Some(Finding::new(Severity::Warning, subject, sentence, remedy));
         }
         let (lower, upper) = (parameter.lower(), parameter.upper());

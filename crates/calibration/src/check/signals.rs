@@ -23,6 +23,14 @@ const WORSE: f64 = 1.1;
 /// part of the range.
 const FROZEN: (f64, usize, f64) = (0.05, 10, 0.1);
 
+/// Measurements in steps of more than so many times the RMS of the residuals: rounding to the nearest step
+/// has an RMS of the step over the root of 12, so it is a third of their variance and more.
+const COARSE: f64 = 2.0;
+
+/// Differences of neighbours show a step if so many, of at most so many steps, are whole ones within this
+/// part.
+const STEPS: (usize, f64, f64) = (8, 20.0, 0.1);
+
 /// Beginning of the finding about measurements that stay at a limit.
 pub(super) const CLIPPED_AT: &str = "it is clipped at";
 
@@ -44,6 +52,7 @@ pub(super) fn findings(subjects: &[Subject<'_>], outputs: &Outputs<'_>) -> Vec<F
         if outputs.place() == Place::Fitted {
             find(clipped(series).or_else(|| frozen(series)));
             find(opposite(series).or_else(|| worse_than_a_constant(series)));
+            find(coarse(series));
         }
     }
     findings
@@ -85,6 +94,36 @@ fn worse_than_a_constant(series: &Series<'_>) -> Option<(String, &'static str)> 
         );
         (sentence, "is it the right column, in the right unit, with the initial state of this recording?")
     })
+}
+
+/// Measurements that are rounded so coarsely that little else is left.
+fn coarse(series: &Series<'_>) -> Option<(String, &'static str)> {
+    let measured = &series.of.measured;
+    let rms = size_of_difference(measured, series.simulated.iter().copied());
+    let step = step(measured).filter(|step| *step > COARSE * rms)?;
+    let sentence = format!(
+        "its measurements come in steps of {}, and its residuals have an RMS of {}: what is left is rounding. Values that are rounded \
+         down, not to the nearest step, are {} too small on average",
+        Number(rounded(step)),
+        Number(rounded(rms)),
+        Number(rounded(0.5 * step))
+    );
+    Some((
+        sentence,
+        "record more digits; were they rounded down, add half a step, or fit an offset (offset_of)",
+    ))
+}
+
+/// The smallest step between values of which all are multiples.
+fn step(values: &[f64]) -> Option<f64> {
+    let (fewest, most, part) = STEPS;
+    let least = 1e-9 * range(values);
+    let steps = values.windows(2).map(|pair| (pair[1] - pair[0]).abs()).filter(|step| *step > least);
+    let smallest = steps.clone().fold(f64::INFINITY, f64::min);
+    let ratios = steps.map(|step| step / smallest).filter(|ratio| *ratio < most);
+    let (n, is_whole) =
+        ratios.fold((0, true), |(n, all), ratio| (n + 1, all && (ratio - ratio.round()).abs() < part));
+    (n >= fewest && is_whole).then_some(smallest)
 }
 
 /// Measurements that stay at their largest or smallest value while the simulation goes beyond it: by more
@@ -199,6 +238,20 @@ fn jumps(values: &[f64], turn: f64) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn values_of_a_coarse_sensor_come_in_steps() {
+        let smooth: Vec<f64> = (0..200)
+            .map(|k| 30.0 * (-0.01 * f64::from(k)).exp() + 0.2 * (7.1 * f64::from(k)).sin())
+            .collect();
+        assert_eq!(step(&smooth), None);
+        // Whole km/h in m/s, and as a file with two digits has them.
+        let cut: Vec<f64> = smooth.iter().map(|v| (3.6 * v).floor() / 3.6).collect();
+        assert!((step(&cut).unwrap() - 1.0 / 3.6).abs() < 1e-9);
+        let written: Vec<f64> = cut.iter().map(|v| (100.0 * v).round() / 100.0).collect();
+        assert!((step(&written).unwrap() - 0.275).abs() < 0.01);
+        assert_eq!(step(&[1.0, 2.0, 3.0, 5.0]), None);
+    }
 
     #[test]
     fn only_angles_within_a_turn_jump() {

@@ -2,7 +2,7 @@
 
 use crate::error::CalibrationError;
 use base::RunContext;
-use nalgebra::{DMatrix, DMatrixView};
+use nalgebra::{DMatrix, DMatrixView, DVector};
 use std::ops::Range;
 
 /// Operations on a block: some 10 ms.
@@ -90,6 +90,16 @@ pub(crate) fn inner_products(
     Ok(sum)
 }
 
+/// The products of the columns of a matrix with a vector.
+pub(crate) fn along(
+    matrix: &DMatrix<f64>,
+    vector: &[f64],
+    context: &RunContext<'_>,
+) -> Result<DVector<f64>, CalibrationError> {
+    let vector = DMatrixView::from_slice(vector, vector.len(), 1);
+    Ok(inner_products(matrix.as_view(), vector, context)?.column(0).into_owned())
+}
+
 /// The decomposition by that of the triangle; `None`: it does not converge, or there are no columns.
 pub(crate) fn thin_svd(
     matrix: &DMatrix<f64>,
@@ -129,7 +139,7 @@ mod tests {
         let svd = thin_svd(&tall, &context).unwrap().unwrap();
         let of_u = inner_products(svd.u.as_view(), svd.u.as_view(), &context).unwrap();
         assert!((of_u - DMatrix::identity(p, p)).amax() < 1e-12);
-        let diagonal = DMatrix::from_diagonal(&nalgebra::DVector::from_vec(svd.values));
+        let diagonal = DMatrix::from_diagonal(&DVector::from_vec(svd.values));
         assert!((&svd.u * diagonal * svd.v_t - &tall).amax() < 1e-12);
         let squares = tall.tr_mul(&tall);
         let r = triangle(&tall, &[0..10, 10..tall.nrows()], &context).unwrap();

@@ -89,3 +89,31 @@ fn where_nothing_was_measured_it_is_refused() {
     let message = fitted(Experiment::new(decay).output("x", "x"), &[k(), late]).unwrap_err().to_string();
     assert!(message.contains("the delay of its output is fitted"), "{message}");
 }
+
+/// The noise of the measurement that the simulation starts from moves all of it: standard errors count it.
+#[test]
+fn standard_errors_count_the_noise_of_a_measured_start() {
+    let mut state = 3_u64;
+    let mut uniform = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 11) as f64 / (1_u64 << 53) as f64
+    };
+    let fmu = Fmu::open(example_fmu("dahlquist").unwrap()).unwrap();
+    let mut squares = 0.0;
+    let n = 60;
+    for _ in 0..n {
+        let mut noise = || (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
+        let x: Vec<f64> = times().iter().map(|t| (-K * t).exp() + 0.02 * noise()).collect();
+        let data = Data::from_columns(times(), [("x".to_owned(), x)]).unwrap();
+        let calibration = Calibration::builder(fmu.clone())
+            .experiment(Experiment::new(data).output("x", "x").initial_state("x", InitialState::Measured))
+            .parameter(k())
+            .build()
+            .unwrap();
+        let fit = calibration.fit(FitOptions::default()).unwrap();
+        squares += ((fit.x[0] - K) / fit.uncertainty.unwrap().standard_errors[0]).powi(2);
+    }
+    // Of 60 the mean square is 1 +- 0.18; without the noise of the start it is 1.9.
+    let mean = squares / f64::from(n);
+    assert!((0.55..1.5).contains(&mean), "{mean}");
+}

@@ -6,7 +6,8 @@ use calibration::RunContext;
 use calibration::dfo::{Limits, Loss, Measure, RobustLoss, RunOptions, Stop, Tolerances};
 use calibration::{
     Calibration, CheckOptions, Compared, CostKind, CustomCost, Data, Experiment, Finding, Fit, FitOptions,
-    NoiseRule, Parameter, Prior, Scale, Severity, SimulationSettings, Stage, UncertaintyOptions, Weight,
+    NoiseRule, Parameter, Parts, Prior, Scale, Severity, SimulationSettings, Stage, UncertaintyOptions,
+    Weight,
 };
 use example_models::example_fmu;
 use fmi::Fmu;
@@ -83,7 +84,8 @@ fn a_fixed_step_that_is_too_large_is_compared_with_half_of_it() {
     let coarse = calibration(vec![sound(1e-3)], k(), settings(Method::Euler, 0.25));
     let check = coarse.check();
     assert!(warns(&check.findings, "half the step of the solver 'euler' changes 'x'"), "{check}");
-    assert_eq!(check.n_evaluations, 2);
+    // At the start, with half the step, and between the rows.
+    assert_eq!(check.n_evaluations, 3);
     let preflight = coarse.preflight(&calibration::PreflightOptions::default(), &RunContext::new()).unwrap();
     assert!(preflight.is_step_halved && preflight.to_string().contains("with half the step: give a smaller"));
     assert!(preflight.parameters[0].has_effect);
@@ -721,4 +723,93 @@ fn nominal_values_that_are_no_size_are_named() {
     {
         assert_eq!(said(parameter), [false; 2]);
     }
+}
+
+#[test]
+fn recordings_that_ask_for_other_values_are_named() {
+    let t = times(60, 0.05);
+    let one = |rate: f64, from: usize| {
+        let x = t.iter().enumerate().map(|(k, t)| (-rate * t).exp() + 0.03 * noise(from + 7 * k)).collect();
+        recording(&t, x)
+    };
+    let fit = |rates: [f64; 2]| {
+        let experiments = vec![one(rates[0], 0), one(rates[1], 1000)];
+        calibration(experiments, k(), SimulationSettings::default()).fit(FitOptions::default()).unwrap()
+    };
+    let other = fit([2.0, 2.2]);
+    let conflict = other.uncertainty.as_ref().unwrap().part_conflict.clone().unwrap();
+    let (index, [(first, _), (second, _)]) = conflict.differs_most.unwrap();
+    let is_near = (first - 2.0).abs() < 0.06 && (second - 2.2).abs() < 0.06;
+    assert!(index == 0 && is_near && conflict.chance < 1e-3, "{conflict:?}");
+    assert!(matches!(conflict.parts, Parts::Experiment(_)), "{conflict:?}");
+    assert!(
+        warns(&other.findings(), "ask for different values of the parameters (apart, k about"),
+        "{other}"
+    );
+    let same = fit([2.0, 2.0]);
+    assert!(warnings(&same.findings()).is_empty(), "{same}");
+}
+
+#[test]
+fn a_fit_that_leaves_start_and_own_value_far_behind_is_doubted() {
+    let t = times(61, 1.0);
+    let tank = |data: Vec<f64>| {
+        let data = Data::from_columns(t.clone(), [("qt.x1".to_owned(), data)]).unwrap();
+        Calibration::builder(open("quad_tank"))
+            .experiment(Experiment::new(data).output("qt.x1", "qt.x1"))
+            .parameter(Parameter::new("qt.a1", 2e-6).bounds(1e-6, 1e-3).scale(Scale::Log))
+            .build()
+            .unwrap()
+    };
+    let fit = |truth: f64| {
+        let simulated = tank(vec![0.0; t.len()]).simulate(&[truth], None, &RunContext::new()).unwrap();
+        let exact = &simulated[0].columns[0];
+        let fit = tank(exact.iter().enumerate().map(|(k, x)| x + 1e-5 * noise(k)).collect())
+            .fit(FitOptions::default());
+        fit.unwrap()
+    };
+    let far = fit(3.6e-5);
+    assert!((far.x[0] / 3.6e-5 - 1.0).abs() < 0.05, "{far}");
+    assert!(
+        warns(&far.findings(), "moved it from 2e-6 to 3.6e-5, 12 times the model's own value 3e-6"),
+        "{far}"
+    );
+    assert!(!warns(&fit(6e-6).findings(), "the model's own value"));
+}
+
+#[test]
+fn rows_too_far_apart_for_the_simulation_are_named() {
+    // The van der Pol oscillator with mu = 0.1 has a period of 6.29 s: rows every 5 s show one of 24 s.
+    let t = times(30, 5.0);
+    let settings = SimulationSettings::default();
+    let oscillator = |t: &[f64], columns: Vec<f64>| {
+        let data = Data::from_columns(t.to_vec(), [("x0".to_owned(), columns)]).unwrap();
+        Calibration::builder(open("van_der_pol"))
+            .experiment(Experiment::new(data).output("x0", "x0"))
+            .parameter(Parameter::new("mu", 0.12).bounds(0.05, 5.0))
+            .settings(settings.clone())
+            .build()
+            .unwrap()
+    };
+    let simulated = |t: &[f64]| {
+        let series = oscillator(t, vec![0.0; t.len()]).simulate(&[0.1], None, &RunContext::new()).unwrap();
+        series[0].columns[0].iter().enumerate().map(|(k, x)| x + 0.01 * noise(k)).collect::<Vec<f64>>()
+    };
+    let coarse = oscillator(&t, simulated(&t));
+    let said = "turns back within the 5 s from row to row";
+    assert!(warns(&coarse.check().findings, said), "{}", coarse.check());
+    let fit = coarse.fit(FitOptions::default()).unwrap();
+    assert!(warns(&fit.findings(), said), "{fit}");
+    let t = times(60, 2.5);
+    let fine = oscillator(&t, simulated(&t));
+    assert!(!warns(&fine.check().findings, "turns back"), "{}", fine.check());
+    assert!(!warns(&fine.fit(FitOptions::default()).unwrap().findings(), "turns back"));
+}
+
+#[test]
+fn measurements_in_coarse_steps_are_named() {
+    let t = times(61, 0.05);
+    let cut: Vec<f64> = decay(&t, 2.0, 0.02).iter().map(|x| (10.0 * x).floor() / 10.0).collect();
+    let fit = fitted(recording(&t, cut), k());
+    assert!(warns(&fit.findings(), "come in steps of 0.1"), "{fit}");
 }

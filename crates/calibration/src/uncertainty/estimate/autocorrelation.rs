@@ -5,6 +5,7 @@ use crate::error::CalibrationError;
 use crate::uncertainty::tall::{go_on, inner_products};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
 use std::ops::Range;
 
 /// Residuals that share a variance and an autocorrelation: series, each in the order of time.
@@ -44,6 +45,8 @@ pub(crate) struct Dependence<'a> {
     uncertainty: DMatrix<f64>,
     /// `U' S U` of what belongs to no group.
     rest: DMatrix<f64>,
+    /// The chance of autocorrelations as large where there are none, by the ratio of the likelihoods.
+    chance: f64,
 }
 
 /// The quadratic forms of a group: with `Z = [U r]`, Z'R^-1 Z is a polynomial of rho over `1 - rho^2`.
@@ -197,12 +200,14 @@ impl<'a> Dependence<'a> {
         let candidates: Vec<usize> = (0..groups.len())
             .filter(|g| is_usable(&groups[*g]) && likelihood.forms[*g].n > (q + 2) as f64)
             .collect();
-        let mut last = likelihood.logarithm(&at);
+        let (mut last, mut largest) = (likelihood.logarithm(&at), 0.0_f64);
         let rounds = if candidates.len() == 1 { 1 } else { 8 };
         for _ in 0..rounds {
+            largest = 0.0;
             for &g in &candidates {
                 let (with, best) = likelihood.best(&at, g, context)?;
                 let (without, independent) = likelihood.with(&at, g, 0.0);
+                largest = largest.max(2.0 * (with - without));
                 at = if 2.0 * (with - without) > SIGNIFICANT { best } else { independent };
             }
             let now = likelihood.logarithm(&at);
@@ -215,7 +220,14 @@ impl<'a> Dependence<'a> {
             return Ok(None);
         }
         let uncertainty = uncertainty(&likelihood, &at, context)?;
-        Ok(Some(Self { base, groups, found: at, uncertainty, rest: of_rest }))
+        // Half of the cases have none at the bound zero, the others chi squared (Self and Liang, JASA 82, 1987).
+        let chance = 0.5 * ChiSquared::new(1.0).map_or(1.0, |of| of.sf(largest)) * candidates.len() as f64;
+        Ok(Some(Self { base, groups, found: at, uncertainty, rest: of_rest, chance }))
+    }
+
+    /// The chance of autocorrelations as large where there are none.
+    pub(crate) fn chance(&self) -> f64 {
+        self.chance
     }
 
     /// The autocorrelation of a group at lag one; zero where it is none.

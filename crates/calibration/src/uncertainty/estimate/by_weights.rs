@@ -155,7 +155,9 @@ mod tests {
             weights: vec![1.0; n].into(),
         };
         let layout = ResidualLayout { outputs: vec![output(0), output(1)], priors: Vec::new() };
-        let mut checks = ResidualCheck::all(&layout, &["run1".to_owned()], r.as_slice(), None);
+        let mut checks =
+            ResidualCheck::all(&layout, &["run1".to_owned()], r.as_slice(), (None, &RunContext::new()))
+                .unwrap();
         mark(&mut checks, r.as_slice(), 2 * n, &j, (&[], &RunContext::new())).unwrap();
         checks
     }

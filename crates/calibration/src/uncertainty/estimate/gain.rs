@@ -6,6 +6,7 @@ use crate::cost::residual::sum_of_squares;
 use crate::error::CalibrationError;
 use crate::problem::parameter::Parameter;
 use crate::uncertainty::active_bounds::{inner, outer};
+use crate::uncertainty::tall::along;
 use nalgebra::DVector;
 
 /// A step of least squares that takes away less than this part of the cost, or is shorter than a standard
@@ -48,7 +49,7 @@ impl At<'_> {
         known_cost: f64,
         simulations: &mut Simulations<'_>,
     ) -> Result<Gain, CalibrationError> {
-        let along = self.factors.base.tr_mul(&DVector::from_column_slice(self.residuals));
+        let along = along(&self.factors.base, self.residuals, &simulations.context)?;
         let (all, gained) = (sum_of_squares(self.residuals), along.norm_squared());
         let degrees = self.residuals.len().saturating_sub(self.factors.base.ncols()) as f64;
         let is_step = gained > LEAST_GAIN * all && gained * degrees > (all - gained).max(0.0);

@@ -1,10 +1,11 @@
 //! Findings about the uncertainty, in words: parameters that the data do not determine, alone, in pairs or in
 //! combinations of more.
 
+use super::chance::BY_CHANCE;
 use super::covariance::{Factors, Noise, compressed};
 use super::differences::Differences;
 use super::digits::digits;
-use super::residual_check::ResidualCheck;
+use super::residual_check::{CORRELATED, ResidualCheck};
 use super::result::{Uncertainty, errors_and_correlation};
 use crate::cost::accuracy::Accuracy;
 use crate::error::CalibrationError;
@@ -35,6 +36,10 @@ const PRIOR_ALONE: f64 = 1e-3;
 
 /// Factors that differ by less are told as one.
 const SAME_FACTOR: f64 = 1.05;
+
+/// Errors of the simulations that move no parameter by more than this part of its standard error do not
+/// matter.
+const SHIFTED: f64 = 0.1;
 
 /// Subject of a finding that says that a search ended early.
 pub(crate) const SEARCH: &str = "search";
@@ -254,24 +259,27 @@ impl Uncertainty {
         })
     }
 
-    /// A cost that another accuracy of the simulations changes by more than counts; not one that is all error
-    /// of the simulations.
+    /// A cost that another accuracy of the simulations changes by more than counts, and with it the
+    /// parameters; not one that is all error of the simulations.
     fn accuracy_finding(&self, f_tol: f64) -> Option<Finding> {
         let accurate = self.accurate_cost?;
         let difference = (accurate - self.cost).abs();
         let size = self.cost.abs().max(accurate.abs());
-        (difference > f_tol * size && !self.is_exact).then(|| {
+        let is_moved = self.shift_by_accuracy > SHIFTED;
+        (difference > f_tol * size && is_moved && !self.is_exact).then(|| {
             let (subject, own, remedy) = match self.is_step_halved {
                 true => ("step", "the step", "give a smaller step_size, or a solver that chooses its steps"),
                 false => ("relative tolerance", "that", "give a smaller relative_tolerance"),
             };
             let sentence = format!(
-                "the cost is {} with {own} of the fit, and changes by {} with {}, relative to itself by {}: more than f_tol, {}",
+                "the cost is {} with {own} of the fit, and changes by {} with {}, relative to itself by {}: more than f_tol, {}; \
+                 a parameter moves by {} standard errors",
                 digits(self.cost),
                 digits(accurate - self.cost),
                 Accuracy::words(self.is_step_halved),
                 digits(difference / size),
                 digits(f_tol),
+                digits(self.shift_by_accuracy),
             );
             Finding::new(Severity::Warning, subject, sentence, remedy)
         })
@@ -310,11 +318,20 @@ impl Uncertainty {
             true => digits(high).to_string(),
             false => format!("{} to {}", digits(low), digits(high)),
         };
+        // Residuals of few rows show less of it than there is.
+        let is_told = self.residual_checks.iter().any(ResidualCheck::is_autocorrelated);
+        let (severity, what) = match self.chance_of_autocorrelation < BY_CHANCE
+            && largest > CORRELATED
+            && !is_told
+        {
+            true => (Severity::Warning, ": the model leaves out something that lasts, or the noise lasts"),
+            false => (Severity::Note, ""),
+        };
         (high > 0.0).then(|| {
             let sentence = format!(
-                "the standard errors are {times} times those of independent residuals: corrected for autocorrelation ({largest:.2} at lag one)"
+                "the standard errors are {times} times those of independent residuals: corrected for autocorrelation ({largest:.2} at lag one){what}"
             );
-            Finding::new(Severity::Note, "standard errors", sentence, "")
+            Finding::new(severity, "standard errors", sentence, "")
         })
     }
 
@@ -370,6 +387,7 @@ impl Uncertainty {
         }
         said.extend(self.accuracy_finding(f_tol));
         said.extend(self.not_at_minimum());
+        said.extend(self.part_conflict.iter().map(|conflict| conflict.finding(&self.names)));
         said.extend(self.prior_conflicts.iter().map(|c| c.finding(&self.names[c.parameter])));
         said
     }

@@ -9,6 +9,8 @@ mod differences;
 mod digits;
 mod gain;
 mod identifiability;
+mod measured_start;
+mod parts;
 mod prior_check;
 mod residual_check;
 mod result;
@@ -22,7 +24,7 @@ use crate::error::CalibrationError;
 use crate::problem::parameter::{Parameter, Scale};
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::active_bounds::{AT, inner};
-use crate::uncertainty::tall::{go_on, triangle};
+use crate::uncertainty::tall::{along, go_on, triangle};
 use autocorrelation::Dependence;
 use base::RunContext;
 use chance::OfIndependent;
@@ -33,7 +35,9 @@ use differences::{Center, Differences};
 pub(crate) use digits::digits;
 use gain::{At, Gain};
 pub(crate) use identifiability::SEARCH;
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
+use parts::{FreeParameters, WithNoise};
+pub use parts::{PartConflict, Parts};
 pub use prior_check::PriorConflict;
 pub use residual_check::ResidualCheck;
 pub(crate) use residual_check::autocorrelation;
@@ -80,6 +84,25 @@ struct Estimate<'a> {
     per_unit: &'a [f64],
     factors: &'a Factors,
     noise: &'a Noise,
+    /// Changes of the working residuals by one standard deviation of each measured initial state.
+    by_starts: &'a [DVector<f64>],
+}
+
+/// What the residuals of a fit are looked at with.
+#[derive(Clone, Copy)]
+struct OfFit<'a> {
+    /// m x p, by the coordinates of the search.
+    jacobian: &'a DMatrix<f64>,
+    /// An orthonormal base of its columns, where the cost is a plain sum of squares.
+    base: Option<&'a DMatrix<f64>>,
+    /// Changes by one standard deviation of each measured initial state.
+    by_starts: &'a [DVector<f64>],
+    /// Of the residuals, if they are independent.
+    variances: &'a [f64],
+    independent: &'a [OfIndependent],
+    /// Steps of the parameters by those along the base.
+    inverse: &'a DMatrix<f64>,
+    free: &'a [usize],
 }
 
 /// Covariances of all parameters, n x n, in the user's units.
@@ -93,6 +116,8 @@ struct Covariances {
     degrees_of_freedom: Vec<f64>,
     /// Of each output.
     autocorrelations: Vec<f64>,
+    /// The chance of autocorrelations as large where there are none.
+    chance: f64,
 }
 
 impl Estimate<'_> {
@@ -113,11 +138,19 @@ impl Estimate<'_> {
         };
         let most = noise.degrees_of_freedom as f64;
         let mut degrees_of_freedom = vec![most; n];
-        let independent = self.of_all(&factors.covariance(&noise.variances, context)?);
+        let mut of_starts = DMatrix::zeros(free.len(), free.len());
+        for change in self.by_starts {
+            let step = &factors.inverse * along(&factors.base, change.as_slice(), context)?;
+            of_starts += &step * step.transpose();
+        }
+        let of_independent = factors.covariance(&noise.variances, context)? + &of_starts;
+        let independent = self.of_all(&of_independent);
         let (covariance, uncorrected) = match &dependence {
             None => (independent, None),
             Some(dependence) => {
-                let (corrected, degrees) = dependence.covariance(&factors.inverse, most, context)?;
+                let (mut corrected, degrees) = dependence.covariance(&factors.inverse, most, context)?;
+                corrected += &of_starts;
+                not_below(&mut corrected, &of_independent);
                 free.iter().zip(&degrees).for_each(|(&i, degrees)| degrees_of_freedom[i] = *degrees);
                 (self.of_all(&corrected), Some(independent))
             }
@@ -129,13 +162,14 @@ impl Estimate<'_> {
         }
         let curvature = self.of_all(&(&factors.inverse * factors.inverse.transpose()));
         let curvature = curvature.into_iter().step_by(n + 1).collect();
-        Ok(Covariances { covariance, uncorrected, curvature, degrees_of_freedom, autocorrelations })
+        let chance = dependence.map_or(1.0, |found| found.chance());
+        Ok(Covariances { covariance, uncorrected, curvature, degrees_of_freedom, autocorrelations, chance })
     }
 
     /// A covariance of the free parameters, in the coordinates of the search, as one of all in the user's
     /// units: infinite variances, and no covariances, where the data do not determine a parameter.
     fn of_all(&self, of_free: &DMatrix<f64>) -> Vec<f64> {
-        let Self { n, free, per_unit, factors, noise } = *self;
+        let Self { n, free, per_unit, factors, noise, .. } = *self;
         let is_open = |k: usize| factors.is_undetermined[k] || noise.degrees_of_freedom == 0;
         let mut matrix = vec![0.0; n * n];
         for (a, &i) in free.iter().enumerate() {
@@ -240,7 +274,13 @@ impl Calibration {
         let of_free = (free.len(), context);
         let noise = Noise::estimate(layout, residuals, &working, &outputs, &factors.base, of_free)?;
         let independent = noise.of_independent(layout, &factors.base);
-        let estimate = Estimate { n, free: &free, per_unit: &per_unit, factors: &factors, noise: &noise };
+        let mut by_starts = self.changes_by_measured_starts(x, residuals, &noise.variances, simulations)?;
+        by_starts.iter_mut().for_each(|column| {
+            column.iter_mut().zip(&working.roots).for_each(|(change, root)| *change *= root)
+        });
+        let (factors, noise) = (&factors, &noise);
+        let estimate =
+            Estimate { n, free: &free, per_unit: &per_unit, factors, noise, by_starts: &by_starts };
         let covariances = estimate.covariances(&working, layout, &outputs, context)?;
         let (standard_errors, correlation) = errors_and_correlation(&covariances.covariance, n);
         let is_exact = self.is_within_tolerance(sum_of_squares(residuals));
@@ -263,18 +303,17 @@ impl Calibration {
             (0..free.len()).filter(|k| is_selected(*k)).map(|k| free[k]).collect()
         };
         let cost = |residuals: &[f64]| known.criterion.cost(layout, residuals);
-        let at = At {
-            parameters,
-            x,
-            free: &free,
-            sizes: &sizes,
-            factors: &factors,
-            residuals: &working.residuals,
-        };
+        let at = At { parameters, x, free: &free, sizes: &sizes, factors, residuals: &working.residuals };
         let gain = match is_exact {
             true => Gain::default(),
             false => at.left_to_gain(&cost, cost(residuals), simulations)?,
         };
+        let residual_checks = ResidualCheck::all(
+            layout,
+            &self.problem().experiment_names(),
+            residuals,
+            (Some(&independent), context),
+        )?;
         let mut uncertainty = Uncertainty {
             estimator,
             names: parameters.iter().map(|p| p.name().to_owned()).collect(),
@@ -283,6 +322,7 @@ impl Calibration {
             correlation,
             uncorrected_covariance: covariances.uncorrected,
             autocorrelations: covariances.autocorrelations,
+            chance_of_autocorrelation: covariances.chance,
             effective_degrees_of_freedom: covariances.degrees_of_freedom,
             covariance: covariances.covariance,
             standard_errors,
@@ -297,29 +337,42 @@ impl Calibration {
             cost: cost(residuals),
             is_exact,
             accurate_cost: accurate.as_deref().map(cost),
+            shift_by_accuracy: 0.0,
             is_step_halved: self.has_fixed_step(),
             left_to_gain: gain.part,
             is_at_failures: gain.is_at_failures,
             prior_conflicts,
+            part_conflict: None,
             has_loss: matches!(known.criterion, Criterion::Loss(loss) if !loss.is_linear()),
             jacobian: by_parameters,
             n_simulations: simulations.n - before,
-            residual_checks: ResidualCheck::all(
-                layout,
-                &self.problem().experiment_names(),
-                residuals,
-                Some(&independent),
-            ),
+            residual_checks,
             residuals: at_center.residuals.clone(),
         };
         go_on(context)?;
+        if let Some(accurate) = accurate {
+            let by_accuracy = accurate.iter().zip(residuals).zip(&working.roots);
+            let change: Vec<f64> = by_accuracy.map(|((a, r), root)| (a - r) * root).collect();
+            let steps = &factors.inverse * along(&factors.base, &change, context)?;
+            let errors: Vec<f64> = uncertainty.errors_of_search().collect();
+            let shifts = free.iter().zip(&steps).map(|(i, step)| (step / errors[*i]).abs());
+            uncertainty.shift_by_accuracy = shifts.filter(|shift| shift.is_finite()).fold(0.0, f64::max);
+        }
         uncertainty.find_confounded();
         let triangle = triangle(&jacobian, std::slice::from_ref(&(0..residuals.len())), context)?;
         uncertainty.find_weakest(&triangle, &free);
         let weighted = differences.jacobian(context)?;
-        uncertainty.find_identifiable(&weighted, (&noise, differences.noise), (&free, &sizes), context)?;
-        let base = is_linear.then_some(&factors.base);
-        self.explain_residuals(&mut uncertainty, &jacobian, base, (&independent, context))?;
+        uncertainty.find_identifiable(&weighted, (noise, differences.noise), (&free, &sizes), context)?;
+        let of_fit = OfFit {
+            jacobian: &jacobian,
+            base: is_linear.then_some(&factors.base),
+            by_starts: &by_starts,
+            variances: &noise.variances,
+            independent: &independent,
+            inverse: &factors.inverse,
+            free: &free,
+        };
+        self.explain_residuals(&mut uncertainty, &of_fit, context)?;
         uncertainty.findings = uncertainty.all_findings(known.f_tol);
         Ok((uncertainty, covariances.curvature))
     }
@@ -359,18 +412,19 @@ impl Calibration {
         Ok(CenterResiduals { residuals, accurate, simulation_error })
     }
 
-    /// Finds causes of residuals that are no noise: weights, and terms that the model lacks (with the base of
-    /// the changes, where the cost is a plain sum of squares).
+    /// Finds causes of residuals that are no noise: weights, and terms that the model lacks, or parts of the
+    /// measurements that ask for other values, where the cost is a plain sum of squares.
     fn explain_residuals(
         &self,
         uncertainty: &mut Uncertainty,
-        jacobian: &DMatrix<f64>,
-        base: Option<&DMatrix<f64>>,
-        (independent, context): (&[OfIndependent], &RunContext<'_>),
+        of_fit: &OfFit<'_>,
+        context: &RunContext<'_>,
     ) -> Result<(), CalibrationError> {
         let layout = self.residual_layout();
+        let OfFit { jacobian, base, by_starts, variances, independent, inverse, free } = *of_fit;
         // What is no minimum has residuals that other values of the parameters leave none of, whatever the weights.
-        if uncertainty.left_to_gain == 0.0 {
+        let is_minimum = uncertainty.left_to_gain == 0.0;
+        if is_minimum {
             let (checks, n) = (&mut uncertainty.residual_checks, layout.n_measurements());
             by_weights::mark(checks, &uncertainty.residuals, n, jacobian, (independent, context))?;
         }
@@ -381,6 +435,14 @@ impl Calibration {
                 check.unmodelled = Unmodelled::find(output, (residuals, &before), base, context)?;
             }
         }
+        if is_minimum && !uncertainty.residual_checks.iter().any(ResidualCheck::is_systematic) {
+            let Uncertainty { residuals, autocorrelations, x, is_log, .. } = &*uncertainty;
+            let with_noise = WithNoise { values: residuals, variances, autocorrelations };
+            let parameters = FreeParameters { free, x, is_log, inverse: inverse.clone() };
+            let (checks, changes) = (&uncertainty.residual_checks, (base, by_starts));
+            let found = PartConflict::find(layout, checks, &with_noise, changes, parameters, context)?;
+            uncertainty.part_conflict = found;
+        }
         Ok(())
     }
 
@@ -388,6 +450,18 @@ impl Calibration {
     fn is_at_bound(&self, p: &Parameter, x: f64) -> bool {
         let (lower, upper, at) = (inner(p, p.lower()), inner(p, p.upper()), inner(p, x));
         (at - lower).min(upper - at) <= AT * self.size_of(p, x)
+    }
+}
+
+/// Scales a covariance so that no variance is below that of the other: an autoregression that describes a
+/// misfit leaves hardly any variance to a parameter whose effect changes its sign from row to row.
+fn not_below(covariance: &mut DMatrix<f64>, least: &DMatrix<f64>) {
+    for k in 0..covariance.nrows() {
+        let factor = (least[(k, k)] / covariance[(k, k)]).sqrt();
+        if factor > 1.0 {
+            covariance.row_mut(k).scale_mut(factor);
+            covariance.column_mut(k).scale_mut(factor);
+        }
     }
 }
 

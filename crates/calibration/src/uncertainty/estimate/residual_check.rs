@@ -3,8 +3,11 @@
 use super::chance::{BY_CHANCE, OfIndependent, chance_of_outliers, distances};
 use super::digits::digits;
 use super::unmodelled::Unmodelled;
+use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
+use crate::uncertainty::tall::go_on;
+use base::RunContext;
 use serde::{Deserialize, Serialize};
 
 /// Residuals farther than this many robust standard deviations from their median are outliers, if that many
@@ -80,17 +83,21 @@ pub struct ResidualCheck {
 impl ResidualCheck {
     /// Of all outputs; `independent`: the covariance that independent errors leave to the residuals of each,
     /// where it is known.
+    ///
+    /// # Errors
+    /// [`CalibrationError::Cancelled`].
     pub(crate) fn all(
         layout: &ResidualLayout,
         names: &[String],
         residuals: &[f64],
-        independent: Option<&[OfIndependent]>,
-    ) -> Vec<Self> {
+        (independent, context): (Option<&[OfIndependent]>, &RunContext<'_>),
+    ) -> Result<Vec<Self>, CalibrationError> {
         let check = |(k, output): (usize, &OutputResiduals)| {
+            go_on(context)?;
             let r = &residuals[output.range.clone()];
             let without_fit = independent.is_none().then(|| OfIndependent::without_fit(r.len()));
             let independent = without_fit.as_ref().or(independent.and_then(|all| all.get(k)));
-            Self {
+            let own = Self {
                 experiment: names[output.experiment].clone(),
                 variable: output.variable.clone(),
                 n: 0,
@@ -106,8 +113,8 @@ impl ResidualCheck {
                 is_rounding: is_rounding(output, r),
                 is_by_weights: false,
                 unmodelled: None,
-            }
-            .with_numbers_of(r, independent)
+            };
+            Ok(own.with_numbers_of(r, independent))
         };
         layout.outputs.iter().enumerate().map(check).collect()
     }

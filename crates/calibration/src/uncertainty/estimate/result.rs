@@ -1,6 +1,7 @@
 //! The numbers of the uncertainty of a fit, confidence intervals, and how they are printed.
 
 use super::digits::digits;
+use super::parts::PartConflict;
 use super::prior_check::PriorConflict;
 use super::residual_check::ResidualCheck;
 use super::scores::Criterion;
@@ -106,6 +107,10 @@ pub struct Uncertainty {
     /// each experiment, `s^2 rho^|i - j|`, in the order of the residual vector: by restricted maximum
     /// likelihood; zero where it is no more than chance.
     pub autocorrelations: Vec<f64>,
+    /// The chance of autocorrelations as large where the residuals are independent, by the ratio of the
+    /// likelihoods; 1 where none is supposed.
+    #[serde(default = "certain")]
+    pub chance_of_autocorrelation: f64,
     /// Degrees of freedom of the quantile of Student's t for each parameter: fewer than
     /// [`degrees_of_freedom`](Self::degrees_of_freedom) where residuals are autocorrelated and the standard
     /// error is known less well (Satterthwaite).
@@ -137,6 +142,9 @@ pub struct Uncertainty {
     /// The cost with a hundredth of the relative tolerance, or with half the step; `None` where that
     /// simulation failed.
     pub accurate_cost: Option<f64>,
+    /// By how many of its standard errors that accuracy moves the parameter that it moves most.
+    #[serde(default)]
+    pub shift_by_accuracy: f64,
     /// The method has a fixed step: the accurate cost is that with half of it.
     #[serde(default)]
     pub is_step_halved: bool,
@@ -154,6 +162,9 @@ pub struct Uncertainty {
     /// Priors that the measurements contradict.
     #[serde(default)]
     pub prior_conflicts: Vec<PriorConflict>,
+    /// Parts of the measurements that ask for different values.
+    #[serde(default)]
+    pub part_conflict: Option<PartConflict>,
     /// The cost has a robust loss.
     #[serde(default)]
     pub has_loss: bool,
@@ -164,6 +175,10 @@ pub struct Uncertainty {
     pub residuals: Vec<f64>,
     /// Points that were simulated to find out.
     pub n_simulations: usize,
+}
+
+fn certain() -> f64 {
+    1.0
 }
 
 impl Uncertainty {
