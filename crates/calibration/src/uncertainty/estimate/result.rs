@@ -92,8 +92,9 @@ pub struct Uncertainty {
     pub is_log: Vec<bool>,
     /// Covariance of the parameters, n x n, row by row, in the user's units, with the residuals of outputs
     /// that are autocorrelated taken for a first-order autoregression (see
-    /// [`autocorrelations`](Self::autocorrelations)). Zero for parameters that are [held](Self::held);
-    /// infinite on the diagonal, NaN beside it, for those that the data do not
+    /// [`autocorrelations`](Self::autocorrelations)), and the noise of
+    /// [measured](crate::InitialState::Measured) initial states. Zero for parameters that are
+    /// [held](Self::held); infinite on the diagonal, NaN beside it, for those that the data do not
     /// [determine](Self::undetermined).
     pub covariance: Vec<f64>,
     /// Standard errors: the roots of its diagonal.

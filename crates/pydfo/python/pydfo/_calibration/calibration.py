@@ -475,15 +475,16 @@ class Calibration(Point):
 
         Looked at are the times (gaps, unit, start, months taken for days), the recorded values (constant, clipped, frozen, missing,
         placeholders, in other units than the model, far from the simulation at the start, wrapped angles, columns that are swapped,
-        recordings that are there twice, too coarse means), inputs that nothing drives, that end early, or whose column is all zero,
-        frozen, missing for long or in another unit, values, ranges and start values that the model states for its parameters, and how
-        accurate the simulations are.
+        recordings that are there twice, too coarse means, turns of the simulation between the rows), inputs that nothing drives, that
+        end early, or whose column is all zero, frozen, missing for long or in another unit, values, ranges and start values that the
+        model states for its parameters, and how accurate the simulations are.
 
         Parameters
         ----------
         simulate : bool
             Whether to simulate all experiments once at the start values (and once with times a thousandth as long, where they could be
-            in ms; and once with half the step, where that is fixed, or half the communication step).
+            in ms; and once with half the step, where that is fixed, or half the communication step; and once with the values between
+            the rows, where these are few).
         max_time : float, optional
             Wall-clock limit of the whole check in s; None: no limit. What was found until then is the result, with a finding that says so.
 

@@ -52,8 +52,8 @@ class Uncertainty:
         The point.
     covariance, correlation : ndarray, shape (n, n)
         In the units of the parameters. Where the residuals of an output are autocorrelated they are taken for a first-order
-        autoregression; with a robust loss the covariance is that of an M-estimator. It is zero for those that are `held`, infinite on the diagonal for those that
-        are `undetermined`; the correlation is NaN there.
+        autoregression; with a robust loss the covariance is that of an M-estimator. The noise of measured initial states enters it. It
+        is zero for those that are `held`, infinite on the diagonal for those that are `undetermined`; the correlation is NaN there.
     stderr : ndarray, shape (n,)
         Standard errors: the roots of the diagonal.
     uncorrected_stderr : ndarray, shape (n,), or None
