@@ -2,11 +2,14 @@
 
 use crate::error::CalibrationError;
 use base::RunContext;
-use nalgebra::{DMatrix, DMatrixView, DVector};
+use nalgebra::{DMatrix, DMatrixView, DMatrixViewMut, DVector};
 use std::ops::Range;
 
 /// Operations on a block: some 10 ms.
 const OPERATIONS: usize = 1 << 24;
+
+/// Memory that is touched for the first time takes as long as so many operations on each number.
+const TOUCHED: usize = 16;
 
 /// Thin singular value decomposition of a matrix.
 pub(crate) struct ThinSvd {
@@ -62,18 +65,57 @@ pub(crate) fn triangle(
     Ok(above)
 }
 
+/// A matrix that is filled by blocks of rows, with so many operations on each row: its memory, too, is touched
+/// block by block.
+pub(crate) fn filled(
+    (m, p): (usize, usize),
+    per_row: usize,
+    context: &RunContext<'_>,
+    mut fill: impl FnMut(DMatrixViewMut<'_, f64>, Range<usize>),
+) -> Result<DMatrix<f64>, CalibrationError> {
+    // The allocator's zeros; those of `DMatrix::zeros` are written.
+    let mut matrix = DMatrix::from_vec(m, p, vec![0.0; m * p]);
+    by_blocks(0..m, (per_row, 1), context, |block| fill(matrix.rows_range_mut(block.clone()), block))?;
+    Ok(matrix)
+}
+
 /// The product of a matrix and a small one.
 pub(crate) fn product(
     matrix: &DMatrix<f64>,
     by: &DMatrix<f64>,
     context: &RunContext<'_>,
 ) -> Result<DMatrix<f64>, CalibrationError> {
-    let mut product = DMatrix::zeros(matrix.nrows(), by.ncols());
-    by_blocks(0..matrix.nrows(), (2 * by.len(), 1), context, |block| {
-        let rows = matrix.rows(block.start, block.len());
-        product.rows_mut(block.start, block.len()).gemm(1.0, &rows, by, 0.0);
-    })?;
-    Ok(product)
+    filled((matrix.nrows(), by.ncols()), 2 * by.len(), context, |mut rows, block| {
+        rows.gemm(1.0, &matrix.rows_range(block), by, 0.0);
+    })
+}
+
+/// The rows, each times its factor.
+pub(crate) fn scaled(
+    matrix: &DMatrix<f64>,
+    factors: &[f64],
+    context: &RunContext<'_>,
+) -> Result<DMatrix<f64>, CalibrationError> {
+    filled(matrix.shape(), TOUCHED * matrix.ncols(), context, |mut rows, block| {
+        rows.copy_from(&matrix.rows_range(block.clone()));
+        let factors = &factors[block];
+        rows.column_iter_mut().for_each(|mut column| {
+            column.iter_mut().zip(factors).for_each(|(entry, factor)| *entry *= factor)
+        });
+    })
+}
+
+/// A matrix with one more column.
+pub(crate) fn beside(
+    matrix: &DMatrix<f64>,
+    last: &[f64],
+    context: &RunContext<'_>,
+) -> Result<DMatrix<f64>, CalibrationError> {
+    let p = matrix.ncols();
+    filled((matrix.nrows(), p + 1), TOUCHED * (p + 1), context, |mut rows, block| {
+        rows.columns_mut(0, p).copy_from(&matrix.rows_range(block.clone()));
+        rows.column_mut(p).copy_from_slice(&last[block]);
+    })
 }
 
 /// The products `a'b` of the columns of two matrices.
@@ -86,6 +128,23 @@ pub(crate) fn inner_products(
     by_blocks(0..a.nrows(), (2 * sum.len(), 1), context, |block| {
         let (from, n) = (block.start, block.len());
         sum.gemm_tr(1.0, &a.rows(from, n), &b.rows(from, n), 1.0);
+    })?;
+    Ok(sum)
+}
+
+/// The products `a' W a` of the columns of a matrix, W diagonal.
+pub(crate) fn weighted_products(
+    a: &DMatrix<f64>,
+    weights: &[f64],
+    context: &RunContext<'_>,
+) -> Result<DMatrix<f64>, CalibrationError> {
+    let mut sum = DMatrix::zeros(a.ncols(), a.ncols());
+    by_blocks(0..a.nrows(), (4 * sum.len(), 1), context, |block| {
+        let mut weighted = a.rows_range(block.clone()).into_owned();
+        for mut column in weighted.column_iter_mut() {
+            column.iter_mut().zip(&weights[block.clone()]).for_each(|(entry, weight)| *entry *= weight);
+        }
+        sum.gemm_tr(1.0, &a.rows_range(block), &weighted, 1.0);
     })?;
     Ok(sum)
 }
@@ -141,6 +200,13 @@ mod tests {
         assert!((of_u - DMatrix::identity(p, p)).amax() < 1e-12);
         let diagonal = DMatrix::from_diagonal(&DVector::from_vec(svd.values));
         assert!((&svd.u * diagonal * svd.v_t - &tall).amax() < 1e-12);
+        let factors: Vec<f64> = (0..tall.nrows()).map(|i| 1.0 / (i + 1) as f64).collect();
+        let of_rows = scaled(&tall, &factors, &context).unwrap();
+        assert!(
+            of_rows.row(7) == tall.row(7) / 8.0 && beside(&tall, &factors, &context).unwrap()[(4, p)] == 0.2
+        );
+        let weighted = weighted_products(&tall, &factors, &context).unwrap();
+        assert!((weighted - tall.tr_mul(&of_rows)).amax() < 1e-12 * tall.amax());
         let squares = tall.tr_mul(&tall);
         let r = triangle(&tall, &[0..10, 10..tall.nrows()], &context).unwrap();
         assert!(r.nrows() == p && (r.tr_mul(&r) - &squares).amax() < 1e-12 * squares.amax());

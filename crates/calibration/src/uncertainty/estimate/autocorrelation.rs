@@ -2,7 +2,7 @@
 //! how well that is known.
 
 use crate::error::CalibrationError;
-use crate::uncertainty::tall::{go_on, inner_products};
+use crate::uncertainty::tall::{beside, go_on, inner_products};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -153,8 +153,7 @@ impl<'a> Dependence<'a> {
         context: &RunContext<'_>,
     ) -> Result<Option<Self>, CalibrationError> {
         let q = base.ncols();
-        let mut z = base.clone().insert_column(q, 0.0);
-        z.column_mut(q).copy_from_slice(residuals);
+        let z = beside(base, residuals, context)?;
         let form = |group: &Group| -> Result<Form, CalibrationError> {
             let zero = || DMatrix::zeros(q + 1, q + 1);
             let (mut form, mut n) = ((zero(), zero(), zero()), 0);

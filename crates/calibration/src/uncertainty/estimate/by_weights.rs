@@ -4,7 +4,7 @@
 use super::chance::OfIndependent;
 use super::residual_check::ResidualCheck;
 use crate::error::CalibrationError;
-use crate::uncertainty::tall::{ThinSvd, thin_svd};
+use crate::uncertainty::tall::{ThinSvd, scaled, thin_svd};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 
@@ -69,9 +69,8 @@ pub(super) fn mark(
         if scale.iter().any(|scale| !scale.is_finite()) {
             continue;
         }
-        let mut scaled = jacobian.clone();
-        scaled.column_iter_mut().for_each(|mut column| column.component_mul_assign(&scale));
-        let Some(step) = least_squares(scaled, &residuals.component_mul(&scale), context)? else { continue };
+        let part = scaled(jacobian, scale.as_slice(), context)?;
+        let Some(step) = least_squares(part, &residuals.component_mul(&scale), context)? else { continue };
         let moved = jacobian * step + &residuals;
         let rise = |(k, (_, rows)): (usize, &(String, Vec<usize>))| {
             let after = moved.select_rows(rows).norm_squared();

@@ -9,7 +9,7 @@ use super::result::Estimator;
 use super::scores::{Criterion, Working};
 use crate::error::CalibrationError;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
-use crate::uncertainty::tall::{ThinSvd, inner_products, thin_svd, triangle};
+use crate::uncertainty::tall::{ThinSvd, inner_products, thin_svd, triangle, weighted_products};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
@@ -137,20 +137,21 @@ impl Noise {
 impl Noise {
     /// The covariance that independent errors leave to the residuals of each output, U the base; none where
     /// all have many.
-    pub(super) fn of_independent(&self, layout: &ResidualLayout, base: &DMatrix<f64>) -> Vec<OfIndependent> {
+    pub(super) fn of_independent(
+        &self,
+        layout: &ResidualLayout,
+        base: &DMatrix<f64>,
+        context: &RunContext<'_>,
+    ) -> Result<Vec<OfIndependent>, CalibrationError> {
         if layout.outputs.iter().all(|output| OfIndependent::is_of_many(output.range.len())) {
-            return Vec::new();
+            return Ok(Vec::new());
         }
-        let mut weighted = base.clone();
-        for (mut row, variance) in weighted.row_iter_mut().zip(&self.variances) {
-            row *= *variance;
-        }
-        let middle = base.tr_mul(&weighted);
+        let middle = weighted_products(base, &self.variances, context)?;
         let of = |output: &OutputResiduals| {
             let rows = base.rows(output.range.start, output.range.len());
             OfIndependent::of_fit(rows.as_view(), &(&middle / self.variances[output.range.start]))
         };
-        layout.outputs.iter().map(of).collect()
+        Ok(layout.outputs.iter().map(of).collect())
     }
 }
 
@@ -171,7 +172,7 @@ impl Factors {
         let kept: Vec<usize> = (0..p).filter(|k| values[*k] > least).collect();
         let column = |k: &usize| steps * v_t.row(*k).transpose() / values[*k];
         let inverse: Vec<DVector<f64>> = kept.iter().map(column).collect();
-        let base = u.select_columns(&kept);
+        let base = if kept.len() == p { u } else { u.select_columns(&kept) };
         let mut is_undetermined = vec![false; p];
         // In a combination that is left out parameters are compared by the longest steps that were made with them.
         let sizes: Vec<f64> = steps.row_iter().map(|row| row.amax().max(f64::MIN_POSITIVE)).collect();
@@ -196,11 +197,7 @@ impl Factors {
         variances: &[f64],
         context: &RunContext<'_>,
     ) -> Result<DMatrix<f64>, CalibrationError> {
-        let mut weighted = self.base.clone();
-        for mut column in weighted.column_iter_mut() {
-            column.iter_mut().zip(variances).for_each(|(u, variance)| *u *= variance);
-        }
-        let middle = inner_products(self.base.as_view(), weighted.as_view(), context)?;
+        let middle = weighted_products(&self.base, variances, context)?;
         Ok(&self.inverse * middle * self.inverse.transpose())
     }
 }

@@ -10,7 +10,7 @@ use crate::cost::batch::{Found, Point, Simulations};
 use crate::error::CalibrationError;
 use crate::problem::parameter::Parameter;
 use crate::uncertainty::active_bounds::{inner, outer};
-use crate::uncertainty::tall::{product, triangle};
+use crate::uncertainty::tall::{go_on, product, triangle};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 
@@ -225,7 +225,7 @@ impl Differences {
         simulations: &mut Simulations<'_>,
     ) -> Result<Result<Self, String>, CalibrationError> {
         let (m, p) = (center.residuals.len(), steps.len());
-        let mut changes = DMatrix::zeros(m, p);
+        let mut changes = DMatrix::from_vec(m, p, vec![0.0; m * p]);
         let mut open: Vec<usize> = (0..p).collect();
         let mut reason = String::new();
         // Where simulations fail on both sides, shorter steps are tried.
@@ -258,10 +258,9 @@ impl Differences {
                 };
                 let length = steps[k].length;
                 let per_length = if to.0 > from.0 { length / (to.0 - from.0) } else { 0.0 };
-                changes.set_column(
-                    k,
-                    &DVector::from_iterator(m, to.1.iter().zip(from.1).map(|(b, a)| (b - a) * per_length)),
-                );
+                go_on(&simulations.context)?;
+                let differences = to.1.iter().zip(from.1).map(|(b, a)| (b - a) * per_length);
+                changes.column_mut(k).iter_mut().zip(differences).for_each(|(to, change)| *to = change);
             }
             open = left;
             if open.is_empty() {

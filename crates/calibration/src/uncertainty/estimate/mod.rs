@@ -273,7 +273,7 @@ impl Calibration {
         let factors = Factors::new(&differences, context)?;
         let of_free = (free.len(), context);
         let noise = Noise::estimate(layout, residuals, &working, &outputs, &factors.base, of_free)?;
-        let independent = noise.of_independent(layout, &factors.base);
+        let independent = noise.of_independent(layout, &factors.base, context)?;
         let mut by_starts = self.changes_by_measured_starts(x, residuals, &noise.variances, simulations)?;
         by_starts.iter_mut().for_each(|column| {
             column.iter_mut().zip(&working.roots).for_each(|(change, root)| *change *= root)
