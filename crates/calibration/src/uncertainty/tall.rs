@@ -65,8 +65,8 @@ pub(crate) fn triangle(
     Ok(above)
 }
 
-/// A matrix that is filled by blocks of rows, with so many operations on each row: its memory, too, is touched
-/// block by block.
+/// A matrix that is filled by blocks of rows, with so many operations on each row: its memory, too, is
+/// touched block by block.
 pub(crate) fn filled(
     (m, p): (usize, usize),
     per_row: usize,
