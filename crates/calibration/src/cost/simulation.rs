@@ -222,8 +222,8 @@ impl Simulation {
         let given = times;
         let times = times.unwrap_or(&self.times);
         let is_late = self.assigned.outputs.iter().any(|(delay, _)| delay.in_model(x) != 0.0);
-        if is_late && let Some(given) = given {
-            // Those at which a late output is sampled are sorted, and begin at the start.
+        if let Some(given) = given {
+            // Those at which a late output is sampled are sorted and begin at the start, and the last ends the run.
             check_times(given, self.options.start_time.unwrap_or_default())?;
         }
         let rows = Comparison::at_times(times, self.assigned.outputs.len());

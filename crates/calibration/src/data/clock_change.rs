@@ -10,7 +10,7 @@ use std::fmt;
 const HOUR: f64 = 3600.0;
 
 /// In s.
-const DAY: f64 = 24.0 * HOUR;
+pub(super) const DAY: f64 = 24.0 * HOUR;
 
 /// Clocks change in the first hours of a day: the hour that is missing or doubled begins at one of these.
 const HOURS: std::ops::RangeInclusive<i64> = 0..=3;

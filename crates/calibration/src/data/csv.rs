@@ -660,6 +660,7 @@ mod tests {
             ("time,y\n0,1\nlater,1\n", "time 'later' in line 3 is not a number, as those of other lines are"),
             ("time,y\n05/31/2024 10:00,1\n", "which of them is the month cannot be told"),
             ("time,y\n10:00:00,1\n09:00:00,1\n", "times must ascend"),
+            ("time,y\n23:59:00,1\n00:00:00,1\n", "a clock passed midnight, write the date"),
             ("time,y\n00:00,1\n00:01,1\n", "'00:00' may be hours and minutes or minutes and seconds"),
             ("time,y\nkg,m\n0,1\n", "time 'kg' in line 2 is not a number"),
             ("time,y\n,1\n", "not finite"),

@@ -1,6 +1,6 @@
 //! A table of recorded series over one column of times: irregular times, missing values.
 
-use super::clock_change::ClockChange;
+use super::clock_change::{ClockChange, DAY};
 use super::series::{Series, sampling_interval};
 use super::time_column::{TimeColumn, find_column, parts};
 use super::units::UnitConversion;
@@ -155,8 +155,15 @@ impl Data {
                 return bad(format!("time {} at {} is not finite", Number(*t), place(i)));
             }
             if i > 0 && *t < time[i - 1] {
+                // Back by nearly a day.
+                let hint = match time[i - 1] - t {
+                    back if (0.5..=1.0).contains(&(back / DAY)) => {
+                        ". Where a clock passed midnight, write the date with each time, or add 24 h from there on"
+                    }
+                    _ => "",
+                };
                 return bad(format!(
-                    "time {} at {} comes after {}: times must ascend",
+                    "time {} at {} comes after {}: times must ascend{hint}",
                     Number(*t),
                     place(i),
                     Number(time[i - 1])

@@ -308,12 +308,16 @@ impl Calibration {
             true => Gain::default(),
             false => at.left_to_gain(&cost, cost(residuals), simulations)?,
         };
-        let residual_checks = ResidualCheck::all(
+        let mut residual_checks = ResidualCheck::all(
             layout,
             &self.problem().experiment_names(),
             residuals,
             (Some(&independent), context),
         )?;
+        for (check, output) in residual_checks.iter_mut().zip(&layout.outputs) {
+            let mean = |change: &DVector<f64>| change.rows_range(output.range.clone()).mean();
+            check.mean_by_starts = by_starts.iter().map(mean).fold(0.0, f64::hypot);
+        }
         let mut uncertainty = Uncertainty {
             estimator,
             names: parameters.iter().map(|p| p.name().to_owned()).collect(),

@@ -41,6 +41,9 @@ pub struct ResidualCheck {
     pub n: usize,
     /// Their mean.
     pub mean: f64,
+    /// The error of the mean by the noise of measured initial states.
+    #[serde(default)]
+    pub mean_by_starts: f64,
     /// Their standard deviation around it.
     pub deviation: f64,
     /// Their autocorrelation at lag one; NaN for fewer than three, and where all are the same.
@@ -102,6 +105,7 @@ impl ResidualCheck {
                 variable: output.variable.clone(),
                 n: 0,
                 mean: 0.0,
+                mean_by_starts: 0.0,
                 deviation: 0.0,
                 autocorrelation: 0.0,
                 chance: None,
@@ -215,7 +219,7 @@ impl ResidualCheck {
     }
 
     fn has_offset(&self) -> bool {
-        let of_mean = self.deviation / (self.n as f64).sqrt();
+        let of_mean = (self.deviation / (self.n as f64).sqrt()).hypot(self.mean_by_starts);
         self.mean.abs() > DEVIATIONS * of_mean && self.mean.abs() > 0.1 * self.deviation && self.n > 2
     }
 
@@ -354,5 +358,28 @@ mod tests {
         let two = [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0, -1.0, -1.0];
         assert!((runs(&two) - (2.0 - 5.8) / (48.0f64 * 38.0 / 900.0).sqrt()).abs() < 1e-14);
         assert!(runs(&[1.0, 1.0, 1.0]).is_nan());
+    }
+
+    /// 400 residuals with the mean 0.3 and the deviation 1: 6 of its standard errors, but 1.5 of those of a
+    /// simulation that starts from a measurement.
+    #[test]
+    fn noise_of_a_measured_start_is_no_offset() {
+        let r: Vec<f64> = (0..400).map(|k| 0.3 + f64::from(k % 2) * 2.0 - 1.0).collect();
+        let output = OutputResiduals {
+            experiment: 0,
+            output: 0,
+            variable: "x".to_owned(),
+            column: "x".to_owned(),
+            range: 0..400,
+            times: (0..400).map(f64::from).collect(),
+            measured: vec![1.0; 400].into(),
+            weights: vec![1.0; 400].into(),
+        };
+        let layout = ResidualLayout { outputs: vec![output], priors: Vec::new() };
+        let checks = ResidualCheck::all(&layout, &["a".to_owned()], &r, (None, &RunContext::new()));
+        let mut check = checks.unwrap().remove(0);
+        assert!(check.has_offset());
+        check.mean_by_starts = 0.2;
+        assert!(!check.has_offset());
     }
 }
