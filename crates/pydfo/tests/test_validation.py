@@ -126,7 +126,13 @@ def test_prediction_bands(one):
     narrow = one.prediction_band(times, level=0.5, outputs="x")["x"]
     assert np.all(narrow.upper < band.upper)
     assert len(one.prediction_band()["x"].time) == 21
-    for arguments, message in (({"level": 95}, "between 0 and 1"), ({"outputs": ["y"]}, "no output 'y'"), ({"times": [1.0, 0.5]}, "times must ascend"), ({"times": [3, 1]}, "comes after 3")):
+    wrong = (
+        ({"level": 95}, "between 0 and 1"),
+        ({"outputs": ["y"]}, "no output 'y'"),
+        ({"times": [1.0, 0.5]}, "times must ascend"),
+        ({"times": [3, 1]}, "comes after 3"),
+    )
+    for arguments, message in wrong:
         with pytest.raises(ValueError, match=message):
             one.prediction_band(**arguments)
 
