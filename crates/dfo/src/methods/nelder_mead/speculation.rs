@@ -24,7 +24,7 @@ const EXPANDED: f64 = 0.11 / 0.23;
 const BETTER_THAN_WORST: f64 = 0.8;
 
 /// A point that the path needs with less probability is not worth its evaluation, however many are wanted.
-const LEAST_PROBABILITY: f64 = 1e-3;
+const LEAST_PROBABILITY: f64 = 1.0 / 256.0;
 
 /// The simplex and what its trial points are made with.
 pub(super) struct Problem<'a> {
