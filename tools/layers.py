@@ -26,7 +26,8 @@ LAYERS = {
         report export
     """,
     "dfo": """
-        values outcome
+        values
+        outcome
         error
         problem
         method

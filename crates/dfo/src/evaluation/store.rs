@@ -308,7 +308,7 @@ impl SpeculativeEntry {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::method::encoding::{decode, encode};
+    use crate::values::encoding::{decode, encode};
 
     fn get(store: &mut Store, x: f64, cutoff: f64) -> Option<Outcome> {
         store.get(&[x], Query::new(0, 0, cutoff)).map(|known| known.outcome.clone())

@@ -2,7 +2,6 @@
 //! the objective.
 
 use crate::error::Error;
-use crate::method::encoding::{decode, encode};
 use crate::method::linear_model::LinearModel;
 use crate::method::tolerances::{Tests, Tolerances};
 use crate::outcome::answer::{Answer, Answers, Want};
@@ -10,6 +9,7 @@ use crate::outcome::termination::Termination;
 use crate::problem::objective::Query;
 use crate::problem::space::Space;
 use crate::values::choices::{Kind, Search};
+use crate::values::encoding::{decode, encode};
 use base::RunContext;
 use serde::de::{DeserializeOwned, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};

@@ -1,6 +1,5 @@
 //! The interface of the methods and their common tools: tolerances, sampling, random numbers, linear model.
 
-pub(crate) mod encoding;
 pub(crate) mod interface;
 pub(crate) mod linear_model;
 pub(crate) mod rng;

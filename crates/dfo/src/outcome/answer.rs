@@ -1,6 +1,7 @@
 //! Answer to an evaluation: a cost, "above the cutoff", or "failed: why"; and the residuals, where they were
 //! requested.
 
+use crate::values::encoding::numbers;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -127,6 +128,7 @@ pub struct Answer {
     pub outcome: Outcome,
     /// The residuals, always the same number in the same order. Looked at only where the query wanted them
     /// and the outcome is a value.
+    #[serde(with = "numbers")]
     pub residuals: Vec<f64>,
     /// Work of the evaluation, in units of the objective's own (right-hand sides, for example); 0 if it does
     /// not count.

@@ -1,6 +1,7 @@
 //! The trace: every evaluation of a run, in request order, stored in columns.
 
 use crate::outcome::answer::{Answer, Outcome};
+use crate::values::encoding::numbers;
 use serde::{Deserialize, Serialize};
 
 /// Every evaluation of a run's path, in request order (the same for any number of workers); and beside them
@@ -8,6 +9,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Trace {
     n: usize,
+    #[serde(with = "numbers")]
     points: Vec<f64>,
     #[serde(with = "columns")]
     records: Vec<Record>,
@@ -32,52 +34,80 @@ pub(crate) struct Record {
     pub(crate) residuals: Vec<f64>,
 }
 
-/// Records in a file: column by column, so that the names of the columns stand there once.
+/// Records in a file: column by column, as many numbers as one string of bytes.
 mod columns {
     use crate::outcome::answer::Outcome;
     use crate::outcome::trace::Record;
+    use crate::values::encoding::numbers;
     use serde::de::{Deserializer, Error};
     use serde::{Deserialize, Serialize, Serializer};
     use std::borrow::Cow;
 
     #[derive(Default, Serialize, Deserialize)]
     struct Columns<'a> {
-        outcome: Vec<Cow<'a, Outcome>>,
+        /// NaN where there is none.
+        #[serde(with = "numbers")]
+        value: Vec<f64>,
+        /// In place of the values that are NaN.
+        other_outcomes: Vec<Cow<'a, Outcome>>,
+        #[serde(with = "numbers")]
         id: Vec<u64>,
+        #[serde(with = "numbers")]
         batch: Vec<u64>,
+        #[serde(with = "numbers")]
         cutoff: Vec<f64>,
-        used: Vec<bool>,
+        #[serde(with = "serde_bytes")]
+        used: Vec<u8>,
+        #[serde(with = "numbers")]
         seconds: Vec<f64>,
-        residuals: Vec<Cow<'a, [f64]>>,
+        #[serde(with = "numbers")]
+        n_residuals: Vec<u64>,
+        /// Those of all records.
+        #[serde(with = "numbers")]
+        residuals: Vec<f64>,
     }
 
     pub(super) fn serialize<S: Serializer>(records: &[Record], to: S) -> Result<S::Ok, S::Error> {
         let mut columns = Columns::default();
         for r in records {
-            columns.outcome.push(Cow::Borrowed(&r.outcome));
+            match r.outcome.value() {
+                Some(value) if !value.is_nan() => columns.value.push(value),
+                _ => {
+                    columns.value.push(f64::NAN);
+                    columns.other_outcomes.push(Cow::Borrowed(&r.outcome));
+                }
+            }
             columns.id.push(r.id);
             columns.batch.push(r.batch);
             columns.cutoff.push(r.cutoff);
-            columns.used.push(r.used);
+            columns.used.push(r.used.into());
             columns.seconds.push(r.seconds);
-            columns.residuals.push(Cow::Borrowed(&r.residuals));
+            columns.n_residuals.push(r.residuals.len() as u64);
+            columns.residuals.extend_from_slice(&r.residuals);
         }
         columns.serialize(to)
     }
 
     pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Record>, D::Error> {
-        let Columns { outcome, id, batch, cutoff, used, seconds, residuals } = Columns::deserialize(from)?;
-        let n = outcome.len();
-        if [id.len(), batch.len(), cutoff.len(), used.len(), seconds.len(), residuals.len()] != [n; 6] {
+        let columns = Columns::deserialize(from)?;
+        let Columns { value, other_outcomes, id, batch, cutoff, used, seconds, n_residuals, residuals } =
+            columns;
+        let n = value.len();
+        if [id.len(), batch.len(), cutoff.len(), used.len(), seconds.len(), n_residuals.len()] != [n; 6] {
             return Err(D::Error::custom("the columns of the trace have different lengths"));
         }
-        let rest = id.into_iter().zip(batch).zip(cutoff).zip(used).zip(seconds).zip(residuals);
-        let record = |(outcome, rest): (Cow<'_, Outcome>, (_, Cow<'_, [f64]>))| {
-            let (((((id, batch), cutoff), used), seconds), residuals) = rest;
-            let residuals = residuals.into_owned();
-            Record { outcome: outcome.into_owned(), id, batch, cutoff, used, seconds, residuals }
+        let mut others = other_outcomes.into_iter().map(Cow::into_owned);
+        let mut rest = &residuals[..];
+        let record = |k: usize| {
+            let outcome = if value[k].is_nan() { others.next()? } else { Outcome::Value(value[k]) };
+            let (own, later) = rest.split_at_checked(n_residuals[k].try_into().ok()?)?;
+            rest = later;
+            let (residuals, used) = (own.to_vec(), used[k] != 0);
+            let (id, batch, cutoff, seconds) = (id[k], batch[k], cutoff[k], seconds[k]);
+            Some(Record { outcome, id, batch, cutoff, used, seconds, residuals })
         };
-        Ok(outcome.into_iter().zip(rest).map(record).collect())
+        let records = (0..n).map(record).collect::<Option<_>>();
+        records.ok_or_else(|| D::Error::custom("the trace lacks outcomes or residuals"))
     }
 }
 

@@ -13,12 +13,14 @@ use crate::error::Error;
 use crate::evaluation::ledger::Ledger;
 use crate::evaluation::round::Round;
 use crate::evaluation::store::{Early, Store};
-use crate::method::encoding::{decode, encode};
 use crate::method::interface::{Method, Setup};
 use crate::problem::option_texts;
+use crate::values::encoding::{decode, encode};
 use base::files::{Claim, Unfinished};
+use crc32fast::Hasher;
 use serde::{Deserialize, Serialize};
-use std::io::{ErrorKind, Read, Write};
+use std::fs::File;
+use std::io::{BufWriter, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -26,7 +28,7 @@ use std::time::{Duration, Instant};
 const MARK: &[u8; 15] = b"dfo checkpoint\0";
 
 /// The format that this version reads and writes. It changes with everything that a file holds.
-const FORMAT: u8 = 11;
+const FORMAT: u8 = 12;
 
 /// Version of the code, which every file names.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
@@ -338,12 +340,39 @@ pub(crate) fn read(
     Ok(Some(snapshot))
 }
 
+/// A file with the checksum of what is written to it.
+struct Summed<'a> {
+    file: &'a File,
+    sum: Hasher,
+}
+
+impl Write for Summed<'_> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let n = self.file.write(bytes)?;
+        self.sum.update(&bytes[..n]);
+        Ok(n)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.file.flush()
+    }
+}
+
+/// Time that a run lasts before it writes again: all writes take at most a tenth of it, also where long
+/// states take long to write, with the next, and one at the end, each up to half as long again as the last.
+fn least_time(spent: Duration, last: Duration) -> Duration {
+    10 * (spent + 3 * last)
+}
+
 /// Writes snapshots, not too often.
 #[derive(Debug)]
 pub(crate) struct Writer {
     options: Checkpoint,
     fingerprint: Vec<(String, String)>,
+    began: Instant,
     next: Instant,
+    /// Time of all writes.
+    spent: Duration,
     /// No other process writes to the file.
     _claim: Claim,
 }
@@ -358,7 +387,9 @@ impl Writer {
             ErrorKind::ResourceBusy => failed(path, format!("{e}: wait for its end, or give another path")),
             _ => file_failed(path, &e),
         })?;
-        Ok(Self { next: Instant::now() + options.interval, options, fingerprint, _claim: claim })
+        let began = Instant::now();
+        let next = began + options.interval;
+        Ok(Self { began, next, spent: Duration::ZERO, options, fingerprint, _claim: claim })
     }
 
     /// True if it is time for the next write.
@@ -393,18 +424,51 @@ impl Writer {
             seconds,
             seed: method.details().seed,
         };
-        let payload = encode(&snapshot).map_err(|e| failed(path, e))?;
         let written = Unfinished::new(path).and_then(|unfinished| {
             let mut file = unfinished.file();
-            file.write_all(MARK)?;
-            file.write_all(&[FORMAT])?;
-            file.write_all(&crc32fast::hash(&payload).to_le_bytes())?;
-            file.write_all(&payload)?;
+            let head = [&MARK[..], &[FORMAT]].concat();
+            file.write_all(&head)?;
+            // The checksum, once it is known.
+            file.write_all(&[0; 4])?;
+            let mut summed = BufWriter::new(Summed { file, sum: Hasher::new() });
+            ciborium::into_writer(&snapshot, &mut summed).map_err(|e| match e {
+                ciborium::ser::Error::Io(e) => e,
+                other => std::io::Error::other(other.to_string()),
+            })?;
+            let Summed { mut file, sum } = summed.into_inner().map_err(|e| e.into_error())?;
+            file.seek(SeekFrom::Start(head.len() as u64))?;
+            file.write_all(&sum.finalize().to_le_bytes())?;
             unfinished.finish()
         });
-        // A long trace takes long to write: never more than a tenth of the time. What could not be written is tried again.
-        let now = Instant::now();
-        self.next = now + self.options.interval.max(9 * (now - begin));
+        // What could not be written is tried again.
+        self.spent += begin.elapsed();
+        let until = self.began + least_time(self.spent, begin.elapsed());
+        self.next = until.max(Instant::now() + self.options.interval);
         written.map_err(|e| file_failed(path, &e))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_writes_take_a_tenth_of_a_run_whatever_one_of_them_takes() {
+        // The same for each write, growing with the trace, one slow write among fast ones.
+        let all: [&dyn Fn(f64) -> f64; 3] =
+            [&|_| 0.7, &|now| 4e-3 * now, &|now| if (40.0..60.0).contains(&now) { 0.3 } else { 0.01 }];
+        for seconds in all {
+            let (mut now, mut spent, mut last, mut n) = (0.0, 0.0, seconds(0.0), 0);
+            while now < 2000.0 {
+                let times = [spent, last].map(Duration::from_secs_f64);
+                now = least_time(times[0], times[1]).as_secs_f64().max(now + 1.0);
+                last = seconds(now);
+                spent += last;
+                n += 1;
+                // Wherever the run ends, with its last write.
+                assert!(spent + last <= 0.1001 * now, "{now}: {spent}");
+            }
+            assert!(n > 15, "{n} writes");
+        }
     }
 }

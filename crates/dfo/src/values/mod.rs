@@ -1,5 +1,6 @@
-//! Plain values: choices by name, numbers as text, records.
+//! Plain values: choices by name, numbers as text, bytes, records.
 
 pub(crate) mod choices;
+pub(crate) mod encoding;
 pub(crate) mod number;
 pub(crate) mod record;

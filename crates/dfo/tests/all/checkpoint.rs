@@ -386,7 +386,7 @@ fn files_of_the_present_format_are_continued() {
     let folder = Folder::new("present");
     for name in methods_for_costs().iter().map(AnyMethod::name) {
         let golden =
-            Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/data/format_11_{name}.checkpoint"));
+            Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/data/format_12_{name}.checkpoint"));
         let method: AnyMethod = name.parse().unwrap();
         let calls = AtomicUsize::new(0);
         let limited = |limit: usize| {

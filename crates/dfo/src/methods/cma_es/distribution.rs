@@ -3,6 +3,7 @@
 use super::weights::{Weights, effective};
 use crate::method::rng::Stream;
 use crate::methods::shared::dot::dot;
+use crate::values::encoding::numbers;
 use nalgebra::{DMatrix, SymmetricEigen};
 use serde::{Deserialize, Serialize};
 
@@ -23,8 +24,10 @@ pub(super) struct Distribution {
     pub(super) mean: Vec<f64>,
     pub(super) sigma: f64,
     /// Row by row, as `axes`; what stands above the diagonal means nothing.
+    #[serde(with = "numbers")]
     covariance: Vec<f64>,
     /// The eigenvectors of the covariance matrix as columns, as of the last decomposition.
+    #[serde(with = "numbers")]
     axes: Vec<f64>,
     /// The roots of the eigenvalues.
     deviations: Vec<f64>,

@@ -1,5 +1,6 @@
 //! Points that have been evaluated, with their residuals, and which of them a model is made from.
 
+use crate::values::encoding::numbers;
 use serde::{Deserialize, Serialize};
 
 /// Of a point that lies this far out of the plane of those chosen before it, in units of its distance,
@@ -16,6 +17,7 @@ pub(super) struct Evaluated {
     /// In the user's units.
     pub(super) x: Vec<f64>,
     pub(super) cost: f64,
+    #[serde(with = "numbers")]
     pub(super) residuals: Vec<f64>,
 }
 
