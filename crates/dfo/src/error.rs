@@ -262,6 +262,16 @@ pub enum Error {
         /// Outcomes given.
         told: usize,
     },
+    /// The number of residuals is not the same at all points.
+    #[error("{got} residuals at x = {x:?}, but {expected} at the points before")]
+    ResidualCount {
+        /// Residuals at the points before.
+        expected: usize,
+        /// Residuals at this point.
+        got: usize,
+        /// The point.
+        x: Vec<f64>,
+    },
     /// State that a method has to keep does not fit into memory.
     #[error("not enough memory for {what}: {} are needed", Bytes(*.bytes))]
     Memory {

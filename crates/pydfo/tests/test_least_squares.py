@@ -156,9 +156,6 @@ def test_budgets_are_exact_and_a_resumed_run_is_the_same(tmp_path):
 
 
 def test_failures_are_counted_with_their_reasons_and_enter_nothing():
-    def short(x):
-        return decay(x)[: 11 if x[1] > 0.9 else 12]
-
     def undefined(x):
         return np.where(x[1] > 0.9, np.nan, decay(x))
 
@@ -167,7 +164,6 @@ def test_failures_are_counted_with_their_reasons_and_enter_nothing():
 
     for function, reason in [
         (fails_sometimes, "ValueError: too fast"),
-        (short, "11 residuals, but 12 at the points before"),
         (undefined, "residual 0 is NaN"),
         (masked, "residual 3 is NaN"),
     ]:
@@ -180,6 +176,15 @@ def test_failures_are_counted_with_their_reasons_and_enter_nothing():
     for function, reason in [(lambda x: [np.inf, 1], "residual 0 is inf"), (lambda x: [], "there are no residuals")]:
         with pytest.raises(pydfo.AllStartsFailed, match=reason):
             least_squares(function, [1.0])
+
+
+@pytest.mark.parametrize("how", [{}, {"on_error": "fail"}, {"workers": 2}, {"workers": map}])
+def test_another_number_of_residuals_is_an_error(how):
+    def short(x):
+        return decay(x)[: 11 if x[1] > 0.9 else 12]
+
+    with pytest.raises(ValueError, match=r"11 residuals at x = \[1.0, 1.105, 0.0\], but 12 at the points before"):
+        least_squares(short, [1.0, 0.85, 0.0], options={"radius": 0.3}, **how)
 
 
 @pytest.mark.parametrize(

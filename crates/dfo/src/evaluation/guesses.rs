@@ -166,8 +166,7 @@ impl Guesses {
             return Some(place.map_or(Reached::Kept, Reached::Again));
         }
         answer.outcome = answer.outcome.checked(query.cutoff);
-        let entry =
-            SpeculativeEntry::new((id, batch), (x, query), answer, &mut round.ledger.n_residuals.clone());
+        let entry = SpeculativeEntry::new((id, batch), (x, query), answer);
         let Some(k) = place else {
             round.keep_early(entry);
             return Some(Reached::Kept);

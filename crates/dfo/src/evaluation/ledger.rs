@@ -1,6 +1,6 @@
 //! Record of a run: every count, the failures, the best point so far, the trace.
 
-use crate::error::NothingFound;
+use crate::error::{Error, NothingFound};
 use crate::method::interface::Batch;
 use crate::outcome::answer::{Answer, Best, Failure, Outcome, Want};
 use crate::outcome::trace::{Record, SpeculativeEntry, Trace};
@@ -109,6 +109,19 @@ impl Ledger {
                 self.best_residuals.extend_from_slice(if wanted { &answer.residuals } else { &[] });
             }
         }
+    }
+
+    /// Compares the number of residuals at a point with that of the points before.
+    ///
+    /// # Errors
+    /// It is another one: nothing can be said then about what any of them is the residual of.
+    pub(crate) fn count_residuals(&mut self, x: &[f64], answer: &Answer) -> Result<(), Error> {
+        let got = answer.residuals.len();
+        if got == 0 || answer.outcome.value().is_none() {
+            return Ok(());
+        }
+        let expected = *self.n_residuals.get_or_insert(got);
+        if got == expected { Ok(()) } else { Err(Error::ResidualCount { expected, got, x: x.to_vec() }) }
     }
 
     /// Counts an evaluation and keeps it in the trace.

@@ -3,6 +3,7 @@
 use super::evaluator::GivesUp;
 use super::ledger::{Ledger, Source};
 use super::store::{Early, Store};
+use crate::error::Error;
 use crate::method::interface::{AnswersSoFar, Batch};
 use crate::method::tolerances::Limits;
 use crate::outcome::answer::{Answer, Answers, Outcome, Want};
@@ -196,8 +197,7 @@ impl Round {
     fn is_target(&self, answer: &Answer, cutoff: f64) -> bool {
         let value = answer.outcome.value().filter(|value| *value <= cutoff);
         matches!((value, self.target), (Some(value), Some(target)) if value <= target)
-            && !(self.work.want() == Want::Residuals
-                && answer.residuals_failure(&mut self.ledger.n_residuals.clone()).is_some())
+            && !(self.work.want() == Want::Residuals && answer.residuals_failure().is_some())
     }
 
     /// True if the answer to point `k` of `work` is one after which nothing more is of the path.
@@ -258,7 +258,10 @@ impl Round {
     }
 
     /// Takes the answers to `work`, in order, and enters everything into the ledger.
-    pub(crate) fn close(&mut self, batch: &Batch, answers: &mut [Answer]) {
+    ///
+    /// # Errors
+    /// The number of residuals is not that of the points before.
+    pub(crate) fn close(&mut self, batch: &Batch, answers: &mut [Answer]) -> Result<(), Error> {
         let mut at = 0;
         // One point at a time nothing would have been evaluated after it.
         let last = self.last(answers).map_or(usize::MAX, |(k, _)| k);
@@ -278,7 +281,8 @@ impl Round {
             }
             // Also what is known from elsewhere: a file or a user may have given it.
             if batch.want() == Want::Residuals {
-                self.answers[k].check_residuals(&mut self.ledger.n_residuals);
+                self.ledger.count_residuals(batch.point(k), &self.answers[k])?;
+                self.answers[k].check_residuals();
             }
             let remembers = match self.sources[k] {
                 Source::Run | Source::Begun | Source::Replayed => true,
@@ -297,6 +301,7 @@ impl Round {
         let new = self.sources.iter().any(is_new);
         self.stale = if new { 0 } else { self.stale + 1 };
         self.ledger.record(batch, &self.answers, &self.sources);
+        Ok(())
     }
 
     /// Keeps the answer to point `k` of `work` that the path did not come to after all.
@@ -306,8 +311,7 @@ impl Round {
         }
         let of_batch = (self.work.id(k), self.work.index());
         let point = (self.work.point(k).to_vec(), self.work.query(k));
-        let mut m = self.ledger.n_residuals;
-        self.keep_early(SpeculativeEntry::new(of_batch, point, answer.clone(), &mut m));
+        self.keep_early(SpeculativeEntry::new(of_batch, point, answer.clone()));
     }
 
     /// Keeps an evaluation that was made ahead of need.

@@ -266,17 +266,11 @@ impl Store {
 }
 
 impl SpeculativeEntry {
-    /// Entry for an answer that the path has not counted. `m`: the number of residuals that it must have,
-    /// where that is known.
-    pub(crate) fn new(
-        (id, batch): (u64, u64),
-        (x, query): (Vec<f64>, Query<'_>),
-        answer: Answer,
-        m: &mut Option<usize>,
-    ) -> Self {
+    /// Entry for an answer that the path has not counted.
+    pub(crate) fn new((id, batch): (u64, u64), (x, query): (Vec<f64>, Query<'_>), answer: Answer) -> Self {
         let mut answer = answer.only(query.want);
         if query.want == Want::Residuals {
-            answer.check_residuals(m);
+            answer.check_residuals();
         }
         Self { id, batch, x, cutoff: query.cutoff, answer }
     }

@@ -170,30 +170,23 @@ impl Answer {
         Self { outcome: self.outcome.clone(), residuals, ..*self }
     }
 
-    /// Makes a value without the residuals that were wanted a failure. `m`: their number, where it is known
-    /// already; else this answer gives it.
-    pub(crate) fn check_residuals(&mut self, m: &mut Option<usize>) {
-        if let Some(failure) = self.residuals_failure(m) {
+    /// Makes a failure of a cost whose residuals are missing or not finite.
+    pub(crate) fn check_residuals(&mut self) {
+        if let Some(failure) = self.residuals_failure() {
             self.outcome = failure;
         }
     }
 
     /// The failure that it is.
-    pub(crate) fn residuals_failure(&self, m: &mut Option<usize>) -> Option<Outcome> {
+    pub(crate) fn residuals_failure(&self) -> Option<Outcome> {
         if !matches!(self.outcome, Outcome::Value(_)) {
             return None;
         }
-        let got = self.residuals.len();
-        let expected = *m.get_or_insert(got);
-        if got == 0 {
-            *m = None;
-            Some(Outcome::failed("the objective gave a cost without residuals"))
-        } else if got != expected {
-            Some(Outcome::failed(format!("{got} residuals, but {expected} at the points before")))
-        } else {
-            let bad = self.residuals.iter().enumerate().find(|(_, r)| !r.is_finite());
-            bad.map(|(k, r)| Outcome::not_finite(format!("residual {k} is {r}")))
+        if self.residuals.is_empty() {
+            return Some(Outcome::failed("the objective gave a cost without residuals"));
         }
+        let bad = self.residuals.iter().enumerate().find(|(_, r)| !r.is_finite());
+        bad.map(|(k, r)| Outcome::not_finite(format!("residual {k} is {r}")))
     }
 }
 
@@ -352,18 +345,15 @@ mod tests {
     }
 
     #[test]
-    fn residuals_have_one_length_and_are_finite() {
-        let mut m = None;
-        let check = |residuals: &[f64], m: &mut Option<usize>| {
+    fn residuals_are_there_and_finite() {
+        let check = |residuals: &[f64]| {
             let mut answer = Answer { residuals: residuals.to_vec(), ..Outcome::Value(1.0).into() };
-            answer.check_residuals(m);
+            answer.check_residuals();
             answer.outcome
         };
-        assert!(matches!(check(&[], &mut m), Outcome::Failed(_)) && m.is_none());
-        assert_eq!((check(&[1.0, 0.0], &mut m), m), (Outcome::Value(1.0), Some(2)));
-        let Outcome::Failed(failure) = check(&[1.0], &mut m) else { panic!() };
-        assert_eq!(failure.message, "1 residuals, but 2 at the points before");
-        let Outcome::Failed(failure) = check(&[1.0, f64::NAN], &mut m) else { panic!() };
+        assert!(matches!(check(&[]), Outcome::Failed(_)));
+        assert_eq!(check(&[1.0, 0.0]), Outcome::Value(1.0));
+        let Outcome::Failed(failure) = check(&[1.0, f64::NAN]) else { panic!() };
         assert_eq!((failure.kind, &failure.message[..]), (FailureKind::NotFinite, "residual 1 is NaN"));
     }
 

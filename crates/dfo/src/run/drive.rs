@@ -391,7 +391,10 @@ impl<M: Method> Drive<M> {
             let known = self.round.known(&self.batch, &self.answers);
             self.save(&known);
         }
-        self.round.close(&self.batch, &mut self.answers);
+        if let Err(error) = self.round.close(&self.batch, &mut self.answers) {
+            self.stage = Stage::Over(Some(Termination::Aborted(error.to_string())));
+            return Err(error);
+        }
         // Nothing follows from residuals any more, and many of them take their time.
         let is_left = stopped == Some(Termination::Interrupted) && self.batch.want() == Want::Residuals;
         if !is_left {

@@ -2,9 +2,9 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use dfo::{
-    Answers, AnswersSoFar, Batch, BatchView, Checkpoint, Details, Error, Known, Lookahead, Method,
-    MethodOptions, Minimize, Objective, Operation, Outcome, Setup, Status, Termination, Want, by_hand,
-    minimize, minimize_batches, residuals,
+    Answers, AnswersSoFar, Batch, BatchView, Checkpoint, Details, Error, Known, LeastSquares, Lookahead,
+    Method, MethodOptions, Minimize, Objective, Operation, Outcome, Setup, Status, Termination, Want,
+    by_hand, minimize, minimize_batches, residuals,
 };
 use serde::{Deserialize, Serialize};
 
@@ -221,12 +221,11 @@ fn residuals_that_the_trace_has_kept_are_not_computed_again() {
     assert_eq!(again(wanted().collect()).n_cached, 1);
     let costs = again(wanted().map(|known| Known { residuals: Vec::new(), ..known }).collect());
     assert_eq!((costs.n_cached, costs.n_failed), (0, 0));
-    // What cannot belong to the others has failed, and shifts no row.
+    // What cannot belong to the others is said.
     let mut wrong: Vec<Known> = wanted().collect();
     wrong.iter_mut().for_each(|known| known.residuals.truncate(5));
-    let report = again(wrong);
-    let (why, _) = &report.failures[0];
-    assert!(why.contains("9 residuals, but 5 at the points before"), "{why}");
+    let error = run().known(wrong).max_evaluations(20).run().unwrap_err();
+    assert!(matches!(error, Error::ResidualCount { got: 9, expected: 5, .. }), "{error}");
 }
 
 #[test]
@@ -245,14 +244,33 @@ fn what_is_no_residual_vector_has_failed() {
     };
     assert_eq!(run(|x| vec![x[0], 1.0]).0, 0);
     assert_eq!(
-        run(|x| vec![1.0; 2 - usize::from(x[0] > 1.0)]),
-        (1, "1 residuals, but 2 at the points before".to_owned())
-    );
-    assert_eq!(
         run(|x| vec![1.0, if x[0] > 1.0 { f64::NAN } else { 0.0 }]),
         (1, "residual 1 is NaN".to_owned())
     );
     let costs = described(minimize(|x: &[f64]| x[0])).max_evaluations(1).run();
     let Err(Error::EndedWithoutPoint { found, .. }) = costs else { panic!("{costs:?}") };
     assert_eq!(found.failures[0].0, "the objective gave a cost without residuals");
+}
+
+#[test]
+fn another_number_of_residuals_is_an_error_for_any_workers() {
+    let changing = |x: &[f64], out: &mut Vec<f64>| out.extend(vec![1.0; 1 + (x[0].abs() * 1e6) as usize % 3]);
+    let run = |workers| {
+        let run = minimize(residuals(changing)).start(&[1.0]).method(LeastSquares::default());
+        run.workers(workers).run().unwrap_err()
+    };
+    let error = run(1);
+    assert_eq!(error.to_string(), "3 residuals at x = [1.1], but 2 at the points before");
+    assert!((2..6).all(|workers| run(workers) == error));
+    // By hand, too: the run is over then.
+    let mut optimizer = by_hand().start(&[1.0]).method(LeastSquares::default()).optimizer().unwrap();
+    let told = loop {
+        let points = optimizer.ask(1);
+        let answer = residuals(changing).answer(&points[0].x, &points[0].query());
+        if let Err(error) = optimizer.tell(points[0].id, answer) {
+            break error;
+        }
+    };
+    assert_eq!(told, error);
+    assert!(matches!(optimizer.termination(), Some(Termination::Aborted(_))) && optimizer.ask(1).is_empty());
 }

@@ -58,7 +58,7 @@ def least_squares(
     ----------
     fun : callable
         ``fun(x, *args) -> array_like, shape (m,)``: the residuals at `x`, an array of shape (n,); always the same number in the
-        same order. Where one of them is NaN or infinite, or their number is another, the evaluation has failed.
+        same order: another number is a ValueError. Where one of them is NaN or infinite, the evaluation has failed.
     x0 : array_like, shape (n,)
         Where to start; may lie on a bound.
     bounds : sequence of pairs, or scipy.optimize.Bounds, optional
