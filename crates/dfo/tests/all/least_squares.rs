@@ -534,4 +534,17 @@ fn rounded_residuals_are_no_success_where_the_rounding_decides() {
         assert!(report.fun > 0.0 && report.termination == Termination::Noise, "{digits}: {report}");
         assert!(!report.is_success() && report.message.contains("region of equal residuals"), "{report}");
     }
+    // Where a few of the residuals jump within the set, and the others rest, the jumps make a model with a minimum of its own.
+    for k in 0..100 {
+        let (slope, start) = (0.3 + 0.017 * f64::from(k), 0.01 * f64::from(k % 7 + 1));
+        let at = |x: &[f64], t: f64| (100.0 * (x[0] + x[1] * t)).round() / 100.0;
+        let line = |x: &[f64], out: &mut Vec<f64>| {
+            out.extend((0..35).map(|j| f64::from(20 * j) / 34.0).map(|t| at(x, t) - at(&[1.0, slope], t)));
+        };
+        let method = LeastSquares::default().radius(1e-3);
+        let run = minimize(residuals(line)).start(&[1.0 + start, slope - 2.0 * start]).method(method);
+        let report = run.run().unwrap();
+        let off = |t: f64| (report.x[0] - 1.0 + (report.x[1] - slope) * t).abs();
+        assert!(!report.is_success() || off(0.0).max(off(20.0)) < 0.01, "{k}: {report}");
+    }
 }

@@ -228,14 +228,21 @@ impl LeastSquaresState {
     }
 
     /// True if residuals that are the same at several points, and not at all, keep the model from any
-    /// decrease: those of all its points, or of one that is too far away for the x test.
+    /// decrease: at least half of those that change anywhere do not within the set (rounded ones jump
+    /// instead, which makes a model of the jumps of the others), or all are the same at a point that is too
+    /// far away for the x test.
     fn is_plateau(&self, base: usize, predicted: f64) -> bool {
         let Evaluated { z, residuals, .. } = &self.points[base];
-        let is_same = |point: &Evaluated| point.residuals == *residuals;
+        let is_same = |k: usize, i: usize| self.points[k].residuals[i] == residuals[i];
+        let rests = |i: &usize| self.set.iter().all(|k| is_same(*k, *i));
+        let changes = |i: &usize| (0..self.points.len()).any(|k| !is_same(k, *i));
+        let (resting, moving): (Vec<usize>, Vec<usize>) = (0..residuals.len()).partition(rests);
+        let n_resting = resting.iter().filter(|i| changes(i)).count();
         let is_far = |point: &Evaluated| distance(&point.z, z) > self.x_limit();
-        self.points.iter().any(|point| !is_same(point))
-            && (self.set.iter().all(|k| is_same(&self.points[*k]))
-                || predicted == 0.0 && self.points.iter().any(|point| is_same(point) && is_far(point)))
+        n_resting > 0 && n_resting >= moving.len()
+            || predicted == 0.0
+                && self.points.iter().any(|point| point.residuals != *residuals)
+                && self.points.iter().any(|point| point.residuals == *residuals && is_far(point))
     }
 
     /// True if the search has come so far from the start, in units of the first radius, and the minimum of
