@@ -12,7 +12,7 @@ use dfo::{
 use problems::boxes::boxes;
 use problems::calibration::{Fit, fits};
 use problems::instances;
-use problems::rotated::smooth;
+use problems::rotated::{Random, smooth};
 
 fn quadratic() -> QuadraticModel {
     QuadraticModel::default()
@@ -292,4 +292,20 @@ fn a_cost_without_a_minimum_is_no_success() {
     let deep = |x: &[f64]| 1e30 * ((x[0] - 1.0).powi(2) - 1.0);
     let report = minimize(deep).start(&[3.0]).method(QuadraticModel::default()).run().unwrap();
     assert!(report.is_success() && (report.x[0] - 1.0).abs() < 1e-3, "{report}");
+}
+
+#[test]
+fn a_model_that_was_wrong_along_its_last_step_is_no_minimum() {
+    // Condition 1e6. By the f test of the model alone these end as converged, 22 and 26 above the minimum.
+    for seed in [19, 30] {
+        let mut random = Random::new(seed);
+        let (rows, minimum) = (random.rotation(15), random.normals(15));
+        let f = |x: &[f64]| {
+            let along = |row: &Vec<f64>| (0..15).map(|j| row[j] * (x[j] - minimum[j])).sum::<f64>();
+            let weight = |k: usize| 1e6_f64.powf(k as f64 / 14.0);
+            1e3 + rows.iter().enumerate().map(|(k, row)| weight(k) * along(row).powi(2)).sum::<f64>()
+        };
+        let report = minimize(f).start(&[0.0; 15]).method(quadratic()).max_evaluations(4000).run().unwrap();
+        assert!(report.fun < 1e3 + 1e-3 || !report.termination.is_success(), "{seed}: {report}");
+    }
 }

@@ -20,7 +20,7 @@ const VISIBLE: f64 = 1e3 * f64::EPSILON;
 impl ModelSearch {
     /// The median distance of the points of the model from the best one, in units of the sizes: the scale on
     /// which it knows the cost, which may be far above the resolution.
-    fn extent(&self) -> f64 {
+    pub(super) fn extent(&self) -> f64 {
         let (base, points) = (self.points.u(self.base()), &self.points);
         let known = (0..points.len()).filter(|&slot| points.cost(slot).value().is_some());
         median(known.map(|slot| norm(&self.displacement(base, points.u(slot)))))

@@ -446,6 +446,14 @@ impl ModelSearch {
         chosen.0
     }
 
+    /// True if the model was so wrong along the last step, which failed, that its slope may hide a decrease
+    /// within its extent that the f test would not pass.
+    fn may_be_steep(&self) -> bool {
+        let hidden = self.refused.map_or(0.0, |error| error * self.extent());
+        let predicted = -self.value(&self.best_step());
+        hidden > 0.0 && !self.judge(predicted.max(0.0) + hidden).passed
+    }
+
     /// The resolution is exhausted: the end, a smaller one, or another start.
     fn refine(&mut self) {
         self.fold();
@@ -454,7 +462,7 @@ impl ModelSearch {
         if self.hand_over && found.is_some() && self.hand_over() {
             return;
         }
-        let passed = self.tests.is_some_and(|tests| tests.passed);
+        let passed = self.tests.is_some_and(|tests| tests.passed) && !self.may_be_steep();
         if passed {
             self.n_smooth = if found.is_some() { 0 } else { self.n_smooth + 1 };
         }
