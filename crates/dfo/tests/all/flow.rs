@@ -148,7 +148,7 @@ fn workers_are_busy_although_some_evaluations_take_long() {
     let methods: [(&str, AnyMethod, f64, f64); 3] = [
         ("de", named("de"), 0.8, 0.36),
         ("de-classic, lag 75", DifferentialEvolution::classic().lag(75).into(), 0.8, 0.5),
-        ("multistart", named("multistart"), 0.3, 0.2),
+        ("multistart", named("multistart"), 0.45, 0.2),
     ];
     for (name, method, least, before) in methods {
         let (_, serial) = run(&method, (5, 5000), 1, 10);
