@@ -18,7 +18,7 @@ use fmi::worker::{Isolation, Launcher, WorkerLimits};
 use fmi::{Fmu, SimulateOptions};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::sync::Mutex;
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use support::{costs, faulty, fit};
 
@@ -481,9 +481,13 @@ fn own_size() -> u64 {
     text.split(' ').nth(1).unwrap().parse::<u64>().unwrap() * 4096
 }
 
+/// Held by tests that look at the size of this process or at all of its workers.
+static ALONE: Mutex<()> = Mutex::new(());
+
 #[test]
 #[ignore = "takes long"]
 fn twenty_thousand_runs_that_leak_a_megabyte_each() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let folder = faulty(&["LEAKS=(1 << 20)"]);
     let limited = SimulationSettings { memory_limit: Some(1 << 30), ..settings(Isolation::Process) };
     let calibration = decay(open(&folder), limited);
@@ -502,6 +506,7 @@ fn twenty_thousand_runs_that_leak_a_megabyte_each() {
 #[test]
 #[ignore = "takes long"]
 fn twenty_thousand_runs_with_a_state_that_no_variable_shows() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let folder = faulty(&["SHARED_GLOBALS", "REMEMBERS=1.2"]);
     let calibration = decay(open(&folder), settings(Isolation::Process));
     let point = |run: u32| [1.0 + 0.25 * f64::from(run % 5)];
@@ -574,6 +579,7 @@ fn left_behind() -> Vec<String> {
 #[test]
 #[ignore = "takes long"]
 fn a_zoo_of_faults() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     for (name, fault) in ZOO {
         for bound in [4.755, 2.55] {
             let began = Instant::now();
