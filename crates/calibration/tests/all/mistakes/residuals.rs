@@ -1,0 +1,205 @@
+//! Mistakes that the residuals of a fit show.
+
+use super::{calibration, decay, fitted, k, noise, recording, sound, times, warnings, warns};
+use calibration::dfo::{Limits, Loss, RobustLoss, RunOptions};
+use calibration::{
+    Compared, CostKind, CustomCost, Data, Experiment, Fit, FitOptions, Parts, SimulationSettings,
+    UncertaintyOptions, Weight,
+};
+
+fn fitted_as(experiment: Experiment, options: FitOptions<'_>) -> Fit {
+    calibration(vec![experiment], k(), SimulationSettings::default()).fit(options).unwrap()
+}
+
+#[test]
+fn outputs_that_a_fit_misses_are_named() {
+    // The sign of the column is wrong; so is the column.
+    let t = times(61, 0.05);
+    let mirrored = decay(&t, 2.0, 1e-3).iter().map(|x| -x).collect();
+    let fit = fitted(recording(&t, mirrored), k());
+    assert!(warns(&fit.findings(), "measured and simulated values go opposite ways"), "{fit}");
+    let few = times(6, 0.5);
+    let fit = fitted(recording(&few, few.iter().map(|t| 5.0 + (7.0 * t).sin()).collect()), k());
+    assert!(warns(&fit.findings(), "the fit is worse than a constant"), "{fit}");
+    let other = t.iter().enumerate().map(|(i, t)| 5.0 + (7.0 * t).sin() + 0.1 * noise(i)).collect();
+    let fit = fitted(recording(&t, other), k());
+    assert!(warns(&fit.findings(), "the fit is worse than a constant"), "{fit}");
+}
+
+#[test]
+fn outliers_are_those_of_many_residuals_and_a_robust_loss_is_not_proposed_to_itself() {
+    let t = times(100, 0.03);
+    let mut x = decay(&t, 2.0, 1e-3);
+    let together = {
+        let mut x = x.clone();
+        (30..35).for_each(|i| x[i] += 0.2);
+        fitted(recording(&t, x), k())
+    };
+    (10..35).step_by(5).for_each(|i| x[i] += 0.2);
+    let calibration = calibration(vec![recording(&t, x)], k(), SimulationSettings::default());
+    let said = "a robust loss counts them less";
+    let plain = calibration.fit(FitOptions::default()).unwrap();
+    assert!(warns(&plain.findings(), said), "{plain}");
+    // A part of the recording that the model does not follow is no matter of the loss, nor is a wrong model: one that settles at 0.
+    assert!(!warns(&together.findings(), said) && !together.findings().is_empty(), "{together}");
+    let offset = decay(&t, 2.0, 1e-3)
+        .iter()
+        .zip(&t)
+        .map(|(x, t)| x + 0.2 * (1.0 - (-6.0 * t).exp()).powi(8))
+        .collect();
+    let misfit = fitted(recording(&t, offset), k());
+    assert!(!misfit.to_string().contains("robust"), "{misfit}");
+    let loss = RobustLoss::new(Loss::SoftL1, 2e-3).unwrap();
+    let robust = calibration.fit(FitOptions { loss, ..FitOptions::default() }).unwrap();
+    assert!(
+        !warns(&robust.findings(), said) && robust.to_string().contains("which the robust loss counts less"),
+        "{robust}"
+    );
+    let t = vec![0.0, 0.5, 1.0];
+    let fit = fitted(recording(&t, vec![1.0, 0.37, 0.2]), k());
+    assert!(!fit.to_string().contains("outliers"), "{fit}");
+}
+
+#[test]
+fn residuals_that_one_number_explains_say_which() {
+    let t = times(201, 0.02);
+    let fit = |change: &dyn Fn(usize, f64) -> f64| {
+        let x = t.iter().enumerate().map(|(i, t)| change(i, *t) + 1e-3 * noise(i)).collect();
+        fitted(recording(&t, x).start_value("x", 1.0), k())
+    };
+    for (change, said) in [
+        (
+            &(|_, t: f64| (-2.0 * t).exp() + 0.1) as &dyn Fn(usize, f64) -> f64,
+            "an offset of the measurements of 0.1",
+        ),
+        (&|_, t| 1.3 * (-2.0 * t).exp(), "measurements that are 1.28"),
+        (&|_, t| (-2.0 * t).exp() + 0.05 * (t - 2.0), "a drift of the measurements of 0.05"),
+    ] {
+        let fit = fit(change);
+        assert!(warns(&fit.findings(), said), "{said}: {fit}");
+    }
+}
+
+/// What the model leaves out is said of the residuals, whatever the cost is and with or without standard
+/// errors.
+#[test]
+fn residuals_are_looked_at_with_every_cost_and_without_a_covariance() {
+    let t = times(101, 0.05);
+    let with_offset: Vec<f64> = decay(&t, 2.0, 0.005).iter().map(|x| x + 0.1).collect();
+    let squares = CustomCost::cost("squares", |compared| {
+        let of =
+            |c: &Compared<'_>| c.simulated.iter().zip(c.measured).map(|(s, m)| (s - m).powi(2)).sum::<f64>();
+        Ok(compared.iter().map(of).sum())
+    });
+    let costs = || CostKind::named().chain([CostKind::Custom(squares.clone())]);
+    for objective in costs() {
+        for uncertainty in [None, Some(UncertaintyOptions::default())] {
+            let name = objective.name().to_owned();
+            let options = || FitOptions {
+                objective: objective.clone(),
+                uncertainty: uncertainty.clone(),
+                ..FitOptions::default()
+            };
+            let fit = fitted_as(recording(&t, with_offset.clone()), options());
+            let said = warnings(&fit.findings());
+            let text = "the residuals of x are autocorrelated";
+            let times_said = said.iter().filter(|said| said.contains(text)).count();
+            assert!(fit.report.is_success() && times_said == 1, "{name}: {fit}");
+            let has_errors = fit.uncertainty.is_some();
+            assert_eq!(said.iter().any(|said| said.contains("standard errors are corrected")), has_errors);
+            let fit = fitted_as(sound(1e-3), options());
+            assert!(warnings(&fit.findings()).is_empty(), "{name}: {fit}");
+        }
+    }
+    // Nothing is said of a search that was ended, nor of simulations that reproduce the measurements.
+    let without = || FitOptions { uncertainty: None, ..FitOptions::default() };
+    let limits = Limits { max_evaluations: Some(2), ..Limits::default() };
+    let ended = FitOptions { run: RunOptions { limits, ..FitOptions::default_run() }, ..without() };
+    assert!(warnings(&fitted_as(sound(1e-3), ended).findings()).is_empty());
+    assert!(warnings(&fitted_as(sound(0.0), without()).findings()).is_empty());
+}
+
+/// Uniform noise from -size to size has the standard deviation size / sqrt(3).
+#[test]
+fn residuals_are_compared_with_the_noise_that_weights_state() {
+    let sigma = 0.01 / 3f64.sqrt();
+    let t = times(201, 0.025);
+    let findings = |weight: Weight, change: &dyn Fn(f64) -> f64| {
+        let x = decay(&t, 2.0, 0.01).iter().zip(&t).map(|(x, t)| x + change(*t)).collect();
+        let data = Data::from_columns(t.clone(), [("x".to_owned(), x)]).unwrap();
+        let fit = fitted(Experiment::new(data).weighted_output("x", "x", weight), k());
+        fit.findings()
+            .iter()
+            .map(ToString::to_string)
+            .filter(|said| said.contains("state"))
+            .collect::<Vec<_>>()
+    };
+    let plain = |weight: f64| findings(weight.into(), &|_| 0.0);
+    for sound in [plain(1.0 / sigma), plain(0.9 / sigma), plain(1.05 / sigma), plain(1.0)] {
+        assert!(sound.is_empty(), "{sound:?}");
+    }
+    // Rows that count and rows that do not state no noise.
+    let chosen: Vec<f64> = (0..201).map(|k| f64::from(k % 2)).collect();
+    assert!(findings(Weight::Rows(chosen.into()), &|_| 0.0).is_empty());
+    let said = plain(1.5 / sigma);
+    assert!(
+        said.len() == 1 && said[0].starts_with("warning: noise of x: the residuals of x are 1.5"),
+        "{said:?}"
+    );
+    let said = plain(0.2 / sigma);
+    assert!(
+        said.len() == 1 && said[0].starts_with("note: ") && said[0].contains("smaller than stated"),
+        "{said:?}"
+    );
+    let said = plain(100.0 / sigma);
+    assert!(said.len() == 1 && said[0].starts_with("note: "), "{said:?}");
+    // Something fast that the model leaves out, of which no autocorrelation tells.
+    let said = findings((1.0 / sigma).into(), &|t| 0.012 * (80.0 * t).sin());
+    assert!(said.len() == 1 && said[0].contains("the model leaves out something"), "{said:?}");
+}
+
+#[test]
+fn the_correction_for_autocorrelation_is_told() {
+    let t = times(201, 0.025);
+    let mut last = 0.0;
+    let lasting = |(k, x): (usize, f64)| {
+        last = 0.8 * last + 0.005 * noise(k);
+        x + last
+    };
+    let x: Vec<f64> = decay(&t, 2.0, 0.0).into_iter().enumerate().map(lasting).collect();
+    let fit = fitted(recording(&t, x), k());
+    let uncertainty = fit.uncertainty.as_ref().unwrap();
+    let factor = uncertainty.standard_errors[0] / uncertainty.uncorrected_errors().unwrap()[0];
+    let said = fit.findings().iter().find(|f| f.subject == "standard errors").unwrap().to_string();
+    let told = said.strip_prefix("note: standard errors: the standard errors are ");
+    let told = told.or_else(|| said.strip_prefix("note: the standard errors are ")).unwrap();
+    let told: f64 = told.split(' ').next().unwrap().parse().unwrap();
+    assert!(factor > 1.5 && (told / factor - 1.0).abs() < 0.01, "{factor}: {said}");
+    let sound = fitted(sound(1e-3), k());
+    assert!(sound.findings().iter().all(|f| f.subject != "standard errors"), "{sound}");
+}
+
+#[test]
+fn recordings_that_ask_for_other_values_are_named() {
+    let t = times(60, 0.05);
+    let one = |rate: f64, from: usize| {
+        let x = t.iter().enumerate().map(|(k, t)| (-rate * t).exp() + 0.03 * noise(from + 7 * k)).collect();
+        recording(&t, x)
+    };
+    let fit = |rates: [f64; 2]| {
+        let experiments = vec![one(rates[0], 0), one(rates[1], 1000)];
+        calibration(experiments, k(), SimulationSettings::default()).fit(FitOptions::default()).unwrap()
+    };
+    let other = fit([2.0, 2.2]);
+    let conflict = other.uncertainty.as_ref().unwrap().part_conflict.clone().unwrap();
+    let (index, [(first, _), (second, _)]) = conflict.differs_most.unwrap();
+    let is_near = (first - 2.0).abs() < 0.06 && (second - 2.2).abs() < 0.06;
+    assert!(index == 0 && is_near && conflict.chance < 1e-3, "{conflict:?}");
+    assert!(matches!(conflict.parts, Parts::Experiment(_)), "{conflict:?}");
+    assert!(
+        warns(&other.findings(), "ask for different values of the parameters (apart, k about"),
+        "{other}"
+    );
+    let same = fit([2.0, 2.0]);
+    assert!(warnings(&same.findings()).is_empty(), "{same}");
+}
