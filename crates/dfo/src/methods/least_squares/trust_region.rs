@@ -236,10 +236,10 @@ impl LeastSquaresState {
         let is_same = |k: usize, i: usize| self.points[k].residuals[i] == residuals[i];
         let rests = |i: &usize| self.set.iter().all(|k| is_same(*k, *i));
         let changes = |i: &usize| (0..self.points.len()).any(|k| !is_same(k, *i));
-        let (resting, moving): (Vec<usize>, Vec<usize>) = (0..residuals.len()).partition(rests);
-        let n_resting = resting.iter().filter(|i| changes(i)).count();
+        let n_moving = (0..residuals.len()).filter(|i| !rests(i)).count();
+        let n_resting = (0..residuals.len()).filter(|i| rests(i) && changes(i)).count();
         let is_far = |point: &Evaluated| distance(&point.z, z) > self.x_limit();
-        n_resting > 0 && n_resting >= moving.len()
+        n_resting > 0 && n_resting >= n_moving
             || predicted == 0.0
                 && self.points.iter().any(|point| point.residuals != *residuals)
                 && self.points.iter().any(|point| point.residuals == *residuals && is_far(point))
