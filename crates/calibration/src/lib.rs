@@ -64,8 +64,8 @@ pub use problem::warning::{SETUP_LOG_TARGET, SetupWarning};
 pub use report::{ExperimentCurves, OutputCurves, Signal};
 pub use uncertainty::active_bounds::BoundSide;
 pub use uncertainty::estimate::{
-    Estimator, PartConflict, Parts, PriorConflict, ResidualCheck, Uncertainty, UncertaintyOptions,
-    Unmodelled, UnmodelledKind,
+    Effect, Estimator, Omitted, PartConflict, Parts, PriorConflict, ResidualCheck, Uncertainty,
+    UncertaintyOptions, Unmodelled, UnmodelledKind,
 };
 pub use uncertainty::preflight::{ParameterCheck, Preflight, PreflightOptions};
 pub use validation::cross_validation::{CrossValidation, CrossValidationOptions, Fold};

@@ -230,19 +230,24 @@ impl NotFinite {
     }
 }
 
+impl NotFinite {
+    /// What is not finite, without the time, so that failures of one sort can be counted.
+    pub fn summary(&self) -> String {
+        let Self { what, index, value, name, .. } = self;
+        let what = match what {
+            Evaluated::State => format!("state {index}"),
+            Evaluated::Derivative => format!("the derivative of state {index}"),
+            Evaluated::EventIndicator => format!("event indicator {index}"),
+            Evaluated::Jacobian => format!("entry {index} of the Jacobian, by columns,"),
+        };
+        let name = name.as_ref().map_or_else(String::new, |name| format!(" ({name})"));
+        format!("{what}{name} is {}", Number(*value))
+    }
+}
+
 impl fmt::Display for NotFinite {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { what, index, value, time, name } = self;
-        match what {
-            Evaluated::State => write!(f, "state {index}")?,
-            Evaluated::Derivative => write!(f, "the derivative of state {index}")?,
-            Evaluated::EventIndicator => write!(f, "event indicator {index}")?,
-            Evaluated::Jacobian => write!(f, "entry {index} of the Jacobian, by columns,")?,
-        }
-        if let Some(name) = name {
-            write!(f, " ({name})")?;
-        }
-        write!(f, " is {} at t = {}", Number(*value), Number(*time))
+        write!(f, "{} at t = {}", self.summary(), Number(self.time))
     }
 }
 

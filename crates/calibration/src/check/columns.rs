@@ -37,6 +37,10 @@ const PLACEHOLDERS: [f64; 12] =
 /// ones, and stands there several times.
 const OUTSIDE: (f64, f64) = (2.0, 10.0);
 
+/// Zeros that stand for none lie at least so many of the largest step between the other values away from
+/// them, in runs of no more than so many rows, and are no more than this part of the rows.
+const ZEROS: (f64, usize, f64) = (10.0, 3, 0.1);
+
 /// Means may take away this part of the variance of a signal.
 const LOST: f64 = 0.1;
 
@@ -101,7 +105,9 @@ pub(super) fn findings(subject: &Subject<'_>) -> Vec<Finding> {
     let outputs: Vec<&str> = experiment.outputs().map(|(_, column)| column).collect();
     for (variable, column) in experiment.columns_in_use() {
         let Ok(values) = experiment.data.column(&column) else { continue };
-        if let Some((value, n, rest)) = placeholder(values, outputs.contains(&column.as_str())) {
+        let is_measured = outputs.contains(&column.as_str());
+        let zeros = || zeros(values).filter(|_| is_measured);
+        if let Some((value, n, rest)) = placeholder(values, is_measured).or_else(zeros) {
             findings.push(Finding::new(
                 Severity::Warning,
                 format!("{prefix}'{variable}' (column '{column}')"),
@@ -199,6 +205,22 @@ pub(super) fn placeholder(values: &[f64], is_measured: bool) -> Option<(f64, usi
     })
 }
 
+/// Single zeros in a signal that stays far from zero: 0, how many there are, and the range of the others.
+fn zeros(values: &[f64]) -> Option<(f64, usize, (f64, f64))> {
+    let (far, longest, share) = ZEROS;
+    let known: Vec<f64> = values.iter().copied().filter(|v| !v.is_nan()).collect();
+    let others: Vec<f64> = known.iter().copied().filter(|v| *v != 0.0).collect();
+    let (low, high) =
+        others.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+    let n = known.len() - others.len();
+    let runs = known.chunk_by(|a, b| (*a == 0.0) == (*b == 0.0)).filter(|run| run[0] == 0.0);
+    let is_single = runs.map(<[f64]>::len).max().is_some_and(|most| most <= longest);
+    let step = others.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max);
+    let away = low.max(-high);
+    let is_few = n as f64 <= share * known.len() as f64 && others.len() >= FEW_VALUES;
+    (is_single && is_few && away > far * step && step > 0.0).then_some((0.0, n, (low, high)))
+}
+
 /// Number of values at a limit, if they look clipped there.
 fn clipped(values: &[f64], limit: f64, range: f64) -> Option<usize> {
     let (share, shortest, slope) = CLIPPED;
@@ -273,6 +295,22 @@ mod tests {
         let pulse: Vec<f64> =
             (0..200).map(|k| if k % 50 == 0 { 100.0 } else { 0.1 * f64::from(k % 2) }).collect();
         assert_eq!(placeholder(&pulse, false), None);
+    }
+
+    #[test]
+    fn single_zeros_far_from_the_others_are_placeholders() {
+        // Temperatures from 18 to 30 with noise of 0.05.
+        let mut t: Vec<f64> = (0..200).map(|k| 18.0 + 0.06 * k as f64 + 0.05 * noise(k)).collect();
+        assert_eq!(zeros(&t), None);
+        (t[30], t[31], t[120]) = (0.0, 0.0, 0.0);
+        assert_eq!(placeholder(&t, true), None);
+        assert!(zeros(&t).is_some_and(|(value, n, rest)| value == 0.0 && n == 3 && rest.0 > 17.9));
+        // A machine that is off for a while, and one that is switched.
+        t[30..60].fill(0.0);
+        assert_eq!(zeros(&t), None);
+        let switched: Vec<f64> =
+            (0..200).map(|k| if k % 2 == 0 { 0.0 } else { 5.0 + 0.01 * noise(k) }).collect();
+        assert_eq!(zeros(&switched), None);
     }
 
     #[test]

@@ -201,6 +201,7 @@ impl Calibration {
             prefix: if is_one { String::new() } else { format!("{name}: ") },
             experiment: &problem.experiments[k],
             description,
+            parameters: &problem.parameters,
             start_time: self.evaluator().simulations[k].options.start_time.unwrap_or_default(),
         };
         names.into_iter().enumerate().map(subject).collect()

@@ -182,7 +182,7 @@ fn frozen(series: &Series<'_>) -> Option<(String, &'static str)> {
 }
 
 /// Angles of which the measured or the simulated ones, but not both, jump by a turn.
-fn wrapped(series: &Series<'_>, subject: &Subject<'_>) -> Option<(String, &'static str)> {
+pub(super) fn wrapped(series: &Series<'_>, subject: &Subject<'_>) -> Option<(String, &'static str)> {
     let unit = declared(subject.description, &series.of.variable).and_then(|v| v.unit.as_deref());
     let may_be_angle = unit.is_none_or(|unit| {
         matches!(unit, "" | "1" | "-") || matches!(unit, "rad" | "deg" | "degree" | "degrees" | "°")

@@ -1,12 +1,14 @@
 //! Checks of an evaluation at the start values: measurements in another unit, swapped, or far from the
 //! simulation from the start.
 
-use super::series::{Outputs, Place, Series, range, rounded, size, size_of_difference};
+use super::series::{Outputs, Place, Series, range, rounded, size, size_of_difference, unexplained};
+use super::signals;
 use super::subject::Subject;
 use crate::data::{UnitConversion, parts, sampling_interval};
 use crate::findings::finding::{Finding, Severity};
 use crate::problem::column_units::declared;
 use crate::problem::experiment::InitialState;
+use crate::problem::parameter::Parameter;
 use ode::Number;
 use std::f64::consts::PI;
 
@@ -34,19 +36,28 @@ const SMALL_RATIOS: [(f64, &str); 4] = [
 ];
 const CLOSE: f64 = 0.1;
 
+/// A fit that leaves more than this part of the variance of an output has not taken the doubts away.
+const UNEXPLAINED: f64 = 0.2;
+
 /// 0 degC in K.
 const ZERO_CELSIUS: f64 = 273.15;
 
 /// The findings of all experiments at the start, judged again where there is a result of a fit: what holds an
 /// output or its initial value off may have been fitted. Another unit, or swapped columns, parameters make up
 /// for by values that mean nothing: such doubts stay if the parameters have moved as far as that takes, or
-/// the result has them, too.
+/// the result has them, too, or leaves much of the measurements unexplained.
 pub(super) fn findings(subjects: &[Subject<'_>], outputs: &Outputs<'_>) -> Vec<Finding> {
     let mut findings = Vec::new();
     for (one, last) in outputs.at_start.iter().zip(outputs.last()) {
         let subject = &subjects[one.of.experiment];
-        let stays = |factor: f64| outputs.may_have_taken(factor) || unit(last, subject).is_some();
-        let of_unit = unit(one, subject).filter(|(_, factor)| stays(*factor));
+        let stays = |factor: f64| {
+            outputs.may_have_taken(factor)
+                || unit(last, subject).is_some()
+                || unexplained(std::slice::from_ref(last)) > UNEXPLAINED
+        };
+        // Angles within a turn are another finding.
+        let is_wrapped = signals::wrapped(one, subject).is_some();
+        let of_unit = unit(one, subject).filter(|(_, factor)| !is_wrapped && stays(*factor));
         // In another unit everything else is off, too.
         let found = of_unit.map(|(finding, _)| finding);
         let found = found
@@ -78,6 +89,10 @@ fn unit(series: &Series<'_>, subject: &Subject<'_>) -> Option<(Finding, f64)> {
             parts(&series.of.column).0
         ),
         None => format!("convert it to {stated}"),
+    };
+    let remedy = match subject.experiment.driving_columns().next() {
+        Some(_) => format!("{remedy}; or is the column of an input in another unit?"),
+        None => remedy,
     };
     let finding = |sentence: String, factor: f64| {
         Some((Finding::new(Severity::Warning, series.name(subject), sentence, remedy.clone()), factor))
@@ -165,7 +180,10 @@ fn initial(series: &Series<'_>, subject: &Subject<'_>, place: Place) -> Option<F
     let is_fitted = |(state, initial): &(String, InitialState)| {
         *state == series.of.variable && matches!(initial, InitialState::Fitted(_))
     };
-    if place == Place::Start && subject.experiment.initial_states.iter().any(is_fitted) {
+    let is_set = |p: &Parameter| p.variable_names().contains(&series.of.variable) && !p.is_fixed();
+    let is_free =
+        subject.experiment.initial_states.iter().any(is_fitted) || subject.parameters.iter().any(is_set);
+    if place == Place::Start && is_free {
         return None;
     }
     let (measured, simulated) = (&series.of.measured, &series.simulated);

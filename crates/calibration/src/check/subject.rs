@@ -3,6 +3,7 @@
 use crate::data::UnitConversion;
 use crate::problem::column_units::declared;
 use crate::problem::experiment::Experiment;
+use crate::problem::parameter::Parameter;
 use fmi::ModelDescription;
 
 /// An experiment that is looked at.
@@ -11,6 +12,8 @@ pub(super) struct Subject<'a> {
     pub(super) prefix: String,
     pub(super) experiment: &'a Experiment,
     pub(super) description: &'a ModelDescription,
+    /// The parameters of the fit.
+    pub(super) parameters: &'a [Parameter],
     /// Where its simulation starts, in s.
     pub(super) start_time: f64,
 }

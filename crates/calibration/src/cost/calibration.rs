@@ -20,6 +20,8 @@ use fmi::{Cancel, FmiError, Fmu, Pool, Trajectory};
 use log::Level;
 use ode::{Method, Number, Stats, Termination};
 use std::ops::ControlFlow;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
 
 /// Name of the solver among what identifies a fit.
 const SOLVER: &str = "solver";
@@ -414,21 +416,41 @@ impl Calibration {
         answer: &mut Answer,
         stats: &mut Stats,
     ) {
-        let before = stats.right_hand_sides;
+        let (before, began) = (stats.right_hand_sides, Instant::now());
         let ended = || query.cancelled();
         answer.residuals.resize(self.n_residuals(), 0.0);
         let rule = CostRule { loss, cutoff: query.cutoff, context: RunContext::new().asking(&ended) };
         answer.outcome = match self.evaluate_into(x, rule, &mut answer.residuals, stats) {
             Ok(cost) => Outcome::Value(cost),
             Err(NoCost::Above) => Outcome::Above(query.cutoff),
-            Err(NoCost::Cancelled) => Outcome::cancelled(),
-            Err(NoCost::Over(error)) => Outcome::Abort(error.to_string()),
+            Err(NoCost::Cancelled) => {
+                let taken = began.elapsed().as_micros().try_into().unwrap_or(u64::MAX);
+                self.evaluator.longest_ended.fetch_max(taken, Ordering::Relaxed);
+                Outcome::cancelled()
+            }
+            Err(NoCost::Over(error)) => {
+                let told = self.evaluator.over.get_or_init(|| error.told());
+                Outcome::Abort(told.message.clone())
+            }
             Err(NoCost::Failed { kind, reason, .. }) => Outcome::Failed(Failure { kind, message: reason }),
         };
         if query.want == Want::Cost {
             answer.residuals.clear();
         }
         answer.work = stats.right_hand_sides - before;
+    }
+
+    /// The error after which no simulation could be made any more, in place of that of the search which it
+    /// has ended.
+    pub(crate) fn over_or(&self, error: CalibrationError) -> CalibrationError {
+        match (error, self.evaluator.over.get()) {
+            (CalibrationError::Optimiser(search), Some(told))
+                if search.to_string().contains(&told.message) =>
+            {
+                FmiError::Told(Box::new(told.clone())).into()
+            }
+            (error, _) => error,
+        }
     }
 
     /// The cost, and the residuals into `out`; see [`Evaluator::evaluate`].

@@ -12,8 +12,11 @@ use crate::problem::parameter::Parameter;
 use crate::problem::residual_layout::{PriorResidual, ResidualLayout};
 use crate::problem::warning::SetupWarning;
 use dfo::FailureKind;
+use fmi::error::Told;
 use fmi::{FmiError, Fmu, Simulator};
 use ode::{Number, Report, Stats};
+use std::sync::OnceLock;
+use std::sync::atomic::AtomicU64;
 
 /// Makes a simulation with a simulator that is lent to it.
 pub(crate) type RunOn<'a> = dyn FnMut(&mut Simulator) -> Result<Report, FmiError> + 'a;
@@ -33,6 +36,10 @@ pub(crate) struct Evaluator {
     pub(crate) tied: Vec<(String, Affine)>,
     /// Processes in which the model runs, or why it runs in this one (`None`: that was asked for).
     pub(crate) remote: Result<Remote, Option<String>>,
+    /// The error after which no simulation can be made any more.
+    pub(crate) over: OnceLock<Told>,
+    /// Time that the longest of the evaluations that were ended had taken, in us.
+    pub(crate) longest_ended: AtomicU64,
 }
 
 impl Evaluator {
@@ -63,7 +70,19 @@ impl Evaluator {
         let tied = tied_values(&problem, &elements)?;
         let parameters = elements.into_iter().map(|element| element.parameter).collect();
         let remote = Remote::of(&fmu, &problem);
-        Ok(Self { remote, fmu, problem, parameters, simulations, n_residuals, layout, warnings, tied })
+        Ok(Self {
+            remote,
+            fmu,
+            problem,
+            parameters,
+            simulations,
+            n_residuals,
+            layout,
+            warnings,
+            tied,
+            over: OnceLock::new(),
+            longest_ended: AtomicU64::default(),
+        })
     }
 
     /// Start values of all entries of `x`.

@@ -4,7 +4,7 @@ use dfo::FailureKind;
 use fmi::FmiError;
 use fmi::error::{EndKind, Told};
 use fmi::platform::without_private_folders;
-use ode::ErrorKind;
+use ode::{ErrorKind, NotFinite};
 use serde::{Deserialize, Serialize};
 
 /// Why there is no cost at a point.
@@ -96,7 +96,12 @@ impl From<ToldNoCost> for NoCost {
 impl From<FmiError> for NoCost {
     fn from(error: FmiError) -> Self {
         match error {
-            FmiError::LoadFailed { .. } | FmiError::Absent { .. } => return NoCost::Over(Box::new(error)),
+            FmiError::LoadFailed { .. }
+            | FmiError::Absent { .. }
+            | FmiError::NoBinary { .. }
+            | FmiError::NoSources { .. }
+            | FmiError::NoCompiler { .. }
+            | FmiError::CompileFailed { .. } => return NoCost::Over(Box::new(error)),
             FmiError::Cancelled => return NoCost::Cancelled,
             _ => {}
         }
@@ -116,6 +121,10 @@ impl From<FmiError> for NoCost {
                         kind = FailureKind::NotFinite;
                     }
                     inner_error.map_or_else(|| inner.to_string(), call_reason)
+                }
+                ErrorKind::DiscardedAtRestart if e.not_finite.is_some() => {
+                    kind = FailureKind::NotFinite;
+                    e.not_finite.as_ref().map(NotFinite::summary).unwrap_or_default()
                 }
                 other => {
                     if matches!(other, ErrorKind::TimedOut(_)) {

@@ -335,7 +335,9 @@ impl Remote {
         let mut evaluated = self.ask(&job, process, &context, &mut use_answer);
         if process != Asked::Fresh && matches!(&evaluated, Ok((Err(told), _)) if told.is_of_process()) {
             // A process that was used before may have lost what it needs.
-            evaluated = self.ask(&job, Asked::Fresh, &context, &mut use_answer);
+            if let Ok((Ok(cost), stats)) = self.ask(&job, Asked::Fresh, &context, &mut use_answer) {
+                evaluated = Ok((Ok(cost), stats));
+            }
         }
         let (cost, taken) = evaluated.map_err(NoCost::of_worker)?;
         *stats += taken;

@@ -12,7 +12,7 @@ pub enum Severity {
     Error,
     /// It is likely not what is meant, or a value is not to be relied on.
     Warning,
-    /// Uncertainty knowing.
+    /// Good to know.
     Note,
 }
 

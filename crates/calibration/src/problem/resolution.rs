@@ -9,7 +9,7 @@ use fmi::ModelDescription;
 use ode::Number;
 
 /// True if two names refer to the same variable.
-fn is_same(description: &ModelDescription, one: &str, other: &str) -> bool {
+pub(crate) fn is_same(description: &ModelDescription, one: &str, other: &str) -> bool {
     let reference = |name: &str| description.variable(name).map(|v| (v.kind, v.value_reference));
     one == other || reference(one).is_some_and(|of| reference(other) == Some(of))
 }
@@ -183,13 +183,17 @@ pub(crate) fn check_names(
     Ok(())
 }
 
-/// Refuses what is no state of the model, as far as the description says what is one.
-fn check_state(name: &str, description: &ModelDescription) -> Result<(), CalibrationError> {
+/// Names of the continuous states, as far as the description says what is one.
+pub(crate) fn states(description: &ModelDescription) -> Vec<&String> {
     let state = |index: usize| {
         description.variables[index].derivative.map(|state| &description.variables[state].name)
     };
-    let states: Vec<&String> =
-        description.structure.derivatives.iter().filter_map(|derivative| state(derivative.index)).collect();
+    description.structure.derivatives.iter().filter_map(|derivative| state(derivative.index)).collect()
+}
+
+/// Refuses what is no state of the model, as far as the description says what is one.
+fn check_state(name: &str, description: &ModelDescription) -> Result<(), CalibrationError> {
+    let states = states(description);
     let is_known = states.iter().any(|state| is_same(description, state, name))
         || states
             .iter()

@@ -102,7 +102,11 @@ impl Summary {
 
 /// Sentence on the termination and the quality of the fit.
 fn sentence(fit: &Fit) -> String {
+    let are_several = fit.report.optima.len() > 1;
     let ended = match &fit.report.termination {
+        Termination::MaxEvaluations | Termination::MaxTime if are_several => {
+            "The fit took the best minimum that it found within its limits"
+        }
         _ if fit.report.is_success() && fit.is_before_minimum() => "The fit ended before the minimum",
         Termination::Converged => "The fit converged",
         Termination::Noise if fit.report.is_success() => "The fit converged to the noise of the simulations",
@@ -146,9 +150,9 @@ fn relative_errors(fit: &Fit) -> String {
     let (known, open): (Vec<usize>, Vec<usize>) = free.partition(|i| errors[*i].is_finite());
     let name = |i: usize| &fit.shown_names()[i];
     let relative = |i: usize| errors[i] / fit.x[i].abs();
-    let one = |i: usize| match fit.x[i] {
-        0.0 => format!("{} +- {}", name(i), rounded(errors[i], 2)),
-        _ => format!("{} {} %", name(i), rounded(100.0 * relative(i), 2)),
+    let one = |i: usize| match relative(i) < 1.0 {
+        true => format!("{} {} %", name(i), rounded(100.0 * relative(i), 2)),
+        false => format!("{} +- {}", name(i), rounded(errors[i], 2)),
     };
     let by_size = |a: &&usize, b: &&usize| relative(**a).total_cmp(&relative(**b));
     let of_known = match (known.iter().min_by(by_size), known.iter().max_by(by_size)) {

@@ -44,6 +44,9 @@ pub(crate) struct StuckParameters {
     pub(crate) at_bound: Vec<(usize, BoundSide)>,
     /// Parameters that did not change the cost, by number.
     pub(crate) without_effect: Vec<usize>,
+    /// Those at a bound that the data do not determine: a move by their size changes the cost by less than
+    /// the noise.
+    pub(crate) loose: Vec<usize>,
     /// Simulations that were made to find out.
     pub(crate) n_checks: usize,
 }
@@ -101,12 +104,13 @@ impl Calibration {
         let mut found = StuckParameters {
             at_bound: candidates.iter().filter(|c| c.is_likely).map(|c| (c.index, c.side)).collect(),
             without_effect: suspects.iter().filter(|s| s.is_seen).map(|s| s.index).collect(),
+            loose: Vec::new(),
             n_checks: 0,
         };
         if !is_over(&report.termination) {
             return found;
         }
-        let mut checked = StuckParameters::default();
+        let (mut checked, mut loose) = (StuckParameters::default(), Vec::new());
         let mut residuals = vec![0.0; self.n_residuals()];
         let mut cost_with = |index: usize, value: f64| {
             checked.n_checks += 1;
@@ -132,12 +136,23 @@ impl Calibration {
                 checked.at_bound.push((index, side));
             }
         }
+        // Of a sum of squares a standard error takes the mean square of the residuals.
+        let n_free = self.parameters().iter().filter(|p| p.lower() < p.upper()).count();
+        let degrees = self.n_residuals().saturating_sub(n_free);
+        let is_told = kind.is_sum_of_squares() && degrees > 0 && !is_spent;
+        for (index, _) in checked.at_bound.iter().filter(|_| is_told).copied().collect::<Vec<_>>() {
+            match cost_with(index, self.moved(&self.parameters()[index], (report.x[index], 1.0))) {
+                Ok(cost) if cost - report.fun < report.fun / degrees as f64 => loose.push(index),
+                Err(NoCost::Cancelled) => break,
+                _ => {}
+            }
+        }
         for Suspect { index, is_seen } in suspects {
             if is_seen && is_spent {
                 checked.without_effect.push(index);
                 continue;
             }
-            match cost_with(index, self.moved(&self.parameters()[index], report.x[index])) {
+            match cost_with(index, self.moved(&self.parameters()[index], (report.x[index], MOVE))) {
                 Ok(cost) if self.is_equal_cost(kind, report.fun, cost) => checked.without_effect.push(index),
                 Err(NoCost::Cancelled) => break,
                 _ => {}
@@ -147,7 +162,8 @@ impl Calibration {
             found.n_checks = checked.n_checks;
             return found;
         }
-        checked
+        loose.retain(|index| !checked.without_effect.contains(index));
+        StuckParameters { loose, ..checked }
     }
 
     /// Parameters that ended near a bound.
@@ -210,11 +226,11 @@ impl Calibration {
         (a - b).abs() <= tolerance * kind.size(a, self.n_measurements())
     }
 
-    /// A value of a parameter some way from `x`, towards the bound that is farther.
-    fn moved(&self, parameter: &Parameter, x: f64) -> f64 {
+    /// A value of a parameter a part of its size from `x`, towards the bound that is farther.
+    fn moved(&self, parameter: &Parameter, (x, part): (f64, f64)) -> f64 {
         let (lower, upper) = (inner(parameter, parameter.lower()), inner(parameter, parameter.upper()));
         let from = inner(parameter, x);
-        let mut by = MOVE * self.size_of(parameter, x);
+        let mut by = part * self.size_of(parameter, x);
         if parameter.value_kind() != Kind::Continuous {
             by = by.round().max(1.0);
         }

@@ -18,11 +18,15 @@ use crate::uncertainty::estimate::{
     KnownPoint, ResidualCheck, SEARCH, Uncertainty, UncertaintyOptions, digits,
 };
 use base::RunContext;
-use dfo::{Measure, RobustLoss, Termination, Tolerances};
+use dfo::{Measure, Report, RobustLoss, Termination, Tolerances};
 use ode::{Number, Stats};
+use std::sync::atomic::Ordering;
 
 /// With a relative tolerance of this size or more a search ends anywhere.
 const LOOSE: f64 = 0.1;
+
+/// A simulation that has run so many times as long as all others may have no end.
+const ENDLESS: f64 = 10.0;
 
 impl Calibration {
     /// The fit of which the searches are made, with the residuals that they have computed, by the weights of
@@ -106,8 +110,16 @@ impl Calibration {
         ends: &EndResiduals,
         stats: &mut Stats,
     ) -> Vec<Finding> {
-        let Searched { report, tolerances, raised, .. } = &made.searched;
+        let Searched { report, tolerances, raised, stuck, .. } = &made.searched;
         let mut found = raised.clone();
+        found.extend(stuck.loose.iter().map(|index| {
+            let name = self.parameters()[*index].name();
+            let sentence = format!(
+                "the data hardly determine {name}: moved off its bound by its size it changes the cost by less than the noise"
+            );
+            Finding::new(Severity::Warning, name, sentence, "fix it, or record what it acts on")
+        }));
+        found.extend(self.endless(report));
         found.extend(self.unstated_noise(job, made.noise.as_ref()));
         if let Some(reason) = self.runs_here_by_its_inputs() {
             let sentence = format!("the FMU ran in this process: {reason}");
@@ -138,6 +150,27 @@ impl Calibration {
             }
         });
         once
+    }
+
+    /// A search whose time was up while a simulation had been running for long.
+    fn endless(&self, report: &Report) -> Option<Finding> {
+        let ended = self.evaluator().longest_ended.swap(0, Ordering::Relaxed) as f64 * 1e-6;
+        let finished = report.trace.iter().filter(|entry| entry.outcome.value().is_some());
+        let most = finished.fold(0.0, |most: f64, entry| most.max(entry.seconds));
+        let is_endless = report.termination == Termination::MaxTime
+            && self.problem().settings.timeout.is_none()
+            && ended > ENDLESS * most;
+        is_endless.then(|| {
+            let (ended, most) = (digits(ended), digits(most));
+            let others = match report.trace.iter().next() {
+                Some(_) => format!(", all others took at most {most} s"),
+                None => String::new(),
+            };
+            let sentence = format!(
+                "a simulation had run for {ended} s when the time was up{others}: it may have no end"
+            );
+            Finding::new(Severity::Warning, "max_time", sentence, "timeout ends a single simulation")
+        })
     }
 
     /// Residuals that contradict the noise that the weights state: that priors are weighed with, and that a
@@ -271,6 +304,7 @@ impl Calibration {
                 Measure::Absolute => tolerances.f_tol / report.fun.abs(),
             },
             criterion,
+            questions_known: true,
         };
         let uncertainty = self.uncertainty_of(&report.x, options.estimator, &known, &mut simulations);
         *stats += simulations.stats;

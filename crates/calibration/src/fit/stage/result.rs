@@ -158,9 +158,24 @@ impl Fit {
         let mut all: Vec<Finding> = self.at_bound.iter().map(at_bound).collect();
         all.extend(self.without_effect.iter().filter(is_said).map(without_effect));
         all.extend(self.setup_findings.iter().cloned());
+        all.extend(self.open_minima());
         all.extend(self.uncertainty.iter().flat_map(|uncertainty| uncertainty.findings_with(names)));
         all.sort_by_key(|finding| finding.severity);
         all
+    }
+
+    /// Minima of a search from several starts that has ended before it could say that these are all.
+    fn open_minima(&self) -> Option<Finding> {
+        let optima = &self.report.optima;
+        let best = optima.first().filter(|_| optima.len() > 1 && !self.report.is_success())?;
+        let n_searches: usize = optima.iter().map(|optimum| optimum.n_starts).sum();
+        let sentence = format!(
+            "{n_searches} local searches have ended at {} minima, {} of them at the best: by these numbers there are more, and one may be lower",
+            optima.len(),
+            best.n_starts,
+        );
+        let remedy = "compare the minima (optima); a larger max_evaluations lets more searches start";
+        Some(Finding::new(Severity::Note, "search", sentence, remedy))
     }
 
     /// The RMS over that at the start, on the same measurements; `None` if the simulation failed at the

@@ -461,7 +461,7 @@ impl Calibration {
                 termination: Termination::MaxTime,
                 found,
             }) => *found,
-            error => return Err(error),
+            error => return Err(self.over_or(error)),
         };
         let named = Solver { method: self.problem().settings.method, race: None };
         let mut report = Report::without_cost(

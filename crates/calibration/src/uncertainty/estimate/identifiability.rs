@@ -49,9 +49,14 @@ impl Uncertainty {
         self.x.len()
     }
 
-    /// The standard error relative to the parameter.
+    /// Size of a parameter.
+    fn size(&self, i: usize) -> f64 {
+        self.sizes.get(i).copied().unwrap_or(self.x[i].abs())
+    }
+
+    /// The standard error relative to that.
     fn relative_error(&self, i: usize) -> f64 {
-        self.standard_errors[i] / self.x[i].abs()
+        self.standard_errors[i] / self.size(i)
     }
 
     /// Lengths of the columns of the Jacobian within these rows.
@@ -158,10 +163,10 @@ impl Uncertainty {
         let (mut scaled, variances) = compressed(jacobian, &noise.variances, context)?;
         for (k, mut column) in scaled.column_iter_mut().enumerate() {
             // Coordinates of the search are relative already where they are logarithms.
-            column *= match (self.is_log[free[k]], self.x[free[k]].abs()) {
+            column *= match (self.is_log[free[k]], self.size(free[k])) {
                 (true, _) => 1.0,
                 (false, 0.0) => sizes[k],
-                (false, x) => x,
+                (false, size) => size,
             };
         }
         let mut chosen: Vec<usize> = Vec::new();
@@ -352,11 +357,12 @@ impl Uncertainty {
             note(names, sentence);
         }
         said.extend(self.confounded_findings());
-        for i in (0..self.n()).filter(|i| self.standard_errors[*i].is_finite() && self.x[*i] != 0.0) {
+        for i in (0..self.n()).filter(|i| self.standard_errors[*i].is_finite() && self.size(*i) != 0.0) {
             let error = self.relative_error(i);
             if error > RELATIVE_ERROR {
                 let (name, percent) = (&self.names[i], digits((100.0 * error).round()));
-                let sentence = format!("the standard error of {name} is {percent} % of its value");
+                let of = if self.size(i) == self.x[i].abs() { "value" } else { "size" };
+                let sentence = format!("the standard error of {name} is {percent} % of its {of}");
                 said.push(Finding::new(Severity::Warning, name, sentence, ""));
             }
         }
@@ -387,6 +393,7 @@ impl Uncertainty {
         }
         said.extend(self.accuracy_finding(f_tol));
         said.extend(self.not_at_minimum());
+        said.extend(self.omitted.iter().map(|omitted| omitted.finding(&self.names)));
         said.extend(self.part_conflict.iter().map(|conflict| conflict.finding(&self.names)));
         said.extend(self.prior_conflicts.iter().map(|c| c.finding(&self.names[c.parameter])));
         said

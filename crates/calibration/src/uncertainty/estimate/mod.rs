@@ -3,6 +3,7 @@
 
 mod autocorrelation;
 mod by_weights;
+mod candidates;
 mod chance;
 mod covariance;
 mod differences;
@@ -10,6 +11,7 @@ mod digits;
 mod gain;
 mod identifiability;
 mod measured_start;
+mod omitted;
 mod parts;
 mod prior_check;
 mod residual_check;
@@ -36,6 +38,8 @@ pub(crate) use digits::digits;
 use gain::{At, Gain};
 pub(crate) use identifiability::SEARCH;
 use nalgebra::{DMatrix, DVector};
+pub use omitted::{Effect, Omitted};
+use omitted::{Score, of_outputs};
 use parts::{FreeParameters, WithNoise};
 pub use parts::{PartConflict, Parts};
 pub use prior_check::PriorConflict;
@@ -65,6 +69,8 @@ pub(crate) struct KnownPoint<'a> {
     pub(crate) f_tol: f64,
     /// Form of the cost as a function of the residuals.
     pub(crate) criterion: Criterion,
+    /// Numbers that are taken as known are varied, too, to see whether the residuals ask for others.
+    pub(crate) questions_known: bool,
 }
 
 /// The residuals at a point.
@@ -93,8 +99,10 @@ struct Estimate<'a> {
 struct OfFit<'a> {
     /// m x p, by the coordinates of the search.
     jacobian: &'a DMatrix<f64>,
-    /// An orthonormal base of its columns, where the cost is a plain sum of squares.
-    base: Option<&'a DMatrix<f64>>,
+    /// An orthonormal base of the columns of the working problem: of these columns, where the cost is a plain
+    /// sum of squares.
+    base: &'a DMatrix<f64>,
+    is_linear: bool,
     /// Changes by one standard deviation of each measured initial state.
     by_starts: &'a [DVector<f64>],
     /// Of the residuals, if they are independent.
@@ -103,6 +111,9 @@ struct OfFit<'a> {
     /// Steps of the parameters by those along the base.
     inverse: &'a DMatrix<f64>,
     free: &'a [usize],
+    working: &'a Working,
+    /// See [`KnownPoint`].
+    questions_known: bool,
 }
 
 /// Covariances of all parameters, n x n, in the user's units.
@@ -211,7 +222,8 @@ impl Calibration {
             )));
         }
         let (held, criterion) = (options.held.clone(), options.criterion());
-        let known = KnownPoint { f_tol: 1e-4, held, criterion, ..KnownPoint::default() };
+        let known =
+            KnownPoint { f_tol: 1e-4, held, criterion, questions_known: true, ..KnownPoint::default() };
         self.uncertainty_of(x, options.estimator, &known, &mut simulations)
     }
 
@@ -323,6 +335,7 @@ impl Calibration {
             names: parameters.iter().map(|p| p.name().to_owned()).collect(),
             x: x.to_vec(),
             is_log: parameters.iter().map(|p| p.scale_kind() == Scale::Log).collect(),
+            sizes: parameters.iter().zip(x).map(|(p, x)| self.size_of_either_sign(p, *x)).collect(),
             correlation,
             uncorrected_covariance: covariances.uncorrected,
             autocorrelations: covariances.autocorrelations,
@@ -347,6 +360,7 @@ impl Calibration {
             is_at_failures: gain.is_at_failures,
             prior_conflicts,
             part_conflict: None,
+            omitted: None,
             has_loss: matches!(known.criterion, Criterion::Loss(loss) if !loss.is_linear()),
             jacobian: by_parameters,
             n_simulations: simulations.n - before,
@@ -369,14 +383,18 @@ impl Calibration {
         uncertainty.find_identifiable(&weighted, (noise, differences.noise), (&free, &sizes), context)?;
         let of_fit = OfFit {
             jacobian: &jacobian,
-            base: is_linear.then_some(&factors.base),
+            base: &factors.base,
+            is_linear,
             by_starts: &by_starts,
             variances: &noise.variances,
             independent: &independent,
             inverse: &factors.inverse,
             free: &free,
+            working: &working,
+            questions_known: known.questions_known,
         };
-        self.explain_residuals(&mut uncertainty, &of_fit, context)?;
+        self.explain_residuals(&mut uncertainty, &of_fit, simulations)?;
+        uncertainty.n_simulations = simulations.n - before;
         uncertainty.findings = uncertainty.all_findings(known.f_tol);
         Ok((uncertainty, covariances.curvature))
     }
@@ -416,23 +434,29 @@ impl Calibration {
         Ok(CenterResiduals { residuals, accurate, simulation_error })
     }
 
-    /// Finds causes of residuals that are no noise: weights, and terms that the model lacks, or parts of the
-    /// measurements that ask for other values, where the cost is a plain sum of squares.
+    /// Finds causes of residuals that are no noise: weights, and terms that the model lacks, numbers that it
+    /// has wrong, or parts of the measurements that ask for other values, the latter where the cost is a plain
+    /// sum of squares.
     fn explain_residuals(
         &self,
         uncertainty: &mut Uncertainty,
         of_fit: &OfFit<'_>,
-        context: &RunContext<'_>,
+        simulations: &mut Simulations<'_>,
     ) -> Result<(), CalibrationError> {
-        let layout = self.residual_layout();
-        let OfFit { jacobian, base, by_starts, variances, independent, inverse, free } = *of_fit;
+        let (layout, context) = (self.residual_layout(), &simulations.context.clone());
+        let OfFit { jacobian, base, by_starts, variances, independent, inverse, free, .. } = *of_fit;
         // What is no minimum has residuals that other values of the parameters leave none of, whatever the weights.
         let is_minimum = uncertainty.left_to_gain == 0.0;
         if is_minimum {
             let (checks, n) = (&mut uncertainty.residual_checks, layout.n_measurements());
             by_weights::mark(checks, &uncertainty.residuals, n, jacobian, (independent, context))?;
         }
-        let Some(base) = base.filter(|_| !uncertainty.is_exact) else { return Ok(()) };
+        if is_minimum && !uncertainty.is_exact && of_fit.questions_known {
+            uncertainty.omitted = self.omitted(uncertainty, of_fit, simulations)?;
+        }
+        if !of_fit.is_linear || uncertainty.is_exact {
+            return Ok(());
+        }
         let (residuals, before) = (&uncertainty.residuals, unmodelled::left(&uncertainty.residuals, base));
         for (check, output) in uncertainty.residual_checks.iter_mut().zip(&layout.outputs) {
             if check.is_systematic() && !check.is_by_weights {
@@ -448,6 +472,50 @@ impl Calibration {
             uncertainty.part_conflict = found;
         }
         Ok(())
+    }
+
+    /// The number that is taken as known and that the residuals ask most to be another one.
+    fn omitted(
+        &self,
+        uncertainty: &Uncertainty,
+        of_fit: &OfFit<'_>,
+        simulations: &mut Simulations<'_>,
+    ) -> Result<Option<Omitted>, CalibrationError> {
+        let (layout, context) = (self.residual_layout(), simulations.context);
+        let OfFit { base, by_starts, variances, inverse, free, working, .. } = *of_fit;
+        let Uncertainty { residuals, autocorrelations, x, residual_checks, .. } = uncertainty;
+        let is_systematic = residual_checks.iter().any(ResidualCheck::is_systematic);
+        let plain: Vec<f64> =
+            variances.iter().zip(&working.roots).map(|(v, root)| v / (root * root)).collect();
+        let mut changes = self.changes_by_candidates((x, residuals, &plain), simulations)?;
+        let errors: Vec<f64> = uncertainty.errors_of_search().collect();
+        changes.extend(of_outputs(layout, residuals));
+        let none = vec![0.0; autocorrelations.len()];
+        let find = |autocorrelations: &[f64], is_noise: bool| {
+            let score = Score {
+                layout,
+                names: &self.problem().experiment_names(),
+                working,
+                noise: WithNoise { values: &working.residuals, variances, autocorrelations },
+                changes: (base, by_starts),
+                inverse,
+                free: (free, &errors),
+                is_noise,
+                checks: (residual_checks, of_fit.independent),
+            };
+            Omitted::find(&score, &changes, &context)
+        };
+        match find(autocorrelations, true)? {
+            // Of what lasts a supposed autocorrelation hides the most.
+            None if is_systematic => find(&none, false),
+            found => Ok(found),
+        }
+    }
+
+    /// The value of a parameter; of one whose bounds have zero between them, its size where that is larger.
+    fn size_of_either_sign(&self, p: &Parameter, x: f64) -> f64 {
+        let is_of_either = p.lower() < 0.0 && p.upper() > 0.0 && p.scale_kind() == Scale::Linear;
+        if is_of_either { self.size_of(p, x).max(x.abs()) } else { x.abs() }
     }
 
     /// True if a parameter lies at one of its bounds.

@@ -8,7 +8,7 @@ use crate::findings::finding::{Finding, Severity};
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
 use crate::uncertainty::tall::{go_on, triangle};
 use base::RunContext;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Dyn, StorageMut, Vector};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use std::ops::Range;
@@ -103,6 +103,30 @@ pub(super) struct WithNoise<'a> {
     pub(super) autocorrelations: &'a [f64],
 }
 
+impl WithNoise<'_> {
+    /// Divides a change of the residuals by their noise, and frees it from the autocorrelation that an output
+    /// has (Prais and Winsten, 1954).
+    pub(super) fn whiten<S: StorageMut<f64, Dyn>>(
+        &self,
+        layout: &ResidualLayout,
+        column: &mut Vector<f64, Dyn, S>,
+    ) {
+        column.iter_mut().zip(self.variances).for_each(|(value, variance)| *value /= variance.sqrt());
+        for (output, rho) in layout.outputs.iter().zip(self.autocorrelations).filter(|(_, rho)| **rho != 0.0)
+        {
+            let scale = (1.0 - rho * rho).sqrt().recip();
+            for i in output.range.clone().skip(1).rev() {
+                column[i] = (column[i] - rho * column[i - 1]) * scale;
+            }
+        }
+    }
+
+    /// True if each has noise.
+    pub(super) fn is_noisy(&self) -> bool {
+        self.variances.iter().all(|v| *v > 0.0 && v.is_finite())
+    }
+}
+
 /// The free parameters of the estimate.
 pub(super) struct FreeParameters<'a> {
     /// Their numbers.
@@ -115,8 +139,7 @@ pub(super) struct FreeParameters<'a> {
 
 impl PartConflict {
     /// The least likely conflict between two parts, if it is no chance. `base`: U, of the changes that the
-    /// parameters make of the residuals, which have these variances if they are independent; those of an
-    /// output with an autocorrelation are freed from it (Prais and Winsten, 1954). `by_starts`: changes by
+    /// parameters make of the residuals, `by_starts`: changes by
     /// measured initial states, which each part may have of its own.
     ///
     /// # Errors
@@ -129,30 +152,19 @@ impl PartConflict {
         mut parameters: FreeParameters<'_>,
         context: &RunContext<'_>,
     ) -> Result<Option<Self>, CalibrationError> {
-        let WithNoise { values, variances, autocorrelations } = *residuals;
         let (n, q) = (base.nrows(), base.ncols() + by_starts.len());
         let pairs = pairs(layout, checks);
-        if q == 0
-            || n.saturating_mul(q) > MOST
-            || n < 2 * (q + FEWEST_DEGREES)
-            || variances.iter().any(|v| *v <= 0.0 || !v.is_finite())
-        {
+        if q == 0 || n.saturating_mul(q) > MOST || n < 2 * (q + FEWEST_DEGREES) || !residuals.is_noisy() {
             return Ok(None);
         }
         let mut rows = base.clone().resize_horizontally(q + 1, 0.0);
         for (k, change) in by_starts.iter().enumerate() {
             rows.column_mut(base.ncols() + k).copy_from(change);
         }
-        rows.column_mut(q).copy_from_slice(values);
+        rows.column_mut(q).copy_from_slice(residuals.values);
         for mut column in rows.column_iter_mut() {
             go_on(context)?;
-            column.iter_mut().zip(variances).for_each(|(value, variance)| *value /= variance.sqrt());
-            for (output, rho) in layout.outputs.iter().zip(autocorrelations).filter(|(_, rho)| **rho != 0.0) {
-                let scale = (1.0 - rho * rho).sqrt().recip();
-                for i in output.range.clone().skip(1).rev() {
-                    column[i] = (column[i] - rho * column[i - 1]) * scale;
-                }
-            }
+            residuals.whiten(layout, &mut column);
         }
         for k in 0..q {
             let norm = rows.column(k).norm();

@@ -164,7 +164,13 @@ impl ResidualCheck {
                     false => "",
                 };
                 let what = "the model leaves out something that lasts, or the noise lasts";
-                find(Severity::Warning, format!("{lag}: {what}{corrected}"), "");
+                let remedy = match self.unmodelled {
+                    None => {
+                        "plot the residuals; search=\"global\" tells whether values far from these leave none of that"
+                    }
+                    Some(_) => "",
+                };
+                find(Severity::Warning, format!("{lag}: {what}{corrected}"), remedy);
             } else if self.keeps_sign() {
                 find(Severity::Note, "keep their sign longer than independent ones would".to_owned(), "");
             }
@@ -178,7 +184,7 @@ impl ResidualCheck {
             }
         }
         if let Some(unmodelled) = self.unmodelled {
-            let (what, remedy) = unmodelled.words();
+            let (what, remedy) = (unmodelled.words(), unmodelled.kind.remedy());
             let sentence = format!(
                 "{what} would take away {:.1} % of the squares of the {subject}",
                 100.0 * (1.0 - unmodelled.left)

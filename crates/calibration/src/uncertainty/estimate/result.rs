@@ -1,6 +1,7 @@
 //! The numbers of the uncertainty of a fit, confidence intervals, and how they are printed.
 
 use super::digits::digits;
+use super::omitted::Omitted;
 use super::parts::PartConflict;
 use super::prior_check::PriorConflict;
 use super::residual_check::ResidualCheck;
@@ -90,6 +91,11 @@ pub struct Uncertainty {
     /// True for each parameter that is searched by its logarithm: its
     /// [confidence interval](Self::confidence_intervals) is symmetric there.
     pub is_log: Vec<bool>,
+    /// Sizes that standard errors are compared with to say how well a parameter is known: the value, of one
+    /// whose bounds have zero between them the size that the search takes for it where that is larger. Empty:
+    /// the values.
+    #[serde(default)]
+    pub sizes: Vec<f64>,
     /// Covariance of the parameters, n x n, row by row, in the user's units, with the residuals of outputs
     /// that are autocorrelated taken for a first-order autoregression (see
     /// [`autocorrelations`](Self::autocorrelations)), and the noise of
@@ -166,6 +172,9 @@ pub struct Uncertainty {
     /// Parts of the measurements that ask for different values.
     #[serde(default)]
     pub part_conflict: Option<PartConflict>,
+    /// A number that the fit takes as known and that the residuals ask to be another one.
+    #[serde(default)]
+    pub omitted: Option<Omitted>,
     /// The cost has a robust loss.
     #[serde(default)]
     pub has_loss: bool,

@@ -39,6 +39,58 @@ pub enum UnmodelledKind {
     Drift,
 }
 
+impl UnmodelledKind {
+    pub(super) const ALL: [Self; 4] = [Self::Offset, Self::Factor, Self::Delay, Self::Drift];
+
+    /// What to do about it.
+    pub(super) fn remedy(self) -> &'static str {
+        match self {
+            Self::Offset => {
+                "is the zero of the sensor right, and its unit? A parameter with offset_of fits it"
+            }
+            Self::Factor => "are the unit and the gain of the sensor right?",
+            Self::Delay => "do inputs and outputs have the same clock? A parameter with delay_of fits it",
+            Self::Drift => "does the sensor drift? Leave the trend out",
+        }
+    }
+}
+
+/// The changes of the residuals of an output by what its measurements may have.
+pub(super) struct Changes<'a> {
+    output: &'a OutputResiduals,
+    simulated: Vec<f64>,
+    /// The middle of the times.
+    middle: f64,
+}
+
+impl<'a> Changes<'a> {
+    /// Of an output with these residuals.
+    pub(super) fn of(output: &'a OutputResiduals, residuals: &[f64]) -> Self {
+        let OutputResiduals { measured, weights, times, .. } = output;
+        let simulated = (0..residuals.len()).map(|k| measured[k] + residuals[k] / weights[k]).collect();
+        let middle = times.iter().sum::<f64>() / times.len() as f64;
+        Self { output, simulated, middle }
+    }
+
+    /// By how much each residual, simulated less measured, falls for a size of one.
+    pub(super) fn by(&self, kind: UnmodelledKind) -> DVector<f64> {
+        let Self { output: OutputResiduals { times, weights, .. }, simulated, middle } = self;
+        let slope = |k: usize| {
+            let (a, b) = (k.saturating_sub(1), (k + 1).min(simulated.len() - 1));
+            (simulated[b] - simulated[a]) / (times[b] - times[a])
+        };
+        DVector::from_fn(simulated.len(), |k, _| {
+            weights[k]
+                * match kind {
+                    UnmodelledKind::Offset => -1.0,
+                    UnmodelledKind::Factor => -simulated[k],
+                    UnmodelledKind::Delay => slope(k),
+                    UnmodelledKind::Drift => middle - times[k],
+                }
+        })
+    }
+}
+
 /// One number of an output that would explain its residuals, together with other values of the parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -65,28 +117,15 @@ impl Unmodelled {
         base: &DMatrix<f64>,
         context: &RunContext<'_>,
     ) -> Result<Option<Self>, CalibrationError> {
-        let OutputResiduals { range, times, measured, weights, .. } = output;
+        let range = &output.range;
         if range.len() < FEWEST {
             return Ok(None);
         }
-        let own = &residuals[range.clone()];
-        let simulated: Vec<f64> = (0..own.len()).map(|k| measured[k] + own[k] / weights[k]).collect();
-        let middle = times.iter().sum::<f64>() / times.len() as f64;
-        let slope = |k: usize| {
-            let (a, b) = (k.saturating_sub(1), (k + 1).min(own.len() - 1));
-            (simulated[b] - simulated[a]) / (times[b] - times[a])
-        };
-        // By how much each lowers the residual, simulated less measured, for a size of one.
-        let change = |kind: UnmodelledKind, k: usize| match kind {
-            UnmodelledKind::Offset => -weights[k],
-            UnmodelledKind::Factor => -weights[k] * simulated[k],
-            UnmodelledKind::Delay => weights[k] * slope(k),
-            UnmodelledKind::Drift => -weights[k] * (times[k] - middle),
-        };
+        let changes = Changes::of(output, &residuals[range.clone()]);
         let (base, all_before) = (base.rows(range.start, range.len()), before.norm_squared());
         let before = before.rows(range.start, range.len());
         let of = |kind: UnmodelledKind| {
-            let change = DVector::from_fn(range.len(), |k, _| change(kind, k));
+            let change = changes.by(kind);
             let (along, all) = (base.tr_mul(&change), change.norm_squared());
             let beside = all - along.norm_squared();
             let size = change.dot(&before) / beside;
@@ -95,11 +134,12 @@ impl Unmodelled {
             let explains = left < LEFT.0 && all_before - size * size * beside < LEFT.1 * all_before;
             let is_other = all.is_finite() && beside > OWN * all;
             let size = if kind == UnmodelledKind::Factor { 1.0 + size } else { size };
-            (explains && is_other && size.is_finite()).then_some(Self { kind, size, left })
+            // A sign is no gain.
+            let is_possible = size.is_finite() && (kind != UnmodelledKind::Factor || size > 0.0);
+            (explains && is_other && is_possible).then_some(Self { kind, size, left })
         };
-        use UnmodelledKind::{Delay, Drift, Factor, Offset};
         let mut best: Option<Self> = None;
-        for kind in [Offset, Factor, Delay, Drift] {
+        for kind in UnmodelledKind::ALL {
             go_on(context)?;
             let found = of(kind).filter(|found| best.is_none_or(|best| found.left < best.left));
             best = found.or(best);
@@ -107,26 +147,14 @@ impl Unmodelled {
         Ok(best)
     }
 
-    /// Description of the effect with its number, and the remedy.
-    pub(super) fn words(&self) -> (String, &'static str) {
+    /// Description of the effect with its number.
+    pub(super) fn words(&self) -> String {
         let size = digits(self.size);
         match self.kind {
-            UnmodelledKind::Offset => (
-                format!("an offset of the measurements of {size}"),
-                "is the zero of the sensor right, and its unit? A parameter with offset_of fits it",
-            ),
-            UnmodelledKind::Factor => (
-                format!("measurements that are {size} times as large"),
-                "are the unit and the gain of the sensor right?",
-            ),
-            UnmodelledKind::Delay => (
-                format!("measurements that are {size} s late"),
-                "do inputs and outputs have the same clock? A parameter with delay_of fits it",
-            ),
-            UnmodelledKind::Drift => (
-                format!("a drift of the measurements of {size} per s"),
-                "does the sensor drift? Leave the trend out",
-            ),
+            UnmodelledKind::Offset => format!("an offset of the measurements of {size}"),
+            UnmodelledKind::Factor => format!("measurements that are {size} times as large"),
+            UnmodelledKind::Delay => format!("measurements that are {size} s late"),
+            UnmodelledKind::Drift => format!("a drift of the measurements of {size} per s"),
         }
     }
 }
@@ -181,8 +209,7 @@ mod tests {
                     .unwrap();
             assert!(found.kind == kind && (found.size - size).abs() < 0.1 * size, "{found:?}");
             assert!(
-                found.left < 0.02 && found.words().0.contains("of the")
-                    || found.words().0.contains("that are")
+                found.left < 0.02 && found.words().contains("of the") || found.words().contains("that are")
             );
         }
     }

@@ -3,7 +3,7 @@
 use super::{calibration, decay, fitted, k, noise, recording, sound, times, warnings, warns};
 use calibration::dfo::{Limits, Loss, RobustLoss, RunOptions};
 use calibration::{
-    Compared, CostKind, CustomCost, Data, Experiment, Fit, FitOptions, Parts, SimulationSettings,
+    Compared, CostKind, CustomCost, Data, Experiment, Fit, FitOptions, Parameter, Parts, SimulationSettings,
     UncertaintyOptions, Weight,
 };
 
@@ -202,4 +202,25 @@ fn recordings_that_ask_for_other_values_are_named() {
     );
     let same = fit([2.0, 2.0]);
     assert!(warnings(&same.findings()).is_empty(), "{same}");
+}
+
+#[test]
+fn a_start_value_that_is_wrong_is_asked_for() {
+    let t = times(121, 0.025);
+    let measured = |start: f64| -> Vec<f64> {
+        t.iter().enumerate().map(|(k, t)| start * (-2.0 * t).exp() + 0.02 * noise(k)).collect()
+    };
+    let wrong = fitted(recording(&t, measured(1.03)), k());
+    let omitted = wrong.uncertainty.as_ref().unwrap().omitted.clone().unwrap();
+    assert!(omitted.chance.is_some_and(|chance| chance < 1e-3), "{omitted:?}");
+    let asked: Vec<String> = wrong.findings().iter().map(ToString::to_string).collect();
+    let said = asked.iter().find(|finding| finding.contains("the residuals ask for")).unwrap();
+    assert!(said.starts_with("warning: ") && said.contains("start value of x"), "{said}");
+    assert!(said.contains("with it k moves by"), "{said}");
+    let right = fitted(recording(&t, measured(1.0)), k());
+    assert_eq!(right.uncertainty.as_ref().unwrap().omitted, None);
+    // The start is fitted, too.
+    let experiment =
+        recording(&t, measured(1.03)).initial_state("x", Parameter::new("x0", 1.0).bounds(0.5, 2.0));
+    assert_eq!(fitted(experiment, k()).uncertainty.as_ref().unwrap().omitted, None);
 }

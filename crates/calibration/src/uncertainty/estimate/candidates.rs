@@ -1,0 +1,253 @@
+//! Numbers of a model that are taken as known, and by how much each changes the residuals: offsets of inputs,
+//! start values, parameters that are held.
+
+use super::omitted::{Change, Effect};
+use crate::cost::batch::{Point, Simulations};
+use crate::cost::calibration::Calibration;
+use crate::error::CalibrationError;
+use crate::problem::definition::Problem;
+use crate::problem::experiment::{Experiment, InitialState};
+use crate::problem::input::InputSource;
+use crate::problem::parameter::Parameter;
+use crate::problem::resolution::{is_same, states};
+use dfo::RobustLoss;
+use fmi::Value;
+use fmi::description::{Causality, Initial, Variability, Variable};
+use nalgebra::DVector;
+
+/// So many are looked at, in the order of the model: each takes one simulation, or two.
+const MOST: usize = 16;
+
+/// The part of its size that each is moved by first.
+const PART: f64 = 1e-3;
+
+/// A step that changes the residuals by less than the first or by more than the second, in standard
+/// deviations, is made again with a better length, at most so many times as long.
+const STEP: (f64, f64) = (0.03, 30.0);
+const LONGER: f64 = 100.0;
+
+/// Simulations that should be the same differ by less than this part of the residuals.
+const SAME: f64 = 1e-3;
+
+/// A number that is taken as known.
+struct Candidate {
+    effect: Effect,
+    variable: String,
+    /// Its value, or that of an offset.
+    start: f64,
+    size: f64,
+}
+
+impl Calibration {
+    /// The changes of the residuals at a point by each of them, for a size of one; those that cannot be set
+    /// are left out. `variances`: of the residuals.
+    ///
+    /// # Errors
+    /// [`CalibrationError::Cancelled`].
+    pub(super) fn changes_by_candidates(
+        &self,
+        (x, residuals, variances): (&[f64], &[f64], &[f64]),
+        simulations: &mut Simulations<'_>,
+    ) -> Result<Vec<Change>, CalibrationError> {
+        let candidates = self.candidates();
+        let at = (x, residuals, variances);
+        if let Some(all) = self.changes_by(&candidates, at, simulations)? {
+            return Ok(all);
+        }
+        // One of them that cannot be set, or that is no value of its own, spoils no others than those of its kind.
+        let mut found = Vec::new();
+        for kind in candidates.chunk_by(|a, b| a.effect == b.effect) {
+            found.extend(self.changes_by(kind, at, simulations)?.unwrap_or_default());
+        }
+        Ok(found)
+    }
+
+    /// The offsets of the inputs, the start values, and the parameters that the model has beside those that
+    /// are fitted.
+    fn candidates(&self) -> Vec<Candidate> {
+        let (problem, description) = (self.problem(), self.fmu().description());
+        let is_same = |name: &str, variable: &Variable| is_same(description, name, &variable.name);
+        let is_fitted = |variable: &Variable| {
+            let mut fitted = problem.parameters.iter().filter_map(Parameter::variable);
+            let of_parameter = |p: &Parameter| p.variable_names().iter().any(|name| is_same(name, variable));
+            fitted.any(|name| is_same(name, variable)) || problem.parameters.iter().any(of_parameter)
+        };
+        let number = |effect: Effect, variable: &Variable| {
+            let start =
+                variable.start.as_ref().and_then(Value::as_number).filter(|start| start.is_finite())?;
+            let is_one = variable.kind.is_float() && variable.dimensions.is_empty() && !is_fitted(variable);
+            let size = [start, variable.nominal.unwrap_or(1.0)].map(f64::abs).into_iter().find(|s| *s > 0.0);
+            let size = size.filter(|_| is_one)?;
+            // Not beyond the range of the variable.
+            let is_at_top = variable.max.is_some_and(|max| start + PART * size > max);
+            let size = if is_at_top { -size } else { size };
+            Some(Candidate { effect, variable: variable.name.clone(), start, size })
+        };
+        let mut inputs: Vec<Candidate> = Vec::new();
+        for (experiment, (name, source)) in
+            problem.experiments.iter().flat_map(|e| e.inputs.iter().map(move |input| (e, input)))
+        {
+            let Some(variable) = description.variable(name).filter(|v| v.kind.is_float()) else { continue };
+            if !is_fitted(variable) && !inputs.iter().any(|known| known.variable == *name) {
+                let size = [size_of(experiment, source), variable.nominal.unwrap_or(1.0).abs()];
+                let size = size.into_iter().find(|size| *size > 0.0 && size.is_finite()).unwrap_or(1.0);
+                let (effect, variable) = (Effect::InputOffset, name.clone());
+                inputs.push(Candidate { effect, variable, start: 0.0, size });
+            }
+        }
+        let is_given = |variable: &Variable| {
+            let of = |(name, initial): &(String, InitialState)| {
+                is_same(name, variable) && !matches!(initial, InitialState::Value(_))
+            };
+            problem.experiments.iter().any(|e| e.initial_states.iter().any(of))
+        };
+        let starts = states(description).into_iter().filter_map(|name| description.variable(name));
+        let starts = starts
+            .filter(|v| v.initial != Some(Initial::Calculated) && !is_given(v))
+            .filter_map(|v| number(Effect::StartValue, v));
+        let is_held = |v: &&Variable| {
+            v.causality == Causality::Parameter
+                && matches!(v.variability, Variability::Fixed | Variability::Tunable)
+                && v.initial != Some(Initial::Calculated)
+        };
+        let held = description.variables.iter().filter(is_held).filter_map(|v| number(Effect::HeldValue, v));
+        inputs.into_iter().chain(starts).chain(held).take(MOST).collect()
+    }
+
+    /// `None`: with these as parameters of their own the simulation is another one, or none.
+    fn changes_by(
+        &self,
+        candidates: &[Candidate],
+        (x, residuals, variances): (&[f64], &[f64], &[f64]),
+        simulations: &mut Simulations<'_>,
+    ) -> Result<Option<Vec<Change>>, CalibrationError> {
+        if candidates.is_empty() {
+            return Ok(Some(Vec::new()));
+        }
+        let derived = self
+            .problem_with(candidates)
+            .elements()
+            .and_then(|elements| Ok((elements, self.derived(self.problem_with(candidates))?)));
+        let Ok((elements, derived)) = derived else { return Ok(None) };
+        let n_parameters = self.problem().parameters.len();
+        let candidate = |k: usize| elements[k].source.and_then(|source| source.checked_sub(n_parameters));
+        let mut own = x.iter();
+        let starts = (0..elements.len()).map(|k| match candidate(k) {
+            Some(_) => Some(elements[k].parameter.start()),
+            None => own.next().copied(),
+        });
+        let Some(center) = starts.collect::<Option<Vec<f64>>>() else { return Ok(None) };
+        let moved = |c: usize, step: f64| {
+            let by = |k: usize| if candidate(k) == Some(c) { step } else { 0.0 };
+            Point::new(center.iter().enumerate().map(|(k, x)| x + by(k)).collect())
+        };
+        let (workers, context) = (simulations.workers, simulations.context);
+        let Ok(mut own) = Simulations::new(&derived, RobustLoss::default(), workers, &context) else {
+            return Ok(None);
+        };
+        let mut steps: Vec<f64> = candidates.iter().map(|c| PART * c.size).collect();
+        let mut points = vec![Point::new(center.clone())];
+        points.extend(steps.iter().enumerate().map(|(c, step)| moved(c, *step)));
+        let mut found = own.residuals(&points)?;
+        let norm = |from: &[f64], to: &[f64]| {
+            let each = from.iter().zip(to).zip(variances);
+            each.map(|((a, b), variance)| (a - b) * (a - b) / variance).sum::<f64>().sqrt()
+        };
+        let zero = vec![0.0; residuals.len()];
+        let base = found.remove(0).ok().filter(|base| {
+            base.len() == residuals.len() && norm(base, residuals) <= SAME * norm(residuals, &zero)
+        });
+        let mut again = Vec::new();
+        if let Some(base) = &base {
+            for (c, found) in found.iter().enumerate() {
+                let by = found.as_ref().map_or(0.0, |found| norm(found, base));
+                if by > 0.0 && by.is_finite() && !(STEP.0..=STEP.1).contains(&by) {
+                    steps[c] *= by.recip().min(LONGER);
+                    again.push((c, moved(c, steps[c])));
+                }
+            }
+            let points: Vec<Point> = again.iter().map(|(_, point)| point.clone()).collect();
+            let better = if points.is_empty() { Vec::new() } else { own.residuals(&points)? };
+            again.iter().zip(better).for_each(|((c, _), better)| found[*c] = better);
+        }
+        simulations.n += own.n;
+        simulations.stats += own.stats;
+        let Some(base) = base else { return Ok(None) };
+        let mut changes = Vec::new();
+        for (c, found) in found.into_iter().enumerate() {
+            let Ok(found) = found else { continue };
+            let Candidate { effect, variable, start, .. } = &candidates[c];
+            let column = DVector::from_fn(residuals.len(), |i, _| (found[i] - base[i]) / steps[c]);
+            let all = Change {
+                effect: *effect,
+                variable: variable.clone(),
+                start: *start,
+                experiment: None,
+                column,
+            };
+            changes.extend(self.by_experiment(all));
+        }
+        Ok(Some(changes))
+    }
+
+    /// A change with those of each experiment alone, where there are several. A value that is held is that of
+    /// the machine, a start that of an experiment.
+    fn by_experiment(&self, all: Change) -> Vec<Change> {
+        let n = self.problem().experiments.len();
+        if n == 1 || all.effect == Effect::HeldValue {
+            return vec![all];
+        }
+        let outputs = &self.residual_layout().outputs;
+        let of = |k: usize| {
+            let mut column = DVector::zeros(all.column.len());
+            for output in outputs.iter().filter(|output| output.experiment == k) {
+                let (from, n) = (output.range.start, output.range.len());
+                column.rows_mut(from, n).copy_from(&all.column.rows(from, n));
+            }
+            Change { experiment: Some(k), column, variable: all.variable.clone(), ..all }
+        };
+        let mut each: Vec<Change> = (0..n).map(of).collect();
+        if all.effect == Effect::InputOffset {
+            each.push(all);
+        }
+        each
+    }
+
+    /// The problem with these as further parameters: those that an experiment gives a value of its own are
+    /// local ones.
+    fn problem_with(&self, candidates: &[Candidate]) -> Problem {
+        let (mut problem, description) = (self.problem().clone(), self.fmu().description());
+        for Candidate { effect, variable, start, .. } in candidates {
+            let parameter = Parameter::new(variable.clone(), *start);
+            problem.parameters.push(match effect {
+                Effect::InputOffset => {
+                    Parameter::new(format!("offset of {variable}"), 0.0).offset_of(variable.clone())
+                }
+                _ => parameter.local(true),
+            });
+            for experiment in &mut problem.experiments {
+                let given = experiment
+                    .initial_states
+                    .iter()
+                    .position(|(name, _)| is_same(description, name, variable));
+                if let Some((name, InitialState::Value(value))) =
+                    given.map(|given| experiment.initial_states.remove(given))
+                {
+                    experiment.start_values.push((name, Value::Real(value)));
+                }
+            }
+        }
+        problem
+    }
+}
+
+/// The largest value of an input; of a function nothing is known.
+fn size_of(experiment: &Experiment, source: &InputSource) -> f64 {
+    match source {
+        InputSource::Column(column) => experiment.data.series(column).map_or(0.0, |values| {
+            values.iter().map(|v| v.abs()).filter(|v| v.is_finite()).fold(0.0, f64::max)
+        }),
+        InputSource::Constant(value) => value.abs(),
+        InputSource::Function(_) => 0.0,
+    }
+}
