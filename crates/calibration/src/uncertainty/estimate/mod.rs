@@ -435,8 +435,8 @@ impl Calibration {
     }
 
     /// Finds causes of residuals that are no noise: weights, and terms that the model lacks, numbers that it
-    /// has wrong, or parts of the measurements that ask for other values, the latter where the cost is a plain
-    /// sum of squares.
+    /// has wrong, or parts of the measurements that ask for other values, the latter where the cost is a
+    /// plain sum of squares.
     fn explain_residuals(
         &self,
         uncertainty: &mut Uncertainty,

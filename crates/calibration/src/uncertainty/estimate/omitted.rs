@@ -110,7 +110,8 @@ pub(super) struct Score<'a> {
     pub(super) inverse: &'a DMatrix<f64>,
     /// Numbers of these parameters, and their standard errors there.
     pub(super) free: (&'a [usize], &'a [f64]),
-    /// What the residuals show may be noise; else it is something that lasts, as the checks of the outputs say.
+    /// What the residuals show may be noise; else it is something that lasts, as the checks of the outputs
+    /// say.
     pub(super) is_noise: bool,
     pub(super) checks: (&'a [ResidualCheck], &'a [OfIndependent]),
 }
