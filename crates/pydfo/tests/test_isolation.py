@@ -1,11 +1,13 @@
 """FMUs in processes of their own: the same bits, deaths that are outcomes, and nothing left behind."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 import threading
 import time
+import zipfile
 
 import numpy as np
 import pydfo
@@ -83,6 +85,17 @@ def test_a_hang_ends_soon_after_its_limit(tmp_path):
     # Without a limit of its own it ends with the fit's.
     fit = decay(fmu).fit(method="de", max_time=2.0, rng=1, workers=2)
     assert "time" in fit.message and np.isfinite(fit.cost)
+    assert any("when the time was up" in finding.sentence and "timeout" in finding.remedy for finding in fit.findings)
+
+
+def test_a_model_that_cannot_run_here_is_an_error_of_the_fmu(tmp_path):
+    foreign = tmp_path / "foreign.fmu"
+    with zipfile.ZipFile(evil(tmp_path / "sound.fmu")) as source, zipfile.ZipFile(foreign, "w") as out:
+        out.writestr("modelDescription.xml", re.sub(r"<SourceFiles>.*</SourceFiles>", "", source.read("modelDescription.xml").decode(), flags=re.S))
+        out.writestr("binaries/win64/model.dll", b"not for this platform")
+    for isolation in ("process", "none"):
+        with pytest.raises(pydfo.FmuError, match="no binary for this platform.*win64"):
+            decay(foreign, isolation=isolation).fit(workers=2)
 
 
 def test_ctrl_c_ends_what_never_returns(tmp_path):

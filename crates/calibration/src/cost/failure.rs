@@ -150,3 +150,33 @@ fn call_reason(error: &FmiError) -> String {
         other => other.to_string(),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ode::{Evaluated, SimulationError, Stats};
+
+    #[test]
+    fn a_model_that_cannot_be_evaluated_at_its_start_says_what_is_not_finite() {
+        let (what, name) = (Evaluated::Derivative, Some("T".to_owned()));
+        let error = SimulationError {
+            kind: ErrorKind::DiscardedAtRestart,
+            time: 0.5,
+            step: 0.0,
+            worst_state: None,
+            last_event: None,
+            not_finite: Some(NotFinite { what, index: 2, value: f64::NAN, time: 0.5, name }),
+            undetermined: None,
+            refusal: None,
+            stats: Stats::default(),
+        };
+        let NoCost::Failed { kind, reason, message, .. } =
+            NoCost::from(FmiError::Simulation(Box::new(error)))
+        else {
+            panic!("a failure")
+        };
+        assert_eq!(kind, FailureKind::NotFinite);
+        assert_eq!(reason, "the derivative of state 2 (T) is NaN");
+        assert!(message.contains("is NaN at t = 0.5"), "{message}");
+    }
+}

@@ -44,8 +44,8 @@ pub(crate) struct StuckParameters {
     pub(crate) at_bound: Vec<(usize, BoundSide)>,
     /// Parameters that did not change the cost, by number.
     pub(crate) without_effect: Vec<usize>,
-    /// Those at a bound that the data do not determine: a move by their size changes the cost by less than
-    /// the noise.
+    /// Those at a bound that the data hardly determine: a move by half their size changes the cost by less
+    /// than the noise.
     pub(crate) loose: Vec<usize>,
     /// Simulations that were made to find out.
     pub(crate) n_checks: usize,
@@ -59,6 +59,10 @@ const NEAR: f64 = 1e-3;
 
 /// A parameter is moved by this share of its size to see whether it changes the cost.
 const MOVE: f64 = 0.1;
+
+/// One at its bound that may move by this share of its size, and cost no more than the noise, is hardly
+/// determined.
+const HALF: f64 = 0.5;
 
 /// A parameter that may be at its bound, by number.
 struct Candidate {
@@ -141,7 +145,7 @@ impl Calibration {
         let degrees = self.n_residuals().saturating_sub(n_free);
         let is_told = kind.is_sum_of_squares() && degrees > 0 && !is_spent;
         for (index, _) in checked.at_bound.iter().filter(|_| is_told).copied().collect::<Vec<_>>() {
-            match cost_with(index, self.moved(&self.parameters()[index], (report.x[index], 1.0))) {
+            match cost_with(index, self.moved(&self.parameters()[index], (report.x[index], HALF))) {
                 Ok(cost) if cost - report.fun < report.fun / degrees as f64 => loose.push(index),
                 Err(NoCost::Cancelled) => break,
                 _ => {}

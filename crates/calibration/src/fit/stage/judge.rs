@@ -115,7 +115,7 @@ impl Calibration {
         found.extend(stuck.loose.iter().map(|index| {
             let name = self.parameters()[*index].name();
             let sentence = format!(
-                "the data hardly determine {name}: moved off its bound by its size it changes the cost by less than the noise"
+                "the data hardly determine {name}: moved off its bound by half its size it changes the cost by less than the noise"
             );
             Finding::new(Severity::Warning, name, sentence, "fix it, or record what it acts on")
         }));

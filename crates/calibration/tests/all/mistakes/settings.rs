@@ -1,6 +1,6 @@
 //! Mistakes in parameters, priors, weights and solvers.
 
-use super::{calibration, decay, fitted, k, noise, open, sound, times, warnings, warns};
+use super::{calibration, decay, fitted, k, noise, open, recording, sound, times, warnings, warns};
 use calibration::dfo::{Limits, Measure, RunOptions, Stop, Tolerances};
 use calibration::{
     Calibration, CheckOptions, Data, Experiment, FitOptions, NoiseRule, Parameter, Prior, RunContext, Scale,
@@ -254,4 +254,18 @@ fn a_check_ends_by_its_time() {
     let check = calibration.check_with(&options, &RunContext::new()).unwrap();
     assert!(warns(&check.findings, "max_time: the check was ended by its time limit of 1e-9 s"), "{check}");
     assert!(calibration.check().is_ok());
+}
+
+/// A decay that is over: its rate goes where the noise wants it, to a bound, and any other is as good.
+#[test]
+fn a_parameter_at_a_bound_that_nothing_determines_is_named() {
+    let over: Vec<f64> = (0..61).map(|k| 6.0 + 0.05 * f64::from(k)).collect();
+    let experiment = recording(&over, decay(&over, 2.0, 1e-3)).start_time(0.0);
+    let fit = fitted(experiment, Parameter::new("k", 1.5).bounds(0.1, 3.0));
+    assert_eq!(fit.at_bound.len(), 1, "{fit}");
+    assert!(warns(&fit.findings(), "the data hardly determine k"), "{fit}");
+    // One that the data push against its bound is not.
+    let fit = fitted(sound(1e-3), Parameter::new("k", 1.0).bounds(0.1, 1.5));
+    assert_eq!(fit.at_bound.len(), 1, "{fit}");
+    assert!(!warns(&fit.findings(), "hardly determine"), "{fit}");
 }
