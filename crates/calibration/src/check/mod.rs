@@ -137,8 +137,8 @@ impl Calibration {
             doubts.extend(found);
             let mut evaluations = Evaluations { context: *context, n: 0, stats: Stats::default() };
             let is_fast = !self.has_fixed_step() && sampling::may_turn_back(stats) || self.is_co_simulation();
-            let at = (start, end, is_fast);
-            let found = self.findings_of_sampling_times(&subjects, &outputs, at, &mut evaluations);
+            let found =
+                self.findings_of_sampling_times(&subjects, &outputs, start, end, is_fast, &mut evaluations);
             *stats += evaluations.stats;
             match found {
                 Ok(found) => doubts.extend(found),
@@ -159,7 +159,9 @@ impl Calibration {
         &self,
         subjects: &[Subject<'_>],
         outputs: &Outputs<'_>,
-        (start, end, is_fast): (&PointResiduals, &PointResiduals, bool),
+        start: &PointResiduals,
+        end: &PointResiduals,
+        is_fast: bool,
         evaluations: &mut Evaluations<'_>,
     ) -> Result<Vec<Finding>, CalibrationError> {
         let mut found = time_unit::findings(self, subjects, outputs, evaluations)?;

@@ -159,7 +159,7 @@ impl Calibration {
     ) -> Result<f64, NoCost> {
         if let Ok(remote) = &self.evaluator().remote {
             let method = self.method(&rule.context)?;
-            return remote.evaluate((x, method), rule, (Some(accuracy), Asked::Any), out, stats);
+            return remote.evaluate(x, method, rule, (Some(accuracy), Asked::Any), out, stats);
         }
         self.evaluator().evaluate(x, rule, out, stats, |k, run| {
             let asked = self.evaluator().simulations[k].options_at_start();

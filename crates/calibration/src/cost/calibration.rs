@@ -354,7 +354,7 @@ impl Calibration {
         }
         let mut poll = || if context.is_over() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
         let simulation = &self.evaluator.simulations[experiment];
-        let trajectory = simulation.trajectory(self.fmu(), (x, method), times, &mut poll)?;
+        let trajectory = simulation.trajectory(self.fmu(), x, method, times, &mut poll)?;
         match trajectory.termination {
             Termination::StoppedByObserver => Err(CalibrationError::Cancelled),
             _ => Ok(trajectory),
@@ -412,7 +412,8 @@ impl Calibration {
     pub(crate) fn evaluate_counted(
         &self,
         x: &[f64],
-        (query, loss): (&Query<'_>, RobustLoss),
+        query: &Query<'_>,
+        loss: RobustLoss,
         answer: &mut Answer,
         stats: &mut Stats,
     ) {
@@ -475,7 +476,7 @@ impl Calibration {
     ) -> Result<f64, NoCost> {
         if let Ok(remote) = &self.evaluator.remote {
             let method = self.method(&rule.context)?;
-            return remote.evaluate((x, method), rule, (None, process), out, stats);
+            return remote.evaluate(x, method, rule, (None, process), out, stats);
         }
         self.evaluator.evaluate(x, rule, out, stats, |k, run| {
             Ok(self.pool(k, &rule.context)?.with_simulator(&rule.context, run))
@@ -543,7 +544,7 @@ impl Calibration {
 
 impl Objective for Calibration {
     fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
-        self.evaluate_counted(x, (query, RobustLoss::default()), answer, &mut Stats::default());
+        self.evaluate_counted(x, query, RobustLoss::default(), answer, &mut Stats::default());
     }
 
     fn has_residuals(&self) -> bool {

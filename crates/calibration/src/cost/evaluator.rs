@@ -53,7 +53,7 @@ impl Evaluator {
                 let assigned = Assignments::new(&problem, k, &elements, fmu.description());
                 let (simulation, in_doubt) = assigned
                     .and_then(|assigned| {
-                        Simulation::new(&fmu, (name, experiment), (&problem, &elements), assigned)
+                        Simulation::new(&fmu, name, experiment, &problem, &elements, assigned)
                     })
                     .map_err(|error| problem.error_in(k, error))?;
                 for warning in in_doubt.into_iter().map(|warning| problem.warning_in(k, warning)) {
@@ -118,8 +118,8 @@ impl Evaluator {
             let (part, others) = rest.split_at_mut(simulation.comparison.n_residuals());
             rest = others;
             let (schedule, offsets) = (simulation.schedule(x), simulation.output_offsets(x));
-            let compared = (&simulation.comparison, &*schedule);
-            let mut accumulator = Accumulator::new(compared, &offsets, running, (sum, part));
+            let mut accumulator =
+                Accumulator::new(&simulation.comparison, &schedule, &offsets, running, sum, part);
             let ran = lend(k, &mut |simulator| simulation.run(simulator, x, &schedule, &mut accumulator))?;
             match &ran {
                 Ok(report) => *stats += report.stats,

@@ -141,7 +141,8 @@ impl Processes {
     fn ask<T>(
         &self,
         job: &Job,
-        (process, limit): (Asked, Option<Duration>),
+        process: Asked,
+        limit: Option<Duration>,
         context: &RunContext<'_>,
         use_answer: impl FnOnce(&mut Frame) -> std::io::Result<T>,
     ) -> Result<T, FmiError> {
@@ -306,14 +307,15 @@ impl Remote {
         context: &RunContext<'_>,
         use_answer: impl FnOnce(&mut Frame) -> std::io::Result<T>,
     ) -> Result<T, FmiError> {
-        self.processes.ask(job, (process, self.run_limit), context, use_answer)
+        self.processes.ask(job, process, self.run_limit, context, use_answer)
     }
 
     /// The cost at a point, its residuals into `out`; see
     /// [`Evaluator::evaluate`](crate::cost::evaluator::Evaluator::evaluate).
     pub(crate) fn evaluate(
         &self,
-        (x, method): (&[f64], Method),
+        x: &[f64],
+        method: Method,
         rule: CostRule<'_>,
         (accuracy, process): (Option<Accuracy>, Asked),
         out: &mut [f64],
@@ -423,7 +425,7 @@ impl ModelProcess {
             return Err(FmiError::BadSetting(problem));
         }
         let job = Job::Simulate(Box::new(options.clone()));
-        self.processes.ask(&job, (Asked::Checked, options.timeout), context, trajectory_of)
+        self.processes.ask(&job, Asked::Checked, options.timeout, context, trajectory_of)
     }
 }
 

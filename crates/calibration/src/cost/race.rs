@@ -172,13 +172,13 @@ pub fn race<E>(
         RaceOutcome::GivenUp | RaceOutcome::Failed(_) => None,
     };
     let mut least = None;
-    race.enter((Method::Auto, first), (tolerance, right.as_deref(), n_states), &mut least);
+    race.enter(Method::Auto, first, tolerance, right.as_deref(), n_states, &mut least);
     if right.is_some() {
         for method in STIFF {
             // With an error too small to be seen it could have taken so much.
             let max_work = least.map(|least| least / TIGHTER.powf(WORK_PER_ERROR));
             let outcome = run(&RaceTask { method, relative_tolerance, max_work })?;
-            race.enter((method, outcome), (tolerance, right.as_deref(), n_states), &mut least);
+            race.enter(method, outcome, tolerance, right.as_deref(), n_states, &mut least);
         }
         if least.is_none() {
             race.take_closest();
@@ -192,8 +192,11 @@ impl Race {
     /// tolerance.
     fn enter(
         &mut self,
-        (method, outcome): (Method, RaceOutcome),
-        (tolerance, right, n_states): (Tolerance<'_>, Option<&[f64]>, usize),
+        method: Method,
+        outcome: RaceOutcome,
+        tolerance: Tolerance<'_>,
+        right: Option<&[f64]>,
+        n_states: usize,
         least: &mut Option<f64>,
     ) {
         let (work, verdict) = match outcome {

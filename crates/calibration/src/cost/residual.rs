@@ -177,10 +177,12 @@ pub(crate) enum Stop {
 
 impl<'a> Accumulator<'a> {
     pub(crate) fn new(
-        (comparison, schedule): (&'a Comparison, &'a Schedule),
+        comparison: &'a Comparison,
+        schedule: &'a Schedule,
         offsets: &'a [f64],
         rule: CostRule<'a>,
-        (sum, out): (f64, &'a mut [f64]),
+        sum: f64,
+        out: &'a mut [f64],
     ) -> Self {
         let next = vec![0; comparison.outputs.len()];
         Self { comparison, schedule, offsets, rule, sum, seen: 0, next, out, stop: None }
@@ -323,7 +325,7 @@ mod tests {
         assert_eq!(c.n_residuals(), 5);
         let mut out = [f64::NAN; 5];
         let rule = CostRule::whole(RobustLoss::default(), &RunContext::new());
-        let mut a = Accumulator::new((&c, &schedule), &[0.0, 0.5], rule, (100.0, &mut out));
+        let mut a = Accumulator::new(&c, &schedule, &[0.0, 0.5], rule, 100.0, &mut out);
         for i in 0..schedule.times.len() {
             assert!(!a.is_complete());
             assert!(a.sample(&sample(i, &[0.0, -0.5])).is_continue());
@@ -351,11 +353,11 @@ mod tests {
         let schedule = c.schedule(|_| 0.0, 0.0);
         let [mut first, mut second] = [[0.0; 2]; 2];
         let rule = CostRule { cutoff: 4.0, ..CostRule::whole(RobustLoss::default(), &RunContext::new()) };
-        let mut a = Accumulator::new((&c, &schedule), &[0.0], rule, (0.0, &mut first));
+        let mut a = Accumulator::new(&c, &schedule, &[0.0], rule, 0.0, &mut first);
         assert!(a.sample(&sample(0, &[2.0])).is_continue());
         assert!(a.sample(&sample(1, &[1e-3])).is_break());
         assert_eq!(a.stop, Some(Stop::AboveCutoff));
-        let mut a = Accumulator::new((&c, &schedule), &[0.0], rule, (0.0, &mut second));
+        let mut a = Accumulator::new(&c, &schedule, &[0.0], rule, 0.0, &mut second);
         assert!(a.sample(&sample(0, &[f64::NAN])).is_break());
         assert_eq!(a.stop, Some(Stop::NotFinite(0)));
         assert!(!a.is_complete());

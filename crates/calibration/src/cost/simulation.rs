@@ -42,8 +42,10 @@ impl Simulation {
     /// The simulation of an experiment, and what is in doubt about it.
     pub(crate) fn new(
         fmu: &Fmu,
-        (name, experiment): (String, &Experiment),
-        (problem, elements): (&Problem, &[Element]),
+        name: String,
+        experiment: &Experiment,
+        problem: &Problem,
+        elements: &[Element],
         mut assigned: Assignments,
     ) -> Result<(Self, Vec<SetupWarning>), CalibrationError> {
         let (description, settings) = (fmu.description(), &problem.settings);
@@ -196,7 +198,8 @@ impl Simulation {
     /// given; without the values of [`named_values`](Self::named_values).
     pub(crate) fn recording(
         &self,
-        (x, method): (&[f64], Method),
+        x: &[f64],
+        method: Method,
         times: Option<&[f64]>,
         variables: &[String],
     ) -> SimulateOptions {
@@ -215,7 +218,8 @@ impl Simulation {
     pub(crate) fn trajectory(
         &self,
         fmu: &Fmu,
-        (x, method): (&[f64], Method),
+        x: &[f64],
+        method: Method,
         times: Option<&[f64]>,
         poll: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<Trajectory, FmiError> {

@@ -195,7 +195,7 @@ pub(crate) fn simulate_race(
         let (part, others) = rest.split_at_mut(simulation.comparison.n_residuals());
         rest = others;
         let (schedule, offsets) = (simulation.schedule(&start), simulation.output_offsets(&start));
-        let compared = Accumulator::new((&simulation.comparison, &*schedule), &offsets, rule, (0.0, part));
+        let compared = Accumulator::new(&simulation.comparison, &schedule, &offsets, rule, 0.0, part);
         let options = SimulateOptions {
             method: task.method,
             relative_tolerance: Some(task.relative_tolerance),

@@ -57,7 +57,7 @@ impl Calibration {
             let job = Job::Variables { experiment, x: x.to_vec(), method, times, variables };
             return remote.trajectory(&job, context);
         }
-        let mut options = self.evaluator().simulations[experiment].recording((x, method), times, variables);
+        let mut options = self.evaluator().simulations[experiment].recording(x, method, times, variables);
         let values = self.values_in(experiment, x);
         options.start_values.extend(values.into_iter().map(|(name, value)| (name, value.into())));
         let mut poll = || if context.is_over() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };

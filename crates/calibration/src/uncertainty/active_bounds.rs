@@ -145,7 +145,7 @@ impl Calibration {
         let degrees = self.n_residuals().saturating_sub(n_free);
         let is_told = kind.is_sum_of_squares() && degrees > 0 && !is_spent;
         for (index, _) in checked.at_bound.iter().filter(|_| is_told).copied().collect::<Vec<_>>() {
-            match cost_with(index, self.moved(&self.parameters()[index], (report.x[index], HALF))) {
+            match cost_with(index, self.moved(&self.parameters()[index], report.x[index], HALF)) {
                 Ok(cost) if cost - report.fun < report.fun / degrees as f64 => loose.push(index),
                 Err(NoCost::Cancelled) => break,
                 _ => {}
@@ -156,7 +156,7 @@ impl Calibration {
                 checked.without_effect.push(index);
                 continue;
             }
-            match cost_with(index, self.moved(&self.parameters()[index], (report.x[index], MOVE))) {
+            match cost_with(index, self.moved(&self.parameters()[index], report.x[index], MOVE)) {
                 Ok(cost) if self.is_equal_cost(kind, report.fun, cost) => checked.without_effect.push(index),
                 Err(NoCost::Cancelled) => break,
                 _ => {}
@@ -231,7 +231,7 @@ impl Calibration {
     }
 
     /// A value of a parameter a part of its size from `x`, towards the bound that is farther.
-    fn moved(&self, parameter: &Parameter, (x, part): (f64, f64)) -> f64 {
+    fn moved(&self, parameter: &Parameter, x: f64, part: f64) -> f64 {
         let (lower, upper) = (inner(parameter, parameter.lower()), inner(parameter, parameter.upper()));
         let from = inner(parameter, x);
         let mut by = part * self.size_of(parameter, x);

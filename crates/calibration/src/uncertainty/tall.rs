@@ -24,7 +24,8 @@ pub(crate) struct ThinSvd {
 /// Does the work on each block of these rows, with so many operations on each row.
 fn by_blocks(
     rows: Range<usize>,
-    (per_row, fewest): (usize, usize),
+    per_row: usize,
+    fewest: usize,
     context: &RunContext<'_>,
     mut work: impl FnMut(Range<usize>),
 ) -> Result<(), CalibrationError> {
@@ -54,7 +55,7 @@ pub(crate) fn triangle(
     let p = matrix.ncols();
     let mut above: DMatrix<f64> = DMatrix::zeros(0, p);
     for range in rows {
-        by_blocks(range.clone(), (2 * p * p, p), context, |block| {
+        by_blocks(range.clone(), 2 * p * p, p, context, |block| {
             let (known, n) = (above.nrows(), block.len());
             let mut stacked =
                 std::mem::replace(&mut above, DMatrix::zeros(0, 0)).resize_vertically(known + n, 0.0);
@@ -68,14 +69,15 @@ pub(crate) fn triangle(
 /// A matrix that is filled by blocks of rows, with so many operations on each row: its memory, too, is
 /// touched block by block.
 pub(crate) fn filled(
-    (m, p): (usize, usize),
+    m: usize,
+    p: usize,
     per_row: usize,
     context: &RunContext<'_>,
     mut fill: impl FnMut(DMatrixViewMut<'_, f64>, Range<usize>),
 ) -> Result<DMatrix<f64>, CalibrationError> {
     // The allocator's zeros; those of `DMatrix::zeros` are written.
     let mut matrix = DMatrix::from_vec(m, p, vec![0.0; m * p]);
-    by_blocks(0..m, (per_row, 1), context, |block| fill(matrix.rows_range_mut(block.clone()), block))?;
+    by_blocks(0..m, per_row, 1, context, |block| fill(matrix.rows_range_mut(block.clone()), block))?;
     Ok(matrix)
 }
 
@@ -85,7 +87,7 @@ pub(crate) fn product(
     by: &DMatrix<f64>,
     context: &RunContext<'_>,
 ) -> Result<DMatrix<f64>, CalibrationError> {
-    filled((matrix.nrows(), by.ncols()), 2 * by.len(), context, |mut rows, block| {
+    filled(matrix.nrows(), by.ncols(), 2 * by.len(), context, |mut rows, block| {
         rows.gemm(1.0, &matrix.rows_range(block), by, 0.0);
     })
 }
@@ -96,7 +98,7 @@ pub(crate) fn scaled(
     factors: &[f64],
     context: &RunContext<'_>,
 ) -> Result<DMatrix<f64>, CalibrationError> {
-    filled(matrix.shape(), TOUCHED * matrix.ncols(), context, |mut rows, block| {
+    filled(matrix.nrows(), matrix.ncols(), TOUCHED * matrix.ncols(), context, |mut rows, block| {
         rows.copy_from(&matrix.rows_range(block.clone()));
         let factors = &factors[block];
         rows.column_iter_mut().for_each(|mut column| {
@@ -112,7 +114,7 @@ pub(crate) fn beside(
     context: &RunContext<'_>,
 ) -> Result<DMatrix<f64>, CalibrationError> {
     let p = matrix.ncols();
-    filled((matrix.nrows(), p + 1), TOUCHED * (p + 1), context, |mut rows, block| {
+    filled(matrix.nrows(), p + 1, TOUCHED * (p + 1), context, |mut rows, block| {
         rows.columns_mut(0, p).copy_from(&matrix.rows_range(block.clone()));
         rows.column_mut(p).copy_from_slice(&last[block]);
     })
@@ -125,7 +127,7 @@ pub(crate) fn inner_products(
     context: &RunContext<'_>,
 ) -> Result<DMatrix<f64>, CalibrationError> {
     let mut sum = DMatrix::zeros(a.ncols(), b.ncols());
-    by_blocks(0..a.nrows(), (2 * sum.len(), 1), context, |block| {
+    by_blocks(0..a.nrows(), 2 * sum.len(), 1, context, |block| {
         let (from, n) = (block.start, block.len());
         sum.gemm_tr(1.0, &a.rows(from, n), &b.rows(from, n), 1.0);
     })?;
@@ -139,7 +141,7 @@ pub(crate) fn weighted_products(
     context: &RunContext<'_>,
 ) -> Result<DMatrix<f64>, CalibrationError> {
     let mut sum = DMatrix::zeros(a.ncols(), a.ncols());
-    by_blocks(0..a.nrows(), (4 * sum.len(), 1), context, |block| {
+    by_blocks(0..a.nrows(), 4 * sum.len(), 1, context, |block| {
         let mut weighted = a.rows_range(block.clone()).into_owned();
         for mut column in weighted.column_iter_mut() {
             column.iter_mut().zip(&weights[block.clone()]).for_each(|(entry, weight)| *entry *= weight);

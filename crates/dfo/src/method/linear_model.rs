@@ -45,7 +45,9 @@ impl LinearModel {
     /// where the points span no more than a plane, or where there are many residuals and the context is over.
     pub(crate) fn regression<'a>(
         space: &Space,
-        (x, z, residuals): (&[f64], &[f64], &[f64]),
+        x: &[f64],
+        z: &[f64],
+        residuals: &[f64],
         points: impl Iterator<Item = (&'a [f64], &'a [f64])> + Clone,
         context: &RunContext<'_>,
     ) -> Option<Self> {
@@ -336,8 +338,9 @@ mod tests {
             let values: Vec<Vec<f64>> = places.iter().map(|z| r(z, noise)).collect();
             let at_best: Vec<f64> = r(&best, noise);
             let points = places.iter().map(Vec::as_slice).zip(values.iter().map(Vec::as_slice));
-            let best_point = (&[1.0, 10.0][..], &best[..], &at_best[..]);
-            let model = LinearModel::regression(&space, best_point, points, &RunContext::new()).unwrap();
+            let context = RunContext::new();
+            let model =
+                LinearModel::regression(&space, &[1.0, 10.0], &best, &at_best, points, &context).unwrap();
             let e = 1f64.exp();
             let expected = [2.0, 0.2, 1.0, -0.2, e, 0.1 * e];
             for (k, (j, expected)) in model.jacobian.iter().zip(expected).enumerate() {
@@ -347,8 +350,11 @@ mod tests {
         }
         let line = [([1.5, 1.0], [0.0]), ([2.0, 1.0], [1.0])];
         let points = line.iter().map(|(z, r)| (&z[..], &r[..]));
-        let best = (&[1.0, 10.0][..], &[1.0, 1.0][..], &[1.0][..]);
-        assert_eq!(LinearModel::regression(&space, best, points, &RunContext::new()), None);
+        let context = RunContext::new();
+        assert_eq!(
+            LinearModel::regression(&space, &[1.0, 10.0], &[1.0, 1.0], &[1.0], points, &context),
+            None
+        );
     }
 
     #[test]

@@ -136,7 +136,7 @@ impl AskedRun {
         let mut of_method = Record::new();
         for (name, value) in record {
             let is_of_run = *value == Value::Nothing && is_of_run(name);
-            if !is_of_run && !asked.set((name, value), (record, n))? {
+            if !is_of_run && !asked.set(name, value, record, n)? {
                 of_method.insert(name.clone(), value.clone());
             }
         }
@@ -171,7 +171,7 @@ impl AskedRun {
     }
 
     /// Sets what is not the method's; false: it is. `record` has what belongs to it.
-    fn set(&mut self, (name, value): (&str, &Value), (record, n): (&Record, usize)) -> Result<bool, Error> {
+    fn set(&mut self, name: &str, value: &Value, record: &Record, n: usize) -> Result<bool, Error> {
         let run = &mut self.options;
         match name {
             "method" | "search" | "code" => {}
@@ -194,21 +194,20 @@ impl AskedRun {
             "problem" => run.problem = value.read(name)?,
             "warm_start" => run.known = value.read(name)?,
             "checkpoint" => run.checkpoint = Some(checkpoint(value.read(name)?, record)?),
-            "scale" => self.scale = per_parameter((name, value), n)?,
-            "nominal" => self.nominal = per_parameter((name, value), n)?,
-            "kinds" => self.kinds = per_parameter((name, value), n)?,
+            "scale" => self.scale = per_parameter(name, value, n)?,
+            "nominal" => self.nominal = per_parameter(name, value, n)?,
+            "kinds" => self.kinds = per_parameter(name, value, n)?,
             _ => return Ok(false),
         }
         Ok(true)
     }
 }
 
-/// Whether every run has an option of this name.
+/// True if every run has an option of this name.
 fn is_of_run(name: &str) -> bool {
     let nothing = Record::new();
-    let none = (name, &Value::Nothing);
     // A value of another type is refused by those that are no options of a method.
-    !matches!(AskedRun::default().set(none, (&nothing, 0)), Ok(false))
+    !matches!(AskedRun::default().set(name, &Value::Nothing, &nothing, 0), Ok(false))
 }
 
 /// The file of a run, and when it is read and written.
@@ -232,10 +231,7 @@ fn checkpoint(path: PathBuf, record: &Record) -> Result<Checkpoint, Error> {
 }
 
 /// A value for each of `n` parameters; one that is no list holds for all.
-fn per_parameter<T: DeserializeOwned + Clone>(
-    (name, value): (&str, &Value),
-    n: usize,
-) -> Result<Vec<T>, Error> {
+fn per_parameter<T: DeserializeOwned + Clone>(name: &str, value: &Value, n: usize) -> Result<Vec<T>, Error> {
     let Value::List(values) = value else { return Ok(vec![value.read(name)?; n]) };
     if values.len() != n {
         let message = format!("{name} has {} values for {n} parameters", values.len());

@@ -233,7 +233,7 @@ impl Algebraic {
             if count == 0 && before <= CONSISTENT {
                 return Ok(Consistency::Holds);
             }
-            match self.search(equations, t, (x, f), before)? {
+            match self.search(equations, t, x, f, before)? {
                 None => break,
                 Some(left) if left <= CONVERGED => return Ok(Consistency::Corrected),
                 Some(_) => {}
@@ -321,7 +321,8 @@ impl Algebraic {
         &mut self,
         equations: &mut Equations<'_, S>,
         t: f64,
-        (x, f): (&mut [f64], &mut [f64]),
+        x: &mut [f64],
+        f: &mut [f64],
         before: f64,
     ) -> CallResult<Option<f64>> {
         let mut damping = 1.0;

@@ -49,7 +49,8 @@ pub(crate) fn series<'py, 'a>(
 pub(crate) fn kind(
     given: CostFields,
     calibration: &Calibration,
-    (stop, raised): (Arc<EndRequest>, Raised),
+    stop: Arc<EndRequest>,
+    raised: Raised,
 ) -> PyResult<CostKind> {
     let CostFields { name, function, gives_residuals } = given;
     let Some(function) = function else {

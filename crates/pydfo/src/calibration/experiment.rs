@@ -133,7 +133,8 @@ impl ExperimentFields {
     pub(crate) fn resolve(
         &mut self,
         py: Python<'_>,
-        (fmu, parameters): (&fmi::Fmu, &[Parameter]),
+        fmu: &fmi::Fmu,
+        parameters: &[Parameter],
         callbacks: &mut Callbacks,
     ) -> PyResult<Resolved> {
         let of_parameter = |name: &str| parameters.iter().any(|p| p.is_local() && p.name() == name);

@@ -221,7 +221,7 @@ impl PyCalibration {
             let name = || experiment.name.clone().unwrap_or_else(|| Experiment::default_name(k));
             let name = (!is_one).then(name);
             let resolved =
-                experiment.resolve(py, (&fmu, &parameters), &mut callbacks).map_err(|e| match &name {
+                experiment.resolve(py, &fmu, &parameters, &mut callbacks).map_err(|e| match &name {
                     Some(name) => {
                         let message = format!("{name}: {}", e.value(py));
                         error::reworded(py, e, message)
@@ -449,7 +449,7 @@ impl PyCalibration {
         let stop = Arc::clone(watch.stop());
         let tick = observer.as_ref().and_then(|observer| observer.getattr(py, "tick").ok());
         let of_objective = cost::Raised::default();
-        let kind = |given| cost::kind(given, &self.inner, (Arc::clone(&stop), Arc::clone(&of_objective)));
+        let kind = |given| cost::kind(given, &self.inner, Arc::clone(&stop), Arc::clone(&of_objective));
         let objective = objective.map(kind).transpose()?.unwrap_or_default();
         let engine = engine.map(|engine| PyEngine::new(engine.bind(py), Arc::clone(&stop))).transpose()?;
         let listener = observer.map(|function| Arc::new(Listener::new(function, false)));

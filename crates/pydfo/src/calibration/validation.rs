@@ -24,10 +24,10 @@ fn experiments(
     callbacks: &mut Callbacks,
 ) -> PyResult<Vec<Experiment>> {
     let is_one = given.len() == 1;
-    let of = (calibration.inner.fmu(), &calibration.inner.problem().parameters[..]);
+    let (fmu, parameters) = (calibration.inner.fmu(), &calibration.inner.problem().parameters);
     let made = |(k, mut fields): (usize, ExperimentFields)| {
         let name = fields.name.clone().unwrap_or_else(|| Experiment::default_name(k));
-        let resolved = fields.resolve(py, of, callbacks)?;
+        let resolved = fields.resolve(py, fmu, parameters, callbacks)?;
         let watch = Watch::without_handler(py);
         let made = watch.run_here(|context| fields.experiment(resolved, context));
         if let Err(CalibrationError::Cancelled) = made {

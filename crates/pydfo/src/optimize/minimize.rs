@@ -88,7 +88,7 @@ pub(crate) fn minimize<'py>(
     let setup = RunSetup::new(x0, lower, upper, asked);
     let watch = Watch::new(py)?;
     let stop = Arc::clone(watch.stop());
-    let objective = Arc::new(PyObjective::new(func, (tolerant, cutoffs), loss, Arc::clone(&stop)));
+    let objective = Arc::new(PyObjective::new(func, tolerant, cutoffs, loss, Arc::clone(&stop)));
     let listener = observer.map(|function| Arc::new(Listener::new(function, detail)));
     let outcome = if alone || batches {
         let mut notify = |progress: &Progress<'_>| match &listener {

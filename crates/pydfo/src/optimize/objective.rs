@@ -29,7 +29,8 @@ pub(crate) struct PyObjective {
 impl PyObjective {
     pub(crate) fn new(
         function: Py<PyAny>,
-        (tolerant, takes_cutoff): (bool, bool),
+        tolerant: bool,
+        takes_cutoff: bool,
         loss: Option<RobustLoss>,
         stop: Arc<EndRequest>,
     ) -> Self {

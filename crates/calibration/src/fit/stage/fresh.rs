@@ -100,7 +100,7 @@ impl Repeated<'_> {
         let mut residuals = vec![0.0; self.calibration.n_residuals()];
         let method = self.calibration.method(context).ok()?;
         let (asked, mut stats) = ((None, process), Stats::default());
-        let found = self.remote.evaluate((&self.best.x, method), rule, asked, &mut residuals, &mut stats);
+        let found = self.remote.evaluate(&self.best.x, method, rule, asked, &mut residuals, &mut stats);
         let n_simulations = self.calibration.problem().experiments.len() as u64;
         *self.taken.lock().unwrap_or_else(PoisonError::into_inner) += stats.as_checks(n_simulations);
         match found {

@@ -211,8 +211,8 @@ impl Calibration {
         let at_end = ends.end.as_ref().filter(|_| job.is_whole && is_at_end(&searched.report.termination));
         if let Some(end) = at_end.filter(|end| !self.is_within_tolerance(sum_of_squares(&end.residuals))) {
             let names = self.problem().experiment_names();
-            let of_checks = (None, &job.context);
-            let checks = ResidualCheck::all(self.residual_layout(), &names, &end.residuals, of_checks);
+            let checks =
+                ResidualCheck::all(self.residual_layout(), &names, &end.residuals, None, &job.context);
             // A search whose time is up has no findings.
             let checks = checks.unwrap_or_default();
             let has_loss = !job.loss.is_linear() || matches!(job.objective, CostKind::Named(NamedCost::Mae));

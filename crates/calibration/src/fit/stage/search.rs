@@ -89,7 +89,7 @@ impl Objective for Counted<'_> {
     fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
         if !self.know(x, answer) {
             let mut stats = Stats::default();
-            self.calibration.evaluate_counted(x, (&self.asked(query), self.loss), answer, &mut stats);
+            self.calibration.evaluate_counted(x, &self.asked(query), self.loss, answer, &mut stats);
             self.count(stats);
         }
         self.finish(x, query.want, answer);

@@ -28,7 +28,8 @@ pub(super) fn mark(
     residuals: &[f64],
     n: usize,
     jacobian: &DMatrix<f64>,
-    (independent, context): (&[OfIndependent], &RunContext<'_>),
+    independent: &[OfIndependent],
+    context: &RunContext<'_>,
 ) -> Result<(), CalibrationError> {
     let p = jacobian.ncols();
     let mut variables: Vec<(String, Vec<usize>)> = Vec::new();
@@ -155,9 +156,9 @@ mod tests {
         };
         let layout = ResidualLayout { outputs: vec![output(0), output(1)], priors: Vec::new() };
         let mut checks =
-            ResidualCheck::all(&layout, &["run1".to_owned()], r.as_slice(), (None, &RunContext::new()))
+            ResidualCheck::all(&layout, &["run1".to_owned()], r.as_slice(), None, &RunContext::new())
                 .unwrap();
-        mark(&mut checks, r.as_slice(), 2 * n, &j, (&[], &RunContext::new())).unwrap();
+        mark(&mut checks, r.as_slice(), 2 * n, &j, &[], &RunContext::new()).unwrap();
         checks
     }
 

@@ -38,19 +38,26 @@ struct Candidate {
     size: f64,
 }
 
+/// A point whose residuals are known.
+pub(super) struct AtPoint<'a> {
+    pub(super) x: &'a [f64],
+    pub(super) residuals: &'a [f64],
+    /// Their variances.
+    pub(super) variances: &'a [f64],
+}
+
 impl Calibration {
     /// The changes of the residuals at a point by each of them, for a size of one; those that cannot be set
-    /// are left out. `variances`: of the residuals.
+    /// are left out.
     ///
     /// # Errors
     /// [`CalibrationError::Cancelled`].
     pub(super) fn changes_by_candidates(
         &self,
-        (x, residuals, variances): (&[f64], &[f64], &[f64]),
+        at: &AtPoint<'_>,
         simulations: &mut Simulations<'_>,
     ) -> Result<Vec<Change>, CalibrationError> {
         let candidates = self.candidates();
-        let at = (x, residuals, variances);
         if let Some(all) = self.changes_by(&candidates, at, simulations)? {
             return Ok(all);
         }
@@ -118,12 +125,13 @@ impl Calibration {
     fn changes_by(
         &self,
         candidates: &[Candidate],
-        (x, residuals, variances): (&[f64], &[f64], &[f64]),
+        at: &AtPoint<'_>,
         simulations: &mut Simulations<'_>,
     ) -> Result<Option<Vec<Change>>, CalibrationError> {
         if candidates.is_empty() {
             return Ok(Some(Vec::new()));
         }
+        let AtPoint { x, residuals, variances } = *at;
         let derived = self
             .problem_with(candidates)
             .elements()

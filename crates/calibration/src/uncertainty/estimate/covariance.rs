@@ -79,7 +79,8 @@ impl Noise {
         working: &Working,
         groups: &[Vec<usize>],
         base: &DMatrix<f64>,
-        (p, context): (usize, &RunContext<'_>),
+        p: usize,
+        context: &RunContext<'_>,
     ) -> Result<Self, CalibrationError> {
         let n = working.residuals.len();
         let degrees_of_freedom = n.saturating_sub(p);
@@ -265,8 +266,7 @@ mod tests {
         let criterion = Criterion::default();
         let groups = groups(layout, residuals, estimator, criterion);
         let working = Working::new(criterion, layout, residuals, &groups, base.ncols());
-        Noise::estimate(layout, residuals, &working, &groups, base, (base.ncols(), &RunContext::new()))
-            .unwrap()
+        Noise::estimate(layout, residuals, &working, &groups, base, base.ncols(), &RunContext::new()).unwrap()
     }
 
     fn factors(differences: &Differences) -> Factors {

@@ -188,7 +188,7 @@ impl Differences {
         let mut round = 0;
         loop {
             round += 1;
-            let steps = principal_steps(center, &guess, (deviation, noise), &simulations.context)?;
+            let steps = principal_steps(center, &guess, deviation, noise, &simulations.context)?;
             let columns: Vec<DVector<f64>> = steps.iter().map(|(s, _)| &s.direction * s.length).collect();
             let predicted = product(&guess, &DMatrix::from_columns(&columns), &simulations.context)?;
             let predicted: Vec<f64> = predicted.column_iter().map(|change| change.norm()).collect();
@@ -326,7 +326,8 @@ fn first_reason(found: &[Found]) -> Option<String> {
 fn principal_steps(
     center: &Center<'_>,
     jacobian: &DMatrix<f64>,
-    (deviation, noise): (f64, f64),
+    deviation: f64,
+    noise: f64,
     context: &RunContext<'_>,
 ) -> Result<Vec<(Step, bool)>, CalibrationError> {
     let p = center.free.len();

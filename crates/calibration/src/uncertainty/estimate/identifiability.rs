@@ -153,8 +153,10 @@ impl Uncertainty {
     pub(super) fn find_identifiable(
         &mut self,
         jacobian: &DMatrix<f64>,
-        (noise, of_changes): (&Noise, f64),
-        (free, sizes): (&[usize], &[f64]),
+        noise: &Noise,
+        of_changes: f64,
+        free: &[usize],
+        sizes: &[f64],
         context: &RunContext<'_>,
     ) -> Result<(), CalibrationError> {
         if noise.degrees_of_freedom == 0 {

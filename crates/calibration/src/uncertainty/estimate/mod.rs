@@ -29,6 +29,7 @@ use crate::uncertainty::active_bounds::{AT, inner};
 use crate::uncertainty::tall::{along, go_on, triangle};
 use autocorrelation::Dependence;
 use base::RunContext;
+use candidates::AtPoint;
 use chance::OfIndependent;
 pub(crate) use chance::{MEDIAN_DEVIATION, median};
 use covariance::{Factors, Noise, groups};
@@ -283,8 +284,8 @@ impl Calibration {
         let differences_noise = differences.noise;
         let differences = differences.weighted(&working.roots);
         let factors = Factors::new(&differences, context)?;
-        let of_free = (free.len(), context);
-        let noise = Noise::estimate(layout, residuals, &working, &outputs, &factors.base, of_free)?;
+        let noise =
+            Noise::estimate(layout, residuals, &working, &outputs, &factors.base, free.len(), context)?;
         let independent = noise.of_independent(layout, &factors.base, context)?;
         let mut by_starts = self.changes_by_measured_starts(x, residuals, &noise.variances, simulations)?;
         by_starts.iter_mut().for_each(|column| {
@@ -324,7 +325,8 @@ impl Calibration {
             layout,
             &self.problem().experiment_names(),
             residuals,
-            (Some(&independent), context),
+            Some(&independent),
+            context,
         )?;
         for (check, output) in residual_checks.iter_mut().zip(&layout.outputs) {
             let mean = |change: &DVector<f64>| change.rows_range(output.range.clone()).mean();
@@ -380,7 +382,7 @@ impl Calibration {
         let triangle = triangle(&jacobian, std::slice::from_ref(&(0..residuals.len())), context)?;
         uncertainty.find_weakest(&triangle, &free);
         let weighted = differences.jacobian(context)?;
-        uncertainty.find_identifiable(&weighted, (noise, differences.noise), (&free, &sizes), context)?;
+        uncertainty.find_identifiable(&weighted, noise, differences.noise, &free, &sizes, context)?;
         let of_fit = OfFit {
             jacobian: &jacobian,
             base: &factors.base,
@@ -449,7 +451,7 @@ impl Calibration {
         let is_minimum = uncertainty.left_to_gain == 0.0;
         if is_minimum {
             let (checks, n) = (&mut uncertainty.residual_checks, layout.n_measurements());
-            by_weights::mark(checks, &uncertainty.residuals, n, jacobian, (independent, context))?;
+            by_weights::mark(checks, &uncertainty.residuals, n, jacobian, independent, context)?;
         }
         if is_minimum && !uncertainty.is_exact && of_fit.questions_known {
             uncertainty.omitted = self.omitted(uncertainty, of_fit, simulations)?;
@@ -460,15 +462,16 @@ impl Calibration {
         let (residuals, before) = (&uncertainty.residuals, unmodelled::left(&uncertainty.residuals, base));
         for (check, output) in uncertainty.residual_checks.iter_mut().zip(&layout.outputs) {
             if check.is_systematic() && !check.is_by_weights {
-                check.unmodelled = Unmodelled::find(output, (residuals, &before), base, context)?;
+                check.unmodelled = Unmodelled::find(output, residuals, &before, base, context)?;
             }
         }
         if is_minimum && !uncertainty.residual_checks.iter().any(ResidualCheck::is_systematic) {
             let Uncertainty { residuals, autocorrelations, x, is_log, .. } = &*uncertainty;
             let with_noise = WithNoise { values: residuals, variances, autocorrelations };
             let parameters = FreeParameters { free, x, is_log, inverse: inverse.clone() };
-            let (checks, changes) = (&uncertainty.residual_checks, (base, by_starts));
-            let found = PartConflict::find(layout, checks, &with_noise, changes, parameters, context)?;
+            let checks = &uncertainty.residual_checks;
+            let found =
+                PartConflict::find(layout, checks, &with_noise, base, by_starts, parameters, context)?;
             uncertainty.part_conflict = found;
         }
         Ok(())
@@ -487,7 +490,8 @@ impl Calibration {
         let is_systematic = residual_checks.iter().any(ResidualCheck::is_systematic);
         let plain: Vec<f64> =
             variances.iter().zip(&working.roots).map(|(v, root)| v / (root * root)).collect();
-        let mut changes = self.changes_by_candidates((x, residuals, &plain), simulations)?;
+        let mut changes =
+            self.changes_by_candidates(&AtPoint { x, residuals, variances: &plain }, simulations)?;
         let errors: Vec<f64> = uncertainty.errors_of_search().collect();
         changes.extend(of_outputs(layout, residuals));
         let none = vec![0.0; autocorrelations.len()];

@@ -148,7 +148,8 @@ impl PartConflict {
         layout: &ResidualLayout,
         checks: &[ResidualCheck],
         residuals: &WithNoise<'_>,
-        (base, by_starts): (&DMatrix<f64>, &[DVector<f64>]),
+        base: &DMatrix<f64>,
+        by_starts: &[DVector<f64>],
         mut parameters: FreeParameters<'_>,
         context: &RunContext<'_>,
     ) -> Result<Option<Self>, CalibrationError> {
@@ -338,8 +339,9 @@ mod tests {
             let base = DMatrix::from_fn(2 * n, 4, changes).qr().q();
             let sd = |i: usize| if i < n { 1.0 } else { 3.0 };
             let by_half = |i: usize| if t(i) < 0.5 { 1.0 } else { 1.5 };
-            let none = (None, &RunContext::new());
-            let checks = ResidualCheck::all(&layout, &["a".to_owned()], &vec![0.0; 2 * n], none).unwrap();
+            let checks =
+                ResidualCheck::all(&layout, &["a".to_owned()], &vec![0.0; 2 * n], None, &RunContext::new())
+                    .unwrap();
             let variances: Vec<f64> = (0..2 * n).map(|i| (sd(i) * 1.27_f64).powi(2)).collect();
             let found = |errors: &[f64]| {
                 let errors = DVector::from_column_slice(errors);
@@ -353,7 +355,7 @@ mod tests {
                     autocorrelations: &[0.0, 0.0],
                 };
                 let context = RunContext::new();
-                PartConflict::find(&layout, &checks, &residuals, (&base, &[]), parameters, &context).unwrap()
+                PartConflict::find(&layout, &checks, &residuals, &base, &[], parameters, &context).unwrap()
             };
             let noise = |state: &mut u64| -> Vec<f64> {
                 let own = normal_numbers(2 * n, state);

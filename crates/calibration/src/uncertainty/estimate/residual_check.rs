@@ -93,7 +93,8 @@ impl ResidualCheck {
         layout: &ResidualLayout,
         names: &[String],
         residuals: &[f64],
-        (independent, context): (Option<&[OfIndependent]>, &RunContext<'_>),
+        independent: Option<&[OfIndependent]>,
+        context: &RunContext<'_>,
     ) -> Result<Vec<Self>, CalibrationError> {
         let check = |(k, output): (usize, &OutputResiduals)| {
             go_on(context)?;
@@ -382,7 +383,7 @@ mod tests {
             weights: vec![1.0; 400].into(),
         };
         let layout = ResidualLayout { outputs: vec![output], priors: Vec::new() };
-        let checks = ResidualCheck::all(&layout, &["a".to_owned()], &r, (None, &RunContext::new()));
+        let checks = ResidualCheck::all(&layout, &["a".to_owned()], &r, None, &RunContext::new());
         let mut check = checks.unwrap().remove(0);
         assert!(check.has_offset());
         check.mean_by_starts = 0.2;

@@ -113,7 +113,8 @@ impl Unmodelled {
     /// [`CalibrationError::Cancelled`].
     pub(super) fn find(
         output: &OutputResiduals,
-        (residuals, before): (&[f64], &DVector<f64>),
+        residuals: &[f64],
+        before: &DVector<f64>,
         base: &DMatrix<f64>,
         context: &RunContext<'_>,
     ) -> Result<Option<Self>, CalibrationError> {
@@ -204,7 +205,7 @@ mod tests {
                 weights: vec![2.0; t.len()].into(),
             };
             let found =
-                Unmodelled::find(&output, (&residuals, &left(&residuals, &base)), &base, &RunContext::new())
+                Unmodelled::find(&output, &residuals, &left(&residuals, &base), &base, &RunContext::new())
                     .unwrap()
                     .unwrap();
             assert!(found.kind == kind && (found.size - size).abs() < 0.1 * size, "{found:?}");

@@ -39,6 +39,18 @@ pub(super) struct Interpolation {
 /// A point of the set: where it lies, and its residuals.
 pub(super) type Place<'a> = (&'a [f64], &'a [f64]);
 
+/// A point that comes into the set.
+pub(super) struct NewPoint<'a> {
+    /// The step to it from the base point.
+    pub(super) step: &'a [f64],
+    /// Values of the Lagrange polynomials there.
+    pub(super) lagrange: &'a [f64],
+    /// Its residuals.
+    pub(super) residuals: &'a [f64],
+    /// How far these are off the model.
+    pub(super) misfit: &'a [f64],
+}
+
 impl Interpolation {
     /// Interpolates; `None` where the points lie in a plane up to rounding. The context is looked at now and
     /// then where there are many residuals.
@@ -130,17 +142,16 @@ impl Interpolation {
         }
     }
 
-    /// Takes a new point into the set in the place of another. `residuals`: of the points of the set;
-    /// `misfit`: how far those of the new point are off the model. False where the factors would not be
-    /// accurate any more: then the model is to be made again.
+    /// Takes a new point into the set in the place of another. `residuals`: of the points of the set. False
+    /// where the factors would not be accurate any more: then the model is to be made again.
     pub(super) fn exchange(
         &mut self,
         place: usize,
-        (step, lagrange): (&[f64], &[f64]),
+        new: &NewPoint<'_>,
         residuals: &[&[f64]],
-        (new, misfit): (&[f64], &[f64]),
         is_better: bool,
     ) -> bool {
+        let NewPoint { step, lagrange, residuals: new, misfit } = *new;
         let n = self.n();
         let of_place = lagrange[place];
         let gradient: Vec<f64> = self.gradient(place).iter().map(|g| g / of_place).collect();
@@ -186,7 +197,7 @@ impl Interpolation {
             let tau = if rho > 0.0 { (along / rho).clamp(-most, most) } else { 0.0 };
             let Linear { factor, reached } = std::mem::replace(&mut self.linear, Linear::nothing());
             let mut triangle = Triangle { factor, reached };
-            triangle.change(&w, (rho, tau), (&gradient, gamma));
+            triangle.change(&w, rho, tau, &gradient, gamma);
             self.linear = Linear { factor: triangle.factor, reached: triangle.reached };
         } else {
             let e = DVector::from_column_slice(misfit);
@@ -356,8 +367,8 @@ mod tests {
                 let known: Vec<&[f64]> = values.iter().map(Vec::as_slice).collect();
                 let mut misfit = difference(&of_new, &values[base]);
                 combine(&mut misfit, &known, &values[base], &lagrange);
-                let (values_at, of) = ((&step[..], &lagrange[..]), (&of_new[..], &misfit[..]));
-                let is_accurate = model.exchange(place, values_at, &known, of, turn % 3 == 0);
+                let of = NewPoint { step: &step, lagrange: &lagrange, residuals: &of_new, misfit: &misfit };
+                let is_accurate = model.exchange(place, &of, &known, turn % 3 == 0);
                 (places[place], values[place]) = (new, of_new);
                 let again = fresh(&places, &values, if turn % 3 == 0 { place } else { model.base });
                 if !is_accurate {

@@ -574,7 +574,7 @@ impl Method for LeastSquaresState {
     fn linear_model(&self, context: &RunContext<'_>) -> Option<LinearModel> {
         let best = self.points.iter().min_by(|a, b| a.cost.total_cmp(&b.cost))?;
         let points = self.points.iter().map(|p| (&p.z[..], &p.residuals[..]));
-        LinearModel::regression(&self.setup.space, (&best.x, &best.z, &best.residuals), points, context)
+        LinearModel::regression(&self.setup.space, &best.x, &best.z, &best.residuals, points, context)
     }
 
     fn save(&self) -> Option<Vec<u8>> {

@@ -328,7 +328,7 @@ fn on_the_ball(a: DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> {
 
 /// The point of a ball and a box where `|g s|` is largest: along `g` or against it, coordinates that reach
 /// their bounds set there. `other`: on the other side.
-pub(super) fn longest(g: &[f64], radius: f64, (lower, upper): (&[f64], &[f64]), other: bool) -> Vec<f64> {
+pub(super) fn longest(g: &[f64], radius: f64, lower: &[f64], upper: &[f64], other: bool) -> Vec<f64> {
     let along = |sign: f64| {
         let mut step = vec![0.0; g.len()];
         let mut free: Vec<usize> = (0..g.len()).filter(|&k| g[k] != 0.0).collect();

@@ -59,7 +59,7 @@ impl Triangle {
 
     /// Becomes the factor of `J + e g'` and `r + gamma e`: `e = Q w + rho q` with a direction `q` outside of
     /// `Q`, along which `r` has the part `tau`.
-    pub(super) fn change(&mut self, w: &[f64], (rho, tau): (f64, f64), (g, gamma): (&[f64], f64)) {
+    pub(super) fn change(&mut self, w: &[f64], rho: f64, tau: f64, g: &[f64], gamma: f64) {
         let n = w.len();
         let mut up = vec![(1.0, 0.0); n];
         let mut top = rho;
@@ -206,7 +206,7 @@ mod tests {
             let w = DVector::from_vec(w);
             let rho = (e.norm_squared() - w.norm_squared()).sqrt();
             let tau = (e.dot(&r) - w.dot(&triangle.reached)) / rho;
-            triangle.change(w.as_slice(), (rho, tau), (g.as_slice(), gamma));
+            triangle.change(w.as_slice(), rho, tau, g.as_slice(), gamma);
             j += &e * g.transpose();
             r += gamma * &e;
             assert!((0..n).all(|k| (k + 1..n).all(|i| triangle.factor[(i, k)] == 0.0)));

@@ -1,7 +1,7 @@
 //! Steps on interpolation models: the next points from the model, and radius, resolution and set from what
 //! they gave.
 
-use super::interpolation::{Interpolation, Place, combine};
+use super::interpolation::{Interpolation, NewPoint, Place, combine};
 use super::points::{Evaluated, Selection, difference, distance, dot, norm, sum};
 use super::state::{Candidate, Known, LeastSquaresState, Phase, Role};
 use super::subproblem::{Cancelled, Linear, Subproblem, longest, smallest_singular_value};
@@ -150,7 +150,7 @@ impl LeastSquaresState {
             }
             let z = self.points[base].z.clone();
             let (lower, upper) = self.space_around(&z);
-            let (step, predicted) = self.best_step(&z, &model.linear, self.delta, (&lower, &upper));
+            let (step, predicted) = self.best_step(&z, &model.linear, self.delta, &lower, &upper);
             let length = norm(&step);
             let mut tests = self.judge(self.rho.max(length), predicted, f);
             if !tests.x_passed && self.judge(length, predicted, f).x_passed {
@@ -161,8 +161,7 @@ impl LeastSquaresState {
             if tests.passed && (length >= 0.9 * self.delta || !self.failed.is_empty()) {
                 // What the radius and failed points keep away counts, too.
                 let radius = self.options.radius.max(self.delta);
-                tests =
-                    self.judge(self.rho, self.best_step(&z, &model.linear, radius, (&lower, &upper)).1, f);
+                tests = self.judge(self.rho, self.best_step(&z, &model.linear, radius, &lower, &upper).1, f);
                 recedes = tests.passed && self.recedes(base, &model.linear, FAR);
                 if tests.passed {
                     let (lower, upper) = (&lower[..], &upper[..]);
@@ -190,7 +189,7 @@ impl LeastSquaresState {
                 let (x_size, gain) = self.uncertainty(base, &model.linear, length, predicted);
                 let may_pass = self.setup.tolerances.x_tol > 0.0 && !tests.x_passed;
                 if !may_pass
-                    && (gain <= rounding || self.is_flat(&z, &model.linear, rounding, (&lower, &upper)))
+                    && (gain <= rounding || self.is_flat(&z, &model.linear, rounding, &lower, &upper))
                 {
                     self.phase = Phase::Ended(Termination::Collapsed);
                     continue;
@@ -251,7 +250,7 @@ impl LeastSquaresState {
         let z = &self.points[base].z;
         let (lower, upper) = self.space_around(z);
         let way = norm(z);
-        let (step, _) = self.best_step(z, linear, ONWARD * way, (&lower, &upper));
+        let (step, _) = self.best_step(z, linear, ONWARD * way, &lower, &upper);
         let along = dot(&step, z) / way;
         way >= far * self.options.radius && along >= 0.99 * ONWARD * way
     }
@@ -279,7 +278,7 @@ impl LeastSquaresState {
         let n_radii = if more >= n { (more - n).min(RADII.len() - 1) } else { more / 3 };
         let unit = if length < 0.99 * self.delta { length } else { self.delta };
         for radius in RADII[1..=n_radii].iter().map(|share| share * unit) {
-            let (other, predicted) = self.best_step(z, linear, radius, (&lower, &upper));
+            let (other, predicted) = self.best_step(z, linear, radius, &lower, &upper);
             if predicted > 0.0 && distance(&other, step) > 0.05 * norm(&other) {
                 self.ask_for(sum(z, &other), Role::Trial { predicted, radius });
             }
@@ -323,9 +322,9 @@ impl LeastSquaresState {
 
     /// True if the cost differs by no more than its rounding over all the resolution, and the model promises
     /// no more farther away.
-    fn is_flat(&self, z: &[f64], linear: &Linear, rounding: f64, (lower, upper): (&[f64], &[f64])) -> bool {
+    fn is_flat(&self, z: &[f64], linear: &Linear, rounding: f64, lower: &[f64], upper: &[f64]) -> bool {
         linear.factor.norm_squared() * self.rho * self.rho <= rounding
-            && self.best_step(z, linear, self.options.radius.max(self.delta), (lower, upper)).1 <= rounding
+            && self.best_step(z, linear, self.options.radius.max(self.delta), lower, upper).1 <= rounding
     }
 
     /// A smaller resolution: a tenth, or the distance at which the minimum may lie where that is less; near
@@ -350,7 +349,7 @@ impl LeastSquaresState {
         let z = self.points[base].z.clone();
         let (lower, upper) = self.space_around(&z);
         let place = self.set.iter().position(|k| *k == point).unwrap_or(0);
-        let step = longest(model.gradient(place), radius, (&lower, &upper), self.n_geometry_failed % 2 == 1);
+        let step = longest(model.gradient(place), radius, &lower, &upper, self.n_geometry_failed % 2 == 1);
         self.ask_for(sum(&z, &step), Role::Geometry { instead: point });
     }
 
@@ -365,7 +364,7 @@ impl LeastSquaresState {
                         let step = difference(&self.points[new].z, &self.points[base].z);
                         let lagrange = model.lagrange(&step);
                         let misfit = self.misfit(base, new, &lagrange);
-                        self.follow(&mut model, place, new, (&step, &lagrange, &misfit)).then_some(model)
+                        self.follow(&mut model, place, new, &step, &lagrange, &misfit).then_some(model)
                     });
                     self.set[place] = new;
                 }
@@ -452,7 +451,7 @@ impl LeastSquaresState {
                 && self.set.len() == self.n() + 1
                 && let Some(place) = self.replaced(base, k, &lagrange)
             {
-                let is_accurate = self.follow(&mut model, place, k, (&step, &lagrange, &off));
+                let is_accurate = self.follow(&mut model, place, k, &step, &lagrange, &off);
                 self.model = is_accurate.then_some(model);
                 self.set[place] = k;
             }
@@ -510,11 +509,13 @@ impl LeastSquaresState {
         model: &mut Interpolation,
         place: usize,
         new: usize,
-        (step, lagrange, misfit): (&[f64], &[f64], &[f64]),
+        step: &[f64],
+        lagrange: &[f64],
+        misfit: &[f64],
     ) -> bool {
         let is_better = self.points[new].cost < self.points[self.set[model.base]].cost;
-        let new = &self.points[new].residuals;
-        model.exchange(place, (step, lagrange), &self.residuals_of_set(), (new, misfit), is_better)
+        let new = NewPoint { step, lagrange, residuals: &self.points[new].residuals, misfit };
+        model.exchange(place, &new, &self.residuals_of_set(), is_better)
     }
 
     /// The place of the point that a new one takes: one that lies far away, or that the new one tells most
@@ -538,7 +539,8 @@ impl LeastSquaresState {
         z: &[f64],
         linear: &Linear,
         radius: f64,
-        (lower, upper): (&[f64], &[f64]),
+        lower: &[f64],
+        upper: &[f64],
     ) -> (Vec<f64>, f64) {
         let best = Subproblem { linear, radius, lower, upper }.solve();
         if self.failed.is_empty() {

@@ -137,7 +137,8 @@ fn from_steps(space: &Space, steps: &[f64]) -> RankedPoints {
 
 /// `u + step` if that is in the bounds, else `u - step`, else the bound that is farther away; without two
 /// bounds the next that can be seen beside `u`.
-pub(super) fn stepped(u: f64, step: f64, (lower, upper): (f64, f64)) -> f64 {
+pub(super) fn stepped(u: f64, step: f64, bounds: (f64, f64)) -> f64 {
+    let (lower, upper) = bounds;
     let good = |v: &f64| lower <= *v && *v <= upper && v.is_finite() && *v != u;
     if let Some(found) = [u + step, u - step].into_iter().find(good) {
         return found;

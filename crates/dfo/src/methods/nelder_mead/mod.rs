@@ -72,8 +72,7 @@ impl MethodOptions for NelderMead {
         simplex.rewrite(&setup.space);
         let unknown = (0..setup.space.n_free()).any(|k| setup.space.size_is_unknown(k));
         let sizing = unknown && self.initial == InitialSimplex::Auto;
-        let restarts = (self.restarts, sizing);
-        Ok(NelderMeadState::new(setup, self.batch, numbers, self.bounds, simplex, restarts))
+        Ok(NelderMeadState::new(setup, self.batch, numbers, self.bounds, simplex, self.restarts, sizing))
     }
 
     fn describe(&self) -> Vec<(String, String)> {

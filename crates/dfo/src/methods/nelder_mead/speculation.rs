@@ -100,8 +100,10 @@ impl Speculation {
     pub(super) fn look(
         &mut self,
         problem: &Problem<'_>,
-        (trial, placed): (Trial, &[TrialPoint; 4]),
-        (wanted, known): (usize, Known<'_>),
+        trial: Trial,
+        placed: &[TrialPoint; 4],
+        wanted: usize,
+        known: Known<'_>,
         mut found: impl FnMut(&[f64], bool),
     ) {
         let space = problem.space;

@@ -110,7 +110,8 @@ impl NelderMeadState {
         numbers: CoefficientValues,
         handling: BoundsHandling,
         simplex: RankedPoints,
-        (restarts, sizing): (usize, bool),
+        restarts: usize,
+        sizing: bool,
     ) -> Self {
         let (n, n_user) = (setup.space.n_free(), setup.space.n());
         let trial = || TrialPoint::new(n, n_user);
@@ -272,14 +273,9 @@ impl Method for NelderMeadState {
         let best = best.filter(|_| cutoff.is_finite()).unwrap_or(f64::INFINITY);
         let Self { speculation, simplex, setup, trials, numbers, handling, .. } = self;
         let problem = Problem { space: &setup.space, handling: *handling, numbers, simplex };
-        speculation.look(
-            &problem,
-            (trial, trials),
-            (wanted, &|x: &[f64]| known.contains(x)),
-            |x, expansion| {
-                batch.push(x, if expansion { best.min(cutoff) } else { cutoff });
-            },
-        );
+        speculation.look(&problem, trial, trials, wanted, &|x: &[f64]| known.contains(x), |x, expansion| {
+            batch.push(x, if expansion { best.min(cutoff) } else { cutoff });
+        });
     }
 
     fn status(&self) -> Status {

@@ -41,7 +41,7 @@ pub(super) fn implied(step: &[f64]) -> usize {
 }
 
 /// What is left of a gradient where the point may not move against it: at a bound.
-fn free(gradient: &[f64], (at_lower, at_upper): (&[bool], &[bool])) -> Vec<f64> {
+fn free(gradient: &[f64], at_lower: &[bool], at_upper: &[bool]) -> Vec<f64> {
     let each = gradient.iter().enumerate();
     let inward = each.map(|(k, g)| if at_lower[k] && *g > 0.0 || at_upper[k] && *g < 0.0 { 0.0 } else { *g });
     inward.collect()
@@ -91,7 +91,7 @@ impl DiscreteGradients {
             for (w, g) in weights.iter().zip(&*gradients) {
                 sum.iter_mut().zip(g).for_each(|(sum, g)| *sum += w * g);
             }
-            free(&sum, bounds)
+            free(&sum, bounds.0, bounds.1)
         };
         let mut shortest = sum(weights);
         for _ in 0..MOST_EXCHANGES {

@@ -233,7 +233,7 @@ impl Inverse {
         for (k, value) in values.iter().enumerate().filter(|(_, value)| **value != 0.0) {
             add(&mut coefficients, *value, self.row(self.n + 1 + k));
         }
-        let mut slope = self.slope(coefficients.split_at(self.n + 1), base);
+        let mut slope = self.slope(&coefficients[..self.n + 1], &coefficients[self.n + 1..], base);
         slope.iter_mut().for_each(|g| *g /= self.scale);
         let weights = coefficients[self.n + 1..].iter().map(|w| w / (self.scale * self.scale));
         (slope, weights.collect())
@@ -244,7 +244,7 @@ impl Inverse {
     }
 
     /// The gradient of a polynomial at `base`, in units of the scale.
-    fn slope(&self, (at_origin, weights): (&[f64], &[f64]), base: &[f64]) -> Vec<f64> {
+    fn slope(&self, at_origin: &[f64], weights: &[f64], base: &[f64]) -> Vec<f64> {
         let mut slope = at_origin[1..].to_vec();
         self.points().zip(weights).for_each(|(y, weight)| add(&mut slope, weight * dot(base, y), y));
         slope
@@ -258,11 +258,12 @@ impl Inverse {
         place: usize,
         from: usize,
         length: f64,
-        (lower, upper): (&[f64], &[f64]),
+        lower: &[f64],
+        upper: &[f64],
     ) -> Vec<f64> {
         let polynomial = self.polynomial(place);
         let base = self.point(from);
-        let slope = self.slope(polynomial, base);
+        let slope = self.slope(polynomial.0, polynomial.1, base);
         let value = |s: &[f64]| {
             let of_weights = self.points().zip(polynomial.1).map(|(y, weight)| weight * dot(y, s).powi(2));
             (dot(&slope, s) / self.scale + 0.5 * of_weights.sum::<f64>() / self.scale.powi(2)).abs()

@@ -157,7 +157,7 @@ impl ModelSearch {
         }
         let radius = (0.1 * far).min(self.delta).max(self.rho);
         let (lower, upper) = self.margins();
-        let s = inverse.far_from_zero(place, from, radius, (&lower, &upper));
+        let s = inverse.far_from_zero(place, from, radius, &lower, &upper);
         if norm(&s) > 0.0 && self.place_trial(&s) {
             self.phase = Phase::Geometry;
             return true;

@@ -163,7 +163,7 @@ impl SizeSearch {
     /// Takes the cost of the point asked for on a line; none if it failed or is above the cutoff.
     pub(crate) fn see(&mut self, space: &Space, number: usize, cost: Option<f64>) {
         let line = &mut self.lines[number];
-        let change = line.change(cost, (self.f_base, self.threshold));
+        let change = line.change(cost, self.f_base, self.threshold);
         let step = cost.map(|cost| Step { exponent: line.exponent, side: line.side, cost });
         line.has_effect |= change != Change::None;
         if let Some(step) = step.filter(|step| step.cost < self.best.as_ref().map_or(self.f_base, |b| b.1)) {
@@ -221,7 +221,7 @@ impl Line {
         base + side * self.length(exponent)
     }
 
-    fn change(&self, cost: Option<f64>, (f_base, threshold): (f64, f64)) -> Change {
+    fn change(&self, cost: Option<f64>, f_base: f64, threshold: f64) -> Change {
         let least = self.best.map_or(f_base, |best| best.cost);
         match cost {
             Some(cost) if cost < least - threshold => Change::Lower,
