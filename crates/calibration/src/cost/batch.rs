@@ -109,10 +109,8 @@ impl Calibration {
     /// True if a cost is that of residuals within ten relative tolerances of the measurements: all error of
     /// the simulations, or nearly so.
     pub(crate) fn is_within_tolerance(&self, cost: f64) -> bool {
-        let weighted = self.residual_layout().outputs.iter().flat_map(|o| o.measured.iter().zip(&o.weights));
-        let measured: f64 = weighted.map(|(y, w)| (y * w) * (y * w)).sum();
         let tolerance = self.relative_tolerance().min(LOOSEST_OF_EXACT);
-        cost <= (10.0 * tolerance).powi(2) * measured
+        cost <= (10.0 * tolerance * self.residual_layout().size_of_measurements()).powi(2)
     }
 
     /// The relative tolerance of its simulations.

@@ -107,72 +107,43 @@ impl Data {
         }
         let text = decode(text);
         let (mut records, delimiter) = Records::new(&text);
-        let (names, expected, line) = header(&mut records).map_err(bad)?;
-        if expected == 0 {
-            return Err(bad("there are no rows".to_owned()));
-        }
-        if names.iter().all(|n| number(n, delimiter).is_some()) {
-            return Err(bad(format!("there is no header: line {line} holds numbers only")));
-        }
+        let (names, expected) = names_of(&mut records, delimiter).map_err(bad)?;
         let mut time_column =
             TimeColumn::find(names.iter().map(String::as_str), request.time).map_err(|message| {
                 let hint = "; there is one column only: columns are separated by commas, semicolons or tabs";
                 bad(if expected == 1 { message + hint } else { message })
             })?;
         let at = time_column.index;
-        let mut is_kept = vec![request.columns.is_none(); names.len()];
-        is_kept[at] = true;
-        for wanted in request.columns.unwrap_or_default() {
-            // One that is not there, or twice, is refused where it is used.
-            if let Ok(index) = find_column(names.iter().map(String::as_str), wanted) {
-                is_kept[index] = true;
-            }
-        }
+        let mut is_kept = kept(&names, at, request.columns);
         // A row has at least a byte per column.
-        let no_memory = || {
-            let source = io::Error::new(io::ErrorKind::OutOfMemory, "there is no memory for its columns");
-            CalibrationError::DataFile { path: PathBuf::from(source_name), source }
-        };
         let (first_row, lines) = (records.clone(), records.n_lines());
         let most_rows = lines.min(records.rest().len() / names.len() + 1);
         let mut columns: Vec<Column> = names.iter().map(|n| Column::new(n.clone(), Vec::new())).collect();
         let mut values: Vec<Vec<f64>> = vec![Vec::new(); names.len()];
         for (values, _) in values.iter_mut().zip(&is_kept).filter(|(_, is_kept)| **is_kept) {
-            values.try_reserve_exact(most_rows).map_err(|_| no_memory())?;
+            values.try_reserve_exact(most_rows).map_err(|_| no_memory(source_name))?;
         }
-        let (mut n_rows, mut dates, mut has_units) = (0, Vec::new(), false);
-        let (mut cells, empty) = (Vec::new(), Cow::Borrowed(""));
+        let (mut n_rows, mut dates, mut has_units, mut cells) = (0, Vec::new(), false, Vec::new());
         while let Some((line, len)) = records.next(&mut cells) {
             if n_rows % ROWS_PER_LOOK == 0 && request.context.is_over() {
                 return Err(CalibrationError::Cancelled);
             }
             // A delimiter at the end of a row or of the header makes an empty cell that belongs to no column.
             if cells.len() > expected || len < names.len() {
-                let hint = match delimiter {
-                    b',' if len == 2 * expected => {
-                        "; numbers with decimal commas need semicolons or tabs between the columns"
-                    }
-                    _ => "",
-                };
-                return Err(bad(format!("line {line} has {len} cells, the header has {expected}{hint}")));
+                return Err(bad(uneven(line, len, expected, delimiter)));
             }
-            if n_rows == 0
-                && !has_units
-                && let Some(units) = line_of_units(&cells, at)
-            {
+            let units = (n_rows == 0 && !has_units).then(|| line_of_units(&cells, at)).flatten();
+            if let Some(units) = units {
                 has_units = true;
-                for (column, unit) in columns.iter_mut().zip(units) {
-                    column.unit = unit;
-                }
-                let (name, unit) = (&names[at], &columns[at].unit);
-                if let Some(unit) = unit {
-                    time_column.unit = time_unit(name, unit).map_err(bad)?;
+                columns.iter_mut().zip(units).for_each(|(column, unit)| column.unit = unit);
+                if let Some(unit) = &columns[at].unit {
+                    time_column.unit = time_unit(&names[at], unit).map_err(bad)?;
                 }
                 continue;
             }
             n_rows += 1;
-            let row = cells.iter().chain(std::iter::repeat(&empty));
-            for (k, (column, cell)) in columns.iter_mut().zip(row).enumerate() {
+            for (k, column) in columns.iter_mut().enumerate() {
+                let cell = cells.get(k).map_or("", |cell: &Cow<'_, str>| cell);
                 // Where commas separate, no number has one, and other columns say nothing about those that are kept.
                 if is_kept[k] {
                     let value = column.note(cell, line, delimiter);
@@ -181,19 +152,16 @@ impl Data {
                     column.note(cell, line, delimiter);
                 }
             }
-            if columns[at].text.is_some()
-                && let Some(cell) = cells.get_mut(at).filter(|cell| number(cell, delimiter).is_none())
-            {
-                dates.push(std::mem::take(cell));
-            }
+            let date = columns[at].text.is_some().then(|| cells.get_mut(at)).flatten();
+            dates.extend(date.filter(|date| number(date, delimiter).is_none()).map(std::mem::take));
         }
         if n_rows == 0 {
             return Err(bad("there are no rows".to_owned()));
         }
         // What is kept on request is used.
-        let is_used = |k: usize| k == at || (is_kept[k] && request.columns.is_some());
-        let mut used = columns.iter().enumerate().filter(|(k, _)| is_used(*k));
-        if let Some(message) = used.find_map(|(_, column)| mixed_decimal_signs(&columns, column)) {
+        let is_used = |k: &usize| *k == at || (is_kept[*k] && request.columns.is_some());
+        let mixed = |k: usize| mixed_decimal_signs(&columns, &columns[k]);
+        if let Some(message) = (0..columns.len()).filter(is_used).find_map(mixed) {
             return Err(bad(message));
         }
         let line_of = |row: usize| {
@@ -228,6 +196,45 @@ impl Data {
         let data = Self::new(source_name.to_owned(), time.name, times, columns, place)?;
         Ok(data.left_out(others.into_iter().map(|column| column.name)).with_clock_change(clock_change))
     }
+}
+
+/// The names in the header, and the number of cells of a row.
+fn names_of(records: &mut Records<'_>, delimiter: u8) -> Result<(Vec<String>, usize), String> {
+    let (names, expected, line) = header(records)?;
+    match names.iter().all(|name| number(name, delimiter).is_some()) {
+        _ if expected == 0 => Err("there are no rows".to_owned()),
+        true => Err(format!("there is no header: line {line} holds numbers only")),
+        false => Ok((names, expected)),
+    }
+}
+
+fn no_memory(source_name: &str) -> CalibrationError {
+    let source = io::Error::new(io::ErrorKind::OutOfMemory, "there is no memory for its columns");
+    CalibrationError::DataFile { path: PathBuf::from(source_name), source }
+}
+
+/// True for each column whose numbers are kept: the times, and those that are asked for.
+fn kept(names: &[String], at: usize, asked: Option<&[String]>) -> Vec<bool> {
+    let mut is_kept = vec![asked.is_none(); names.len()];
+    is_kept[at] = true;
+    for name in asked.unwrap_or_default() {
+        // One that is not there, or twice, is refused where it is used.
+        if let Ok(index) = find_column(names.iter().map(String::as_str), name) {
+            is_kept[index] = true;
+        }
+    }
+    is_kept
+}
+
+/// Message about a line with another number of cells than the header has.
+fn uneven(line: usize, len: usize, expected: usize, delimiter: u8) -> String {
+    let hint = match delimiter {
+        b',' if len == 2 * expected => {
+            "; numbers with decimal commas need semicolons or tabs between the columns"
+        }
+        _ => "",
+    };
+    format!("line {line} has {len} cells, the header has {expected}{hint}")
 }
 
 /// The records of a table from a line on. Blank lines and comments are none.

@@ -57,6 +57,12 @@ impl ResidualLayout {
         self.n_measurements() + self.priors.len()
     }
 
+    /// Root of the sum of the squares of the measurements, times their weights.
+    pub(crate) fn size_of_measurements(&self) -> f64 {
+        let all = self.outputs.iter().flat_map(|o| o.measured.iter().zip(&o.weights));
+        all.map(|(y, w)| (y * w) * (y * w)).sum::<f64>().sqrt()
+    }
+
     /// Residuals by these weights, from those by the weights of another layout of the same measurements.
     pub(crate) fn reweighed(&self, residuals: &[f64], from: &Self) -> Vec<f64> {
         let mut own = residuals.to_vec();

@@ -10,6 +10,7 @@ use super::result::{Uncertainty, errors_and_correlation};
 use crate::cost::accuracy::Accuracy;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
+use crate::uncertainty::tall::triangle;
 use base::RunContext;
 use nalgebra::DMatrix;
 use std::ops::Range;
@@ -102,9 +103,27 @@ impl Uncertainty {
         (0..self.n()).filter(|i| !self.held.contains(i)).filter(is_prior_alone).collect()
     }
 
+    /// Finds which combinations of the parameters the data determine badly, and which parameters well.
+    /// `jacobian`: of the residuals, `differences`: of the working residuals, both by the coordinates of the
+    /// search.
+    pub(super) fn find_combinations(
+        &mut self,
+        jacobian: &DMatrix<f64>,
+        differences: &Differences,
+        noise: &Noise,
+        free: &[usize],
+        sizes: &[f64],
+        context: &RunContext<'_>,
+    ) -> Result<(), CalibrationError> {
+        self.find_confounded();
+        self.find_weakest(&triangle(jacobian, std::slice::from_ref(&(0..jacobian.nrows())), context)?, free);
+        let weighted = differences.jacobian(context)?;
+        self.find_identifiable(&weighted, noise, differences.noise, free, sizes, context)
+    }
+
     /// Pairs with a high correlation, of those that move an output both: that of independent residuals, for
     /// how alike they move the outputs has nothing to do with the noise.
-    pub(super) fn find_confounded(&mut self) {
+    fn find_confounded(&mut self) {
         let n = self.n();
         let correlation = match &self.uncorrected_covariance {
             Some(covariance) => errors_and_correlation(covariance, n).1,
@@ -123,7 +142,7 @@ impl Uncertainty {
 
     /// The combination of parameters that the data determine worst, by the singular values of the Jacobian
     /// with columns of length one, of which the triangle is given.
-    pub(super) fn find_weakest(&mut self, triangle: &DMatrix<f64>, free: &[usize]) {
+    fn find_weakest(&mut self, triangle: &DMatrix<f64>, free: &[usize]) {
         let told: Vec<usize> = (0..free.len()).filter(|k| !self.undetermined.contains(&free[*k])).collect();
         let p = told.len();
         if p < 3 || triangle.nrows() < p {
@@ -150,7 +169,7 @@ impl Uncertainty {
 
     /// `jacobian`: in the coordinates of the search, m x p; `noise`: of the residuals, with the norm of the
     /// changes that are noise.
-    pub(super) fn find_identifiable(
+    fn find_identifiable(
         &mut self,
         jacobian: &DMatrix<f64>,
         noise: &Noise,

@@ -26,7 +26,7 @@ use crate::error::CalibrationError;
 use crate::problem::parameter::{Parameter, Scale};
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::active_bounds::{AT, inner};
-use crate::uncertainty::tall::{along, go_on, triangle};
+use crate::uncertainty::tall::{along, go_on};
 use autocorrelation::Dependence;
 use base::RunContext;
 use candidates::AtPoint;
@@ -36,7 +36,7 @@ use covariance::{Factors, Noise, groups};
 use dfo::{Kind, RobustLoss};
 use differences::{Center, Differences};
 pub(crate) use digits::digits;
-use gain::{At, Gain};
+use gain::At;
 pub(crate) use identifiability::SEARCH;
 use nalgebra::{DMatrix, DVector};
 pub use omitted::{Effect, Omitted};
@@ -100,17 +100,14 @@ struct Estimate<'a> {
 struct OfFit<'a> {
     /// m x p, by the coordinates of the search.
     jacobian: &'a DMatrix<f64>,
-    /// An orthonormal base of the columns of the working problem: of these columns, where the cost is a plain
-    /// sum of squares.
-    base: &'a DMatrix<f64>,
+    /// Those of the working problem: of these columns, where the cost is a plain sum of squares.
+    factors: &'a Factors,
     is_linear: bool,
     /// Changes by one standard deviation of each measured initial state.
     by_starts: &'a [DVector<f64>],
     /// Of the residuals, if they are independent.
     variances: &'a [f64],
     independent: &'a [OfIndependent],
-    /// Steps of the parameters by those along the base.
-    inverse: &'a DMatrix<f64>,
     free: &'a [usize],
     working: &'a Working,
     /// See [`KnownPoint`].
@@ -252,92 +249,48 @@ impl Calibration {
         let at_center = self.residuals_at_center(x, known, simulations)?;
         let (residuals, accurate) = (&at_center.residuals, &at_center.accurate);
         let sizes: Vec<f64> = free.iter().map(|&i| self.size_of(&parameters[i], x[i])).collect();
-        let measured = layout.outputs.iter().flat_map(|o| o.measured.iter().zip(&o.weights));
         let center = Center {
             parameters,
             x,
             free: &free,
             sizes: &sizes,
             residuals,
-            measured: measured.map(|(y, w)| (y * w) * (y * w)).sum::<f64>().sqrt(),
+            measured: layout.size_of_measurements(),
             simulation_error: at_center.simulation_error,
         };
-        // By the coordinates of the search.
         let per_unit: Vec<f64> = free.iter().map(|&i| slope(&parameters[i], x[i])).collect();
-        let n = x.len();
-        let context = simulations.context;
-        let guess = known.jacobian.filter(|_| known.residuals.is_some()).map(|jacobian| {
-            let mut guess = DMatrix::zeros(residuals.len(), free.len());
-            for (k, mut column) in guess.column_iter_mut().enumerate() {
-                go_on(&context)?;
-                let own = jacobian.iter().skip(free[k]).step_by(n);
-                column.iter_mut().zip(own).for_each(|(to, from)| *to = from * per_unit[k]);
-            }
-            Ok::<_, CalibrationError>(guess)
-        });
-        let differences = Differences::around(&center, guess.transpose()?, simulations)?
+        let context = &simulations.context.clone();
+        let first = |jacobian: &[f64]| of_free(jacobian, x.len(), &free, &per_unit, context);
+        let guess = known.jacobian.filter(|_| known.residuals.is_some()).map(first).transpose()?;
+        let differences = Differences::around(&center, guess, simulations)?
             .map_err(|message| self.failed_at(x, format!("around this point: {message}"), None))?;
-        let context = &context;
         let jacobian = differences.jacobian(context)?;
+        let differences_noise = differences.noise;
         let outputs = groups(layout, residuals, estimator, known.criterion);
         let working = Working::new(known.criterion, layout, residuals, &outputs, free.len());
-        let differences_noise = differences.noise;
         let differences = differences.weighted(&working.roots);
-        let factors = Factors::new(&differences, context)?;
+        let factors = &Factors::new(&differences, context)?;
         let noise =
-            Noise::estimate(layout, residuals, &working, &outputs, &factors.base, free.len(), context)?;
+            &Noise::estimate(layout, residuals, &working, &outputs, &factors.base, free.len(), context)?;
         let independent = noise.of_independent(layout, &factors.base, context)?;
-        let mut by_starts = self.changes_by_measured_starts(x, residuals, &noise.variances, simulations)?;
-        by_starts.iter_mut().for_each(|column| {
-            column.iter_mut().zip(&working.roots).for_each(|(change, root)| *change *= root)
-        });
-        let (factors, noise) = (&factors, &noise);
-        let estimate =
-            Estimate { n, free: &free, per_unit: &per_unit, factors, noise, by_starts: &by_starts };
-        let covariances = estimate.covariances(&working, layout, &outputs, context)?;
-        let (standard_errors, correlation) = errors_and_correlation(&covariances.covariance, n);
+        let by_starts = self.changes_by_measured_starts(x, residuals, &noise.variances, simulations)?;
+        let by_starts: Vec<_> = by_starts.iter().map(|change| working.weighed(change)).collect();
+        let covariances =
+            Estimate { n: x.len(), free: &free, per_unit: &per_unit, factors, noise, by_starts: &by_starts }
+                .covariances(&working, layout, &outputs, context)?;
+        let (standard_errors, correlation) = errors_and_correlation(&covariances.covariance, x.len());
         let is_exact = self.is_within_tolerance(sum_of_squares(residuals));
-        let is_linear = matches!(known.criterion, Criterion::Loss(loss) if loss.is_linear());
-        let prior_conflicts = match is_linear {
-            true => PriorConflict::all(&center, layout, &per_unit, &jacobian, context)?,
-            false => Vec::new(),
-        };
-        let mut by_parameters = vec![0.0; residuals.len() * n];
-        for (k, &i) in free.iter().enumerate() {
-            go_on(context)?;
-            let own = by_parameters.iter_mut().skip(i).step_by(n);
-            own.zip(&jacobian.column(k)).for_each(|(to, from)| *to = from / per_unit[k]);
-        }
-        let is_inert = |k: usize| {
-            let longest = differences.steps.row(k).amax();
-            factors.is_undetermined[k] && jacobian.column(k).norm() * longest <= differences_noise
-        };
-        let select = |is_selected: &dyn Fn(usize) -> bool| -> Vec<usize> {
-            (0..free.len()).filter(|k| is_selected(*k)).map(|k| free[k]).collect()
-        };
+        let is_linear = known.criterion.is_sum_of_squares();
+        let undetermined = || (0..free.len()).filter(|k| factors.is_undetermined[*k]);
+        let is_inert =
+            |k: &usize| jacobian.column(*k).norm() * differences.steps.row(*k).amax() <= differences_noise;
+        let prior_conflicts =
+            is_linear.then(|| PriorConflict::all(&center, layout, &per_unit, &jacobian, context));
         let cost = |residuals: &[f64]| known.criterion.cost(layout, residuals);
         let at = At { parameters, x, free: &free, sizes: &sizes, factors, residuals: &working.residuals };
-        let gain = match is_exact {
-            true => Gain::default(),
-            false => at.left_to_gain(&cost, cost(residuals), simulations)?,
-        };
-        let mut residual_checks = ResidualCheck::all(
-            layout,
-            &self.problem().experiment_names(),
-            residuals,
-            Some(&independent),
-            context,
-        )?;
-        for (check, output) in residual_checks.iter_mut().zip(&layout.outputs) {
-            let mean = |change: &DVector<f64>| change.rows_range(output.range.clone()).mean();
-            check.mean_by_starts = by_starts.iter().map(mean).fold(0.0, f64::hypot);
-        }
+        let gain = (!is_exact).then(|| at.left_to_gain(&cost, cost(residuals), simulations));
+        let gain = gain.transpose()?.unwrap_or_default();
         let mut uncertainty = Uncertainty {
-            estimator,
-            names: parameters.iter().map(|p| p.name().to_owned()).collect(),
-            x: x.to_vec(),
-            is_log: parameters.iter().map(|p| p.scale_kind() == Scale::Log).collect(),
-            sizes: parameters.iter().zip(x).map(|(p, x)| self.size_of_either_sign(p, *x)).collect(),
             correlation,
             uncorrected_covariance: covariances.uncorrected,
             autocorrelations: covariances.autocorrelations,
@@ -346,59 +299,74 @@ impl Calibration {
             covariance: covariances.covariance,
             standard_errors,
             degrees_of_freedom: noise.degrees_of_freedom,
-            undetermined: select(&|k| factors.is_undetermined[k]),
-            without_effect: select(&is_inert),
+            undetermined: undetermined().map(|k| free[k]).collect(),
+            without_effect: undetermined().filter(is_inert).map(|k| free[k]).collect(),
             held,
-            confounded: Vec::new(),
-            weakest: Vec::new(),
-            identifiable: Vec::new(),
-            findings: Vec::new(),
             cost: cost(residuals),
             is_exact,
             accurate_cost: accurate.as_deref().map(cost),
-            shift_by_accuracy: 0.0,
-            is_step_halved: self.has_fixed_step(),
             left_to_gain: gain.part,
             is_at_failures: gain.is_at_failures,
-            prior_conflicts,
-            part_conflict: None,
-            omitted: None,
-            has_loss: matches!(known.criterion, Criterion::Loss(loss) if !loss.is_linear()),
-            jacobian: by_parameters,
-            n_simulations: simulations.n - before,
-            residual_checks,
+            prior_conflicts: prior_conflicts.transpose()?.unwrap_or_default(),
+            has_loss: !is_linear && known.criterion != Criterion::Likelihood,
+            jacobian: of_all(&jacobian, x.len(), &free, &per_unit, context)?,
+            residual_checks: self.residual_checks(residuals, &independent, &by_starts, context)?,
             residuals: at_center.residuals.clone(),
+            ..self.nothing_known(x, estimator)
         };
-        go_on(context)?;
         if let Some(accurate) = accurate {
-            let by_accuracy = accurate.iter().zip(residuals).zip(&working.roots);
-            let change: Vec<f64> = by_accuracy.map(|((a, r), root)| (a - r) * root).collect();
-            let steps = &factors.inverse * along(&factors.base, &change, context)?;
-            let errors: Vec<f64> = uncertainty.errors_of_search().collect();
-            let shifts = free.iter().zip(&steps).map(|(i, step)| (step / errors[*i]).abs());
-            uncertainty.shift_by_accuracy = shifts.filter(|shift| shift.is_finite()).fold(0.0, f64::max);
+            let mut change = DVector::from_fn(residuals.len(), |i, _| accurate[i] - residuals[i]);
+            working.weigh(&mut change);
+            let steps = &factors.inverse * along(&factors.base, change.as_slice(), context)?;
+            uncertainty.note_shift(&free, &steps);
         }
-        uncertainty.find_confounded();
-        let triangle = triangle(&jacobian, std::slice::from_ref(&(0..residuals.len())), context)?;
-        uncertainty.find_weakest(&triangle, &free);
-        let weighted = differences.jacobian(context)?;
-        uncertainty.find_identifiable(&weighted, noise, differences.noise, &free, &sizes, context)?;
+        uncertainty.find_combinations(&jacobian, &differences, noise, &free, &sizes, context)?;
         let of_fit = OfFit {
             jacobian: &jacobian,
-            base: &factors.base,
+            factors,
             is_linear,
             by_starts: &by_starts,
             variances: &noise.variances,
             independent: &independent,
-            inverse: &factors.inverse,
             free: &free,
             working: &working,
             questions_known: known.questions_known,
         };
         self.explain_residuals(&mut uncertainty, &of_fit, simulations)?;
-        uncertainty.n_simulations = simulations.n - before;
-        uncertainty.findings = uncertainty.all_findings(known.f_tol);
-        Ok((uncertainty, covariances.curvature))
+        let n_simulations = simulations.n - before;
+        let findings = uncertainty.all_findings(known.f_tol);
+        Ok((Uncertainty { n_simulations, findings, ..uncertainty }, covariances.curvature))
+    }
+
+    /// The uncertainty at a point before anything is estimated.
+    fn nothing_known(&self, x: &[f64], estimator: Estimator) -> Uncertainty {
+        let parameters = self.parameters();
+        Uncertainty {
+            estimator,
+            names: parameters.iter().map(|p| p.name().to_owned()).collect(),
+            x: x.to_vec(),
+            is_log: parameters.iter().map(|p| p.scale_kind() == Scale::Log).collect(),
+            sizes: parameters.iter().zip(x).map(|(p, x)| self.size_of_either_sign(p, *x)).collect(),
+            is_step_halved: self.has_fixed_step(),
+            ..Uncertainty::default()
+        }
+    }
+
+    /// The checks of the residuals of all outputs, which measured initial states change so.
+    fn residual_checks(
+        &self,
+        residuals: &[f64],
+        independent: &[OfIndependent],
+        by_starts: &[DVector<f64>],
+        context: &RunContext<'_>,
+    ) -> Result<Vec<ResidualCheck>, CalibrationError> {
+        let (layout, names) = (self.residual_layout(), self.problem().experiment_names());
+        let mut checks = ResidualCheck::all(layout, &names, residuals, Some(independent), context)?;
+        for (check, output) in checks.iter_mut().zip(&layout.outputs) {
+            let mean = |change: &DVector<f64>| change.rows_range(output.range.clone()).mean();
+            check.mean_by_starts = by_starts.iter().map(mean).fold(0.0, f64::hypot);
+        }
+        Ok(checks)
     }
 
     /// Parameters that are taken as known, and the others, by number.
@@ -446,7 +414,8 @@ impl Calibration {
         simulations: &mut Simulations<'_>,
     ) -> Result<(), CalibrationError> {
         let (layout, context) = (self.residual_layout(), &simulations.context.clone());
-        let OfFit { jacobian, base, by_starts, variances, independent, inverse, free, .. } = *of_fit;
+        let OfFit { jacobian, factors, by_starts, variances, independent, free, .. } = *of_fit;
+        let Factors { base, inverse, .. } = factors;
         // What is no minimum has residuals that other values of the parameters leave none of, whatever the weights.
         let is_minimum = uncertainty.left_to_gain == 0.0;
         if is_minimum {
@@ -485,7 +454,7 @@ impl Calibration {
         simulations: &mut Simulations<'_>,
     ) -> Result<Option<Omitted>, CalibrationError> {
         let (layout, context) = (self.residual_layout(), simulations.context);
-        let OfFit { base, by_starts, variances, inverse, free, working, .. } = *of_fit;
+        let OfFit { factors, by_starts, variances, free, working, .. } = *of_fit;
         let Uncertainty { residuals, autocorrelations, x, residual_checks, .. } = uncertainty;
         let is_systematic = residual_checks.iter().any(ResidualCheck::is_systematic);
         let plain: Vec<f64> =
@@ -501,8 +470,8 @@ impl Calibration {
                 names: &self.problem().experiment_names(),
                 working,
                 noise: WithNoise { values: &working.residuals, variances, autocorrelations },
-                changes: (base, by_starts),
-                inverse,
+                changes: (&factors.base, by_starts),
+                inverse: &factors.inverse,
                 free: (free, &errors),
                 is_noise,
                 checks: (residual_checks, of_fit.independent),
@@ -527,6 +496,40 @@ impl Calibration {
         let (lower, upper, at) = (inner(p, p.lower()), inner(p, p.upper()), inner(p, x));
         (at - lower).min(upper - at) <= AT * self.size_of(p, x)
     }
+}
+
+/// Derivatives by the coordinates of the free parameters, m x p, from those by all n parameters, row by row.
+fn of_free(
+    by_all: &[f64],
+    n: usize,
+    free: &[usize],
+    per_unit: &[f64],
+    context: &RunContext<'_>,
+) -> Result<DMatrix<f64>, CalibrationError> {
+    let mut jacobian = DMatrix::zeros(by_all.len() / n, free.len());
+    for (k, mut column) in jacobian.column_iter_mut().enumerate() {
+        go_on(context)?;
+        let own = by_all.iter().skip(free[k]).step_by(n);
+        column.iter_mut().zip(own).for_each(|(to, from)| *to = from * per_unit[k]);
+    }
+    Ok(jacobian)
+}
+
+/// The reverse: those of the others are zero.
+fn of_all(
+    jacobian: &DMatrix<f64>,
+    n: usize,
+    free: &[usize],
+    per_unit: &[f64],
+    context: &RunContext<'_>,
+) -> Result<Vec<f64>, CalibrationError> {
+    let mut by_all = vec![0.0; jacobian.nrows() * n];
+    for (k, &i) in free.iter().enumerate() {
+        go_on(context)?;
+        let own = by_all.iter_mut().skip(i).step_by(n);
+        own.zip(&jacobian.column(k)).for_each(|(to, from)| *to = from / per_unit[k]);
+    }
+    Ok(by_all)
 }
 
 /// Scales a covariance so that no variance is below that of the other: an autoregression that describes a

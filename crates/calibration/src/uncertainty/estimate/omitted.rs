@@ -204,7 +204,7 @@ impl Omitted {
         };
         let mut tested: Vec<Tested> = Vec::new();
         for (k, change) in changes.iter().enumerate() {
-            let (all, column) = left(scaled(&change.column, &working.roots))?;
+            let (all, column) = left(working.weighed(&change.column))?;
             let own = column.norm_squared();
             let step = -column.dot(&residuals) / own;
             // A sign is no gain.
@@ -313,7 +313,7 @@ impl Score<'_> {
         step: f64,
         context: &RunContext<'_>,
     ) -> Result<bool, CalibrationError> {
-        let mut by = scaled(&change.column, &self.working.roots) * step;
+        let mut by = self.working.weighed(&change.column) * step;
         let base = self.changes.0;
         by -= base * along(base, by.as_slice(), context)?;
         let left: Vec<f64> = self.noise.values.iter().zip(&by).map(|(r, by)| r + by).collect();
@@ -332,16 +332,12 @@ impl Score<'_> {
         step: f64,
         context: &RunContext<'_>,
     ) -> Result<Option<(usize, f64)>, CalibrationError> {
-        let column = scaled(&change.column, &self.working.roots);
+        let column = self.working.weighed(&change.column);
         let moves = self.inverse * along(self.changes.0, column.as_slice(), context)? * step;
         let (free, errors) = self.free;
         let all = free.iter().zip(&moves).map(|(i, by)| (*i, (by / errors[*i]).abs()));
         Ok(all.filter(|(_, by)| by.is_finite()).max_by(|a, b| a.1.total_cmp(&b.1)))
     }
-}
-
-fn scaled(column: &DVector<f64>, roots: &[f64]) -> DVector<f64> {
-    DVector::from_fn(column.len(), |i, _| column[i] * roots[i])
 }
 
 /// "an offset of the measurements of T2 of run1"

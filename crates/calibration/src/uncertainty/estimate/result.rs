@@ -9,6 +9,7 @@ use super::scores::Criterion;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, table};
 use dfo::RobustLoss;
+use nalgebra::DVector;
 use ode::Number;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
@@ -79,7 +80,7 @@ impl UncertaintyOptions {
 ///
 /// From central differences over steps of about one standard error (see the source of `differences`); never
 /// from second derivatives. Residuals of priors count, with the variance 1.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Uncertainty {
     /// Estimator of the covariance.
@@ -236,6 +237,14 @@ impl Uncertainty {
     pub(crate) fn errors_of_search(&self) -> impl Iterator<Item = f64> + '_ {
         let own = self.standard_errors.iter().zip(&self.x).zip(&self.is_log);
         own.map(|((error, x), is_log)| if *is_log { error / x } else { *error })
+    }
+
+    /// Notes by how much another accuracy of the simulations moves the parameters: steps of these in the
+    /// coordinates of the search.
+    pub(super) fn note_shift(&mut self, free: &[usize], steps: &DVector<f64>) {
+        let errors: Vec<f64> = self.errors_of_search().collect();
+        let shifts = free.iter().zip(steps).map(|(i, step)| (step / errors[*i]).abs());
+        self.shift_by_accuracy = shifts.filter(|shift| shift.is_finite()).fold(0.0, f64::max);
     }
 
     /// Findings about the covariance in words: parameters that are not determined, or taken as known; empty

@@ -5,6 +5,7 @@ use super::chance::{MEDIAN_DEVIATION, median};
 use crate::problem::objective::NamedCost;
 use crate::problem::residual_layout::ResidualLayout;
 use dfo::RobustLoss;
+use nalgebra::DVector;
 
 /// Form of the cost that a fit minimises, as a function of the residuals.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -23,6 +24,11 @@ impl Default for Criterion {
 }
 
 impl Criterion {
+    /// True without a loss.
+    pub(crate) fn is_sum_of_squares(self) -> bool {
+        matches!(self, Self::Loss(loss) if loss.is_linear())
+    }
+
     /// The cost of plain residuals.
     pub(crate) fn cost(self, layout: &ResidualLayout, residuals: &[f64]) -> f64 {
         match self {
@@ -86,6 +92,18 @@ impl Working {
                 own.corrections[i] = root * root;
             }
         }
+        own
+    }
+
+    /// Weighs a change of the residuals as the rows of the Jacobian.
+    pub(crate) fn weigh(&self, change: &mut DVector<f64>) {
+        change.iter_mut().zip(&self.roots).for_each(|(change, root)| *change *= root);
+    }
+
+    /// The change, weighed.
+    pub(crate) fn weighed(&self, change: &DVector<f64>) -> DVector<f64> {
+        let mut own = change.clone();
+        self.weigh(&mut own);
         own
     }
 

@@ -6,6 +6,7 @@ use super::points::{Evaluated, Selection, difference, distance, dot, norm, sum};
 use super::state::{Candidate, Known, LeastSquaresState, Phase, Role};
 use super::subproblem::{Cancelled, Linear, Subproblem, longest, smallest_singular_value};
 use crate::method::interface::Operation;
+use crate::method::tolerances::Tests;
 use crate::methods::shared::failures::{Plane, plane};
 use crate::outcome::termination::Termination;
 use base::RunContext;
@@ -44,6 +45,15 @@ const FAR: f64 = 100.0;
 const RADII: [f64; 4] = [1.0, 0.3, 3.0, 0.1];
 /// Distance of the neighbours of a round's first trial point from it, in units of the step.
 const NEIGHBOUR: f64 = 0.1;
+
+/// A point as the tests see it.
+struct Judged {
+    tests: Tests,
+    /// Failed points keep the search from a decrease.
+    is_kept_off: bool,
+    /// The minimum lies at infinity.
+    recedes: bool,
+}
 
 impl LeastSquaresState {
     /// The model around a point of the set. Along directions that no point tells of it is constant.
@@ -110,26 +120,14 @@ impl LeastSquaresState {
             let base = self.base();
             let f = self.points[base].cost;
             if f <= ZERO * self.f_0 {
-                // The points need not make a model any more.
-                self.tests = Some(self.judge(self.rho, f, f));
-                let model = self.interpolation(base, context)?;
-                let recedes = f > 0.0 && model.is_some_and(|model| self.recedes(base, &model.linear, 0.0));
-                self.phase =
-                    Phase::Ended(if recedes { Termination::Unbounded } else { Termination::Converged });
+                self.end_at_zero(base, context)?;
                 break;
             }
             if self.set.len() <= self.n() && (self.completed.0 != base || self.completed.1 < MOST_TRIES) {
                 self.complete(base);
                 continue;
             }
-            let model = match self.model.take().filter(|_| self.set.len() == self.n() + 1) {
-                Some(mut model) => {
-                    let step = difference(&self.points[base].z, &self.points[self.set[model.base]].z);
-                    model.rebase(self.set.iter().position(|k| *k == base).unwrap_or(0), &step);
-                    Some(model)
-                }
-                None => self.interpolation(base, context)?,
-            };
+            let model = self.model_at(base, context)?;
             let improving = self.improving.take();
             let Some(model) = model else {
                 // In a plane up to rounding: a direction is made anew.
@@ -152,24 +150,8 @@ impl LeastSquaresState {
             let (lower, upper) = self.space_around(&z);
             let (step, predicted) = self.best_step(&z, &model.linear, self.delta, &lower, &upper);
             let length = norm(&step);
-            let mut tests = self.judge(self.rho.max(length), predicted, f);
-            if !tests.x_passed && self.judge(length, predicted, f).x_passed {
-                let (x_size, gain) = self.uncertainty(base, &model.linear, length, predicted);
-                tests = self.judge(x_size, gain, f);
-            }
-            let (mut is_kept_off, mut recedes) = (false, false);
-            if tests.passed && (length >= 0.9 * self.delta || !self.failed.is_empty()) {
-                // What the radius and failed points keep away counts, too.
-                let radius = self.options.radius.max(self.delta);
-                tests = self.judge(self.rho, self.best_step(&z, &model.linear, radius, &lower, &upper).1, f);
-                recedes = tests.passed && self.recedes(base, &model.linear, FAR);
-                if tests.passed {
-                    let (lower, upper) = (&lower[..], &upper[..]);
-                    let free = Subproblem { linear: &model.linear, radius, lower, upper }.solve().1;
-                    tests = self.judge(self.rho, free, f);
-                    is_kept_off = !tests.passed;
-                }
-            }
+            let Judged { tests, is_kept_off, recedes } =
+                self.judge_step(base, &model.linear, (length, predicted), &lower, &upper);
             self.tests = Some(tests);
             // What rounding makes of a sum of squares, and what is nothing next to the tolerance: a direction without effect
             // would be followed for ever.
@@ -194,25 +176,7 @@ impl LeastSquaresState {
                     self.phase = Phase::Ended(Termination::Collapsed);
                     continue;
                 }
-                if x_size < 0.1 * self.rho {
-                    // The model is nearer to the residuals than this resolution asks for.
-                    self.refine(x_size);
-                    self.model = Some(model);
-                    continue;
-                }
-                self.n_geometry += 1;
-                // Nothing to gain at this resolution, if the model is right.
-                self.delta = self.rho.max(0.1 * self.delta);
-                if self.delta <= 1.5 * self.rho {
-                    self.delta = self.rho;
-                }
-                let (point, distance) = self.farthest(base);
-                let may_improve = self.n_geometry <= 2 * (self.n() + 1);
-                if distance > (2.0 * self.delta).max(10.0 * self.rho) && may_improve {
-                    self.improve(base, &model, point, distance);
-                } else if self.delta <= self.rho {
-                    self.refine(x_size);
-                }
+                self.shrink_or_improve(base, &model, x_size);
                 self.model = Some(model);
             } else {
                 self.ask_for(sum(&z, &step), Role::Trial { predicted, radius: self.delta });
@@ -224,6 +188,84 @@ impl LeastSquaresState {
             }
         }
         Ok(())
+    }
+
+    /// Ends where the cost is zero: the points need not make a model any more.
+    fn end_at_zero(&mut self, base: usize, context: &RunContext<'_>) -> Result<(), Cancelled> {
+        let f = self.points[base].cost;
+        self.tests = Some(self.judge(self.rho, f, f));
+        let model = self.interpolation(base, context)?;
+        let recedes = f > 0.0 && model.is_some_and(|model| self.recedes(base, &model.linear, 0.0));
+        self.phase = Phase::Ended(if recedes { Termination::Unbounded } else { Termination::Converged });
+        Ok(())
+    }
+
+    /// The model that was kept, based at this point, or a new one.
+    fn model_at(
+        &mut self,
+        base: usize,
+        context: &RunContext<'_>,
+    ) -> Result<Option<Interpolation>, Cancelled> {
+        let Some(mut model) = self.model.take().filter(|_| self.set.len() == self.n() + 1) else {
+            return self.interpolation(base, context);
+        };
+        let step = difference(&self.points[base].z, &self.points[self.set[model.base]].z);
+        model.rebase(self.set.iter().position(|k| *k == base).unwrap_or(0), &step);
+        Ok(Some(model))
+    }
+
+    /// The tests at a point, whose best step has this length and decreases the cost by so much.
+    fn judge_step(
+        &self,
+        base: usize,
+        linear: &Linear,
+        step: (f64, f64),
+        lower: &[f64],
+        upper: &[f64],
+    ) -> Judged {
+        let (length, predicted) = step;
+        let (z, f) = (&self.points[base].z, self.points[base].cost);
+        let mut tests = self.judge(self.rho.max(length), predicted, f);
+        if !tests.x_passed && self.judge(length, predicted, f).x_passed {
+            let (x_size, gain) = self.uncertainty(base, linear, length, predicted);
+            tests = self.judge(x_size, gain, f);
+        }
+        let (mut is_kept_off, mut recedes) = (false, false);
+        if tests.passed && (length >= 0.9 * self.delta || !self.failed.is_empty()) {
+            // What the radius and failed points keep away counts, too.
+            let radius = self.options.radius.max(self.delta);
+            tests = self.judge(self.rho, self.best_step(z, linear, radius, lower, upper).1, f);
+            recedes = tests.passed && self.recedes(base, linear, FAR);
+            if tests.passed {
+                let free = Subproblem { linear, radius, lower, upper }.solve().1;
+                tests = self.judge(self.rho, free, f);
+                is_kept_off = !tests.passed;
+            }
+        }
+        Judged { tests, is_kept_off, recedes }
+    }
+
+    /// Shrinks the radius or the resolution where nothing is to be gained, or asks for a point that makes the
+    /// model better. `x_size`: how far the minimum may be.
+    fn shrink_or_improve(&mut self, base: usize, model: &Interpolation, x_size: f64) {
+        if x_size < 0.1 * self.rho {
+            // The model is nearer to the residuals than this resolution asks for.
+            self.refine(x_size);
+            return;
+        }
+        self.n_geometry += 1;
+        // Nothing to gain at this resolution, if the model is right.
+        self.delta = self.rho.max(0.1 * self.delta);
+        if self.delta <= 1.5 * self.rho {
+            self.delta = self.rho;
+        }
+        let (point, distance) = self.farthest(base);
+        let may_improve = self.n_geometry <= 2 * (self.n() + 1);
+        if distance > (2.0 * self.delta).max(10.0 * self.rho) && may_improve {
+            self.improve(base, model, point, distance);
+        } else if self.delta <= self.rho {
+            self.refine(x_size);
+        }
     }
 
     /// True if residuals that are the same at several points, and not at all, keep the model from any
