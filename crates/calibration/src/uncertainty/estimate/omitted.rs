@@ -289,7 +289,11 @@ impl Omitted {
         let others = match (self.others.len(), self.others.iter().take(NAMED).cloned().collect::<Vec<_>>()) {
             (0, _) => String::new(),
             (n, named) if n <= NAMED => format!(" (or as well for {})", named.join(", or ")),
-            (n, named) => format!(" (or as well for {}, or {} others)", named.join(", or "), n - NAMED),
+            (n, named) => {
+                let more =
+                    if n == NAMED + 1 { "another".to_owned() } else { format!("{} others", n - NAMED) };
+                format!(" (or as well for {}, or {more})", named.join(", or "))
+            }
         };
         let severity = match self.moves_most {
             Some((_, by)) if by < 1.0 => Severity::Note,
