@@ -114,11 +114,13 @@ impl Calibration {
     }
 
     /// Findings of a check beyond notes, evaluated again at the result of a fit: a doubt that the fitted
-    /// values have removed is left out. Empty where it is cancelled.
+    /// values have removed is left out. Empty where it is cancelled. `is_by_weights`: outputs count in the cost
+    /// by their weights.
     pub(crate) fn check_after_fit(
         &self,
         start: Option<&PointResiduals>,
         end: &PointResiduals,
+        is_by_weights: bool,
         context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Vec<Finding> {
@@ -145,8 +147,10 @@ impl Calibration {
                 Err(_) => return Vec::new(),
             }
         }
-        doubts.extend(scales::finding(self, Some((&end.residuals, Place::Fitted))));
-        doubts.extend(scales::inverse_weights(self, &end.residuals));
+        if is_by_weights {
+            doubts.extend(scales::finding(self, Some((&end.residuals, Place::Fitted))));
+            doubts.extend(scales::inverse_weights(self, &end.residuals));
+        }
         doubts.retain(|finding| finding.severity != Severity::Note);
         // Notes of the construction say how the data were read.
         doubts.extend(model::construction_warnings(self.warnings()));

@@ -122,7 +122,9 @@ impl From<FmiError> for NoCost {
                     }
                     inner_error.map_or_else(|| inner.to_string(), call_reason)
                 }
-                ErrorKind::DiscardedAtRestart if e.not_finite.is_some() => {
+                ErrorKind::DiscardedAtRestart | ErrorKind::StepTooSmall { discarded: true }
+                    if e.not_finite.is_some() =>
+                {
                     kind = FailureKind::NotFinite;
                     e.not_finite.as_ref().map(NotFinite::summary).unwrap_or_default()
                 }

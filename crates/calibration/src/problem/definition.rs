@@ -170,6 +170,9 @@ impl Problem {
         if self.experiments.is_empty() {
             return Err(CalibrationError::Setup("there is no experiment to fit to".to_owned()));
         }
+        for parameter in &self.parameters {
+            parameter.tie().map(|tie| self.tied_to(parameter, tie)).transpose()?;
+        }
         if self.parameters.iter().all(Parameter::is_tied) {
             return Err(CalibrationError::Setup("all parameters are tied: there is none to fit".to_owned()));
         }

@@ -6,6 +6,7 @@ use crate::method::linear_model::LinearModel;
 use crate::method::tolerances::{Tests, Tolerances};
 use crate::outcome::answer::{Answer, Answers, Want};
 use crate::outcome::termination::Termination;
+use crate::problem::loss::RobustLoss;
 use crate::problem::objective::Query;
 use crate::problem::space::Space;
 use crate::values::choices::{Kind, Search};
@@ -317,6 +318,9 @@ pub struct Setup {
     pub start_given: bool,
     /// Points of an earlier run, best first; all lie in the box.
     pub prior: Vec<Vec<f64>>,
+    /// Loss that the residuals have gone through already.
+    #[serde(default, skip_serializing_if = "RobustLoss::is_linear")]
+    pub loss: RobustLoss,
 }
 
 impl Setup {
@@ -329,6 +333,7 @@ impl Setup {
             max_evaluations: None,
             start_given: true,
             prior: Vec::new(),
+            loss: RobustLoss::default(),
         }
     }
 }

@@ -8,6 +8,7 @@ use crate::method::interface::{Method, MethodOptions, ProblemClass, Setup};
 use crate::method::tolerances::Limits;
 use crate::methods::NelderMead;
 use crate::outcome::answer::{Answer, Outcome};
+use crate::problem::loss::RobustLoss;
 use crate::problem::option_texts;
 use crate::problem::space::Bounds;
 use crate::problem::space::Space;
@@ -92,8 +93,9 @@ impl<M: MethodOptions> Description<M> {
         self.options.choose(&class)
     }
 
-    /// Checks everything, and starts or continues. `residuals`: whether the objective is known to give them.
-    pub(crate) fn begin(mut self, residuals: bool) -> Result<StartedRun<M::Method>, Error> {
+    /// Checks everything, and starts or continues. `residuals`: whether the objective is known to give them,
+    /// which have gone through this loss.
+    pub(crate) fn begin(mut self, residuals: bool, loss: RobustLoss) -> Result<StartedRun<M::Method>, Error> {
         self.choose(residuals)?;
         let Self { options, x0, bounds, transforms, sizes, kinds } = self;
         let (method, mut limits) = (&options.method, options.limits);
@@ -131,6 +133,7 @@ impl<M: MethodOptions> Description<M> {
             max_evaluations: limits.max_evaluations,
             start_given,
             prior: prior.iter().map(|known| known.x.clone()).collect(),
+            loss,
             ..Setup::new(space)
         };
         let mut store = Store::new(capacity);

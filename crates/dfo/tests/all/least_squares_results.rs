@@ -3,7 +3,7 @@
 
 use dfo::{
     BatchView, Checkpoint, Error, LeastSquares, Loss, NelderMead, Objective, Outcome, Query, Report,
-    RobustLoss, Transform, by_hand, least_squares, minimize, minimize_batches, residuals,
+    RobustLoss, Tolerances, Transform, by_hand, least_squares, minimize, minimize_batches, residuals,
 };
 
 const TIMES: usize = 9;
@@ -129,10 +129,10 @@ fn batches_by_hand_and_resumed_runs_give_the_same() {
             optimizer.tell(point.id, objective().answer(&point.x, &point.query())).unwrap();
         }
     }
-    // What was told is what it knows: the residuals as they count.
+    // What was told is what it knows: the residuals as they count, without the loss that they have gone through.
     let told = optimizer.report().unwrap();
-    assert_eq!(told.x, report.x);
-    assert!((told.sum_of_squares().unwrap() / report.fun - 1.0).abs() < 1e-14);
+    assert!(is_near(&told.x, &report.x, 1e-4), "{told}");
+    assert!((told.sum_of_squares().unwrap() / report.fun - 1.0).abs() < 1e-6);
     let folder = std::env::temp_dir().join(format!("dfo-least-squares-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let run = |loss: Loss| {
@@ -150,4 +150,34 @@ fn batches_by_hand_and_resumed_runs_give_the_same() {
     assert_eq!(what, "loss");
     assert!(matches!(run(Loss::Linear).run(), Err(Error::CheckpointMismatch { .. })));
     std::fs::remove_dir_all(&folder).unwrap();
+}
+
+/// Lines with noise of a tenth to ten times the scale of the loss: the cost falls to its minimum, which
+/// Newton's method on the scores finds. A model of residuals that a loss has bent would end before it.
+#[test]
+fn a_loss_that_bends_between_the_points_does_not_hide_the_slope() {
+    for (kind, turn) in [(Loss::Huber, 0), (Loss::SoftL1, 1), (Loss::Cauchy, 2)] {
+        for seed in 0..10 {
+            let n = 400;
+            let noise = |i: usize| {
+                let uniform = |k: usize| ((12.9898 * k as f64 + 1.0).sin() * 43_758.547).fract().abs();
+                let at = 2 * (i + n * (seed + 10 * turn)) + 1;
+                (-2.0 * uniform(at).max(1e-12).ln()).sqrt() * (6.283 * uniform(at + 1)).cos()
+            };
+            // The model is curved, and the data tell its parameters to 1e-5 of them.
+            let at = |x: &[f64], i: usize| 1e4 * x[0] * (x[1] * i as f64 / n as f64).exp();
+            let measured: Vec<f64> = (0..n).map(|i| at(&[1.0, 0.7], i) + noise(i)).collect();
+            let function = |x: &[f64], out: &mut Vec<f64>| out.extend((0..n).map(|i| at(x, i) - measured[i]));
+            let run = |start: [f64; 2], tolerance: f64| {
+                let objective = residuals(function).loss(kind, 1.0).unwrap();
+                let tolerances = Tolerances { x_tol: tolerance, f_tol: tolerance, ..Tolerances::default() };
+                let run = minimize(objective).start(&start).method(LeastSquares::default());
+                run.tolerances(tolerances).run()
+            };
+            let fit = run([1.3, 0.4], 1e-4).unwrap();
+            let best = run([1.0, 0.7], 1e-9).unwrap();
+            assert!(fit.is_success(), "{fit}");
+            assert!(fit.fun - best.fun < 0.05, "{kind:?} {seed}: {} above", fit.fun - best.fun);
+        }
+    }
 }

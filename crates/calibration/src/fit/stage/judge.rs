@@ -129,7 +129,13 @@ impl Calibration {
         if job.is_checked() {
             match &ends.end {
                 Some(end) if is_over(&report.termination) => {
-                    found.extend(self.check_after_fit(ends.start.as_ref(), end, &job.context, stats));
+                    found.extend(self.check_after_fit(
+                        ends.start.as_ref(),
+                        end,
+                        !job.objective.is_likelihood(),
+                        &job.context,
+                        stats,
+                    ));
                     if self.is_co_simulation() {
                         found.extend(self.large_step_after_fit(end, &job.context, stats));
                     }

@@ -33,9 +33,11 @@ const SAME: f64 = 1e-3;
 struct Candidate {
     effect: Effect,
     variable: String,
-    /// Its value, or that of an offset.
-    start: f64,
+    /// Its value in each experiment, or that of an offset.
+    starts: Vec<f64>,
     size: f64,
+    /// The parameter that holds it, by number; `None`: it is none.
+    fixed: Option<usize>,
 }
 
 /// A point whose residuals are known.
@@ -83,12 +85,13 @@ impl Calibration {
             let start =
                 variable.start.as_ref().and_then(Value::as_number).filter(|start| start.is_finite())?;
             let is_one = variable.kind.is_float() && variable.dimensions.is_empty() && !is_fitted(variable);
+            let starts = self.given(variable, start)?;
             let size = [start, variable.nominal.unwrap_or(1.0)].map(f64::abs).into_iter().find(|s| *s > 0.0);
             let size = size.filter(|_| is_one)?;
             // Not beyond the range of the variable.
             let is_at_top = variable.max.is_some_and(|max| start + PART * size > max);
             let size = if is_at_top { -size } else { size };
-            Some(Candidate { effect, variable: variable.name.clone(), start, size })
+            Some(Candidate { effect, variable: variable.name.clone(), starts, size, fixed: None })
         };
         let mut inputs: Vec<Candidate> = Vec::new();
         for (experiment, (name, source)) in
@@ -99,7 +102,8 @@ impl Calibration {
                 let size = [size_of(experiment, source), variable.nominal.unwrap_or(1.0).abs()];
                 let size = size.into_iter().find(|size| *size > 0.0 && size.is_finite()).unwrap_or(1.0);
                 let (effect, variable) = (Effect::InputOffset, name.clone());
-                inputs.push(Candidate { effect, variable, start: 0.0, size });
+                let starts = vec![0.0; problem.experiments.len()];
+                inputs.push(Candidate { effect, variable, starts, size, fixed: None });
             }
         }
         let is_given = |variable: &Variable| {
@@ -118,7 +122,36 @@ impl Calibration {
                 && v.initial != Some(Initial::Calculated)
         };
         let held = description.variables.iter().filter(is_held).filter_map(|v| number(Effect::HeldValue, v));
-        inputs.into_iter().chain(starts).chain(held).take(MOST).collect()
+        let fixed =
+            self.parameters().iter().enumerate().filter(|(_, p)| p.lower() == p.upper()).map(|(i, p)| {
+                let (x, effect, variable) = (p.lower(), Effect::HeldValue, p.name().to_owned());
+                let size = if x == 0.0 { 1.0 } else { x.abs() };
+                Candidate {
+                    effect,
+                    variable,
+                    starts: vec![x; problem.experiments.len()],
+                    size,
+                    fixed: Some(i),
+                }
+            });
+        inputs.into_iter().chain(starts).chain(fixed).chain(held).take(MOST).collect()
+    }
+
+    /// The value of a variable in each experiment, its own where none is given; `None`: one that is no number.
+    fn given(&self, variable: &Variable, own: f64) -> Option<Vec<f64>> {
+        let description = self.fmu().description();
+        let is_it = |name: &str| is_same(description, name, &variable.name);
+        let of = |experiment: &Experiment| {
+            let state = experiment.initial_states.iter().find(|(name, _)| is_it(name));
+            let start = experiment.start_values.iter().find(|(name, _)| is_it(name));
+            match (state, start) {
+                (Some((_, InitialState::Value(value))), _) => Some(*value),
+                (Some(_), _) => None,
+                (None, Some((_, value))) => value.as_number(),
+                (None, None) => Some(own),
+            }
+        };
+        self.problem().experiments.iter().map(of).collect()
     }
 
     /// `None`: with these as parameters of their own the simulation is another one, or none.
@@ -138,15 +171,21 @@ impl Calibration {
             .and_then(|elements| Ok((elements, self.derived(self.problem_with(candidates))?)));
         let Ok((elements, derived)) = derived else { return Ok(None) };
         let n_parameters = self.problem().parameters.len();
-        let candidate = |k: usize| elements[k].source.and_then(|source| source.checked_sub(n_parameters));
-        let mut own = x.iter();
-        let starts = (0..elements.len()).map(|k| match candidate(k) {
-            Some(_) => Some(elements[k].parameter.start()),
-            None => own.next().copied(),
-        });
-        let Some(center) = starts.collect::<Option<Vec<f64>>>() else { return Ok(None) };
+        // Those that a parameter holds are no new ones.
+        let new: Vec<usize> = (0..candidates.len()).filter(|c| candidates[*c].fixed.is_none()).collect();
+        let (mut own, mut center, mut moves) = (x.iter().enumerate(), Vec::new(), Vec::new());
+        for element in &elements {
+            let added = element.source.and_then(|source| source.checked_sub(n_parameters));
+            let (value, candidate) = match (added, added.is_none().then(|| own.next()).flatten()) {
+                (Some(n), _) => (element.parameter.start(), new.get(n).copied()),
+                (None, Some((i, x))) => (*x, candidates.iter().position(|c| c.fixed == Some(i))),
+                (None, None) => return Ok(None),
+            };
+            center.push(value);
+            moves.push(candidate);
+        }
         let moved = |c: usize, step: f64| {
-            let by = |k: usize| if candidate(k) == Some(c) { step } else { 0.0 };
+            let by = |k: usize| if moves[k] == Some(c) { step } else { 0.0 };
             Point::new(center.iter().enumerate().map(|(k, x)| x + by(k)).collect())
         };
         let (workers, context) = (simulations.workers, simulations.context);
@@ -184,65 +223,62 @@ impl Calibration {
         let mut changes = Vec::new();
         for (c, found) in found.into_iter().enumerate() {
             let Ok(found) = found else { continue };
-            let Candidate { effect, variable, start, .. } = &candidates[c];
             let column = DVector::from_fn(residuals.len(), |i, _| (found[i] - base[i]) / steps[c]);
-            let all = Change {
-                effect: *effect,
-                variable: variable.clone(),
-                start: *start,
-                experiment: None,
-                column,
-            };
-            changes.extend(self.by_experiment(all));
+            changes.extend(self.by_experiment(&candidates[c], column));
         }
         Ok(Some(changes))
     }
 
-    /// A change with those of each experiment alone, where there are several. A value that is held is that of
-    /// the machine, a start that of an experiment.
-    fn by_experiment(&self, all: Change) -> Vec<Change> {
-        let n = self.problem().experiments.len();
-        if n == 1 || all.effect == Effect::HeldValue {
-            return vec![all];
+    /// A change in all experiments, and of each alone where there are several. A value that is held is that of
+    /// the machine, a start that of an experiment; nor is one value asked for where several are given.
+    fn by_experiment(&self, candidate: &Candidate, column: DVector<f64>) -> Vec<Change> {
+        let Candidate { effect, variable, starts, .. } = candidate;
+        let change = |experiment: Option<usize>, column: DVector<f64>| Change {
+            effect: *effect,
+            variable: variable.clone(),
+            start: starts[experiment.unwrap_or(0)],
+            experiment,
+            column,
+        };
+        if starts.len() == 1 {
+            return vec![change(None, column)];
         }
         let outputs = &self.residual_layout().outputs;
         let of = |k: usize| {
-            let mut column = DVector::zeros(all.column.len());
+            let mut own = DVector::zeros(column.len());
             for output in outputs.iter().filter(|output| output.experiment == k) {
                 let (from, n) = (output.range.start, output.range.len());
-                column.rows_mut(from, n).copy_from(&all.column.rows(from, n));
+                own.rows_mut(from, n).copy_from(&column.rows(from, n));
             }
-            Change { experiment: Some(k), column, variable: all.variable.clone(), ..all }
+            change(Some(k), own)
         };
-        let mut each: Vec<Change> = (0..n).map(of).collect();
-        if all.effect == Effect::InputOffset {
-            each.push(all);
-        }
-        each
+        let is_one = starts.iter().all(|start| *start == starts[0]) && *effect != Effect::StartValue;
+        let each = (0..starts.len()).filter(|_| *effect != Effect::HeldValue || !is_one).map(of);
+        let mut all: Vec<Change> = each.collect();
+        all.extend(is_one.then(|| change(None, column)));
+        all
     }
 
     /// The problem with these as further parameters: those that an experiment gives a value of its own are
     /// local ones.
     fn problem_with(&self, candidates: &[Candidate]) -> Problem {
         let (mut problem, description) = (self.problem().clone(), self.fmu().description());
-        for Candidate { effect, variable, start, .. } in candidates {
-            let parameter = Parameter::new(variable.clone(), *start);
+        for Candidate { effect, variable, starts, .. } in candidates.iter().filter(|c| c.fixed.is_none()) {
+            let parameter = Parameter::new(variable.clone(), starts[0]);
             problem.parameters.push(match effect {
                 Effect::InputOffset => {
                     Parameter::new(format!("offset of {variable}"), 0.0).offset_of(variable.clone())
                 }
                 _ => parameter.local(true),
             });
-            for experiment in &mut problem.experiments {
-                let given = experiment
-                    .initial_states
-                    .iter()
-                    .position(|(name, _)| is_same(description, name, variable));
-                if let Some((name, InitialState::Value(value))) =
-                    given.map(|given| experiment.initial_states.remove(given))
-                {
-                    experiment.start_values.push((name, Value::Real(value)));
-                }
+            if *effect == Effect::InputOffset {
+                continue;
+            }
+            for (experiment, start) in problem.experiments.iter_mut().zip(starts) {
+                let is_other = |name: &str| !is_same(description, name, variable);
+                experiment.initial_states.retain(|(name, _)| is_other(name));
+                experiment.start_values.retain(|(name, _)| is_other(name));
+                experiment.start_values.push((variable.clone(), Value::Real(*start)));
             }
         }
         problem

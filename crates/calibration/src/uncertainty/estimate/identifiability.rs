@@ -28,6 +28,9 @@ const VARIANCE_SHARE: f64 = 0.5;
 /// A standard error above this part of its parameter says that the data hardly tell it.
 const RELATIVE_ERROR: f64 = 0.5;
 
+/// A smaller autocorrelation, above this, is told where its chance is less than that.
+const LASTING: (f64, f64) = (0.1, 1e-6);
+
 /// A parameter moves an output if it moves it by more than this part of what the strongest does, each moved
 /// by its size.
 const MOVES: f64 = 1e-8;
@@ -347,7 +350,7 @@ impl Uncertainty {
         // Residuals of few rows show less of it than there is.
         let is_told = self.residual_checks.iter().any(ResidualCheck::is_autocorrelated);
         let (severity, what) = match self.chance_of_autocorrelation < BY_CHANCE
-            && largest > CORRELATED
+            && (largest > CORRELATED || largest > LASTING.0 && self.chance_of_autocorrelation < LASTING.1)
             && !is_told
         {
             true => (Severity::Warning, ": the model leaves out something that lasts, or the noise lasts"),

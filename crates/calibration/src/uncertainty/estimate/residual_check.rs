@@ -159,28 +159,29 @@ impl ResidualCheck {
                 "give each output a weight of 1 over its noise (weights=\"sd\" where that is not known)",
             );
         } else {
+            let what = "the model leaves out something that lasts, or the noise lasts";
+            let remedy = match self.unmodelled {
+                None => {
+                    "plot the residuals; search=\"global\" tells whether values far from these leave none of that"
+                }
+                Some(_) => "",
+            };
             if self.is_autocorrelated() {
                 let corrected = match has_errors {
                     true => ": standard errors are corrected for that, the values of the parameters are not",
                     false => "",
                 };
-                let what = "the model leaves out something that lasts, or the noise lasts";
-                let remedy = match self.unmodelled {
-                    None => {
-                        "plot the residuals; search=\"global\" tells whether values far from these leave none of that"
-                    }
-                    Some(_) => "",
-                };
                 find(Severity::Warning, format!("{lag}: {what}{corrected}"), remedy);
             } else if self.keeps_sign() {
-                find(Severity::Note, "keep their sign longer than independent ones would".to_owned(), "");
+                let sentence = "keep their sign longer than independent ones would";
+                find(Severity::Warning, format!("{sentence}: {what}"), remedy);
             }
             if self.has_offset() {
                 let mean = digits(self.mean);
                 find(
                     Severity::Warning,
                     format!("have the mean {mean}: simulated minus measured, an offset"),
-                    "",
+                    "a Parameter with offset_of fits it, where it is one of the sensor",
                 );
             }
         }

@@ -1,10 +1,10 @@
 //! Mistakes that the residuals of a fit show.
 
-use super::{calibration, decay, fitted, k, noise, recording, sound, times, warnings, warns};
+use super::{calibration, decay, fitted, k, noise, open, recording, sound, times, warnings, warns};
 use calibration::dfo::{Limits, Loss, RobustLoss, RunOptions};
 use calibration::{
-    Compared, CostKind, CustomCost, Data, Experiment, Fit, FitOptions, Parameter, Parts, SimulationSettings,
-    UncertaintyOptions, Weight,
+    Calibration, Compared, CostKind, CustomCost, Data, Effect, Experiment, Fit, FitOptions, Parameter, Parts,
+    SimulationSettings, UncertaintyOptions, UnmodelledKind, Weight,
 };
 
 fn fitted_as(experiment: Experiment, options: FitOptions<'_>) -> Fit {
@@ -219,6 +219,20 @@ fn a_start_value_that_is_wrong_is_asked_for() {
     assert!(said.contains("with it k moves by"), "{said}");
     let right = fitted(recording(&t, measured(1.0)), k());
     assert_eq!(right.uncertainty.as_ref().unwrap().omitted, None);
+    // One that is given, and one that a parameter holds, are asked for from where they are.
+    let given = recording(&t, measured(1.23)).initial_state("x", 1.2);
+    let held = Parameter::new("x0", 1.2).variables(["x"]).fixed(true);
+    let fixed = Calibration::builder(open("dahlquist"))
+        .parameter(k())
+        .parameter(held)
+        .experiment(recording(&t, measured(1.23)))
+        .build()
+        .unwrap();
+    for fit in [fitted(given, k()), fixed.fit(FitOptions::default()).unwrap()] {
+        let asked = fit.uncertainty.as_ref().unwrap().omitted.clone().unwrap();
+        assert!((asked.value / asked.held_at - 1.23 / 1.2).abs() < 0.01, "{asked:?}");
+        assert!(asked.held_at == 1.2 || asked.effect == Effect::Output(UnmodelledKind::Factor), "{asked:?}");
+    }
     // The start is fitted, too.
     let experiment =
         recording(&t, measured(1.03)).initial_state("x", Parameter::new("x0", 1.0).bounds(0.5, 2.0));

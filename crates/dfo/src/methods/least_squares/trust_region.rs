@@ -10,6 +10,7 @@ use crate::method::tolerances::Tests;
 use crate::methods::shared::failures::{Plane, plane};
 use crate::outcome::termination::Termination;
 use base::RunContext;
+use std::borrow::Cow;
 
 /// A radius below this cannot be resolved.
 const SMALLEST: f64 = 1e-15;
@@ -64,8 +65,9 @@ impl LeastSquaresState {
     ) -> Result<Option<Interpolation>, Cancelled> {
         let (z, residuals) = (&self.points[base].z, &self.points[base].residuals[..]);
         let place = self.set.iter().position(|k| *k == base).unwrap_or(0);
+        let counted: Vec<Cow<'_, [f64]>> = self.set.iter().map(|k| self.residuals_near(base, *k)).collect();
         let known: Vec<Place<'_>> =
-            self.set.iter().map(|k| (&self.points[*k].z[..], &self.points[*k].residuals[..])).collect();
+            self.set.iter().zip(&counted).map(|(k, r)| (&self.points[*k].z[..], &r[..])).collect();
         if known.len() > self.n() {
             return Interpolation::new(&known, place, context);
         }
@@ -77,6 +79,21 @@ impl LeastSquaresState {
         let all: Vec<Place<'_>> =
             known.into_iter().chain(missing.iter().map(|z| (&z[..], residuals))).collect();
         Interpolation::new(&all, place, context)
+    }
+
+    /// The residuals of a point as a loss counts them next to the base: linear there, so that what bends within
+    /// the set is the model alone. Between points whose residuals differ by the scale of the loss, its own
+    /// bends would hide the slope of the cost.
+    fn residuals_near(&self, base: usize, point: usize) -> Cow<'_, [f64]> {
+        let (loss, own) = (&self.setup.loss, &self.points[point].residuals);
+        if loss.is_linear() || point == base {
+            return Cow::Borrowed(own);
+        }
+        let counted = |(at_base, own): (&f64, &f64)| {
+            let plain = loss.inverse(*at_base);
+            at_base + loss.slope(plain) * (loss.inverse(*own) - plain)
+        };
+        self.points[base].residuals.iter().zip(own).map(counted).collect()
     }
 
     /// Makes the set from a point and those nearest to it.
@@ -200,13 +217,14 @@ impl LeastSquaresState {
         Ok(())
     }
 
-    /// The model that was kept, based at this point, or a new one.
+    /// The model that was kept, based at this point, or a new one: with a loss always that.
     fn model_at(
         &mut self,
         base: usize,
         context: &RunContext<'_>,
     ) -> Result<Option<Interpolation>, Cancelled> {
-        let Some(mut model) = self.model.take().filter(|_| self.set.len() == self.n() + 1) else {
+        let is_kept = self.setup.loss.is_linear() && self.set.len() == self.n() + 1;
+        let Some(mut model) = self.model.take().filter(|_| is_kept) else {
             return self.interpolation(base, context);
         };
         let step = difference(&self.points[base].z, &self.points[self.set[model.base]].z);
