@@ -114,8 +114,8 @@ impl Calibration {
     }
 
     /// Findings of a check beyond notes, evaluated again at the result of a fit: a doubt that the fitted
-    /// values have removed is left out. Empty where it is cancelled. `is_by_weights`: outputs count in the cost
-    /// by their weights.
+    /// values have removed is left out. Empty where it is cancelled. `is_by_weights`: outputs count in the
+    /// cost by their weights.
     pub(crate) fn check_after_fit(
         &self,
         start: Option<&PointResiduals>,

@@ -137,7 +137,8 @@ impl Calibration {
         inputs.into_iter().chain(starts).chain(fixed).chain(held).take(MOST).collect()
     }
 
-    /// The value of a variable in each experiment, its own where none is given; `None`: one that is no number.
+    /// The value of a variable in each experiment, its own where none is given; `None`: one that is no
+    /// number.
     fn given(&self, variable: &Variable, own: f64) -> Option<Vec<f64>> {
         let description = self.fmu().description();
         let is_it = |name: &str| is_same(description, name, &variable.name);
@@ -229,8 +230,8 @@ impl Calibration {
         Ok(Some(changes))
     }
 
-    /// A change in all experiments, and of each alone where there are several. A value that is held is that of
-    /// the machine, a start that of an experiment; nor is one value asked for where several are given.
+    /// A change in all experiments, and of each alone where there are several. A value that is held is that
+    /// of the machine, a start that of an experiment; nor is one value asked for where several are given.
     fn by_experiment(&self, candidate: &Candidate, column: DVector<f64>) -> Vec<Change> {
         let Candidate { effect, variable, starts, .. } = candidate;
         let change = |experiment: Option<usize>, column: DVector<f64>| Change {

@@ -81,9 +81,9 @@ impl LeastSquaresState {
         Interpolation::new(&all, place, context)
     }
 
-    /// The residuals of a point as a loss counts them next to the base: linear there, so that what bends within
-    /// the set is the model alone. Between points whose residuals differ by the scale of the loss, its own
-    /// bends would hide the slope of the cost.
+    /// The residuals of a point as a loss counts them next to the base: linear there, so that what bends
+    /// within the set is the model alone. Between points whose residuals differ by the scale of the loss, its
+    /// own bends would hide the slope of the cost.
     fn residuals_near(&self, base: usize, point: usize) -> Cow<'_, [f64]> {
         let (loss, own) = (&self.setup.loss, &self.points[point].residuals);
         if loss.is_linear() || point == base {
