@@ -87,8 +87,8 @@ impl Distribution {
         squared
     }
 
-    /// Shortens a step that was not drawn from this distribution if it is too long for it; returns the squared
-    /// length of `C^(-1/2) y`. `along` is overwritten.
+    /// Shortens a step that was not drawn from this distribution if it is too long for it; returns the
+    /// squared length of `C^(-1/2) y`. `along` is overwritten.
     pub(super) fn inject(&self, step: &mut [f64], along: &mut [f64]) -> f64 {
         let squared = self.squared(step, along);
         let most = longest(self.mean.len(), 1.0).powi(2);
