@@ -6,7 +6,7 @@
 mod clocked;
 
 use clocked::{Clocked, hash, one_in, rosenbrock};
-use dfo::{Answer, AnyMethod, Multistart, Outcome, Polish, Query, Want, minimize_by};
+use dfo::{Answer, AnyMethod, CmaEs, Multistart, Outcome, Polish, Query, Want, minimize_by};
 use std::fmt::Write;
 
 const WIDTHS: [usize; 5] = [1, 4, 10, 100, 1000];
@@ -88,6 +88,7 @@ fn main() {
     ];
     let mut methods: Vec<(String, AnyMethod)> =
         named.into_iter().map(|name| (name.to_owned(), name.parse().unwrap())).collect();
+    methods.insert(3, ("cma-es, lag 64".to_owned(), CmaEs::default().lag(64).into()));
     methods.insert(1, ("multistart, least-squares".to_owned(), searches(Polish::LeastSquares)));
     let mut lines = Vec::new();
     for (n, every) in [(5, 10), (5, 0)] {

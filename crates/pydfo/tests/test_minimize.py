@@ -303,7 +303,7 @@ def test_sizes_scales_and_warm_starts_are_options():
         ("ga", {"population": 20, "selection": 3, "crossover_rate": 0.6, "mutation_rate": 0.02, "elite": 2, "gray": np.True_}),
         ("ga", {"population": 20.0, "selection": 3.0, "elite": np.float64(2), "stall": 1e9}),
         ("cma-es", {"population": 12, "sigma": 0.1, "restarts": "bipop", "bounds_handling": "mirror"}),
-        ("cma-es", {"population": 4.0, "sigma": np.float64(1), "restarts": None}),
+        ("cma-es", {"population": 4.0, "sigma": np.float64(1), "restarts": None, "lag": 5}),
         ("pattern-search", {"batch": 4, "frame": 0.1, "restarts": 0}),
         ("ga", {"selection": "fitness", "resolution": [0.01, 0.01], "sampling": "uniform", "stall": None, "cache": 0}),
     ],

@@ -205,7 +205,8 @@ fn method(dice: &mut Dice) -> AnyMethod {
             let handling = dice.pick(&[CmaBounds::Smooth, CmaBounds::Mirror]);
             let restarts = dice.pick(&[Restarts::None, Restarts::Ipop, Restarts::Bipop]);
             let sigma = dice.pick(&[0.3, 1e-300, 1e300]);
-            CmaEs::default().bounds_handling(handling).restarts(restarts).sigma(sigma).into()
+            let cma_es = CmaEs::default().lag(dice.pick(&[0, 5, 20]));
+            cma_es.bounds_handling(handling).restarts(restarts).sigma(sigma).into()
         }
         8 => QuadraticModel::default().radius(dice.pick(&[0.1, 1e-3, 1.0])).into(),
         9 => Multistart::default().exploration(0.0).sample(6).side_by_side(dice.pick(&[1, 3])).into(),

@@ -5,8 +5,8 @@ use crate::common;
 
 use common::{methods_for_costs, probe, rosenbrock, timeless};
 use dfo::{
-    AnyMethod, Checkpoint, Error, Lookahead, MethodOptions, Minimize, NelderMead, Outcome, Query, Report,
-    Resume, Termination, minimize, with_query,
+    AnyMethod, Checkpoint, CmaEs, Error, Lookahead, MethodOptions, Minimize, NelderMead, Outcome, Query,
+    Report, Resume, Termination, minimize, with_query,
 };
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -34,6 +34,7 @@ impl Drop for Folder {
 fn methods() -> Vec<AnyMethod> {
     let mut all: Vec<AnyMethod> = methods_for_costs();
     all.push(NelderMead::default().batch(Lookahead::Points(20)).into());
+    all.push(CmaEs::default().lag(20).into());
     all
 }
 

@@ -9,9 +9,9 @@ use crate::common;
 use clocked::{Clocked, Seen, hash, one_in, rosenbrock};
 use common::timeless;
 use dfo::{
-    Answer, AnyMethod, BatchView, Checkpoint, DifferentialEvolution, Evaluator, GivesUp, Lookahead, Minimize,
-    Multistart, NelderMead, Outcome, PatternSearch, Polish, Polled, Query, Report, Resume, Termination, Wait,
-    Want, by_hand, minimize, minimize_batches, minimize_by,
+    Answer, AnyMethod, BatchView, Checkpoint, CmaEs, DifferentialEvolution, Evaluator, GivesUp, Lookahead,
+    Minimize, Multistart, NelderMead, Outcome, PatternSearch, Polish, Polled, Query, Report, Restarts,
+    Resume, Termination, Wait, Want, by_hand, minimize, minimize_batches, minimize_by,
 };
 use std::cell::Cell;
 use std::rc::Rc;
@@ -80,6 +80,9 @@ fn flowing() -> Vec<(&'static str, AnyMethod)> {
         ("without lag", DifferentialEvolution::default().lag(0).into()),
         ("three generations ahead", DifferentialEvolution::default().lag(200).into()),
         ("de-classic", DifferentialEvolution::classic().lag(16).into()),
+        ("cma-es, lag 64", CmaEs::default().lag(64).into()),
+        ("cma-es, part of a generation", CmaEs::default().lag(3).into()),
+        ("cma-es, restarts", CmaEs::default().restarts(Restarts::Bipop).lag(9).sigma(1e-9).into()),
         ("multistart", named("multistart")),
         ("searches", searches.clone().into()),
         ("residuals", searches.polish(Polish::LeastSquares).into()),
@@ -145,14 +148,17 @@ fn whoever_drives_the_path_is_the_same() {
 
 #[test]
 fn workers_are_busy_although_some_evaluations_take_long() {
-    let methods: [(&str, AnyMethod, f64, f64); 3] = [
-        ("de", named("de"), 0.8, 0.36),
-        ("de-classic, lag 75", DifferentialEvolution::classic().lag(75).into(), 0.8, 0.5),
-        ("multistart", named("multistart"), 0.45, 0.2),
+    let cma_es: AnyMethod = CmaEs::default().lag(64).into();
+    let methods: [(&str, AnyMethod, u64, f64, f64); 5] = [
+        ("de", named("de"), 10, 0.8, 0.36),
+        ("de-classic, lag 75", DifferentialEvolution::classic().lag(75).into(), 10, 0.8, 0.5),
+        ("cma-es, lag 64", cma_es.clone(), 10, 0.8, 0.18),
+        ("cma-es, lag 64", cma_es, 20, 0.8, 0.18),
+        ("multistart", named("multistart"), 10, 0.45, 0.2),
     ];
-    for (name, method, least, before) in methods {
-        let (_, serial) = run(&method, (5, 5000), 1, 10);
-        let (report, seen) = run(&method, (5, 5000), 16, 10);
+    for (name, method, every, least, before) in methods {
+        let (_, serial) = run(&method, (5, 5000), 1, every);
+        let (report, seen) = run(&method, (5, 5000), 16, every);
         let (useful, all) =
             (serial.now.get() / (16.0 * seen.now.get()), seen.busy.get() / (16.0 * seen.now.get()));
         println!("{name}: {useful:.3} of 16 workers for the path, {all:.3} in all; {before} with barriers");

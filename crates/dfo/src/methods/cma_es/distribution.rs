@@ -17,6 +17,18 @@ const LARGEST_VARIANCE: f64 = 1e8;
 /// Sweeps for each eigenvalue: a few are enough.
 const MOST_SWEEPS: usize = 1000;
 
+/// Share of the step of the mean that is made where individuals were drawn from earlier distributions: those
+/// that follow have not seen it. Of 0.4 to 1 the one that is good for any lag up to one and a half
+/// populations, on the functions of `benches/lag.rs`.
+const SHARE_OF_EARLIER: f64 = 0.55;
+
+/// Longest step from elsewhere of so many coordinates in units of the distribution, for an individual
+/// (`times` 1) and for the mean (2): table 1 of Hansen (2011).
+fn longest(n: usize, times: f64) -> f64 {
+    let n = n as f64;
+    (times * n).sqrt() + 2.0 * n / (n + 2.0)
+}
+
 /// Mean, step size, covariance matrix and evolution paths. Steps are in units of the sizes of the parameters.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Distribution {
@@ -75,15 +87,39 @@ impl Distribution {
         squared
     }
 
+    /// Shortens a step that was not drawn from this distribution if it is too long for it; returns the
+    /// squared length of `C^(-1/2) y`. `along` is overwritten.
+    pub(super) fn inject(&self, step: &mut [f64], along: &mut [f64]) -> f64 {
+        let squared = self.squared(step, along);
+        let most = longest(self.mean.len(), 1.0).powi(2);
+        let factor = (most / squared).min(1.0);
+        step.iter_mut().for_each(|y| *y *= factor.sqrt());
+        squared * factor
+    }
+
+    /// The squared length of `C^(-1/2) y`; `along` becomes the step along the axes.
+    fn squared(&self, step: &[f64], along: &mut [f64]) -> f64 {
+        along.fill(0.0);
+        for (row, y) in self.axes.chunks_exact(self.mean.len().max(1)).zip(step) {
+            along.iter_mut().zip(row).for_each(|(a, b)| *a += b * y);
+        }
+        along.iter().zip(&self.deviations).map(|(a, d)| (a / d).powi(2)).sum()
+    }
+
     /// Standard deviation along coordinate `k`, in units of its size.
     pub(super) fn deviation(&self, k: usize) -> f64 {
         self.sigma * self.covariance[k * (self.mean.len() + 1)].sqrt()
     }
 
     /// Moves towards the better steps, given best first with the squared lengths that [`draw`](Self::draw)
-    /// returned; `size` is that of a coordinate. Steps of failed individuals are not among them.
-    pub(super) fn update<'a, I>(&mut self, weights: &Weights, ranked: I, size: impl Fn(usize) -> f64)
-    where
+    /// or [`inject`](Self::inject) returned; `size` is that of a coordinate, `is_own`: whether all were drawn
+    /// from this distribution. Steps of failed individuals are not among them.
+    pub(super) fn update<'a, I>(
+        &mut self,
+        weights: &Weights,
+        (ranked, is_own): (I, bool),
+        size: impl Fn(usize) -> f64,
+    ) where
         I: Iterator<Item = (&'a [f64], f64)> + Clone,
     {
         let n = self.mean.len();
@@ -97,8 +133,9 @@ impl Distribution {
         for (w, (y, _)) in positive.iter().zip(ranked.clone()) {
             shift.iter_mut().zip(y).for_each(|(s, y)| *s += w / sum * y);
         }
+        let share = if is_own { 1.0 } else { SHARE_OF_EARLIER };
         for (k, (mean, s)) in self.mean.iter_mut().zip(&shift).enumerate() {
-            let moved = *mean + self.sigma * size(k) * s;
+            let moved = *mean + share * self.sigma * size(k) * s;
             *mean = if moved.is_finite() { moved } else { *mean };
         }
         // Equations 43 and 44: the step size, from C^(-1/2) = B D^-1 B^T.
@@ -108,11 +145,12 @@ impl Distribution {
         let mut along = std::mem::take(&mut self.along);
         along.clear();
         along.resize(n, 0.0);
-        let rows = self.axes.chunks_exact(n.max(1));
-        for (row, s) in rows.clone().zip(&shift) {
-            along.iter_mut().zip(row).for_each(|(a, b)| *a += b * s);
+        let squared = self.squared(&shift, &mut along);
+        if !is_own {
+            let factor = (longest(n, 2.0) / (mu_eff * squared).sqrt()).min(1.0);
+            along.iter_mut().chain(&mut shift).for_each(|s| *s *= factor);
         }
-        for (p, row) in self.path_sigma.iter_mut().zip(rows) {
+        for (p, row) in self.path_sigma.iter_mut().zip(self.axes.chunks_exact(n.max(1))) {
             *p *= 1.0 - c_sigma;
             row.iter().zip(&along).zip(&self.deviations).for_each(|((b, a), d)| *p += factor * b * a / d);
         }
@@ -214,6 +252,21 @@ impl Distribution {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn steps_from_elsewhere_are_no_longer_than_those_of_the_distribution() {
+        let mut d = Distribution::new(vec![0.0; 2], 1.0);
+        d.deviations = vec![10.0, 0.5];
+        // sqrt(2) + 1 along an axis, by Hansen's table.
+        for (mut step, squared, kept) in [
+            ([3.0, -0.5], 1.09, [3.0, -0.5]),
+            ([0.0, 5.0], 3.0 + 2.0 * 2f64.sqrt(), [0.0, 0.5 * (1.0 + 2f64.sqrt())]),
+        ] {
+            assert!((d.inject(&mut step, &mut [0.0; 2]) - squared).abs() < 1e-14);
+            assert!(step.iter().zip(kept).all(|(y, k)| (y - k).abs() < 1e-15), "{step:?}");
+        }
+        assert_eq!(d.inject(&mut [0.0; 2], &mut [0.0; 2]), 0.0);
+    }
 
     #[test]
     fn many_parameters_have_axes() {

@@ -4,7 +4,16 @@
 //! with other populations (IPOP: Auger and Hansen, CEC 2005; BIPOP: Hansen, GECCO workshop 2009).
 //!
 //! A generation is one batch. Each individual is drawn from a stream of its own, so the number of workers
-//! changes nothing. The distribution is over the working coordinates in units of their sizes, so that
+//! changes nothing.
+//!
+//! **Lag.** With a lag `L` an individual is drawn from the distribution after all generations that are known
+//! `L` answers before it, so that `L` individuals of later generations can be evaluated while a generation
+//! waits for its slowest. When its generation is learnt from, the step of such an individual is the one from
+//! the mean as it is by then, and its length is bounded, as is that of the step of the mean (Hansen,
+//! "Injecting external solutions into CMA-ES", INRIA RR-7748, 2011). The rule counts answers, not workers.
+//! With a lag the population is larger by default, for many short steps in the wrong place do not converge.
+//!
+//! The distribution is over the working coordinates in units of their sizes, so that
 //! parameters of any magnitude are alike.
 //!
 //! **Bounds.** No point outside is evaluated, and none is drawn twice: the distribution has no bounds, and a
@@ -70,7 +79,8 @@ impl MethodOptions for CmaEs {
         let members = self.members(n)?;
         // Population, candidates and batch on two scales, the steps; the matrix, its axes, and what decomposing it needs.
         memory::check("a covariance matrix of so many parameters", &[4, n, n])?;
-        memory::check("a population of so many members and parameters", &[4 * members, setup.space.n() + n])?;
+        let rows = 4 * members + self.lag;
+        memory::check("a population of so many members and parameters", &[rows, setup.space.n() + n])?;
         WithSizes::begin(self, prepared(setup))
     }
 
@@ -83,7 +93,8 @@ impl MethodOptions for CmaEs {
     }
 
     fn describe(&self) -> Vec<(String, String)> {
-        option_texts::fields(self)
+        // Without a lag the run is that of files that have no such option.
+        option_texts::fields(self).into_iter().filter(|(name, _)| self.lag > 0 || name != "lag").collect()
     }
 
     fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {

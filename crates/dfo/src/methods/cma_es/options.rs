@@ -53,7 +53,7 @@ pub enum CmaBounds {
 #[non_exhaustive]
 pub struct CmaEs {
     /// Individuals of a generation, at least 2; default `4 + floor(3 ln n)` for `n` free parameters
-    /// (tutorial, table 1).
+    /// (tutorial, table 1), at least three quarters of the lag.
     pub population: Option<usize>,
     /// The first standard deviation along each parameter, in units of its size: the nominal value where one
     /// was given, else the width of the box, else |x0|, else 1. One unit for all, so that it is a pure number
@@ -65,11 +65,23 @@ pub struct CmaEs {
     pub restarts: Restarts,
     /// Treatment of bounds; default [`CmaBounds::Smooth`].
     pub bounds_handling: CmaBounds,
+    /// Number of individuals that are drawn ahead of selection at any time, at most one and a half
+    /// populations: farther ahead the search does not converge. Default 0: a generation is drawn when the one
+    /// before it is known whole, which takes the fewest evaluations and is best for one worker. With four
+    /// times the workers these are busy where one evaluation in ten takes ten times as long
+    /// (docs/scaling.md).
+    pub lag: usize,
 }
 
 impl Default for CmaEs {
     fn default() -> Self {
-        Self { population: None, sigma: 0.3, restarts: Restarts::None, bounds_handling: CmaBounds::Smooth }
+        Self {
+            population: None,
+            sigma: 0.3,
+            restarts: Restarts::None,
+            bounds_handling: CmaBounds::Smooth,
+            lag: 0,
+        }
     }
 }
 
@@ -102,12 +114,24 @@ impl CmaEs {
         self
     }
 
+    /// Sets the number of individuals that are drawn ahead of selection.
+    #[must_use]
+    pub fn lag(mut self, individuals: usize) -> Self {
+        self.lag = individuals;
+        self
+    }
+
     /// Individuals for `n` free parameters, once everything is checked.
     pub(super) fn members(&self, n: usize) -> Result<usize, Error> {
         if !(self.sigma > 0.0 && self.sigma.is_finite()) {
             return Err(Error::Option { name: "sigma", value: self.sigma, range: "positive and finite" });
         }
-        let members = self.population.unwrap_or(4 + (3.0 * (n.max(1) as f64).ln()) as usize);
+        if self.lag > MAX_MEMBERS {
+            let range = "from 0 to a million";
+            return Err(Error::Option { name: "lag", value: self.lag as f64, range });
+        }
+        let of_lag = self.lag - self.lag / 4;
+        let members = self.population.unwrap_or(of_lag.max(4 + (3.0 * (n.max(1) as f64).ln()) as usize));
         if !(2..=MAX_MEMBERS).contains(&members) {
             let range = "from 2 to a million";
             return Err(Error::Option { name: "population", value: members as f64, range });

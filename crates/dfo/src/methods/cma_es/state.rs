@@ -5,13 +5,15 @@ use super::distribution::Distribution;
 use super::options::{CmaBounds, CmaEs};
 use super::restarts::{Schedule, draw_start};
 use super::weights::Weights;
-use crate::method::interface::Setup;
+use crate::method::interface::{Lookahead, Setup};
 use crate::method::rng::{Purpose, Stream};
+use crate::methods::shared::cost::Cost;
 use crate::methods::shared::generations::{GenerationRules, Generations, Populations};
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::outcome::termination::Termination;
 use crate::problem::space::Space;
 use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
 
 /// So many generations in a row without any cost end a run.
 const MOST_BARREN: usize = 50;
@@ -28,6 +30,15 @@ pub struct CmaRules {
     squared: Vec<f64>,
     normals: Vec<f64>,
     point: Vec<f64>,
+    /// Individuals to draw ahead of selection at most, and those that are drawn, in what the distribution is
+    /// over, one after the other.
+    #[serde(default)]
+    lag: usize,
+    #[serde(default)]
+    ahead: VecDeque<f64>,
+    /// So many individuals of the last generation were drawn from earlier distributions.
+    #[serde(default)]
+    n_earlier: usize,
     /// The best point since the last restart, in working coordinates.
     best: Vec<f64>,
     best_cost: f64,
@@ -39,6 +50,12 @@ pub struct CmaRules {
     /// True if the distribution has no extent any more that floating-point numbers could resolve.
     degenerate: bool,
     schedule: Schedule,
+}
+
+/// Individuals that are drawn ahead of selection in generations of so many members. Twice the members are too
+/// many: ellipsoid and Rosenbrock's function with 20 parameters were not solved (`benches/lag.rs` has both).
+fn most_ahead(lag: usize, members: usize) -> usize {
+    lag.min(members + members / 2)
 }
 
 /// From working coordinates to what the distribution is over.
@@ -63,6 +80,9 @@ impl CmaRules {
             squared: Vec::new(),
             normals: vec![0.0; n],
             point: vec![0.0; n],
+            lag: options.lag,
+            ahead: VecDeque::new(),
+            n_earlier: 0,
             best,
             best_cost: f64::INFINITY,
             n_generations: 0,
@@ -83,7 +103,8 @@ impl CmaRules {
         Generations::new(rules, Populations { setup, seed, population, candidates })
     }
 
-    /// Draws a generation, each individual from a stream of its own.
+    /// Makes a generation of the individuals that were drawn ahead and of new ones, then draws those ahead of
+    /// the next selection, each from a stream of its own.
     fn draw(
         &mut self,
         (seed, generation): (u64, u64),
@@ -94,17 +115,41 @@ impl CmaRules {
         let n = space.n_free();
         self.steps.resize(members * n, 0.0);
         self.squared.resize(members, 0.0);
-        for (i, squared) in self.squared.iter_mut().enumerate() {
-            let mut stream = Stream::new(seed, Purpose::Individual, generation, i);
-            let step = &mut self.steps[i * n..(i + 1) * n];
-            *squared = self.distribution.draw(&mut stream, &mut self.normals, step);
-            for (k, u) in self.point.iter_mut().enumerate() {
-                let mean = self.distribution.mean[k];
-                let drawn = mean + self.distribution.sigma * space.size(k) * step[k];
-                *u = Boundary::new(space, k, self.handling).bend(drawn, mean);
+        self.n_earlier = members.min(self.n_ahead(n));
+        let Self { steps, squared, normals, point, distribution, ahead, .. } = self;
+        let Distribution { mean, sigma, .. } = &*distribution;
+        let boundary = |k| Boundary::new(space, k, self.handling);
+        for i in 0..members {
+            let step = &mut steps[i * n..(i + 1) * n];
+            if i < self.n_earlier {
+                for (k, v) in ahead.drain(..n).enumerate() {
+                    step[k] = (v - mean[k]) / (sigma * space.size(k));
+                    point[k] = boundary(k).bend(v, 0.0);
+                }
+                squared[i] = distribution.inject(step, normals);
+            } else {
+                let mut stream = Stream::new(seed, Purpose::Individual, generation, i);
+                squared[i] = distribution.draw(&mut stream, normals, step);
+                for (k, u) in point.iter_mut().enumerate() {
+                    *u = boundary(k).bend(mean[k] + sigma * space.size(k) * step[k], mean[k]);
+                }
             }
-            into.place(i, &self.point, space);
+            into.place(i, point, space);
         }
+        for i in ahead.len() / n.max(1)..if n == 0 { 0 } else { most_ahead(self.lag, members) } {
+            let (later, slot) = (1 + (i / members) as u64, i % members);
+            let mut stream = Stream::new(seed, Purpose::Individual, generation + later, slot);
+            distribution.draw(&mut stream, normals, point);
+            for (k, y) in point.iter().enumerate() {
+                let v = mean[k] + sigma * space.size(k) * y;
+                ahead.push_back(if v.is_finite() { v } else { mean[k] });
+            }
+        }
+    }
+
+    /// Individuals that are drawn ahead of selection.
+    fn n_ahead(&self, n: usize) -> usize {
+        self.ahead.len() / n.max(1)
     }
 
     /// Takes in a generation that is ranked.
@@ -129,7 +174,7 @@ impl CmaRules {
         let step_of =
             |&slot: &usize| Some((self.steps.get(slot * n..(slot + 1) * n)?, *self.squared.get(slot)?));
         let ranked = generation.order()[..generation.n_finite()].iter().filter_map(step_of);
-        self.distribution.update(&self.weights, ranked, |k| space.size(k));
+        self.distribution.update(&self.weights, (ranked, self.n_earlier == 0), |k| space.size(k));
         // Wider than the box along every parameter it would be as good as uniform.
         let excess = |k: usize| match space.width(k) {
             Some(width) => self.distribution.deviation(k) * space.size(k) / (0.5 * width),
@@ -181,6 +226,31 @@ impl GenerationRules for CmaRules {
         }
     }
 
+    fn lookahead(&self) -> Lookahead {
+        if self.lag == 0 { Lookahead::None } else { Lookahead::Measured }
+    }
+
+    /// What is drawn ahead.
+    fn look_ahead(
+        &mut self,
+        pool: &Populations,
+        _: bool,
+        _: &dyn Fn(usize) -> Option<Cost>,
+        found: &mut dyn FnMut(&[f64], f64) -> bool,
+    ) {
+        let (space, n) = (&pool.setup.space, pool.setup.space.n_free());
+        let mut x = space.x0().to_vec();
+        for i in 0..self.n_ahead(n) {
+            for (k, v) in self.ahead.range(i * n..(i + 1) * n).enumerate() {
+                self.point[k] = Boundary::new(space, k, self.handling).bend(*v, 0.0);
+            }
+            space.to_user(&self.point, &mut x);
+            if !found(&x, f64::INFINITY) {
+                break;
+            }
+        }
+    }
+
     fn ended(&mut self, pool: &Populations, _: f64) -> Option<Termination> {
         let Populations { setup: Setup { space, .. }, population, .. } = pool;
         let (n, members) = (space.n_free(), population.len());
@@ -208,6 +278,7 @@ impl GenerationRules for CmaRules {
         let mut mean = self.best.clone();
         unbend(&mut mean, space, self.handling);
         self.distribution = Distribution::new(mean, sigma);
+        self.ahead.clear();
         self.best_cost = f64::INFINITY;
         (self.n_generations, self.idle, self.barren, self.degenerate) = (0, 0, 0, false);
         true
@@ -222,6 +293,9 @@ impl GenerationRules for CmaRules {
             && self.steps.len() == n_drawn * n
             && (n_drawn == pool.candidates.len() || n_drawn == pool.population.len())
             && [&self.normals, &self.point, &self.best].iter().all(|v| v.len() == n)
+            && self.n_earlier <= n_drawn
+            && (self.ahead.is_empty() || self.ahead.len() == most_ahead(self.lag, members) * n)
+            && self.ahead.iter().all(|v| v.is_finite())
             && pool.population.len() >= 1
     }
 }

@@ -125,8 +125,10 @@ def minimize(
         at once), ``max_starts``, ``exploration`` (share of the budget for differential evolution). CMA-ES: ``population``
         (4 + floor(3 ln n)), ``sigma`` (0.3: the first standard deviation, in units of the parameters' sizes), ``restarts``
         ("none": the run ends when its tests pass; "ipop" and "bipop": the search begins anew with other populations until a
-        limit ends the run), ``bounds_handling`` ("smooth", "mirror"). Pattern search: ``batch`` ("auto", "serial",
-        "ahead" or a number of points), ``frame`` (0.3: the first distance of the points of a poll, in units of the parameters' sizes),
+        limit ends the run), ``bounds_handling`` ("smooth", "mirror"), ``lag`` (0: number of individuals drawn ahead of
+        selection; four times the workers keeps them busy, with at least 3/4 of it as population where none is given).
+        Pattern search: ``batch`` ("auto", "serial", "ahead" or a number of points), ``frame`` (0.3: the first distance of the
+        points of a poll, in units of the parameters' sizes),
         ``restarts`` (1: so many searches in a row with new directions must gain nothing).
     checkpoint : path, optional
         A file for the state of the run, written after batches and at the end.
