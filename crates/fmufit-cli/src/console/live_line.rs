@@ -3,10 +3,15 @@
 use super::messages;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::cell::{Cell, RefCell};
+use std::io;
 use std::time::{Duration, Instant};
+use terminal_size::terminal_size_of;
 
 /// Least time between two lines where none is rewritten.
 const PAUSE: Duration = Duration::from_secs(2);
+
+/// Columns of a terminal that the line leaves free: the echo of Ctrl-C must not break it.
+const MARGIN: usize = 6;
 
 /// The line; it goes away when it is dropped.
 pub(crate) struct LiveLine {
@@ -20,7 +25,7 @@ impl LiveLine {
         let mut line = Self { bar: None, printed: None };
         if is_shown && is_rewritten {
             let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
-            if let Ok(style) = ProgressStyle::with_template("{spinner} {wide_msg}") {
+            if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}") {
                 bar.set_style(style);
             }
             messages::stand_above(Some(bar.clone()));
@@ -36,7 +41,9 @@ impl LiveLine {
         let text =
             |state: String| if state.is_empty() { heading.to_owned() } else { format!("{heading}: {state}") };
         if let Some(bar) = &self.bar {
-            bar.set_message(calibration::visible(&text(state())).into_owned());
+            let width = terminal_size_of(io::stderr()).map_or(80, |(width, _)| usize::from(width.0));
+            let text = calibration::visible(&text(state())).into_owned();
+            bar.set_message(text.chars().take(width.saturating_sub(MARGIN)).collect::<String>());
             bar.tick();
         }
         if let Some((last, at)) = &self.printed

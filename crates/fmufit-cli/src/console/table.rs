@@ -1,7 +1,7 @@
 //! Tables of texts.
 
 use comfy_table::ContentArrangement;
-use comfy_table::presets::{NOTHING, UTF8_HORIZONTAL_ONLY};
+use comfy_table::presets::NOTHING;
 
 /// A table with a header. Columns without any text are left out.
 pub(crate) struct Table<const N: usize> {
@@ -20,8 +20,8 @@ impl<const N: usize> Table<N> {
         self.rows.push(row);
     }
 
-    /// The text: with lines, and cells that wrap where a line is too short, in a terminal of this width; else
-    /// a line for each row.
+    /// The text: a line for each row; in a terminal of this width with cells that wrap where a line is too
+    /// short.
     pub(crate) fn text(&self, width: Option<u16>) -> String {
         let is_kept: [bool; N] = std::array::from_fn(|k| self.rows.iter().any(|row| !row[k].is_empty()));
         let kept = |row: &[String; N]| {
@@ -29,7 +29,7 @@ impl<const N: usize> Table<N> {
             cells.map(|(cell, _)| calibration::visible(cell).into_owned()).collect::<Vec<_>>()
         };
         let mut table = comfy_table::Table::new();
-        table.load_style(if width.is_some() { UTF8_HORIZONTAL_ONLY } else { NOTHING });
+        table.load_style(NOTHING);
         if let Some(width) = width {
             table.set_width(width).set_content_arrangement(ContentArrangement::Dynamic);
         }
