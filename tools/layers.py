@@ -50,6 +50,12 @@ LAYERS = {
         simulators write_start_values
         session
     """,
+    "fmufit-cli": """
+        error
+        arguments console interrupt
+        problem
+        commands
+    """,
     "ode": """
         number sparsity stats stages stopwatch tableau
         system options error

@@ -61,7 +61,7 @@ pub use problem::parameter::{Parameter, Scale, Target, Tie};
 pub use problem::prior::Prior;
 pub use problem::residual_layout::{OutputResiduals, PriorResidual, ResidualLayout};
 pub use problem::warning::{SETUP_LOG_TARGET, SetupWarning};
-pub use report::{ExperimentCurves, OutputCurves, Signal};
+pub use report::{ExperimentCurves, OutputCurves, Signal, plot};
 pub use uncertainty::active_bounds::BoundSide;
 pub use uncertainty::estimate::{
     Effect, Estimator, Omitted, PartConflict, Parts, PriorConflict, ResidualCheck, Uncertainty,

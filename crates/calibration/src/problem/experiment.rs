@@ -483,7 +483,11 @@ impl SimulationSettings {
                 }
                 "sandbox" => settings.sandbox = value.read(name)?,
                 _ => {
-                    return Err(RecordError::message(format!("there is no setting '{name}' of simulations")));
+                    let known: Vec<String> = match dfo::Value::of(&Self::default())? {
+                        dfo::Value::Record(fields) => fields.into_keys().collect(),
+                        _ => Vec::new(),
+                    };
+                    return Err(RecordError::unknown("setting of simulations", name, &known));
                 }
             }
         }

@@ -5,6 +5,7 @@ pub(crate) mod assignment;
 pub(crate) mod column_units;
 pub(crate) mod definition;
 pub(crate) mod experiment;
+pub(crate) mod experiment_record;
 pub(crate) mod fingerprint;
 pub(crate) mod input;
 pub(crate) mod measurements;

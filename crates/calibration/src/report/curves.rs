@@ -1,6 +1,7 @@
 //! Data of the figures of a fit: measurements, responses at the start and at the fitted values, residuals,
 //! inputs, sensitivities.
 
+use super::figure::{self, Panel, Series};
 use crate::cost::calibration::Calibration;
 use crate::cost::parallel;
 use crate::error::CalibrationError;
@@ -11,6 +12,9 @@ use base::RunContext;
 use fmi::Trajectory;
 use serde::Serialize;
 use std::thread::available_parallelism;
+
+/// Height of a panel of a plot, in pixels.
+const PANEL: u32 = 160;
 
 /// Points of a response.
 const CURVE_POINTS: usize = 2001;
@@ -55,6 +59,22 @@ pub struct Signal {
     pub times: Vec<f64>,
     /// Its values.
     pub values: Vec<f64>,
+}
+
+/// Columns over their times, in s, as an SVG drawing with a panel for each, labelled by its name; `None`
+/// where there is nothing finite to draw.
+pub fn plot<'a>(times: &[f64], columns: impl IntoIterator<Item = (String, &'a [f64])>) -> Option<String> {
+    let panel = |(y_label, values): (String, &[f64])| {
+        let points = times.iter().copied().zip(values.iter().copied()).collect();
+        Panel {
+            height: PANEL,
+            y_label,
+            series: vec![Series::Fitted(points)],
+            is_logarithm: false,
+            has_zero: false,
+        }
+    };
+    figure::draw(&columns.into_iter().map(panel).collect::<Vec<_>>(), "time in s")
 }
 
 impl Calibration {

@@ -8,7 +8,7 @@ mod summary;
 mod template;
 mod text;
 
-pub use curves::{ExperimentCurves, OutputCurves, Signal};
+pub use curves::{ExperimentCurves, OutputCurves, Signal, plot};
 
 use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;

@@ -222,3 +222,73 @@ fn a_state_that_is_no_number_is_said_with_its_time() {
     let later = said("m->time>0.6?NAN:m->x");
     assert!(later.contains("at t = 1: x is NaN"), "{later}");
 }
+
+/// A record of plain data, written as JSON.
+fn record(json: &str) -> dfo::Record {
+    match serde_json::from_str::<serde_json::Value>(json).unwrap().into() {
+        dfo::Value::Record(record) => record,
+        other => panic!("{other}"),
+    }
+}
+
+#[test]
+fn an_experiment_of_a_record_is_the_one_that_its_methods_make() {
+    let folder = tempfile::tempdir().unwrap();
+    let rows: String =
+        (0..5).map(|i| format!("{i},{},{},{},1\n", 2 * i, i * i, if i < 4 { 1 } else { 0 })).collect();
+    std::fs::write(folder.path().join("run.csv"), format!("t,a,b,valid,u\n{rows}")).unwrap();
+    let asked = |json: &str| Experiment::asked(&record(json), folder.path(), &RunContext::new());
+    let given = asked(
+        r#"{"name": "cold", "data": "run.csv", "time": "t", "outputs": [["y", "b"], ["x", "a"]], "weights": {"x": 2},
+            "inputs": {"u": "u", "v": 3}, "start_values": {"n": 3, "on": true}, "windows": [[0, 1], [2, 4]], "warm_up": 0.5,
+            "initial_states": {"p": "measured", "q": 1, "r": {"start": 1, "lower": 0, "upper": 2}},
+            "mask": "valid", "delays": {"x": 0.1}, "hold_inputs": true}"#,
+    )
+    .unwrap();
+    let columns = ["a", "b", "valid", "u"].map(str::to_owned);
+    let request = calibration::CsvRequest { time: Some("t"), columns: Some(&columns), ..Default::default() };
+    let data = Data::read_csv(folder.path().join("run.csv"), request).unwrap();
+    let expected = Experiment::new(data.masked_by(&["b", "a"], "valid").unwrap())
+        .named("cold")
+        .output("y", "b")
+        .weighted_output("x", "a", 2.0)
+        .input("u", "u")
+        .constant_input("v", 3.0)
+        .start_value("n", 3u8)
+        .start_value("on", true)
+        .initial_state("p", calibration::InitialState::Measured)
+        .initial_state("q", 1.0)
+        .initial_state("r", Parameter::new("r", 1.0).bounds(0.0, 2.0))
+        .windows([(0.0, 1.0), (2.0, 4.0)])
+        .warm_up(0.5)
+        .delay("x", 0.1)
+        .hold_inputs(true);
+    assert_eq!(format!("{given:?}"), format!("{expected:?}"));
+    let message = |json: &str| asked(json).unwrap_err().to_string();
+    for (json, expected) in [
+        (r#"{"outputs": ["a"]}"#, "data is missing"),
+        (
+            r#"{"data": "run.csv", "output": {"x": "a"}}"#,
+            "no field of an experiment 'output'; did you mean 'outputs'?",
+        ),
+        (r#"{"data": "none.csv", "time": "t"}"#, "cannot read"),
+        (r#"{"data": "run.csv", "time": "t", "outputs": 3}"#, "outputs must give a value to each name"),
+        (r#"{"data": "run.csv", "outputs": {"x": 3}}"#, "outputs: 'x' must be a string, not 3"),
+        (
+            r#"{"data": "run.csv", "outputs": ["x"], "weights": {"xx": 3}}"#,
+            "no output for the weight 'xx'; there are x",
+        ),
+        (r#"{"data": "run.csv", "outputs": ["x"], "weights": "rnge"}"#, "'range'"),
+        (r#"{"data": "run.csv", "inputs": {"u": [1]}}"#, "must be the name of a column, or a number"),
+        (
+            r#"{"data": "run.csv", "time": "t", "initial_states": {"x": "recorded"}}"#,
+            "a number, 'measured', or a parameter",
+        ),
+        (
+            r#"{"data": "run.csv", "time": "t", "initial_states": {"x": {"strat": 1}}}"#,
+            "did you mean 'start'?",
+        ),
+    ] {
+        assert!(message(json).contains(expected), "{}", message(json));
+    }
+}

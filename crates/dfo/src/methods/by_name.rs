@@ -1,5 +1,6 @@
 //! Options of methods by their names, and where they stand in the serialised defaults of a method.
 
+use crate::values::nearest::nearest;
 use crate::values::record::{Record, RecordError, Value};
 use std::collections::BTreeSet;
 
@@ -93,39 +94,11 @@ pub(super) fn described(option: &str) -> Option<&'static str> {
 
 /// The error for an option that there is not, with the one that is most like it.
 pub(super) fn unknown(method: &'static str, option: &str, known: &BTreeSet<String>) -> RecordError {
-    let asked = folded(option);
     let all = known.iter().map(String::as_str).chain(COMMON);
-    let near = all.map(|name| (edits(&asked, &folded(name)), name)).min();
-    let hint = match near {
-        // Two fifths of the letters may differ.
-        Some((edits, name)) if 5 * edits <= 2 * name.len().max(option.len()) => {
-            format!("; did you mean '{name}'?")
-        }
-        _ => ";".to_owned(),
-    };
+    let hint = nearest(option, all).map_or(";".to_owned(), |name| format!("; did you mean '{name}'?"));
     let known = known.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
     let common = COMMON.join(", ");
     RecordError::message(format!(
         "{method} has no option '{option}'{hint} it has {known}, and every method has {common}"
     ))
-}
-
-/// A name without what people write differently: the case of letters, and what stands between words.
-pub(super) fn folded(name: &str) -> String {
-    name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
-}
-
-/// How many letters must be changed, added or taken away to make one word of the other (Levenshtein, Sov.
-/// Phys. Dokl. 10, 1966).
-pub(super) fn edits(from: &str, to: &str) -> usize {
-    let to: Vec<char> = to.chars().collect();
-    let mut row: Vec<usize> = (0..=to.len()).collect();
-    for (i, c) in from.chars().enumerate() {
-        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
-        for (j, d) in to.iter().enumerate() {
-            let least = (diagonal + usize::from(c != *d)).min(row[j] + 1).min(row[j + 1] + 1);
-            diagonal = std::mem::replace(&mut row[j + 1], least);
-        }
-    }
-    row[to.len()]
 }

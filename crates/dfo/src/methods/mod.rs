@@ -32,9 +32,10 @@ use crate::method::linear_model::LinearModel;
 use crate::outcome::answer::Answers;
 use crate::problem::option_texts;
 use crate::values::choices::{Kind, Search};
+use crate::values::nearest::{edits, folded};
 use crate::values::record::{Record, Value};
 use base::RunContext;
-use by_name::{COMMON, collect, described, edits, folded, place, tagged, unknown};
+use by_name::{COMMON, collect, described, place, tagged, unknown};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::fmt;
@@ -232,6 +233,11 @@ impl AnyMethod {
             Self::QuadraticModel(_) => "quadratic-model",
             Self::PatternSearch(_) => "pattern-search",
         }
+    }
+
+    /// The names of the methods that can be asked for, `auto` not among them.
+    pub fn names() -> impl ExactSizeIterator<Item = &'static str> {
+        LIST.iter().map(|method| method.name)
     }
 
     /// The method that `fmin` of Gedda et al. (2012) has under this number: 1 Nelder-Mead, 2 sequential

@@ -10,6 +10,7 @@ use crate::values::choices::{Kind, Search, Transform};
 use crate::values::record::{Record, RecordError, Value};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -112,6 +113,24 @@ impl<M> RunOptions<M> {
     }
 }
 
+/// The options of every run that are known by name beside those that all methods have.
+const OF_RUN: [&str; 14] = [
+    "checkpoint",
+    "code",
+    "max_evaluations",
+    "max_fevals",
+    "max_iterations",
+    "max_iters",
+    "max_time",
+    "method",
+    "resume",
+    "search",
+    "seed",
+    "target",
+    "unlimited",
+    "workers",
+];
+
 /// A run and what is said of its parameters, as users ask for them by name.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct AskedRun {
@@ -126,6 +145,16 @@ pub struct AskedRun {
 }
 
 impl AskedRun {
+    /// The names of all options that a record of a run may have, with those of any method.
+    ///
+    /// # Errors
+    /// The options of a method cannot be serialised.
+    pub fn option_names() -> Result<BTreeSet<String>, Error> {
+        let mut names = AnyMethod::all_option_names()?;
+        names.extend(OF_RUN.map(str::to_owned));
+        Ok(names)
+    }
+
     /// The run of a record, over `n` parameters; `options` holds where the record says nothing, or none. What
     /// every run has stands in the record beside the options of the method.
     ///
@@ -238,4 +267,16 @@ fn per_parameter<T: DeserializeOwned + Clone>(name: &str, value: &Value, n: usiz
         return Err(RecordError::message(message).into());
     }
     Ok(values.iter().map(|value| value.read(name)).collect::<Result<_, _>>()?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_option_of_a_run_is_one_by_its_name() {
+        assert!(OF_RUN.iter().all(|name| is_of_run(name)));
+        let names = AskedRun::option_names().unwrap();
+        assert!(names.contains("max_time") && names.contains("x_tol") && names.contains("initial_simplex"));
+    }
 }

@@ -2,5 +2,6 @@
 
 pub(crate) mod choices;
 pub(crate) mod encoding;
+pub(crate) mod nearest;
 pub(crate) mod number;
 pub(crate) mod record;

@@ -1,6 +1,7 @@
 //! Options by name: plain data from Python, a file or a command line, and how it becomes the serde types of
 //! this workspace.
 
+use crate::values::nearest::nearest;
 use crate::values::number::Number;
 use serde::de::value::{MapAccessDeserializer, SeqDeserializer};
 use serde::de::{self, DeserializeOwned, DeserializeSeed, IntoDeserializer, MapAccess, Unexpected, Visitor};
@@ -12,6 +13,9 @@ use std::time::Duration;
 
 /// A limit of wall-clock time beyond this, in s, is none.
 const ENDLESS: f64 = 1e15;
+
+/// Where one of more names was meant, the others are not listed.
+const MOST_LISTED: usize = 24;
 
 /// Values by name.
 pub type Record = BTreeMap<String, Value>;
@@ -198,6 +202,19 @@ impl RecordError {
         Self::new(Problem::Message(text.into()))
     }
 
+    /// An error about a name that is none of those there are, with the one that is most like it; `what`: what
+    /// it is the name of.
+    pub fn unknown<N: AsRef<str>>(what: &str, name: &str, known: &[N]) -> Self {
+        let known: Vec<&str> = known.iter().map(AsRef::as_ref).collect();
+        let meant = nearest(name, known.iter().copied());
+        let hint = meant.map_or(";".to_owned(), |meant| format!("; did you mean '{meant}'?"));
+        let listed = match meant.is_some() && known.len() > MOST_LISTED {
+            true => String::new(),
+            false => format!(" there are {}", known.join(", ")),
+        };
+        Self::message(format!("there is no {what} '{name}'{hint}{listed}"))
+    }
+
     /// The same of an option, where none is named yet.
     pub(crate) fn of(mut self, name: &str, given: &Value) -> Self {
         if self.name.is_none() {
@@ -303,6 +320,10 @@ impl de::Error for RecordError {
             Unexpected::Str(_) => Self::expected(expected.to_string(), false),
             _ => Self::invalid_type(found, expected),
         }
+    }
+
+    fn unknown_field(field: &str, expected: &'static [&'static str]) -> Self {
+        Self::unknown("field", field, expected)
     }
 
     fn unknown_variant(_: &str, expected: &'static [&'static str]) -> Self {

@@ -6,8 +6,12 @@ use crate::fit::phase::CurrentPhase;
 use crate::problem::objective::CostKind;
 use crate::uncertainty::estimate::{Estimator, UncertaintyOptions};
 use base::RunContext;
-use dfo::{AnyMethod, AskedRun, Measure, Progress, Record, RobustLoss, RunOptions, Search, Stop, Tolerances};
+use dfo::{
+    AnyMethod, AskedRun, Measure, Progress, Record, RecordError, RobustLoss, RunOptions, Search, Stop,
+    Tolerances,
+};
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::fmt;
 use std::ops::ControlFlow;
 use std::rc::Rc;
@@ -76,7 +80,17 @@ impl FitOptions<'_> {
 }
 
 impl FitOptions<'_> {
-    /// A fit of `n` parameters as a record asks for it: `loss`, `f_scale`, `noise`, `preflight`,
+    /// The names of all options that a record of a fit may have.
+    ///
+    /// # Errors
+    /// The options of a method cannot be serialised.
+    pub fn option_names() -> Result<BTreeSet<String>, dfo::Error> {
+        let mut names = AskedRun::option_names()?;
+        names.extend(["objective", "loss", "f_scale", "noise", "preflight", "covariance"].map(str::to_owned));
+        Ok(names)
+    }
+
+    /// A fit of `n` parameters as a record asks for it: `objective`, `loss`, `f_scale`, `noise`, `preflight`,
     /// `covariance`, and the options of its run. What it does not say is as by default.
     ///
     /// # Errors
@@ -84,6 +98,14 @@ impl FitOptions<'_> {
     pub fn asked(mut record: Record, n: usize) -> Result<Self, dfo::Error> {
         let mut options =
             Self { loss: RobustLoss::asked(&mut record)?.unwrap_or_default(), ..Self::default() };
+        if let Some(objective) = record.remove("objective") {
+            let name: String = objective.read("objective")?;
+            options.objective = CostKind::of_name(&name).ok_or_else(|| {
+                let known: Vec<CostKind> = CostKind::named().collect();
+                let known: Vec<&str> = known.iter().map(CostKind::name).collect();
+                RecordError::unknown("objective", &name, &known)
+            })?;
+        }
         if let Some(noise) = record.remove("noise") {
             options.noise = noise.read("noise")?;
         }

@@ -1,0 +1,29 @@
+//! Names that somebody may have meant who wrote another one.
+
+/// The name that is most like what was written, if no more than two fifths of its letters differ.
+pub(crate) fn nearest<'n>(written: &str, names: impl IntoIterator<Item = &'n str>) -> Option<&'n str> {
+    let asked = folded(written);
+    let all = names.into_iter().map(|name| (edits(&asked, &folded(name)), name));
+    let (edits, name) = all.min()?;
+    (5 * edits <= 2 * name.len().max(written.len())).then_some(name)
+}
+
+/// A name without what people write differently: the case of letters, and what stands between words.
+pub(crate) fn folded(name: &str) -> String {
+    name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
+}
+
+/// How many letters must be changed, added or taken away to make one word of the other (Levenshtein, Sov.
+/// Phys. Dokl. 10, 1966).
+pub(crate) fn edits(from: &str, to: &str) -> usize {
+    let to: Vec<char> = to.chars().collect();
+    let mut row: Vec<usize> = (0..=to.len()).collect();
+    for (i, c) in from.chars().enumerate() {
+        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
+        for (j, d) in to.iter().enumerate() {
+            let least = (diagonal + usize::from(c != *d)).min(row[j] + 1).min(row[j + 1] + 1);
+            diagonal = std::mem::replace(&mut row[j + 1], least);
+        }
+    }
+    row[to.len()]
+}

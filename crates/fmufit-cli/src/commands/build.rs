@@ -1,0 +1,37 @@
+//! `fmufit build`: a source-code FMU compiled for this platform.
+
+use crate::arguments::Build;
+use crate::console::Console;
+use crate::error::{Error, Exit};
+use crate::interrupt::Interrupt;
+use fmi::{Cancel, FmiError};
+
+pub(crate) fn run(arguments: &Build, console: &Console) -> Result<Exit, Error> {
+    let Build { model, output } = arguments;
+    let output = match output {
+        Some(output) => output.clone(),
+        None if model.is_dir() => {
+            // A folder may be written with a slash at its end, or as `.`.
+            let folder =
+                model.canonicalize().map_err(|e| Error::input(format!("{}: {e}", model.display())))?;
+            folder.with_extension("fmu")
+        }
+        None => {
+            let name = model.display();
+            return Err(Error::input(format!(
+                "{name} is no folder: name the file to write, fmufit build {name} built.fmu"
+            )));
+        }
+    };
+    let interrupt = Interrupt::watch()?;
+    let built = fmi::pack_unless(model, &output, &Cancel::when(interrupt.flag()));
+    match built {
+        Ok(()) => {
+            console.result(&format!("wrote {}", output.display()));
+            Ok(Exit::Success)
+        }
+        Err(FmiError::Cancelled) => Err(Error::interrupted()),
+        Err(error @ FmiError::Io { .. }) => Err(Error::input(error)),
+        Err(error) => Err(Error::work(error)),
+    }
+}

@@ -1,0 +1,146 @@
+//! `fmufit info`: what a model has.
+
+use crate::arguments::Info;
+use crate::console::{Console, Table};
+use crate::error::{Error, Exit};
+use fmi::description::{Causality, Interface};
+use fmi::{Fmu, ModelDescription, Value, Variable};
+use ode::Number;
+use serde_json::json;
+
+pub(crate) fn run(arguments: &Info, console: &Console) -> Result<Exit, Error> {
+    let fmu = Fmu::open(&arguments.model).map_err(Error::input)?;
+    let description = fmu.description();
+    let is_asked = |variable: &&Variable| match &arguments.causality {
+        Some(word) => variable.causality.name().eq_ignore_ascii_case(word),
+        None => true,
+    };
+    let asked: Vec<&Variable> = description.variables.iter().filter(is_asked).collect();
+    if let Some(word) = arguments.causality.as_ref().filter(|_| asked.is_empty()) {
+        let mut known: Vec<&str> = description.variables.iter().map(|v| v.causality.name()).collect();
+        known.sort_unstable();
+        known.dedup();
+        let known = known.join(", ");
+        return Err(Error::input(format!(
+            "no variable has the causality '{word}'; there are variables of: {known}"
+        )));
+    }
+    if arguments.json {
+        console.json(&document(&fmu, &asked))?;
+        return Ok(Exit::Success);
+    }
+    let is_shown =
+        |variable: &&&Variable| arguments.all || arguments.causality.is_some() || !is_internal(variable);
+    let shown: Vec<&&Variable> = asked.iter().filter(is_shown).collect();
+    let mut table = Table::new(["name", "causality", "variability", "type", "unit", "start", "description"]);
+    for variable in &shown {
+        table.row([
+            variable.name.clone(),
+            variable.causality.to_string(),
+            variable.variability.to_string(),
+            format!("{}{}", variable.kind, "[]".repeat(variable.dimensions.len())),
+            variable.unit.clone().unwrap_or_default(),
+            variable.start.as_ref().map(value_text).unwrap_or_default(),
+            variable.description.clone().unwrap_or_default(),
+        ]);
+    }
+    console.result(&header(&fmu));
+    console.result("");
+    console.result(&table.text(console.width()));
+    match asked.len() - shown.len() {
+        0 => {}
+        n => console.result(&format!("\nand {n} internal variables: --all shows them")),
+    }
+    if !description.quirks.is_empty() {
+        let n = description.quirks.len();
+        console.result(&format!("\n{n} departures from the standard: fmufit validate lists them"));
+    }
+    Ok(Exit::Success)
+}
+
+fn is_internal(variable: &Variable) -> bool {
+    matches!(variable.causality, Causality::Local | Causality::Independent)
+}
+
+/// A value as a person reads it.
+fn value_text(value: &Value) -> String {
+    match value {
+        Value::Real(x) => Number(*x).to_string(),
+        Value::String(text) => text.clone(),
+        other => other.to_string(),
+    }
+}
+
+/// The lines about the model as a whole.
+fn header(fmu: &Fmu) -> String {
+    let description = fmu.description();
+    let mut lines = vec![format!("{}, FMI {}", description.model_name, description.fmi_version)];
+    lines.extend(description.description.clone());
+    lines.push(interfaces(description).iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", "));
+    let tool = description.generation_tool.iter().chain(&description.generation_date_and_time);
+    lines.push(tool.cloned().collect::<Vec<_>>().join(", "));
+    let experiment = &description.default_experiment;
+    let facts = [
+        ("start", experiment.start_time, " s"),
+        ("stop", experiment.stop_time, " s"),
+        ("tolerance", experiment.tolerance, ""),
+        ("step", experiment.step_size, " s"),
+    ];
+    let facts =
+        facts.iter().filter_map(|(name, value, unit)| value.map(|v| format!("{name} {}{unit}", Number(v))));
+    lines.push(facts.collect::<Vec<_>>().join(", "));
+    lines.retain(|line| !line.is_empty());
+    lines.join("\n")
+}
+
+fn interfaces(description: &ModelDescription) -> Vec<(&'static str, &Interface)> {
+    let model_exchange = description.model_exchange.iter().map(|interface| ("model exchange", interface));
+    model_exchange
+        .chain(description.co_simulation.iter().map(|interface| ("co-simulation", interface)))
+        .collect()
+}
+
+/// All of it for other programs.
+fn document(fmu: &Fmu, variables: &[&Variable]) -> serde_json::Value {
+    let description = fmu.description();
+    let value = |value: &Value| match value {
+        Value::Real(x) => json!(x),
+        Value::Boolean(truth) => json!(truth),
+        Value::Integer(i) => i64::try_from(*i).map_or_else(|_| json!(i.to_string()), |i| json!(i)),
+        Value::String(text) => json!(text),
+        other => json!(other.to_string()),
+    };
+    let start = |variable: &Variable| match &variable.start {
+        Some(Value::Array(values)) => Some(json!(values.iter().map(value).collect::<Vec<_>>())),
+        other => other.as_ref().map(value),
+    };
+    let variable = |variable: &&Variable| {
+        json!({
+            "name": variable.name,
+            "causality": variable.causality.name(),
+            "variability": variable.variability.name(),
+            "initial": variable.initial.map(|initial| initial.name()),
+            "type": variable.kind.name(),
+            "unit": variable.unit,
+            "display_unit": variable.display_unit,
+            "start": start(variable),
+            "min": variable.min,
+            "max": variable.max,
+            "nominal": variable.nominal,
+            "is_array": !variable.dimensions.is_empty(),
+            "description": variable.description,
+        })
+    };
+    json!({
+        "path": fmu.path().display().to_string(),
+        "model_name": description.model_name,
+        "fmi_version": description.fmi_version.to_string(),
+        "description": description.description,
+        "generation_tool": description.generation_tool,
+        "generation_date_and_time": description.generation_date_and_time,
+        "interfaces": interfaces(description).iter().map(|(name, _)| *name).collect::<Vec<_>>(),
+        "default_experiment": serde_json::to_value(description.default_experiment).unwrap_or_default(),
+        "variables": variables.iter().map(variable).collect::<Vec<_>>(),
+        "quirks": description.quirks.iter().map(ToString::to_string).collect::<Vec<_>>(),
+    })
+}

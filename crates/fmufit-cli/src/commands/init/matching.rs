@@ -1,0 +1,128 @@
+//! Columns of a recording and the variables that they measure or drive, matched by their names.
+
+use super::proposal::Proposed;
+use crate::error::Error;
+use calibration::{Data, find_column};
+use fmi::description::{Causality, Variability};
+use fmi::{Fmu, Variable};
+
+/// A variable and a column.
+pub(super) type Pair = (String, String);
+
+/// Columns of a recording, and what became of them.
+pub(super) struct Columns {
+    pub(super) outputs: Vec<Pair>,
+    pub(super) inputs: Vec<Pair>,
+    /// Columns that belong to no variable, with the variables that they may belong to.
+    pub(super) unmatched: Vec<(String, Vec<String>)>,
+    /// Inputs that no column drives.
+    pub(super) undriven: Vec<String>,
+}
+
+impl Columns {
+    /// Matches what was not given.
+    pub(super) fn matched(
+        fmu: &Fmu,
+        data: &Data,
+        outputs: Vec<Pair>,
+        inputs: Vec<Pair>,
+    ) -> Result<Self, Error> {
+        let description = fmu.description();
+        for (variable, column) in outputs.iter().chain(&inputs) {
+            if description.variable(variable).is_none() {
+                let nearest = description.nearest_names(variable, 3).into_iter().map(str::to_owned).collect();
+                return Err(Error::input(fmi::FmiError::UnknownVariable { name: variable.clone(), nearest }));
+            }
+            find_column(data.names(), column)
+                .map_err(|message| Error::input(format!("{}: {message}", data.source())))?;
+        }
+        let mut columns = Self {
+            outputs: outputs.to_vec(),
+            inputs: inputs.to_vec(),
+            unmatched: Vec::new(),
+            undriven: Vec::new(),
+        };
+        for name in data.names() {
+            let column = stem(name, data);
+            let is_given = |(_, given): &Pair| given == name || *given == column;
+            if outputs.iter().chain(&inputs).any(is_given) {
+                continue;
+            }
+            match candidates(&column, &description.variables)[..] {
+                [one] if one.causality == Causality::Input => columns.inputs.push((one.name.clone(), column)),
+                [one] => columns.outputs.push((one.name.clone(), column)),
+                ref several => {
+                    let several = several.iter().map(|variable| variable.name.clone()).collect();
+                    columns.unmatched.push((column, several));
+                }
+            }
+        }
+        let is_driven = |name: &str| columns.inputs.iter().any(|(input, _)| input == name);
+        let known = description.variables.iter().filter(|variable| variable.causality == Causality::Input);
+        columns.undriven =
+            known.map(|variable| variable.name.clone()).filter(|name| !is_driven(name)).collect();
+        Ok(columns)
+    }
+
+    pub(super) fn has_outputs(&self) -> bool {
+        !self.outputs.is_empty()
+    }
+
+    /// The counts, in a sentence.
+    pub(super) fn summary(&self, proposed: &Proposed) -> String {
+        let count = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
+        let mut parts = vec![
+            count(self.outputs.len(), "output"),
+            count(self.inputs.len(), "input"),
+            count(proposed.n_active(), "parameter"),
+        ];
+        if !self.unmatched.is_empty() {
+            parts.push(format!("{} without a variable", count(self.unmatched.len(), "column")));
+        }
+        parts.join(", ")
+    }
+}
+
+/// The name of a column without its unit, where that is enough to find it.
+fn stem(name: &str, data: &Data) -> String {
+    let short = name.split([' ', '[', '(']).next().unwrap_or(name).trim_end();
+    match find_column(data.names(), short) {
+        Ok(_) if !short.is_empty() => short.to_owned(),
+        _ => name.to_owned(),
+    }
+}
+
+/// The variables that a column may belong to: those of the best kind of match that there is.
+fn candidates<'v>(column: &str, variables: &'v [Variable]) -> Vec<&'v Variable> {
+    let is_result = |variable: &&Variable| match variable.causality {
+        Causality::Input | Causality::Output => true,
+        Causality::Local => {
+            variable.variability != Variability::Constant && variable.variability != Variability::Fixed
+        }
+        _ => false,
+    };
+    let all = || variables.iter().filter(is_result).filter(|variable| variable.kind.is_number());
+    let is_outside = |variable: &&Variable| variable.causality != Causality::Local;
+    let asked = folded(column);
+    let kinds: [&dyn Fn(&str) -> bool; 3] =
+        [&|name| name == column, &|name| folded(name) == asked, &|name| {
+            name.rsplit_once('.').is_some_and(|(_, last)| folded(last) == asked)
+        }];
+    for is_match in kinds {
+        let found: Vec<&Variable> = all().filter(|variable| is_match(&variable.name)).collect();
+        // What is meant for use outside goes first.
+        let outside: Vec<&Variable> = found.iter().copied().filter(is_outside).collect();
+        if !outside.is_empty() {
+            return outside;
+        }
+        if !found.is_empty() {
+            return found;
+        }
+    }
+    Vec::new()
+}
+
+/// A name without what people write differently.
+fn folded(name: &str) -> String {
+    name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
+}

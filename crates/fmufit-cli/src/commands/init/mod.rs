@@ -1,0 +1,86 @@
+//! `fmufit init`: a problem file from a model and a recording.
+
+mod matching;
+mod proposal;
+mod text;
+
+use crate::arguments::Init;
+use crate::console::Console;
+use crate::error::{Error, Exit};
+use crate::interrupt::Interrupt;
+use crate::problem::{ProblemFile, short_form};
+use calibration::{CsvRequest, Data, PreflightOptions, RunContext};
+use fmi::Fmu;
+use matching::{Columns, Pair};
+use proposal::Proposed;
+use std::path::Path;
+
+pub(crate) fn run(arguments: &Init, console: &Console) -> Result<Exit, Error> {
+    let Init { model, data, problem, .. } = arguments;
+    if problem.exists() && !arguments.force {
+        return Err(Error::input(format!("{} is there already: --force replaces it", problem.display())));
+    }
+    let fmu = Fmu::open(model).map_err(Error::input)?;
+    let request = CsvRequest { time: arguments.time.as_deref(), ..CsvRequest::default() };
+    let recording = Data::read_csv(data, request).map_err(Error::of_input)?;
+    let columns = Columns::matched(&fmu, &recording, named(&arguments.output)?, named(&arguments.input)?)?;
+    let mut proposed = Proposed::of(&fmu, &arguments.parameter)?;
+    // Paths in the file begin where that is.
+    let folder = base::files::folder_of(problem);
+    let text = |proposed: &Proposed| {
+        text::text(
+            &fmu,
+            (&relative(model, folder), &relative(data, folder)),
+            (&columns, arguments.time.as_deref()),
+            proposed,
+        )
+    };
+    let mut why_not = None;
+    if !columns.has_outputs() {
+        why_not = Some("no column belongs to an output, so no parameter was tried out: name one, --output VARIABLE=COLUMN".to_owned());
+    } else if arguments.parameter.is_empty() && proposed.has_active() && !arguments.no_run {
+        let tried = tried(&text(&proposed), problem, console);
+        match tried {
+            Ok(preflight) => proposed.judge(&preflight),
+            Err(error) if error.exit == Exit::Interrupted => return Err(error),
+            Err(error) => why_not = Some(format!("the parameters could not be tried out: {error}")),
+        }
+    }
+    let text = text(&proposed);
+    // What was written must be read.
+    ProblemFile::parse(&text, problem)?;
+    base::files::write_whole(problem, text.as_bytes()).map_err(Error::write(problem))?;
+    console.result(&format!("wrote {}: {}", problem.display(), columns.summary(&proposed)));
+    why_not.iter().for_each(|reason| console.note(reason));
+    let path = problem.display();
+    console.note(&match columns.has_outputs() && proposed.has_active() {
+        true => format!("read it, then: fmufit check {path}; fmufit fit {path}"),
+        false => format!("fill in what is missing in it, then: fmufit check {path}"),
+    });
+    Ok(Exit::Success)
+}
+
+/// Variables and columns of `variable=column`.
+fn named(given: &[String]) -> Result<Vec<Pair>, Error> {
+    given.iter().map(|text| short_form::assignment(text, "VARIABLE=COLUMN")).collect()
+}
+
+/// A path as it is seen from a folder: in full, unless it is below.
+fn relative(path: &Path, folder: &Path) -> String {
+    let full = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    let (path, folder) = (full(path), full(folder));
+    path.strip_prefix(&folder).unwrap_or(&path).to_string_lossy().into_owned()
+}
+
+/// Moves each of the parameters that a text proposes.
+fn tried(text: &str, path: &Path, console: &Console) -> Result<calibration::Preflight, Error> {
+    let interrupt = Interrupt::watch()?;
+    let line = console.live_line();
+    let shown = || {
+        line.show("trying the parameters", String::new);
+        interrupt.is_asked()
+    };
+    let context = RunContext::new().asking(&shown);
+    let calibration = ProblemFile::parse(text, path)?.calibration(&context)?;
+    calibration.preflight(&PreflightOptions::default(), &context).map_err(Error::of_work)
+}

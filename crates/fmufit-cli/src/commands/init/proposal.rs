@@ -1,0 +1,127 @@
+//! Parameters that are proposed for a fit.
+
+use crate::error::Error;
+use calibration::Preflight;
+use fmi::description::{Causality, Variability};
+use fmi::{Fmu, Value, Variable};
+
+/// Bounds that the model does not state are this factor away from the start value.
+const WIDTH: f64 = 10.0;
+
+/// More parameters are too many to be tried out, and for a fit.
+const MOST: usize = 50;
+
+/// A parameter that is proposed.
+pub(super) struct Candidate {
+    pub(super) name: String,
+    pub(super) start: f64,
+    pub(super) lower: f64,
+    pub(super) upper: f64,
+    pub(super) unit: Option<String>,
+    pub(super) description: Option<String>,
+    /// Why it is not to be fitted.
+    pub(super) reason: Option<String>,
+}
+
+/// The parameters that are proposed.
+pub(super) struct Proposed {
+    pub(super) candidates: Vec<Candidate>,
+    /// Remarks on pairs that move the outputs the same way.
+    pub(super) confounded: Vec<String>,
+}
+
+impl Proposed {
+    /// The parameters of these names, or all that there are.
+    pub(super) fn of(fmu: &Fmu, names: &[String]) -> Result<Self, Error> {
+        let description = fmu.description();
+        let mut candidates = Vec::new();
+        for name in names {
+            let variable = description.variable(name).ok_or_else(|| {
+                let nearest = description.nearest_names(name, 3).into_iter().map(str::to_owned).collect();
+                Error::input(fmi::FmiError::UnknownVariable { name: name.clone(), nearest })
+            })?;
+            candidates.push(candidate(variable).ok_or_else(|| {
+                Error::input(format!(
+                    "'{name}' cannot be proposed: it is no single real number with a start value"
+                ))
+            })?);
+        }
+        if names.is_empty() {
+            let is_parameter = |variable: &&Variable| {
+                variable.causality == Causality::Parameter
+                    && matches!(variable.variability, Variability::Fixed | Variability::Tunable)
+            };
+            candidates = description.variables.iter().filter(is_parameter).filter_map(candidate).collect();
+            let beyond = candidates.iter_mut().filter(|candidate| candidate.reason.is_none()).skip(MOST);
+            beyond.for_each(|candidate| {
+                candidate.reason = Some(format!("not tried out: one of more than {MOST}"))
+            });
+        }
+        Ok(Self { candidates, confounded: Vec::new() })
+    }
+
+    /// Those that are to be fitted.
+    pub(super) fn active(&self) -> impl Iterator<Item = &Candidate> {
+        self.candidates.iter().filter(|candidate| candidate.reason.is_none())
+    }
+
+    pub(super) fn n_active(&self) -> usize {
+        self.active().count()
+    }
+
+    pub(super) fn has_active(&self) -> bool {
+        self.n_active() > 0
+    }
+
+    /// Leaves out what moves no output, as it showed when each was moved.
+    pub(super) fn judge(&mut self, preflight: &Preflight) {
+        for tried in &preflight.parameters {
+            let own = self.candidates.iter_mut().find(|candidate| candidate.name == tried.name);
+            let Some(own) = own else { continue };
+            own.reason = match &tried.failure {
+                Some(failure) => Some(format!("moved a little, the simulation fails: {failure}")),
+                None if !tried.has_effect => Some("moves no output at the start".to_owned()),
+                None => None,
+            };
+        }
+        let name = |k: &usize| preflight.parameters[*k].name.as_str();
+        let pair = |(one, other, correlation): &(usize, usize, f64)| {
+            format!(
+                "{} and {} move the outputs the same way (correlation {correlation:.2}): keep one of both",
+                name(one),
+                name(other)
+            )
+        };
+        self.confounded = preflight.confounded.iter().map(pair).collect();
+    }
+}
+
+/// A variable as a parameter of a fit; `None`: it is no single real number with a start value.
+fn candidate(variable: &Variable) -> Option<Candidate> {
+    let Some(Value::Real(start)) = variable.start else { return None };
+    if !variable.kind.is_float() || !variable.dimensions.is_empty() || !start.is_finite() {
+        return None;
+    }
+    let size = match variable.nominal.map_or(0.0, f64::abs) {
+        nominal if nominal.is_finite() && nominal > 0.0 => nominal,
+        _ => 1.0,
+    };
+    let (lower, upper) = match start {
+        0.0 => (-WIDTH * size, WIDTH * size),
+        start if start > 0.0 => (start / WIDTH, start * WIDTH),
+        start => (start * WIDTH, start / WIDTH),
+    };
+    // Shown with the digits that the start has.
+    let rounded = |bound: f64| format!("{bound:.5e}").parse().unwrap_or(bound);
+    let within =
+        |bound: f64| rounded(bound).clamp(variable.min.unwrap_or(f64::MIN), variable.max.unwrap_or(f64::MAX));
+    Some(Candidate {
+        name: variable.name.clone(),
+        start,
+        lower: within(lower).min(start),
+        upper: within(upper).max(start),
+        unit: variable.unit.clone(),
+        description: variable.description.clone(),
+        reason: None,
+    })
+}

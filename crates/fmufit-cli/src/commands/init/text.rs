@@ -1,0 +1,175 @@
+//! The text of a problem file, with comments.
+
+use super::matching::{Columns, Pair};
+use super::proposal::{Candidate, Proposed};
+use calibration::{CostKind, FitOptions, SimulationSettings};
+use dfo::AnyMethod;
+use fmi::Fmu;
+use ode::Number;
+
+/// The text; `paths` of model and recording as they stand in the file.
+pub(super) fn text(
+    fmu: &Fmu,
+    (model, data): (&str, &str),
+    (columns, time): (&Columns, Option<&str>),
+    proposed: &Proposed,
+) -> String {
+    let description = fmu.description();
+    let mut lines = vec![
+        "# Which parameters of a model are fitted to which recordings.".to_owned(),
+        "#   fmufit check FILE    looks for mistakes".to_owned(),
+        "#   fmufit fit FILE      fits".to_owned(),
+        "# Relative paths begin in the folder of this file. Times are in s.".to_owned(),
+        String::new(),
+        format!(
+            "model = {}  # {}, FMI {}",
+            quoted(model),
+            one_line(&description.model_name),
+            description.fmi_version
+        ),
+        String::new(),
+        "# A recording; further ones are further tables of this name.".to_owned(),
+        "[[experiments]]".to_owned(),
+        format!("data = {}", quoted(data)),
+    ];
+    lines.extend(time.map(|time| format!("time = {}", quoted(time))));
+    lines.push("# The column that measured each output: variable of the model = column.".to_owned());
+    lines.push(pairs("outputs", &columns.outputs));
+    for (column, candidates) in &columns.unmatched {
+        lines.push(format!(
+            "# Column '{}' {}",
+            one_line(column),
+            match &candidates[..] {
+                [] => "is called as no output or input.".to_owned(),
+                several => format!("may belong to {}.", one_line(&several.join(", "))),
+            }
+        ));
+    }
+    if !columns.inputs.is_empty() || !columns.undriven.is_empty() {
+        lines.push("# The column that drives each input, or its constant value.".to_owned());
+        lines.push(pairs("inputs", &columns.inputs));
+    }
+    if !columns.undriven.is_empty() {
+        lines.push(format!(
+            "# Nothing drives {}: at the start value.",
+            one_line(&columns.undriven.join(", "))
+        ));
+    }
+    lines.extend(
+        [
+            "# weights = \"range\"            # outputs count by the inverse of their range; or { output = number or column }",
+            "# start_values = { name = 1.0 }  # other parameters, start values of variables",
+            "# initial_states = { x = \"measured\", y = { start = 1.0, lower = 0.0, upper = 2.0 } }",
+            "# windows = [[0.0, 10.0]]        # only measurements in these count",
+            "# warm_up = 5.0                  # for so long from its start the simulation is not compared",
+            "",
+        ]
+        .map(str::to_owned),
+    );
+    lines.push(
+        "# Parameters: start and bounds. Fit those that were never measured, and leave out those that are known.".to_owned(),
+    );
+    lines.push(
+        "# Further fields: scale = \"log\", nominal, fixed, local, variables, unit, tied_to, prior."
+            .to_owned(),
+    );
+    lines.extend(proposed.confounded.iter().map(|remark| format!("# {}", one_line(remark))));
+    let mut candidates: Vec<&Candidate> = proposed.candidates.iter().collect();
+    candidates.sort_by_key(|candidate| candidate.reason.is_some());
+    candidates.into_iter().for_each(|candidate| lines.extend(parameter(candidate)));
+    lines.extend(settings());
+    lines.join("\n") + "\n"
+}
+
+/// The settings by their defaults, as comments.
+fn settings() -> Vec<String> {
+    let (settings, fit) = (SimulationSettings::default(), FitOptions::default());
+    let tolerances = fit.run.tolerances;
+    let objectives = CostKind::named().map(|kind| kind.name().to_owned()).collect::<Vec<_>>();
+    let methods = AnyMethod::names().collect::<Vec<_>>().join(", ");
+    vec![
+        "[settings]".to_owned(),
+        format!(
+            "# solver = \"{}\"             # the least work of all that are accurate enough",
+            settings.method.name()
+        ),
+        "# relative_tolerance = 1e-6".to_owned(),
+        "# timeout = 10.0              # of one simulation, in s; one that takes longer has failed"
+            .to_owned(),
+        format!(
+            "# isolation = \"{}\"       # the model runs in processes of its own",
+            settings.isolation.name()
+        ),
+        String::new(),
+        "[fit]".to_owned(),
+        format!("# method = \"{}\"             # or {methods}", fit.run.method.name()),
+        format!(
+            "# objective = \"{}\"  # or {}",
+            fit.objective.name(),
+            objectives.into_iter().filter(|name| name != fit.objective.name()).collect::<Vec<_>>().join(", ")
+        ),
+        format!(
+            "# x_tol = {}               # f_tol = {}",
+            Number(tolerances.x_tol),
+            Number(tolerances.f_tol)
+        ),
+        "# max_time = 600.0            # in s; max_evaluations, max_iterations, target".to_owned(),
+        "# checkpoint = \"fit.ckpt\"     # fmufit resume continues from it".to_owned(),
+    ]
+}
+
+/// The table of a parameter; as comments, where it is not to be fitted.
+fn parameter(candidate: &Candidate) -> Vec<String> {
+    let Candidate { name, start, lower, upper, unit, description, reason } = candidate;
+    let unit = unit.as_ref().map(|unit| format!("in {}", one_line(unit)));
+    let said: Vec<String> = description
+        .as_deref()
+        .map(one_line)
+        .into_iter()
+        .chain(unit)
+        .chain(reason.as_deref().map(one_line))
+        .collect();
+    let comment = if said.is_empty() { String::new() } else { format!("  # {}", said.join("; ")) };
+    let [start, lower, upper] = [*start, *lower, *upper].map(Number);
+    let lines = [
+        format!("[[parameters]]{comment}"),
+        format!("name = {}", quoted(name)),
+        format!("start = {start}"),
+        format!("lower = {lower}"),
+        format!("upper = {upper}"),
+        String::new(),
+    ];
+    match reason {
+        None => lines.into(),
+        Some(_) => {
+            lines.into_iter().map(|line| if line.is_empty() { line } else { format!("# {line}") }).collect()
+        }
+    }
+}
+
+fn pairs(name: &str, pairs: &[Pair]) -> String {
+    let pair = |(variable, column): &Pair| format!("{} = {}", quoted(variable), quoted(column));
+    match pairs {
+        [] => format!("{name} = {{}}"),
+        pairs => format!("{name} = {{ {} }}", pairs.iter().map(pair).collect::<Vec<_>>().join(", ")),
+    }
+}
+
+/// A text in quotes, as TOML has it.
+fn quoted(text: &str) -> String {
+    format!(
+        "\"{}\"",
+        text.chars()
+            .map(|c| match c {
+                '"' | '\\' => format!("\\{c}"),
+                c if c.is_control() => format!("\\u{:04X}", u32::from(c)),
+                c => c.to_string(),
+            })
+            .collect::<String>()
+    )
+}
+
+/// A text for a comment: those of models may have line breaks.
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ").chars().filter(|c| !c.is_control()).collect()
+}

@@ -1,0 +1,35 @@
+//! The commands, one file for each.
+
+mod build;
+mod check;
+mod completions;
+mod fit;
+mod info;
+mod init;
+mod report;
+mod simulate;
+mod validate;
+mod variable_text;
+
+use crate::arguments::Command;
+use crate::console::Console;
+use crate::error::{Error, Exit};
+
+/// Runs a command.
+pub(crate) fn run(command: Command, console: &Console) -> Result<Exit, Error> {
+    match command {
+        Command::Info(arguments) => info::run(&arguments, console),
+        Command::Validate(arguments) => validate::run(&arguments, console),
+        Command::Simulate(arguments) => simulate::run(&arguments, console),
+        Command::Init(arguments) => init::run(&arguments, console),
+        Command::Check(arguments) => check::run(&arguments, console),
+        Command::Fit(arguments) => fit::run(&arguments, fit::Begin::Auto, console),
+        Command::Resume(arguments) => fit::run(&arguments, fit::Begin::Resume, console),
+        Command::Report(arguments) => report::run(&arguments, console),
+        Command::Build(arguments) => build::run(&arguments, console),
+        Command::Completions(arguments) => completions::run(&arguments, console),
+        Command::Worker => Err(Error::input(
+            "worker: no program has started this one to run models in it; programs do so by themselves",
+        )),
+    }
+}

@@ -1,0 +1,56 @@
+//! `fmufit report`: a saved fit as a page, or as a file for other programs.
+
+use crate::arguments::Report;
+use crate::console::Console;
+use crate::error::{Error, Exit};
+use crate::interrupt::Interrupt;
+use calibration::{Calibration, CalibrationError, Fit, RunContext, SavedFit, Table};
+use fmi::Fmu;
+use std::path::Path;
+
+pub(crate) fn run(arguments: &Report, console: &Console) -> Result<Exit, Error> {
+    let saved = SavedFit::load(&arguments.fit).map_err(Error::of_input)?;
+    let calibration = match &arguments.model {
+        Some(path) => {
+            let fmu = Fmu::open_with(path, &saved.open_options).map_err(Error::input)?;
+            saved.calibration_with(fmu)
+        }
+        None => saved.calibration(),
+    };
+    let calibration = calibration.map_err(Error::of_input)?;
+    let interrupt = Interrupt::watch()?;
+    let line = console.live_line();
+    let shown = || {
+        line.show("simulating", String::new);
+        interrupt.is_asked()
+    };
+    let written = write(&saved.fit, &calibration, &arguments.output, &RunContext::new().asking(&shown));
+    drop(line);
+    written?;
+    console.result(&format!("wrote {}", arguments.output.display()));
+    Ok(Exit::Success)
+}
+
+/// Writes the file that the suffix of its name asks for.
+fn write(fit: &Fit, calibration: &Calibration, path: &Path, context: &RunContext<'_>) -> Result<(), Error> {
+    let suffix = path.extension().map(|suffix| suffix.to_string_lossy().to_lowercase());
+    let written = match suffix.as_deref() {
+        Some("html" | "htm") => calibration.report(fit, path, context),
+        Some("csv") => fit.write_csv(calibration, path, Table::Parameters, context),
+        Some("ssv") => fit.export_ssv(calibration, path, None),
+        Some("json") => {
+            let text = fit.to_json(calibration).map_err(Error::of_input)?;
+            return base::files::write_whole(path, text.as_bytes()).map_err(Error::write(path));
+        }
+        _ => {
+            return Err(Error::input(format!(
+                "{}: give a name that ends in .html (a page), .csv, .json or .ssv",
+                path.display()
+            )));
+        }
+    };
+    written.map_err(|error| match error {
+        error @ (CalibrationError::ReportFile { .. } | CalibrationError::Setup(_)) => Error::input(error),
+        error => Error::of_work(error),
+    })
+}

@@ -1,0 +1,180 @@
+//! `fmufit simulate`: a table of what a model does.
+
+use super::variable_text::value_of;
+use crate::arguments::Simulate;
+use crate::console::Console;
+use crate::error::{Error, Exit};
+use crate::interrupt::Interrupt;
+use crate::problem::short_form;
+use calibration::{CalibrationError, CsvRequest, Data, ModelProcess, RunContext, UnitConversion};
+use dfo::Value;
+use fmi::description::Causality;
+use fmi::worker::WorkerLimits;
+use fmi::{FmiError, Fmu, Inputs, SimulateOptions, SimulationPlan, Trajectory};
+use ode::{Number, Termination};
+use std::path::Path;
+
+pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error> {
+    let fmu = Fmu::open(&arguments.model).map_err(Error::input)?;
+    let options = options(arguments, &fmu)?;
+    let kind = fmu.check_runnable_as(options.kind).map_err(Error::input)?;
+    options.without_effect(kind).iter().for_each(|sentence| console.note(&format!("warning: {sentence}")));
+    // What is wrong with the options shows before the model is loaded.
+    SimulationPlan::new(&fmu, &options).map_err(Error::input)?;
+    let trajectory = simulated(&fmu, &options, arguments.in_process, console).map_err(Error::of_work)?;
+    let table = table(&trajectory)?;
+    let write =
+        |path: &Path, text: &str| base::files::write_whole(path, text.as_bytes()).map_err(Error::write(path));
+    match &arguments.output {
+        Some(path) => write(path, &table)?,
+        None => console.data(&table),
+    }
+    if let Some(path) = &arguments.plot {
+        let unit =
+            |name: &String| fmu.description().variable(name).and_then(|variable| variable.unit.clone());
+        let label =
+            |name: &String| unit(name).map_or_else(|| name.clone(), |unit| format!("{name} in {unit}"));
+        let columns = trajectory.names.iter().zip(&trajectory.columns);
+        let plot =
+            calibration::plot(&trajectory.time, columns.map(|(name, values)| (label(name), &values[..])));
+        write(path, &plot.ok_or_else(|| Error::work("there is nothing finite to draw"))?)?;
+    }
+    if trajectory.termination == Termination::StoppedByModel {
+        console
+            .note(&format!("warning: the model ended the simulation at {} s", Number(trajectory.end_time)));
+    }
+    for path in arguments.output.iter().chain(&arguments.plot) {
+        console.note(&format!("wrote {}", path.display()));
+    }
+    Ok(Exit::Success)
+}
+
+/// Simulates in a process of its own, where this program can start one; Ctrl-C ends it.
+pub(crate) fn simulated(
+    fmu: &Fmu,
+    options: &SimulateOptions,
+    is_in_process: bool,
+    console: &Console,
+) -> Result<Trajectory, CalibrationError> {
+    let interrupt = Interrupt::watch().map_err(|error| CalibrationError::Setup(error.to_string()))?;
+    let flag = interrupt.flag();
+    let context = RunContext::new().flagged(&flag);
+    let process = match is_in_process {
+        true => None,
+        false => match ModelProcess::new(fmu, WorkerLimits::default()) {
+            Err(FmiError::NoWorker { reason }) => {
+                console.note(&format!("warning: the model runs in this process: {reason}"));
+                None
+            }
+            process => Some(process?),
+        },
+    };
+    let options = SimulateOptions { cancel: Some(flag.clone()), ..options.clone() };
+    let trajectory = match process {
+        Some(process) => process.simulate(&options, &context)?,
+        None => fmu.simulate(&options)?,
+    };
+    match trajectory.termination {
+        Termination::StoppedByObserver => Err(CalibrationError::Cancelled),
+        Termination::Finished | Termination::StoppedByModel => Ok(trajectory),
+    }
+}
+
+fn options(arguments: &Simulate, fmu: &Fmu) -> Result<SimulateOptions, Error> {
+    let parsed = |name: &str, text: &Option<String>| {
+        text.as_ref().map(|text| (name.to_owned(), Value::Text(text.clone())))
+    };
+    let mut options = SimulateOptions {
+        start_time: arguments.start_time,
+        final_time: arguments.final_time,
+        output_interval: arguments.interval,
+        relative_tolerance: arguments.tolerance,
+        step_size: arguments.step_size,
+        ..SimulateOptions::default()
+    };
+    if let Some((name, method)) = parsed("--solver", &arguments.solver) {
+        options.method = method.parse(&name).map_err(Error::input)?;
+    }
+    if let Some((name, kind)) = parsed("--kind", &arguments.kind) {
+        options.kind = kind.parse(&name).map_err(Error::input)?;
+    }
+    if let Some(seconds) = arguments.timeout {
+        options.timeout = Value::Number(seconds).read_time("--timeout").map_err(Error::input)?;
+    }
+    if !arguments.outputs.is_empty() {
+        options = options.outputs(arguments.outputs.clone());
+    }
+    for text in &arguments.values {
+        let (name, value) = short_form::assignment(text, "NAME=VALUE, as in --set friction=0.01")?;
+        let value = value_of(fmu.description(), &name, &value)?;
+        options = options.start_value(name, value);
+    }
+    if let Some(path) = &arguments.input {
+        let data = Data::read_csv(path, CsvRequest::default()).map_err(Error::of_input)?;
+        options = options.inputs(inputs(fmu, &data)?);
+        if options.final_time.is_none() && fmu.description().default_experiment.stop_time.is_none() {
+            options.final_time = data.time().last().copied();
+        }
+    }
+    Ok(options)
+}
+
+/// The inputs that a recording has columns for, in the units of the model.
+fn inputs(fmu: &Fmu, data: &Data) -> Result<Inputs, Error> {
+    let description = fmu.description();
+    let known = description.variables.iter().filter(|variable| variable.causality == Causality::Input);
+    let (mut inputs, mut n, mut names) = (Inputs::new(), 0, Vec::new());
+    for variable in known {
+        names.push(variable.name.as_str());
+        if calibration::find_column(data.names(), &variable.name).is_err() {
+            continue;
+        }
+        let (name, values) = (&variable.name, data.column(&variable.name).map_err(Error::of_input)?);
+        let conversion = data.unit(name).map(|unit| UnitConversion::to_variable(unit, variable, description));
+        let conversion =
+            conversion.transpose().map_err(|e| Error::input(format!("{}: {e}", data.source())))?;
+        // Rows where the value is missing are left out, as in fits.
+        let rows = data.time().iter().zip(values).filter(|(_, value)| !value.is_nan());
+        let (times, values): (Vec<f64>, Vec<f64>) = rows
+            .map(|(time, value)| (*time, conversion.as_ref().map_or(*value, |c| c.apply(*value))))
+            .unzip();
+        inputs = inputs.series(name, times, values);
+        n += 1;
+    }
+    if n == 0 {
+        let (columns, inputs) = (data.names().collect::<Vec<_>>().join(", "), names.join(", "));
+        let inputs = if inputs.is_empty() {
+            "the model has no inputs".to_owned()
+        } else {
+            format!("the inputs are {inputs}")
+        };
+        return Err(Error::input(format!(
+            "{}: no column is called as an input; it has {columns}, and {inputs}",
+            data.source()
+        )));
+    }
+    Ok(inputs)
+}
+
+/// The rows as comma-separated values; all numbers have the digits that stand for the same number when they
+/// are read again.
+fn table(trajectory: &Trajectory) -> Result<String, Error> {
+    let failed = |e: &dyn std::fmt::Display| Error::work(format!("no table can be made: {e}"));
+    // Exact integers stand among the numbers, too.
+    let texts = trajectory.values.iter().filter(|column| !trajectory.names.contains(&column.name));
+    let texts: Vec<_> = texts.collect();
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    let names = trajectory.names.iter().chain(texts.iter().map(|column| &column.name));
+    writer.write_record(std::iter::once("time").chain(names.map(String::as_str))).map_err(|e| failed(&e))?;
+    for (k, time) in trajectory.time.iter().enumerate() {
+        let numbers = std::iter::once(*time).chain(trajectory.columns.iter().map(|column| column[k]));
+        let texts = texts.iter().map(|column| match &column[k] {
+            fmi::Value::String(text) => text.clone(),
+            other => other.to_string(),
+        });
+        let row = numbers.map(|number| Number(number).to_string()).chain(texts);
+        writer.write_record(row).map_err(|e| failed(&e))?;
+    }
+    let bytes = writer.into_inner().map_err(|e| failed(&e))?;
+    String::from_utf8(bytes).map_err(|e| failed(&e))
+}

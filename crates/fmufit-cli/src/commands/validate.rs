@@ -1,0 +1,73 @@
+//! `fmufit validate`: departures from the standard, and a run in a process of its own.
+
+use super::simulate::simulated;
+use crate::arguments::Validate;
+use crate::console::Console;
+use crate::error::{Error, Exit};
+use calibration::CalibrationError;
+use dfo::Value;
+use fmi::{FmiError, Fmu, SimulateOptions, Trajectory};
+use ode::{Number, Termination};
+use serde_json::json;
+
+/// Length of the run of a model that states none, in s.
+const SHORT: f64 = 1.0;
+
+pub(crate) fn run(arguments: &Validate, console: &Console) -> Result<Exit, Error> {
+    let opened = Fmu::open(&arguments.model);
+    let fmu = opened.map_err(|error| match error {
+        FmiError::Io { .. } => Error::input(error),
+        error => Error::work(error),
+    })?;
+    let timeout = Value::Number(arguments.timeout).read_time("--timeout").map_err(Error::input)?;
+    let experiment = &fmu.description().default_experiment;
+    let mut options = SimulateOptions { timeout, ..SimulateOptions::default() };
+    if experiment.stop_time.is_none() {
+        options = options.final_time(experiment.start_time.unwrap_or_default() + SHORT);
+    }
+    let outcome = match simulated(&fmu, &options, false, console) {
+        Ok(trajectory) => Ok(result(&trajectory)),
+        Err(CalibrationError::Cancelled) => return Err(Error::interrupted()),
+        Err(error) => Err(error.to_string()),
+    };
+    let quirks: Vec<String> =
+        fmu.description().quirks.iter().chain(&fmu.quirks_seen()).map(ToString::to_string).collect();
+    if arguments.json {
+        let (is_simulated, message) = match &outcome {
+            Ok(message) => (true, message),
+            Err(message) => (false, message),
+        };
+        let document = json!({
+            "path": fmu.path().display().to_string(),
+            "model_name": fmu.description().model_name,
+            "fmi_version": fmu.description().fmi_version.to_string(),
+            "quirks": quirks,
+            "is_simulated": is_simulated,
+            "simulation": message,
+        });
+        console.json(&document)?;
+    } else {
+        let departures = match quirks.len() {
+            0 => "no departures from the standard".to_owned(),
+            1 => "1 departure from the standard:".to_owned(),
+            n => format!("{n} departures from the standard:"),
+        };
+        console.result(&format!("{}: {departures}", fmu.path().display()));
+        quirks.iter().for_each(|quirk| console.result(&format!("  {quirk}")));
+        console.result(&match &outcome {
+            Ok(message) => format!("simulated: {message}"),
+            Err(message) => format!("not simulated: {message}"),
+        });
+    }
+    Ok(if outcome.is_ok() { Exit::Success } else { Exit::NoSuccess })
+}
+
+/// End and counts of a simulation.
+fn result(trajectory: &Trajectory) -> String {
+    let (end, stats, n_events) = (Number(trajectory.end_time), &trajectory.stats, trajectory.events.len());
+    let by_model = match trajectory.termination {
+        Termination::StoppedByModel => ", where the model ended it",
+        _ => "",
+    };
+    format!("to {end} s{by_model}, {} steps, {n_events} events", stats.accepted_steps)
+}

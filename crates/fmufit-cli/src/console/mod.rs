@@ -1,0 +1,68 @@
+//! Printing: results on the standard output, all else on the standard error stream.
+
+mod live_line;
+mod messages;
+mod table;
+
+pub(crate) use live_line::LiveLine;
+pub(crate) use table::Table;
+
+use crate::error::Error;
+use calibration::visible;
+use std::io::{self, IsTerminal, Write};
+
+/// The two streams of a command.
+pub(crate) struct Console {
+    is_quiet: bool,
+}
+
+impl Console {
+    /// With `is_quiet` only results and errors are printed. Messages of the library go to the standard error
+    /// stream from now on.
+    pub(crate) fn new(is_quiet: bool) -> Self {
+        messages::pass_on(is_quiet);
+        Self { is_quiet }
+    }
+
+    /// Prints a result, with a line break at its end. Nobody may be there to read it any more.
+    pub(crate) fn result(&self, text: &str) {
+        let mut out = io::stdout().lock();
+        let _ = writeln!(out, "{}", visible(text.trim_end_matches('\n'))).and_then(|()| out.flush());
+    }
+
+    /// Prints data for other programs, as they are.
+    pub(crate) fn data(&self, text: &str) {
+        let mut out = io::stdout().lock();
+        let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+    }
+
+    /// Prints a JSON document for other programs.
+    pub(crate) fn json(&self, document: &serde_json::Value) -> Result<(), Error> {
+        let text = serde_json::to_string_pretty(document);
+        self.data(&(text.map_err(|e| Error::work(format!("no JSON can be made: {e}")))? + "\n"));
+        Ok(())
+    }
+
+    /// Prints what is said beside the result, unless the console is quiet.
+    pub(crate) fn note(&self, text: &str) {
+        if !self.is_quiet {
+            messages::print(text);
+        }
+    }
+
+    /// Prints an error.
+    pub(crate) fn error(&self, error: &Error) {
+        messages::print(&format!("error: {error}"));
+    }
+
+    /// Progress of work, shown unless the console is quiet.
+    pub(crate) fn live_line(&self) -> LiveLine {
+        LiveLine::new(!self.is_quiet, io::stderr().is_terminal())
+    }
+
+    /// Number of characters in a line of the standard output; `None`: it is no terminal.
+    pub(crate) fn width(&self) -> Option<u16> {
+        let size = terminal_size::terminal_size_of(io::stdout());
+        size.filter(|_| io::stdout().is_terminal()).map(|(width, _)| width.0)
+    }
+}

@@ -1,0 +1,77 @@
+//! Errors of the command line, and the exit codes.
+
+use std::fmt::Display;
+use std::io;
+use std::path::Path;
+
+/// Outcome of a command.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Exit {
+    /// All went well.
+    Success,
+    /// The work was done, and did not succeed.
+    NoSuccess,
+    /// Arguments, files or values that cannot be used.
+    WrongInput,
+    /// Ended by Ctrl-C.
+    Interrupted,
+}
+
+impl Exit {
+    /// The exit code; 130 is what shells give to a program that SIGINT has ended.
+    pub(crate) fn code(self) -> u8 {
+        match self {
+            Self::Success => 0,
+            Self::NoSuccess => 1,
+            Self::WrongInput => 2,
+            Self::Interrupted => 130,
+        }
+    }
+}
+
+/// Reason why a command ended early.
+#[derive(Debug, thiserror::Error)]
+#[error("{message}")]
+pub(crate) struct Error {
+    pub(crate) exit: Exit,
+    message: String,
+}
+
+impl Error {
+    /// Arguments, files or values that cannot be used.
+    pub(crate) fn input(message: impl Display) -> Self {
+        Self { exit: Exit::WrongInput, message: message.to_string() }
+    }
+
+    /// Work that did not succeed.
+    pub(crate) fn work(message: impl Display) -> Self {
+        Self { exit: Exit::NoSuccess, message: message.to_string() }
+    }
+
+    /// Work that Ctrl-C has ended before it had a result.
+    pub(crate) fn interrupted() -> Self {
+        Self { exit: Exit::Interrupted, message: "interrupted before there was a result".to_owned() }
+    }
+
+    /// A file that cannot be written.
+    pub(crate) fn write(path: &Path) -> impl Fn(io::Error) -> Self {
+        move |error| Self::input(format!("cannot write {}: {error}", path.display()))
+    }
+
+    /// An error of work: an interrupt, if it is none of its own.
+    pub(crate) fn of_work(error: calibration::CalibrationError) -> Self {
+        match error {
+            calibration::CalibrationError::Cancelled => Self::interrupted(),
+            calibration::CalibrationError::Model(fmi::FmiError::Cancelled) => Self::interrupted(),
+            error => Self::work(error),
+        }
+    }
+
+    /// An error of what was read or built: an interrupt, if it is none of its own.
+    pub(crate) fn of_input(error: calibration::CalibrationError) -> Self {
+        match Self::of_work(error) {
+            Self { exit: Exit::NoSuccess, message } => Self { exit: Exit::WrongInput, message },
+            other => other,
+        }
+    }
+}

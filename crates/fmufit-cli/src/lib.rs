@@ -1,0 +1,44 @@
+//! The command line `fmufit`: FMUs are looked at, simulated and fitted to recordings, without a line of code.
+//!
+//! [`main`] takes the arguments and returns the exit code, so that any program can offer the command line. A
+//! program that calls [`calibration::serve_if_asked`] first, or names another one that does, has FMUs run in
+//! processes of their own.
+//!
+//! Folders, from the lowest: `error`; `console` (what is printed, and where), `interrupt`; `problem` (problem
+//! files and their short form); `arguments`; `commands`, one file for each.
+#![forbid(unsafe_code)]
+
+mod arguments;
+mod commands;
+mod console;
+mod error;
+mod interrupt;
+mod problem;
+
+use arguments::CommandLine;
+use clap::Parser;
+use console::Console;
+use error::Exit;
+use std::ffi::OsString;
+
+/// Runs the command that these arguments, the first of which is the name of the program, ask for. Returns the
+/// exit code: 0 if all went well; 1 if the work was done and did not succeed (a fit that did not converge, an
+/// FMU that cannot be simulated); 2 for arguments, files and values that cannot be used; 130 after Ctrl-C.
+pub fn main(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> u8 {
+    let arguments = match CommandLine::try_parse_from(arguments) {
+        Ok(arguments) => arguments,
+        Err(message) => {
+            // What cannot be printed has nobody who reads it.
+            let _ = message.print();
+            return if message.use_stderr() { Exit::WrongInput.code() } else { Exit::Success.code() };
+        }
+    };
+    let console = Console::new(arguments.quiet);
+    match commands::run(arguments.command, &console) {
+        Ok(exit) => exit.code(),
+        Err(error) => {
+            console.error(&error);
+            error.exit.code()
+        }
+    }
+}

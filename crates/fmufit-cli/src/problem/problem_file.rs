@@ -1,0 +1,189 @@
+//! The problem file: model, experiments, parameters, settings and the options of a fit, each as the library
+//! reads it from a record.
+
+use super::document::Document;
+use super::place::{Lines, field, item, named_in};
+use crate::error::Error;
+use calibration::{
+    Calibration, CalibrationError, Experiment, FitOptions, Parameter, RunContext, SimulationSettings, Stage,
+};
+use dfo::{AskedRun, Record, RecordError, Value};
+use fmi::Fmu;
+use std::fmt::Display;
+use std::path::{Path, PathBuf};
+
+/// Fields of the file.
+const FIELDS: [&str; 6] = ["model", "experiments", "parameters", "settings", "fit", "stages"];
+
+/// A problem as it was written.
+pub(crate) struct ProblemFile {
+    /// Its path; `None`: it is that of the command line.
+    path: Option<PathBuf>,
+    /// Where relative paths in it begin.
+    folder: PathBuf,
+    record: Value,
+    lines: Lines,
+}
+
+impl ProblemFile {
+    /// Reads a file.
+    pub(crate) fn read(path: &Path) -> Result<Self, Error> {
+        let bytes = base::files::read_regular(path)
+            .map_err(|error| Error::input(format!("cannot read {}: {error}", path.display())))?;
+        let text = String::from_utf8(bytes).map_err(|_| {
+            Error::input(format!("{}: this is no text in UTF-8, so no problem file", path.display()))
+        })?;
+        Self::parse(&text, path)
+    }
+
+    /// The file with this text, which is, or is to be, at a path.
+    pub(crate) fn parse(text: &str, path: &Path) -> Result<Self, Error> {
+        let Document { record, lines } = Document::parse(text)
+            .map_err(|(line, message)| Error::input(format!("{}, line {line}: {message}", path.display())))?;
+        let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+        let file = Self { path: Some(path.to_owned()), folder, record: Value::Record(record), lines };
+        file.checked()
+    }
+
+    /// A problem without a file; relative paths begin in the working folder.
+    pub(crate) fn without_file(record: Record) -> Result<Self, Error> {
+        let record = Value::Record(record);
+        Self { path: None, folder: PathBuf::new(), record, lines: Lines::default() }.checked()
+    }
+
+    fn checked(self) -> Result<Self, Error> {
+        let fields = self.fields("")?;
+        match fields.keys().find(|name| !FIELDS.contains(&name.as_str())) {
+            Some(name) => Err(self.error(name, RecordError::unknown("field of a problem", name, &FIELDS))),
+            None => Ok(self),
+        }
+    }
+
+    /// Sets options of a table, in place of what the file says.
+    pub(crate) fn set(&mut self, table: &str, options: impl IntoIterator<Item = (String, Value)>) {
+        let Value::Record(record) = &mut self.record else { return };
+        let table = record.entry(table.to_owned()).or_insert_with(|| Value::Record(Record::new()));
+        if let Value::Record(fields) = table {
+            fields.extend(options);
+        }
+    }
+
+    /// An error at a path in the file.
+    fn error(&self, path: &str, message: impl Display) -> Error {
+        match (&self.path, self.lines.of(path)) {
+            (Some(file), Some(line)) => Error::input(format!("{}, line {line}: {message}", file.display())),
+            (Some(file), None) => Error::input(format!("{}: {message}", file.display())),
+            (None, _) => Error::input(message),
+        }
+    }
+
+    /// An error of the library about the value at a path: at the line of what it names, if that stands there.
+    fn located(&self, path: &str, error: CalibrationError) -> Error {
+        let message = match Error::of_input(error) {
+            error if error.exit == crate::error::Exit::Interrupted => return error,
+            error => error.to_string(),
+        };
+        let place = self.value(path).and_then(|value| named_in(&message, value, path));
+        self.error(place.as_deref().unwrap_or(path), message)
+    }
+
+    /// The value of a field of the file, or all of it.
+    fn value(&self, path: &str) -> Option<&Value> {
+        let Value::Record(fields) = &self.record else { return None };
+        if path.is_empty() {
+            return Some(&self.record);
+        }
+        let (name, index) = path.split_once('[').unwrap_or((path, ""));
+        match (fields.get(name)?, index.trim_end_matches(']').parse::<usize>()) {
+            (Value::List(items), Ok(index)) => items.get(index),
+            (value, _) => Some(value),
+        }
+    }
+
+    /// The fields of a table; none where it is left out.
+    fn fields(&self, path: &str) -> Result<Record, Error> {
+        match self.value(path) {
+            None => Ok(Record::new()),
+            Some(Value::Record(fields)) => Ok(fields.clone()),
+            Some(other) => {
+                let message = format!("{path} must be a table of names and values, [{path}], not {other}");
+                Err(self.error(path, message))
+            }
+        }
+    }
+
+    /// The tables of a list, with their paths.
+    fn tables(&self, name: &str) -> Result<Vec<(String, Record)>, Error> {
+        let n = match self.value(name) {
+            None => 0,
+            Some(Value::List(items)) => items.len(),
+            Some(_) => return Err(self.error(name, format!("{name} must be tables, each headed [[{name}]]"))),
+        };
+        let paths = (0..n).map(|k| item(name, k));
+        paths.map(|path| self.fields(&path).map(|fields| (path, fields))).collect()
+    }
+
+    /// Refuses names in a table that the library does not know.
+    fn check_names(
+        &self,
+        path: &str,
+        fields: &Record,
+        known: impl IntoIterator<Item = String>,
+    ) -> Result<(), Error> {
+        let known: Vec<String> = known.into_iter().collect();
+        match fields.keys().find(|name| !known.contains(name)) {
+            Some(name) => {
+                Err(self.error(&field(path, name), RecordError::unknown("option of a fit", name, &known)))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Opens the model.
+    pub(crate) fn model(&self) -> Result<Fmu, Error> {
+        let model = self.value("model").ok_or_else(|| {
+            self.error("", "model is missing: give the path of an FMU, model = \"plant.fmu\"")
+        })?;
+        let path: PathBuf = model.read("model").map_err(|error| self.located("model", error.into()))?;
+        Fmu::open(self.folder.join(path)).map_err(|error| self.located("model", error.into()))
+    }
+
+    /// The calibration: the recordings are read, unless the context is over.
+    pub(crate) fn calibration(&self, context: &RunContext<'_>) -> Result<Calibration, Error> {
+        let mut builder = Calibration::builder(self.model()?);
+        let settings = SimulationSettings::asked(&self.fields("settings")?);
+        builder = builder.settings(settings.map_err(|error| self.located("settings", error.into()))?);
+        for (path, fields) in self.tables("parameters")? {
+            let parameter = Parameter::asked(&fields).map_err(|error| self.located(&path, error))?;
+            builder = builder.parameter(parameter);
+        }
+        for (path, fields) in self.tables("experiments")? {
+            let experiment = Experiment::asked(&fields, &self.folder, context);
+            builder = builder.experiment(experiment.map_err(|error| self.located(&path, error))?);
+        }
+        builder.build().map_err(|error| self.located("", error))
+    }
+
+    /// The options of the fit of so many parameters.
+    pub(crate) fn options(&self, n_parameters: usize) -> Result<FitOptions<'static>, Error> {
+        let at = |error: dfo::Error| self.located("fit", error.into());
+        let fields = self.fields("fit")?;
+        self.check_names("fit", &fields, FitOptions::option_names().map_err(at)?)?;
+        let mut options = FitOptions::asked(fields, n_parameters).map_err(at)?;
+        if let Some(checkpoint) = &mut options.run.checkpoint {
+            checkpoint.path = self.folder.join(&checkpoint.path);
+        }
+        Ok(options)
+    }
+
+    /// The stages of the fit; none: it is made at once.
+    pub(crate) fn stages(&self, n_parameters: usize) -> Result<Vec<Stage>, Error> {
+        let stage = |(path, fields): (String, Record)| {
+            let at = |error: dfo::Error| self.located(&path, error.into());
+            let own = ["parameters", "windows"].map(str::to_owned);
+            self.check_names(&path, &fields, own.into_iter().chain(AskedRun::option_names().map_err(at)?))?;
+            Stage::asked(fields, n_parameters).map_err(at)
+        };
+        self.tables("stages")?.into_iter().map(stage).collect()
+    }
+}

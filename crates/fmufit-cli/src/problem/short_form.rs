@@ -1,0 +1,89 @@
+//! The short form of a problem on the command line: a model, a recording, and names.
+
+use super::document::value_of_text;
+use crate::error::Error;
+use dfo::{Record, Value};
+use std::path::Path;
+
+/// Name and value of `name=value`.
+pub(crate) fn assignment(text: &str, what: &str) -> Result<(String, String), Error> {
+    match text.split_once('=') {
+        Some((name, value)) if !name.trim().is_empty() => {
+            Ok((name.trim().to_owned(), value.trim().to_owned()))
+        }
+        _ => Err(Error::input(format!("'{text}' must be {what}"))),
+    }
+}
+
+/// Options given as `name=value`.
+pub(crate) fn options(given: &[String]) -> Result<Vec<(String, Value)>, Error> {
+    let option =
+        |text: &String| assignment(text, "name=value").map(|(name, value)| (name, value_of_text(&value)));
+    given.iter().map(option).collect()
+}
+
+/// The record of a parameter, `name=start:lower:upper`, of which the bounds may be left out.
+fn parameter(text: &str) -> Result<Value, Error> {
+    const FORM: &str = "name=start:lower:upper, as in --parameter armFriction=0.012:0:0.022";
+    let (name, numbers) = assignment(text, FORM)?;
+    let mut record = Record::from([("name".to_owned(), Value::Text(name))]);
+    let parts: Vec<&str> = numbers.split(':').collect();
+    if parts.len() > 3 {
+        return Err(Error::input(format!("'{text}' must be {FORM}")));
+    }
+    for (field, part) in
+        ["start", "lower", "upper"].into_iter().zip(parts).filter(|(_, part)| !part.trim().is_empty())
+    {
+        let number = part.trim().parse();
+        let number = number.map_err(|_| {
+            Error::input(format!("'{text}': {field} '{part}' is no number; it must be {FORM}"))
+        })?;
+        record.insert(field.to_owned(), Value::Number(number));
+    }
+    Ok(Value::Record(record))
+}
+
+/// A variable and its column; one name alone is that of both.
+fn column(text: &str) -> Result<Value, Error> {
+    if !text.contains('=') {
+        return Ok(Value::Text(text.to_owned()));
+    }
+    let (variable, column) = assignment(text, "variable=column")?;
+    Ok(Value::List(vec![Value::Text(variable), Value::Text(column)]))
+}
+
+/// The same for an input, which a number may drive.
+fn source(text: &str) -> Result<Value, Error> {
+    match column(text)? {
+        Value::List(pair) => match &pair[..] {
+            [input, Value::Text(column)] if column.parse::<f64>().is_ok() => {
+                Ok(Value::List(vec![input.clone(), value_of_text(column)]))
+            }
+            _ => Ok(Value::List(pair)),
+        },
+        own => Ok(own),
+    }
+}
+
+/// The record of a problem with one recording.
+pub(crate) fn record(
+    model: &Path,
+    data: &Path,
+    (parameters, outputs, inputs): (&[String], &[String], &[String]),
+) -> Result<Record, Error> {
+    let path = |path: &Path| Value::Text(path.to_string_lossy().into_owned());
+    let experiment = Record::from([
+        ("data".to_owned(), path(data)),
+        (
+            "outputs".to_owned(),
+            Value::List(outputs.iter().map(|text| column(text)).collect::<Result<_, _>>()?),
+        ),
+        ("inputs".to_owned(), Value::List(inputs.iter().map(|text| source(text)).collect::<Result<_, _>>()?)),
+    ]);
+    let parameters = parameters.iter().map(|text| parameter(text)).collect::<Result<_, _>>()?;
+    Ok(Record::from([
+        ("model".to_owned(), path(model)),
+        ("experiments".to_owned(), Value::List(vec![Value::Record(experiment)])),
+        ("parameters".to_owned(), Value::List(parameters)),
+    ]))
+}

@@ -1,0 +1,239 @@
+//! `fit`, `check` and `resume`: the file, the short form, what is wrong in them, the outcomes.
+
+use crate::support::{Folder, json};
+
+/// A decay and its problem file, with lines that are added to it.
+fn decay(more: &str) -> Folder {
+    let folder = Folder::with_model("dahlquist");
+    folder.record_decay();
+    folder.write("problem.toml", &(PROBLEM.to_owned() + more));
+    folder
+}
+
+const PROBLEM: &str = r#"model = "model.fmu"
+
+[[experiments]]
+data = "run.csv"
+outputs = { x = "x" }
+
+[[parameters]]
+name = "k"
+start = 1.0
+lower = 0.1
+upper = 10
+"#;
+
+fn fitted(out: &str) -> f64 {
+    json(out)["parameters"][0]["value"].as_f64().unwrap()
+}
+
+#[test]
+fn the_short_form_is_the_same_fit_as_the_file() {
+    let folder = decay("");
+    let from_file = folder.run("fit problem.toml --json --quiet");
+    assert_eq!(from_file.err, "");
+    let from_file = json(&from_file.good());
+    let short = json(&folder.run("fit model.fmu run.csv --output x=x --parameter k=1:0.1:10 --json").good());
+    assert!((short["parameters"][0]["value"].as_f64().unwrap() - 2.0).abs() < 1e-4, "{short}");
+    for field in ["parameters", "cost", "n_evaluations", "message"] {
+        assert_eq!(short[field], from_file[field], "{field}");
+    }
+    // A name alone is that of the column, too; bounds may be left out.
+    let open = folder.run("fit model.fmu run.csv --output x --parameter k=1 --json").good();
+    assert!((fitted(&open) - 2.0).abs() < 1e-4, "{open}");
+}
+
+#[test]
+fn people_read_a_summary_and_lines_of_progress() {
+    let folder = decay("");
+    let ran = folder.run("fit problem.toml");
+    assert!(
+        ran.err.contains("searching") && !ran.err.contains('\u{1b}') && !ran.err.contains('\r'),
+        "{ran:?}"
+    );
+    let out = ran.good();
+    assert!(out.starts_with("Fit of Dahlquist\nThe fit converged"), "{out}");
+}
+
+#[test]
+fn options_of_the_command_line_go_before_those_of_the_file() {
+    let folder = decay(
+        "[settings]\nsolver = \"rk4\"\nstep_size = 0.01\n[fit]\nmethod = \"nelder-mead\"\nmax_evaluations = 3\n",
+    );
+    let ran = folder.run("fit problem.toml --json");
+    let result = json(&ran.out);
+    assert_eq!(
+        (ran.code, &result["method"], &result["solver"]),
+        (1, &"nelder-mead".into(), &"rk4".into()),
+        "{result}"
+    );
+    assert_eq!((&result["n_evaluations"], &result["success"]), (&3.into(), &false.into()), "{result}");
+    let result = json(&folder.run("fit problem.toml --json -O max_evaluations=none -O method=pattern-search -S solver=tsit5 -S step_size=none").good());
+    assert_eq!(
+        (&result["method"], &result["solver"]),
+        (&"pattern-search".into(), &"tsit5".into()),
+        "{result}"
+    );
+}
+
+#[test]
+fn stages_and_several_recordings_stand_in_the_file() {
+    let folder = decay("");
+    folder.write(
+        "several.toml",
+        r#"
+model = "model.fmu"
+[[experiments]]
+name = "a"
+data = "run.csv"
+outputs = { x = "x" }
+windows = [[0.0, 1.0]]
+[[experiments]]
+name = "b"
+data = "run.csv"
+outputs = ["x"]
+weights = "range"
+initial_states = { x = "measured" }
+[[parameters]]
+name = "k"
+start = 1.0
+lower = 0.1
+upper = 10
+scale = "log"
+prior = { log-normal = { median = 2.0, sigma = 0.5 } }
+[[stages]]
+parameters = ["k"]
+windows = [[0.0, 0.5]]
+[[stages]]
+parameters = ["k"]
+max_evaluations = 50
+"#,
+    );
+    let result = json(&folder.run("fit several.toml --json").out);
+    assert!((fitted(&result.to_string()) - 2.0).abs() < 1e-3, "{result}");
+    assert_eq!(result["outputs"].as_array().unwrap().len(), 2, "{result}");
+    assert!(result["message"].as_str().unwrap().contains("stage 1 of 2"), "{result}");
+}
+
+#[test]
+fn mistakes_in_a_file_are_named_with_their_lines() {
+    let folder = decay("");
+    for (from, to, line, expected) in [
+        ("model = ", "modell = ", 1, "no field of a problem 'modell'; did you mean 'model'?"),
+        ("model.fmu", "none.fmu", 1, "none.fmu"),
+        ("data = ", "date = ", 4, "no field of an experiment 'date'; did you mean 'data'?"),
+        ("run.csv", "none.csv", 4, "none.csv"),
+        ("x = \"x\"", "y = \"x\"", 5, "no variable \"y\""),
+        ("x = \"x\"", "x = \"y\"", 5, "no column 'y'"),
+        ("start = 1.0", "strat = 1.0", 9, "did you mean 'start'?"),
+        ("start = 1.0", "start = \"one\"", 9, "start must be a number, not 'one'"),
+        ("start = 1.0", "start = ", 9, ""),
+        ("start = 1.0", "start = 11", 8, "start 11 is outside of the bounds 0.1 and 10"),
+        ("name = \"k\"", "name = \"kk\"", 8, "\"kk\""),
+        (
+            "upper = 10",
+            "upper = 10\n[settings]\nsolvr = 1",
+            13,
+            "no setting of simulations 'solvr'; did you mean 'solver'?",
+        ),
+        ("upper = 10", "upper = 10\n[settings]\nsolver = \"rk5\"", 13, "unknown solver 'rk5'"),
+        (
+            "upper = 10",
+            "upper = 10\n[fit]\nmax_tiem = 1",
+            13,
+            "no option of a fit 'max_tiem'; did you mean 'max_time'?",
+        ),
+        (
+            "upper = 10",
+            "upper = 10\n[fit]\nmax_time = -1",
+            13,
+            "max_time = -1 must be a positive number of seconds",
+        ),
+        ("upper = 10", "upper = 10\n[fit]\nmethod = \"simplex\"", 13, "nelder-mead"),
+        (
+            "upper = 10",
+            "upper = 10\n[fit]\nobjective = \"rms\"",
+            13,
+            "no objective 'rms'; did you mean 'rmse'?",
+        ),
+        ("upper = 10", "upper = 10\n[[stages]]\nparametres = [\"k\"]", 13, "did you mean 'parameters'?"),
+        ("[[parameters]]", "[parameters]", 7, "parameters must be tables, each headed [[parameters]]"),
+    ] {
+        assert!(PROBLEM.contains(from), "{from}");
+        folder.write("wrong.toml", &PROBLEM.replacen(from, to, 1));
+        for command in ["check", "fit"] {
+            let message = folder.run(&format!("{command} wrong.toml")).wrong_input();
+            let place = format!("wrong.toml, line {line}: ");
+            assert!(message.starts_with(&place) && message.contains(expected), "{to}: {message}");
+        }
+    }
+    for (arguments, expected) in [
+        ("none.toml", "cannot read none.toml"),
+        ("model.fmu", "give a recording, too"),
+        ("problem.toml run.csv", "give a problem file alone"),
+        ("run.csv", "run.csv, line 1"),
+        ("model.fmu run.csv --parameter k=a", "start 'a' is no number"),
+        ("model.fmu run.csv --parameter k=1:2:3:4", "must be name=start:lower:upper"),
+        ("model.fmu run.csv --output x", "there is no parameter to fit"),
+        ("problem.toml --setting solver", "must be name=value"),
+        ("problem.toml --setting solvr=1", "did you mean 'solver'?"),
+    ] {
+        let message = folder.run(&format!("fit {arguments}")).wrong_input();
+        assert!(message.contains(expected), "{arguments}: {message}");
+    }
+}
+
+#[test]
+fn check_exits_with_1_for_errors_alone() {
+    let folder = decay("");
+    let document = json(&folder.run("check problem.toml --json --preflight").good());
+    assert!(
+        document["findings"].is_array() && document["preflight"]["parameters"][0]["has_effect"] == true,
+        "{document}"
+    );
+    assert!(folder.run("check problem.toml --no-run").good().lines().count() >= 1);
+    // At this start value the simulation fails.
+    folder.write(
+        "bad.toml",
+        &PROBLEM
+            .replace("start = 1.0", "start = 1.0\n")
+            .replace("x = \"x\"", "x = \"x\" }\nstart_values = { x = 1e308 ")
+            .replace("start = 1.0", "start = -1e3")
+            .replace("0.1", "-1e4"),
+    );
+    let ran = folder.run("check bad.toml");
+    assert!(ran.code == 1 && ran.out.contains("error"), "{ran:?}");
+}
+
+#[test]
+fn a_fit_is_resumed_from_its_checkpoint_with_the_same_bits() {
+    let folder = decay("[fit]\nmethod = \"nelder-mead\"\nx_tol = 1e-9\n");
+    let whole = json(&folder.run("fit problem.toml --json").out);
+    let first = folder.run("fit problem.toml --json --checkpoint fit.ckpt -O max_evaluations=10");
+    assert_eq!(json(&first.out)["n_evaluations"], 10, "{first:?}");
+    let resumed = json(&folder.run("resume problem.toml --json --checkpoint fit.ckpt").out);
+    for field in ["parameters", "cost", "n_evaluations"] {
+        assert_eq!(resumed[field], whole[field], "{field}");
+    }
+    let message = folder.run("resume problem.toml --checkpoint none.ckpt");
+    assert!(message.code != 0 && message.err.contains("none.ckpt"), "{message:?}");
+    assert!(folder.run("resume problem.toml").wrong_input().contains("--checkpoint FILE"));
+}
+
+#[test]
+fn a_report_of_something_else_is_refused() {
+    let folder = decay("");
+    folder.run("fit problem.toml --save decay.fit --quiet").good();
+    for (arguments, expected) in [
+        ("none.fit a.html", "none.fit"),
+        ("run.csv a.html", "this is no saved fit"),
+        ("decay.fit a.pdf", "a.pdf: give a name that ends in .html"),
+        ("decay.fit no/such/a.html", "no/such/a.html"),
+        ("decay.fit a.html --model none.fmu", "none.fmu"),
+    ] {
+        let message = folder.run(&format!("report {arguments}")).wrong_input();
+        assert!(message.contains(expected), "{arguments}: {message}");
+    }
+    std::fs::rename(folder.path("model.fmu"), folder.path("moved.fmu")).unwrap();
+    folder.run("report decay.fit a.html --model moved.fmu").good();
+}

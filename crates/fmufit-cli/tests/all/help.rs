@@ -1,0 +1,58 @@
+//! Help, wrong arguments, completions.
+
+use crate::support::Folder;
+
+const COMMANDS: [&str; 10] =
+    ["info", "validate", "simulate", "init", "check", "fit", "resume", "report", "build", "completions"];
+
+#[test]
+fn help_has_an_example_for_each_command_and_the_exit_codes() {
+    let folder = Folder::new();
+    let all = folder.run("--help").good();
+    assert!(all.contains("130  Ctrl-C"), "{all}");
+    for command in COMMANDS {
+        assert!(all.contains(&format!("\n  {command} ")), "{all}");
+        let help = folder.run(&format!("{command} --help")).good();
+        assert!(help.contains("Example") && help.contains(&format!("  fmufit {command} ")), "{help}");
+    }
+    assert!(!all.contains("worker"), "{all}");
+}
+
+#[test]
+fn wrong_arguments_are_named() {
+    let folder = Folder::new();
+    for (arguments, expected) in [
+        ("", "Usage: fmufit"),
+        ("fitt", "a similar subcommand exists: 'fit'"),
+        ("info", "required arguments were not provided"),
+        ("info model.fmu --jsn", "a similar argument exists: '--json'"),
+        ("simulate model.fmu --final-time soon", "invalid value 'soon'"),
+        ("fit problem.toml --output x=x", "required arguments were not provided"),
+        ("check problem.toml --no-run --preflight", "cannot be used with"),
+        ("completions tcsh", "possible values"),
+    ] {
+        let ran = folder.run(arguments);
+        assert!(ran.code == 2 && ran.out.is_empty() && ran.err.contains(expected), "{arguments}: {ran:?}");
+    }
+    assert!(folder.run("worker").wrong_input().contains("no program has started this one"));
+}
+
+#[test]
+fn each_shell_has_completions() {
+    let folder = Folder::new();
+    for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
+        let script = folder.run(&format!("completions {shell}")).good();
+        assert!(
+            script.contains("fmufit") && COMMANDS.iter().all(|command| script.contains(command)),
+            "{script}"
+        );
+    }
+}
+
+#[test]
+fn what_nobody_reads_is_no_error() {
+    let folder = Folder::new();
+    let mut child = folder.command("completions bash").spawn().unwrap();
+    drop(child.stdout.take());
+    assert_eq!(child.wait_with_output().unwrap().status.code(), Some(0));
+}

@@ -1,0 +1,85 @@
+//! `init`: what it finds, and the way from a model and a recording to a report.
+
+use crate::support::{Folder, json};
+
+#[test]
+fn from_a_model_and_a_recording_to_the_truth_and_a_report() {
+    let folder = Folder::with_model("dahlquist");
+    folder.record_decay();
+    let out = folder.run("init model.fmu run.csv problem.toml").good();
+    assert!(out.contains("wrote problem.toml: 1 output, 0 inputs, 1 parameter"), "{out}");
+    let ran = folder.run("check problem.toml --preflight");
+    assert!(ran.code == 0 && ran.out.contains("sensitivity"), "{ran:?}");
+    let ran = folder.run("fit problem.toml --save decay.fit --report decay.html --json");
+    assert_eq!(ran.code, 0, "{ran:?}");
+    let result = json(&ran.out);
+    let k = &result["parameters"][0];
+    assert!(k["name"] == "k" && (k["value"].as_f64().unwrap() - 2.0).abs() < 1e-4, "{result}");
+    assert_eq!(result["success"], true);
+    assert!(folder.read("decay.html").contains("<svg"));
+    // The saved fit has the same numbers.
+    for (file, expected) in [
+        ("a.html", "<!DOCTYPE html>"),
+        ("a.csv", "name,value"),
+        ("a.ssv", "ParameterSet"),
+        ("a.json", "\"success\""),
+    ] {
+        folder.run(&format!("report decay.fit {file}")).good();
+        assert!(folder.read(file).contains(expected), "{file}");
+    }
+    assert_eq!(json(&folder.read("a.json"))["parameters"], result["parameters"]);
+}
+
+#[test]
+fn init_says_what_it_did_not_find() {
+    let folder = Folder::with_model("furuta");
+    folder.write("run.csv", "time,PHI,x\n0,0,1\n1,0.1,2\n2,0.2,1\n");
+    let ran = folder.run("init model.fmu run.csv");
+    assert!(ran.code == 0 && ran.err.contains("no column belongs to an output"), "{ran:?}");
+    let text = folder.read("problem.toml");
+    assert!(text.contains("# Column 'PHI' may belong to armJoint.phi, pendulumJoint.phi."), "{text}");
+    assert!(text.contains("# Column 'x' is called as no output or input."), "{text}");
+    assert!(folder.run("init model.fmu run.csv").wrong_input().contains("problem.toml is there already"));
+    folder.run("init model.fmu run.csv --force --output armJoint.phi=PHI --parameter armFriction").good();
+    let text = folder.read("problem.toml");
+    assert!(
+        text.contains("outputs = { \"armJoint.phi\" = \"PHI\" }")
+            && text.matches("\n[[parameters]]").count() == 1,
+        "{text}"
+    );
+    for (arguments, expected) in [
+        ("--output armJoint.fi=PHI", "did you mean"),
+        ("--output armJoint.phi=none", "no column 'none'"),
+        ("--parameter none", "no variable \"none\""),
+        ("--parameter time", "'time' cannot be proposed"),
+        ("--time t", "there is no column 't'"),
+    ] {
+        let message = folder.run(&format!("init model.fmu run.csv other.toml {arguments}")).wrong_input();
+        assert!(message.contains(expected) && !folder.path("other.toml").exists(), "{message}");
+    }
+}
+
+#[test]
+fn parameters_without_an_effect_are_comments() {
+    let folder = Folder::with_model("bouncing_ball");
+    // Before the first bounce at 0.45 s only gravity moves the ball.
+    folder.run("simulate model.fmu --final-time 0.3 --interval 0.02 --output run.csv").good();
+    folder.run("init model.fmu run.csv").good();
+    let text = folder.read("problem.toml");
+    assert!(text.contains("\nname = \"g\"") && text.contains("\n# name = \"e\""), "{text}");
+    assert!(text.contains("moves no output at the start"), "{text}");
+}
+
+#[test]
+fn paths_in_the_file_begin_where_it_is() {
+    let folder = Folder::with_model("dahlquist");
+    folder.record_decay();
+    std::fs::create_dir(folder.path("below")).unwrap();
+    folder.run("init model.fmu run.csv below/problem.toml").good();
+    folder.run("check below/problem.toml").good();
+    folder.run("init model.fmu run.csv problem.toml").good();
+    let text = folder.read("problem.toml");
+    assert!(text.contains("model = \"model.fmu\"") && text.contains("data = \"run.csv\""), "{text}");
+    let elsewhere = Folder::new();
+    elsewhere.run(&format!("check {}", folder.path("problem.toml").display())).good();
+}

@@ -1,0 +1,66 @@
+//! Ctrl-C: the best point is printed and saved.
+#![cfg(unix)]
+
+use crate::support::{Folder, Ran, json};
+use rustix::process::{Pid, Signal, kill_process};
+use std::io::{BufRead, BufReader, Read};
+use std::process::Child;
+
+fn interrupt(child: &Child) {
+    let pid = Pid::from_raw(i32::try_from(child.id()).unwrap()).unwrap();
+    kill_process(pid, Signal::INT).unwrap();
+}
+
+/// A fit that goes on for hours.
+const ENDLESS: &str = "fit problem.toml --json --save furuta.fit -O method=de -O x_tol=0 -O f_tol=0 -O max_evaluations=1000000000";
+
+#[test]
+fn a_fit_ends_with_the_best_point() {
+    let folder = Folder::with_model("furuta");
+    folder
+        .run("simulate model.fmu --final-time 10 --set armFriction=0.01 --output run.csv --interval 0.05")
+        .good();
+    let outputs = "--output armJoint.phi=armJoint.phi --output pendulumJoint.phi=pendulumJoint.phi";
+    folder.run(&format!("init model.fmu run.csv {outputs}")).good();
+    let mut child = folder.command(ENDLESS).spawn().unwrap();
+    // Until it has evaluated something.
+    let mut lines = BufReader::new(child.stderr.take().unwrap());
+    let mut line = String::new();
+    while !line.contains("evaluations") {
+        line.clear();
+        assert!(lines.read_line(&mut line).unwrap() > 0, "it has ended");
+    }
+    interrupt(&child);
+    let mut rest = String::new();
+    lines.read_to_string(&mut rest).unwrap();
+    let ran = Ran::of(child.wait_with_output().unwrap());
+    assert_eq!(ran.code, 130, "{ran:?} {rest}");
+    let result = json(&ran.out);
+    assert_eq!((&result["termination"], &result["success"]), (&"interrupted".into(), &false.into()));
+    // The start is one of the points.
+    assert!(result["cost"].as_f64().unwrap() <= result["start_cost"].as_f64().unwrap(), "{result}");
+    assert!(rest.contains("saved furuta.fit"), "{rest}");
+    folder.run("report furuta.fit furuta.csv").good();
+}
+
+#[test]
+fn a_simulation_that_is_interrupted_has_no_result() {
+    let folder = Folder::with_model("van_der_pol");
+    let arguments =
+        "simulate model.fmu --final-time 1e9 --interval 1e8 --solver rk4 --step-size 1e-4 --output run.csv";
+    let child = folder.command(arguments).spawn().unwrap();
+    // Once it handles the signal.
+    let status = format!("/proc/{}/status", child.id());
+    let is_watched = || {
+        let text = std::fs::read_to_string(&status).unwrap();
+        let caught = text.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap().trim().to_owned();
+        u64::from_str_radix(&caught, 16).unwrap() & 2 != 0
+    };
+    while cfg!(target_os = "linux") && !is_watched() {
+        std::thread::yield_now();
+    }
+    interrupt(&child);
+    let ran = Ran::of(child.wait_with_output().unwrap());
+    assert!(ran.code == 130 && ran.err.contains("interrupted") && ran.out.is_empty(), "{ran:?}");
+    assert!(!folder.path("run.csv").exists());
+}

@@ -1,0 +1,9 @@
+//! The command line as a program: what it prints and writes, and its exit codes.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod fit;
+mod help;
+mod init;
+mod interrupt;
+mod models;
+mod support;

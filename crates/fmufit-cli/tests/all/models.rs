@@ -1,0 +1,133 @@
+//! Commands about one model: info, validate, simulate, build.
+
+use crate::support::{Folder, holds_only, json};
+
+/// The columns of a CSV table, by name.
+fn column(table: &str, name: &str) -> Vec<f64> {
+    let mut lines = table.lines();
+    let at =
+        lines.next().unwrap().split(',').position(|n| n == name).unwrap_or_else(|| panic!("{name}: {table}"));
+    lines.map(|line| line.split(',').nth(at).unwrap().parse().unwrap()).collect()
+}
+
+#[test]
+fn info_shows_variables_with_causality_unit_and_start() {
+    let folder = Folder::with_model("furuta");
+    let text = folder.run("info model.fmu").good();
+    assert!(text.starts_with("Furuta, FMI 2.0\n") && text.contains("start 0 s, stop 40 s"), "{text}");
+    let line = text.lines().find(|line| line.contains("armFriction")).unwrap();
+    let words: Vec<&str> = line.split_whitespace().take(6).collect();
+    assert_eq!(words, ["armFriction", "parameter", "tunable", "Real", "N.m", "0.012"]);
+    assert!(text.contains("internal variables: --all shows them") && !text.contains("armJoint.w"), "{text}");
+    assert!(folder.run("info model.fmu --all").good().contains("armJoint.w"));
+    let parameters = folder.run("info model.fmu --causality parameter").good();
+    assert!(parameters.contains("arm.length") && !parameters.contains("armJoint.phi"), "{parameters}");
+    let message = folder.run("info model.fmu --causality paramter").wrong_input();
+    assert!(
+        message.contains("no variable has the causality 'paramter'") && message.contains("parameter"),
+        "{message}"
+    );
+
+    let document = json(&folder.run("info model.fmu --json").good());
+    assert_eq!((&document["model_name"], &document["fmi_version"]), (&"Furuta".into(), &"2.0".into()));
+    let variables = document["variables"].as_array().unwrap();
+    let friction = variables.iter().find(|v| v["name"] == "armFriction").unwrap();
+    assert_eq!((&friction["unit"], &friction["start"]), (&"N.m".into(), &0.012.into()));
+    assert!(variables.iter().any(|v| v["causality"] == "local"));
+}
+
+#[test]
+fn validate_runs_a_model_and_says_what_it_departs_in() {
+    let folder = Folder::with_model("dahlquist");
+    let text = folder.run("validate model.fmu").good();
+    assert!(
+        text.contains("no departures from the standard") && text.contains("simulated: to 10 s"),
+        "{text}"
+    );
+    let document = json(&folder.run("validate model.fmu --json").good());
+    assert_eq!((&document["is_simulated"], &document["quirks"]), (&true.into(), &serde_json::json!([])));
+    // A file that is no FMU is an answer; one that is not there is none.
+    folder.write("broken.fmu", "not an archive");
+    let ran = folder.run("validate broken.fmu");
+    assert!(ran.code == 1 && ran.err.contains("broken.fmu"), "{ran:?}");
+    assert!(folder.run("validate none.fmu").wrong_input().contains("none.fmu"));
+}
+
+#[test]
+fn simulate_writes_the_solution_of_the_model() {
+    let folder = Folder::with_model("dahlquist");
+    let ran = folder.run("simulate model.fmu --set k=2 --final-time 1 --interval 0.25");
+    assert_eq!(ran.err, "");
+    let table = ran.good();
+    assert_eq!(column(&table, "time"), [0.0, 0.25, 0.5, 0.75, 1.0]);
+    for (time, x) in column(&table, "time").into_iter().zip(column(&table, "x")) {
+        assert!((x - (-2.0 * time).exp()).abs() < 1e-6, "{table}");
+    }
+    // In this process there are the same bits; a plot is one SVG document.
+    let arguments = "simulate model.fmu --set k=2 --final-time 1 --interval 0.25 --in-process --output own.csv --plot own.svg";
+    assert_eq!(folder.run(arguments).good(), "");
+    assert_eq!(folder.read("own.csv"), table);
+    assert!(folder.read("own.svg").starts_with("<svg"));
+    assert!(holds_only(&folder.path(""), &["model.fmu", "own.csv", "own.svg"]));
+}
+
+#[test]
+fn simulate_is_driven_by_a_recording_in_the_units_of_the_model() {
+    let folder = Folder::with_model("quad_tank");
+    let inputs = json(&folder.run("info model.fmu --json --causality input").good());
+    let names: Vec<&str> =
+        inputs["variables"].as_array().unwrap().iter().map(|v| v["name"].as_str().unwrap()).collect();
+    let rows: String = (0..3).map(|k| format!("{}{}\n", 10 * k, ",5.5".repeat(names.len()))).collect();
+    folder.write("in.csv", &format!("time,{}\n{rows}", names.join(",")));
+    let table = folder
+        .run(&format!("simulate model.fmu --input in.csv --final-time 20 --outputs {}", names[0]))
+        .good();
+    assert!(column(&table, names[0]).iter().all(|u| (u - 5.5).abs() < 1e-12), "{table}");
+    folder.write("other.csv", "time,unknown\n0,1\n1,1\n");
+    let message = folder.run("simulate model.fmu --input other.csv").wrong_input();
+    assert!(
+        message.contains("no column is called as an input; it has unknown") && message.contains(names[0]),
+        "{message}"
+    );
+}
+
+#[test]
+fn what_simulate_cannot_use_is_named() {
+    let folder = Folder::with_model("furuta");
+    for (arguments, expected) in [
+        ("none.fmu", "cannot open none.fmu"),
+        ("model.fmu --set armFrction=1", "did you mean armFriction?"),
+        ("model.fmu --set armFriction=stiff", "'armFriction' = 'stiff': the variable is of type Real"),
+        ("model.fmu --set armFriction", "must be NAME=VALUE"),
+        ("model.fmu --solver rk5", "unknown solver 'rk5'"),
+        ("model.fmu --kind XY", "kind = 'XY'"),
+        ("model.fmu --outputs armJoint.fi", "armJoint.phi"),
+        ("model.fmu --timeout 0", "--timeout = 0 must be a positive number of seconds"),
+        ("model.fmu --input none.csv", "cannot read none.csv"),
+        ("model.fmu --output no/such/folder.csv", "no/such"),
+    ] {
+        let message = folder.run(&format!("simulate {arguments}")).wrong_input();
+        assert!(message.contains(expected), "{arguments}: {message}");
+    }
+    let ran = folder.run(
+        "simulate model.fmu --final-time 1e9 --interval 1e8 --solver rk4 --step-size 1e-4 --timeout 0.05",
+    );
+    assert!(ran.code == 1 && ran.out.is_empty() && ran.err.contains("0.05"), "{ran:?}");
+}
+
+#[test]
+fn build_packs_a_folder_that_can_be_simulated() {
+    let folder = Folder::with_model("dahlquist");
+    let file = std::fs::File::open(folder.path("model.fmu")).unwrap();
+    zip::ZipArchive::new(file).unwrap().extract(folder.path("decay")).unwrap();
+    std::fs::remove_dir_all(folder.path("decay/binaries")).unwrap();
+    let out = folder.run("build decay").good();
+    assert!(out.starts_with("wrote ") && folder.path("decay.fmu").is_file(), "{out}");
+    let table = folder.run("simulate decay.fmu --final-time 1 --interval 1").good();
+    assert!((column(&table, "x")[1] - (-1.0_f64).exp()).abs() < 1e-6, "{table}");
+    assert!(folder.run("build decay.fmu").wrong_input().contains("name the file to write"));
+    folder.write("decay/sources/model.c", "this is no C\n");
+    let ran = folder.run("build decay other.fmu");
+    assert!(ran.code == 1 && !folder.path("other.fmu").exists(), "{ran:?}");
+    assert!(folder.run("build nothing other.fmu").wrong_input().contains("nothing"));
+}
