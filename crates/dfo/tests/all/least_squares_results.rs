@@ -162,7 +162,7 @@ fn a_loss_that_bends_between_the_points_does_not_hide_the_slope() {
             let noise = |i: usize| {
                 let uniform = |k: usize| ((12.9898 * k as f64 + 1.0).sin() * 43_758.547).fract().abs();
                 let at = 2 * (i + n * (seed + 10 * turn)) + 1;
-                (-2.0 * uniform(at).max(1e-12).ln()).sqrt() * (6.283 * uniform(at + 1)).cos()
+                (-2.0 * uniform(at).max(1e-12).ln()).sqrt() * (std::f64::consts::TAU * uniform(at + 1)).cos()
             };
             // The model is curved, and the data tell its parameters to 1e-5 of them.
             let at = |x: &[f64], i: usize| 1e4 * x[0] * (x[1] * i as f64 / n as f64).exp();
