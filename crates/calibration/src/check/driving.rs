@@ -61,6 +61,12 @@ pub(super) fn findings(subject: &Subject<'_>) -> Vec<Finding> {
         let mut warn = |(sentence, remedy): (String, &str)| {
             findings.push(Finding::new(Severity::Warning, name.clone(), sentence, remedy));
         };
+        if let Some((output, _)) = experiment.outputs().find(|(_, compared)| *compared == column) {
+            warn((
+                format!("its column is compared with the output '{output}', too"),
+                "is it the right column?",
+            ));
+        }
         let spike = rows.spike();
         spike.iter().for_each(|found| warn(found.clone()));
         rows.stands_still().into_iter().for_each(&mut warn);

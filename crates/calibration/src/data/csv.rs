@@ -690,7 +690,9 @@ mod tests {
         assert!(d.measured("y", 0..4).is_ok());
         assert!(d.measured("u", 2..4).is_ok());
         let e = d.measured("u", 0..4).unwrap_err().to_string();
-        assert!(e.contains("two measurements at time 1: 1 and 2"), "{e}");
+        assert!(e.ends_with("two measurements at time 1: 1 and 2"), "{e}");
+        let e = csv("time,y\n0,1\n0,1\n1,2\n1,2\n").unwrap().measured("y", 0..4).unwrap_err().to_string();
+        assert!(e.contains("at time 0: 1 and 1; 2 times stand twice: are rows there twice?"), "{e}");
         let d = csv("time,y\n0,\n1,nan\n").unwrap();
         assert!(d.measured("y", 0..2).unwrap_err().to_string().contains("all 2 values"));
         let d = csv("time,y\n0,inf\n1,2\n").unwrap();

@@ -392,11 +392,15 @@ impl Data {
                 time[time.len() - 1]
             ));
         }
-        let twice = (1..values.len())
-            .find(|&i| time[i] == time[i - 1] && !values[i].is_nan() && !values[i - 1].is_nan());
-        if let Some(i) = twice {
+        let is_twice = |i: &usize| time[*i] == time[i - 1] && !values[*i].is_nan() && !values[i - 1].is_nan();
+        let mut twice = (1..values.len()).filter(is_twice);
+        if let Some(i) = twice.next() {
+            let more = match 1 + twice.count() {
+                1 => String::new(),
+                n => format!("; {n} times stand twice: are rows there twice?"),
+            };
             return bad(format!(
-                "column '{name}' has two measurements at time {}: {} and {}",
+                "column '{name}' has two measurements at time {}: {} and {}{more}",
                 Number(time[i]),
                 Number(values[i - 1]),
                 Number(values[i])

@@ -258,3 +258,15 @@ fn measurements_in_coarse_steps_are_named() {
     let fit = fitted(recording(&t, cut), k());
     assert!(warns(&fit.findings(), "come in steps of 0.1"), "{fit}");
 }
+
+#[test]
+fn a_column_that_drives_and_is_compared_is_named() {
+    let said = "its column is compared with the output 'qt.x1', too";
+    let tank = |input: &str| {
+        let driven = Experiment::new(example("quad_tank", 1.0)).input("u1", input).input("u2", "u2");
+        let builder = Calibration::builder(open("quad_tank")).experiment(driven.output("qt.x1", "x1"));
+        builder.parameter(Parameter::new("qt.a1", 3e-6).bounds(2e-6, 4e-6)).build().unwrap()
+    };
+    assert!(warns(&tank("x1").check().findings, said), "{}", tank("x1").check());
+    assert!(!warns(&tank("u1").check().findings, said));
+}
