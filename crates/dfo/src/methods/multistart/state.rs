@@ -28,11 +28,6 @@ use std::fmt;
 /// and 10 000 evaluations (n = 10, no exploration) four solve 54 of 120, eight and sixteen 40.
 const SIDE_BY_SIDE: usize = 4;
 
-/// While the first search runs alone and others wait, one in so many evaluations ahead of need is a guess of
-/// what it needs next: Nelder-Mead gains nothing past four workers in sixteen (docs/scaling.md). The searches
-/// that wait are of the path unless the budget ends before.
-const GUESSES: usize = 4;
-
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 enum Phase {
     /// Points of the sample are being evaluated.
@@ -465,10 +460,13 @@ impl MultistartState {
             self.ahead.push(ahead);
         }
         // The first search after an exploration may need the rest of the budget: then no other is certain.
+        // It shares the workers with those that run side by side once it has ended: Nelder-Mead gains nothing past four
+        // of them (docs/scaling.md), and the more of these there are, the fewer of them the budget reaches.
         let is_alone = self.needs_the_rest();
+        let n_next = if is_alone { self.core.queue.len().min(SIDE_BY_SIDE) } else { 0 };
+        let share = (wanted / 2).div_ceil(1 + n_next);
         if is_alone {
             batch.all_certain();
-            let share = if self.core.queue.is_empty() { left } else { left.div_ceil(GUESSES) };
             self.guess(share, known, batch);
         }
         // The next in the queue, unless the budget ends before.
@@ -494,6 +492,10 @@ impl MultistartState {
                 batch.push(x, cutoff);
                 left = left.saturating_sub(usize::from(!known.contains(x)));
                 budget -= 1;
+            }
+            if k < n_next {
+                ahead.method.speculate(share.saturating_sub(1), known, batch);
+                left = left.saturating_sub(share);
             }
             self.ahead.push(ahead);
         }
