@@ -68,7 +68,7 @@ LAYERS = {
         solve
     """,
     "pydfo": """
-        interrupt
+        command_line interrupt
         convert
         optimize model
         ode calibration

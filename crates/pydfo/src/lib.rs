@@ -3,6 +3,7 @@
 #![deny(unsafe_code)]
 
 mod calibration;
+mod command_line;
 mod convert;
 mod interrupt;
 mod model;
@@ -48,6 +49,8 @@ mod core_module {
     use super::calibration::validation::{cross_validate, prediction_bands, validate};
     #[pymodule_export]
     use super::calibration::worker::{StartedAhead, serve_worker, set_launcher, start_worker_ahead};
+    #[pymodule_export]
+    use super::command_line::command_line;
     #[pymodule_export]
     use super::convert::values::dtypes;
     #[pymodule_export]

@@ -1,0 +1,19 @@
+"""The command line ``fmufit``, also as ``python -m pydfo``: ``fmufit --help`` says what it does."""
+
+from __future__ import annotations
+
+import signal
+import sys
+
+from . import _core
+
+
+def main() -> int:
+    """Runs the command of the arguments of this program; returns the exit code."""
+    # The command line watches for Ctrl-C itself: a fit ends with the best point.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    return _core.command_line(["fmufit", *sys.argv[1:]])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,40 @@
+"""The command line ``fmufit`` as a wheel installs it: ``python -m pydfo``."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import pydfo
+from pydfo import __main__ as command_line
+
+
+def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "pydfo", *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_from_a_model_and_a_recording_to_the_truth(tmp_path: Path) -> None:
+    shutil.copy(pydfo.example_fmu("dahlquist"), tmp_path / "model.fmu")
+    made = run(tmp_path, "simulate", "model.fmu", "--set", "k=2", "--final-time", "2", "--output", "run.csv")
+    assert (made.returncode, made.stdout) == (0, ""), made
+    assert run(tmp_path, "init", "model.fmu", "run.csv").returncode == 0
+    fitted = run(tmp_path, "fit", "problem.toml", "--json", "--quiet", "--save", "decay.fit")
+    assert (fitted.returncode, fitted.stderr) == (0, ""), fitted
+    result = json.loads(fitted.stdout)
+    assert result["parameters"][0]["value"] == pytest.approx(2.0, abs=1e-3)
+    assert pydfo.load_fit(tmp_path / "decay.fit").x[0] == result["parameters"][0]["value"]
+
+
+def test_exit_codes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(tmp_path, "fit", "none.toml").returncode == 2
+    assert run(tmp_path, "--help").returncode == 0
+    monkeypatch.setattr(sys, "argv", ["fmufit", "report", "none.fit", "a.html"])
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    assert command_line.main() == 2
+    assert "none.fit" in capfd.readouterr().err
