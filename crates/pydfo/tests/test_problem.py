@@ -222,7 +222,7 @@ MISTAKES = {
     "factor 0": (lambda: Parameter("x", tied_to="k", factor=0.0), "factor 0 and offset 0"),
     "factor of nothing": (lambda: Parameter("x", 1.0, factor=2.0), "are those of tied_to"),
     "no start": (lambda: Parameter("x"), "start is missing"),
-    "only ties": (bad_parameter(lambda: Parameter("x", tied_to="x2"), lambda: Parameter("x2", tied_to="x")), "there is none to fit"),
+    "only ties": (bad_parameter(lambda: Parameter("x", tied_to="x2"), lambda: Parameter("x2", tied_to="x")), "tie both to one"),
     "no variables": (lambda: Parameter("x", 1.0, variables=[]), "variables is empty"),
     "unknown variable": (bad_parameter(lambda: Parameter("any", 1.0, variables=["k", "kk"])), "kk"),
     "variable twice": (bad_parameter(lambda: Parameter("any", 1.0, variables=["k", "k"])), "names the variable 'k' twice"),

@@ -170,11 +170,9 @@ impl Problem {
         if self.experiments.is_empty() {
             return Err(CalibrationError::Setup("there is no experiment to fit to".to_owned()));
         }
+        // Each follows one that is fitted, so there is one.
         for parameter in &self.parameters {
             parameter.tie().map(|tie| self.tied_to(parameter, tie)).transpose()?;
-        }
-        if self.parameters.iter().all(Parameter::is_tied) {
-            return Err(CalibrationError::Setup("all parameters are tied: there is none to fit".to_owned()));
         }
         for (i, parameter) in self.parameters.iter().enumerate() {
             if self.parameters[..i].iter().any(|p| p.name() == parameter.name()) {
