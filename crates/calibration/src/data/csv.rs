@@ -1,5 +1,6 @@
 //! CSV files as tables, as spreadsheets and data loggers write them.
 
+use super::csv_records::{MOST_COLUMNS, Records, decode};
 use super::dates::{DateError, date_seconds};
 use super::table::{Column, Data, mixed_decimal_signs};
 use super::text::shortened;
@@ -13,9 +14,6 @@ use std::path::{Path, PathBuf};
 
 /// Spellings of a missing value in a CSV file; compared without regard to case.
 const MISSING: [&str; 5] = ["", "nan", "na", "n/a", "null"];
-
-/// A header with more columns is that of something else. Each takes some 200 bytes beside its values.
-const MOST_COLUMNS: usize = 1 << 16;
 
 /// A longer name of a column, in bytes, is something else.
 const LONGEST_NAME: usize = 1000;
@@ -237,146 +235,6 @@ fn uneven(line: usize, len: usize, expected: usize, delimiter: u8) -> String {
     format!("line {line} has {len} cells, the header has {expected}{hint}")
 }
 
-/// The records of a table from a line on. Blank lines and comments are none.
-#[derive(Clone)]
-struct Records<'t> {
-    text: &'t str,
-    /// Where the next record begins.
-    at: usize,
-    /// The line in which it begins, from 1.
-    line: usize,
-    delimiter: u8,
-}
-
-impl<'t> Records<'t> {
-    /// Those of a text, and their delimiter.
-    fn new(text: &'t str) -> (Self, u8) {
-        let mut records = Self { text, at: 0, line: 1, delimiter: b',' };
-        records.skip();
-        let header = records.rest().lines().next().unwrap_or_default();
-        match header.trim_end().strip_prefix("sep=").map(str::as_bytes) {
-            Some([delimiter]) if records.line == 1 => {
-                records.at += header.len();
-                records.delimiter = *delimiter;
-            }
-            _ => records.delimiter = delimiter(header),
-        }
-        let delimiter = records.delimiter;
-        (records, delimiter)
-    }
-
-    fn rest(&self) -> &'t str {
-        &self.text[self.at..]
-    }
-
-    /// Number of lines that are left.
-    fn n_lines(&self) -> usize {
-        self.rest().bytes().filter(|byte| matches!(byte, b'\n' | b'\r')).count() + 1
-    }
-
-    /// Goes to the next line that is neither blank nor a comment.
-    fn skip(&mut self) {
-        let bytes = self.text.as_bytes();
-        loop {
-            let blank = bytes[self.at..].iter().take_while(|byte| matches!(byte, b' ' | b'\t')).count();
-            let next = self.at + blank;
-            match bytes.get(next) {
-                Some(b'#') => {
-                    let is_end = |byte: &u8| matches!(byte, b'\n' | b'\r');
-                    let end = bytes[next..].iter().position(is_end);
-                    self.at = end.map_or(bytes.len(), |end| next + end);
-                }
-                Some(b'\n' | b'\r') => self.at = next,
-                None => self.at = next,
-                Some(_) => return,
-            }
-            if self.at == bytes.len() {
-                return;
-            }
-            self.end_line();
-        }
-    }
-
-    /// Goes over the end of a line.
-    fn end_line(&mut self) {
-        let rest = &self.text.as_bytes()[self.at..];
-        self.at += if rest.starts_with(b"\r\n") { 2 } else { usize::from(!rest.is_empty()) };
-        self.line += 1;
-    }
-
-    /// The cells of the next record, without spaces around them, up to the last that is not empty; of more
-    /// than [`MOST_COLUMNS`] one more than these. The line in which it begins, and how many there are; `None`
-    /// at the end.
-    fn next(&mut self, cells: &mut Vec<Cow<'t, str>>) -> Option<(usize, usize)> {
-        cells.clear();
-        self.skip();
-        let (bytes, line, mut n_cells) = (self.text.as_bytes(), self.line, 0);
-        if self.at == bytes.len() {
-            return None;
-        }
-        loop {
-            let begin = self.at;
-            let cell = match bytes.get(begin) {
-                Some(b'"') => self.quoted(),
-                _ => {
-                    self.at += self.to_end_of_cell();
-                    Cow::Borrowed(trimmed(&self.text[begin..self.at]))
-                }
-            };
-            if !cell.is_empty() && cells.len() <= MOST_COLUMNS {
-                cells.resize(n_cells.min(MOST_COLUMNS), Cow::Borrowed(""));
-                cells.push(cell);
-            }
-            n_cells += 1;
-            match bytes.get(self.at) {
-                Some(byte) if *byte == self.delimiter => self.at += 1,
-                Some(_) => {
-                    self.end_line();
-                    return Some((line, n_cells));
-                }
-                None => return Some((line, n_cells)),
-            }
-        }
-    }
-
-    /// The bytes until the next delimiter or end of a line.
-    fn to_end_of_cell(&self) -> usize {
-        let rest = &self.text.as_bytes()[self.at..];
-        let is_end = |byte: &u8| *byte == self.delimiter || matches!(byte, b'\n' | b'\r');
-        rest.iter().position(is_end).unwrap_or(rest.len())
-    }
-
-    /// A cell in quotes, in which two quotes are one, with what stands behind it. Lines may end in it.
-    fn quoted(&mut self) -> Cow<'t, str> {
-        let mut cell = String::new();
-        loop {
-            self.at += 1;
-            let begin = self.at;
-            let length = self.rest().find('"').unwrap_or(self.rest().len());
-            self.at += length;
-            let part = &self.text[begin..self.at];
-            self.line += part.bytes().filter(|byte| *byte == b'\n').count();
-            cell.push_str(part);
-            self.at = (self.at + 1).min(self.text.len());
-            if !self.rest().starts_with('"') {
-                break;
-            }
-            cell.push('"');
-        }
-        let begin = self.at;
-        self.at += self.to_end_of_cell();
-        cell.push_str(&self.text[begin..self.at]);
-        Cow::Owned(trimmed(&cell).to_owned())
-    }
-}
-
-/// Without white space around it.
-fn trimmed(cell: &str) -> &str {
-    let is_plain = |byte: Option<&u8>| byte.is_none_or(|byte| (b'!'..=b'~').contains(byte));
-    let bytes = cell.as_bytes();
-    if is_plain(bytes.first()) && is_plain(bytes.last()) { cell } else { cell.trim() }
-}
-
 /// The names of the columns up to the last that has one, the number of cells of the header, and its line.
 fn header(records: &mut Records<'_>) -> Result<(Vec<String>, usize, usize), String> {
     let mut names = Vec::new();
@@ -391,30 +249,6 @@ fn header(records: &mut Records<'_>) -> Result<(Vec<String>, usize, usize), Stri
         ));
     }
     Ok((names.into_iter().map(Cow::into_owned).collect(), expected, line))
-}
-
-/// UTF-8, UTF-16 with a byte order mark, else Windows-1252 (which reads Latin 1 too): what spreadsheets
-/// write.
-fn decode(text: &[u8]) -> Cow<'_, str> {
-    let (encoding, skip) = encoding_rs::Encoding::for_bom(text).unwrap_or_else(|| {
-        let utf8 = std::str::from_utf8(text).is_ok();
-        (if utf8 { encoding_rs::UTF_8 } else { encoding_rs::WINDOWS_1252 }, 0)
-    });
-    encoding.decode_without_bom_handling(&text[skip..]).0
-}
-
-/// The one of comma, semicolon and tab that stands most often in the header, outside of quotes.
-fn delimiter(header: &str) -> u8 {
-    let mut quoted = false;
-    let mut counts = [(b',', 0), (b';', 0), (b'\t', 0)];
-    for byte in header.bytes() {
-        quoted ^= byte == b'"';
-        for (_, count) in counts.iter_mut().filter(|c| c.0 == byte && !quoted) {
-            *count += 1;
-        }
-    }
-    // Of equals the first.
-    counts.into_iter().rev().max_by_key(|c| c.1).map_or(b',', |c| c.0)
 }
 
 /// The units of the columns, where the first line below the header has no values: the cell of the times is a

@@ -2,6 +2,7 @@
 
 mod clock_change;
 mod csv;
+mod csv_records;
 mod dates;
 mod resampling;
 mod series;

@@ -106,15 +106,9 @@ impl Calibration {
                 inputs.push(Candidate { effect, variable, starts, size, fixed: None });
             }
         }
-        let is_given = |variable: &Variable| {
-            let of = |(name, initial): &(String, InitialState)| {
-                is_same(name, variable) && !matches!(initial, InitialState::Value(_))
-            };
-            problem.experiments.iter().any(|e| e.initial_states.iter().any(of))
-        };
         let starts = states(description).into_iter().filter_map(|name| description.variable(name));
         let starts = starts
-            .filter(|v| v.initial != Some(Initial::Calculated) && !is_given(v))
+            .filter(|v| v.initial != Some(Initial::Calculated))
             .filter_map(|v| number(Effect::StartValue, v));
         let is_held = |v: &&Variable| {
             v.causality == Causality::Parameter
@@ -137,8 +131,8 @@ impl Calibration {
         inputs.into_iter().chain(starts).chain(fixed).chain(held).take(MOST).collect()
     }
 
-    /// The value of a variable in each experiment, its own where none is given; `None`: one that is no
-    /// number.
+    /// The value of a variable in each experiment, its own where none is given; `None`: one that is measured,
+    /// fitted or no number.
     fn given(&self, variable: &Variable, own: f64) -> Option<Vec<f64>> {
         let description = self.fmu().description();
         let is_it = |name: &str| is_same(description, name, &variable.name);
@@ -166,10 +160,8 @@ impl Calibration {
             return Ok(Some(Vec::new()));
         }
         let AtPoint { x, residuals, variances } = *at;
-        let derived = self
-            .problem_with(candidates)
-            .elements()
-            .and_then(|elements| Ok((elements, self.derived(self.problem_with(candidates))?)));
+        let problem = self.problem_with(candidates);
+        let derived = problem.elements().and_then(|elements| Ok((elements, self.derived(problem)?)));
         let Ok((elements, derived)) = derived else { return Ok(None) };
         let n_parameters = self.problem().parameters.len();
         // Those that a parameter holds are no new ones.

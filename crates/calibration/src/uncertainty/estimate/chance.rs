@@ -138,18 +138,19 @@ pub(super) fn distances(r: &[f64]) -> Vec<f64> {
     distances.into_iter().map(|distance| distance / deviation).collect()
 }
 
+/// Normally distributed numbers, by the method of Box and Muller.
+#[cfg(test)]
+pub(super) fn normal_numbers(n: usize, state: &mut u64) -> Vec<f64> {
+    let mut uniform = || {
+        *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        ((*state >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
+    };
+    (0..n).map(|_| (-2.0 * uniform().ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos()).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// Normally distributed numbers, by the method of Box and Muller.
-    fn normal_numbers(n: usize, state: &mut u64) -> Vec<f64> {
-        let mut uniform = || {
-            *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            ((*state >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
-        };
-        (0..n).map(|_| (-2.0 * uniform().ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos()).collect()
-    }
 
     #[test]
     fn an_autocorrelation_has_the_chance_that_it_has_after_a_fit() {

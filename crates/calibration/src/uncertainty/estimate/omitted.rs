@@ -364,16 +364,8 @@ fn what(effect: Effect, variable: &str, experiment: Option<&str>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::uncertainty::estimate::chance::normal_numbers;
     use crate::uncertainty::estimate::scores::Criterion;
-
-    /// Normally distributed numbers, by the method of Box and Muller.
-    fn normal_numbers(n: usize, state: &mut u64) -> Vec<f64> {
-        let mut uniform = || {
-            *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            ((*state >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
-        };
-        (0..n).map(|_| (-2.0 * uniform().ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos()).collect()
-    }
 
     /// Two outputs of n rows, the second three times as noisy, a fit of two parameters to both, and an input
     /// that moves both.

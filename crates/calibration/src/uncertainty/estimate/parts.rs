@@ -301,15 +301,7 @@ impl FreeParameters<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// Normally distributed numbers, by the method of Box and Muller.
-    fn normal_numbers(n: usize, state: &mut u64) -> Vec<f64> {
-        let mut uniform = || {
-            *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            ((*state >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
-        };
-        (0..n).map(|_| (-2.0 * uniform().ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos()).collect()
-    }
+    use crate::uncertainty::estimate::chance::normal_numbers;
 
     fn layout(n: usize) -> ResidualLayout {
         let output = |k: usize| OutputResiduals {
