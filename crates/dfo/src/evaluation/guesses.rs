@@ -39,6 +39,8 @@ pub(crate) struct Guesses {
     spare: Vec<Vec<f64>>,
     /// Of the points of `asked`, and those of them that are under way.
     hashes: Vec<u64>,
+    /// True if answers come one at a time: a guess was under way when a round began.
+    flows: bool,
 }
 
 /// Use of an answer to a guess.
@@ -51,11 +53,15 @@ pub(crate) enum Reached {
     Kept,
 }
 
+/// Evaluations ahead of need that may be for nothing, per evaluation of the path.
+fn share_of_waste(workers: usize) -> f64 {
+    let many = (workers as f64 / FEW_WORKERS).max(1.0).ln() / (1000.0 / FEW_WORKERS).ln();
+    WASTE + (WASTE_OF_THOUSAND - WASTE) * many.min(1.0)
+}
+
 /// Number of evaluations ahead of need that may be for nothing in a run of so many.
 fn allowed_waste(n_evaluations: usize, workers: usize) -> usize {
-    let many = (workers as f64 / FEW_WORKERS).max(1.0).ln() / (1000.0 / FEW_WORKERS).ln();
-    let share = WASTE + (WASTE_OF_THOUSAND - WASTE) * many.min(1.0);
-    (share * n_evaluations as f64) as usize + workers.min(FIRST_WASTE)
+    (share_of_waste(workers) * n_evaluations as f64) as usize + workers.min(FIRST_WASTE)
 }
 
 /// Of the bits of a point. Where two points share one, no more than a guess is lost.
@@ -68,6 +74,7 @@ fn hash(x: &[f64]) -> u64 {
 impl Guesses {
     /// True if a point of the path is under way already; place `k` of the round's work waits for it then.
     pub(crate) fn adopt(&mut self, x: &[f64], k: usize) -> bool {
+        self.flows |= !self.under_way.is_empty();
         let same = |y: &[f64]| x.iter().zip(y).all(|(x, y)| x.to_bits() == y.to_bits());
         let free = |guess: &&mut Guess| guess.place.is_none() && !guess.is_cancelled && same(&guess.x);
         let found = self.under_way.iter_mut().find(free);
@@ -76,13 +83,12 @@ impl Guesses {
 
     /// Gives up those that the path has left, and begins others where there is room. `answers`: to the points
     /// of the path that were under way; `open`: how many still are; `left`: evaluations that the budget
-    /// leaves after these; `is_late`: whether others have ended since these began, which take longer than
-    /// most then.
+    /// leaves after these.
     pub(crate) fn renew<M: Method + ?Sized>(
         &mut self,
         method: &mut M,
         (round, answers): (&mut Round, &[Answer]),
-        (open, left, is_late): (usize, usize, bool),
+        (open, left): (usize, usize),
         evaluator: &mut dyn Evaluator,
     ) {
         let room = match method.details().lookahead {
@@ -97,7 +103,7 @@ impl Guesses {
         if wanted == 0 && self.under_way.len() == awaited {
             return;
         }
-        let Self { under_way, asked, spare, hashes } = self;
+        let Self { under_way, asked, spare, hashes, flows } = self;
         asked.start(round.work.n(), round.work.index(), 0);
         asked.set_want(round.work.want());
         if wanted > 0 {
@@ -123,10 +129,17 @@ impl Guesses {
         // The path will come to these.
         let is_useful = |k: &usize| is_begun(asked.point(*k)) || round.store.contains(asked.point(*k));
         let useful = awaited + (0..asked.n_certain()).filter(is_useful).count();
-        let allowed = most.saturating_sub(round.ledger.n_in_vain().saturating_sub(useful));
-        // What is begun while the path waits for long helps most.
-        let mut allowed = if is_late { allowed } else { allowed.div_ceil(2) };
+        let mut allowed = most.saturating_sub(round.ledger.n_in_vain().saturating_sub(useful));
         let mut free = room.saturating_sub(under_way_in_all);
+        // While little is left, the least probable ones would soon take it (benches/ahead.rs).
+        allowed = if *flows {
+            let n_uncertain =
+                under_way.iter().filter(|guess| !guess.is_cancelled && guess.place.is_none()).count();
+            let at_once = share_of_waste(evaluator.width()).ceil() as usize + 1;
+            allowed.min(at_once.saturating_sub(n_uncertain).max(allowed / 20))
+        } else {
+            allowed.div_ceil(2)
+        };
         for k in 0..asked.len() {
             let (x, is_certain) = (asked.point(k), k < asked.n_certain());
             if free == 0 || !is_certain && allowed == 0 {

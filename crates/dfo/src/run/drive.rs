@@ -281,13 +281,13 @@ impl<M: Method> Drive<M> {
                 around.evaluator.submit(round.work.point(k), round.work.query(k));
             }
         }
-        self.look_ahead(around, false);
+        self.look_ahead(around);
     }
 
     /// Fills the workers that the path leaves free.
-    fn look_ahead(&mut self, around: &mut Around<'_, '_, '_>, is_late: bool) {
+    fn look_ahead(&mut self, around: &mut Around<'_, '_, '_>) {
         if self.cause.is_none() && self.n_missing > 0 && self.end == usize::MAX {
-            let counts = (self.n_missing, self.round.left_after(&self.limits), is_late);
+            let counts = (self.n_missing, self.round.left_after(&self.limits));
             self.guesses.renew(&mut self.method, (&mut self.round, &self.answers), counts, around.evaluator);
         }
     }
@@ -317,7 +317,7 @@ impl<M: Method> Drive<M> {
             }
         }
         if matches!(polled, Polled::Answered(_)) && !around.evaluator.is_ready() {
-            self.look_ahead(around, true);
+            self.look_ahead(around);
         }
         if self.n_unsaved > 0 && self.n_missing > 0 && self.writer.as_ref().is_some_and(Writer::is_due) {
             self.save_now();

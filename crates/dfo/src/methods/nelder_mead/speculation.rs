@@ -5,7 +5,8 @@
 //! second worst of today. The guesses are followed best first, over as many iterations as points are wanted.
 
 use super::options::CoefficientValues;
-use super::trial::{Frame, Trial, TrialPoint};
+use super::prediction::{Estimate, Prediction};
+use super::trial::{Frame, Seen, Trial, TrialPoint};
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::problem::space::Space;
 use crate::values::choices::BoundsHandling;
@@ -23,6 +24,9 @@ const EXPANDED: f64 = 0.11 / 0.23;
 /// Frequency of contracted points that are not the worst vertex of the new simplex.
 const BETTER_THAN_WORST: f64 = 0.8;
 
+/// Weight of these frequencies beside a prediction, which takes its own error for too small now and then.
+const COUNTED: f64 = 0.1;
+
 /// A point that the path needs with less probability is not worth its evaluation, however many are wanted:
 /// with 1000 workers a quarter of this gains nothing (docs/scaling.md has the clock) and takes five times as
 /// long to find.
@@ -34,10 +38,18 @@ pub(super) struct Problem<'a> {
     pub(super) handling: BoundsHandling,
     pub(super) numbers: &'a CoefficientValues,
     pub(super) simplex: &'a RankedPoints,
+    pub(super) prediction: &'a Prediction,
+    pub(super) known: &'a dyn Fn(&[f64]) -> Known,
 }
 
-/// Predicate of points that need no evaluation any more.
-type Known<'a> = &'a dyn Fn(&[f64]) -> bool;
+/// What is known about a point that the path has not come to.
+pub(super) enum Known {
+    Nothing,
+    /// It needs no evaluation any more; infinite where its cost is only known to be high.
+    Cost(f64),
+    /// The same, and its cost is not at hand.
+    Hidden,
+}
 
 /// A simplex that may come to be: that of its parent with one vertex replaced.
 #[derive(Debug, Clone, Copy)]
@@ -90,6 +102,8 @@ pub(super) struct Speculation {
     guesses: BinaryHeap<Guess>,
     n_guesses: usize,
     points: Vec<TrialPoint>,
+    /// Their costs, where there is something to tell them from.
+    estimates: Vec<Option<Estimate>>,
     n_points: usize,
     centroid: Vec<f64>,
 }
@@ -103,7 +117,6 @@ impl Speculation {
         trial: Trial,
         placed: &[TrialPoint; 4],
         wanted: usize,
-        known: Known<'_>,
         mut found: impl FnMut(&[f64], bool),
     ) {
         let space = problem.space;
@@ -113,8 +126,8 @@ impl Speculation {
         self.orders.extend_from_slice(problem.simplex.order());
         self.centroid.resize(space.n_free(), 0.0);
         (self.n_points, self.n_guesses) = (0, 0);
-        let reflection = self.copy(space, &placed[Trial::Reflection as usize]);
-        let current = self.copy(space, &placed[trial as usize]);
+        let reflection = self.copy(problem, &placed[Trial::Reflection as usize]);
+        let current = self.copy(problem, &placed[trial as usize]);
         self.nodes.push(Node { parent: 0, replaced: None, reflection });
         self.expand(problem, Guess { node: 0, trial, probability: 1.0, number: 0 }, current);
         let mut n_found = 0;
@@ -125,9 +138,13 @@ impl Speculation {
             }
             let Some(guess) = self.guesses.pop() else { return };
             let number = self.place(problem, guess);
-            let x = &self.points[number].x;
-            let is_new = self.points[..number].iter().all(|p| p.x != *x) && !known(x);
-            if is_new {
+            let TrialPoint { u, x, .. } = &self.points[number];
+            let known = (problem.known)(x);
+            self.estimates[number] = match known {
+                Known::Cost(cost) => Some(Estimate::exact(cost)),
+                Known::Nothing | Known::Hidden => problem.prediction.at(u),
+            };
+            if matches!(known, Known::Nothing) && self.points[..number].iter().all(|p| p.x != *x) {
                 found(x, guess.node == 0 && guess.trial == Trial::Expansion);
                 n_found += 1;
             }
@@ -146,14 +163,20 @@ impl Speculation {
         let number = self.n_points;
         if number == self.points.len() {
             self.points.push(TrialPoint::new(space.n_free(), space.n()));
+            self.estimates.push(None);
         }
         self.n_points += 1;
         number
     }
 
-    fn copy(&mut self, space: &Space, point: &TrialPoint) -> usize {
-        let number = self.new_point(space);
+    fn copy(&mut self, problem: &Problem<'_>, point: &TrialPoint) -> usize {
+        let number = self.new_point(problem.space);
         self.points[number].clone_from(point);
+        self.estimates[number] = match point.seen {
+            Seen::Unknown => problem.prediction.at(&point.u),
+            Seen::Cost(cost) => Some(Estimate::exact(cost)),
+            Seen::Rejected => Some(Estimate::exact(f64::INFINITY)),
+        };
         number
     }
 
@@ -161,11 +184,11 @@ impl Speculation {
         &self.orders[node * (n + 1)..(node + 1) * (n + 1)]
     }
 
-    /// The point that stands in a slot of a node, if it is not the present vertex.
-    fn replacement(&self, mut node: usize, slot: usize) -> Option<&TrialPoint> {
+    /// Number of the point that stands in a slot of a node, if it is not the present vertex.
+    fn replacement(&self, mut node: usize, slot: usize) -> Option<usize> {
         while let Some((replaced, point)) = self.nodes[node].replaced {
             if replaced == slot {
-                return Some(&self.points[point]);
+                return Some(point);
             }
             node = self.nodes[node].parent;
         }
@@ -173,12 +196,19 @@ impl Speculation {
     }
 
     fn vertex<'a>(&'a self, simplex: &'a RankedPoints, node: usize, slot: usize) -> &'a [f64] {
-        self.replacement(node, slot).map_or_else(|| simplex.u(slot), |point| &point.u[..])
+        self.replacement(node, slot).map_or_else(|| simplex.u(slot), |point| &self.points[point].u[..])
+    }
+
+    fn estimate(&self, simplex: &RankedPoints, node: usize, slot: usize) -> Option<Estimate> {
+        match self.replacement(node, slot) {
+            Some(point) => self.estimates[point],
+            None => Some(Estimate::exact(simplex.cost(slot).value().unwrap_or(f64::INFINITY))),
+        }
     }
 
     /// Places the point of a guess as the iteration itself would, bit for bit; its number.
     fn place(&mut self, problem: &Problem<'_>, guess: Guess) -> usize {
-        let Problem { space, handling, numbers, simplex } = *problem;
+        let Problem { space, handling, numbers, simplex, .. } = *problem;
         let (n, node) = (space.n_free(), guess.node);
         let number = self.new_point(space);
         let mut centroid = std::mem::take(&mut self.centroid);
@@ -187,7 +217,7 @@ impl Speculation {
         let (best, worst) = (order[0], order[n]);
         RankedPoints::centroid_of(
             (0..=n).filter(|slot| *slot != worst).filter_map(|slot| match self.replacement(node, slot) {
-                Some(point) => Some(&point.u[..]),
+                Some(point) => Some(&self.points[point].u[..]),
                 None => simplex.cost(slot).value().is_some().then(|| simplex.u(slot)),
             }),
             &mut centroid,
@@ -215,24 +245,91 @@ impl Speculation {
         let n = problem.space.n_free();
         let Guess { node, trial, probability, .. } = guess;
         let reflection = self.nodes[node].reflection;
+        let rank = self.rank(problem.simplex, node, point);
+        let [first, second, third, accepted] =
+            self.shares(problem.simplex, guess, point).map(|s| s * probability);
         match trial {
             Trial::Reflection => {
-                for (trial, share) in
-                    [(Trial::Inside, INSIDE), (Trial::Expansion, EXPANDING), (Trial::Outside, OUTSIDE)]
-                {
-                    self.guess(node, trial, share * probability);
-                }
-                self.follow(n, node, point, n / 2, ACCEPTED * probability);
+                self.guess(node, Trial::Inside, first);
+                self.guess(node, Trial::Expansion, second);
+                self.guess(node, Trial::Outside, third);
+                self.follow(n, node, point, rank.unwrap_or(n / 2).clamp(1.min(n - 1), n - 1), accepted);
             }
             Trial::Expansion => {
-                self.follow(n, node, point, 0, EXPANDED * probability);
-                self.follow(n, node, reflection, 0, (1.0 - EXPANDED) * probability);
+                self.follow(n, node, point, 0, first);
+                self.follow(n, node, reflection, 0, second);
             }
             Trial::Outside | Trial::Inside => {
-                self.follow(n, node, point, n / 2, BETTER_THAN_WORST * probability);
-                self.follow(n, node, point, n, (1.0 - BETTER_THAN_WORST) * probability);
+                self.follow(n, node, point, rank.unwrap_or(n / 2).min(n - 1), first);
+                self.follow(n, node, point, n, second);
             }
         }
+    }
+
+    /// Vertices of a node whose costs are below that of a point; none where that is not predicted.
+    fn rank(&self, simplex: &RankedPoints, node: usize, point: usize) -> Option<usize> {
+        let cost = self.estimates[point]?.mean;
+        let order = self.order(node, simplex.n);
+        let estimates = order.iter().map(|slot| self.estimate(simplex, node, *slot));
+        Some(estimates.filter(|other| other.is_some_and(|other| other.mean <= cost)).count())
+    }
+
+    /// Shares of what may follow a trial point. After a reflection: an inside contraction, an expansion, an
+    /// outside contraction, that it is accepted as it is. After an expansion: that it is accepted, that the
+    /// reflection is. After a contraction: that it is accepted and not the worst of the new simplex, or its
+    /// worst.
+    fn shares(&self, simplex: &RankedPoints, guess: Guess, point: usize) -> [f64; 4] {
+        let counted = match guess.trial {
+            Trial::Reflection => [INSIDE, EXPANDING, OUTSIDE, ACCEPTED],
+            Trial::Expansion => [EXPANDED, 1.0 - EXPANDED, 0.0, 0.0],
+            Trial::Outside | Trial::Inside => [BETTER_THAN_WORST, 1.0 - BETTER_THAN_WORST, 0.0, 0.0],
+        };
+        match self.predicted_shares(simplex, guess, point) {
+            None => counted,
+            Some((shares, true)) => shares,
+            Some((shares, false)) => {
+                std::array::from_fn(|k| COUNTED * counted[k] + (1.0 - COUNTED) * shares[k])
+            }
+        }
+    }
+
+    /// The same by the predicted costs, and whether they are all known.
+    fn predicted_shares(
+        &self,
+        simplex: &RankedPoints,
+        guess: Guess,
+        point: usize,
+    ) -> Option<([f64; 4], bool)> {
+        let (n, node) = (simplex.n, guess.node);
+        let order = self.order(node, n);
+        let at = |rank: usize| self.estimate(simplex, node, order[rank]);
+        let cost = self.estimates[point]?;
+        let reflected = self.estimates[self.nodes[node].reflection];
+        let (shares, others) = match guess.trial {
+            Trial::Reflection => {
+                let [best, second_worst, worst] = [at(0)?, at(n - 1)?, at(n)?];
+                let below_best = cost.below(best);
+                let below_second = cost.below(second_worst).max(below_best);
+                let below_worst = cost.below(worst).max(below_second);
+                let shares =
+                    [1.0 - below_worst, below_best, below_worst - below_second, below_second - below_best];
+                (shares, [best, second_worst, worst])
+            }
+            Trial::Expansion => {
+                let reflected = reflected?;
+                let accepted = cost.below(reflected);
+                ([accepted, 1.0 - accepted, 0.0, 0.0], [reflected; 3])
+            }
+            Trial::Outside | Trial::Inside => {
+                let limit = if guess.trial == Trial::Outside { reflected? } else { at(n)? };
+                let second_worst = at(n - 1)?;
+                let better = cost.below(second_worst);
+                let accepted = cost.below(limit);
+                ([better.min(accepted), (accepted - better).max(0.0), 0.0, 0.0], [limit, second_worst, limit])
+            }
+        };
+        let is_known = cost.is_exact() && others.iter().all(|other| other.is_exact());
+        Some((shares, is_known))
     }
 
     /// The simplex in which a point has replaced the worst vertex and has this rank, and its reflection.

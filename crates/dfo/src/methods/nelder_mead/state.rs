@@ -4,8 +4,9 @@
 //! unknown one, that point is what the next batch asks for.
 
 use super::options::CoefficientValues;
+use super::prediction::Prediction;
 use super::restart::Spreads;
-use super::speculation::{Problem, Speculation};
+use super::speculation::{Known, Problem, Speculation};
 use super::trial::{Seen, Trial, TrialPoint};
 use crate::error::Error;
 use crate::method::interface::{
@@ -17,6 +18,7 @@ use crate::methods::shared::ranked_points::RankedPoints;
 use crate::methods::shared::sizes::SizeSearch;
 use crate::outcome::answer::{Answers, Outcome};
 use crate::outcome::termination::Termination;
+use crate::problem::objective::Query;
 use crate::values::choices::BoundsHandling;
 use serde::{Deserialize, Serialize};
 
@@ -83,6 +85,8 @@ pub struct NelderMeadState {
     pub(super) trials: [TrialPoint; 4],
     #[serde(skip)]
     pub(super) speculation: Speculation,
+    #[serde(skip)]
+    pub(super) prediction: Prediction,
     pub(super) restarts: usize,
     pub(super) f_restart: Option<f64>,
     /// Spreads of the costs since the last start.
@@ -124,6 +128,7 @@ impl NelderMeadState {
             centroid: vec![0.0; n],
             trials: [trial(), trial(), trial(), trial()],
             speculation: Speculation::default(),
+            prediction: Prediction::default(),
             restarts,
             f_restart: None,
             spreads: Spreads::default(),
@@ -239,6 +244,7 @@ impl Method for NelderMeadState {
             }
             match self.roles[k] {
                 Role::Vertex(slot) => {
+                    self.prediction.enter(self.simplex.u(slot), cost.unwrap_or(f64::INFINITY));
                     self.simplex.set_cost(slot, cost.map_or(Cost::Failed, Cost::Value));
                 }
                 Role::Step(number) => {
@@ -246,7 +252,11 @@ impl Method for NelderMeadState {
                         search.see(&self.setup.space, number, cost);
                     }
                 }
-                Role::Trial(trial) => self.trials[trial as usize].seen = seen,
+                Role::Trial(trial) => {
+                    let point = &mut self.trials[trial as usize];
+                    point.seen = seen;
+                    self.prediction.enter(&point.u, cost.unwrap_or(f64::INFINITY));
+                }
             }
         }
         match self.phase {
@@ -271,9 +281,16 @@ impl Method for NelderMeadState {
         let (cutoff, best) = (self.worst_cost(), self.simplex.cost(self.simplex.best()).value());
         // A reflection that asks for an expansion beats the best vertex.
         let best = best.filter(|_| cutoff.is_finite()).unwrap_or(f64::INFINITY);
-        let Self { speculation, simplex, setup, trials, numbers, handling, .. } = self;
-        let problem = Problem { space: &setup.space, handling: *handling, numbers, simplex };
-        speculation.look(&problem, trial, trials, wanted, &|x: &[f64]| known.contains(x), |x, expansion| {
+        let Self { speculation, prediction, simplex, setup, trials, numbers, handling, .. } = self;
+        prediction.update(simplex);
+        let known = |x: &[f64]| match known.ahead(x, &Query::new(0, 0, cutoff)) {
+            Some(answer) => Known::Cost(answer.outcome.value().unwrap_or(f64::INFINITY)),
+            None if known.contains(x) => Known::Hidden,
+            None => Known::Nothing,
+        };
+        let space = &setup.space;
+        let problem = Problem { space, handling: *handling, numbers, simplex, prediction, known: &known };
+        speculation.look(&problem, trial, trials, wanted, |x, expansion| {
             batch.push(x, if expansion { best.min(cutoff) } else { cutoff });
         });
     }
