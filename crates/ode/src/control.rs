@@ -48,7 +48,6 @@ impl Weights {
     }
 
     /// A state that has no tolerance at `x`: it is zero, and so is its absolute tolerance.
-    #[inline]
     pub(crate) fn without_tolerance(&self, x: &[f64]) -> Option<usize> {
         self.purely_relative.iter().copied().find(|&i| self.relative[i] * x[i].abs() < LEAST_ATOL)
     }
@@ -72,20 +71,13 @@ impl Weights {
     }
 
     fn weight(&self, i: usize, a: f64, b: f64) -> f64 {
-        self.atol[i] + self.relative[i] * larger(a.abs(), b.abs())
+        self.atol[i] + self.relative[i] * a.abs().max(b.abs())
     }
 
     /// Norm of the error of a step from `x` to `x_new`; NaN if anything in it is.
-    #[inline]
     pub(crate) fn error_norm(&self, x: &[f64], x_new: &[f64], error: &[f64]) -> f64 {
-        let n = x.len();
-        let (x_new, error, atol, relative) = (&x_new[..n], &error[..n], &self.atol[..n], &self.relative[..n]);
-        let mut sum = 0.0;
-        for i in 0..n {
-            let share = error[i] / (atol[i] + relative[i] * larger(x[i].abs(), x_new[i].abs()));
-            sum += share * share;
-        }
-        (sum / n.max(1) as f64).sqrt()
+        let sum: f64 = (0..x.len()).map(|i| (error[i] / self.weight(i, x[i], x_new[i])).powi(2)).sum();
+        (sum / x.len().max(1) as f64).sqrt()
     }
 
     /// Norm of `v` at the state `x`.
@@ -121,12 +113,6 @@ impl Weights {
         let share = |i: usize| (error[i] / self.weight(i, x[i], x_new[i])).abs();
         (0..x.len()).max_by(|&i, &j| share(i).total_cmp(&share(j)))
     }
-}
-
-/// The larger number; the second where either is NaN, which takes one instruction.
-#[inline(always)]
-fn larger(a: f64, b: f64) -> f64 {
-    if a > b { a } else { b }
 }
 
 /// Root mean square of `v` times inverse weights.
