@@ -115,7 +115,8 @@ mod tests {
     fn dense_weights(theta: f64) -> [f64; STAGES] {
         std::array::from_fn(|stage| {
             let (mut k, mut dense) = (Stages::default(), Stages::default());
-            (k.begin(1), dense.begin(1));
+            k.begin(1);
+            dense.begin(1);
             k.get_mut(stage)[0] = 1.0;
             dense_terms(&DOP853, &DENSE, &k, 1.0, &mut dense);
             factors(theta).iter().enumerate().map(|(term, f)| dense.get(term)[0] * f).sum()
