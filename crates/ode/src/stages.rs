@@ -1,83 +1,97 @@
-//! Weighted sums of the stages of a step, many components at once.
+//! The stages of a step, and weighted sums of them, a block of components at once.
 
-/// The stages that have these weights, with them.
-pub(crate) fn terms<'k, const S: usize>(
-    weights: &'k [(usize, f64)],
-    k: &'k [Vec<f64>; S],
-) -> impl Iterator<Item = (f64, &'k [f64])> + Clone {
-    weights.iter().map(|(j, w)| (*w, &k[*j][..]))
+/// Components that are added up at once: two registers of two numbers.
+const WIDTH: usize = 4;
+
+type Block = [f64; WIDTH];
+
+/// `S` vectors of `n` numbers each in blocks, of which the last of a vector is filled up with zeros.
+#[derive(Debug, Default)]
+pub(crate) struct Stages<const S: usize> {
+    blocks: Vec<Block>,
+    /// Blocks of a vector.
+    per_stage: usize,
+    n: usize,
 }
 
-/// `out_i = finish(sum_j w_j k_j_i, x_i)`, over terms `(w_j, k_j)`: blocks of components are added up at
-/// once, each component in the order of the stages as if it were alone.
-#[inline(always)]
-fn sums<'k>(
-    out: &mut [f64],
-    x: &[f64],
-    terms: impl Iterator<Item = (f64, &'k [f64])> + Clone,
-    finish: impl Fn(f64, f64) -> f64 + Copy,
-) {
-    let n = out.len();
-    let mut at = 0;
-    while n - at >= 8 {
-        block::<8>(at, out, x, terms.clone(), finish);
-        at += 8;
+impl<const S: usize> Stages<S> {
+    /// Makes room for `n` states, all zero.
+    pub(crate) fn begin(&mut self, n: usize) {
+        (self.n, self.per_stage) = (n, n.div_ceil(WIDTH));
+        self.blocks.clear();
+        self.blocks.resize(S * self.per_stage, [0.0; WIDTH]);
     }
-    if n - at >= 4 {
-        block::<4>(at, out, x, terms.clone(), finish);
-        at += 4;
+
+    /// The vector of a stage.
+    #[inline]
+    pub(crate) fn get(&self, stage: usize) -> &[f64] {
+        let begin = WIDTH * self.per_stage * stage;
+        &self.blocks.as_flattened()[begin..begin + self.n]
     }
-    if n - at >= 2 {
-        block::<2>(at, out, x, terms.clone(), finish);
-        at += 2;
+
+    /// The same, to be filled in.
+    #[inline]
+    pub(crate) fn get_mut(&mut self, stage: usize) -> &mut [f64] {
+        let begin = WIDTH * self.per_stage * stage;
+        &mut self.blocks.as_flattened_mut()[begin..begin + self.n]
     }
-    if n > at {
-        block::<1>(at, out, x, terms, finish);
+
+    /// Copies the vector of a stage to the place of another.
+    #[inline]
+    pub(crate) fn copy(&mut self, from: usize, to: usize) {
+        let per_stage = self.per_stage;
+        for i in 0..per_stage {
+            self.blocks[to * per_stage + i] = self.blocks[from * per_stage + i];
+        }
+    }
+
+    /// `out_i = finish(sum_j w_j k_j_i, x_i)`, over terms `(j, w_j)`, each component in the order of the
+    /// terms.
+    #[inline(always)]
+    pub(crate) fn combine(
+        &self,
+        out: &mut [f64],
+        x: &[f64],
+        terms: impl Iterator<Item = (usize, f64)> + Clone,
+        finish: impl Fn(f64, f64) -> f64 + Copy,
+    ) {
+        if self.per_stage == 1 {
+            // Known to the compiler: there is nothing to multiply in the places of the blocks.
+            return put(0, out, x, &total(&self.blocks, 1, 0, terms), finish);
+        }
+        for block in 0..self.per_stage {
+            put(block, out, x, &total(&self.blocks, self.per_stage, block, terms.clone()), finish);
+        }
     }
 }
 
-/// The `B` components from place `at` on.
+/// The sum of the terms in a block.
 #[inline(always)]
-fn block<'k, const B: usize>(
-    at: usize,
-    out: &mut [f64],
-    x: &[f64],
-    terms: impl Iterator<Item = (f64, &'k [f64])>,
-    finish: impl Fn(f64, f64) -> f64,
-) {
-    let (Some(out), Some(x)) = (out[at..].first_chunk_mut::<B>(), x[at..].first_chunk::<B>()) else { return };
-    let mut sum = [0.0; B];
-    for (w, k) in terms {
-        for (sum, k) in sum.iter_mut().zip(&k[at..at + B]) {
+fn total(
+    blocks: &[Block],
+    per_stage: usize,
+    block: usize,
+    terms: impl Iterator<Item = (usize, f64)>,
+) -> Block {
+    let mut sum = [0.0; WIDTH];
+    for (j, w) in terms {
+        let k = &blocks[j * per_stage + block];
+        for (sum, k) in sum.iter_mut().zip(k) {
             *sum += w * k;
         }
     }
-    // All before any is written: then they are made at once.
-    *out = std::array::from_fn(|i| finish(sum[i], x[i]));
+    sum
 }
 
-/// `out = x + h * sum_j w_j k_j`.
+/// Writes what is made of a sum to the components of a block, of which the last may be short.
 #[inline(always)]
-pub(crate) fn combine<'k>(
-    out: &mut [f64],
-    x: &[f64],
-    h: f64,
-    terms: impl Iterator<Item = (f64, &'k [f64])> + Clone,
-) {
-    sums(out, x, terms, |sum, x| x + h * sum);
-}
-
-/// `out = factor * sum_j w_j k_j`.
-#[inline(always)]
-pub(crate) fn weighted_sum<'k>(
-    out: &mut [f64],
-    factor: f64,
-    terms: impl Iterator<Item = (f64, &'k [f64])> + Clone,
-) {
-    // There is nothing to add to.
-    let n = out.len();
-    let Some((_, any)) = terms.clone().next() else { return out.fill(0.0) };
-    sums(out, &any[..n], terms, |sum, _| factor * sum);
+fn put(block: usize, out: &mut [f64], x: &[f64], sum: &Block, finish: impl Fn(f64, f64) -> f64) {
+    let (out, x) = (&mut out[WIDTH * block..], &x[WIDTH * block..]);
+    match (out.first_chunk_mut::<WIDTH>(), x.first_chunk::<WIDTH>()) {
+        // All before any is written: then they are made at once.
+        (Some(out), Some(x)) => *out = std::array::from_fn(|i| finish(sum[i], x[i])),
+        _ => out.iter_mut().zip(x).zip(sum).for_each(|((out, x), sum)| *out = finish(*sum, *x)),
+    }
 }
 
 #[cfg(test)]
@@ -91,17 +105,21 @@ mod tests {
         let weights = [0.1, -2.7, 1e-9];
         for n in [0, 1, 2, 3, 4, 5, 7, 8, 9, 14, 24, 29] {
             let (x, k) = (wave(1.0, n), [wave(0.7, n), wave(3.1, n), wave(-0.2, n)]);
-            let terms = weights.iter().copied().zip(k.iter().map(Vec::as_slice));
+            let mut stages = Stages::<4>::default();
+            stages.begin(n);
+            for (stage, k) in k.iter().enumerate() {
+                stages.get_mut(stage).copy_from_slice(k);
+            }
+            let terms = weights.iter().copied().enumerate();
             let (mut at, mut sum) = (vec![f64::NAN; n], vec![f64::NAN; n]);
-            combine(&mut at, &x, 0.01, terms.clone());
-            weighted_sum(&mut sum, 0.01, terms);
+            stages.combine(&mut at, &x, terms.clone(), |sum, x| x + 0.01 * sum);
+            stages.combine(&mut sum, &x, terms, |sum, _| 0.01 * sum);
             for i in 0..n {
                 let alone = 0.0 + weights[0] * k[0][i] + weights[1] * k[1][i] + weights[2] * k[2][i];
                 assert_eq!((at[i], sum[i]), (x[i] + 0.01 * alone, 0.01 * alone));
             }
+            stages.copy(1, 3);
+            assert_eq!(stages.get(3), &k[1][..]);
         }
-        let mut out = [1.0; 3];
-        weighted_sum(&mut out, 2.0, std::iter::empty());
-        assert_eq!(out, [0.0; 3]);
     }
 }

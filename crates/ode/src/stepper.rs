@@ -15,6 +15,7 @@ pub(crate) struct Equations<'a, S: ?Sized> {
 
 impl<S: HybridSystem + ?Sized> Equations<'_, S> {
     /// The right-hand side, counted.
+    #[inline]
     pub(crate) fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
         self.stats.right_hand_sides += 1;
         self.system.derivatives(t, x, dx)

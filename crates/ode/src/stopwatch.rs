@@ -94,12 +94,16 @@ impl<const KINDS: usize> Stopwatch<KINDS> {
     /// A call of this kind begins.
     #[inline]
     pub fn start(&mut self, kind: usize) -> Timing {
+        if self.skips(kind) { Timing { kind, began: None } } else { self.start_timed(kind) }
+    }
+
+    /// True if the call of this kind that begins is one of those that are not timed.
+    #[inline]
+    pub(crate) fn skips(&mut self, kind: usize) -> bool {
         let tally = &mut self.tallies[kind];
-        if tally.left > 0 {
-            tally.left -= 1;
-            return Timing { kind, began: None };
-        }
-        self.start_timed(kind)
+        let skips = tally.left > 0;
+        tally.left -= u32::from(skips);
+        skips
     }
 
     /// A call of this kind begins that is to be timed in any case, because one may take much longer than

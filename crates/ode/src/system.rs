@@ -353,6 +353,7 @@ macro_rules! hand_on {
         fn start(&mut $self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
             $around!($self, Start, $inner.start(t0, x))
         }
+        #[inline]
         fn derivatives(&mut $self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
             $around!($self, Derivatives, $inner.derivatives(t, x, dx))
         }
@@ -371,6 +372,7 @@ macro_rules! hand_on {
         ) -> CallResult<bool> {
             $around!($self, DirectionalDerivative, $inner.directional_derivative(t, x, seed, derivative))
         }
+        #[inline]
         fn event_indicators(&mut $self, t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
             $around!($self, EventIndicators, $inner.event_indicators(t, x, z))
         }

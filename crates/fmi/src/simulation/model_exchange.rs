@@ -40,6 +40,8 @@ pub(crate) struct System {
     /// Time of the last event as the model saw it: a rounding error later than the driver's at most, and
     /// never gone back behind.
     floor: f64,
+    /// There are states and no continuous inputs: time and states are all of a point.
+    is_point_of_states: bool,
 }
 
 /// Samples at which a model has to answer the same with and without the derivatives computed before, while
@@ -86,6 +88,7 @@ impl System {
             unused: vec![0.0; n],
             announced: None,
             floor: f64::NEG_INFINITY,
+            is_point_of_states: false,
             running: Running::new(plan),
         }
     }
@@ -95,6 +98,8 @@ impl System {
         let (start, end) = (self.running.plan.start, self.running.plan.end);
         let core = self.running.begin(raw, input, Some(end))?;
         self.sent.clone_from(&self.running.inputs.continuous);
+        self.is_point_of_states =
+            self.running.plan.n_states > 0 && self.running.plan.inputs.continuous.is_empty();
         self.running.current.core = Some(core);
         self.set_time = None;
         self.set_states = None;
@@ -157,7 +162,7 @@ impl System {
 
     /// Makes a raw call that sets time and states itself, where both are to be set and there are no
     /// continuous inputs. `false`: they are not, or there are.
-    #[inline]
+    #[inline(always)]
     fn at_new_point(
         &mut self,
         t: f64,
@@ -166,14 +171,17 @@ impl System {
     ) -> CallResult<bool> {
         let time = t.max(self.floor);
         let is_set = self.set_time.is_some_and(|set| same_bits(set, time));
-        if is_set || x.is_empty() || !self.running.plan.inputs.continuous.is_empty() {
+        if is_set || !self.is_point_of_states {
             return Ok(false);
         }
-        (self.set_time, self.set_states, self.is_evaluated) = (None, None, false);
-        self.call(|raw| call(raw, time))?;
-        self.set_time = Some(time);
+        self.is_evaluated = false;
+        let outcome = self.call(|raw| call(raw, time));
+        (self.set_time, self.set_states) = match outcome {
+            Ok(()) => (Some(time), Some(())),
+            Err(_) => (None, None),
+        };
+        outcome?;
         copy(&mut self.states, x);
-        self.set_states = Some(());
         Ok(true)
     }
 
@@ -408,8 +416,14 @@ fn send(plan: &InputPlan, inputs: &InputState, sent: &mut Vec<f64>, core: &mut C
     Ok(())
 }
 
+#[inline]
 fn all_finite(values: &[f64]) -> CallResult<()> {
-    if values.iter().all(|value| value.is_finite()) { Ok(()) } else { Err(CallError::Discard) }
+    // Zero times what is not finite is NaN.
+    if values.iter().fold(0.0, |sum, value| sum + 0.0 * value) == 0.0 {
+        Ok(())
+    } else {
+        Err(CallError::Discard)
+    }
 }
 
 /// The FMU's error inside what the driver passes on.

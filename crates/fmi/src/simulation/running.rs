@@ -72,18 +72,25 @@ impl Current {
         &mut self,
         body: impl FnOnce(&mut RawInstance) -> Result<T, Fault>,
     ) -> CallResult<T> {
-        let core = self.core().map_err(CallError::failed)?;
+        let Some(core) = &mut self.core else { return Err(CallError::failed(no_instance())) };
         match body(&mut core.raw) {
             Ok(value) => Ok(value),
-            Err(Fault::Discard(call)) => {
-                self.discarded = Some(call);
-                Err(CallError::Discard)
-            }
-            Err(fault) => {
-                let error = core.error(fault);
-                Err(self.fail(error))
-            }
+            Err(fault) => Err(self.faulty(fault)),
         }
+    }
+
+    /// The error of a call that went wrong.
+    #[cold]
+    fn faulty(&mut self, fault: Fault) -> CallError {
+        let error = match (fault, self.core()) {
+            (Fault::Discard(call), _) => {
+                self.discarded = Some(call);
+                return CallError::Discard;
+            }
+            (fault, Ok(core)) => core.error(fault),
+            (_, Err(error)) => error,
+        };
+        self.fail(error)
     }
 
     /// Makes the call that leads to another mode, unless the instance is in it.

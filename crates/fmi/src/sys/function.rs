@@ -1,7 +1,7 @@
 //! A function of a library, and what a call of it answers.
 
 use super::last_call;
-use super::types::{Component, status};
+use super::types::{Component, OK, status};
 use crate::error::Status;
 use std::ffi::c_int;
 
@@ -24,8 +24,11 @@ pub(super) struct Answer {
 }
 
 impl<F> Function<F> {
+    #[inline(always)]
     pub(super) fn answer(&self, code: c_int) -> Answer {
-        Answer { function: self.name, status: status(code) }
+        // Which code it is matters where it is not this one.
+        let status = if code == OK { Status::Ok } else { status(code) };
+        Answer { function: self.name, status }
     }
 
     /// The component that an instantiating function makes, NULL without the function; and its name.
@@ -41,6 +44,7 @@ impl<F> Function<F> {
     }
 
     /// Without a function: missing, unless the version does not ask for the call.
+    #[cold]
     pub(super) fn answer_without(&self) -> Answer {
         let status = if self.name.is_empty() { Status::Ok } else { Status::Missing };
         Answer { function: self.name, status }
@@ -48,8 +52,15 @@ impl<F> Function<F> {
 }
 
 impl Answer {
+    #[inline(always)]
     pub(super) fn is_good(&self) -> bool {
         matches!(self.status, Status::Ok | Status::Warning)
+    }
+
+    /// The answer where it is not good.
+    #[inline(always)]
+    pub(super) fn good(self) -> Result<(), Self> {
+        if self.is_good() { Ok(()) } else { Err(self) }
     }
 }
 

@@ -36,10 +36,14 @@ impl StatePointer {
     }
 }
 
+/// `fmiOK`, `fmi2OK`, `fmi3OK`.
+pub(super) const OK: std::ffi::c_int = 0;
+
 /// The numbers of `fmiStatus`, which all versions share (1.0 for model exchange and 3.0 have no `Pending`).
+#[cold]
 pub(super) fn status(code: std::ffi::c_int) -> Status {
     match code {
-        0 => Status::Ok,
+        OK => Status::Ok,
         1 => Status::Warning,
         2 => Status::Discard,
         3 => Status::Error,

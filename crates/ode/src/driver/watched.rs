@@ -46,6 +46,7 @@ impl<'a> Watch<'a> {
 
     /// # Errors
     /// The run is to end, and why.
+    #[inline]
     pub fn check(&self) -> Result<(), Stopped> {
         if self.cancel.is_some_and(|cancel| cancel.load(Ordering::Relaxed)) {
             return Err(Stopped::Cancelled);
@@ -119,11 +120,11 @@ macro_rules! watched {
         if const { Call::$call.is_evaluation() } {
             $self.watch.check().map_err(CallError::failed)?;
         }
-        let timing = if const { Call::$call.is_seldom() } {
-            $self.stopwatch.start_timed(Call::$call as usize)
-        } else {
-            $self.stopwatch.start(Call::$call as usize)
-        };
+        let kind = Call::$call as usize;
+        if const { !Call::$call.is_seldom() } && $self.stopwatch.skips(kind) {
+            return $answer;
+        }
+        let timing = $self.stopwatch.start_timed(kind);
         let answer = $answer;
         $self.stopwatch.stop(timing);
         answer

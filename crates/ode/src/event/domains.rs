@@ -33,6 +33,7 @@ pub(super) fn is_behind(depth: f64, z: f64) -> bool {
     (z > 0.0) == depth.is_sign_positive()
 }
 
+#[inline]
 pub(super) fn flipped(from: f64, to: f64) -> bool {
     (from > 0.0) != (to > 0.0)
 }
@@ -152,6 +153,7 @@ impl Domains {
     }
 
     /// True if any indicator has an event between two points.
+    #[inline]
     pub(super) fn any_crosses(&self, from: &[f64], to: &[f64]) -> bool {
         from.iter()
             .zip(to)
@@ -160,6 +162,7 @@ impl Domains {
     }
 
     /// True if any indicator has left the domain it was in, so that it is an event.
+    #[inline]
     pub(crate) fn changed(&self) -> bool {
         self.any_crosses(self.reference(), &self.end)
     }

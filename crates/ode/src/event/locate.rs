@@ -146,10 +146,11 @@ impl Domains {
             self.counts_since = Some(t);
         }
         let n = self.mid.len();
-        let place = self.looked_at.partition_point(|other| *other < t);
+        let is_last = self.looked_at.last().is_none_or(|last| *last < t);
+        let place = if is_last { None } else { Some(self.looked_at.partition_point(|other| *other < t)) };
         self.looked_at.push(t);
         self.looked.extend_from_slice(&self.mid);
-        if place + 1 < self.looked_at.len() {
+        if let Some(place) = place {
             self.looked_at[place..].rotate_right(1);
             self.looked[place * n..].rotate_right(n);
         }

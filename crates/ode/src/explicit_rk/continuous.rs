@@ -1,27 +1,29 @@
 //! The continuous extension of DOP853, which has seven terms:
 //! `x + theta (d_0 + (1 - theta) (d_1 + theta (d_2 + ...)))`.
 
-use crate::stages::terms;
+use crate::stages::Stages;
 use crate::tableau::{Tableau, Weights};
 
 pub(super) const TERMS: usize = 7;
 
-/// `sum_j w_j k_j` of one component.
-fn sum<const S: usize>(weights: Weights, k: &[Vec<f64>; S], i: usize) -> f64 {
-    terms(weights, k).map(|(w, k)| w * k[i]).sum()
-}
-
-/// The terms of the continuous extension, of one component of a step of size `h`.
+/// The terms of the continuous extension of a step of size `h`.
 pub(super) fn dense_terms<const S: usize>(
     tableau: &Tableau<S>,
     highest: &[Weights; 4],
-    k: &[Vec<f64>; S],
+    k: &Stages<S>,
     h: f64,
-    i: usize,
-) -> [f64; TERMS] {
-    let (start, end, change) = (h * k[0][i], h * k[tableau.end][i], h * sum(tableau.a[tableau.end], k, i));
-    let [d3, d4, d5, d6] = highest.map(|weights| h * sum(weights, k, i));
-    [change, start - change, 2.0 * change - (start + end), d3, d4, d5, d6]
+    dense: &mut Stages<TERMS>,
+) {
+    let (starts, ends) = (k.get(0), k.get(tableau.end));
+    let sums = [(0, tableau.a[tableau.end])].into_iter().chain((3..).zip(*highest));
+    for (term, weights) in sums {
+        k.combine(dense.get_mut(term), starts, weights.iter().copied(), |sum, _| h * sum);
+    }
+    for i in 0..starts.len() {
+        let (start, end, change) = (h * starts[i], h * ends[i], dense.get(0)[i]);
+        dense.get_mut(1)[i] = start - change;
+        dense.get_mut(2)[i] = 2.0 * change - (start + end);
+    }
 }
 
 /// The factor of each term at `theta`.

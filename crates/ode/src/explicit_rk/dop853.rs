@@ -66,6 +66,7 @@ const DENSE: [Weights; 4] = [
 mod tests {
     use super::*;
     use crate::explicit_rk::continuous::{dense_terms, factors};
+    use crate::stages::Stages;
 
     /// A rooted tree: its order, its density, and the trees that hang on its root.
     struct Tree {
@@ -113,8 +114,12 @@ mod tests {
     /// Weights of the stages in the continuous extension at `theta`.
     fn dense_weights(theta: f64) -> [f64; STAGES] {
         std::array::from_fn(|stage| {
-            let k = std::array::from_fn(|j| vec![f64::from(j == stage)]);
-            dense_terms(&DOP853, &DENSE, &k, 1.0, 0).iter().zip(factors(theta)).map(|(d, f)| d * f).sum()
+            let (mut k, mut dense) = (Stages::default(), Stages::default());
+            k.begin(1);
+            dense.begin(1);
+            k.get_mut(stage)[0] = 1.0;
+            dense_terms(&DOP853, &DENSE, &k, 1.0, &mut dense);
+            factors(theta).iter().enumerate().map(|(term, f)| dense.get(term)[0] * f).sum()
         })
     }
 

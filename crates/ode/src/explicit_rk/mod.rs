@@ -1,7 +1,7 @@
 //! Explicit Runge-Kutta methods: one implementation for every tableau, with or without an error estimate.
 
 use crate::control::{Controller, Weights};
-use crate::stages::{combine, terms, weighted_sum};
+use crate::stages::Stages;
 use crate::stepper::{Attempt, Equations, Properties, StepWithEvent, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 use crate::tableau::{Dense, Estimate, Tableau, by_power, polynomial_weights};
@@ -18,12 +18,12 @@ pub(crate) struct ExplicitRk<const S: usize> {
     tableau: &'static Tableau<S>,
     /// The coefficients of the continuous extension, where it is one of polynomials.
     polynomials: Option<[[f64; S]; 4]>,
-    k: [Vec<f64>; S],
+    k: Stages<S>,
     stage: Vec<f64>,
     error: Vec<f64>,
     error_norm: f64,
     /// The terms of a continuous extension that has stages of its own.
-    dense: [Vec<f64>; TERMS],
+    dense: Stages<TERMS>,
     controller: Controller,
 }
 
@@ -35,11 +35,11 @@ impl<const S: usize> ExplicitRk<S> {
                 Dense::Polynomials(polynomials) => Some(by_power(polynomials)),
                 Dense::Terms(_) => None,
             },
-            k: std::array::from_fn(|_| Vec::new()),
+            k: Stages::default(),
             stage: Vec::new(),
             error: Vec::new(),
             error_norm: 0.0,
-            dense: Default::default(),
+            dense: Stages::default(),
             controller: Controller::new(tableau.order),
         }
     }
@@ -49,12 +49,12 @@ impl<const S: usize> ExplicitRk<S> {
     /// 1.
     pub(crate) fn response(&self, x: &[f64], x_new: &[f64], weights: &Weights) -> f64 {
         let end = self.tableau.end;
-        weights.ratio(x, [&self.k[end], &self.k[end - 1]], [x_new, &self.stage])
+        weights.ratio(x, [self.k.get(end), self.k.get(end - 1)], [x_new, &self.stage])
     }
 
     /// Takes over in the middle of a run from a method that knows the right-hand side at the current point.
     pub(crate) fn take_over(&mut self, f: &[f64]) {
-        self.k[0].copy_from_slice(f);
+        self.k.get_mut(0).copy_from_slice(f);
         self.forget();
     }
 
@@ -69,11 +69,11 @@ impl<const S: usize> ExplicitRk<S> {
         s: usize,
         Trial { t, end, h, x }: Trial<'_>,
     ) -> CallResult<()> {
-        combine(&mut self.stage, x, h, terms(self.tableau.a[s], &self.k));
+        self.k.combine(&mut self.stage, x, self.tableau.a[s].iter().copied(), |sum, x| x + h * sum);
         // The end of the step is met exactly: an input that jumps there must be asked at that very time.
         let c = self.tableau.c[s];
         let time = if c == 1.0 { end } else { t + c * h };
-        equations.derivatives(time, &self.stage, &mut self.k[s])
+        equations.derivatives(time, &self.stage, self.k.get_mut(s))
     }
 
     /// The norm of the error by these weights.
@@ -84,7 +84,7 @@ impl<const S: usize> ExplicitRk<S> {
         x_new: &[f64],
         of_error: &[(usize, f64)],
     ) -> f64 {
-        weighted_sum(&mut self.error, h, terms(of_error, &self.k));
+        self.k.combine(&mut self.error, x, of_error.iter().copied(), |sum, _| h * sum);
         weights.error_norm(x, x_new, &self.error)
     }
 }
@@ -108,9 +108,9 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
     fn begin<M: HybridSystem + ?Sized>(&mut self, system: &M) -> CallResult<()> {
         let n = system.n_states();
         let own_stages = self.has_stages_behind_end();
-        let Self { k, stage, error, dense, .. } = self;
-        let dense = dense.iter_mut().filter(|_| own_stages);
-        for v in k.iter_mut().chain(dense).chain([stage, error]) {
+        self.k.begin(n);
+        self.dense.begin(if own_stages { n } else { 0 });
+        for v in [&mut self.stage, &mut self.error] {
             v.clear();
             v.resize(n, 0.0);
         }
@@ -124,7 +124,7 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
         t: f64,
         x: &[f64],
     ) -> CallResult<()> {
-        equations.derivatives(t, x, &mut self.k[0])
+        equations.derivatives(t, x, self.k.get_mut(0))
     }
 
     fn forget(&mut self) {
@@ -132,7 +132,7 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
     }
 
     fn derivative(&self) -> &[f64] {
-        &self.k[0]
+        self.k.get(0)
     }
 
     fn try_step<M: HybridSystem + ?Sized>(
@@ -149,11 +149,11 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
         for s in 1..tableau.end {
             self.stage(equations, s, trial)?;
         }
-        combine(x_new, x, h, terms(tableau.a[tableau.end], &self.k));
+        self.k.combine(x_new, x, tableau.a[tableau.end].iter().copied(), |sum, x| x + h * sum);
         // An estimate without the stage at the end spares its evaluation where the step is rejected.
         let spares_end = matches!(tableau.error, Estimate::Two(..));
         if !spares_end {
-            equations.derivatives(end, x_new, &mut self.k[tableau.end])?;
+            equations.derivatives(end, x_new, self.k.get_mut(tableau.end))?;
         }
         self.error_norm = match tableau.error {
             Estimate::Embedded(error) => self.error_by(equations.weights, trial, x_new, error),
@@ -174,7 +174,7 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
             return Ok(Attempt::TooInexact { h: h * self.controller.rejected(self.error_norm) });
         }
         if spares_end {
-            let f = &mut self.k[tableau.end];
+            let f = self.k.get_mut(tableau.end);
             equations.derivatives(end, x_new, f)?;
             if !f.iter().sum::<f64>().is_finite() {
                 return Err(CallError::Discard);
@@ -204,29 +204,23 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
         for s in self.tableau.end + 1..S {
             self.stage(equations, s, trial)?;
         }
-        for i in 0..trial.x.len() {
-            let terms = dense_terms(self.tableau, highest, &self.k, trial.h, i);
-            self.dense.iter_mut().zip(terms).for_each(|(d, term)| d[i] = term);
-        }
+        dense_terms(self.tableau, highest, &self.k, trial.h, &mut self.dense);
         Ok(())
     }
 
     fn interpolate(&self, trial: Trial<'_>, theta: f64, x: &mut [f64]) {
         if let Some(polynomials) = &self.polynomials {
             let weights = polynomial_weights(polynomials, theta);
-            let terms = weights.iter().copied().zip(self.k.iter().map(Vec::as_slice));
-            combine(x, trial.x, trial.h, terms);
-            return;
+            let h = trial.h;
+            return self.k.combine(x, trial.x, weights.iter().copied().enumerate(), |sum, x| x + h * sum);
         }
         let factors = factors(theta);
-        for (i, (out, x)) in x.iter_mut().zip(trial.x).enumerate() {
-            *out = x + self.dense.iter().zip(&factors).map(|(d, f)| d[i] * f).sum::<f64>();
-        }
+        self.dense.combine(x, trial.x, factors.iter().copied().enumerate(), |sum, x| x + sum);
     }
 
     fn accept(&mut self, h: f64, theta: f64) -> f64 {
         if theta == 1.0 {
-            self.k.swap(0, self.tableau.end);
+            self.k.copy(self.tableau.end, 0);
         }
         h * self.controller.accepted(self.error_norm)
     }

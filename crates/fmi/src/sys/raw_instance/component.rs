@@ -228,8 +228,9 @@ impl RawInstance {
         if self.has_arrays { Ok(()) } else { self.length("values by reference", references, values) }
     }
 
+    #[inline(always)]
     pub(super) fn length(&self, function: &'static str, expected: usize, found: usize) -> Outcome {
-        if expected == found { Ok(()) } else { Err(Fault::Length { call: function, expected, found }) }
+        if expected == found { Ok(()) } else { wrong_length(function, expected, found) }
     }
 
     plain! { enter_configuration exit_configuration terminate enter_event_mode enter_continuous_time_mode enter_step_mode }
@@ -402,7 +403,7 @@ impl RawInstance {
     }
 
     /// The derivatives at a point: sets the time, then the states, and reads them.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn right_hand_side(&mut self, time: f64, states: &[f64], derivatives: &mut [f64]) -> Outcome {
         let size = self.sizes.states;
         self.vector_at(Point { time, states }, |functions| &functions.get_derivatives, size, derivatives)
@@ -418,7 +419,7 @@ impl RawInstance {
     /// Sets the time, then the states, and calls a function that fills a vector of the model, which has this
     /// size. The mode of the thread is looked at once, behind the three calls; where one of them has changed
     /// it, which may have acted in those after it, they are made again one by one.
-    #[inline]
+    #[inline(always)]
     fn vector_at(
         &mut self,
         at: Point<'_>,
@@ -441,20 +442,20 @@ impl RawInstance {
         let c = self.component;
         // SAFETY (of the three calls): the component is alive and ours alone (`&mut self`), both slices have as many places as
         // the function reads or fills.
-        let mut answer = call!(&point.set_time, c, time);
-        if answer.is_good() {
-            answer = call!(&point.set_continuous_states, c, states.as_ptr(), states.len());
-        }
-        if answer.is_good() {
-            answer = call!(get(point), c, values.as_mut_ptr(), values.len());
-        }
+        let outcome = call!(&point.set_time, c, time)
+            .good()
+            .and_then(|()| call!(&point.set_continuous_states, c, states.as_ptr(), states.len()).good())
+            .and_then(|()| call!(get(point), c, values.as_mut_ptr(), values.len()).good());
         let has_changed = restore_default();
         one.forget();
         if has_changed {
             self.to_look_into = u8::MAX;
             return self.vector_one_by_one(at, get, values);
         }
-        self.check(answer)
+        match outcome {
+            Ok(()) => Ok(()),
+            Err(answer) => self.not_ok(answer),
+        }
     }
 
     /// The three calls of which each starts in the default floating-point mode; slices are checked.
@@ -489,6 +490,11 @@ impl RawInstance {
         }
         self.check(answer)
     }
+}
+
+#[cold]
+fn wrong_length(call: &'static str, expected: usize, found: usize) -> Outcome {
+    Err(Fault::Length { call, expected, found })
 }
 
 /// Data of an error about `call`, with the last lines of the log.
