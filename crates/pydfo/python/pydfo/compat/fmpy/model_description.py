@@ -384,7 +384,8 @@ def of_description(found: _native.Description) -> ModelDescription:
         unitDefinitions=[_unit(unit) for unit in found.units.values()],
         typeDefinitions=list(types.values()),
         modelVariables=list(variables.values()),
-        outputs=[Unknown(variables[name]) for name in found.outputs],
+        # FMI 1.0 has no model structure.
+        outputs=[Unknown(variables[name]) for name in found.outputs] if version != "1.0" else [],
         derivatives=[Unknown(of_state[name]) for name in found.states if name is not None and name in of_state],
     )
 
@@ -426,7 +427,15 @@ def read_model_description(
             shutil.rmtree(folder, ignore_errors=True)
 
 
+_BUILD = "sources are built by themselves when an FMU is first simulated"
 REFUSED = {
+    "BuildConfiguration": _BUILD,
+    "Dimension": "ModelVariable.shape has the extents, .dimensions the names of the structural parameters that they are",
+    "PreProcessorDefinition": _BUILD,
+    "ScheduledExecution": "scheduled execution is not simulated",
+    "SourceFileSet": _BUILD,
+    "VariableAlias": "other names are variables of their own, whose .alias is the first",
+    "is_float_literal": "float() says so",
     "read_build_description": "sources are built by themselves when an FMU is first simulated; pydfo.build_fmu packs a folder",
     "write_model_description": "pydfo does not write descriptions; Fit.export_fmu writes an FMU with other start values",
 }

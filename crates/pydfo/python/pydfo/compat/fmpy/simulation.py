@@ -320,7 +320,11 @@ def instantiate_fmu(
     return fmu
 
 
+_SETTABLE = "pydfo.fmi.Instance.set says whether a variable can be set in a phase, and why not"
 REFUSED = {
+    "has_start_value": _SETTABLE,
+    "settable_in_initialization_mode": _SETTABLE,
+    "settable_in_instantiated": _SETTABLE,
     "Recorder": "rows are recorded in Rust: simulate_fmu(output=...)",
     "Input": "inputs are set in Rust: simulate_fmu(input=...)",
     "ForwardEuler": "the methods are those of FMUModel.simulate(solver=...)",

@@ -6,6 +6,7 @@ import fnmatch
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -135,6 +136,14 @@ class FMUModelBase:
     def _variable(self, name: str) -> Variable:
         return self._description.variables[name]
 
+    @cached_property
+    def _first_names(self) -> dict[tuple[str, int], str]:
+        """The first of the names of what variables stand for."""
+        first: dict[tuple[str, int], str] = {}
+        for name, v in self._description.variables.items():
+            first.setdefault((v.type, v.value_reference), name)
+        return first
+
     def _scalar(self, name: str) -> ScalarVariable:
         v, version = self._variable(name), self._version
         return ScalarVariable(
@@ -144,7 +153,7 @@ class FMUModelBase:
             v.description or "",
             constants.variability_number(version, v.variability),
             constants.causality_number(version, v.causality),
-            0 if v.name == next(iter((*v.aliases, v.name))) or name not in v.aliases else 1,
+            int(self._first_names[v.type, v.value_reference] != name),
             constants.initial_number(version, v.initial),
         )
 
@@ -570,8 +579,10 @@ class FMUModelBase:
 
 
 def _camel(name: str) -> str:
+    if name in ("can_get_and_set_state", "can_serialize_state"):
+        name = name.replace("state", "FMUstate")
     first, *rest = name.split("_")
-    return first + "".join(word.capitalize() for word in rest)
+    return first + "".join(word[0].upper() + word[1:] for word in rest)
 
 
 class _ModelExchange(FMUModelBase):
