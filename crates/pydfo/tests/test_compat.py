@@ -53,7 +53,13 @@ def test_the_table_names_all_of_fmpy():
 
 # --- FMPy -------------------------------------------------------------------------------------------------------------
 
-MODELS = [("bouncing_ball", "2.0", "ME"), ("dahlquist", "2.0", "CS"), ("dahlquist", "3.0", "ME"), ("van_der_pol", "1.0", "ME"), ("stair", "2.0", "ME")]
+MODELS = [
+    ("bouncing_ball", "2.0", "ME"),
+    ("dahlquist", "2.0", "CS"),
+    ("dahlquist", "3.0", "ME"),
+    ("van_der_pol", "1.0", "ME"),
+    ("stair", "2.0", "ME"),
+]
 
 
 @pytest.mark.parametrize("model", MODELS, ids=" ".join)

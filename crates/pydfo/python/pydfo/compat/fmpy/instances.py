@@ -30,6 +30,7 @@ class _Instance:
     ) -> None:
         self.guid, self.unzipDirectory, self.modelIdentifier, self.instanceName = guid, unzipDirectory, modelIdentifier, instanceName
         self._made: Instance | None = None
+        self._names: dict[tuple[str, int], str] = {}
         self._experiment: tuple[float | None, float | None, float | None] = (0.0, None, None)
 
     @property
@@ -42,7 +43,7 @@ class _Instance:
         """Makes the instance; `callbacks` have no effect."""
         self._made = Instance(os.fspath(self.unzipDirectory), self.KIND, name=self.instanceName, logging=bool(loggingOn), visible=bool(visible))
         types = {"Enumeration": "Integer"} if self._made.description.fmi_version[0] < "3" else {"Real": "Float64", "Integer": "Int32", "Enumeration": "Int64"}
-        self._names = {}
+        self._names.clear()
         for name, v in self._made.description.variables.items():
             self._names.setdefault((types.get(v.type, v.type), v.value_reference), name)
 
@@ -111,6 +112,10 @@ class _Instance:
         """The version of FMI."""
         return self._instance.description.fmi_version
 
+    def getTypesPlatform(self) -> str:
+        """The platform that FMI names."""
+        return "standard32" if self.getVersion() == "1.0" else "default"
+
     def setDebugLogging(self, loggingOn: bool, categories: Sequence[str] = ()) -> None:
         """Switches the FMU's log on or off."""
         self._instance.set_logging(list(categories) if loggingOn and categories else bool(loggingOn))
@@ -119,7 +124,7 @@ class _Instance:
         """Derivatives of reals in a direction."""
         kind = "Float64" if self._instance.description.fmi_version[0] == "3" else "Real"
         of, by = ([self._name(kind, reference) for reference in vr] for vr in (vUnknown_ref, vKnown_ref))
-        return self._instance.directional_derivative(of, by, dvKnown).tolist()
+        return [float(value) for value in self._instance.directional_derivative(of, by, dvKnown)]
 
     serializeFMUstate = serializeFMUState = refused("serializeFMUState", "states live in one instance: getFMUState() and setFMUState()")
     deSerializeFMUstate = deserializeFMUState = refused("deserializeFMUState", "states live in one instance: getFMUState() and setFMUState()")
@@ -212,6 +217,6 @@ class Slave(_Instance):
         """Sets the first derivatives of inputs."""
         self._instance.set_input_derivatives([self._name("Real", reference) for reference in vr], value)
 
-    getRealOutputDerivatives = refused("getRealOutputDerivatives", "derivatives of outputs are not asked for: differentiate the result")
+    getRealOutputDerivatives = getOutputDerivatives = refused("getRealOutputDerivatives", "derivatives of outputs are not asked for: differentiate the result")
     cancelStep = refused("cancelStep", "steps are awaited")
     getStatus = refused("getStatus", "steps are awaited; a refused call is a SimulationError with .status")

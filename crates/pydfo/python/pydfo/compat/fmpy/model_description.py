@@ -7,6 +7,7 @@ the variables, not their dependencies.
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import tempfile
 from dataclasses import dataclass, field
@@ -138,6 +139,15 @@ class Unit:
 
 
 @dataclass(eq=False)
+class VariableAlias:
+    """Another name of a variable (FMI 3.0)."""
+
+    name: str
+    description: str | None = None
+    displayUnit: str | None = None
+
+
+@dataclass(eq=False)
 class ModelVariable:
     """A variable; values in its unit, as texts."""
 
@@ -165,6 +175,7 @@ class ModelVariable:
     reinit: bool = False
     sourceline: int | None = None
     intervalVariability: str | None = None
+    aliases: list[VariableAlias] = field(default_factory=list)
     alias: ModelVariable | None = field(default=None, repr=False)
 
 
@@ -245,7 +256,9 @@ def text_of(value: Any) -> str | None:
         return " ".join(str(text_of(item)) for item in value.ravel().tolist())
     if isinstance(value, bool):
         return "true" if value else "false"
-    return value.hex() if isinstance(value, bytes) else f"{value:.16g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return re.sub(r"e([+-])0+", r"e\1", f"{value:.16g}")
+    return value.hex() if isinstance(value, bytes) else str(value)
 
 
 def path_of(filename: PathLike | IO[bytes]) -> tuple[str, str | None]:
@@ -356,7 +369,8 @@ def of_description(found: _native.Description) -> ModelDescription:
             intervalVariability=v.interval_variability,
             alias=origins.get(v.index),
         )
-        origins.setdefault(v.index, variables[name])
+        if (origin := origins.setdefault(v.index, variables[name])) is not variables[name]:
+            origin.aliases.append(VariableAlias(name, v.description, v.display_unit))
     for name, v in found.variables.items():
         if v.derivative is not None:
             variables[name].derivative = variables[v.derivative]
@@ -383,7 +397,8 @@ def of_description(found: _native.Description) -> ModelDescription:
         modelExchange=_interface(found.model_exchange, ModelExchange),
         unitDefinitions=[_unit(unit) for unit in found.units.values()],
         typeDefinitions=list(types.values()),
-        modelVariables=list(variables.values()),
+        # FMPy has the aliases at the end.
+        modelVariables=sorted(variables.values(), key=lambda variable: variable.alias is not None),
         # FMI 1.0 has no model structure.
         outputs=[Unknown(variables[name]) for name in found.outputs] if version != "1.0" else [],
         derivatives=[Unknown(of_state[name]) for name in found.states if name is not None and name in of_state],
@@ -434,7 +449,6 @@ REFUSED = {
     "PreProcessorDefinition": _BUILD,
     "ScheduledExecution": "scheduled execution is not simulated",
     "SourceFileSet": _BUILD,
-    "VariableAlias": "other names are variables of their own, whose .alias is the first",
     "is_float_literal": "float() says so",
     "read_build_description": "sources are built by themselves when an FMU is first simulated; pydfo.build_fmu packs a folder",
     "write_model_description": "pydfo does not write descriptions; Fit.export_fmu writes an FMU with other start values",

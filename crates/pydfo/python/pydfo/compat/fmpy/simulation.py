@@ -59,7 +59,9 @@ def auto_interval(t: float) -> float:
 
 def _default_outputs(description: Description) -> list[str]:
     states = [name for name in description.states if name is not None]
-    return description.outputs or states[:5] or list(description.variables)[:5]
+    # Other names of outputs (FMI 3.0) are outputs, too.
+    outputs = [name for name, variable in description.variables.items() if variable.causality == "output"]
+    return outputs or states[:5] or list(description.variables)[:5]
 
 
 def _converted(description: Description, variable: Variable, value: Any) -> Any:
@@ -95,14 +97,15 @@ def _inputs(signals: np.ndarray[Any, Any] | None) -> dict[str, Any] | None:
         column = np.asarray(signals[name])
         for index in np.ndindex(*column.shape[1:]):
             element = f"{name}[{','.join(str(i + 1) for i in index)}]" if index else name
-            columns[element] = column[(slice(None), *index)]
+            columns[element] = column[(slice(None),) + index]
     return columns
 
 
 def _structured(result: NativeResult, description: Description, names: Sequence[str], model: ModelDescription) -> SimulationResult:
     """The columns in FMPy's order: by type, then as in the file."""
-    whole = [name for name in description.variables if name in set(names) and name != "time"]
-    columns = []
+    asked = set(names) - {"time"}
+    whole = [variable.name for variable in model.modelVariables if variable.name in asked]
+    columns: list[tuple[str, Any, tuple[int, ...]]] = []
     for kind, dtype in _ORDER.items():
         if kind == "Enumeration" and model.fmiMajorVersion < 3:
             continue
@@ -204,7 +207,7 @@ def simulate_fmu(
         if given is not None and given is not False:
             refuse(f"simulate_fmu({name})", reason)
     if fmi_type not in (None, "ModelExchange", "CoSimulation"):
-        raise ValueError(f'fmi_type must be "ModelExchange" or "CoSimulation", not {fmi_type!r}')
+        raise ValueError('fmi_type must be one of "ModelExchange" or "CoSimulation"')
     if solver not in (None, "CVode", "Euler"):
         raise ValueError(f"Unknown solver: {solver}. Must be one of 'Euler' or 'CVode'.")
     path, folder = path_of(filename)

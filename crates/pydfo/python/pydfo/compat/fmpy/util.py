@@ -63,7 +63,8 @@ def plot_result(
     from ..._plot import pyplot
 
     plt = pyplot()
-    time, *columns = result.dtype.names or ()
+    columns = list(result.dtype.names or ())
+    time = columns.pop(0)
     chosen = list(names) if names is not None else columns
     figure, plots = plt.subplots(max(len(chosen), 1), 1, sharex=True, squeeze=False, layout="constrained")
     if height is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import importlib
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -233,7 +234,7 @@ class FMUModelBase:
         units = self._description.units[v.unit or ""].display_units
         unit = next(unit for unit in units if unit.name == shown)
         value = self.get(variable_name)
-        return unit.factor / value if unit.inverse else unit.factor * value + (0.0 if v.relative_quantity else unit.offset)
+        return float(unit.factor / value if unit.inverse else unit.factor * value + (0.0 if v.relative_quantity else unit.offset))
 
     def get_variable_start(self, variable_name: str) -> Any:
         """Its start value; an error where there is none."""
@@ -294,7 +295,7 @@ class FMUModelBase:
     def get_derivatives_list(self) -> dict[str, ScalarVariable]:
         """The derivatives of the states."""
         of_state = {v.derivative: name for name, v in self._description.variables.items() if v.derivative is not None}
-        return self._listed(of_state.get(state) for state in self._description.states)
+        return self._listed(of_state[state] for state in self._description.states if state in of_state)
 
     def get_input_list(self) -> dict[str, ScalarVariable]:
         """The continuous inputs of type Real."""
@@ -525,7 +526,7 @@ class FMUModelBase:
         if not use_structure_info:
             return tuple(matrix if is_asked else False for is_asked, matrix in asked)  # type: ignore[return-value]
         try:
-            from scipy.sparse import csc_matrix
+            csc_matrix = importlib.import_module("scipy.sparse").csc_matrix
         except ImportError as e:
             raise ImportError("sparse matrices need SciPy: pip install scipy, or use_structure_info=False") from e
         return tuple(csc_matrix(matrix) if is_asked else False for is_asked, matrix in asked)  # type: ignore[return-value]
