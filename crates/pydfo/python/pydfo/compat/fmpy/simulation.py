@@ -273,7 +273,7 @@ def _interval(
     if span <= 0:
         return 1.0
     if not is_cs:
-        found: float | None = step if step is not None else 10.0 ** (np.round(np.log10(span)) - 3)
+        found: float | None = step if step is not None else float(10.0 ** (np.round(np.log10(span)) - 3))
     else:
         fixed = description.co_simulation.capabilities.fixed_internal_step_size if description.co_simulation else None
         found = fixed if fixed is not None else description.default_experiment.step_size
