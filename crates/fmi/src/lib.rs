@@ -63,8 +63,9 @@ pub use error::{CallFailure, EntryProblem, FmiError, LogLine, Result, Status};
 pub use fmu::{Fmu, Kind};
 pub use fmu_cache::FmuCache;
 pub use instance::{
-    CoSimulation, ContinuousTime, EventMode, Initialization, Instance, Instantiated, MAX_EVENT_ITERATIONS,
-    ModelExchange, Phase, Readable, Reconfiguration, Running, SavedState, StepMode, StepOutcome, Terminated,
+    CoSimulation, ContinuousTime, EventMode, Initialization, Instance, Instantiated, Integrated,
+    Linearization, MAX_EVENT_ITERATIONS, ModelExchange, Phase, Readable, Reconfiguration, Running,
+    SavedState, StepMode, StepOutcome, Terminated,
 };
 pub use libraries::Reuse;
 pub use ode;

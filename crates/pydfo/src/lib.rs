@@ -58,6 +58,8 @@ mod core_module {
     #[pymodule_export]
     use super::model::files::{build_fmu, clear_caches, close_unused, example_fmu, example_names};
     #[pymodule_export]
+    use super::model::instance::{PyInstance, PySavedState};
+    #[pymodule_export]
     use super::model::native::Model;
     #[pymodule_export]
     use super::ode::solve::solve;

@@ -6,6 +6,8 @@ mod clocks;
 mod co_simulation;
 mod core;
 pub(crate) mod integer_codec;
+mod integration;
+mod linearization;
 mod model_exchange;
 mod phases;
 mod reconfiguration;
@@ -13,6 +15,8 @@ mod reconfiguration;
 pub(crate) use clocks::check_interval;
 pub use co_simulation::StepOutcome;
 pub(crate) use core::Core;
+pub use integration::Integrated;
+pub use linearization::Linearization;
 pub use model_exchange::MAX_EVENT_ITERATIONS;
 pub use phases::{
     CoSimulation, ContinuousTime, EventMode, Initialization, Instance, Instantiated, ModelExchange, Phase,

@@ -83,6 +83,16 @@ impl<P: Running> Instance<P> {
         /// # Errors
         /// The slice has not as many elements as there are indicators; the FMU refuses.
         get_event_indicators(indicators: &mut [f64]) -> ();
+        /// Computes the derivatives of the states.
+        ///
+        /// # Errors
+        /// The slice has not the length of the state vector; the FMU refuses.
+        get_derivatives(derivatives: &mut [f64]) -> ();
+        /// Reads the nominal values of the states as the FMU gives them.
+        ///
+        /// # Errors
+        /// The slice has not the length of the state vector; the FMU refuses.
+        get_nominals(nominals: &mut [f64]) -> ();
     }
 
     /// Ends the simulation.
@@ -102,14 +112,6 @@ impl Instance<EventMode> {
     pub fn update_discrete_states(&mut self, limit: u32) -> Result<EventOutcome> {
         let time = self.core().raw.time().unwrap_or(0.0);
         self.core().iterate_events(time, 0.0, limit, &mut |_| Ok(()))
-    }
-
-    calls! {
-        /// Reads the nominal values of the states as the FMU gives them.
-        ///
-        /// # Errors
-        /// The slice has not the length of the state vector; the FMU refuses.
-        get_nominals(nominals: &mut [f64]) -> ();
     }
 
     /// Goes on in continuous time.
@@ -139,11 +141,6 @@ impl Instance<ContinuousTime> {
         /// # Errors
         /// A slice has not the length of the state vector; the FMU refuses.
         right_hand_side(time: f64, states: &[f64], derivatives: &mut [f64]) -> ();
-        /// Computes the derivatives of the states.
-        ///
-        /// # Errors
-        /// The slice has not the length of the state vector; the FMU refuses.
-        get_derivatives(derivatives: &mut [f64]) -> ();
         /// Says that a step has been completed, and that the instance will not be taken back behind it.
         /// Returns whether the model wants to enter event mode, and whether it wants to end the simulation.
         ///

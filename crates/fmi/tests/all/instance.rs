@@ -282,3 +282,70 @@ fn an_fmu_without_a_binary_is_compiled_from_its_sources() {
     let result = Fmu::open(folder.path()).unwrap().simulate(&SimulateOptions::new().final_time(1.0)).unwrap();
     assert!((result.final_value("x").unwrap().unwrap() - (-1f64).exp()).abs() < 1e-5);
 }
+
+/// An instance in continuous time at 0 s.
+fn running(fmu: &Fmu) -> fmi::Instance<fmi::ContinuousTime> {
+    let instance = fmu.instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
+    let mut instance = instance.exit_initialization().unwrap();
+    instance.update_discrete_states(MAX_EVENT_ITERATIONS).unwrap();
+    instance.enter_continuous_time().unwrap()
+}
+
+/// h = 1 - g t^2 / 2 up to the impact at t1 = sqrt(2 / g), then with e v1 from there; integrated in two parts.
+#[test]
+fn integration_by_hand_handles_events() {
+    let folder = model("bouncing_ball");
+    let options = || fmi::ode::Options { relative_tolerance: 1e-10, ..fmi::ode::Options::default() };
+    let mut instance = running(&folder.open());
+    for (start, end) in [(0.0, 0.3), (0.3, 0.7)] {
+        instance = match instance.integrate(start, end, None, options()).unwrap() {
+            fmi::Integrated::Reached { instance, next_event: None } => instance,
+            other => panic!("{other:?}"),
+        };
+    }
+    let (g, e) = (9.81, 0.7);
+    let t1 = f64::sqrt(2.0 / g);
+    let v1 = e * g * t1;
+    let (h, v) = (v1 * (0.7 - t1) - g * (0.7 - t1).powi(2) / 2.0, v1 - g * (0.7 - t1));
+    let mut x = [0.0; 2];
+    instance.get_continuous_states(&mut x).unwrap();
+    assert!((x[0] - h).abs() < 1e-8 && (x[1] - v).abs() < 1e-8, "{x:?} for {h}, {v}");
+}
+
+/// The model of the stairs ends the simulation at 9 s, by a time event.
+#[test]
+fn integration_by_hand_ends_with_the_model() {
+    let folder = model("stair");
+    let fmu = folder.open();
+    let instance = fmu.instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
+    let mut instance = instance.exit_initialization().unwrap();
+    let next = instance.update_discrete_states(MAX_EVENT_ITERATIONS).unwrap().next_time;
+    assert_eq!(next, Some(1.0));
+    let instance = instance.enter_continuous_time().unwrap();
+    match instance.integrate(0.0, 20.0, next, fmi::ode::Options::default()).unwrap() {
+        fmi::Integrated::Ended { mut instance, time } => {
+            assert_eq!(time, 9.0);
+            assert_eq!(instance.get("counter").unwrap(), Value::Integer(10));
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+/// x0' = x1, x1' = mu (1 - x0^2) x1 - x0 at (2, 0) with mu = 1: the second row is (-2 mu x0 x1 - 1, mu (1 - x0^2)).
+#[test]
+fn linearization_of_the_van_der_pol_oscillator() {
+    let folder = model("van_der_pol");
+    let mut instance = running(&folder.open());
+    for differences in [false, true] {
+        let linear = instance.linearize(differences).unwrap();
+        assert_eq!(linear.states, ["x0", "x1"]);
+        assert!(linear.inputs.is_empty() && linear.b.is_empty() && linear.d.is_empty());
+        for (found, exact) in linear.a.iter().zip([0.0, 1.0, -1.0, -3.0]) {
+            assert!((found - exact).abs() < 1e-9, "{:?}", linear.a);
+        }
+        assert_eq!(linear.c.len(), 2 * linear.outputs.len());
+    }
+    let mut x = [0.0; 2];
+    instance.get_continuous_states(&mut x).unwrap();
+    assert_eq!(x, [2.0, 0.0]);
+}

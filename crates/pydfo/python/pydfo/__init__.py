@@ -5,7 +5,7 @@
 `minimize` minimises any Python function, `least_squares` the sum of squares of one that returns residuals, and `Optimizer` lets you drive: ask for points, tell their costs;
 `scipy_method` makes the methods usable in ``scipy.optimize.minimize``. `fmin` has the signature of the tool of the
 paper; `pydfo.dfo` has it together with `quad_err` for scripts written for that tool. `pydfo.ode` integrates systems written
-in Python.
+in Python, `pydfo.fmi` drives an instance of an FMU by hand, and `pydfo.compat` has the names of FMPy and PyFMI.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ._core import __version__
 from ._calibration.worker import know_interpreter as _know_interpreter
 
 if TYPE_CHECKING:
-    from . import dfo, ode
+    from . import compat, dfo, fmi, ode
     from ._calibration.calibration import Calibration
     from ._calibration.check import Check, Finding
     from ._model.description import Description, Variable, read_description
@@ -138,8 +138,10 @@ __all__ = [
     "__version__",
     "build_fmu",
     "clear_caches",
+    "compat",
     "dfo",
     "example_fmu",
+    "fmi",
     "fmin",
     "least_squares",
     "load_fit",
@@ -152,7 +154,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("dfo", "ode"):
+    if name in ("compat", "dfo", "fmi", "ode"):
         return importlib.import_module(f"{__name__}.{name}")
     home = _HOME_OF.get(name)
     if home is None:

@@ -31,7 +31,7 @@ pub(crate) fn to_python<'py>(
             let array =
                 py.import("numpy")?.getattr("array")?.call((PyList::new(py, items)?,), Some(&dtype))?;
             // Sizes that are not known (of a model that is about to be given others) leave it flat.
-            if extents.iter().product::<usize>() == count {
+            if !extents.is_empty() && extents.iter().product::<usize>() == count {
                 array.call_method1("reshape", (extents.to_vec(),))?
             } else {
                 array

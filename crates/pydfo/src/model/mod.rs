@@ -3,5 +3,6 @@
 pub(crate) mod description;
 pub(crate) mod files;
 pub(crate) mod inputs;
+pub(crate) mod instance;
 pub(crate) mod native;
 pub(crate) mod trajectory;

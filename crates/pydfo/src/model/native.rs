@@ -191,6 +191,20 @@ impl Model {
         self.with_session(|session| session.values().map(|(name, _)| name.to_owned()).collect())
     }
 
+    /// Names and values of the variables that were set.
+    fn values_set<'py>(&self, py: Python<'py>) -> PyResult<Vec<(String, Bound<'py, PyAny>)>> {
+        let set: Vec<(String, fmi::Value)> = self.with_session(|session| {
+            session.values().map(|(name, value)| (name.to_owned(), value.clone())).collect()
+        })?;
+        let description = self.fmu.description();
+        let shown = set.into_iter().map(|(name, value)| {
+            let kind = values::find(py, description, &name)?.0.kind;
+            // Flat: sizes may be those of structural parameters that are set, too.
+            Ok((name, values::to_python(py, value, kind, &[])?))
+        });
+        shown.collect()
+    }
+
     /// On the calling thread if the last simulation of this FMU was short.
     fn simulate<'py>(&self, py: Python<'py>, request: Request<'py>) -> PyResult<Bound<'py, PyDict>> {
         let isolation: Isolation = request.isolation.parse().map_err(|e| fmu_error::raise(py, &e))?;

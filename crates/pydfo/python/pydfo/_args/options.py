@@ -31,12 +31,17 @@ def show(value: object) -> str:
     return " ".join(_shortened.repr(value).split())
 
 
+def library(name: str, user: str) -> Any:
+    """A module that `user` needs and that need not be there."""
+    try:
+        return importlib.import_module(name)
+    except ImportError as e:
+        raise ImportError(f"{user} needs {name}: pip install {name}") from e
+
+
 def pandas() -> Any:
     """The module, where a table of it is asked for."""
-    try:
-        return importlib.import_module("pandas")
-    except ImportError as e:
-        raise ImportError("to_dataframe() needs pandas: pip install pandas") from e
+    return library("pandas", "to_dataframe()")
 
 
 def beginning(text: str) -> str:

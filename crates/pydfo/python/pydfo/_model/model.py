@@ -261,26 +261,7 @@ class FMUModel:
             The variable cannot be set (the message says why), the value is not finite, or there are not as many values as
             names.
         """
-        if isinstance(name, Mapping):
-            if value is not _NOT_GIVEN:
-                raise TypeError("set() takes a dict of names and values, or names and values, not both")
-            self._model.set(_options.names("name", list(name)), list(name.values()))
-            return
-        if value is _NOT_GIVEN:
-            raise TypeError(f"set() needs a value for {_options.show(name)}, or a dict of names and values")
-        if isinstance(name, str):
-            self._model.set([name], [value])
-            return
-        names = _options.names("name", name)
-        if isinstance(value, np.ndarray):
-            values = list(np.atleast_1d(value))
-        elif isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
-            values = list(value)
-        else:
-            values = [value]
-        if len(values) != len(names):
-            raise ValueError(f"{len(values)} values are given for {len(names)} names")
-        self._model.set(names, values)
+        self._model.set(*names_and_values(name, value))
 
     def reset(self) -> None:
         """Forgets all values set and the last simulation."""
@@ -483,6 +464,28 @@ class FMUModel:
         d = self.description
         closed = ", closed" if self._model.closed else ""
         return f"<FMUModel: {d.model_name}, FMI {d.fmi_version} {self.kind}, {d.n_states} states, {str(self.path)!r}{closed}>"
+
+
+def names_and_values(name: str | Iterable[str] | Mapping[str, object], value: object = _NOT_GIVEN) -> tuple[list[str], list[Any]]:
+    """The names and values that are given to `set`."""
+    if isinstance(name, Mapping):
+        if value is not _NOT_GIVEN:
+            raise TypeError("set() takes a dict of names and values, or names and values, not both")
+        return _options.names("name", list(name)), list(name.values())
+    if value is _NOT_GIVEN:
+        raise TypeError(f"set() needs a value for {_options.show(name)}, or a dict of names and values")
+    if isinstance(name, str):
+        return [name], [value]
+    names = _options.names("name", name)
+    if isinstance(value, np.ndarray):
+        values = list(np.atleast_1d(value))
+    elif isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
+        values = list(value)
+    else:
+        values = [value]
+    if len(values) != len(names):
+        raise ValueError(f"{len(values)} values are given for {len(names)} names")
+    return names, values
 
 
 load_fmu = FMUModel

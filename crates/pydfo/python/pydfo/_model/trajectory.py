@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import difflib
+import os
 from collections.abc import Iterable, Iterator, KeysView, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -248,6 +250,36 @@ class SimulationResult(Mapping[str, Column]):
         have their types. Needs pandas."""
         columns = self._flat(self)
         return _options.pandas().DataFrame({name: column.astype(_DTYPES[self._types[variable]]) for name, variable, column in columns})
+
+    def to_csv(self, path: str | os.PathLike[str]) -> None:
+        """Writes the columns to a CSV file, arrays element by element, numbers with all their digits; a file that exists is replaced.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written.
+        """
+        columns = [(name, column.astype(_DTYPES[self._types[variable]]).tolist()) for name, variable, column in self._flat(self)]
+        with open(path, "w", newline="", encoding="utf-8") as file:
+            rows = csv.writer(file, lineterminator="\n")
+            rows.writerow([name for name, _ in columns])
+            rows.writerows(zip(*(column for _, column in columns)))
+
+    def to_polars(self) -> Any:
+        """A polars.DataFrame with a column per variable, or per element of an array, ``time`` first. Needs polars."""
+        columns = self._flat(self)
+        frame = _options.library("polars", "to_polars()").DataFrame
+        return frame({name: column.astype(_DTYPES[self._types[variable]]) for name, variable, column in columns})
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset over ``time``, with the units as attributes; arrays of the model have dimensions of their own. Needs
+        xarray."""
+        data = {
+            name: (("time", *(f"{name}_{axis}" for axis in range(1, column.ndim))), column, {"units": self.units[name] or ""})
+            for name, column in self.items()
+            if name != "time"
+        }
+        return _options.library("xarray", "to_xarray()").Dataset(data, coords={"time": ("time", self.time, {"units": "s"})})
 
     def plot(self, names: str | Sequence[str] | None = None) -> Figure:
         """Draws columns over time, those of one unit in one plot. Needs matplotlib.

@@ -1,0 +1,186 @@
+//! Integration of an instance that is driven by hand, from one time to another.
+
+use super::core::Core;
+use super::model_exchange::MAX_EVENT_ITERATIONS;
+use super::phases::{ContinuousTime, EventMode, Instance};
+use crate::error::{FmiError, Result};
+use crate::sys::{Fault, RawInstance};
+use ode::{
+    CallError, CallResult, Driver, EventOutcome, EventVisit, HybridSystem, Ignore, Options, StepAction,
+    Termination,
+};
+
+/// End of an integration by hand.
+#[derive(Debug)]
+pub enum Integrated {
+    /// The end was reached.
+    Reached {
+        /// The instance at the end.
+        instance: Instance<ContinuousTime>,
+        /// The next time event of the model.
+        next_event: Option<f64>,
+    },
+    /// The model has ended the simulation.
+    Ended {
+        /// The instance, whose values can be read.
+        instance: Instance<EventMode>,
+        /// Time at which it has.
+        time: f64,
+    },
+}
+
+impl Instance<ContinuousTime> {
+    /// Integrates the states from `start`, where the instance stands, to `end`, and handles the events on the
+    /// way; inputs stay as they are. `next_event` is the time event that the model has announced.
+    ///
+    /// # Errors
+    /// Options that make no sense; the solver fails ([`FmiError::Simulation`]), or the FMU refuses. The
+    /// instance is freed then.
+    pub fn integrate(
+        mut self,
+        start: f64,
+        end: f64,
+        next_event: Option<f64>,
+        options: Options,
+    ) -> Result<Integrated> {
+        let mut driver = Driver::new(options)?;
+        let core = self.core();
+        let description = core.fmu.description();
+        let (n_states, n_indicators) =
+            (core.structure.states(description), core.structure.indicators(description));
+        let mut system = ByHand {
+            core,
+            n_states,
+            n_indicators,
+            next_event,
+            is_over: false,
+            floor: start,
+            last: (start, Vec::new()),
+        };
+        let report = driver.run(&mut system, start, end, &[], &mut Ignore).map_err(FmiError::Simulation)?;
+        let ByHand { next_event, is_over, last: (time, states), .. } = system;
+        if is_over || report.termination == Termination::StoppedByModel {
+            // The wish to end comes from event mode, or from a completed step.
+            if !is_over {
+                self.core().call(RawInstance::enter_event_mode)?;
+            }
+            return Ok(Integrated::Ended { instance: self.into_phase(), time });
+        }
+        // What was looked at last need not be the end.
+        self.set_time(end)?;
+        if !states.is_empty() {
+            self.set_continuous_states(&states)?;
+        }
+        Ok(Integrated::Reached { instance: self, next_event })
+    }
+}
+
+/// The instance as the system that the driver integrates.
+struct ByHand<'a> {
+    core: &'a mut Core,
+    n_states: usize,
+    n_indicators: usize,
+    next_event: Option<f64>,
+    /// The model has ended the simulation, in event mode.
+    is_over: bool,
+    /// Time of the last event, behind which the model is not taken back.
+    floor: f64,
+    /// The point last committed.
+    last: (f64, Vec<f64>),
+}
+
+impl ByHand<'_> {
+    fn call(&mut self, body: impl FnOnce(&mut RawInstance) -> Result<(), Fault>) -> CallResult<()> {
+        body(&mut self.core.raw).map_err(|fault| match fault {
+            Fault::Discard(_) => CallError::Discard,
+            fault => CallError::failed(self.core.error(fault)),
+        })
+    }
+
+    fn set_point(&mut self, t: f64, x: &[f64]) -> CallResult<()> {
+        let t = t.max(self.floor);
+        self.call(|raw| raw.set_time(t))?;
+        if x.is_empty() { Ok(()) } else { self.call(|raw| raw.set_continuous_states(x)) }
+    }
+
+    fn read_states(&mut self, x: &mut [f64]) -> CallResult<()> {
+        if x.is_empty() { Ok(()) } else { self.call(|raw| raw.get_continuous_states(x)) }
+    }
+
+    fn commit(&mut self, t: f64, x: &[f64]) {
+        self.last.0 = t;
+        self.last.1.clear();
+        self.last.1.extend_from_slice(x);
+    }
+}
+
+impl HybridSystem for ByHand<'_> {
+    fn n_states(&self) -> usize {
+        self.n_states
+    }
+
+    fn n_event_indicators(&self) -> usize {
+        self.n_indicators
+    }
+
+    fn nominals(&mut self, nominals: &mut [f64]) -> CallResult<()> {
+        if nominals.is_empty() {
+            return Ok(());
+        }
+        match self.call(|raw| raw.get_nominals(nominals)) {
+            Err(CallError::Discard) => nominals.fill(1.0),
+            outcome => outcome?,
+        }
+        // The standard asks for positive ones (FMI 2.0.x, section 2.2.7).
+        for nominal in nominals.iter_mut().filter(|nominal| !(nominal.is_finite() && **nominal > 0.0)) {
+            *nominal = if nominal.is_finite() && *nominal < 0.0 { -*nominal } else { 1.0 };
+        }
+        Ok(())
+    }
+
+    fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        self.read_states(x)?;
+        self.commit(t0, x);
+        Ok(EventOutcome { next_time: self.next_event, ..EventOutcome::default() })
+    }
+
+    fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        self.set_point(t, x)?;
+        if dx.is_empty() { Ok(()) } else { self.call(|raw| raw.get_derivatives(dx)) }
+    }
+
+    fn event_indicators(&mut self, t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
+        self.set_point(t, x)?;
+        self.call(|raw| raw.get_event_indicators(z))
+    }
+
+    fn step_completed(&mut self, t: f64, x: &[f64]) -> CallResult<StepAction> {
+        self.set_point(t, x)?;
+        self.commit(t, x);
+        let model = self.core.fmu.description();
+        let interface = model.model_exchange.as_ref();
+        if interface.is_some_and(|interface| interface.capabilities.completed_integrator_step_not_needed) {
+            return Ok(StepAction::default());
+        }
+        let completed = self.core.call(RawInstance::completed_integrator_step);
+        let (event, terminate) = completed.map_err(CallError::failed)?;
+        Ok(StepAction { event, terminate })
+    }
+
+    fn handle_event(&mut self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
+        self.set_point(visit.time, x)?;
+        self.floor = visit.time;
+        self.call(RawInstance::enter_event_mode)?;
+        let settled = self.core.iterate_events(visit.time, 0.0, MAX_EVENT_ITERATIONS, &mut |_| Ok(()));
+        let outcome = settled.map_err(CallError::failed)?;
+        self.next_event = outcome.next_time;
+        self.read_states(x)?;
+        self.commit(visit.time, x);
+        if outcome.terminate {
+            self.is_over = true;
+        } else {
+            self.call(RawInstance::enter_continuous_time_mode)?;
+        }
+        Ok(outcome)
+    }
+}

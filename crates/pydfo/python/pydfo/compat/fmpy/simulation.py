@@ -1,0 +1,338 @@
+"""`simulate_fmu` with FMPy's arguments, over `pydfo.FMUModel`."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from typing import IO, Any, SupportsFloat
+
+import numpy as np
+import numpy.typing as npt
+
+from ..._model.description import Description, Variable
+from ..._model.model import FMUModel
+from ..._model.trajectory import SimulationResult as NativeResult
+from .._refused import hand_out, refuse
+from .instances import Slave, Model
+from .model_description import ModelDescription, PathLike, of_description, path_of
+
+
+class SimulationResult(np.ndarray):
+    """A structured array with a row per sample, ``time`` (in s) first; `modelDescription` is that of its model."""
+
+    modelDescription: ModelDescription | None
+
+    def __array_finalize__(self, obj: Any) -> None:
+        self.modelDescription = getattr(obj, "modelDescription", None)
+
+
+#: The types in the order of FMPy's columns, and NumPy's types for them.
+_ORDER = {
+    "Float32": np.float32,
+    "Real": np.float64,
+    "Int8": np.int8,
+    "UInt8": np.uint8,
+    "Int16": np.int16,
+    "UInt16": np.uint16,
+    "Integer": np.int32,
+    "UInt32": np.uint32,
+    "Int64": np.int64,
+    "Enumeration": np.int64,
+    "UInt64": np.uint64,
+    "Boolean": np.bool_,
+}
+
+
+def auto_interval(t: float) -> float:
+    """An interval of one, two, four or five times a power of ten (or of its fractions) that divides `t` into 500 to 1000 steps."""
+    h = 10.0 ** (np.round(np.log10(t)) - 3)
+    n = t / h
+    for least, factor in ((2500, 5.0), (2000, 4.0), (1000, 2.0)):
+        if n >= least:
+            return float(h * factor)
+    for most, factor in ((200, 5.0), (250, 4.0), (500, 2.0)):
+        if n <= most:
+            return float(h / factor)
+    return float(h)
+
+
+def _default_outputs(description: Description) -> list[str]:
+    states = [name for name in description.states if name is not None]
+    # Other names of outputs (FMI 3.0) are outputs, too.
+    outputs = [name for name, variable in description.variables.items() if variable.causality == "output"]
+    return outputs or states[:5] or list(description.variables)[:5]
+
+
+def _converted(description: Description, variable: Variable, value: Any) -> Any:
+    """A start value: a literal, or a value with the unit that it is given in."""
+    if isinstance(value, tuple) and len(value) == 2 and isinstance(value[1], str):
+        number, unit = float(value[0]), value[1]
+        if unit == variable.unit:
+            return number
+        known = description.units.get(variable.unit or "")
+        shown = next((display for display in known.display_units if display.name == unit), None) if known else None
+        if shown is None:
+            raise ValueError(f"{variable.name}: {unit!r} is neither the unit of the variable ({variable.unit}) nor one to show it in")
+        return (shown.factor / number if shown.inverse else (number - shown.offset) / shown.factor)
+    if not isinstance(value, str) or variable.type in ("String", "Binary"):
+        return value
+    if variable.shape:
+        return [float(item) for item in value.split()]
+    if variable.type == "Boolean":
+        if value.lower() not in ("true", "false", "1", "0"):
+            raise ValueError(f"{variable.name}: a Boolean is 'true' or 'false', not {value!r}")
+        return value.lower() in ("true", "1")
+    return float(value) if variable.type in ("Real", "Float32") else int(value) if value.lstrip("+-").isdigit() else value
+
+
+def _inputs(signals: np.ndarray[Any, Any] | None) -> dict[str, Any] | None:
+    if signals is None:
+        return None
+    if not isinstance(signals, np.ndarray) or signals.dtype.names is None:
+        raise TypeError("input must be a structured array whose first field is the time")
+    first, *others = signals.dtype.names
+    columns: dict[str, Any] = {"time": np.asarray(signals[first], dtype=np.float64)}
+    for name in others:
+        column = np.asarray(signals[name])
+        for index in np.ndindex(*column.shape[1:]):
+            element = f"{name}[{','.join(str(i + 1) for i in index)}]" if index else name
+            columns[element] = column[(slice(None),) + index]
+    return columns
+
+
+def _structured(result: NativeResult, description: Description, names: Sequence[str], model: ModelDescription) -> SimulationResult:
+    """The columns in FMPy's order: by type, then as in the file."""
+    asked = set(names) - {"time"}
+    whole = [variable.name for variable in model.modelVariables if variable.name in asked]
+    columns: list[tuple[str, Any, tuple[int, ...]]] = []
+    for kind, dtype in _ORDER.items():
+        if kind == "Enumeration" and model.fmiMajorVersion < 3:
+            continue
+        kinds = {kind, "Enumeration"} if kind == "Integer" and model.fmiMajorVersion < 3 else {kind}
+        columns += [(name, dtype, result[name].shape[1:]) for name in whole if description.variables[name].type in kinds]
+    array = np.empty(len(result.time), dtype=[("time", np.float64), *((n, t, s) if s else (n, t) for n, t, s in columns)])
+    for name in array.dtype.names or ():
+        array[name] = result.time if name == "time" else result[name]
+    shown = array.view(SimulationResult)
+    shown.modelDescription = model
+    return shown
+
+
+def simulate_fmu(
+    filename: PathLike | IO[bytes],
+    validate: bool = True,
+    start_time: float | str | None = None,
+    stop_time: float | str | None = None,
+    solver: str | None = "CVode",
+    step_size: float | str | None = None,
+    relative_tolerance: float | str | None = None,
+    output_interval: float | str | None = None,
+    record_events: bool = True,
+    fmi_type: str | None = None,
+    start_values: Mapping[str, Any] = {},
+    apply_default_start_values: bool = False,
+    input: np.ndarray[Any, Any] | None = None,
+    output: Sequence[str] | None = None,
+    timeout: float | str | None = None,
+    debug_logging: bool = False,
+    visible: bool = False,
+    logger: Callable[..., Any] | None = None,
+    fmi_call_logger: Callable[[str], None] | None = None,
+    step_finished: Callable[..., bool] | None = None,
+    model_description: ModelDescription | None = None,
+    fmu_instance: Any = None,
+    set_input_derivatives: bool = False,
+    remote_platform: str | None = "auto",
+    early_return_allowed: bool = False,
+    use_event_mode: bool = False,
+    initialize: bool = True,
+    terminate: bool = True,
+    fmu_state: Any = None,
+    set_stop_time: bool = True,
+) -> SimulationResult:
+    """Simulates an FMU, with FMPy's arguments.
+
+    Co-simulation is taken where an FMU offers both. Model exchange is integrated by ``FMUModel.simulate`` ("CVode": its
+    "auto", with a tolerance of 1e-5 where none is given), so that events are located where they are and rows lie on the grid
+    exactly; a timeout is a SimulationError. Event mode and early return are used where an FMU of version 3.0 has them, whatever
+    `use_event_mode` and `early_return_allowed` say; `validate`, `apply_default_start_values`, `model_description` and
+    `remote_platform` have no effect.
+
+    Parameters
+    ----------
+    filename : path or file-like
+        An ``.fmu`` file or an unpacked folder.
+    start_time, stop_time, output_interval, step_size : float or str, optional
+        In s; the defaults are FMPy's. `step_size` is that of the solver "Euler".
+    solver : {"CVode", "Euler"}
+    relative_tolerance : float or str, optional
+    record_events : bool
+        Rows for both sides of events (model exchange).
+    fmi_type : {"ModelExchange", "CoSimulation"}, optional
+    start_values : dict
+        Values by name: numbers, texts as in an XML file, or pairs of a value and its unit.
+    input : structured ndarray, optional
+        The first field is the time; two rows of one time are a jump.
+    output : list of str, optional
+        Default: the outputs, else the first five states.
+    timeout : float or str, optional
+        In s of wall-clock time.
+    debug_logging : bool
+        The FMU logs; its lines go to Python's logger "pydfo".
+    set_input_derivatives : bool
+        Co-simulations are told the derivatives of the inputs.
+
+    Raises
+    ------
+    NotProvided
+        For `visible`, `logger`, `fmi_call_logger`, `step_finished`, `fmu_instance`, `fmu_state`, ``initialize=False``,
+        ``terminate=False`` and ``set_stop_time=False``.
+    SimulationError, FmuError, KeyError, ValueError
+        As `pydfo.FMUModel.simulate`.
+    """
+    by_hand = "drive the instance yourself with pydfo.fmi.instantiate() or instantiate_fmu()"
+    reasons = {
+        "visible": (visible, by_hand),
+        "logger": (logger, 'lines of the FMU go to logging.getLogger("pydfo"): debug_logging=True'),
+        "fmi_call_logger": (fmi_call_logger, "calls are made in Rust; the last lines of the FMU's log are part of every error"),
+        "step_finished": (step_finished, by_hand),
+        "fmu_instance": (fmu_instance, by_hand),
+        "fmu_state": (fmu_state, "pydfo.fmi.Instance.save_state() and restore_state() work on one instance"),
+        "initialize=False": (not initialize, by_hand),
+        "terminate=False": (not terminate, by_hand),
+        "set_stop_time=False": (not set_stop_time, by_hand),
+    }
+    for name, (given, reason) in reasons.items():
+        if given is not None and given is not False:
+            refuse(f"simulate_fmu({name})", reason)
+    if fmi_type not in (None, "ModelExchange", "CoSimulation"):
+        raise ValueError('fmi_type must be one of "ModelExchange" or "CoSimulation"')
+    if solver not in (None, "CVode", "Euler"):
+        raise ValueError(f"Unknown solver: {solver}. Must be one of 'Euler' or 'CVode'.")
+    path, folder = path_of(filename)
+    try:
+        from ..._model.description import read_description
+
+        description = read_description(path)
+        offers_cs = description.co_simulation is not None
+        is_cs = offers_cs if fmi_type is None else fmi_type == "CoSimulation"
+        model = FMUModel(path, "CS" if is_cs else "ME", log_level="all" if debug_logging else None, logging=bool(debug_logging))
+        with model:
+            experiment = description.default_experiment
+            start = _first(start_time, experiment.start_time, 0.0)
+            stop = _first(stop_time, experiment.stop_time, start + 1.0)
+            interval = _interval(description, is_cs, start, stop, _number(output_interval), _number(step_size))
+            n = int(np.floor((stop - start) / interval * (1 + 1e-12)))
+            times = start + interval * np.arange(n + 1)
+            varies = not is_cs or (offers_cs and description.co_simulation.capabilities.can_handle_variable_communication_step_size)  # type: ignore[union-attr]
+            if stop - times[-1] > 1e-9 * max(abs(stop), interval) and varies and (is_cs or record_events):
+                times = np.append(times, stop)
+            elif abs(stop - times[-1]) <= 1e-9 * max(abs(stop), interval):
+                times[-1] = stop
+            variables = description.variables
+            names = [name for name in (output if output is not None else _default_outputs(description)) if name in variables]
+            names = [name for name in names if name != "time" and variables[name].type not in ("String", "Binary", "Clock")]
+            tolerance = _number(relative_tolerance)
+            more: dict[str, Any] = {"step_size": interval} if is_cs else {"record_events": bool(record_events)}
+            if not is_cs and solver == "Euler":
+                more |= {"solver": "euler", "step_size": _euler_step(start, stop, interval, _number(step_size))}
+            result = model.simulate(
+                start,
+                stop,
+                times=times,
+                inputs=_inputs(input),
+                outputs=names or [next(iter(variables))],
+                start_values={name: _converted(description, variables[name], value) for name, value in start_values.items()},
+                relative_tolerance=tolerance if tolerance is not None else None if is_cs else experiment.tolerance or 1e-5,
+                max_time=_number(timeout),
+                input_derivatives=bool(set_input_derivatives),
+                **more,
+            )
+        return _structured(result, description, names, model_description or of_description(description))
+    finally:
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _number(value: SupportsFloat | str | None) -> float | None:
+    return None if value is None else float(value)
+
+
+def _first(given: float | str | None, suggested: float | None, default: float) -> float:
+    return float(given) if given is not None else suggested if suggested is not None else default
+
+
+def _interval(
+    description: Description, is_cs: bool, start: float, stop: float, asked: float | None, step: float | None
+) -> float:
+    """The distance of the rows, by FMPy's rules."""
+    span = stop - start
+    if asked is not None:
+        return asked
+    if span <= 0:
+        return 1.0
+    if not is_cs:
+        found: float | None = step if step is not None else float(10.0 ** (np.round(np.log10(span)) - 3))
+    else:
+        fixed = description.co_simulation.capabilities.fixed_internal_step_size if description.co_simulation else None
+        found = fixed if fixed is not None else description.default_experiment.step_size
+    if found is None:
+        return auto_interval(span)
+    while span / found > 1000:
+        found *= 2
+    return found
+
+
+def _euler_step(start: float, stop: float, interval: float, asked: float | None) -> float:
+    step = asked if asked is not None else 10.0 ** (np.round(np.log10(stop - start)) - 3)
+    if not np.isclose(round(interval / step) * step, interval):
+        raise ValueError("output_interval must be a multiple of step_size for fixed step solvers")
+    return float(step)
+
+
+def instantiate_fmu(
+    unzipdir: PathLike,
+    model_description: ModelDescription,
+    fmi_type: str | None = None,
+    visible: bool = False,
+    debug_logging: bool = False,
+    logger: Any = None,
+    fmi_call_logger: Any = None,
+    library_path: Any = None,
+    early_return_allowed: bool = False,
+    event_mode_used: bool = False,
+    intermediate_update: Any = None,
+    require_functions: bool = True,
+    required_intermediate_variables: Any = None,
+) -> Any:
+    """An instance with FMPy's methods, over `pydfo.fmi.Instance`; the FMU may be a folder or a file.
+
+    Raises
+    ------
+    NotProvided
+        For `logger`, `fmi_call_logger`, `library_path` and `intermediate_update`.
+    """
+    given = {"logger": logger, "fmi_call_logger": fmi_call_logger, "library_path": library_path, "intermediate_update": intermediate_update}
+    for name, value in given.items():
+        if value is not None:
+            refuse(f"instantiate_fmu({name})", "the FMU is called from Rust")
+    is_cs = model_description.coSimulation is not None if fmi_type is None else fmi_type == "CoSimulation"
+    fmu = (Slave if is_cs else Model)(unzipDirectory=os.fspath(unzipdir), guid=model_description.guid)
+    fmu.instantiate(visible=visible, loggingOn=debug_logging)
+    return fmu
+
+
+_SETTABLE = "pydfo.fmi.Instance.set says whether a variable can be set in a phase, and why not"
+REFUSED = {
+    "has_start_value": _SETTABLE,
+    "settable_in_initialization_mode": _SETTABLE,
+    "settable_in_instantiated": _SETTABLE,
+    "Recorder": "rows are recorded in Rust: simulate_fmu(output=...)",
+    "Input": "inputs are set in Rust: simulate_fmu(input=...)",
+    "ForwardEuler": "the methods are those of FMUModel.simulate(solver=...)",
+    "apply_start_values": "simulate_fmu(start_values=...)",
+    "simulateME": 'simulate_fmu(fmi_type="ModelExchange")',
+    "simulateCS": 'simulate_fmu(fmi_type="CoSimulation")',
+}
+__getattr__ = hand_out("pydfo.compat.fmpy.simulation", REFUSED)

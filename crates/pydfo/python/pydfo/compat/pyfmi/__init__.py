@@ -1,0 +1,19 @@
+"""PyFMI's models by their names and methods, over `pydfo`: ``from pydfo.compat.pyfmi import load_fmu``.
+
+What cannot be had raises `NotProvided` when it is called, and says what to use instead; docs/compat.md lists all names.
+"""
+
+from __future__ import annotations
+
+from .._refused import NotProvided, hand_out
+from .model import FMUModelCS1, FMUModelCS2, FMUModelME1, FMUModelME2, FMUModelME3, load_fmu
+
+__all__ = ["FMUModelCS1", "FMUModelCS2", "FMUModelME1", "FMUModelME2", "FMUModelME3", "NotProvided", "load_fmu"]
+
+REFUSED = {
+    "CoupledFMUModelME2": "one FMU is simulated at a time",
+    "FMUModelME1Extended": "one FMU is simulated at a time: load_fmu(kind='CS') has co-simulation",
+    "Master": "one FMU is simulated at a time",
+    "check_packages": "pip check",
+}
+__getattr__ = hand_out("pydfo.compat.pyfmi", REFUSED)

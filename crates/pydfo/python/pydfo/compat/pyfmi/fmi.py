@@ -1,0 +1,24 @@
+"""What scripts import from ``pyfmi.fmi``: the models, and the numbers of types, causalities and variabilities."""
+
+from __future__ import annotations
+
+from . import constants as _constants
+from .exceptions import FMUException, InvalidFMUException, InvalidOptionException, TimeLimitExceeded
+from .model import FMUModelBase, FMUModelCS1, FMUModelCS2, FMUModelME1, FMUModelME2, FMUModelME3, ScalarVariable, load_fmu
+
+globals().update({name: value for name, value in vars(_constants).items() if name.startswith("FMI")})
+
+__all__ = [
+    "FMUException",
+    "FMUModelBase",
+    "FMUModelCS1",
+    "FMUModelCS2",
+    "FMUModelME1",
+    "FMUModelME2",
+    "FMUModelME3",
+    "InvalidFMUException",
+    "InvalidOptionException",
+    "ScalarVariable",
+    "TimeLimitExceeded",
+    "load_fmu",
+]

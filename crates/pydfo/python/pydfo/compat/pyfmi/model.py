@@ -1,0 +1,765 @@
+"""Models with PyFMI's methods, over `pydfo.FMUModel` (simulations) and `pydfo.fmi.Instance` (by hand)."""
+
+from __future__ import annotations
+
+import fnmatch
+import importlib
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from ..._model.description import Capabilities, TypeDefinition, Variable
+from ..._model.instance import EventInfo, Instance, LinearSystem, SavedState
+from ..._model.model import FMUModel
+from .._refused import refuse, refused
+from . import constants, options as _options
+from .exceptions import FMUException
+from .results import Result
+
+
+@dataclass(frozen=True)
+class ScalarVariable:
+    """A variable; type, causality, variability and initial are PyFMI's numbers."""
+
+    name: str
+    value_reference: int
+    type: int
+    description: str
+    variability: int
+    causality: int
+    alias: int
+    initial: int
+
+
+class FMUModelBase:
+    """A model as PyFMI has it. It simulates from a fresh instance with all values that were `set`; `initialize` (or
+    `setup_experiment`) makes an instance that is driven by hand, and from then on `get` and `set` are about that one, until `reset`.
+    """
+
+    def __init__(
+        self, fmu: str | os.PathLike[str], log_file_name: Any = None, log_level: int = 2, kind: str = "auto", allow_unzipped_fmu: bool = False
+    ) -> None:
+        if log_file_name not in (None, ""):
+            refuse("log_file_name", 'get_log() has the lines, and logging.getLogger("pydfo")')
+        self._model = FMUModel(fmu, kind, log_level=log_level)
+        self._description = self._model.description
+        self._version = int(self._description.fmi_version[0])
+        self._instance: Instance | None = None
+        self._time: float | None = None
+        self._experiment: tuple[float | None, float | None, float | None] = (None, None, None)
+        self._info = SimpleNamespace(
+            newDiscreteStatesNeeded=False,
+            terminateSimulation=False,
+            nominalsOfContinuousStatesChanged=False,
+            valuesOfContinuousStatesChanged=False,
+            nextEventTimeDefined=False,
+            nextEventTime=0.0,
+        )
+
+    # --- values -------------------------------------------------------------------------------------------------------
+
+    def get(self, variable_name: str | Iterable[str]) -> Any:
+        """A value, or a list of values for a list of names. PyFMI's arrays of one element are single values here."""
+        source = self._instance if self._is_live else self._model
+        return source.get(variable_name)  # type: ignore[union-attr]
+
+    def set(self, variable_name: str | Iterable[str], value: Any) -> None:
+        """Sets a variable, or several."""
+        if self._instance is None or self._instance.phase == "instantiated":
+            self._model.set(variable_name, value)
+        if self._instance is not None:
+            self._instance.set(variable_name, value)
+
+    @property
+    def _is_live(self) -> bool:
+        return self._instance is not None and self._instance.phase not in ("instantiated", "closed")
+
+    def _live(self) -> Instance:
+        if self._instance is None:
+            raise FMUException("the model is not initialized: call initialize(), or setup_experiment() and enter_initialization_mode()")
+        return self._instance
+
+    def _names(self, kinds: Sequence[str], references: Any) -> list[str]:
+        wanted = np.atleast_1d(np.asarray(references)).ravel().tolist()
+        known: dict[int, str] = {}
+        for name, v in self._description.variables.items():
+            if v.type in kinds:
+                known.setdefault(v.value_reference, name)
+        for reference in wanted:
+            if reference not in known:
+                raise FMUException(f"there is no variable of type {' or '.join(kinds)} with the value reference {reference}")
+        return [known[reference] for reference in wanted]
+
+    def _get_typed(self, kinds: Sequence[str], references: Any, dtype: Any) -> Any:
+        values = [self.get(name) for name in self._names(kinds, references)]
+        return values if dtype is None else np.array(values, dtype=dtype)
+
+    def get_real(self, valueref: Any) -> Any:
+        """Values of reals by value reference."""
+        return self._get_typed(("Real",), valueref, np.float64)
+
+    def get_integer(self, valueref: Any) -> Any:
+        """Values of integers and enumerations by value reference."""
+        return self._get_typed(("Integer", "Enumeration"), valueref, np.int32)
+
+    def get_boolean(self, valueref: Any) -> Any:
+        """Values of Booleans by value reference."""
+        return self._get_typed(("Boolean",), valueref, np.bool_)
+
+    def get_string(self, valueref: Any) -> Any:
+        """Texts by value reference."""
+        return self._get_typed(("String",), valueref, None)
+
+    def set_real(self, valueref: Any, values: Any) -> None:
+        """Sets reals by value reference."""
+        self.set(self._names(("Real",), valueref), np.ravel(values).tolist())
+
+    def set_integer(self, valueref: Any, values: Any) -> None:
+        """Sets integers and enumerations by value reference."""
+        self.set(self._names(("Integer", "Enumeration"), valueref), np.ravel(values).tolist())
+
+    def set_boolean(self, valueref: Any, values: Any) -> None:
+        """Sets Booleans by value reference."""
+        self.set(self._names(("Boolean",), valueref), [bool(value) for value in np.ravel(values)])
+
+    def set_string(self, valueref: Any, values: Any) -> None:
+        """Sets texts by value reference."""
+        self.set(self._names(("String",), valueref), [values] if isinstance(values, str) else list(values))
+
+    # --- variables ----------------------------------------------------------------------------------------------------
+
+    def _variable(self, name: str) -> Variable:
+        return self._description.variables[name]
+
+    @cached_property
+    def _first_names(self) -> dict[tuple[str, int], str]:
+        """The first of the names of what variables stand for."""
+        first: dict[tuple[str, int], str] = {}
+        for name, v in self._description.variables.items():
+            first.setdefault((v.type, v.value_reference), name)
+        return first
+
+    def _scalar(self, name: str) -> ScalarVariable:
+        v, version = self._variable(name), self._version
+        return ScalarVariable(
+            name,
+            v.value_reference,
+            constants.type_number(version, v.type),
+            v.description or "",
+            constants.variability_number(version, v.variability),
+            constants.causality_number(version, v.causality),
+            int(self._first_names[v.type, v.value_reference] != name),
+            constants.initial_number(version, v.initial),
+        )
+
+    def get_model_variables(
+        self,
+        type: int | None = None,
+        include_alias: bool = True,
+        causality: int | None = None,
+        variability: int | None = None,
+        only_start: bool = False,
+        only_fixed: bool = False,
+        filter: str | Sequence[str] | None = None,
+    ) -> dict[str, ScalarVariable]:
+        """The variables by name, those of a type, causality or variability (PyFMI's numbers), with a start value, or whose names
+        fit a pattern."""
+        patterns = None if filter is None else [filter] if isinstance(filter, str) else list(filter)
+        seen: set[tuple[str, int]] = set()
+        found = {}
+        for name, v in self._description.variables.items():
+            scalar = self._scalar(name)
+            is_alias = (v.type, v.value_reference) in seen
+            seen.add((v.type, v.value_reference))
+            asked = ((type, scalar.type), (causality, scalar.causality), (variability, scalar.variability))
+            if any(wanted is not None and wanted != has for wanted, has in asked) or (is_alias and not include_alias):
+                continue
+            if (only_start and v.start is None) or (only_fixed and v.initial != "exact"):
+                continue
+            if patterns is None or any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns):
+                found[name] = scalar
+        return found
+
+    def get_scalar_variable(self, variable_name: str) -> ScalarVariable:
+        """A variable."""
+        return self._scalar(variable_name)
+
+    def get_variable_valueref(self, variable_name: str) -> int:
+        """Its value reference."""
+        return self._variable(variable_name).value_reference
+
+    def get_variable_data_type(self, variable_name: str) -> int:
+        """PyFMI's number of its type."""
+        return self._scalar(variable_name).type
+
+    def get_variable_causality(self, variable_name: str) -> int:
+        """PyFMI's number of its causality."""
+        return self._scalar(variable_name).causality
+
+    def get_variable_variability(self, variable_name: str) -> int:
+        """PyFMI's number of its variability."""
+        return self._scalar(variable_name).variability
+
+    def get_variable_initial(self, variable_name: str) -> int:
+        """PyFMI's number of how its initial value comes about."""
+        return self._scalar(variable_name).initial
+
+    def get_variable_description(self, variable_name: str) -> str:
+        """Its description."""
+        return self._variable(variable_name).description or ""
+
+    def _stated(self, name: str, what: str) -> Any:
+        value = getattr(self._variable(name), what)
+        if value is None:
+            raise FMUException(f"the model states no {what} for {name}")
+        return value
+
+    def get_variable_unit(self, variable_name: str) -> str:
+        """Its unit; an error where none is stated."""
+        return str(self._stated(variable_name, "unit"))
+
+    def get_variable_display_unit(self, variable_name: str) -> str:
+        """The unit to show it in; an error where none is stated."""
+        return str(self._stated(variable_name, "display_unit"))
+
+    def get_variable_display_value(self, variable_name: str) -> float:
+        """Its value in the unit to show it in."""
+        shown, v = self.get_variable_display_unit(variable_name), self._variable(variable_name)
+        units = self._description.units[v.unit or ""].display_units
+        unit = next(unit for unit in units if unit.name == shown)
+        value = self.get(variable_name)
+        return float(unit.factor / value if unit.inverse else unit.factor * value + (0.0 if v.relative_quantity else unit.offset))
+
+    def get_variable_start(self, variable_name: str) -> Any:
+        """Its start value; an error where there is none."""
+        return self._stated(variable_name, "start")
+
+    def get_variable_min(self, variable_name: str) -> float:
+        """Its least value; that of a double where none is stated."""
+        least = self._variable(variable_name).min
+        return -np.finfo(np.float64).max if least is None else least
+
+    def get_variable_max(self, variable_name: str) -> float:
+        """Its largest value; that of a double where none is stated."""
+        most = self._variable(variable_name).max
+        return np.finfo(np.float64).max if most is None else most
+
+    def get_variable_nominal(self, variable_name: str | None = None, valueref: int | None = None) -> float:
+        """Its nominal value, 1 where none is stated."""
+        name = variable_name if variable_name is not None else self._names(("Real",), valueref)[0]
+        nominal = self._variable(name).nominal
+        return 1.0 if nominal is None else nominal
+
+    def get_variable_unbounded(self, variable_name: str) -> bool:
+        """Whether it grows without bounds."""
+        return self._variable(variable_name).unbounded
+
+    def get_variable_relative_quantity(self, variable_name: str) -> bool:
+        """Whether it is a difference."""
+        return self._variable(variable_name).relative_quantity
+
+    def get_variable_declared_type(self, variable_name: str) -> TypeDefinition:
+        """Its type definition; an error where there is none."""
+        return self._description.type_definitions[self._stated(variable_name, "declared_type")]
+
+    def get_variable_by_valueref(self, valueref: int, type: int = 0) -> str:
+        """The name of the first variable with a value reference, of a type (PyFMI's number)."""
+        for name, v in self._description.variables.items():
+            if v.value_reference == valueref and constants.type_number(self._version, v.type) == type:
+                return name
+        raise FMUException(f"there is no variable of type {type} with the value reference {valueref}")
+
+    def get_variable_alias(self, variable_name: str) -> dict[str, int]:
+        """All names of what a variable stands for; 0 for the first, 1 for the others."""
+        own = self._variable(variable_name)
+        names = [n for n, v in self._description.variables.items() if (v.type, v.value_reference) == (own.type, own.value_reference)]
+        return {name: int(k > 0) for k, name in enumerate(names)}
+
+    def get_variable_alias_base(self, variable_name: str) -> str:
+        """The first of these names."""
+        return next(iter(self.get_variable_alias(variable_name)))
+
+    def _listed(self, names: Iterable[str | None]) -> dict[str, ScalarVariable]:
+        return {name: self._scalar(name) for name in names if name is not None}
+
+    def get_states_list(self) -> dict[str, ScalarVariable]:
+        """The states."""
+        return self._listed(self._description.states)
+
+    def get_derivatives_list(self) -> dict[str, ScalarVariable]:
+        """The derivatives of the states."""
+        of_state = {v.derivative: name for name, v in self._description.variables.items() if v.derivative is not None}
+        return self._listed(of_state[state] for state in self._description.states if state in of_state)
+
+    def get_input_list(self) -> dict[str, ScalarVariable]:
+        """The continuous inputs of type Real."""
+        variables = self._description.variables
+        return self._listed(n for n in self._description.inputs if variables[n].type == "Real" and variables[n].variability == "continuous")
+
+    def get_output_list(self) -> dict[str, ScalarVariable]:
+        """The outputs."""
+        return self._listed(self._description.outputs)
+
+    # --- facts --------------------------------------------------------------------------------------------------------
+
+    def get_version(self) -> str:
+        """The version of FMI."""
+        return self._description.fmi_version
+
+    def get_name(self) -> str:
+        """The name of the model."""
+        return self._description.model_name
+
+    def get_identifier(self) -> str:
+        """The name of its library."""
+        interface = self._description.co_simulation if self._model.kind == "CS" else self._description.model_exchange
+        return interface.model_identifier if interface else ""
+
+    def get_guid(self) -> str:
+        """The guid; the instantiation token in FMI 3.0."""
+        return self._description.guid
+
+    def get_author(self) -> str:
+        """The author."""
+        return self._description.author or ""
+
+    def get_description(self) -> str:
+        """The description of the model."""
+        return self._description.description or ""
+
+    def get_copyright(self) -> str:
+        """The copyright."""
+        return self._description.copyright or ""
+
+    def get_license(self) -> str:
+        """The licence."""
+        return self._description.license or ""
+
+    def get_model_version(self) -> str:
+        """The version of the model."""
+        return self._description.version or ""
+
+    def get_generation_tool(self) -> str:
+        """The tool that made it."""
+        return self._description.generation_tool or ""
+
+    def get_generation_date_and_time(self) -> str:
+        """When that was."""
+        return self._description.generation_date_and_time or ""
+
+    def get_variable_naming_convention(self) -> str:
+        """The convention of the names."""
+        return self._description.variable_naming_convention or "flat"
+
+    def get_model_types_platform(self) -> str:
+        """The platform that FMI names: "default"."""
+        return "standard32" if self._version == 1 else "default"
+
+    def get_ode_sizes(self) -> tuple[int, int]:
+        """Numbers of states and of event indicators."""
+        return self._description.n_states, self._description.n_event_indicators
+
+    def get_categories(self) -> list[str]:
+        """Names of the categories of log messages."""
+        return [category.name for category in self._description.log_categories]
+
+    def get_log_categories(self) -> dict[str, str]:
+        """The same with their descriptions."""
+        return {category.name: category.description or "" for category in self._description.log_categories}
+
+    def get_capability_flags(self) -> dict[str, Any]:
+        """What the FMU can do, by the names of FMI."""
+        interface = self._description.co_simulation if self._model.kind == "CS" else self._description.model_exchange
+        can = interface.capabilities if interface else self._description.capabilities
+        return {_camel(name): getattr(can, name) for name in Capabilities.__dataclass_fields__}
+
+    def get_default_experiment_start_time(self) -> float:
+        """In s; 0 where none is suggested."""
+        return self._description.default_experiment.start_time or 0.0
+
+    def get_default_experiment_stop_time(self) -> float:
+        """In s; 1 where none is suggested."""
+        stop = self._description.default_experiment.stop_time
+        return 1.0 if stop is None else stop
+
+    def get_default_experiment_tolerance(self) -> float:
+        """Relative; 1e-4 where none is suggested."""
+        return self._description.default_experiment.tolerance or 1e-4
+
+    def get_default_experiment_step(self) -> float:
+        """In s; 1e-2 where none is suggested."""
+        return self._description.default_experiment.step_size or 1e-2
+
+    # --- log ----------------------------------------------------------------------------------------------------------
+
+    def get_log(self, start_lines: int = -1, end_lines: int = -1) -> list[str]:
+        """The last lines that the FMU logged, of the instance driven by hand."""
+        lines = self._instance.log if self._instance is not None and self._instance.phase != "closed" else []
+        return lines[max(start_lines, 0) : None if end_lines < 0 else end_lines]
+
+    def print_log(self, start_lines: int = -1, end_lines: int = -1) -> None:
+        """Prints these lines."""
+        print("\n".join(self.get_log(start_lines, end_lines)))
+
+    def get_number_of_lines_log(self) -> int:
+        """How many there are."""
+        return len(self.get_log())
+
+    def set_debug_logging(self, logging_on: bool, categories: Sequence[str] = ()) -> None:
+        """Switches the FMU's log on, of these categories or of all, or off."""
+        self._made().set_logging(list(categories) if logging_on and categories else bool(logging_on))
+
+    # --- by hand ------------------------------------------------------------------------------------------------------
+
+    def _made(self) -> Instance:
+        if self._instance is None:
+            self._instance = Instance(self._model)
+        return self._instance
+
+    def instantiate(self, name: str = "Model", visible: bool = False) -> None:
+        """Makes the instance that is driven by hand."""
+        if self._instance is None:
+            self._instance = Instance(self._model, name=name, visible=visible)
+
+    def setup_experiment(
+        self,
+        tolerance_defined: bool = True,
+        tolerance: float | str = "Default",
+        start_time: float | str = "Default",
+        stop_time_defined: bool = False,
+        stop_time: float | str = "Default",
+    ) -> None:
+        """Times in s and relative tolerance of the experiment; by default those that the model suggests."""
+        rtol = self.get_default_experiment_tolerance() if tolerance == "Default" else float(tolerance)
+        start = self.get_default_experiment_start_time() if start_time == "Default" else float(start_time)
+        stop = self.get_default_experiment_stop_time() if stop_time == "Default" else float(stop_time)
+        self._experiment = (start, stop if stop_time_defined else None, rtol if tolerance_defined else None)
+        self._made()
+
+    def enter_initialization_mode(self) -> None:
+        """Enters initialization mode."""
+        self._made().enter_initialization(*self._experiment)
+
+    def exit_initialization_mode(self) -> None:
+        """Ends the initialization."""
+        self._live().exit_initialization()
+
+    def initialize(
+        self,
+        tolerance_defined: bool = True,
+        tolerance: float | str = "Default",
+        start_time: float | str = "Default",
+        stop_time_defined: bool = False,
+        stop_time: float | str = "Default",
+    ) -> None:
+        """Sets the experiment up, enters and exits initialization mode: model exchange is in event mode then."""
+        if self._experiment == (None, None, None):
+            self.setup_experiment(tolerance_defined, tolerance, start_time, stop_time_defined, stop_time)
+        self.enter_initialization_mode()
+        self.exit_initialization_mode()
+
+    def terminate(self) -> None:
+        """Ends the simulation of the instance."""
+        self._live().terminate()
+
+    def free_instance(self) -> None:
+        """Frees the instance."""
+        if self._instance is not None:
+            self._instance.close()
+            self._instance = None
+
+    def reset(self) -> None:
+        """Forgets all values set, and the instance."""
+        self.free_instance()
+        self._model.reset()
+        self._time, self._experiment = None, (None, None, None)
+
+    @property
+    def time(self) -> float:
+        """The time in s of the instance, else the end of the last simulation, else the start; model exchange can set it."""
+        at = self._instance.time if self._instance is not None else self._time
+        return self.get_default_experiment_start_time() if at is None else at
+
+    @time.setter
+    def time(self, time: float) -> None:
+        live = self._live()
+        if live.kind == "CS":
+            live._time = float(time)
+        else:
+            live.time = time
+
+    def get_fmu_state(self, state: Any = None) -> SavedState:
+        """A copy of the state of the instance."""
+        return self._live().save_state()
+
+    def set_fmu_state(self, state: SavedState) -> None:
+        """Brings a state back."""
+        self._live().restore_state(state)
+
+    def free_fmu_state(self, state: SavedState) -> None:
+        """Nothing: a state is freed when nobody holds it."""
+
+    def get_directional_derivative(self, var_ref: Any, func_ref: Any, v: Any) -> Any:
+        """Derivatives of reals (`func_ref`) in the direction `v` of others (`var_ref`), all by value reference."""
+        of, by = self._names(("Real",), func_ref), self._names(("Real",), var_ref)
+        return self._live().directional_derivative(of, by, np.asarray(v, dtype=np.float64))
+
+    def _linear(self) -> LinearSystem:
+        live = self._live()
+        if live.phase == "event":
+            live._settle()
+        return live.linearize()
+
+    def get_state_space_representation(
+        self, A: bool = True, B: bool = True, C: bool = True, D: bool = True, use_structure_info: bool = True
+    ) -> tuple[Any, Any, Any, Any]:
+        """The matrices of the linear system at the point of the instance, which is in continuous-time mode afterwards; those that
+        are not asked for are False. Sparse ones (SciPy's) with `use_structure_info`."""
+        linear = self._linear()
+        asked = ((A, linear.A), (B, linear.B), (C, linear.C), (D, linear.D))
+        if not use_structure_info:
+            return tuple(matrix if is_asked else False for is_asked, matrix in asked)  # type: ignore[return-value]
+        try:
+            csc_matrix = importlib.import_module("scipy.sparse").csc_matrix
+        except ImportError as e:
+            raise ImportError("sparse matrices need SciPy: pip install scipy, or use_structure_info=False") from e
+        return tuple(csc_matrix(matrix) if is_asked else False for is_asked, matrix in asked)  # type: ignore[return-value]
+
+    # --- simulations --------------------------------------------------------------------------------------------------
+
+    def simulate_options(self, algorithm: str = "Default") -> _options.Options:
+        """The options of `simulate` with their defaults, to be changed and given to it."""
+        return _options.default_options(self._model.kind)
+
+    def simulate(
+        self,
+        start_time: float | str = "Default",
+        final_time: float | str = "Default",
+        input: Any = (),
+        algorithm: Any = "Default",
+        options: Any = {},
+    ) -> Result | None:
+        """Simulates from a fresh instance with all values that were set.
+
+        Parameters
+        ----------
+        start_time, final_time : float, optional
+            In s; default: those that the model suggests, else 0 and 1.
+        input : tuple, optional
+            ``(names, matrix)`` with the times in the first column, or ``(names, function of time)``.
+        options : dict
+            As `simulate_options` returns them, or some of them. ``result_handling`` "file", "binary" and "memory" keep the
+            result in memory; "csv" writes a file, too.
+
+        Raises
+        ------
+        NotProvided
+            An option that pydfo does not have.
+        """
+        asked = self.simulate_options()
+        asked.update({} if isinstance(options, str) else options)
+        start = self.get_default_experiment_start_time() if start_time == "Default" else float(start_time)
+        stop = self.get_default_experiment_stop_time() if final_time == "Default" else float(final_time)
+        chosen = _options.arguments(asked, self._model.kind, self._description.default_experiment.tolerance)
+        given = None if isinstance(input, tuple) and not input else input
+        native = self._model.simulate(start, stop, inputs=given, **chosen)
+        self._time = native.end_time
+        if not asked["return_result"] or asked["result_handling"] is None:
+            return None
+        path = None
+        if asked["result_handling"] == "csv":
+            path = asked["result_file_name"] or f"{self.get_identifier()}_result.csv"
+            native.to_csv(path)
+        return Result(self, asked, native, path)
+
+
+def _camel(name: str) -> str:
+    if name in ("can_get_and_set_state", "can_serialize_state"):
+        name = name.replace("state", "FMUstate")
+    first, *rest = name.split("_")
+    return first + "".join(word[0].upper() + word[1:] for word in rest)
+
+
+class _ModelExchange(FMUModelBase):
+    """Model exchange."""
+
+    def __init__(self, fmu: str | os.PathLike[str], log_file_name: Any = None, log_level: int = 2, **more: Any) -> None:
+        super().__init__(fmu, log_file_name, log_level, "ME", **more)
+
+    def get_event_info(self) -> Any:
+        """What the last `event_update` has done, with FMI's names; the same object each time."""
+        return self._info
+
+    def event_update(self, intermediateResult: bool = False) -> None:
+        """Lets the events happen until the discrete states settle, in one call whatever `intermediateResult` says."""
+        live = self._live()
+        info: EventInfo = live.update_discrete_states()
+        self._info.newDiscreteStatesNeeded, self._info.terminateSimulation = False, info.terminate
+        self._info.nominalsOfContinuousStatesChanged = info.nominals_changed
+        self._info.valuesOfContinuousStatesChanged = info.states_changed
+        self._info.nextEventTimeDefined, self._info.nextEventTime = info.next_time is not None, info.next_time or 0.0
+
+    def enter_event_mode(self) -> None:
+        """Enters event mode."""
+        if self._live().phase != "event":
+            self._live().enter_event_mode()
+
+    def enter_continuous_time_mode(self) -> None:
+        """Enters continuous-time mode."""
+        if self._live().phase != "continuous":
+            self._live().enter_continuous_time()
+
+    @property
+    def continuous_states(self) -> Any:
+        """The states; can be set in continuous-time mode."""
+        return self._live().states
+
+    @continuous_states.setter
+    def continuous_states(self, states: Any) -> None:
+        self._live().states = np.asarray(states, dtype=np.float64)
+
+    @property
+    def nominal_continuous_states(self) -> Any:
+        """Nominal values of the states."""
+        return self._live().nominals
+
+    def get_derivatives(self) -> Any:
+        """Derivatives of the states."""
+        return self._live().derivatives
+
+    def get_event_indicators(self) -> Any:
+        """The event indicators."""
+        return self._live().event_indicators
+
+    def completed_integrator_step(self, no_set_FMU_state_prior_to_current_point: bool = True) -> tuple[bool, bool]:
+        """Whether the model wants event mode, and whether it wants to end the simulation."""
+        return self._live().completed_integrator_step()
+
+    def get_relative_tolerance(self) -> float:
+        """The relative tolerance of the default experiment."""
+        return self.get_default_experiment_tolerance()
+
+    def get_absolute_tolerances(self) -> Any:
+        """0.01 times the relative tolerance times the nominal values of the states."""
+        return 0.01 * self.get_relative_tolerance() * np.array([self.get_variable_nominal(name) for name in self.get_states_list()])
+
+    def get_tolerances(self) -> tuple[float, Any]:
+        """Both."""
+        return self.get_relative_tolerance(), self.get_absolute_tolerances()
+
+
+class _CoSimulation(FMUModelBase):
+    """Co-simulation."""
+
+    def __init__(self, fmu: str | os.PathLike[str], log_file_name: Any = None, log_level: int = 2, **more: Any) -> None:
+        super().__init__(fmu, log_file_name, log_level, "CS", **more)
+
+    def do_step(self, current_t: float, step_size: float, new_step: bool = True) -> int:
+        """Makes a step from a time to a later one, in s; 0 if it is complete, else 2 (discard)."""
+        live = self._live()
+        live._time = float(current_t)
+        return constants.FMI_OK if live.do_step(step_size).complete else constants.FMI_DISCARD
+
+    def set_input_derivatives(self, variables: str | Iterable[str], values: Any, order: int = 1) -> None:
+        """Sets the first derivatives of inputs."""
+        if order != 1:
+            refuse("set_input_derivatives(order > 1)", "inputs are extrapolated linearly")
+        self._live().set_input_derivatives(variables, values)
+
+
+class FMUModelME1(_ModelExchange):
+    """Model exchange, FMI 1.0."""
+
+
+class FMUModelCS1(_CoSimulation):
+    """Co-simulation, FMI 1.0."""
+
+
+class FMUModelME2(_ModelExchange):
+    """Model exchange, FMI 2.0."""
+
+
+class FMUModelCS2(_CoSimulation):
+    """Co-simulation, FMI 2.0."""
+
+
+class FMUModelME3(_ModelExchange):
+    """Model exchange, FMI 3.0."""
+
+
+class FMUModelCS3(_CoSimulation):
+    """Co-simulation, FMI 3.0 (PyFMI has none)."""
+
+
+def load_fmu(
+    fmu: str | os.PathLike[str], log_file_name: Any = None, kind: str = "auto", log_level: int = 2, allow_unzipped_fmu: bool = False
+) -> FMUModelBase:
+    """Opens an FMU.
+
+    Parameters
+    ----------
+    fmu : path
+        An ``.fmu`` file or an unpacked folder (whatever `allow_unzipped_fmu` says).
+    kind : {"auto", "ME", "CS"}
+    log_level : int
+        0 (nothing) to 7 (all).
+
+    Raises
+    ------
+    NotProvided
+        For `log_file_name` and ``kind="SE"``.
+    OSError, FmuError
+        The FMU cannot be read or run.
+    """
+    if isinstance(kind, str) and kind.upper() == "SE":
+        refuse('load_fmu(kind="SE")', "scheduled execution is not simulated")
+    opened = FMUModel(Path(fmu), kind)
+    version = opened.description.fmi_version[0]
+    classes = {(c.__name__[-3:-1], c.__name__[-1]): c for c in (FMUModelME1, FMUModelCS1, FMUModelME2, FMUModelCS2, FMUModelME3, FMUModelCS3)}
+    return classes[opened.kind, version](fmu, log_file_name, log_level)
+
+
+_BY_FIT = "pydfo.Calibration fits parameters: fit()"
+_LOG = 'the last lines are in get_log(), and all go to logging.getLogger("pydfo")'
+_STRUCTURE = "dependencies are not handed to Python"
+#: Methods of PyFMI's models that are refused, and why.
+REFUSED_METHODS = {
+    "append_log_message": _LOG,
+    "cancel_step": "steps are awaited",
+    "deserialize_fmu_state": "states live in one instance: get_fmu_state() and set_fmu_state()",
+    "estimate": _BY_FIT,
+    "estimate_options": _BY_FIT,
+    "extract_xml_log": _LOG,
+    "get_boolean_status": "steps are awaited; a refused call is a SimulationError with .status",
+    "get_derivatives_dependencies": _STRUCTURE,
+    "get_derivatives_dependencies_kind": _STRUCTURE,
+    "get_fmil_log_level": _LOG,
+    "get_integer_status": "steps are awaited; a refused call is a SimulationError with .status",
+    "get_last_result_file": "res.result_file, where one is written",
+    "get_log_filename": _LOG,
+    "get_log_level": _LOG,
+    "get_max_log_size": _LOG,
+    "get_model_time_varying_value_references": "get_model_variables(variability=...)",
+    "get_output_dependencies": _STRUCTURE,
+    "get_output_dependencies_kind": _STRUCTURE,
+    "get_output_derivatives": "derivatives of outputs are not asked for: differentiate the result",
+    "get_real_status": "steps are awaited; a refused call is a SimulationError with .status",
+    "get_status": "steps are awaited; a refused call is a SimulationError with .status",
+    "get_string_status": "steps are awaited; a refused call is a SimulationError with .status",
+    "get_unpacked_fmu_path": "FMUs are unpacked into a private folder",
+    "get_variable_references": "get_variable_valueref(name)",
+    "has_reached_max_log_size": _LOG,
+    "serialize_fmu_state": "states live in one instance: get_fmu_state() and set_fmu_state()",
+    "serialized_fmu_state_size": "states live in one instance: get_fmu_state() and set_fmu_state()",
+    "set_additional_logger": _LOG,
+    "set_log_level": "load_fmu(log_level=...)",
+    "set_max_log_size": _LOG,
+}
+for _name, _reason in REFUSED_METHODS.items():
+    setattr(FMUModelBase, _name, refused(f"FMUModel.{_name}", _reason))

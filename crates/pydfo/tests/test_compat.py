@@ -1,0 +1,216 @@
+"""The names of FMPy and PyFMI: docs/compat.md is true, and scripts of both run."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from pathlib import Path
+
+import fmus
+import numpy as np
+import pytest
+
+from pydfo import FMUModel, example_fmu
+from pydfo.compat import fmpy as ours
+from pydfo.compat import pyfmi
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "compat.md"
+ROWS = re.findall(r"^\| `([\w.]+)` \| (works|differs|refused) \|", PAGE.read_text(encoding="utf-8"), re.M)
+
+
+def found(name):
+    """What a name of the table is here: modules as far as they go, then attributes."""
+    parts, thing = name.split("."), None
+    for k in range(len(parts), 0, -1):
+        try:
+            thing = importlib.import_module(".".join(["pydfo.compat", *parts[:k]]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[k:]:
+            thing = getattr(thing, part)
+        return thing
+    raise AssertionError(name)
+
+
+@pytest.mark.parametrize("name, state", ROWS)
+def test_the_table_is_true(name, state):
+    thing = found(name)
+    is_refused = callable(thing) and (thing.__doc__ or "").startswith("Not provided: ")
+    assert is_refused == (state == "refused")
+    if is_refused:
+        with pytest.raises(NotImplementedError, match=f"{name.rpartition('.')[2]} is not provided: "):
+            thing()
+
+
+def test_the_table_names_all_of_fmpy():
+    fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
+    listed = {name for name, _ in ROWS}
+    for module in ("fmpy", "fmpy.model_description", "fmpy.simulation", "fmpy.util", "fmpy.validation"):
+        there = importlib.import_module(module)
+        own = [n for n, v in vars(there).items() if callable(v) and getattr(v, "__module__", "") == module and not n.startswith("_")]
+        assert {f"{module}.{name}" for name in own} <= listed, fmpy.__version__
+
+
+# --- FMPy -------------------------------------------------------------------------------------------------------------
+
+MODELS = [
+    ("bouncing_ball", "2.0", "ME"),
+    ("dahlquist", "2.0", "CS"),
+    ("dahlquist", "3.0", "ME"),
+    ("van_der_pol", "1.0", "ME"),
+    ("stair", "2.0", "ME"),
+]
+
+
+@pytest.mark.parametrize("model", MODELS, ids=" ".join)
+def test_descriptions_are_those_of_fmpy(model):
+    fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
+    path = str(example_fmu(*model))
+    a, b = ours.read_model_description(path), fmpy.read_model_description(path)
+    for name in ("fmiVersion", "modelName", "guid", "numberOfContinuousStates", "numberOfEventIndicators", "modelIdentifier"):
+        assert getattr(a, name) == getattr(b, name), name
+    assert [v.name for v in a.modelVariables] == [v.name for v in b.modelVariables]
+    for x, y in zip(a.modelVariables, b.modelVariables):
+        for name in ("valueReference", "type", "causality", "variability", "unit", "description"):
+            assert getattr(x, name) == getattr(y, name), (x.name, name)
+        for name in ("start", "min", "max", "nominal"):
+            one, other = getattr(x, name), getattr(y, name)
+            assert one == other or float(one) == float(other), (x.name, name)
+    for name in ("outputs", "derivatives"):
+        assert [u.variable.name for u in getattr(a, name)] == [u.variable.name for u in getattr(b, name)], name
+    assert ours.supported_platforms(path) == fmpy.supported_platforms(path)
+    if a.fmiVersion < "3":
+        assert ours.fmi_info(path) == fmpy.fmi_info(path)
+
+
+@pytest.mark.parametrize("model", MODELS[:4], ids=" ".join)
+def test_results_are_those_of_fmpy(model):
+    fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
+    path = str(example_fmu(*model))
+    asked = {"relative_tolerance": 1e-9, "record_events": False}
+    a, b = ours.simulate_fmu(path, **asked), fmpy.simulate_fmu(path, **asked)
+    assert a.dtype == b.dtype and a.modelDescription.modelName == b.modelDescription.modelName
+    assert np.allclose(a["time"], b["time"], atol=1e-12)
+    for name in a.dtype.names:
+        assert np.abs(1.0 * a[name] - 1.0 * b[name]).max() < 1e-5, name
+
+
+def test_inputs_start_values_and_refusals():
+    path = example_fmu("switched_input")
+    signals = np.array([(0, 1), (1, 1), (1, 3), (5, 3)], dtype=[("time", float), ("u", float)])
+    result = ours.simulate_fmu(path, stop_time="5", input=signals, start_values={"gear": "2", "enabled": "true"}, output=["y", "u"])
+    direct = FMUModel(path).simulate(0, 5, times=[5], inputs=signals, start_values={"gear": 2, "enabled": True}, relative_tolerance=1e-6)
+    assert set(result.dtype.names) == {"time", "u", "y"} and result["u"][-1] == 3
+    assert result["y"][-1] == pytest.approx(direct.final("y"), abs=1e-5)
+    for given in ({"step_finished": print}, {"fmu_state": b""}, {"visible": True}, {"initialize": False}):
+        with pytest.raises(NotImplementedError, match="is not provided: "):
+            ours.simulate_fmu(path, **given)
+
+
+def test_an_instance_by_value_reference(tmp_path):
+    """The loop of FMPy's example custom_input."""
+    folder = ours.extract(example_fmu("dahlquist", kind="CS"), tmp_path / "folder")
+    model = ours.read_model_description(folder)
+    references = {v.name: v.valueReference for v in model.modelVariables}
+    fmu = ours.instantiate_fmu(folder, model)
+    fmu.setupExperiment(startTime=0.0)
+    fmu.setReal([references["k"]], [2.0])
+    fmu.enterInitializationMode()
+    fmu.exitInitializationMode()
+    for k in range(10):
+        fmu.doStep(currentCommunicationPoint=0.1 * k, communicationStepSize=0.1)
+    assert fmu.getReal([references["x"]])[0] == pytest.approx(np.exp(-2), abs=1e-3)
+    fmu.terminate()
+    fmu.freeInstance()
+
+
+def test_csv_files_go_round(tmp_path, capsys):
+    result = ours.simulate_fmu(example_fmu("dahlquist"), stop_time=1)
+    ours.write_csv(tmp_path / "r.csv", result)
+    again = ours.read_csv(tmp_path / "r.csv")
+    assert again.dtype.names == result.dtype.names and np.array_equal(again["x"], result["x"])
+    pytest.importorskip("matplotlib").use("agg")
+    ours.plot_result(result, reference=again, filename=tmp_path / "r.png")
+    assert (tmp_path / "r.png").stat().st_size > 1000
+    ours.dump(example_fmu("dahlquist"))
+    assert "Model Name         Dahlquist" in capsys.readouterr().out
+
+
+# --- PyFMI ------------------------------------------------------------------------------------------------------------
+
+
+def test_options_and_results_of_pyfmi(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    model = pyfmi.load_fmu(example_fmu("bouncing_ball"))
+    options = model.simulate_options()
+    options["ncp"] = 200
+    options["CVode_options"]["rtol"] = 1e-9
+    options["filter"] = ["h", "v*"]
+    options["result_handling"] = "csv"
+    result = model.simulate(start_time=0, final_time=1, options=options)
+    assert result.keys() == ["time", "h", "v", "v_min"] and len(result["time"]) == 201
+    after = 1 - fmus.bounces(2)[0]
+    assert result.final("h") == pytest.approx(0.7 * np.sqrt(2 * 9.81) * after - 9.81 * after**2 / 2, abs=1e-6)
+    assert result.initial("h") == 1 and Path(result.result_file).exists() and model.get("h") == result.final("h")
+    with pytest.raises(KeyError, match="did you mean 'ncp'"):
+        options["ncpp"] = 3
+    with pytest.raises(NotImplementedError, match="initialize"):
+        model.simulate(options={"initialize": False})
+    with pytest.warns(UserWarning, match="atol"):
+        model.simulate(final_time=1, options={"CVode_options": {"atol": 1e-6}})
+
+
+def test_the_variables_of_pyfmi():
+    from pydfo.compat.pyfmi.fmi import FMI2_CONTINUOUS, FMI2_OUTPUT, FMI2_PARAMETER, FMI2_REAL
+
+    model = pyfmi.load_fmu(str(example_fmu("bouncing_ball")))
+    assert isinstance(model, pyfmi.FMUModelME2)
+    assert (model.get_version(), model.get_name(), model.get_ode_sizes()) == ("2.0", "BouncingBall", (2, 1))
+    h = model.get_scalar_variable("h")
+    assert (h.type, h.causality, h.variability) == (FMI2_REAL, FMI2_OUTPUT, FMI2_CONTINUOUS)
+    assert model.get_variable_causality("e") == FMI2_PARAMETER and model.get_variable_start("e") == 0.7
+    assert list(model.get_model_variables(causality=FMI2_OUTPUT)) == list(model.get_output_list()) == ["h", "v"]
+    assert list(model.get_states_list()) == ["h", "v"] and list(model.get_derivatives_list()) == ["der(h)", "der(v)"]
+    assert model.get_real([model.get_variable_valueref("h")]).tolist() == [1.0]
+
+
+def test_pyfmis_native_loop():
+    """The loop of PyFMI's example fmi20_bouncing_ball_native: explicit Euler with events."""
+    model = pyfmi.load_fmu(example_fmu("bouncing_ball"))
+    model.setup_experiment(start_time=0.0)
+    model.enter_initialization_mode()
+    model.exit_initialization_mode()
+    info = model.get_event_info()
+    info.newDiscreteStatesNeeded = True
+    while info.newDiscreteStatesNeeded:
+        model.enter_event_mode()
+        model.event_update()
+        info = model.get_event_info()
+    model.enter_continuous_time_mode()
+    x, signs, time, bounces = model.continuous_states, model.get_event_indicators() > 0, 0.0, []
+    while time < 1.0:
+        x, time = x + 1e-3 * model.get_derivatives(), time + 1e-3
+        model.time, model.continuous_states = time, x
+        now = model.get_event_indicators() > 0
+        step_event, _ = model.completed_integrator_step()
+        if step_event or (now != signs).any():
+            model.enter_event_mode()
+            model.event_update(intermediateResult=True)
+            if model.get_event_info().valuesOfContinuousStatesChanged:
+                bounces.append(time)
+                x = model.continuous_states
+            model.enter_continuous_time_mode()
+        signs = now
+    assert bounces[0] == pytest.approx(fmus.bounces(1)[0], abs=2e-3)
+
+
+def test_state_space_and_co_simulation_of_pyfmi():
+    model = pyfmi.load_fmu(example_fmu("van_der_pol"))
+    model.initialize()
+    a, b, c, d = model.get_state_space_representation(B=False, use_structure_info=False)
+    assert np.allclose(a, [[0, 1], [-1, -3]]) and b is False and c.shape[1] == 2 and d.size == 0
+    slave = pyfmi.load_fmu(example_fmu("dahlquist", kind="CS"))
+    slave.initialize()
+    assert slave.do_step(0.0, 0.1) == 0 and slave.time == 0.1
+    slave.reset()
+    assert slave.simulate(final_time=1).final("x") == pytest.approx(np.exp(-1), abs=1e-3)

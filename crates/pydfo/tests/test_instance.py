@@ -1,0 +1,176 @@
+"""Instances that are driven by hand: phases, steps, states, linearisation."""
+
+from __future__ import annotations
+
+import pickle
+
+import fmus
+import numpy as np
+import pytest
+
+import pydfo
+from pydfo import FMUModel, example_fmu, fmi
+
+
+@pytest.fixture
+def ball():
+    with fmi.instantiate(example_fmu("bouncing_ball")) as instance:
+        yield instance
+
+
+def test_a_life_in_model_exchange(ball):
+    assert ball.phase == "instantiated" and ball.kind == "ME" and ball.time is None
+    ball.set({"e": 0.5, "g": -10.0})
+    ball.enter_initialization(0.0, 3.0, 1e-6)
+    assert ball.phase == "initialization" and ball.get("e") == 0.5
+    ball.exit_initialization()
+    info = ball.update_discrete_states()
+    assert ball.phase == "event" and not info.terminate and info.next_time is None
+    ball.enter_continuous_time()
+    assert ball.state_names == ["h", "v"] and ball.nominals.tolist() == [1.0, 1.0]
+    # Explicit Euler: v falls by g dt, h by v dt.
+    for k in range(1, 4):
+        dx = ball.derivatives
+        ball.time, ball.states = 0.1 * k, ball.states + 0.1 * dx
+        assert ball.completed_integrator_step() == (False, False)
+    assert np.allclose(ball.states, [1 - 0.1 * 0.1 * 10 * (0 + 1 + 2), -3.0])
+    assert ball.event_indicators[0] == pytest.approx(ball.get("h"))
+    ball.terminate()
+    assert ball.phase == "terminated" and ball.get("v") == pytest.approx(-3.0)
+    ball.reset()
+    assert ball.phase == "instantiated"
+
+
+def test_steps_in_model_exchange_cross_events(ball):
+    ball.initialize()
+    first = fmus.bounces(3)
+    for _ in range(4):
+        step = ball.do_step(0.3, relative_tolerance=1e-10)
+    assert step.complete and step.time == ball.time == pytest.approx(1.2)
+    after = 1.2 - first[1]
+    speed = 0.7**2 * np.sqrt(2 * 9.81)
+    assert first[1] < 1.2 < first[2]
+    assert ball.get("h") == pytest.approx(speed * after - 9.81 * after**2 / 2, abs=1e-7)
+    assert ball.get("bounces") == 2
+
+
+def test_the_model_ends_the_simulation():
+    with fmi.instantiate(example_fmu("stair")) as stair:
+        assert stair.initialize().next_time == stair.next_event == 1.0
+        step = stair.do_step(20)
+        assert (step.time, step.complete, step.terminate) == (9.0, False, True)
+        assert stair.get("counter") == 10 and stair.phase == "event"
+
+
+def test_steps_in_co_simulation():
+    with fmi.instantiate(example_fmu("dahlquist", kind="CS"), "cs") as instance:
+        instance.initialize()
+        for k in range(1, 11):
+            assert instance.do_step(0.1).time == pytest.approx(0.1 * k)
+        assert instance.get("x") == pytest.approx(np.exp(-1), abs=1e-3)
+        with pytest.raises(ValueError, match="phase continuous; the instance is in the phase step"):
+            instance.linearize()
+
+
+def test_discrete_inputs_are_set_in_event_mode():
+    with fmi.instantiate(example_fmu("switched_input")) as instance:
+        instance.initialize()
+        with pytest.raises(ValueError, match="only continuous inputs"):
+            instance.set("gear", 2)
+        instance.enter_event_mode()
+        instance.set({"gear": 2, "enabled": True})
+        assert instance.do_step(0.1).complete
+        assert instance.get("gear") == 2 and instance.phase == "continuous"
+
+
+def test_states_are_saved_and_restored(ball):
+    ball.initialize()
+    ball.do_step(0.2)
+    saved, here = ball.save_state(), ball.get(["h", "v"])
+    ball.do_step(0.5)
+    assert ball.get(["h", "v"]) != here
+    ball.restore_state(saved)
+    assert ball.get(["h", "v"]) == here and ball.time == saved.time == 0.2
+
+
+@pytest.mark.parametrize("differences", [False, True])
+def test_linearisation_has_the_closed_form(differences):
+    """Four tanks: with the flow a sqrt(2 g x) out of a tank of area A, da/dx = a sqrt(g / (2 x)) / A."""
+    with fmi.instantiate(example_fmu("quad_tank")) as tanks:
+        tanks.initialize()
+        linear = tanks.linearize(differences=differences)
+        before = tanks.states
+        a = np.zeros((4, 4))
+        for j, h in enumerate(1e-6 * np.maximum(1e-2, before)):
+            slopes = []
+            for sign in (1, -1):
+                tanks.states = before + sign * h * np.eye(4)[j]
+                slopes.append(tanks.derivatives)
+            a[:, j] = (slopes[0] - slopes[1]) / (2 * h)
+    assert linear.A.shape == (4, 4) and linear.B.shape == (4, 2) and linear.C.shape == (4, 4) and linear.D.shape == (4, 2)
+    assert np.allclose(linear.A, a, atol=1e-7)
+    assert np.array_equal(linear.C, np.eye(4)) or np.allclose(linear.C, np.eye(4), atol=1e-9)
+    # What leaves an upper tank enters the one below it.
+    assert linear.A[0, 2] == pytest.approx(-linear.A[2, 2], abs=1e-9) and linear.A[1, 3] == pytest.approx(-linear.A[3, 3], abs=1e-9)
+
+
+def test_van_der_pol_is_linearised_exactly():
+    with fmi.instantiate(example_fmu("van_der_pol")) as instance:
+        instance.initialize()
+        assert np.allclose(instance.linearize().A, [[0, 1], [-1, -3]], atol=1e-9)
+
+
+def test_directional_derivatives():
+    with fmi.instantiate(example_fmu("quad_tank")) as tanks:
+        if not tanks.description.capabilities.provides_directional_derivative:
+            pytest.skip("the model has none")
+        tanks.initialize()
+        derivatives = [n for n, v in tanks.description.variables.items() if v.derivative]
+        states = tanks.description.states
+        along = tanks.directional_derivative(derivatives, states, [1, 0, 2, 0])
+        assert np.allclose(along, tanks.linearize().A @ [1, 0, 2, 0])
+
+
+def test_values_set_in_a_model_are_set_in_its_instance():
+    model = FMUModel(example_fmu("dahlquist"))
+    model.set("k", 2.0)
+    model.simulate(final_time=1)
+    with fmi.instantiate(model) as instance:
+        instance.initialize()
+        assert instance.get(["k", "x"]) == [2.0, 1.0]
+
+
+def test_misuse_is_refused(ball):
+    with pytest.raises(ValueError, match="enter_continuous_time is called in the phase event; the instance is in the phase instantiated"):
+        ball.enter_continuous_time()
+    with pytest.raises(pydfo.UnknownVariableError, match="no variable"):
+        ball.set("hh", 1)
+    with pytest.raises(TypeError, match="pickled"):
+        pickle.dumps(ball)
+    ball.initialize()
+    with pytest.raises(ValueError, match="positive"):
+        ball.do_step(0)
+    with pytest.raises(ValueError, match="one of|solver"):
+        ball.do_step(1, solver="none")
+    other = fmi.instantiate(example_fmu("bouncing_ball"))
+    other.initialize()
+    with pytest.raises(pydfo.PydfoError):
+        ball.restore_state(other.save_state())
+    ball.close()
+    with pytest.raises(ValueError, match="closed"):
+        ball.get("h")
+
+
+def test_results_are_written_and_handed_to_other_libraries(tmp_path, monkeypatch):
+    result = FMUModel(example_fmu("bouncing_ball")).simulate(final_time=1, ncp=4, outputs=["h", "bounces", "resting"])
+    result.to_csv(tmp_path / "out.csv")
+    lines = (tmp_path / "out.csv").read_text().splitlines()
+    assert lines[0] == "time,h,bounces,resting" and len(lines) == 6
+    assert [float(line.split(",")[1]) for line in lines[1:]] == result["h"].tolist()
+    assert lines[1].split(",")[2:] == ["0", "False"]
+    monkeypatch.setitem(__import__("sys").modules, "polars", None)
+    monkeypatch.setitem(__import__("sys").modules, "xarray", None)
+    with pytest.raises(ImportError, match=r"to_polars\(\) needs polars: pip install polars"):
+        result.to_polars()
+    with pytest.raises(ImportError, match=r"to_xarray\(\) needs xarray: pip install xarray"):
+        result.to_xarray()
