@@ -6,7 +6,7 @@ As a hook of MkDocs (mkdocs.yml) it
 - copies each other file of the project that a page links to into files/, and has the link lead there,
 - turns notebooks into pages: their text, code and stored output.
 
-As a program, `python tools/site.py target/site`, it refuses a site with links that lead nowhere, or that need a network to be shown.
+As a program, `python tools/doc_site.py target/site`, it refuses a site with links that lead nowhere, or that need a network to be shown.
 """
 
 from __future__ import annotations
