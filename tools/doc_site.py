@@ -89,7 +89,7 @@ def place_in_site(path: Path) -> Path:
     """Where the site has a file of the project: pages by their sources, others as files."""
     if path.parent == ROOT and path.name in PAGES:
         return Path("project") / path.name
-    if DOCS in path.parents and path.suffix != ".py":
+    if DOCS in path.parents:
         inside = path.relative_to(DOCS)
         return inside.with_name(f"{inside.name}.md") if inside.suffix == ".ipynb" else inside
     return Path("files") / path.relative_to(ROOT)
