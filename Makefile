@@ -97,6 +97,7 @@ doc: $(SITE)/.done  ## the site of guides and reference, in target/site; refuses
 	$(call suite,rustdoc,cargo doc --workspace --no-deps --quiet)
 	$(call suite,site,NO_MKDOCS_2_WARNING=1 $(SITE)/bin/mkdocs build --strict --quiet && rm -rf target/site/rust && cp -r target/doc target/site/rust)
 	$(call suite,links,$(SITE)/bin/python tools/doc_site.py target/site)
+	@echo; echo "target/site/index.html; to search it, too: $(PYTHON) -m http.server -d target/site"
 
 pictures: build  ## draws the pictures of docs/ anew
 	$(BIN)/python docs/pictures.py
