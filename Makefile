@@ -4,6 +4,7 @@
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
+SITE   := target/site-venv
 # The extension module is left to the interpreter to link.
 export PYO3_BUILD_EXTENSION_MODULE := 1
 export CARGO_TERM_COLOR ?= auto
@@ -17,7 +18,7 @@ endef
 # $(call develop,options): builds the Python module and installs it into .venv.
 develop = @$(BIN)/maturin develop --quiet --manifest-path crates/pydfo/Cargo.toml $(1)
 
-.PHONY: help demo test test-rust test-python test-packaging test-long lint bench bench-dfo doc build fuzz sanitize nightly clean
+.PHONY: help demo test test-rust test-python test-packaging test-long lint bench bench-dfo doc pictures build fuzz sanitize nightly clean
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 18
 
@@ -92,8 +93,14 @@ sanitize: nightly  ## the importer's tests under AddressSanitizer, LeakSanitizer
 nightly:
 	@rustc +nightly --version >/dev/null 2>&1 || { echo "a nightly compiler is needed: rustup toolchain install nightly"; exit 1; }
 
-doc:  ## the Rust documentation, in target/doc
-	cargo doc --workspace --no-deps
+doc: $(SITE)/.done  ## the site of guides and reference, in target/site; refuses dead links
+	$(call suite,rustdoc,cargo doc --workspace --no-deps --quiet)
+	$(call suite,site,NO_MKDOCS_2_WARNING=1 $(SITE)/bin/mkdocs build --strict --quiet && rm -rf target/site/rust && cp -r target/doc target/site/rust)
+	$(call suite,links,$(SITE)/bin/python tools/doc_site.py target/site)
+	@echo; echo "target/site/index.html; to search it, too: $(PYTHON) -m http.server -d target/site"
+
+pictures: build  ## draws the pictures of docs/ anew
+	$(BIN)/python docs/pictures.py
 
 build: $(VENV)/.demo  ## the Python module, installed into .venv
 	$(call develop,--release)
@@ -106,6 +113,11 @@ $(VENV)/.demo: crates/pydfo/requirements-demo.txt
 
 $(VENV)/.tools: crates/pydfo/requirements-dev.txt $(VENV)/.demo
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r $<
+	@touch $@
+
+$(SITE)/.done: crates/pydfo/requirements-docs.txt
+	@test -x $(SITE)/bin/python || $(PYTHON) -m venv $(SITE)
+	@$(SITE)/bin/python -m pip install --quiet --disable-pip-version-check -r $<
 	@touch $@
 
 benches/env/.venv/.done: benches/env/requirements.txt $(VENV)/.tools

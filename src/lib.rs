@@ -9,7 +9,7 @@ pub use example_models;
 pub use fmi;
 pub use ode;
 
-/// The README's Rust example, compiled and run with the other examples in the documentation.
+/// The Rust example of the guide, compiled and run with the other examples in the documentation.
 #[cfg(doctest)]
-#[doc = include_str!("../README.md")]
-pub struct Readme;
+#[doc = include_str!("../docs/rust.md")]
+pub struct Guide;

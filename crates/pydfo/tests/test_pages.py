@@ -1,0 +1,159 @@
+"""The pages for readers: every code block of README and of docs/ runs, and what it is said to print is what it prints.
+
+The blocks of a page share their variables and a folder with the files of docs/example_files.py. By their language:
+
+- ``python`` is executed; ``pycon`` is executed and compared as a doctest, ``...`` standing for any text;
+- ``console`` has its lines after ``$`` executed by a shell, in which ``fmufit`` is the command line of this module; output that is
+  shown is compared in the same way, and only a block that shows ``error:`` may fail;
+- ``toml`` and ``python`` with ``title="NAME"`` are written into the folder first;
+- a block without a language, and ``text``, ``rust`` and ``sh`` are not executed here (those of Rust are doctests of Rust, those of ``sh``
+  change the machine).
+
+A block that imports a package that is not installed is skipped with those after it, and says so.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import doctest
+import io
+import json
+import os
+import re
+import runpy
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", ROOT / "crates" / "pydfo" / "README.md", *sorted(DOCS.rglob("*.md"))]
+NOTEBOOKS = sorted(DOCS.rglob("*.ipynb"))
+FENCE = re.compile(r"^```(?P<info>[^\n]*)\n(?P<code>.*?)^```$", re.M | re.S)
+OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+#: Languages that are not executed here.
+AT_REST = {"", "text", "rust", "sh", "toml"}
+#: Packages that a block may need and a machine may lack.
+OPTIONAL = {"ray", "dask", "mpi4py", "joblib", "pandas", "scipy", "matplotlib", "xarray", "polars", "fmpy", "h5py", "openpyxl", "pyarrow"}
+
+
+def blocks(page: Path) -> list[tuple[str, str, str, int]]:
+    """Language, file name, code and first line of each block of a page."""
+    text = page.read_text(encoding="utf-8")
+    found = []
+    for fence in FENCE.finditer(text):
+        language, _, rest = fence["info"].partition(" ")
+        title = re.search(r'title="([^"]+)"', rest)
+        found.append((language, title[1] if title else "", fence["code"], text.count("\n", 0, fence.start()) + 2))
+    return found
+
+
+@pytest.fixture(scope="module")
+def example_files() -> dict[str, bytes]:
+    """What docs/example_files.py writes, by names."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        runpy.run_path(str(DOCS / "example_files.py"))["write"](folder)
+        return {path.name: path.read_bytes() for path in Path(folder).iterdir()}
+
+
+@pytest.fixture
+def folder(tmp_path, example_files, monkeypatch):
+    """A folder with the files and the command line, in which the blocks run."""
+    for name, content in example_files.items():
+        (tmp_path / name).write_bytes(content)
+    commands = tmp_path / ".bin"
+    commands.mkdir()
+    for command, arguments in (("fmufit", "-m pydfo"), ("python", "")):
+        (commands / command).write_text(f'#!/bin/sh\nexec "{sys.executable}" {arguments} "$@"\n', encoding="utf-8")
+        (commands / command).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{commands}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def executed(code: str, names: dict[str, object], place: str, line: int) -> None:
+    """Runs a block of Python; its lines are those of the page."""
+    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        exec(compile("\n" * (line - 1) + code, place, "exec"), names)
+
+
+def compared(code: str, names: dict[str, object], place: str, line: int) -> None:
+    """Runs a session and compares what it prints."""
+    session = doctest.DocTestParser().get_doctest(code, names, place, place, line - 1)
+    said = io.StringIO()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        result = doctest.DocTestRunner(optionflags=OPTIONS).run(session, out=said.write, clear_globs=False)
+    # The runner works on the dict of the session, a copy.
+    names.update(session.globs)
+    assert result.failed == 0, said.getvalue()
+
+
+def run_commands(code: str, place: str) -> None:
+    """Runs the commands of a block and compares what they print with what it shows."""
+    for step in re.split(r"^\$ ", code, flags=re.M)[1:]:
+        command, _, shown = step.partition("\n")
+        while command.endswith("\\"):
+            more, _, shown = shown.partition("\n")
+            command = command[:-1] + more.strip()
+        done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False, timeout=120)
+        said = done.stdout + done.stderr
+        assert (done.returncode == 0) or "error:" in shown, f"{place}: {command}: {done.returncode}\n{said}"
+        if shown.strip():
+            assert doctest.OutputChecker().check_output(shown, said, OPTIONS), f"{place}: {command}: said\n{said}\nnot\n{shown}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_blocks_run(page: Path, folder: Path) -> None:
+    name = str(page.relative_to(ROOT))
+    names: dict[str, object] = {"__name__": "__main__"}
+    for language, title, code, line in blocks(page):
+        place = f"{name}, line {line}"
+        assert language in {*AT_REST, "python", "pycon", "console"}, f"{place}: nothing is known of blocks in {language!r}"
+        if title:
+            (folder / title).write_text(code, encoding="utf-8")
+        if title.endswith(".py") or language in AT_REST:
+            continue
+        try:
+            if language == "python":
+                executed(code, names, place, line)
+            elif language == "pycon":
+                compared(code, names, place, line)
+            else:
+                run_commands(code, place)
+        except ModuleNotFoundError as error:
+            if (error.name or "").partition(".")[0] not in OPTIONAL:
+                raise
+            pytest.skip(f"{place} and what follows it: {error.name} is not installed")
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.name)
+def test_notebooks_run(notebook: Path, folder: Path) -> None:
+    pytest.importorskip("matplotlib")
+    names: dict[str, object] = {"__name__": "__main__"}
+    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    assert any(cell["cell_type"] == "code" for cell in cells)
+    for index, cell in enumerate(cells):
+        if cell["cell_type"] == "code":
+            # What is for notebooks alone begins with %.
+            code = "".join(line for line in cell["source"] if not line.startswith("%"))
+            executed(code, names, f"{notebook.name}, cell {index}", 1)
+
+
+def test_pictures_are_drawn(folder: Path) -> None:
+    pytest.importorskip("matplotlib")
+    drawn = runpy.run_path(str(DOCS / "pictures.py"))["write"](folder / "pictures")
+    assert sorted(path.name for path in drawn) == sorted(path.name for path in (DOCS / "pictures").iterdir())
+
+
+def test_every_page_is_in_the_menu() -> None:
+    menu = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    missing = [str(page.relative_to(DOCS)) for page in (*PAGES[2:], *NOTEBOOKS) if str(page.relative_to(DOCS)) not in menu]
+    assert not missing
