@@ -20,6 +20,20 @@ def _vector(target: Any, n: int) -> np.ndarray[Any, Any]:
     return np.ctypeslib.as_array(ctypes.cast(target, ctypes.POINTER(ctypes.c_double)), (n,))
 
 
+def _accessors(kind: str) -> tuple[Any, Any]:
+    def get(self: Any, vr: Sequence[int], nValues: int | None = None) -> list[Any]:
+        values: list[Any] = self._get(kind, vr)
+        return values
+
+    def set(self: Any, vr: Sequence[int], value: Sequence[Any] | None = None, values: Sequence[Any] | None = None) -> None:
+        given = value if value is not None else values
+        self._set(kind, vr, given if given is not None else [])
+
+    get.__doc__ = f"Values of variables of type {kind} by value reference."
+    set.__doc__ = f"Sets variables of type {kind} by value reference."
+    return get, set
+
+
 class _Instance:
     """What both kinds have."""
 
@@ -126,27 +140,24 @@ class _Instance:
         of, by = ([self._name(kind, reference) for reference in vr] for vr in (vUnknown_ref, vKnown_ref))
         return [float(value) for value in self._instance.directional_derivative(of, by, dvKnown)]
 
+    getReal, setReal = _accessors("Real")
+    getInteger, setInteger = _accessors("Integer")
+    getBoolean, setBoolean = _accessors("Boolean")
+    getString, setString = _accessors("String")
+    getFloat32, setFloat32 = _accessors("Float32")
+    getFloat64, setFloat64 = _accessors("Float64")
+    getInt8, setInt8 = _accessors("Int8")
+    getUInt8, setUInt8 = _accessors("UInt8")
+    getInt16, setInt16 = _accessors("Int16")
+    getUInt16, setUInt16 = _accessors("UInt16")
+    getInt32, setInt32 = _accessors("Int32")
+    getUInt32, setUInt32 = _accessors("UInt32")
+    getInt64, setInt64 = _accessors("Int64")
+    getUInt64, setUInt64 = _accessors("UInt64")
+    getBinary, setBinary = _accessors("Binary")
+    getClock, setClock = _accessors("Clock")
     serializeFMUstate = serializeFMUState = refused("serializeFMUState", "states live in one instance: getFMUState() and setFMUState()")
     deSerializeFMUstate = deserializeFMUState = refused("deserializeFMUState", "states live in one instance: getFMUState() and setFMUState()")
-
-
-def _accessors(kind: str) -> tuple[Any, Any]:
-    def get(self: _Instance, vr: Sequence[int], nValues: int | None = None) -> list[Any]:
-        return self._get(kind, vr)
-
-    def set(self: _Instance, vr: Sequence[int], value: Sequence[Any] | None = None, values: Sequence[Any] | None = None) -> None:
-        given = value if value is not None else values
-        self._set(kind, vr, given if given is not None else [])
-
-    get.__doc__ = f"Values of variables of type {kind} by value reference."
-    set.__doc__ = f"Sets variables of type {kind} by value reference."
-    return get, set
-
-
-for _kind in "Real Integer Boolean String Float32 Float64 Int8 UInt8 Int16 UInt16 Int32 UInt32 Int64 UInt64 Binary Clock".split():
-    _get, _set = _accessors(_kind)
-    setattr(_Instance, f"get{_kind}", _get)
-    setattr(_Instance, f"set{_kind}", _set)
 
 
 class Model(_Instance):

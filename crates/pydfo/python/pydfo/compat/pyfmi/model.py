@@ -22,6 +22,10 @@ from . import constants, options as _options
 from .exceptions import FMUException
 from .results import Result
 
+_BY_FIT = "pydfo.Calibration fits parameters: fit()"
+_LOG = 'the last lines are in get_log(), and all go to logging.getLogger("pydfo")'
+_STRUCTURE = "dependencies are not handed to Python"
+
 
 @dataclass(frozen=True)
 class ScalarVariable:
@@ -578,6 +582,37 @@ class FMUModelBase:
             native.to_csv(path)
         return Result(self, asked, native, path)
 
+    append_log_message = refused("FMUModel.append_log_message", _LOG)
+    cancel_step = refused("FMUModel.cancel_step", "steps are awaited")
+    deserialize_fmu_state = refused("FMUModel.deserialize_fmu_state", "states live in one instance: get_fmu_state() and set_fmu_state()")
+    estimate = refused("FMUModel.estimate", _BY_FIT)
+    estimate_options = refused("FMUModel.estimate_options", _BY_FIT)
+    extract_xml_log = refused("FMUModel.extract_xml_log", _LOG)
+    get_boolean_status = refused("FMUModel.get_boolean_status", "steps are awaited; a refused call is a SimulationError with .status")
+    get_derivatives_dependencies = refused("FMUModel.get_derivatives_dependencies", _STRUCTURE)
+    get_derivatives_dependencies_kind = refused("FMUModel.get_derivatives_dependencies_kind", _STRUCTURE)
+    get_fmil_log_level = refused("FMUModel.get_fmil_log_level", _LOG)
+    get_integer_status = refused("FMUModel.get_integer_status", "steps are awaited; a refused call is a SimulationError with .status")
+    get_last_result_file = refused("FMUModel.get_last_result_file", "res.result_file, where one is written")
+    get_log_filename = refused("FMUModel.get_log_filename", _LOG)
+    get_log_level = refused("FMUModel.get_log_level", _LOG)
+    get_max_log_size = refused("FMUModel.get_max_log_size", _LOG)
+    get_model_time_varying_value_references = refused("FMUModel.get_model_time_varying_value_references", "get_model_variables(variability=...)")
+    get_output_dependencies = refused("FMUModel.get_output_dependencies", _STRUCTURE)
+    get_output_dependencies_kind = refused("FMUModel.get_output_dependencies_kind", _STRUCTURE)
+    get_output_derivatives = refused("FMUModel.get_output_derivatives", "derivatives of outputs are not asked for: differentiate the result")
+    get_real_status = refused("FMUModel.get_real_status", "steps are awaited; a refused call is a SimulationError with .status")
+    get_status = refused("FMUModel.get_status", "steps are awaited; a refused call is a SimulationError with .status")
+    get_string_status = refused("FMUModel.get_string_status", "steps are awaited; a refused call is a SimulationError with .status")
+    get_unpacked_fmu_path = refused("FMUModel.get_unpacked_fmu_path", "FMUs are unpacked into a private folder")
+    get_variable_references = refused("FMUModel.get_variable_references", "get_variable_valueref(name)")
+    has_reached_max_log_size = refused("FMUModel.has_reached_max_log_size", _LOG)
+    serialize_fmu_state = refused("FMUModel.serialize_fmu_state", "states live in one instance: get_fmu_state() and set_fmu_state()")
+    serialized_fmu_state_size = refused("FMUModel.serialized_fmu_state_size", "states live in one instance: get_fmu_state() and set_fmu_state()")
+    set_additional_logger = refused("FMUModel.set_additional_logger", _LOG)
+    set_log_level = refused("FMUModel.set_log_level", "load_fmu(log_level=...)")
+    set_max_log_size = refused("FMUModel.set_max_log_size", _LOG)
+
 
 def _camel(name: str) -> str:
     if name in ("can_get_and_set_state", "can_serialize_state"):
@@ -723,43 +758,3 @@ def load_fmu(
     version = opened.description.fmi_version[0]
     classes = {(c.__name__[-3:-1], c.__name__[-1]): c for c in (FMUModelME1, FMUModelCS1, FMUModelME2, FMUModelCS2, FMUModelME3, FMUModelCS3)}
     return classes[opened.kind, version](fmu, log_file_name, log_level)
-
-
-_BY_FIT = "pydfo.Calibration fits parameters: fit()"
-_LOG = 'the last lines are in get_log(), and all go to logging.getLogger("pydfo")'
-_STRUCTURE = "dependencies are not handed to Python"
-#: Methods of PyFMI's models that are refused, and why.
-REFUSED_METHODS = {
-    "append_log_message": _LOG,
-    "cancel_step": "steps are awaited",
-    "deserialize_fmu_state": "states live in one instance: get_fmu_state() and set_fmu_state()",
-    "estimate": _BY_FIT,
-    "estimate_options": _BY_FIT,
-    "extract_xml_log": _LOG,
-    "get_boolean_status": "steps are awaited; a refused call is a SimulationError with .status",
-    "get_derivatives_dependencies": _STRUCTURE,
-    "get_derivatives_dependencies_kind": _STRUCTURE,
-    "get_fmil_log_level": _LOG,
-    "get_integer_status": "steps are awaited; a refused call is a SimulationError with .status",
-    "get_last_result_file": "res.result_file, where one is written",
-    "get_log_filename": _LOG,
-    "get_log_level": _LOG,
-    "get_max_log_size": _LOG,
-    "get_model_time_varying_value_references": "get_model_variables(variability=...)",
-    "get_output_dependencies": _STRUCTURE,
-    "get_output_dependencies_kind": _STRUCTURE,
-    "get_output_derivatives": "derivatives of outputs are not asked for: differentiate the result",
-    "get_real_status": "steps are awaited; a refused call is a SimulationError with .status",
-    "get_status": "steps are awaited; a refused call is a SimulationError with .status",
-    "get_string_status": "steps are awaited; a refused call is a SimulationError with .status",
-    "get_unpacked_fmu_path": "FMUs are unpacked into a private folder",
-    "get_variable_references": "get_variable_valueref(name)",
-    "has_reached_max_log_size": _LOG,
-    "serialize_fmu_state": "states live in one instance: get_fmu_state() and set_fmu_state()",
-    "serialized_fmu_state_size": "states live in one instance: get_fmu_state() and set_fmu_state()",
-    "set_additional_logger": _LOG,
-    "set_log_level": "load_fmu(log_level=...)",
-    "set_max_log_size": _LOG,
-}
-for _name, _reason in REFUSED_METHODS.items():
-    setattr(FMUModelBase, _name, refused(f"FMUModel.{_name}", _reason))
