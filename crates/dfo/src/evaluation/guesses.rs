@@ -133,10 +133,10 @@ impl Guesses {
         let mut free = room.saturating_sub(under_way_in_all);
         // While little is left, the least probable ones would soon take it (benches/ahead.rs).
         allowed = if *flows {
-            let n_uncertain =
+            let n_ahead =
                 under_way.iter().filter(|guess| !guess.is_cancelled && guess.place.is_none()).count();
             let at_once = share_of_waste(evaluator.width()).ceil() as usize + 1;
-            allowed.min(at_once.saturating_sub(n_uncertain).max(allowed / 20))
+            allowed.min(at_once.saturating_sub(n_ahead).max(allowed / 20))
         } else {
             allowed.div_ceil(2)
         };

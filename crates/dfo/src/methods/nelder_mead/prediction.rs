@@ -5,8 +5,9 @@
 use crate::methods::shared::ranked_points::RankedPoints;
 use nalgebra::{DMatrix, DVector};
 
-/// Most points that a prediction is made from.
-const MOST_POINTS: usize = 60;
+/// Most rows of the system of equations: more take longer than short evaluations, and above 34 parameters the
+/// points that are left are too few.
+const MOST_ROWS: usize = 72;
 
 /// A cost that is known or predicted: its mean and its standard deviation.
 #[derive(Debug, Clone, Copy)]
@@ -54,15 +55,17 @@ pub(super) struct Prediction {
 }
 
 impl Prediction {
+    /// Points that it is made from; zero for none.
     fn capacity(n: usize) -> usize {
-        ((n + 1) * (n + 2) / 2 + n + 1).min(MOST_POINTS)
+        let most = MOST_ROWS.saturating_sub(n + 1);
+        if n == 0 || most < n + 2 { 0 } else { ((n + 1) * (n + 2) / 2 + n + 1).min(most) }
     }
 
     /// Takes in a point of the path with its cost; an infinite one where it is only known to be high.
     pub(super) fn enter(&mut self, u: &[f64], cost: f64) {
         let n = u.len();
         let capacity = Self::capacity(n);
-        if n + 2 > capacity {
+        if capacity == 0 {
             return;
         }
         if self.costs.is_empty() {
@@ -80,7 +83,7 @@ impl Prediction {
         self.is_new = true;
     }
 
-    /// Makes the interpolation for a simplex, if points have come since.
+    /// Makes the interpolation for a simplex, if points have come since. Allocates.
     pub(super) fn update(&mut self, simplex: &RankedPoints) {
         if !std::mem::take(&mut self.is_new) {
             return;
@@ -137,7 +140,7 @@ impl Prediction {
         let (n, m) = (u.len(), self.costs.len());
         let scaled = |k: usize| (u[k] - self.centre[k]) / self.size;
         let tail = coefficients[m] + (0..n).map(|k| coefficients[m + 1 + k] * scaled(k)).sum::<f64>();
-        let basis = self.points.chunks_exact(n.max(1)).zip(coefficients.iter()).map(|(point, c)| {
+        let basis = self.points.chunks_exact(n).zip(coefficients.iter()).map(|(point, c)| {
             let square = point.iter().zip(u).map(|(p, u)| ((p - u) / self.size).powi(2)).sum::<f64>();
             c * square * square.sqrt()
         });

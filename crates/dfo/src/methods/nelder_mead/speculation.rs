@@ -2,7 +2,9 @@
 //!
 //! What an iteration does is not known before its costs are, but most simplices that can follow are few and
 //! their points can be computed: an accepted reflection replaces the worst vertex, and the next worst is the
-//! second worst of today. The guesses are followed best first, over as many iterations as points are wanted.
+//! second worst of today. How probable each is follows from the costs that are predicted at its points, or
+//! from counted frequencies where there is no prediction. The guesses are followed best first, over as many
+//! iterations as points are wanted.
 
 use super::options::CoefficientValues;
 use super::prediction::{Estimate, Prediction};

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import IO, Any, SupportsFloat
 
 import numpy as np
-import numpy.typing as npt
 
 from ..._model.description import Description, Variable
 from ..._model.model import FMUModel

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from . import constants as _constants
+from .described import ScalarVariable
 from .exceptions import FMUException, InvalidFMUException, InvalidOptionException, TimeLimitExceeded
-from .model import FMUModelBase, FMUModelCS1, FMUModelCS2, FMUModelME1, FMUModelME2, FMUModelME3, ScalarVariable, load_fmu
+from .model import FMUModelBase, FMUModelCS1, FMUModelCS2, FMUModelME1, FMUModelME2, FMUModelME3, load_fmu
 
 globals().update({name: value for name, value in vars(_constants).items() if name.startswith("FMI")})
 

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import fnmatch
 import importlib
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from ..._model.description import Capabilities, TypeDefinition, Variable
 from ..._model.instance import EventInfo, Instance, LinearSystem, SavedState
 from ..._model.model import FMUModel
 from .._refused import refuse, refused
 from . import constants, options as _options
+from .described import DescribedModel
 from .exceptions import FMUException
 from .results import Result
 
@@ -27,21 +24,7 @@ _LOG = 'the last lines are in get_log(), and all go to logging.getLogger("pydfo"
 _STRUCTURE = "dependencies are not handed to Python"
 
 
-@dataclass(frozen=True)
-class ScalarVariable:
-    """A variable; type, causality, variability and initial are PyFMI's numbers."""
-
-    name: str
-    value_reference: int
-    type: int
-    description: str
-    variability: int
-    causality: int
-    alias: int
-    initial: int
-
-
-class FMUModelBase:
+class FMUModelBase(DescribedModel):
     """A model as PyFMI has it. It simulates from a fresh instance with all values that were `set`; `initialize` (or
     `setup_experiment`) makes an instance that is driven by hand, and from then on `get` and `set` are about that one, until `reset`.
     """
@@ -51,9 +34,7 @@ class FMUModelBase:
     ) -> None:
         if log_file_name not in (None, ""):
             refuse("log_file_name", 'get_log() has the lines, and logging.getLogger("pydfo")')
-        self._model = FMUModel(fmu, kind, log_level=log_level)
-        self._description = self._model.description
-        self._version = int(self._description.fmi_version[0])
+        super().__init__(FMUModel(fmu, kind, log_level=log_level))
         self._instance: Instance | None = None
         self._time: float | None = None
         self._experiment: tuple[float | None, float | None, float | None] = (None, None, None)
@@ -80,6 +61,14 @@ class FMUModelBase:
         if self._instance is not None:
             self._instance.set(variable_name, value)
 
+    def get_variable_display_value(self, variable_name: str) -> float:
+        """Its value in the unit to show it in."""
+        shown, v = self.get_variable_display_unit(variable_name), self._variable(variable_name)
+        units = self._description.units[v.unit or ""].display_units
+        unit = next(unit for unit in units if unit.name == shown)
+        value = self.get(variable_name)
+        return float(unit.factor / value if unit.inverse else unit.factor * value + (0.0 if v.relative_quantity else unit.offset))
+
     @property
     def _is_live(self) -> bool:
         return self._instance is not None and self._instance.phase not in ("instantiated", "closed")
@@ -88,17 +77,6 @@ class FMUModelBase:
         if self._instance is None:
             raise FMUException("the model is not initialized: call initialize(), or setup_experiment() and enter_initialization_mode()")
         return self._instance
-
-    def _names(self, kinds: Sequence[str], references: Any) -> list[str]:
-        wanted = np.atleast_1d(np.asarray(references)).ravel().tolist()
-        known: dict[int, str] = {}
-        for name, v in self._description.variables.items():
-            if v.type in kinds:
-                known.setdefault(v.value_reference, name)
-        for reference in wanted:
-            if reference not in known:
-                raise FMUException(f"there is no variable of type {' or '.join(kinds)} with the value reference {reference}")
-        return [known[reference] for reference in wanted]
 
     def _get_typed(self, kinds: Sequence[str], references: Any, dtype: Any) -> Any:
         values = [self.get(name) for name in self._names(kinds, references)]
@@ -135,270 +113,6 @@ class FMUModelBase:
     def set_string(self, valueref: Any, values: Any) -> None:
         """Sets texts by value reference."""
         self.set(self._names(("String",), valueref), [values] if isinstance(values, str) else list(values))
-
-    # --- variables ----------------------------------------------------------------------------------------------------
-
-    def _variable(self, name: str) -> Variable:
-        return self._description.variables[name]
-
-    @cached_property
-    def _first_names(self) -> dict[tuple[str, int], str]:
-        """The first of the names of what variables stand for."""
-        first: dict[tuple[str, int], str] = {}
-        for name, v in self._description.variables.items():
-            first.setdefault((v.type, v.value_reference), name)
-        return first
-
-    def _scalar(self, name: str) -> ScalarVariable:
-        v, version = self._variable(name), self._version
-        return ScalarVariable(
-            name,
-            v.value_reference,
-            constants.type_number(version, v.type),
-            v.description or "",
-            constants.variability_number(version, v.variability),
-            constants.causality_number(version, v.causality),
-            int(self._first_names[v.type, v.value_reference] != name),
-            constants.initial_number(version, v.initial),
-        )
-
-    def get_model_variables(
-        self,
-        type: int | None = None,
-        include_alias: bool = True,
-        causality: int | None = None,
-        variability: int | None = None,
-        only_start: bool = False,
-        only_fixed: bool = False,
-        filter: str | Sequence[str] | None = None,
-    ) -> dict[str, ScalarVariable]:
-        """The variables by name, those of a type, causality or variability (PyFMI's numbers), with a start value, or whose names
-        fit a pattern."""
-        patterns = None if filter is None else [filter] if isinstance(filter, str) else list(filter)
-        seen: set[tuple[str, int]] = set()
-        found = {}
-        for name, v in self._description.variables.items():
-            scalar = self._scalar(name)
-            is_alias = (v.type, v.value_reference) in seen
-            seen.add((v.type, v.value_reference))
-            asked = ((type, scalar.type), (causality, scalar.causality), (variability, scalar.variability))
-            if any(wanted is not None and wanted != has for wanted, has in asked) or (is_alias and not include_alias):
-                continue
-            if (only_start and v.start is None) or (only_fixed and v.initial != "exact"):
-                continue
-            if patterns is None or any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns):
-                found[name] = scalar
-        return found
-
-    def get_scalar_variable(self, variable_name: str) -> ScalarVariable:
-        """A variable."""
-        return self._scalar(variable_name)
-
-    def get_variable_valueref(self, variable_name: str) -> int:
-        """Its value reference."""
-        return self._variable(variable_name).value_reference
-
-    def get_variable_data_type(self, variable_name: str) -> int:
-        """PyFMI's number of its type."""
-        return self._scalar(variable_name).type
-
-    def get_variable_causality(self, variable_name: str) -> int:
-        """PyFMI's number of its causality."""
-        return self._scalar(variable_name).causality
-
-    def get_variable_variability(self, variable_name: str) -> int:
-        """PyFMI's number of its variability."""
-        return self._scalar(variable_name).variability
-
-    def get_variable_initial(self, variable_name: str) -> int:
-        """PyFMI's number of how its initial value comes about."""
-        return self._scalar(variable_name).initial
-
-    def get_variable_description(self, variable_name: str) -> str:
-        """Its description."""
-        return self._variable(variable_name).description or ""
-
-    def _stated(self, name: str, what: str) -> Any:
-        value = getattr(self._variable(name), what)
-        if value is None:
-            raise FMUException(f"the model states no {what} for {name}")
-        return value
-
-    def get_variable_unit(self, variable_name: str) -> str:
-        """Its unit; an error where none is stated."""
-        return str(self._stated(variable_name, "unit"))
-
-    def get_variable_display_unit(self, variable_name: str) -> str:
-        """The unit to show it in; an error where none is stated."""
-        return str(self._stated(variable_name, "display_unit"))
-
-    def get_variable_display_value(self, variable_name: str) -> float:
-        """Its value in the unit to show it in."""
-        shown, v = self.get_variable_display_unit(variable_name), self._variable(variable_name)
-        units = self._description.units[v.unit or ""].display_units
-        unit = next(unit for unit in units if unit.name == shown)
-        value = self.get(variable_name)
-        return float(unit.factor / value if unit.inverse else unit.factor * value + (0.0 if v.relative_quantity else unit.offset))
-
-    def get_variable_start(self, variable_name: str) -> Any:
-        """Its start value; an error where there is none."""
-        return self._stated(variable_name, "start")
-
-    def get_variable_min(self, variable_name: str) -> float:
-        """Its least value; that of a double where none is stated."""
-        least = self._variable(variable_name).min
-        return -np.finfo(np.float64).max if least is None else least
-
-    def get_variable_max(self, variable_name: str) -> float:
-        """Its largest value; that of a double where none is stated."""
-        most = self._variable(variable_name).max
-        return np.finfo(np.float64).max if most is None else most
-
-    def get_variable_nominal(self, variable_name: str | None = None, valueref: int | None = None) -> float:
-        """Its nominal value, 1 where none is stated."""
-        name = variable_name if variable_name is not None else self._names(("Real",), valueref)[0]
-        nominal = self._variable(name).nominal
-        return 1.0 if nominal is None else nominal
-
-    def get_variable_unbounded(self, variable_name: str) -> bool:
-        """Whether it grows without bounds."""
-        return self._variable(variable_name).unbounded
-
-    def get_variable_relative_quantity(self, variable_name: str) -> bool:
-        """Whether it is a difference."""
-        return self._variable(variable_name).relative_quantity
-
-    def get_variable_declared_type(self, variable_name: str) -> TypeDefinition:
-        """Its type definition; an error where there is none."""
-        return self._description.type_definitions[self._stated(variable_name, "declared_type")]
-
-    def get_variable_by_valueref(self, valueref: int, type: int = 0) -> str:
-        """The name of the first variable with a value reference, of a type (PyFMI's number)."""
-        for name, v in self._description.variables.items():
-            if v.value_reference == valueref and constants.type_number(self._version, v.type) == type:
-                return name
-        raise FMUException(f"there is no variable of type {type} with the value reference {valueref}")
-
-    def get_variable_alias(self, variable_name: str) -> dict[str, int]:
-        """All names of what a variable stands for; 0 for the first, 1 for the others."""
-        own = self._variable(variable_name)
-        names = [n for n, v in self._description.variables.items() if (v.type, v.value_reference) == (own.type, own.value_reference)]
-        return {name: int(k > 0) for k, name in enumerate(names)}
-
-    def get_variable_alias_base(self, variable_name: str) -> str:
-        """The first of these names."""
-        return next(iter(self.get_variable_alias(variable_name)))
-
-    def _listed(self, names: Iterable[str | None]) -> dict[str, ScalarVariable]:
-        return {name: self._scalar(name) for name in names if name is not None}
-
-    def get_states_list(self) -> dict[str, ScalarVariable]:
-        """The states."""
-        return self._listed(self._description.states)
-
-    def get_derivatives_list(self) -> dict[str, ScalarVariable]:
-        """The derivatives of the states."""
-        of_state = {v.derivative: name for name, v in self._description.variables.items() if v.derivative is not None}
-        return self._listed(of_state[state] for state in self._description.states if state in of_state)
-
-    def get_input_list(self) -> dict[str, ScalarVariable]:
-        """The continuous inputs of type Real."""
-        variables = self._description.variables
-        return self._listed(n for n in self._description.inputs if variables[n].type == "Real" and variables[n].variability == "continuous")
-
-    def get_output_list(self) -> dict[str, ScalarVariable]:
-        """The outputs."""
-        return self._listed(self._description.outputs)
-
-    # --- facts --------------------------------------------------------------------------------------------------------
-
-    def get_version(self) -> str:
-        """The version of FMI."""
-        return self._description.fmi_version
-
-    def get_name(self) -> str:
-        """The name of the model."""
-        return self._description.model_name
-
-    def get_identifier(self) -> str:
-        """The name of its library."""
-        interface = self._description.co_simulation if self._model.kind == "CS" else self._description.model_exchange
-        return interface.model_identifier if interface else ""
-
-    def get_guid(self) -> str:
-        """The guid; the instantiation token in FMI 3.0."""
-        return self._description.guid
-
-    def get_author(self) -> str:
-        """The author."""
-        return self._description.author or ""
-
-    def get_description(self) -> str:
-        """The description of the model."""
-        return self._description.description or ""
-
-    def get_copyright(self) -> str:
-        """The copyright."""
-        return self._description.copyright or ""
-
-    def get_license(self) -> str:
-        """The licence."""
-        return self._description.license or ""
-
-    def get_model_version(self) -> str:
-        """The version of the model."""
-        return self._description.version or ""
-
-    def get_generation_tool(self) -> str:
-        """The tool that made it."""
-        return self._description.generation_tool or ""
-
-    def get_generation_date_and_time(self) -> str:
-        """When that was."""
-        return self._description.generation_date_and_time or ""
-
-    def get_variable_naming_convention(self) -> str:
-        """The convention of the names."""
-        return self._description.variable_naming_convention or "flat"
-
-    def get_model_types_platform(self) -> str:
-        """The platform that FMI names: "default"."""
-        return "standard32" if self._version == 1 else "default"
-
-    def get_ode_sizes(self) -> tuple[int, int]:
-        """Numbers of states and of event indicators."""
-        return self._description.n_states, self._description.n_event_indicators
-
-    def get_categories(self) -> list[str]:
-        """Names of the categories of log messages."""
-        return [category.name for category in self._description.log_categories]
-
-    def get_log_categories(self) -> dict[str, str]:
-        """The same with their descriptions."""
-        return {category.name: category.description or "" for category in self._description.log_categories}
-
-    def get_capability_flags(self) -> dict[str, Any]:
-        """What the FMU can do, by the names of FMI."""
-        interface = self._description.co_simulation if self._model.kind == "CS" else self._description.model_exchange
-        can = interface.capabilities if interface else self._description.capabilities
-        return {_camel(name): getattr(can, name) for name in Capabilities.__dataclass_fields__}
-
-    def get_default_experiment_start_time(self) -> float:
-        """In s; 0 where none is suggested."""
-        return self._description.default_experiment.start_time or 0.0
-
-    def get_default_experiment_stop_time(self) -> float:
-        """In s; 1 where none is suggested."""
-        stop = self._description.default_experiment.stop_time
-        return 1.0 if stop is None else stop
-
-    def get_default_experiment_tolerance(self) -> float:
-        """Relative; 1e-4 where none is suggested."""
-        return self._description.default_experiment.tolerance or 1e-4
-
-    def get_default_experiment_step(self) -> float:
-        """In s; 1e-2 where none is suggested."""
-        return self._description.default_experiment.step_size or 1e-2
 
     # --- log ----------------------------------------------------------------------------------------------------------
 
@@ -612,13 +326,6 @@ class FMUModelBase:
     set_additional_logger = refused("FMUModel.set_additional_logger", _LOG)
     set_log_level = refused("FMUModel.set_log_level", "load_fmu(log_level=...)")
     set_max_log_size = refused("FMUModel.set_max_log_size", _LOG)
-
-
-def _camel(name: str) -> str:
-    if name in ("can_get_and_set_state", "can_serialize_state"):
-        name = name.replace("state", "FMUstate")
-    first, *rest = name.split("_")
-    return first + "".join(word[0].upper() + word[1:] for word in rest)
 
 
 class _ModelExchange(FMUModelBase):
