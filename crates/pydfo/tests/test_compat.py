@@ -107,6 +107,17 @@ def test_inputs_start_values_and_refusals():
             ours.simulate_fmu(path, **given)
 
 
+def test_wrong_times_are_named():
+    path = example_fmu("bouncing_ball")
+    nan, inf = float("nan"), float("inf")
+    for wrong, word in [({"stop_time": -1}, "stop_time"), ({"stop_time": nan}, "stop_time"), ({"start_time": inf}, "stop_time"),
+                        ({"start_time": 5, "stop_time": 1}, "stop_time"), ({"output_interval": 0}, "output_interval"),
+                        ({"output_interval": -1}, "output_interval"), ({"step_size": nan}, "step_size"), ({"output_interval": 1e-12}, "rows")]:
+        with pytest.raises(ValueError, match=word):
+            ours.simulate_fmu(path, **{"stop_time": 1, **wrong})
+    assert ours.simulate_fmu(path, stop_time=1, output="h").dtype.names == ("time", "h")
+
+
 def test_an_instance_by_value_reference(tmp_path):
     """The loop of FMPy's example custom_input."""
     folder = ours.extract(example_fmu("dahlquist", kind="CS"), tmp_path / "folder")
@@ -115,6 +126,9 @@ def test_an_instance_by_value_reference(tmp_path):
     fmu = ours.instantiate_fmu(folder, model)
     fmu.setupExperiment(startTime=0.0)
     fmu.setReal([references["k"]], [2.0])
+    for values in ([], [1.0, 2.0]):
+        with pytest.raises(ValueError, match=f"{len(values)} values for 1 of the variables k"):
+            fmu.setReal([references["k"]], values)
     fmu.enterInitializationMode()
     fmu.exitInitializationMode()
     for k in range(10):

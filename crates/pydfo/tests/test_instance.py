@@ -161,6 +161,19 @@ def test_misuse_is_refused(ball):
         ball.get("h")
 
 
+@pytest.mark.parametrize(
+    "wrong", [{"relative_tolerance": 0}, {"relative_tolerance": float("nan")}, {"step_size": -1.0, "solver": "rk4"}, {"solver": "no"}]
+)
+def test_a_wrong_argument_of_a_step_leaves_the_instance_as_it_is(ball, wrong):
+    ball.initialize()
+    before = ball.states.tolist()
+    with pytest.raises(ValueError):
+        ball.do_step(0.1, **wrong)
+    assert ball.states.tolist() == before and ball.do_step(0.1).complete
+    with pytest.raises(TypeError, match="save_state"):
+        ball.restore_state(None)
+
+
 def test_results_are_written_and_handed_to_other_libraries(tmp_path, monkeypatch):
     result = FMUModel(example_fmu("bouncing_ball")).simulate(final_time=1, ncp=4, outputs=["h", "bounces", "resting"])
     result.to_csv(tmp_path / "out.csv")

@@ -383,6 +383,8 @@ impl PyInstance {
             cancel: Some(watch.stop().flag()),
             ..ode::Options::default()
         };
+        // Before the instance is taken: a wrong argument must not free it.
+        options.check().map_err(|e| fmu_error::raise(py, &e.into()))?;
         let state = Arc::clone(&self.state);
         let work = move |_: &CallingThread| integrate(&mut lock(&state), start, end, options);
         let outcome = watch.run(work)?;

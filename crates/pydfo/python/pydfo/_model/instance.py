@@ -436,6 +436,8 @@ class Instance:
 
     def restore_state(self, state: SavedState) -> None:
         """Brings back a state that this instance saved in the phase that it is in now."""
+        if not isinstance(state, SavedState):
+            raise TypeError(f"state must be one that save_state() gave, not {_options.show(state)}")
         self._native.restore_state(state._native)
         self._time = state.time
 

@@ -67,9 +67,11 @@ class _Instance:
 
     def _set(self, kind: str, vr: Sequence[int], values: Sequence[Any]) -> None:
         rest = list(values)
-        for reference in vr:
-            name = self._name(kind, reference)
-            n = int(np.prod(self._instance.description.variables[name].shape))
+        names = [self._name(kind, reference) for reference in vr]
+        sizes = [int(np.prod(self._instance.description.variables[name].shape)) for name in names]
+        if len(rest) != sum(sizes):
+            raise ValueError(f"{len(rest)} values for {sum(sizes)} of the variables {', '.join(names)}")
+        for name, n in zip(names, sizes):
             given, rest = rest[:n], rest[n:]
             value = given if self._instance.description.variables[name].shape else given[0]
             self._instance.set(name, bool(value) if kind == "Boolean" and not isinstance(value, list) else value)

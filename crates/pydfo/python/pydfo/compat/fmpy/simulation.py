@@ -43,6 +43,10 @@ _ORDER = {
 }
 
 
+#: Rows beyond this are a mistake in an interval.
+_MOST_ROWS = 100_000_000
+
+
 def auto_interval(t: float) -> float:
     """An interval of one, two, four or five times a power of ten (or of its fractions) that divides `t` into 500 to 1000 steps."""
     h = 10.0 ** (np.round(np.log10(t)) - 3)
@@ -221,7 +225,13 @@ def simulate_fmu(
             experiment = description.default_experiment
             start = _first(start_time, experiment.start_time, 0.0)
             stop = _first(stop_time, experiment.stop_time, start + 1.0)
-            interval = _interval(description, is_cs, start, stop, _number(output_interval), _number(step_size))
+            if not np.isfinite([start, stop]).all() or stop < start:
+                raise ValueError(f"stop_time must be finite and not before start_time, not {stop!r} after {start!r}")
+            interval = _interval(
+                description, is_cs, start, stop, _positive("output_interval", output_interval), _positive("step_size", step_size)
+            )
+            if (stop - start) / interval > _MOST_ROWS:
+                raise ValueError(f"{stop - start!r} s in intervals of {interval!r} s are more than {_MOST_ROWS} rows")
             n = int(np.floor((stop - start) / interval * (1 + 1e-12)))
             times = start + interval * np.arange(n + 1)
             varies = not is_cs or (offers_cs and description.co_simulation.capabilities.can_handle_variable_communication_step_size)  # type: ignore[union-attr]
@@ -230,12 +240,13 @@ def simulate_fmu(
             elif abs(stop - times[-1]) <= 1e-9 * max(abs(stop), interval):
                 times[-1] = stop
             variables = description.variables
+            output = [output] if isinstance(output, str) else output
             names = [name for name in (output if output is not None else _default_outputs(description)) if name in variables]
             names = [name for name in names if name != "time" and variables[name].type not in ("String", "Binary", "Clock")]
             tolerance = _number(relative_tolerance)
             more: dict[str, Any] = {"step_size": interval} if is_cs else {"record_events": bool(record_events)}
             if not is_cs and solver == "Euler":
-                more |= {"solver": "euler", "step_size": _euler_step(start, stop, interval, _number(step_size))}
+                more |= {"solver": "euler", "step_size": _euler_step(start, stop, interval, _positive("step_size", step_size))}
             result = model.simulate(
                 start,
                 stop,
@@ -256,6 +267,13 @@ def simulate_fmu(
 
 def _number(value: SupportsFloat | str | None) -> float | None:
     return None if value is None else float(value)
+
+
+def _positive(name: str, value: SupportsFloat | str | None) -> float | None:
+    number = _number(value)
+    if number is not None and not 0.0 < number < float("inf"):
+        raise ValueError(f"{name} must be positive, not {number!r}")
+    return number
 
 
 def _first(given: float | str | None, suggested: float | None, default: float) -> float:
