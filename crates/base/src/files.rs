@@ -269,8 +269,23 @@ impl Unfinished {
     /// # Errors
     /// Those of the system; the file that was there stays.
     pub fn finish(self) -> io::Result<()> {
-        let Some(mut stream) = self.stream else {
+        if self.stream.is_none() {
             self.file.as_file().sync_all()?;
+        }
+        self.take_place()
+    }
+
+    /// It is whole: it takes its place, and is flushed to the disk before that only where it replaces another
+    /// file, which a failure of the power would else leave without either.
+    ///
+    /// # Errors
+    /// As [`finish`](Self::finish).
+    pub fn finish_soon(self) -> io::Result<()> {
+        if self.target.exists() { self.finish() } else { self.take_place() }
+    }
+
+    fn take_place(self) -> io::Result<()> {
+        let Some(mut stream) = self.stream else {
             return self.file.persist(&self.target).map(drop).map_err(|error| error.error);
         };
         let (mut file, path): (File, TempPath) = self.file.into_parts();
@@ -278,6 +293,47 @@ impl Unfinished {
         let copied = io::copy(&mut file, &mut stream).map(drop);
         drop((file, path));
         copied
+    }
+}
+
+/// A file as it was written, known by what the system numbers it with and by its length.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Written {
+    number: (u64, u64),
+    len: u64,
+}
+
+impl Written {
+    /// That of an open file.
+    ///
+    /// # Errors
+    /// Those of the system.
+    pub fn of(file: &File) -> io::Result<Self> {
+        let metadata = file.metadata()?;
+        #[cfg(unix)]
+        let number = {
+            use std::os::unix::fs::MetadataExt;
+            (metadata.dev(), metadata.ino())
+        };
+        #[cfg(not(unix))]
+        let number = (0, 0);
+        Ok(Self { number, len: metadata.len() })
+    }
+
+    /// Its length in bytes.
+    pub fn n_bytes(&self) -> u64 {
+        self.len
+    }
+
+    /// The file opened for more at its end, if the one at this place is still the same.
+    pub fn reopen(&self, path: &Path) -> Option<File> {
+        let mut options = OpenOptions::new();
+        let mut file = without_waiting(options.read(true).write(true), 0).open(path).ok()?;
+        if !file.metadata().ok()?.is_file() || Self::of(&file).ok()? != *self {
+            return None;
+        }
+        file.seek(SeekFrom::End(0)).ok()?;
+        Some(file)
     }
 }
 

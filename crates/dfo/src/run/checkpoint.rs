@@ -1,10 +1,14 @@
 //! Checkpoints: the whole state of a run in a file, so that a resumed run is the uninterrupted one, bit for
 //! bit.
 //!
-//! The file is a mark, the format, a checksum, and a map in CBOR (RFC 8949) that names all its parts, the
-//! version of the code that wrote it first. It is written to a temporary file beside it and renamed, so that
-//! there is always a whole one. What identifies a run (the fingerprint) is stored in words; a file of another
-//! run is refused by naming the difference, and left as it is.
+//! The file is a mark, the format, and blocks: length, checksum, and a map in CBOR (RFC 8949) that names all
+//! its parts, the version of the code that wrote it first. Each block is the state of the run at some time,
+//! but for the trace, of which it has what came after the block before. A run adds blocks, so that its trace
+//! is written once. The first block is written to a temporary file that is renamed, as is the whole file
+//! where states that have been replaced fill half of it. What follows a block that is not whole (the process
+//! was killed, or the power failed) counts as not there: there is always a state to go on from. What
+//! identifies a run (the fingerprint) is stored in words; a file of another run is refused by naming the
+//! difference, and left as it is.
 //!
 //! A batch that was cut short by the end of a run is not told to the stored state: the outcomes that were
 //! known are kept beside it and given again when the resumed run asks.
@@ -14,9 +18,10 @@ use crate::evaluation::ledger::Ledger;
 use crate::evaluation::round::Round;
 use crate::evaluation::store::{Early, Store};
 use crate::method::interface::{Method, Setup};
+use crate::outcome::trace::{Extent, LaterPart, Trace};
 use crate::problem::option_texts;
 use crate::values::encoding::{decode, encode};
-use base::files::{Claim, Unfinished};
+use base::files::{self, Claim, Unfinished};
 use crc32fast::Hasher;
 use serde::{Deserialize, Serialize};
 use std::fs::File;
@@ -28,7 +33,10 @@ use std::time::{Duration, Instant};
 const MARK: &[u8; 15] = b"dfo checkpoint\0";
 
 /// The format that this version reads and writes. It changes with everything that a file holds.
-const FORMAT: u8 = 12;
+const FORMAT: u8 = 13;
+
+/// Bytes before a block: its length and its checksum.
+const BLOCK_HEAD: usize = 12;
 
 /// Version of the code, which every file names.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
@@ -145,6 +153,9 @@ pub(crate) struct Snapshot {
     #[serde(with = "serde_bytes")]
     pub(crate) method: Vec<u8>,
     pub(crate) ledger: Ledger,
+    trace: Trace,
+    /// Length of what the run has dropped of its trace.
+    dropped: Extent,
     pub(crate) store: Store,
     pub(crate) stale: usize,
     /// Evaluations so far of the batch that the method waits for.
@@ -169,6 +180,8 @@ struct SnapshotRef<'a> {
     #[serde(with = "serde_bytes")]
     method: &'a [u8],
     ledger: &'a Ledger,
+    trace: LaterPart<'a>,
+    dropped: Extent,
     store: &'a Store,
     stale: usize,
     known: &'a [Early],
@@ -263,16 +276,42 @@ fn load(options: &Checkpoint) -> Result<Option<Snapshot>, Error> {
             ),
         ));
     }
-    let Some((sum, rest)) = rest.split_first_chunk::<4>() else {
-        return Err(failed(path, "the file ends after its head"));
-    };
-    if u32::from_le_bytes(*sum) != crc32fast::hash(rest) {
-        return Err(failed(path, "the file is damaged: its checksum does not fit"));
+    let mut snapshot: Option<Snapshot> = None;
+    let mut rest = rest;
+    while !rest.is_empty() {
+        let Some((block, later)) = next_block(rest) else {
+            if snapshot.is_none() {
+                return Err(failed(path, "the file is damaged: its checksum does not fit"));
+            }
+            let (path, n) = (path.display(), rest.len());
+            log::warn!(
+                "checkpoint '{path}': its last {n} bytes are no whole state; it goes on from the state before"
+            );
+            break;
+        };
+        let mut next: Snapshot = decode(block).map_err(|e| {
+            let writer =
+                decode::<Written>(block).map_or_else(|_| "another".to_owned(), |written| written.version);
+            failed(path, format!("version {writer} wrote it, {VERSION} cannot read it: {e}"))
+        })?;
+        let mut trace = snapshot.map_or_else(|| Trace::new(next.trace.n()), |before| before.ledger.trace);
+        if !trace.go_on(std::mem::take(&mut next.trace)) {
+            return Err(failed(path, "the parts of the file do not fit together"));
+        }
+        trace.drop_before(next.dropped);
+        next.ledger.trace = trace;
+        snapshot = Some(next);
+        rest = later;
     }
-    decode(rest).map(Some).map_err(|e| {
-        let writer = decode::<Written>(rest).map_or_else(|_| "another".to_owned(), |written| written.version);
-        failed(path, format!("version {writer} wrote it, {VERSION} cannot read it: {e}"))
-    })
+    snapshot.map(Some).ok_or_else(|| failed(path, "the file ends after its head"))
+}
+
+/// The first block and what follows it; `None` if there is no whole one.
+fn next_block(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
+    let (length, rest) = bytes.split_first_chunk::<8>()?;
+    let (sum, rest) = rest.split_first_chunk::<4>()?;
+    let (block, later) = rest.split_at_checked(usize::try_from(u64::from_le_bytes(*length)).ok()?)?;
+    (u32::from_le_bytes(*sum) == crc32fast::hash(block) && !block.is_empty()).then_some((block, later))
 }
 
 /// The words of users for what identifies a run.
@@ -344,12 +383,14 @@ pub(crate) fn read(
 struct Summed<'a> {
     file: &'a File,
     sum: Hasher,
+    length: u64,
 }
 
 impl Write for Summed<'_> {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
         let n = self.file.write(bytes)?;
         self.sum.update(&bytes[..n]);
+        self.length += n as u64;
         Ok(n)
     }
 
@@ -364,6 +405,40 @@ fn least_time(spent: Duration, last: Duration) -> Duration {
     10 * (spent + 3 * last)
 }
 
+/// Writes a block at the end of a file. Its length and checksum come last, once they are known.
+fn write_block(mut file: &File, snapshot: &SnapshotRef<'_>) -> std::io::Result<u64> {
+    let head = file.stream_position()?;
+    file.write_all(&[0; BLOCK_HEAD])?;
+    let mut summed = BufWriter::new(Summed { file, sum: Hasher::new(), length: 0 });
+    ciborium::into_writer(snapshot, &mut summed).map_err(|e| match e {
+        ciborium::ser::Error::Io(e) => e,
+        other => std::io::Error::other(other.to_string()),
+    })?;
+    let Summed { sum, length, .. } = summed.into_inner().map_err(|e| e.into_error())?;
+    file.seek(SeekFrom::Start(head))?;
+    file.write_all(&length.to_le_bytes())?;
+    file.write_all(&sum.finalize().to_le_bytes())?;
+    Ok(length)
+}
+
+/// A file with blocks.
+#[derive(Debug, Clone, Copy)]
+struct Blocks {
+    file: files::Written,
+    /// Length of the trace that is in it.
+    extent: Extent,
+    /// Bytes of the last block beside those of the trace.
+    n_state: u64,
+}
+
+impl Blocks {
+    /// True if the states that have been replaced fill more than half of it, with this trace.
+    fn is_wasteful(&self, trace: &Trace) -> bool {
+        let whole = trace.since(Extent::default()).n_bytes() + self.n_state;
+        self.file.n_bytes() + self.n_state > 2 * whole
+    }
+}
+
 /// Writes snapshots, not too often.
 #[derive(Debug)]
 pub(crate) struct Writer {
@@ -373,6 +448,8 @@ pub(crate) struct Writer {
     next: Instant,
     /// Time of all writes.
     spent: Duration,
+    /// What this process has written so far, where the next block goes on.
+    written: Option<Blocks>,
     /// No other process writes to the file.
     _claim: Claim,
 }
@@ -389,7 +466,7 @@ impl Writer {
         })?;
         let began = Instant::now();
         let next = began + options.interval;
-        Ok(Self { began, next, spent: Duration::ZERO, options, fingerprint, _claim: claim })
+        Ok(Self { began, next, spent: Duration::ZERO, written: None, options, fingerprint, _claim: claim })
     }
 
     /// True if it is time for the next write.
@@ -411,11 +488,17 @@ impl Writer {
         let path = &self.options.path;
         let begin = Instant::now();
         let state = method.save().ok_or_else(|| failed(path, "this method cannot be continued"))?;
+        let trace = &round.ledger.trace;
+        let before = self.written.take().filter(|blocks| !blocks.is_wasteful(trace));
+        let open = before.and_then(|blocks| Some((blocks.file.reopen(path)?, blocks)));
+        let extent = open.as_ref().map_or(Extent::default(), |(_, blocks)| blocks.extent);
         let snapshot = SnapshotRef {
             version: VERSION,
             fingerprint: &self.fingerprint,
             method: &state,
             ledger: &round.ledger,
+            trace: trace.since(extent),
+            dropped: trace.extents().1,
             store: &round.store,
             stale: round.stale,
             known,
@@ -424,21 +507,22 @@ impl Writer {
             seconds,
             seed: method.details().seed,
         };
-        let written = Unfinished::new(path).and_then(|unfinished| {
-            let mut file = unfinished.file();
-            let head = [&MARK[..], &[FORMAT]].concat();
-            file.write_all(&head)?;
-            // The checksum, once it is known.
-            file.write_all(&[0; 4])?;
-            let mut summed = BufWriter::new(Summed { file, sum: Hasher::new() });
-            ciborium::into_writer(&snapshot, &mut summed).map_err(|e| match e {
-                ciborium::ser::Error::Io(e) => e,
-                other => std::io::Error::other(other.to_string()),
-            })?;
-            let Summed { mut file, sum } = summed.into_inner().map_err(|e| e.into_error())?;
-            file.seek(SeekFrom::Start(head.len() as u64))?;
-            file.write_all(&sum.finalize().to_le_bytes())?;
-            unfinished.finish()
+        let written = match open {
+            Some((file, blocks)) => write_block(&file, &snapshot)
+                .and_then(|n| Ok((n, files::Written::of(&file)?)))
+                .inspect_err(|_| _ = file.set_len(blocks.file.n_bytes())),
+            None => Unfinished::new(path).and_then(|unfinished| {
+                let mut file = unfinished.file();
+                file.write_all(&[&MARK[..], &[FORMAT]].concat())?;
+                let n = write_block(file, &snapshot)?;
+                let written = files::Written::of(file)?;
+                unfinished.finish_soon()?;
+                Ok((n, written))
+            }),
+        };
+        let written = written.map(|(length, file)| {
+            let n_state = length.saturating_sub(snapshot.trace.n_bytes());
+            self.written = Some(Blocks { file, extent: trace.extents().0, n_state });
         });
         // What could not be written is tried again.
         self.spent += begin.elapsed();

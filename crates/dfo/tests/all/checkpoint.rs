@@ -6,7 +6,7 @@ use crate::common;
 use common::{methods_for_costs, probe, rosenbrock, timeless};
 use dfo::{
     AnyMethod, Checkpoint, CmaEs, Error, Lookahead, MethodOptions, Minimize, NelderMead, Outcome, Query,
-    Report, Resume, Termination, minimize, with_query,
+    Report, Resume, Termination, by_hand, minimize, with_query,
 };
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -214,15 +214,27 @@ fn files_of_other_runs_are_refused_and_left_alone() {
     assert!(other.ends_with("belongs to another run: method: ga in the file, de here"), "{other}");
     let other = run(1, 2.5, 1e-6, "ga", tagged()).unwrap_err().to_string();
     assert!(other.ends_with("upper bounds: [2.0, 2.0] in the file, [2.0, 2.5] here"), "{other}");
-    // Damaged in any byte, or cut anywhere: an error, never a panic, never another result.
+    // Damaged in any byte, or cut anywhere: an error, or the state before it is continued; never a panic, never
+    // another result.
+    let whole = run(1, 2.0, 1e-6, "ga", tagged()).unwrap();
+    let first = 16 + 12 + u64::from_le_bytes(*bytes[16..].first_chunk().unwrap()) as usize;
+    let (mut refused, mut continued) = (0, 0);
     for k in (0..bytes.len()).step_by(11) {
         let mut damaged = bytes.clone();
         damaged[k] ^= 0x40;
         for broken in [damaged, bytes[..k].to_vec()] {
             std::fs::write(&path, broken).unwrap();
-            assert!(matches!(run(1, 2.0, 1e-6, "ga", tagged()), Err(Error::Checkpoint { .. })), "{k}");
+            match run(1, 2.0, 1e-6, "ga", tagged()) {
+                Err(Error::Checkpoint { .. }) => refused += 1,
+                Ok(report) if k >= first => {
+                    same(&report, &whole, &format!("{k}"));
+                    continued += 1;
+                }
+                other => panic!("{k}: {other:?}"),
+            }
         }
     }
+    assert!(refused > first / 6 && continued >= (bytes.len() - first) / 11, "{refused} {continued} {first}");
     let anew = run(2, 2.0, 1e-6, "ga", tagged().resume(Resume::Never)).unwrap();
     assert_eq!(anew.seed, Some(2));
     let nowhere = run(1, 2.0, 1e-6, "ga", at(&folder.0.join("no/such/folder")));
@@ -387,7 +399,7 @@ fn files_of_the_present_format_are_continued() {
     let folder = Folder::new("present");
     for name in methods_for_costs().iter().map(AnyMethod::name) {
         let golden =
-            Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/data/format_12_{name}.checkpoint"));
+            Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/data/format_13_{name}.checkpoint"));
         let method: AnyMethod = name.parse().unwrap();
         let calls = AtomicUsize::new(0);
         let limited = |limit: usize| {
@@ -435,4 +447,39 @@ fn what_a_file_belongs_to_can_be_read() {
     std::fs::write(&file, b"something else").unwrap();
     let message = checkpoint().stored_identity().unwrap_err().to_string();
     assert!(message.contains("no checkpoint"), "{message}");
+}
+
+/// The trace is written once: blocks are added to the file, and states that have been replaced do not fill it.
+#[test]
+fn a_file_grows_by_what_is_new() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run");
+    let cost = |x: &[f64]| x.iter().map(|x| (x - 0.3).abs().sqrt()).sum::<f64>();
+    let run = |resume, limit: usize| {
+        let run = by_hand().start(&[-0.5; 12]).bounds(&[-2.0; 12], &[2.0; 12]).unwrap().x_tol(0.0);
+        run.max_evaluations(3000).trace_limit(limit).checkpoint(at(&path).resume(resume)).optimizer().unwrap()
+    };
+    for limit in [usize::MAX, 50] {
+        let mut optimizer = run(Resume::Never, limit);
+        let (mut written, mut longest, mut before) = (0, 0, 0);
+        while optimizer.termination().is_none() {
+            for point in optimizer.ask(1) {
+                optimizer.tell(point.id, Outcome::Value(cost(&point.x))).unwrap();
+            }
+            optimizer.save().unwrap();
+            let size = std::fs::metadata(&path).unwrap().len();
+            written += size.checked_sub(before).unwrap_or(size);
+            longest = longest.max(size);
+            before = size;
+        }
+        let whole = optimizer.report().unwrap();
+        drop(optimizer);
+        // Each block has the simplex and the points that costs are predicted from, 15 kB; the whole trace has
+        // 450 kB.
+        assert!(longest < if limit == 50 { 100_000 } else { 1_200_000 }, "{longest}");
+        assert!(written < 3000 * 20_000, "{written}");
+        let mut resumed = run(Resume::Require, limit);
+        assert!(resumed.ask(1).is_empty());
+        same(&resumed.report().unwrap(), &whole, "continued");
+    }
 }
