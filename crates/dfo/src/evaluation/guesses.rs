@@ -87,8 +87,10 @@ impl Guesses {
     pub(crate) fn renew<M: Method + ?Sized>(
         &mut self,
         method: &mut M,
-        (round, answers): (&mut Round, &[Answer]),
-        (open, left): (usize, usize),
+        round: &mut Round,
+        answers: &[Answer],
+        open: usize,
+        left: usize,
         evaluator: &mut dyn Evaluator,
     ) {
         let room = match method.details().lookahead {
@@ -179,7 +181,7 @@ impl Guesses {
             return Some(place.map_or(Reached::Kept, Reached::Again));
         }
         answer.outcome = answer.outcome.checked(query.cutoff);
-        let entry = SpeculativeEntry::new((id, batch), (x, query), answer);
+        let entry = SpeculativeEntry::new(id, batch, x, query, answer);
         let Some(k) = place else {
             round.keep_early(entry);
             return Some(Reached::Kept);

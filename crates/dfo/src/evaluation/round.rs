@@ -309,9 +309,9 @@ impl Round {
         if answer.outcome == Outcome::Skipped {
             return;
         }
-        let of_batch = (self.work.id(k), self.work.index());
-        let point = (self.work.point(k).to_vec(), self.work.query(k));
-        self.keep_early(SpeculativeEntry::new(of_batch, point, answer.clone()));
+        let x = self.work.point(k).to_vec();
+        let (id, batch) = (self.work.id(k), self.work.index());
+        self.keep_early(SpeculativeEntry::new(id, batch, x, self.work.query(k), answer.clone()));
     }
 
     /// Keeps an evaluation that was made ahead of need.

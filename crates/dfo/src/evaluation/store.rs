@@ -267,7 +267,7 @@ impl Store {
 
 impl SpeculativeEntry {
     /// Entry for an answer that the path has not counted.
-    pub(crate) fn new((id, batch): (u64, u64), (x, query): (Vec<f64>, Query<'_>), answer: Answer) -> Self {
+    pub(crate) fn new(id: u64, batch: u64, x: Vec<f64>, query: Query<'_>, answer: Answer) -> Self {
         let mut answer = answer.only(query.want);
         if query.want == Want::Residuals {
             answer.check_residuals();

@@ -26,7 +26,7 @@ pub struct Limits {
 
 impl Limits {
     /// Sets evaluations and iterations where there is no limit of any kind but the target.
-    pub(crate) fn fill(&mut self, (evaluations, iterations): (Option<usize>, Option<usize>)) {
+    pub(crate) fn fill(&mut self, evaluations: Option<usize>, iterations: Option<usize>) {
         if (self.max_evaluations, self.max_iterations, self.max_time) == (None, None, None) {
             (self.max_evaluations, self.max_iterations) = (evaluations, iterations);
         }

@@ -482,7 +482,8 @@ impl Writer {
         method: &M,
         round: &Round,
         known: &[Early],
-        (observed, first_recent): (Option<usize>, usize),
+        observed: Option<usize>,
+        first_recent: usize,
         seconds: f64,
     ) -> Result<(), Error> {
         let path = &self.options.path;

@@ -287,8 +287,15 @@ impl<M: Method> Drive<M> {
     /// Fills the workers that the path leaves free.
     fn look_ahead(&mut self, around: &mut Around<'_, '_, '_>) {
         if self.cause.is_none() && self.n_missing > 0 && self.end == usize::MAX {
-            let counts = (self.n_missing, self.round.left_after(&self.limits));
-            self.guesses.renew(&mut self.method, (&mut self.round, &self.answers), counts, around.evaluator);
+            let left = self.round.left_after(&self.limits);
+            self.guesses.renew(
+                &mut self.method,
+                &mut self.round,
+                &self.answers,
+                self.n_missing,
+                left,
+                around.evaluator,
+            );
         }
     }
 
@@ -509,8 +516,8 @@ impl<M: Method> Drive<M> {
     fn save(&mut self, known: &[Early]) {
         let seconds = self.elapsed();
         let Some(writer) = &mut self.writer else { return };
-        let observed = (self.observed, self.first_recent);
-        let written = writer.write(&self.method, &self.round, known, observed, seconds);
+        let written =
+            writer.write(&self.method, &self.round, known, self.observed, self.first_recent, seconds);
         if let (Err(error), None) = (&written, &self.unsaved) {
             log::warn!("the run goes on without a checkpoint, which is tried again: {error}");
         }

@@ -114,7 +114,8 @@ impl<M: MethodOptions> Description<M> {
         }
         options.check()?;
         if !options.unlimited {
-            limits.fill(method.default_limits(space.n_free()));
+            let (evaluations, iterations) = method.default_limits(space.n_free());
+            limits.fill(evaluations, iterations);
         }
         let prior = usable(&options.known, &space);
         let is_inside = |x: &[f64]| !method.starts_inside() || space.is_inside(x);

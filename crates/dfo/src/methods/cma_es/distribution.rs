@@ -117,7 +117,8 @@ impl Distribution {
     pub(super) fn update<'a, I>(
         &mut self,
         weights: &Weights,
-        (ranked, is_own): (I, bool),
+        ranked: I,
+        is_own: bool,
         size: impl Fn(usize) -> f64,
     ) where
         I: Iterator<Item = (&'a [f64], f64)> + Clone,

@@ -92,7 +92,7 @@ impl CmaRules {
             schedule: Schedule::new(options, members),
         };
         let mut population = RankedPoints::new(space, members);
-        rules.draw((seed, 0), members, space, &mut population);
+        rules.draw(seed, 0, members, space, &mut population);
         // The start itself is an individual of the first generation, with a step of nothing.
         if setup.start_given || n == 0 {
             population.place_exactly(0, space.x0(), space);
@@ -105,13 +105,7 @@ impl CmaRules {
 
     /// Makes a generation of the individuals that were drawn ahead and of new ones, then draws those ahead of
     /// the next selection, each from a stream of its own.
-    fn draw(
-        &mut self,
-        (seed, generation): (u64, u64),
-        members: usize,
-        space: &Space,
-        into: &mut RankedPoints,
-    ) {
+    fn draw(&mut self, seed: u64, generation: u64, members: usize, space: &Space, into: &mut RankedPoints) {
         let n = space.n_free();
         self.steps.resize(members * n, 0.0);
         self.squared.resize(members, 0.0);
@@ -174,7 +168,7 @@ impl CmaRules {
         let step_of =
             |&slot: &usize| Some((self.steps.get(slot * n..(slot + 1) * n)?, *self.squared.get(slot)?));
         let ranked = generation.order()[..generation.n_finite()].iter().filter_map(step_of);
-        self.distribution.update(&self.weights, (ranked, self.n_earlier == 0), |k| space.size(k));
+        self.distribution.update(&self.weights, ranked, self.n_earlier == 0, |k| space.size(k));
         // Wider than the box along every parameter it would be as good as uniform.
         let excess = |k: usize| match space.width(k) {
             Some(width) => self.distribution.deviation(k) * space.size(k) / (0.5 * width),
@@ -204,7 +198,7 @@ impl GenerationRules for CmaRules {
         self.degenerate = !self.distribution.refresh(&self.weights);
         let members = self.weights.of_rank.len();
         candidates.resize(members);
-        self.draw((*seed, generation), members, &setup.space, candidates);
+        self.draw(*seed, generation, members, &setup.space, candidates);
     }
 
     /// Every rank counts.

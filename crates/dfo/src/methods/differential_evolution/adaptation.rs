@@ -107,7 +107,7 @@ impl Adaptation {
     }
 
     /// A trial was strictly better than its target, which had a cost.
-    pub(super) fn succeeded(&mut self, (f, cr): (f64, f64), gain: f64, target: &[f64]) {
+    pub(super) fn succeeded(&mut self, f: f64, cr: f64, gain: f64, target: &[f64]) {
         self.archive.extend_from_slice(target);
         self.successes.push(Success { f, cr, gain });
     }
@@ -185,8 +185,8 @@ mod tests {
     #[test]
     fn memories_are_weighted_lehmer_means() {
         let mut a = adaptation();
-        a.succeeded((0.4, 0.2), 1.0, &[0.0]);
-        a.succeeded((0.8, 0.6), 3.0, &[1.0]);
+        a.succeeded(0.4, 0.2, 1.0, &[0.0]);
+        a.succeeded(0.8, 0.6, 3.0, &[1.0]);
         a.learn();
         // (0.25 * 0.16 + 0.75 * 0.64) / (0.25 * 0.4 + 0.75 * 0.8)
         assert!((a.memory_f[0] - 0.52 / 0.7).abs() < 1e-15, "{:?}", a.memory_f);
@@ -201,7 +201,7 @@ mod tests {
         let mut a = adaptation();
         for round in 0..2 {
             a.next = 0;
-            a.succeeded((0.5, if round == 0 { 0.0 } else { 0.9 }), 1.0, &[0.0]);
+            a.succeeded(0.5, if round == 0 { 0.0 } else { 0.9 }, 1.0, &[0.0]);
             a.learn();
             assert_eq!(a.memory_cr[0], None);
         }
@@ -219,7 +219,7 @@ mod tests {
     #[test]
     fn the_archive_is_bounded() {
         let mut a = adaptation();
-        (0..100).for_each(|k| a.succeeded((0.5, 0.5), 1.0, &[f64::from(k)]));
+        (0..100).for_each(|k| a.succeeded(0.5, 0.5, 1.0, &[f64::from(k)]));
         a.trim_archive(10, &mut Stream::new(1, Purpose::Generation, 0, 0));
         let mut left = a.archive.clone();
         left.dedup();
@@ -229,8 +229,8 @@ mod tests {
     #[test]
     fn infinite_gains_do_no_harm() {
         let mut a = adaptation();
-        a.succeeded((0.4, 0.2), f64::INFINITY, &[0.0]);
-        a.succeeded((0.8, 0.6), 1.0, &[1.0]);
+        a.succeeded(0.4, 0.2, f64::INFINITY, &[0.0]);
+        a.succeeded(0.8, 0.6, 1.0, &[1.0]);
         a.learn();
         assert!(a.memory_f[0].is_finite() && a.memory_cr[0].unwrap().is_finite());
     }

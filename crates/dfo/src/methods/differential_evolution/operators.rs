@@ -23,7 +23,8 @@ pub(super) fn different(stream: &mut Stream, n: usize, target: usize, out: &mut 
 pub(super) fn donor(
     strategy: Strategy,
     population: &RankedPoints,
-    (target, best): (usize, usize),
+    target: usize,
+    best: usize,
     r: &[usize],
     weight: f64,
     out: &mut [f64],
@@ -123,7 +124,7 @@ mod tests {
             (Strategy::Rand2, &[1, 5, 3, 4, 2], [3.0, 6.0]),
         ] {
             let mut v = [0.0; 2];
-            donor(strategy, &population(), (0, 4), r, 0.5, &mut v);
+            donor(strategy, &population(), 0, 4, r, 0.5, &mut v);
             assert_eq!((v, r.len()), (expected, strategy.n_drawn()), "{strategy:?}");
         }
     }

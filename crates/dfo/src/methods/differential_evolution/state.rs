@@ -105,7 +105,7 @@ impl DifferentialRules {
             foreseen: None,
         };
         let (pool, _) =
-            Populations::new(setup, seed, (members, members), options.sampling, options.include_start)?;
+            Populations::new(setup, seed, members, members, options.sampling, options.include_start)?;
         Ok(Generations::new(rules, pool))
     }
 
@@ -119,7 +119,7 @@ impl DifferentialRules {
     }
 
     /// Makes the next trial from the population as it stands, from draws of its own.
-    fn make(&mut self, (setup, seed): (&Setup, u64), population: &RankedPoints) {
+    fn make(&mut self, setup: &Setup, seed: u64, population: &RankedPoints) {
         if self.n_made >= self.members.min(population.len()) {
             self.n_before += self.members;
             self.members = self.members_after(self.n_before).min(population.len());
@@ -142,7 +142,7 @@ impl DifferentialRules {
                 let mut r = [0; 5];
                 let r = &mut r[..strategy.n_drawn()];
                 different(&mut stream, population.len(), slot, r);
-                donor(strategy, population, (slot, population.best()), r, weight, trial);
+                donor(strategy, population, slot, population.best(), r, weight, trial);
                 cross(crossover, &mut stream, probability, target, trial);
             }
             (Scheme::Adaptive(_), Some(adaptation)) => {
@@ -165,7 +165,7 @@ impl DifferentialRules {
     /// Makes trials until `n` are not selected from, `n_left` of which are candidates.
     fn make_up_to(&mut self, n: usize, n_left: usize, problem: (&Setup, u64), population: &RankedPoints) {
         while self.ahead_made.len() + n_left < n && problem.0.space.n_free() > 0 {
-            self.make(problem, population);
+            self.make(problem.0, problem.1, population);
         }
     }
 
@@ -188,7 +188,7 @@ impl DifferentialRules {
             if let (Some(adaptation), Cost::Value(before)) = (&mut self.adaptation, before)
                 && f < before
             {
-                adaptation.succeeded((made.weight, made.probability), before - f, population.u(place));
+                adaptation.succeeded(made.weight, made.probability, before - f, population.u(place));
             }
             population.set(place, candidates.u(slot), candidates.x(slot));
             population.set_cost(place, cost);
@@ -228,7 +228,7 @@ impl GenerationRules for DifferentialRules {
         let n = setup.space.n_free();
         for slot in 0..population.len() {
             if self.ahead_made.is_empty() {
-                self.make((setup, *seed), population);
+                self.make(setup, *seed, population);
             }
             let Some(made) = self.ahead_made.pop_front() else { return };
             self.made[slot] = made;

@@ -64,7 +64,7 @@ impl GeneticRules {
         let n_children = if n == 0 { 0 } else { members - options.elite };
         let sizes = (members, n_children);
         let (mut pool, n_exact) =
-            Populations::new(setup, seed, sizes, options.sampling, options.include_start)?;
+            Populations::new(setup, seed, sizes.0, sizes.1, options.sampling, options.include_start)?;
         let (mut bits, mut decoded) = (vec![false; members * length], vec![0.0; n]);
         let Populations { setup, population, .. } = &mut pool;
         for slot in 0..members {

@@ -28,16 +28,16 @@ impl LeastSquaresState {
     }
 
     fn begin_simplex_at(&mut self, x: &[f64], cost: Option<f64>) {
-        let counts = (self.n_batches, self.n_points);
-        self.phase = match SimplexSearch::new(&simplex_method(), &self.setup, x, counts) {
-            Ok(mut simplex) => {
-                if let Some(cost) = cost {
-                    simplex.state.set_start_cost(cost, self.f_0);
+        self.phase =
+            match SimplexSearch::new(&simplex_method(), &self.setup, x, self.n_batches, self.n_points) {
+                Ok(mut simplex) => {
+                    if let Some(cost) = cost {
+                        simplex.state.set_start_cost(cost, self.f_0);
+                    }
+                    Phase::Simplex(Box::new(simplex))
                 }
-                Phase::Simplex(Box::new(simplex))
-            }
-            Err(_) => Phase::Ended(Termination::Collapsed),
-        };
+                Err(_) => Phase::Ended(Termination::Collapsed),
+            };
     }
 
     /// The simplex search has ended at a worse point than the best one: another one from the start. False

@@ -21,7 +21,8 @@ impl SimplexSearch {
         method: &NelderMead,
         setup: &Setup,
         start: &[f64],
-        (n_batches, n_points): (u64, u64),
+        n_batches: u64,
+        n_points: u64,
     ) -> Result<Self, Error> {
         let state = method.begin(&starting_at(setup, start))?;
         Ok(Self { start: start.to_vec(), n_batches, n_points, state })

@@ -69,7 +69,8 @@ impl ModelSearch {
     pub(super) fn hand_over(&mut self) -> bool {
         let best = self.points.best();
         let (start, cost) = (self.points.x(best).to_vec(), self.points.cost(best));
-        let simplex = SimplexSearch::new(&NelderMead::default(), &self.setup, &start, self.rounds.counts());
+        let (n_batches, n_points) = self.rounds.counts();
+        let simplex = SimplexSearch::new(&NelderMead::default(), &self.setup, &start, n_batches, n_points);
         let (Ok(mut simplex), Cost::Value(cost)) = (simplex, cost) else { return false };
         simplex.state.set_start_cost(cost, self.f_0);
         simplex.state.expect_kinks();

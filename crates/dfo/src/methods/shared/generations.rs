@@ -303,7 +303,8 @@ impl Populations {
     pub(crate) fn new(
         setup: Setup,
         seed: u64,
-        (members, candidates): (usize, usize),
+        members: usize,
+        candidates: usize,
         sampling: Sampling,
         include_start: bool,
     ) -> Result<(Self, usize), Error> {
