@@ -46,20 +46,26 @@ pub use findings::finding::{Finding, Severity};
 pub use findings::visible::visible;
 pub use fit::output_fit::OutputFit;
 pub use fit::phase::{CurrentPhase, FitPhase};
+#[cfg(feature = "schema")]
+pub use fit::schema::{fit_schema, stage_schema};
 pub use fit::stage::{
-    ChosenTolerance, Engine, EstimatedNoise, Fit, FitNoise, FitObserver, FitOptions, NoiseRule, OutputNoise,
+    ChosenTolerance, Engine, EstimatedNoise, Fit, FitNoise, FitObserver, FitOptions, FitRecord, NoiseRule,
+    OutputNoise,
 };
-pub use fit::stages::Stage;
+pub use fit::stages::{Stage, StageRecord};
 pub use fmi;
 pub use intervals::bands::{BandOptions, PredictionBand};
 pub use intervals::profile::{ParameterProfile, Profile, ProfileEnd, ProfileOptions, ProfilePoint};
 pub use problem::column_units::{InputColumn, recorded_inputs};
 pub use problem::definition::{ModelFile, Problem};
-pub use problem::experiment::{Experiment, InitialState, OutputScale, SimulationSettings, Weight};
+pub use problem::experiment::{Experiment, InitialState, OutputScale, Weight};
+pub use problem::experiment_record::ExperimentRecord;
 pub use problem::objective::{Compared, CostKind, CustomCost, CustomFailure, NamedCost};
 pub use problem::parameter::{Parameter, Scale, Target, Tie};
+pub use problem::parameter_record::ParameterRecord;
 pub use problem::prior::Prior;
 pub use problem::residual_layout::{OutputResiduals, PriorResidual, ResidualLayout};
+pub use problem::settings::SimulationSettings;
 pub use problem::warning::{SETUP_LOG_TARGET, SetupWarning};
 pub use report::{ExperimentCurves, OutputCurves, Signal, plot};
 pub use uncertainty::active_bounds::BoundSide;

@@ -83,6 +83,12 @@ pub(crate) enum Command {
         after_help = "Example:\n  fmufit build plant/ plant.fmu\n\nRuns the C compiler of this machine on the sources of the model."
     )]
     Build(Build),
+    /// Write the JSON schema of problem files to the standard output
+    #[command(
+        after_help = "Example:\n  fmufit schema > problem.schema.json\n\nEditors that know TOML check a problem file against it and complete \
+            its fields; the first line\nof what init writes names this file."
+    )]
+    Schema,
     /// Write the completions of a shell to the standard output
     #[command(
         after_help = "Example:\n  fmufit completions bash > ~/.local/share/bash-completion/completions/fmufit"

@@ -6,6 +6,7 @@ use std::fmt;
 
 /// Findings of a check, the most severe first. Its `Display` is a table.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct Check {
     /// The findings.

@@ -7,7 +7,7 @@ use crate::cost::race::{RaceOutcome, RaceRun, RaceTask};
 use crate::cost::residual::CostRule;
 use crate::error::CalibrationError;
 use crate::problem::definition::{ModelFile, Problem};
-use crate::problem::experiment::SimulationSettings;
+use crate::problem::settings::SimulationSettings;
 use base::RunContext;
 use dfo::RobustLoss;
 use fmi::worker::{Ask, Frame, Isolation, Load, WorkerLimits, Workers};

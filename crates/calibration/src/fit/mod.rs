@@ -2,5 +2,7 @@
 
 pub(crate) mod output_fit;
 pub(crate) mod phase;
+#[cfg(feature = "schema")]
+pub(crate) mod schema;
 pub(crate) mod stage;
 pub(crate) mod stages;

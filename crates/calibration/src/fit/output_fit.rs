@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 /// Quality of fit of one output of one experiment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct OutputFit {
     /// The experiment.

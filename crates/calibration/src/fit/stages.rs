@@ -10,8 +10,13 @@ use crate::fit::stage::{
 };
 use crate::uncertainty::active_bounds::StuckParameters;
 use base::RunContext;
-use dfo::{AnyMethod, AskedRun, Limits, Progress, Record, Report, RunOptions, Termination, Tolerances};
+use dfo::{
+    AnyMethod, AskedRun, Limits, Progress, Record, Report, RunOptions, Termination, Tolerances, field_names,
+    read_part,
+};
 use ode::Stats;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -82,18 +87,34 @@ impl Stage {
     ///
     /// # Errors
     /// An option that there is not, or a value that it cannot have.
-    pub fn asked(mut record: Record, n: usize) -> Result<Self, dfo::Error> {
-        let mut stage = Self::default();
-        if let Some(parameters) = record.remove("parameters") {
-            stage.parameters = parameters.read("parameters")?;
-        }
-        if let Some(windows) = record.remove("windows") {
-            stage.windows = windows.read("windows")?;
-        }
-        let run = AskedRun::new(FitOptions::default_run(), &record, n)?.options;
-        (stage.method, stage.limits, stage.tolerances) = (Some(run.method), run.limits, Some(run.tolerances));
-        Ok(stage)
+    pub fn asked(record: Record, n: usize) -> Result<Self, dfo::Error> {
+        let (own, of_run) = read_part::<StageRecord>(record, "option of a stage")?;
+        let run = AskedRun::new(FitOptions::default_run(), &of_run, n)?.options;
+        let (method, tolerances) = (Some(run.method), Some(run.tolerances));
+        let StageRecord { parameters, windows } = own;
+        Ok(Self { parameters, windows, method, limits: run.limits, tolerances, method_reason: None })
     }
+
+    /// The names of all options that a record of a stage may have.
+    ///
+    /// # Errors
+    /// The options of a method cannot be serialised.
+    pub fn option_names() -> Result<BTreeSet<String>, dfo::Error> {
+        let mut names = AskedRun::option_names()?;
+        names.extend(field_names::<StageRecord>()?);
+        Ok(names)
+    }
+}
+
+/// The options of a stage by name, beside those of its run.
+#[derive(Debug, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(default, deny_unknown_fields)]
+pub struct StageRecord {
+    /// The parameters that it frees.
+    parameters: Vec<String>,
+    /// Only measurements in one of these windows count, each from and to, in s.
+    windows: Vec<(f64, f64)>,
 }
 
 /// The smaller of two limits.

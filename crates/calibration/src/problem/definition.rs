@@ -2,9 +2,10 @@
 
 use crate::data::{UnitConversion, UnitError};
 use crate::error::CalibrationError;
-use crate::problem::experiment::{Experiment, InitialState, SimulationSettings};
+use crate::problem::experiment::{Experiment, InitialState};
 use crate::problem::parameter::{Parameter, Tie};
 use crate::problem::resolution::{check_names, check_targets};
+use crate::problem::settings::SimulationSettings;
 use crate::problem::warning::{SetupWarning, clock_change, ignored_nominals, unused_columns};
 use fmi::{FmiError, Fmu, ModelDescription};
 use ode::Number;

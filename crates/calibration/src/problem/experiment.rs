@@ -4,13 +4,10 @@ use crate::data::{Data, Series};
 use crate::error::CalibrationError;
 use crate::problem::input::{InputSource, SignalFunction};
 use crate::problem::parameter::Parameter;
-use dfo::{Record, RecordError};
 use fmi::description::{Causality, Variability};
-use fmi::worker::{Isolation, WorkerLimits};
 use fmi::{ModelDescription, Value};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-use std::time::Duration;
 
 /// A recording of the machine and how the model is to reproduce it.
 ///
@@ -89,6 +86,7 @@ impl Weight {
 
 /// Scale of the measurements of an output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum OutputScale {
     /// The largest less the smallest.
@@ -416,96 +414,6 @@ impl Experiment {
             return Err(no_result(variable, column, what));
         }
         Ok(())
-    }
-}
-
-/// Settings of the simulations of a fit.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct SimulationSettings {
-    /// Interface of the model; default: model exchange where it offers that, else co-simulation.
-    pub kind: fmi::Kind,
-    /// Integration method. Default [`ode::Method::Auto`]: the winner of a race between the methods, see
-    /// [`Calibration::solver`](crate::Calibration::solver).
-    #[serde(rename = "solver")]
-    pub method: ode::Method,
-    /// Relative tolerance; default: the model's default experiment, but at most 1e-6, else 1e-6: a fit says
-    /// where it is smaller than the model's.
-    pub relative_tolerance: Option<f64>,
-    /// Step of a fixed-step method; the communication step of co-simulation.
-    pub step_size: Option<f64>,
-    /// Largest step of an adaptive method.
-    pub max_step: Option<f64>,
-    /// True to give a co-simulation the derivatives of its inputs, see
-    /// [`SimulateOptions::input_derivatives`](fmi::SimulateOptions::input_derivatives); default: true.
-    pub input_derivatives: Option<bool>,
-    /// Policy for state events that follow each other so closely that time hardly advances; default: the
-    /// simulation counts as failed.
-    pub chattering: ode::ChatteringPolicy,
-    /// Wall-clock limit of one simulation; one that reaches it counts as failed.
-    pub timeout: Option<Duration>,
-    /// Where the FMU runs. The costs do not depend on it.
-    #[serde(default)]
-    pub isolation: Isolation,
-    /// Bytes of memory that a process of the FMU may have; default: the memory of the machine.
-    #[serde(default)]
-    pub memory_limit: Option<u64>,
-    /// Processes of the FMU may write into their own folder only, and open no connections.
-    #[serde(default)]
-    pub sandbox: bool,
-}
-
-/// The largest relative tolerance that simulations of a fit have where none is asked for. With it a cost of
-/// residuals of usual noise is smooth far below 1e-4 of itself, the `f_tol` of a fit; at 1e-4, which many
-/// models state, it is not.
-const LOOSEST: f64 = 1e-6;
-
-impl SimulationSettings {
-    /// The settings of a record: `solver` is the method, `timeout` is in s, all else has the name of its
-    /// field. What it does not say is as by default.
-    ///
-    /// # Errors
-    /// A setting that there is not, or a value that it cannot have.
-    pub fn asked(record: &Record) -> Result<Self, RecordError> {
-        let mut settings = Self::default();
-        for (name, value) in record {
-            match name.as_str() {
-                "kind" => settings.kind = value.parse(name)?,
-                "solver" => settings.method = value.parse(name)?,
-                "relative_tolerance" => settings.relative_tolerance = value.read(name)?,
-                "step_size" => settings.step_size = value.read(name)?,
-                "max_step" => settings.max_step = value.read(name)?,
-                "input_derivatives" => settings.input_derivatives = value.read(name)?,
-                "chattering" => settings.chattering = value.parse(name)?,
-                "timeout" => settings.timeout = value.read_time(name)?,
-                "isolation" => settings.isolation = value.parse(name)?,
-                "memory_limit" => {
-                    settings.memory_limit = value.read_limit(name, 1)?.map(|bytes| bytes as u64)
-                }
-                "sandbox" => settings.sandbox = value.read(name)?,
-                _ => {
-                    let known: Vec<String> = match dfo::Value::of(&Self::default())? {
-                        dfo::Value::Record(fields) => fields.into_keys().collect(),
-                        _ => Vec::new(),
-                    };
-                    return Err(RecordError::unknown("setting of simulations", name, &known));
-                }
-            }
-        }
-        Ok(settings)
-    }
-
-    /// Limits of the processes of the FMU.
-    pub(crate) fn worker_limits(&self) -> WorkerLimits {
-        let usual = WorkerLimits::default();
-        WorkerLimits { memory: self.memory_limit.or(usual.memory), sandbox: self.sandbox, ..usual }
-    }
-
-    /// The relative tolerance that simulations are asked for: what is set, else [`LOOSEST`] where the model
-    /// states a larger one; `None`: its own, or the default.
-    pub(crate) fn tolerance_of_fits(&self, description: &fmi::ModelDescription) -> Option<f64> {
-        let stated = description.default_experiment.tolerance;
-        self.relative_tolerance
-            .or_else(|| stated.filter(|stated| *stated > LOOSEST && *stated < 1.0).map(|_| LOOSEST))
     }
 }
 

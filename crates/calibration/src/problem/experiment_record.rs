@@ -5,29 +5,57 @@ use crate::data::{CsvRequest, Data};
 use crate::error::CalibrationError;
 use crate::problem::experiment::{Experiment, InitialState, OutputScale, Weight};
 use crate::problem::parameter::Parameter;
+#[cfg(feature = "schema")]
+use crate::problem::schema::{InitialStateRecord, ModelValue, NumberOr, Pairs, Weights};
 use base::RunContext;
-use dfo::{Record, RecordError, Value};
+use dfo::{Record, RecordError, Value, read_record};
+use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
 
-/// Fields of the record.
-const FIELDS: [&str; 15] = [
-    "name",
-    "data",
-    "time",
-    "outputs",
-    "weights",
-    "inputs",
-    "start_values",
-    "initial_states",
-    "windows",
-    "warm_up",
-    "start_time",
-    "mask",
-    "resample",
-    "delays",
-    "hold_inputs",
-];
+/// An experiment as it is described by name, see [`Experiment::asked`].
+#[derive(Debug, Default, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(default, deny_unknown_fields)]
+pub struct ExperimentRecord {
+    /// Name in results; default: that of the recording.
+    name: Option<String>,
+    /// The recording: the path of a CSV file.
+    data: Option<PathBuf>,
+    /// The column of times, where it is not called `time`.
+    time: Option<String>,
+    /// The column that measured each output, variable = column; or a list of pairs, or of names that both
+    /// have.
+    #[cfg_attr(feature = "schema", schemars(with = "Pairs<String>"))]
+    outputs: Value,
+    /// A number or a column for each output, which multiplies its residuals; or a scale for all.
+    #[cfg_attr(feature = "schema", schemars(with = "Weights"))]
+    weights: Value,
+    /// The column that drives each input, or its constant value.
+    #[cfg_attr(feature = "schema", schemars(with = "Pairs<NumberOr<String>>"))]
+    inputs: Value,
+    /// Values of other parameters, and start values of variables.
+    #[cfg_attr(feature = "schema", schemars(with = "Pairs<ModelValue>"))]
+    start_values: Value,
+    /// Initial values of states: a number, `measured`, or a parameter of this experiment alone.
+    #[cfg_attr(feature = "schema", schemars(with = "Pairs<NumberOr<InitialStateRecord>>"))]
+    initial_states: Value,
+    /// Only measurements in one of these windows count, each from and to, in s.
+    windows: Vec<(f64, f64)>,
+    /// For so many seconds from its start the simulation is not compared.
+    warm_up: Option<f64>,
+    /// Where the simulation starts, in s.
+    start_time: Option<f64>,
+    /// The column that says in which rows measurements count.
+    mask: Option<String>,
+    /// The interval over which means are taken, in s.
+    resample: Option<f64>,
+    /// Seconds by which outputs and inputs are late.
+    #[cfg_attr(feature = "schema", schemars(with = "Pairs<f64>"))]
+    delays: Value,
+    /// Holds the recordings of inputs where the simulation goes on beyond them.
+    hold_inputs: bool,
+}
 
 impl Experiment {
     /// The experiment of a record, with its recording, which is read unless the context is over. See the
@@ -47,15 +75,13 @@ impl Experiment {
     /// # Errors
     /// A field that there is not, or a value that it cannot have; as [`Data::read_csv`].
     pub fn asked(record: &Record, folder: &Path, context: &RunContext<'_>) -> Result<Self, CalibrationError> {
-        if let Some(name) = record.keys().find(|name| !FIELDS.contains(&name.as_str())) {
-            return Err(RecordError::unknown("field of an experiment", name, &FIELDS).into());
-        }
-        let outputs: Vec<(String, String)> = read_pairs(record, "outputs")?;
-        let inputs =
-            pairs(record, "inputs")?.into_iter().map(|(input, value)| Ok((source(&value, &input)?, input)));
+        let record: ExperimentRecord = read_record(record, "field of an experiment")?;
+        let outputs: Vec<(String, String)> = read_pairs(&record.outputs, "outputs")?;
+        let inputs = pairs(&record.inputs, "inputs")?
+            .into_iter()
+            .map(|(input, value)| Ok((source(&value, &input)?, input)));
         let inputs = inputs.collect::<Result<Vec<(Source, String)>, RecordError>>()?;
-        let weights = weights(record, &outputs)?;
-        let mask: Option<String> = read(record, "mask")?.flatten();
+        let weights = weights(&record.weights, &outputs)?;
 
         let measured: Vec<&str> = outputs.iter().map(|(_, column)| column.as_str()).collect();
         let weighing = weights.iter().filter_map(|weight| match weight {
@@ -71,22 +97,22 @@ impl Experiment {
             .map(|&c| c.to_owned())
             .chain(weighing)
             .chain(driving)
-            .chain(mask.clone())
+            .chain(record.mask.clone())
             .collect();
-        let path: PathBuf = read(record, "data")?
+        let path = record
+            .data
             .ok_or_else(|| RecordError::message("data is missing: give the path of a CSV file"))?;
-        let time: Option<String> = read(record, "time")?.flatten();
-        let request = CsvRequest { time: time.as_deref(), columns: Some(&columns), context: *context };
+        let request = CsvRequest { time: record.time.as_deref(), columns: Some(&columns), context: *context };
         let mut data = Data::read_csv(folder.join(path), request)?;
-        if let Some(by) = &mask {
+        if let Some(by) = &record.mask {
             data = data.masked_by(&measured, by)?;
         }
-        if let Some(interval) = read(record, "resample")?.flatten() {
+        if let Some(interval) = record.resample {
             data = data.resampled(interval)?;
         }
 
         let mut experiment = Self::new(data);
-        experiment.name = read(record, "name")?.flatten();
+        experiment.name = record.name;
         for ((variable, column), weight) in outputs.into_iter().zip(weights) {
             experiment = experiment.weighted_output(variable, column, weight);
         }
@@ -96,17 +122,17 @@ impl Experiment {
                 Source::Constant(value) => experiment.constant_input(input, value),
             };
         }
-        for (variable, value) in pairs(record, "start_values")? {
+        for (variable, value) in pairs(&record.start_values, "start_values")? {
             experiment = experiment.start_value(&variable, model_value(&value, &variable)?);
         }
-        for (state, initial) in pairs(record, "initial_states")? {
+        for (state, initial) in pairs(&record.initial_states, "initial_states")? {
             experiment = experiment.initial_state(&state, initial_state(&initial, &state)?);
         }
-        experiment.windows = read(record, "windows")?.unwrap_or_default();
-        experiment.warm_up = read(record, "warm_up")?.flatten();
-        experiment.start_time = read(record, "start_time")?.flatten();
-        experiment.hold_inputs = read(record, "hold_inputs")?.unwrap_or_default();
-        experiment.delays = read_pairs(record, "delays")?;
+        experiment.windows = record.windows;
+        experiment.warm_up = record.warm_up;
+        experiment.start_time = record.start_time;
+        experiment.hold_inputs = record.hold_inputs;
+        experiment.delays = read_pairs(&record.delays, "delays")?;
         Ok(experiment)
     }
 }
@@ -129,13 +155,13 @@ fn source(value: &Value, input: &str) -> Result<Source, RecordError> {
 }
 
 /// The weight of each output.
-fn weights(record: &Record, outputs: &[(String, String)]) -> Result<Vec<Weight>, CalibrationError> {
-    if let Some(Value::Text(scale)) = record.get("weights") {
+fn weights(given: &Value, outputs: &[(String, String)]) -> Result<Vec<Weight>, CalibrationError> {
+    if let Value::Text(scale) = given {
         let scale = OutputScale::named(scale)?;
         return Ok(vec![Weight::Inverse(scale); outputs.len()]);
     }
     let mut weights = vec![Weight::Constant(1.0); outputs.len()];
-    for (variable, value) in pairs(record, "weights")? {
+    for (variable, value) in pairs(given, "weights")? {
         let weight = match &value {
             Value::Text(column) => Weight::Column(column.clone()),
             number => Weight::Constant(number.read(&variable)?),
@@ -187,13 +213,8 @@ fn model_value(value: &Value, variable: &str) -> Result<fmi::Value, RecordError>
     })
 }
 
-/// The value of a field, if it is given.
-fn read<T: DeserializeOwned>(record: &Record, name: &str) -> Result<Option<T>, RecordError> {
-    record.get(name).map(|value| value.read(name)).transpose()
-}
-
 /// Names and their values: of a record, of a list of pairs, of a list of names that stand for themselves.
-fn pairs(record: &Record, name: &str) -> Result<Vec<(String, Value)>, RecordError> {
+fn pairs(given: &Value, name: &str) -> Result<Vec<(String, Value)>, RecordError> {
     let pair = |item: &Value| match item {
         Value::Text(own) => Some((own.clone(), item.clone())),
         Value::List(pair) => match &pair[..] {
@@ -202,7 +223,6 @@ fn pairs(record: &Record, name: &str) -> Result<Vec<(String, Value)>, RecordErro
         },
         _ => None,
     };
-    let given = record.get(name).unwrap_or(&Value::Nothing);
     let found = match given {
         Value::Nothing => Some(Vec::new()),
         Value::Record(fields) => Some(fields.clone().into_iter().collect()),
@@ -217,10 +237,10 @@ fn pairs(record: &Record, name: &str) -> Result<Vec<(String, Value)>, RecordErro
 }
 
 /// The same with values of a type.
-fn read_pairs<T: DeserializeOwned>(record: &Record, name: &str) -> Result<Vec<(String, T)>, RecordError> {
+fn read_pairs<T: DeserializeOwned>(given: &Value, name: &str) -> Result<Vec<(String, T)>, RecordError> {
     let read = |(own, value): (String, Value)| {
         let read = value.read(&format!("{name}: '{own}'"))?;
         Ok((own, read))
     };
-    pairs(record, name)?.into_iter().map(read).collect()
+    pairs(given, name)?.into_iter().map(read).collect()
 }

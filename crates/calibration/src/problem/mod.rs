@@ -15,4 +15,7 @@ pub(crate) mod parameter_record;
 pub(crate) mod prior;
 pub(crate) mod residual_layout;
 pub(crate) mod resolution;
+#[cfg(feature = "schema")]
+pub(crate) mod schema;
+pub(crate) mod settings;
 pub(crate) mod warning;

@@ -28,6 +28,7 @@ pub enum CostKind {
 
 /// Costs that are no sums of squares. N counts the residuals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum NamedCost {

@@ -3,31 +3,51 @@
 use crate::error::CalibrationError;
 use crate::problem::parameter::{Parameter, Scale, Target, Tie};
 use crate::problem::prior::Prior;
-use dfo::{Kind, Record, Value};
+use dfo::{Kind, Record, Value, read_record};
 use serde::{Deserialize, Serialize};
 
-/// Options of a parameter by name, see the methods of [`Parameter`] of the same names.
+/// A parameter as it is described by name, see [`Parameter::asked`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
-struct ParameterRecord {
+pub struct ParameterRecord {
+    /// Its name: that of the variable of the model that it sets, unless `variables` and the like say another.
     name: String,
+    /// Where its search starts.
     start: Option<f64>,
+    /// Lower bound; default: none.
     lower: Option<f64>,
+    /// Upper bound; default: none.
     upper: Option<f64>,
+    /// The scale on which it is searched.
     scale: Scale,
+    /// A typical size.
     nominal: Option<f64>,
+    /// Kind of its values.
     kind: Kind,
+    /// Holds it at its start.
     fixed: bool,
+    /// Gives it a value of its own in each experiment.
     local: bool,
+    /// The variables of the model that it sets.
     variables: Option<Vec<String>>,
+    /// The output or input whose delay in s it is.
     delay_of: Option<String>,
+    /// The output or input that it is added to.
     offset_of: Option<String>,
+    /// The parameter that it follows: its value is factor * value + offset.
     tied_to: Option<String>,
+    /// Factor of the parameter that it follows.
     factor: f64,
+    /// Offset from the parameter that it follows.
     offset: f64,
+    /// The factor has a unit.
     across_units: bool,
+    /// Unit of its values, where it is not that of the variable.
     unit: Option<String>,
+    /// Name in reports and figures.
     display_name: Option<String>,
+    /// Knowledge of it before the fit.
     prior: Option<Prior>,
 }
 
@@ -65,7 +85,7 @@ impl Parameter {
     /// # Errors
     /// Values that such a field cannot have; numbers that do not fit together, as [`check`](Self::check).
     pub fn asked(record: &Record) -> Result<Self, CalibrationError> {
-        let asked: ParameterRecord = Value::Record(record.clone()).read("parameter")?;
+        let asked: ParameterRecord = read_record(record, "field of a parameter")?;
         let name = asked.name;
         let bad = |message: &str| {
             Err(CalibrationError::Parameter { name: name.clone(), message: message.to_owned() })

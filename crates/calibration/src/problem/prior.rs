@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 /// ([`FitOptions::noise`](crate::FitOptions::noise)). (Tarantola, Inverse Problem Theory, 2005, section 3.2.)
 /// A uniform prior are the bounds of the parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Prior {
     /// Normally distributed: the residual is `(p - mean) / sd`.

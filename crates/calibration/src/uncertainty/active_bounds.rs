@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 /// One of the two bounds of a parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum BoundSide {
     /// The smallest value.

@@ -46,6 +46,7 @@ pub struct PreflightOptions {
 
 /// Result of a preflight. `Display` prints a table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct Preflight {
     /// One entry per parameter.
@@ -82,6 +83,7 @@ pub struct Preflight {
 
 /// Effect of moving one parameter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct ParameterCheck {
     /// Its name.

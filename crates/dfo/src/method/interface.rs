@@ -167,6 +167,7 @@ impl Batch {
 /// Number of points that a run evaluates at once where the path of its method needs fewer; the others are
 /// those of [`Method::speculate`]. The path is the same in any case. Users write a name or a number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub enum Lookahead {
     /// `serial`: the points that the path needs, never an evaluation too many.

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 /// Distribution of starting points over a box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Sampling {

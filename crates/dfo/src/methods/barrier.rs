@@ -46,6 +46,7 @@ const MAX_STAGES: usize = 40;
 /// # Ok::<(), dfo::Error>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct Barrier {
     /// The first barrier parameter, positive and at most 1e200; default: a tenth of the cost at the start is

@@ -80,6 +80,24 @@ pub(super) fn tagged(option: &str, value: Value) -> Value {
     }
 }
 
+/// The shapes of an option that [`tagged`] takes beside the serialised one, as a JSON schema.
+#[cfg(feature = "schema")]
+pub(super) fn shape(option: &str) -> Option<serde_json::Value> {
+    let numbers = |n: usize| serde_json::json!({ "type": "array", "items": { "type": "number" }, "minItems": n, "maxItems": n });
+    Some(match option {
+        "coefficients" => numbers(4),
+        "initial_simplex" => {
+            serde_json::json!({ "type": ["array", "null"], "items": { "type": ["number", "array"] } })
+        }
+        "restarts" => serde_json::json!({ "type": "null" }),
+        "selection" => {
+            serde_json::json!({ "anyOf": [{ "const": "fitness" }, { "type": "integer", "minimum": 1 }] })
+        }
+        "weight" => serde_json::json!({ "anyOf": [{ "type": "number" }, numbers(2)] }),
+        _ => return None,
+    })
+}
+
 /// What an option of several shapes must be.
 pub(super) fn described(option: &str) -> Option<&'static str> {
     Some(match option {

@@ -10,6 +10,8 @@ mod multistart;
 mod nelder_mead;
 mod pattern_search;
 mod quadratic_model;
+#[cfg(feature = "schema")]
+mod schema;
 mod shared;
 
 pub use barrier::{Barrier, BarrierState};
@@ -207,6 +209,24 @@ const LIST: [Listed; 10] = [
 /// measured there.
 const MOST_FOR_MODELS: usize = 60;
 
+/// The same call on whichever method it is.
+macro_rules! each {
+    ($any:expr, $options:ident => $call:expr) => {
+        match $any {
+            AnyMethod::NelderMead($options) => $call,
+            AnyMethod::Barrier($options) => $call,
+            AnyMethod::DifferentialEvolution($options) => $call,
+            AnyMethod::Genetic($options) => $call,
+            AnyMethod::LeastSquares($options) => $call,
+            AnyMethod::CmaEs($options) => $call,
+            AnyMethod::Multistart($options) => $call,
+            AnyMethod::Auto($options) => $call,
+            AnyMethod::QuadraticModel($options) => $call,
+            AnyMethod::PatternSearch($options) => $call,
+        }
+    };
+}
+
 impl AnyMethod {
     /// All names.
     pub const NAMES: [&'static str; LIST.len()] = {
@@ -238,6 +258,23 @@ impl AnyMethod {
     /// The names of the methods that can be asked for, `auto` not among them.
     pub fn names() -> impl ExactSizeIterator<Item = &'static str> {
         LIST.iter().map(|method| method.name)
+    }
+
+    /// All methods, with all names that they are asked for by.
+    #[cfg(feature = "schema")]
+    pub(crate) fn listed() -> impl Iterator<Item = (Vec<&'static str>, Self)> {
+        LIST.iter()
+            .map(|method| (method.also.iter().chain([&method.name]).copied().collect(), (method.options)()))
+    }
+
+    /// The JSON schema of each option.
+    #[cfg(feature = "schema")]
+    pub(crate) fn option_schemas(
+        &self,
+        generator: &mut schemars::SchemaGenerator,
+    ) -> serde_json::Map<String, serde_json::Value> {
+        let names = self.option_names().unwrap_or_default();
+        each!(self, options => schema::option_schemas(options, &names, generator))
     }
 
     /// The method that `fmin` of Gedda et al. (2012) has under this number: 1 Nelder-Mead, 2 sequential
@@ -323,33 +360,17 @@ from_options!(
     Auto
 );
 
-/// The same call on whichever method it is.
-macro_rules! each {
-    ($any:expr, $options:ident => $call:expr) => {
-        match $any {
-            AnyMethod::NelderMead($options) => $call,
-            AnyMethod::Barrier($options) => $call,
-            AnyMethod::DifferentialEvolution($options) => $call,
-            AnyMethod::Genetic($options) => $call,
-            AnyMethod::LeastSquares($options) => $call,
-            AnyMethod::CmaEs($options) => $call,
-            AnyMethod::Multistart($options) => $call,
-            AnyMethod::Auto($options) => $call,
-            AnyMethod::QuadraticModel($options) => $call,
-            AnyMethod::PatternSearch($options) => $call,
-        }
-    };
-}
-
 /// No method in particular: the run chooses one ([`AnyMethod::chosen_for`]), and its report says which and
 /// why.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default)]
 #[non_exhaustive]
 pub struct Auto {
     /// Goal of the search: the minimum next to the start (default), or the best in the box.
     pub search: Search,
     /// Options for the method that will be chosen, by name; those of Nelder-Mead alone choose Nelder-Mead.
+    #[cfg_attr(feature = "schema", schemars(with = "std::collections::BTreeMap<String, serde_json::Value>"))]
     pub options: Record,
 }
 

@@ -2,7 +2,7 @@
 
 use crate::error::Error;
 use crate::outcome::answer::Outcome;
-use crate::values::record::{Record, RecordError};
+use crate::values::record::{Record, RecordError, Value};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::SQRT_2;
 use std::fmt;
@@ -12,6 +12,7 @@ use std::fmt;
 ///
 /// For small residuals every one of them is the square of the residual.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Loss {
@@ -78,11 +79,21 @@ impl RobustLoss {
     /// # Errors
     /// A value that such an option cannot have.
     pub fn asked(record: &mut Record) -> Result<Option<Self>, Error> {
-        let (loss, scale) = (record.remove("loss"), record.remove("f_scale"));
-        let Some(loss) = loss else { return Ok(None) };
-        let kind = loss.read("loss")?;
-        let Some(scale) = scale else { return Self::new(kind, 1.0).map(Some) };
-        Self::new(kind, scale.read("f_scale")?).map(Some).map_err(|_| {
+        let scale = record.remove("f_scale").map(|scale| scale.read("f_scale")).transpose()?;
+        match record.remove("loss") {
+            Some(loss) => Self::named(Some(loss.read("loss")?), scale),
+            None => Ok(None),
+        }
+    }
+
+    /// The loss of this kind and scale; default: no loss, and a scale of 1.
+    ///
+    /// # Errors
+    /// A scale that it cannot have.
+    pub fn named(kind: Option<Loss>, scale: Option<f64>) -> Result<Option<Self>, Error> {
+        let Some(kind) = kind else { return Ok(None) };
+        Self::new(kind, scale.unwrap_or(1.0)).map(Some).map_err(|_| {
+            let scale = Value::Number(scale.unwrap_or(1.0));
             RecordError::range("positive and finite (1e-300 to 1e300)").of("f_scale", &scale).into()
         })
     }

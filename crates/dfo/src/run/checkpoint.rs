@@ -43,6 +43,7 @@ const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 /// Treatment of a checkpoint that is there already.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Resume {
     /// Continue if there is one, else start.
@@ -74,6 +75,7 @@ pub struct Checkpoint {
 
 /// Identity of the code of an objective.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Code {
     /// A hash.

@@ -1,5 +1,6 @@
 //! Runs: minimisation, ask and tell, options, report, checkpoint.
 
+pub(crate) mod asked;
 pub(crate) mod checkpoint;
 pub(crate) mod drive;
 pub(crate) mod minimize;
@@ -7,4 +8,6 @@ pub(crate) mod optimizer;
 pub(crate) mod options;
 pub(crate) mod progress;
 pub(crate) mod report;
+#[cfg(feature = "schema")]
+mod schema;
 pub(crate) mod start;

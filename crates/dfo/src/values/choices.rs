@@ -6,6 +6,7 @@ use std::fmt;
 
 /// The scale on which a parameter is searched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Transform {
     /// As it is.
@@ -17,6 +18,7 @@ pub enum Transform {
 
 /// Kind of the values that a parameter takes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
     /// Any in its bounds.
@@ -40,6 +42,7 @@ impl fmt::Display for Kind {
 
 /// Treatment of the bounds by a search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum BoundsHandling {
@@ -59,6 +62,7 @@ pub enum BoundsHandling {
 
 /// Goal of a search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Search {
     /// The minimum next to the start.
@@ -70,6 +74,7 @@ pub enum Search {
 
 /// Measure of the tolerances.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Measure {
     /// `x_tol` in units of the parameter's size, `f_tol` as a fraction of |f_best|.
@@ -81,6 +86,7 @@ pub enum Measure {
 
 /// Number of the two tests that must pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Stop {
     /// Either one ends the run.

@@ -21,10 +21,11 @@ const MOST_LISTED: usize = 24;
 pub type Record = BTreeMap<String, Value>;
 
 /// Plain data. Other than JSON it has infinities and NaN.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Value {
     /// None: the default, no limit, no bound.
+    #[default]
     Nothing,
     /// True or false.
     Flag(bool),
@@ -176,6 +177,8 @@ enum Problem {
     NoCheckpoint,
     /// It is none of these words.
     Word(Vec<&'static str>),
+    /// The record has no field of this name; those there are.
+    Field(String, &'static [&'static str]),
     /// What is wrong, in full.
     Message(String),
 }
@@ -213,6 +216,14 @@ impl RecordError {
             false => format!(" there are {}", known.join(", ")),
         };
         Self::message(format!("there is no {what} '{name}'{hint}{listed}"))
+    }
+
+    /// The same, where it is about a name that the outermost record does not have: what the names there are.
+    pub(crate) fn among(self, what: &str) -> Self {
+        match &self.problem {
+            Problem::Field(field, known) if self.name.is_none() => Self::unknown(what, field, known),
+            _ => self,
+        }
     }
 
     /// The same of an option, where none is named yet.
@@ -283,6 +294,7 @@ impl RecordError {
             Problem::NoCheckpoint => {
                 format!("{name} = {given} has no effect without a checkpoint: give its file, checkpoint=...")
             }
+            Problem::Field(field, known) => Self::unknown("field", field, known).with_given(given),
             Problem::Message(message) => message.clone(),
         }
     }
@@ -307,6 +319,7 @@ impl de::Error for RecordError {
             "usize" | "u64" | "u32" => "a whole number, at least 0",
             "f64" => "a number",
             "a boolean" => "True or False",
+            "any value" => "plain data",
             other => other,
         };
         let is_number =
@@ -323,7 +336,7 @@ impl de::Error for RecordError {
     }
 
     fn unknown_field(field: &str, expected: &'static [&'static str]) -> Self {
-        Self::unknown("field", field, expected)
+        Self::new(Problem::Field(field.to_owned(), expected))
     }
 
     fn unknown_variant(_: &str, expected: &'static [&'static str]) -> Self {

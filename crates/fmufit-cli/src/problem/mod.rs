@@ -7,4 +7,4 @@ mod problem_file;
 pub(crate) mod short_form;
 
 pub(crate) use asked::asked;
-pub(crate) use problem_file::ProblemFile;
+pub(crate) use problem_file::{ProblemFile, ProblemRecord};

@@ -5,15 +5,46 @@ use super::document::Document;
 use super::place::{Lines, field, item, named_in};
 use crate::error::Error;
 use calibration::{
-    Calibration, CalibrationError, Experiment, FitOptions, Parameter, RunContext, SimulationSettings, Stage,
+    Calibration, CalibrationError, Experiment, ExperimentRecord, FitOptions, Parameter, ParameterRecord,
+    RunContext, SimulationSettings, Stage, fit_schema, stage_schema,
 };
-use dfo::{AskedRun, Record, RecordError, Value};
+use dfo::{Record, RecordError, Value, field_names};
 use fmi::Fmu;
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::Serialize;
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
-/// Fields of the file.
-const FIELDS: [&str; 6] = ["model", "experiments", "parameters", "settings", "fit", "stages"];
+/// A problem file: which parameters of a model are fitted to which recordings.
+#[derive(Debug, Default, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(title = "Problem of fmufit")]
+pub(crate) struct ProblemRecord {
+    /// The model: the path of an FMU.
+    #[schemars(with = "PathBuf")]
+    model: Value,
+    /// Recordings, and how the model is to reproduce them.
+    #[schemars(with = "Vec<ExperimentRecord>")]
+    experiments: Value,
+    /// What is fitted.
+    #[schemars(with = "Vec<ParameterRecord>")]
+    parameters: Value,
+    /// Settings of the simulations.
+    #[schemars(with = "Option<SimulationSettings>")]
+    settings: Value,
+    /// Options of the fit.
+    #[schemars(schema_with = "fit_schema")]
+    #[serde(default)]
+    fit: Value,
+    /// Fits one after the other, each of some of the parameters.
+    #[schemars(schema_with = "stages_schema")]
+    #[serde(default)]
+    stages: Value,
+}
+
+fn stages_schema(generator: &mut SchemaGenerator) -> Schema {
+    json_schema!({ "type": "array", "items": stage_schema(generator) })
+}
 
 /// A problem as it was written.
 pub(crate) struct ProblemFile {
@@ -53,8 +84,9 @@ impl ProblemFile {
 
     fn checked(self) -> Result<Self, Error> {
         let fields = self.fields("")?;
-        match fields.keys().find(|name| !FIELDS.contains(&name.as_str())) {
-            Some(name) => Err(self.error(name, RecordError::unknown("field of a problem", name, &FIELDS))),
+        let known: Vec<String> = field_names::<ProblemRecord>().map_err(Error::input)?.into_iter().collect();
+        match fields.keys().find(|name| !known.contains(name)) {
+            Some(name) => Err(self.error(name, RecordError::unknown("field of a problem", name, &known))),
             None => Ok(self),
         }
     }
@@ -180,8 +212,7 @@ impl ProblemFile {
     pub(crate) fn stages(&self, n_parameters: usize) -> Result<Vec<Stage>, Error> {
         let stage = |(path, fields): (String, Record)| {
             let at = |error: dfo::Error| self.located(&path, error.into());
-            let own = ["parameters", "windows"].map(str::to_owned);
-            self.check_names(&path, &fields, own.into_iter().chain(AskedRun::option_names().map_err(at)?))?;
+            self.check_names(&path, &fields, Stage::option_names().map_err(at)?)?;
             Stage::asked(fields, n_parameters).map_err(at)
         };
         self.tables("stages")?.into_iter().map(stage).collect()

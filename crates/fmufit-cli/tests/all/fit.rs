@@ -10,7 +10,7 @@ fn decay(more: &str) -> Folder {
     folder
 }
 
-const PROBLEM: &str = r#"model = "model.fmu"
+pub(crate) const PROBLEM: &str = r#"model = "model.fmu"
 
 [[experiments]]
 data = "run.csv"

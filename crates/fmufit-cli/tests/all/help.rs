@@ -2,8 +2,19 @@
 
 use crate::support::Folder;
 
-const COMMANDS: [&str; 10] =
-    ["info", "validate", "simulate", "init", "check", "fit", "resume", "report", "build", "completions"];
+const COMMANDS: [&str; 11] = [
+    "info",
+    "validate",
+    "simulate",
+    "init",
+    "check",
+    "fit",
+    "resume",
+    "report",
+    "build",
+    "schema",
+    "completions",
+];
 
 #[test]
 fn help_has_an_example_for_each_command_and_the_exit_codes() {

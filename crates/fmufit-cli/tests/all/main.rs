@@ -6,4 +6,5 @@ mod help;
 mod init;
 mod interrupt;
 mod models;
+mod schema;
 mod support;

@@ -12,7 +12,7 @@ mod tolerance;
 
 pub use engine::Engine;
 pub use noise::{EstimatedNoise, FitNoise, NoiseRule, OutputNoise};
-pub use options::{FitObserver, FitOptions};
+pub use options::{FitObserver, FitOptions, FitRecord};
 pub use result::Fit;
 pub(crate) use rounds::{add_earlier, checkpoint_of, ended_by};
 pub use tolerance::ChosenTolerance;

@@ -18,6 +18,7 @@ use std::fmt;
 
 /// Where the noise of the measurements is taken from, see [`FitOptions::noise`](crate::FitOptions::noise).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum NoiseRule {
@@ -36,6 +37,7 @@ pub enum NoiseRule {
 
 /// Where a fit has the noise of the measurements from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum FitNoise {
@@ -81,6 +83,7 @@ impl fmt::Display for FitNoise {
 /// rows of the priors, too (the equation of the evidence: MacKay, Neural Computation 4, 1992, page 426). It
 /// ends when no estimate changes by more than 1 %.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct EstimatedNoise {
     /// Per variable of the model, over all of its recordings, in the order of the residual vector.
@@ -95,6 +98,7 @@ pub struct EstimatedNoise {
 
 /// The noise of one variable of the model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct OutputNoise {
     /// The variable.

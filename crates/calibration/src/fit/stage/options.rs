@@ -7,9 +7,10 @@ use crate::problem::objective::CostKind;
 use crate::uncertainty::estimate::{Estimator, UncertaintyOptions};
 use base::RunContext;
 use dfo::{
-    AnyMethod, AskedRun, Measure, Progress, Record, RecordError, RobustLoss, RunOptions, Search, Stop,
-    Tolerances,
+    AnyMethod, AskedRun, Loss, Measure, Progress, Record, RecordError, RobustLoss, RunOptions, Search, Stop,
+    Tolerances, field_names, read_part,
 };
+use serde::{Deserialize, Deserializer, Serialize};
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::fmt;
@@ -86,40 +87,65 @@ impl FitOptions<'_> {
     /// The options of a method cannot be serialised.
     pub fn option_names() -> Result<BTreeSet<String>, dfo::Error> {
         let mut names = AskedRun::option_names()?;
-        names.extend(["objective", "loss", "f_scale", "noise", "preflight", "covariance"].map(str::to_owned));
+        names.extend(field_names::<FitRecord>()?);
         Ok(names)
     }
 
-    /// A fit of `n` parameters as a record asks for it: `objective`, `loss`, `f_scale`, `noise`, `preflight`,
-    /// `covariance`, and the options of its run. What it does not say is as by default.
+    /// A fit of `n` parameters as a record asks for it: the options of a [`FitRecord`], and those of its run.
+    /// What it does not say is as by default.
     ///
     /// # Errors
     /// An option that there is not, or a value that it cannot have.
-    pub fn asked(mut record: Record, n: usize) -> Result<Self, dfo::Error> {
-        let mut options =
-            Self { loss: RobustLoss::asked(&mut record)?.unwrap_or_default(), ..Self::default() };
-        if let Some(objective) = record.remove("objective") {
-            let name: String = objective.read("objective")?;
+    pub fn asked(record: Record, n: usize) -> Result<Self, dfo::Error> {
+        let (own, of_run) = read_part::<FitRecord>(record, "option of a fit")?;
+        let mut options = Self {
+            loss: RobustLoss::named(own.loss, own.f_scale)?.unwrap_or_default(),
+            noise: own.noise,
+            preflight: own.preflight,
+            ..Self::default()
+        };
+        if let Some(name) = own.objective {
             options.objective = CostKind::of_name(&name).ok_or_else(|| {
                 let known: Vec<CostKind> = CostKind::named().collect();
                 let known: Vec<&str> = known.iter().map(CostKind::name).collect();
                 RecordError::unknown("objective", &name, &known)
             })?;
         }
-        if let Some(noise) = record.remove("noise") {
-            options.noise = noise.read("noise")?;
-        }
-        if let Some(preflight) = record.remove("preflight") {
-            options.preflight = preflight.read("preflight")?;
-        }
-        if let Some(covariance) = record.remove("covariance") {
-            let estimator: Option<Estimator> = covariance.read("covariance")?;
+        if let Some(covariance) = own.covariance {
             options.uncertainty =
-                estimator.map(|estimator| UncertaintyOptions { estimator, ..UncertaintyOptions::default() });
+                covariance.map(|estimator| UncertaintyOptions { estimator, ..UncertaintyOptions::default() });
         }
-        options.run = AskedRun::new(options.run, &record, n)?.options;
+        options.run = AskedRun::new(options.run, &of_run, n)?.options;
         Ok(options)
     }
+}
+
+/// The options of a fit by name, beside those of its run.
+#[derive(Debug, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(default, deny_unknown_fields)]
+pub struct FitRecord {
+    /// Cost that is minimised.
+    #[cfg_attr(feature = "schema", schemars(schema_with = "crate::problem::schema::objective"))]
+    objective: Option<String>,
+    /// Loss function: the contribution of a residual to the cost.
+    loss: Option<Loss>,
+    /// Size of the residuals from which on the loss differs from the square.
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    f_scale: Option<f64>,
+    /// Where the noise of the measurements is taken from.
+    noise: NoiseRule,
+    /// The start is looked at first.
+    preflight: bool,
+    /// Estimator of the covariance; none: the uncertainty is not estimated.
+    #[serde(deserialize_with = "said")]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<Estimator>"))]
+    covariance: Option<Option<Estimator>>,
+}
+
+/// A value that is said, `None` too.
+fn said<'de, T: Deserialize<'de>, D: Deserializer<'de>>(deserializer: D) -> Result<Option<T>, D::Error> {
+    T::deserialize(deserializer).map(Some)
 }
 
 impl Default for FitOptions<'_> {

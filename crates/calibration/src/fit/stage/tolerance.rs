@@ -25,6 +25,7 @@ use serde::{Deserialize, Serialize};
 /// differences between neighbouring measurements. Where `f_tol` is 100 times the tolerance of the model or
 /// more, nothing is simulated, and T is used.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct ChosenTolerance {
     /// The tolerance of the fit's simulations.

@@ -39,6 +39,7 @@ const NAMED: usize = 3;
 
 /// Kind of a number that a fit takes as known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Effect {
     /// What measurements of an output may have.
@@ -67,6 +68,7 @@ pub(super) struct Change {
 /// By the score test of one more parameter beside those of the fit (Rao, Proc. Camb. Phil. Soc. 44, 1948):
 /// no fit is made with it, the numbers are those of a linear model around the result.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct Omitted {
     /// Kind of the number.

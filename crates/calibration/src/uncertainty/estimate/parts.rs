@@ -25,6 +25,7 @@ const LEAST: f64 = 1e-6;
 
 /// Two parts of the measurements.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Parts {
@@ -40,6 +41,7 @@ pub enum Parts {
 /// leaves less than their noise explains (Chow, Econometrica 28, 1960, with a variance of its own for each
 /// part), as linearised around the result.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct PartConflict {
     /// The parts.

@@ -17,6 +17,7 @@ const CONTRADICTS: f64 = 4.0;
 
 /// A prior, and what the measurements alone say of its parameter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct PriorConflict {
     /// The parameter, by number.

@@ -17,6 +17,7 @@ use std::fmt;
 
 /// Estimator of the covariance of the parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Estimator {
     /// `(J'J)^-1 J'SJ (J'J)^-1` with one residual variance per output of the model, over all of its
@@ -81,6 +82,7 @@ impl UncertaintyOptions {
 /// From central differences over steps of about one standard error (see the source of `differences`); never
 /// from second derivatives. Residuals of priors count, with the variance 1.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct Uncertainty {
     /// Estimator of the covariance.

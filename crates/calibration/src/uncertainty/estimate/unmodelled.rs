@@ -27,6 +27,7 @@ pub(super) fn left(residuals: &[f64], base: &DMatrix<f64>) -> DVector<f64> {
 
 /// Kind of effect in the measurements that the simulation does not have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum UnmodelledKind {
     /// A number is added to them.
@@ -93,6 +94,7 @@ impl<'a> Changes<'a> {
 
 /// One number of an output that would explain its residuals, together with other values of the parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct Unmodelled {
     /// Kind of the effect.

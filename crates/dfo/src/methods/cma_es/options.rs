@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 /// Restart policy: the search may begin anew, from another mean with another population, when it has come to
 /// an end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Restarts {
@@ -22,6 +23,7 @@ pub enum Restarts {
 
 /// Treatment of points that are drawn outside of the bounds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum CmaBounds {
@@ -50,6 +52,7 @@ pub enum CmaBounds {
 /// # Ok::<(), dfo::Error>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct CmaEs {
     /// Individuals of a generation, at least 2; default `4 + floor(3 ln n)` for `n` free parameters

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 /// Strategy for donor vectors. `r1`, `r2`, ... are different members, drawn for each target `i`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Strategy {
@@ -33,6 +34,7 @@ impl Strategy {
 
 /// Crossover of target and donor into the trial vector. At least one coordinate always comes from the donor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Crossover {
@@ -45,6 +47,7 @@ pub enum Crossover {
 
 /// The differential weight `F`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Weight {
@@ -56,6 +59,7 @@ pub enum Weight {
 
 /// Repair of coordinates outside of the box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Repair {
@@ -72,6 +76,7 @@ pub enum Repair {
 
 /// Options of L-SHADE. The defaults are those of its authors, but for a memory of five.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct Adaptive {
     /// Fraction of the population that counts as best; default 0.11.
@@ -92,6 +97,7 @@ impl Default for Adaptive {
 
 /// Scheme for trial vectors.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Scheme {
@@ -130,6 +136,7 @@ pub enum Scheme {
 /// # Ok::<(), dfo::Error>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct DifferentialEvolution {
     /// Scheme for trial vectors; default L-SHADE.

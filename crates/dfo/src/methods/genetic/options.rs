@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 /// Selection of parents.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Selection {
@@ -44,6 +45,7 @@ pub enum Selection {
 /// # Ok::<(), dfo::Error>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct Genetic {
     /// Members; default 10 n, but at least 50.

@@ -7,6 +7,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 /// Number of points that least squares evaluates at once after the first n + 1. Each plan takes a path of its
 /// own, the same for any number of workers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum StepPlan {
@@ -57,6 +58,7 @@ impl StepPlan {
 /// # Ok::<(), dfo::Error>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct LeastSquares {
     /// The first radius, in units of the sizes of the parameters; default 0.1.

@@ -90,6 +90,7 @@ pub(super) enum Role {
 
 /// Result for a point that was requested.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub(super) enum Known {
     Pending,
     Failed,

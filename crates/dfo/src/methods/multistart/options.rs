@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 /// The method of the local searches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Polish {
@@ -45,6 +46,7 @@ const FEW: usize = 5;
 /// # Ok::<(), dfo::Error>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct Multistart {
     /// Points of a sample (`N`); default 10 per parameter, at least 20.

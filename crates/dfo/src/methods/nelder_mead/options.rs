@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 /// The coefficients of the simplex operations.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Coefficients {
@@ -86,6 +87,7 @@ impl Coefficients {
 
 /// The starting simplex. Its first vertex is always the start point, unless all vertices are given.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum InitialSimplex {
@@ -115,6 +117,7 @@ pub enum InitialSimplex {
 /// # assert_eq!(method.batch, Lookahead::Points(4));
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct NelderMead {
     /// Number of points that are evaluated at once; default [`Lookahead::Measured`].

@@ -22,6 +22,7 @@ pub(super) const MOST_FROM_SCRATCH: usize = 20;
 /// # Ok::<(), dfo::Error>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct QuadraticModel {
     /// The first trust region, in units of the sizes of the parameters; default 0.2 in a box, 0.1 where a

@@ -16,9 +16,12 @@ pub(super) fn text(
 ) -> String {
     let description = fmu.description();
     let mut lines = vec![
+        // Editors read it.
+        "#:schema problem.schema.json".to_owned(),
         "# Which parameters of a model are fitted to which recordings.".to_owned(),
         "#   fmufit check FILE    looks for mistakes".to_owned(),
         "#   fmufit fit FILE      fits".to_owned(),
+        "#   fmufit schema > problem.schema.json    has editors check this file".to_owned(),
         "# Relative paths begin in the folder of this file. Times are in s.".to_owned(),
         String::new(),
         format!(

@@ -1,0 +1,31 @@
+//! JSON schemas of the options of a fit and of a stage: their own, and those of the run.
+
+use crate::fit::stage::FitRecord;
+use crate::fit::stages::StageRecord;
+use dfo::AskedRun;
+use schemars::{JsonSchema, Schema, SchemaGenerator};
+use serde_json::Value as Json;
+
+/// The schema of the options of a fit.
+pub fn fit_schema(generator: &mut SchemaGenerator) -> Schema {
+    with_run(FitRecord::json_schema(generator), generator)
+}
+
+/// The schema of the options of a stage.
+pub fn stage_schema(generator: &mut SchemaGenerator) -> Schema {
+    with_run(StageRecord::json_schema(generator), generator)
+}
+
+fn with_run(own: Schema, generator: &mut SchemaGenerator) -> Schema {
+    let mut schema = AskedRun::json_schema(generator);
+    let own = own.get("properties").and_then(Json::as_object).cloned().unwrap_or_default();
+    for rule in schema.get_mut("allOf").and_then(Json::as_array_mut).into_iter().flatten() {
+        if let Some(names) = rule.pointer_mut("/then/propertyNames/enum").and_then(Json::as_array_mut) {
+            names.extend(own.keys().map(|name| Json::from(name.as_str())));
+        }
+    }
+    if let Some(properties) = schema.get_mut("properties").and_then(Json::as_object_mut) {
+        properties.extend(own);
+    }
+    schema
+}

@@ -1,0 +1,61 @@
+//! JSON schemas of what the records of a problem spell in several ways.
+
+use crate::problem::experiment::OutputScale;
+use crate::problem::objective::CostKind;
+use crate::problem::parameter_record::ParameterRecord;
+use fmi::worker::Isolation;
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use std::collections::BTreeMap;
+
+macro_rules! untagged {
+    ($($(#[$doc:meta])* $name:ident $(<$T:ident>)? { $($variant:ident($content:ty)),* $(,)? })*) => {
+        $($(#[$doc])*
+        #[derive(JsonSchema)]
+        #[serde(untagged)]
+        #[allow(dead_code, reason = "its schema alone is used")]
+        pub(crate) enum $name $(<$T>)? {
+            $($variant($content)),*
+        })*
+    };
+}
+
+untagged! {
+    /// A value for each name; names alone stand for themselves.
+    Pairs<T> { ByName(BTreeMap<String, T>), InOrder(Vec<(String, T)>), Alike(Vec<String>) }
+    /// A number or something else.
+    NumberOr<T> { Number(f64), Other(T) }
+    /// Weights of outputs.
+    Weights { Scale(OutputScale), Each(Pairs<NumberOr<String>>) }
+    /// A value of a variable of the model.
+    ModelValue { Truth(bool), Number(f64), Text(String), Array(Vec<ModelValue>) }
+    /// Initial value of a state that is no number.
+    InitialStateRecord { Word(Measured), Fitted(ParameterRecord) }
+}
+
+/// The first measurement.
+#[derive(JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+#[allow(dead_code, reason = "its schema alone is used")]
+pub(crate) enum Measured {
+    Measured,
+}
+
+pub(crate) fn interface(_: &mut SchemaGenerator) -> Schema {
+    json_schema!({ "enum": ["auto", "ME", "CS", "me", "cs", "ModelExchange", "CoSimulation"] })
+}
+
+pub(crate) fn solver(_: &mut SchemaGenerator) -> Schema {
+    json_schema!({ "enum": ode::Method::ALL.map(ode::Method::name) })
+}
+
+pub(crate) fn chattering(_: &mut SchemaGenerator) -> Schema {
+    json_schema!({ "enum": ode::ChatteringPolicy::NAMES })
+}
+
+pub(crate) fn isolation(_: &mut SchemaGenerator) -> Schema {
+    json_schema!({ "enum": Isolation::NAMES.map(|(name, _)| name) })
+}
+
+pub(crate) fn objective(_: &mut SchemaGenerator) -> Schema {
+    json_schema!({ "enum": CostKind::named().map(|kind| kind.name().to_owned()).collect::<Vec<_>>() })
+}

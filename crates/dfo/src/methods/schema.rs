@@ -1,0 +1,46 @@
+//! JSON schemas of the options of methods, by the names and in the shapes in which users write them.
+
+use crate::methods::by_name::shape;
+use schemars::{JsonSchema, SchemaGenerator};
+use serde_json::{Map, Value as Json, json};
+use std::collections::BTreeSet;
+
+/// The schema of each option of these names.
+pub(super) fn option_schemas<T: JsonSchema>(
+    _: &T,
+    names: &BTreeSet<String>,
+    generator: &mut SchemaGenerator,
+) -> Map<String, Json> {
+    let mut options = Map::new();
+    collect(T::json_schema(generator).as_value(), generator, names, &mut options);
+    options
+}
+
+/// Adds the options in a schema: those of a variant are options like the others.
+fn collect(
+    schema: &Json,
+    generator: &SchemaGenerator,
+    names: &BTreeSet<String>,
+    options: &mut Map<String, Json>,
+) {
+    let of_reference = || {
+        let name = schema.get("$ref")?.as_str()?.rsplit('/').next()?;
+        generator.definitions().get(name)
+    };
+    for part in
+        of_reference().into_iter().chain(schema.get("oneOf").into_iter().flat_map(Json::as_array).flatten())
+    {
+        collect(part, generator, names, options);
+    }
+    for (name, own) in schema.get("properties").and_then(Json::as_object).into_iter().flatten() {
+        if names.contains(name) {
+            let own = match shape(name) {
+                Some(also) => json!({ "anyOf": [own, also] }),
+                None => own.clone(),
+            };
+            options.insert(name.clone(), own);
+        } else {
+            collect(own, generator, names, options);
+        }
+    }
+}

@@ -1,0 +1,261 @@
+//! Options of a run by name, as users write them: one flat record, with those of the method beside those that
+//! every run has.
+
+use crate::error::Error;
+use crate::methods::AnyMethod;
+use crate::run::checkpoint::{Checkpoint, Code, Resume};
+use crate::run::options::{Known, RunOptions};
+use crate::values::choices::{Kind, Measure, Search, Stop, Transform};
+use crate::values::fields::{field_names, read_part};
+use crate::values::record::{Record, RecordError, Value};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// The options that every run has. What is left out is as by default, no limit is `None`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(default, deny_unknown_fields)]
+pub(super) struct RunRecord {
+    /// The method; default: chosen for the problem.
+    method: Option<String>,
+    /// Goal of the search, where the method is left open.
+    search: Option<Search>,
+    /// Tolerance of the parameters.
+    x_tol: Option<f64>,
+    /// Tolerance of the cost.
+    f_tol: Option<f64>,
+    /// Number of the two tests that must pass.
+    stop: Option<Stop>,
+    /// Measure of the tolerances.
+    tolerances: Option<Measure>,
+    /// Limit of evaluations.
+    #[cfg_attr(feature = "schema", schemars(with = "Option<u64>", range(min = 1)))]
+    max_evaluations: Value,
+    /// The same as `max_evaluations`.
+    #[cfg_attr(feature = "schema", schemars(with = "Option<u64>", range(min = 1)))]
+    max_fevals: Value,
+    /// Limit of iterations.
+    #[cfg_attr(feature = "schema", schemars(with = "Option<u64>"))]
+    max_iterations: Value,
+    /// The same as `max_iterations`.
+    #[cfg_attr(feature = "schema", schemars(with = "Option<u64>"))]
+    max_iters: Value,
+    /// Limit of wall-clock time, in s.
+    #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", extend("exclusiveMinimum" = 0)))]
+    max_time: Value,
+    /// The run ends with the first cost at or below this.
+    target: Option<f64>,
+    /// The run ends where more than this share of its evaluations has failed.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = 1)))]
+    max_failed: Option<f64>,
+    /// Where no limit is set, none holds: not even the method's own.
+    unlimited: Option<bool>,
+    /// Evaluations that may run at once. The result does not depend on it.
+    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
+    workers: Option<usize>,
+    /// Seed of the random numbers; default: drawn, and reported.
+    seed: Option<u64>,
+    /// Number of evaluations to remember.
+    #[cfg_attr(feature = "schema", schemars(with = "Option<u64>"))]
+    cache: Value,
+    /// Keeps only the last so many evaluations in the trace.
+    #[cfg_attr(feature = "schema", schemars(with = "Option<u64>", range(min = 1)))]
+    trace_limit: Value,
+    /// Identity of the problem, see [`RunOptions::problem`].
+    problem: Option<String>,
+    /// Points that are known from earlier runs.
+    warm_start: Option<Vec<Known>>,
+    /// File in which the state of the run is kept.
+    checkpoint: Option<PathBuf>,
+    /// Least time between two writes of that file, in s.
+    #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", range(min = 0)))]
+    checkpoint_interval: Value,
+    /// Treatment of a checkpoint that is there already.
+    resume: Option<Resume>,
+    /// Identity of the code of the objective.
+    code: Option<Code>,
+    /// The scale of all parameters, or of each.
+    #[cfg_attr(feature = "schema", schemars(with = "Option<PerParameter<Transform>>"))]
+    scale: Value,
+    /// The typical size of all parameters, or of each.
+    #[cfg_attr(feature = "schema", schemars(with = "Option<PerParameter<f64>>"))]
+    nominal: Value,
+    /// The kind of all parameters, or of each.
+    #[cfg_attr(feature = "schema", schemars(with = "Option<PerParameter<Kind>>"))]
+    kinds: Value,
+}
+
+/// A value for all parameters, or one for each.
+#[cfg(feature = "schema")]
+#[derive(schemars::JsonSchema)]
+#[serde(untagged)]
+#[allow(dead_code, reason = "its schema alone is used")]
+enum PerParameter<T> {
+    /// For all.
+    All(T),
+    /// For each.
+    Each(Vec<T>),
+}
+
+/// A run and what is said of its parameters, as users ask for them by name.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct AskedRun {
+    /// The run.
+    pub options: RunOptions<AnyMethod>,
+    /// The scale of each parameter; empty: all are linear.
+    pub scale: Vec<Transform>,
+    /// The typical size of each parameter, where it is known.
+    pub nominal: Vec<Option<f64>>,
+    /// The kind of each parameter; empty: all are continuous.
+    pub kinds: Vec<Kind>,
+}
+
+impl AskedRun {
+    /// The names of all options that a record of a run may have, with those of any method.
+    ///
+    /// # Errors
+    /// The options of a method cannot be serialised.
+    pub fn option_names() -> Result<BTreeSet<String>, Error> {
+        let mut names = AnyMethod::all_option_names()?;
+        names.extend(field_names::<RunRecord>()?);
+        Ok(names)
+    }
+
+    /// The run of a record, over `n` parameters; `options` holds where the record says nothing, or none. What
+    /// every run has stands in the record beside the options of the method.
+    ///
+    /// # Errors
+    /// An option that there is not, or a value that it cannot have.
+    pub fn new(options: RunOptions<AnyMethod>, record: &Record, n: usize) -> Result<Self, Error> {
+        let (of_run, of_method) = read_part::<RunRecord>(record.clone(), "option of a run")?;
+        let mut asked = Self { options, ..Self::default() };
+        let method = asked.method(&of_run, &of_method);
+        asked.set(of_run, n)?;
+        asked.options.method = method?;
+        Ok(asked)
+    }
+
+    /// The method with its options.
+    fn method(&self, of_run: &RunRecord, of_method: &Record) -> Result<AnyMethod, Error> {
+        let method = match &of_run.method {
+            Some(method) => method.parse()?,
+            None => self.options.method.clone(),
+        };
+        let search = of_run.search.unwrap_or_default();
+        let method = match method {
+            AnyMethod::Auto(_) => AnyMethod::auto(search),
+            method if search == Search::Local => method,
+            method => {
+                let name = method.name();
+                let message = format!(
+                    "search='global' leaves the choice of the method to the run; with method='{name}' leave it out"
+                );
+                return Err(RecordError::message(message).into());
+            }
+        };
+        method.with_options(of_method)
+    }
+
+    /// Sets what is not the method's, where it is said.
+    fn set(&mut self, asked: RunRecord, n: usize) -> Result<(), Error> {
+        let checkpoint = checkpoint(&asked)?;
+        let run = &mut self.options;
+        let (tolerances, limits) = (&mut run.tolerances, &mut run.limits);
+        set(&mut tolerances.x_tol, asked.x_tol);
+        set(&mut tolerances.f_tol, asked.f_tol);
+        set(&mut tolerances.stop, asked.stop);
+        set(&mut tolerances.measure, asked.tolerances);
+        set(&mut run.unlimited, asked.unlimited);
+        set(&mut run.known, asked.warm_start);
+        limit(&mut limits.max_evaluations, "max_evaluations", &asked.max_evaluations, 1)?;
+        limit(&mut limits.max_evaluations, "max_fevals", &asked.max_fevals, 1)?;
+        limit(&mut limits.max_iterations, "max_iterations", &asked.max_iterations, 0)?;
+        limit(&mut limits.max_iterations, "max_iters", &asked.max_iters, 0)?;
+        limit(&mut run.cache, "cache", &asked.cache, 0)?;
+        limit(&mut run.trace_limit, "trace_limit", &asked.trace_limit, 1)?;
+        if asked.max_time != Value::Nothing {
+            limits.max_time = asked.max_time.read_time("max_time")?;
+        }
+        limits.target = asked.target.or(limits.target);
+        limits.max_failed = asked.max_failed.or(limits.max_failed);
+        run.workers = asked.workers.or(run.workers);
+        run.seed = asked.seed.or(run.seed);
+        run.problem = asked.problem.or(run.problem.take());
+        run.checkpoint = checkpoint.or(run.checkpoint.take());
+        self.scale = per_parameter("scale", &asked.scale, n)?;
+        self.nominal = per_parameter("nominal", &asked.nominal, n)?;
+        self.kinds = per_parameter("kinds", &asked.kinds, n)?;
+        Ok(())
+    }
+}
+
+/// Sets what is said.
+fn set<T>(option: &mut T, said: Option<T>) {
+    if let Some(said) = said {
+        *option = said;
+    }
+}
+
+/// Sets a limit, where it is said.
+fn limit(limit: &mut Option<usize>, name: &str, said: &Value, least: u64) -> Result<(), RecordError> {
+    if *said != Value::Nothing {
+        *limit = said.read_limit(name, least)?;
+    }
+    Ok(())
+}
+
+/// The file of a run, and when it is read and written.
+fn checkpoint(asked: &RunRecord) -> Result<Option<Checkpoint>, Error> {
+    let interval = &asked.checkpoint_interval;
+    let seconds = interval.read::<Option<f64>>("checkpoint_interval")?;
+    let Some(path) = &asked.checkpoint else {
+        if asked.resume == Some(Resume::Require) {
+            let message =
+                "resume='require' has no effect without a checkpoint: give its file, checkpoint=...";
+            return Err(RecordError::message(message).into());
+        }
+        return match seconds {
+            Some(_) => Err(RecordError::without_checkpoint().of("checkpoint_interval", interval).into()),
+            None => Ok(None),
+        };
+    };
+    let mut checkpoint = Checkpoint::new(path);
+    set(&mut checkpoint.resume, asked.resume);
+    if let Some(seconds) = seconds {
+        checkpoint.interval = Duration::try_from_secs_f64(seconds).map_err(|_| {
+            RecordError::range("a number of seconds, at least 0").of("checkpoint_interval", interval)
+        })?;
+    }
+    checkpoint.code.clone_from(&asked.code);
+    Ok(Some(checkpoint))
+}
+
+/// A value for each of `n` parameters; one that is no list holds for all; none where nothing is said.
+fn per_parameter<T: DeserializeOwned + Clone>(name: &str, value: &Value, n: usize) -> Result<Vec<T>, Error> {
+    let values = match value {
+        Value::Nothing => return Ok(Vec::new()),
+        Value::List(values) => values,
+        value => return Ok(vec![value.read(name)?; n]),
+    };
+    if values.len() != n {
+        let message = format!("{name} has {} values for {n} parameters", values.len());
+        return Err(RecordError::message(message).into());
+    }
+    Ok(values.iter().map(|value| value.read(name)).collect::<Result<_, _>>()?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn options_of_runs_and_of_methods_are_known_by_name() {
+        let names = AskedRun::option_names().unwrap();
+        assert!(["max_time", "x_tol", "initial_simplex"].iter().all(|name| names.contains(*name)));
+        let of_run = field_names::<RunRecord>().unwrap();
+        assert!(crate::methods::by_name::COMMON.iter().all(|name| of_run.contains(*name)));
+    }
+}

@@ -1,0 +1,49 @@
+//! The JSON schema of the options of a run: those of every run, and those of each method, of which only the
+//! method that is named may have its own.
+
+use crate::methods::AnyMethod;
+use crate::run::asked::{AskedRun, RunRecord};
+use schemars::{JsonSchema, Schema, SchemaGenerator};
+use serde_json::{Map, Value as Json, json};
+use std::borrow::Cow;
+
+impl JsonSchema for AskedRun {
+    fn schema_name() -> Cow<'static, str> {
+        "Run".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let mut schema = RunRecord::json_schema(generator);
+        let mut options = Map::new();
+        let (mut words, mut rules) = (vec![json!("auto")], Vec::new());
+        for (names, method) in AnyMethod::listed() {
+            let own = method.option_schemas(generator);
+            let of_run = schema.get("properties").and_then(Json::as_object);
+            let known: Vec<&String> = of_run.into_iter().flat_map(Map::keys).chain(own.keys()).collect();
+            rules.push(json!({
+                "if": { "properties": { "method": { "enum": names } }, "required": ["method"] },
+                "then": { "propertyNames": { "enum": known } },
+            }));
+            words.extend(names.into_iter().map(Json::from));
+            for (name, shape) in own {
+                // Options of several methods may have the same name.
+                let shapes = options.entry(name).or_insert_with(|| json!([]));
+                if let Some(shapes) = shapes.as_array_mut().filter(|shapes| !shapes.contains(&shape)) {
+                    shapes.push(shape);
+                }
+            }
+        }
+        if let Some(properties) = schema.get_mut("properties").and_then(Json::as_object_mut) {
+            if let Some(method) = properties.get_mut("method").and_then(Json::as_object_mut) {
+                method.remove("type");
+                method.insert("enum".to_owned(), words.into());
+            }
+            properties.extend(options.into_iter().map(|(name, shapes)| match shapes {
+                Json::Array(mut shapes) if shapes.len() == 1 => (name, shapes.remove(0)),
+                shapes => (name, json!({ "anyOf": shapes })),
+            }));
+        }
+        schema.insert("allOf".to_owned(), rules.into());
+        schema
+    }
+}

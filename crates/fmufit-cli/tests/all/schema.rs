@@ -1,0 +1,77 @@
+//! The JSON schema of problem files: what the program takes, it takes, and it refuses the same unknown names.
+
+use crate::fit::PROBLEM;
+use crate::support::{Folder, json};
+use serde_json::Value;
+
+fn validator(folder: &Folder) -> jsonschema::Validator {
+    jsonschema::validator_for(&json(&folder.run("schema").good())).unwrap()
+}
+
+fn document(text: &str) -> Value {
+    toml::from_str(text).unwrap()
+}
+
+#[test]
+fn problem_files_follow_their_schema() {
+    let folder = Folder::with_model("dahlquist");
+    let schema = validator(&folder);
+    folder.record_decay();
+    folder.run("init model.fmu run.csv written.toml").good();
+    let written = folder.read("written.toml");
+    assert!(written.starts_with("#:schema problem.schema.json\n"), "{written}");
+    // What init writes as comments is taken, too.
+    let options: String = written.split_once("[settings]").unwrap().1.replace("\n# ", "\n");
+    let uncommented = format!("{PROBLEM}[settings]{options}");
+    let whole = format!(
+        "{PROBLEM}scale = \"log\"\nprior = {{ log-normal = {{ median = 2.0, sigma = 0.5 }} }}\n[[experiments]]\ndata = \"run.csv\"\n\
+         outputs = [\"x\"]\nweights = \"range\"\nwindows = [[0.0, 1.0]]\nstart_values = {{ x = 1 }}\ninitial_states = {{ x = \"measured\" }}\n\
+         [settings]\nsolver = \"rk4\"\nstep_size = 0.01\ntimeout = 2\n[fit]\nmethod = \"de-classic\"\nweight = [0.5, 0.9]\nmax_evaluations = 60\n\
+         [[stages]]\nparameters = [\"k\"]\nmethod = \"nm\"\ninitial_simplex = [0.1]\nbatch = 2\nmax_evaluations = 50\n"
+    );
+    // The one of the README.
+    let readme = include_str!("../../../../README.md");
+    let readme = readme.split_once("```toml\n").unwrap().1.split_once("```").unwrap().0;
+    for text in [PROBLEM, &written, &uncommented, &whole, readme] {
+        let errors: Vec<String> = schema
+            .iter_errors(&document(text))
+            .map(|error| format!("{}: {error}", error.instance_path()))
+            .collect();
+        assert!(errors.is_empty(), "{text}\n{errors:?}");
+    }
+    folder.write("whole.toml", &whole.replace("initial_states = { x = \"measured\" }\n", ""));
+    let ran = folder.run("check whole.toml --no-run");
+    assert_ne!(ran.code, 2, "{ran:?}");
+}
+
+#[test]
+fn what_one_refuses_the_other_refuses() {
+    let folder = Folder::with_model("dahlquist");
+    let schema = validator(&folder);
+    folder.record_decay();
+    for (from, to) in [
+        ("model = ", "modell = "),
+        ("data = ", "date = "),
+        ("start = 1.0", "strat = 1.0"),
+        ("start = 1.0", "start = \"one\""),
+        ("upper = 10", "upper = 10\nscale = \"ln\""),
+        ("upper = 10", "upper = 10\nprior = { normal = { mean = 1.0, sigma = 1.0 } }"),
+        ("upper = 10", "upper = 10\n[settings]\nsolvr = 1"),
+        ("upper = 10", "upper = 10\n[settings]\nsolver = \"rk5\""),
+        ("upper = 10", "upper = 10\n[settings]\ntimeout = -1"),
+        ("upper = 10", "upper = 10\n[fit]\nmax_tiem = 1"),
+        ("upper = 10", "upper = 10\n[fit]\nmax_evaluations = 0"),
+        ("upper = 10", "upper = 10\n[fit]\nmethod = \"simplex\""),
+        ("upper = 10", "upper = 10\n[fit]\nmethod = \"de\"\ninitial_simplex = [0.1]"),
+        ("upper = 10", "upper = 10\n[fit]\nobjective = \"rms\""),
+        ("upper = 10", "upper = 10\n[[stages]]\nparametres = [\"k\"]"),
+        ("outputs = { x = \"x\" }", "outputs = { x = 1 }"),
+    ] {
+        let text = PROBLEM.replacen(from, to, 1);
+        assert_ne!(text, PROBLEM, "{from}");
+        assert!(!schema.is_valid(&document(&text)), "the schema takes {to}");
+        folder.write("wrong.toml", &text);
+        let ran = folder.run("check wrong.toml --no-run");
+        assert_eq!(ran.code, 2, "{to}: {ran:?}");
+    }
+}
