@@ -91,5 +91,5 @@ pub use run::options::{Known, RunOptions};
 pub use run::progress::Progress;
 pub use run::report::{Report, Resumed};
 pub use values::choices::{BoundsHandling, Kind, Measure, Search, Stop, Transform};
-pub use values::fields::{field_names, read_part, read_record};
+pub use values::fields::{field_names, read_known, read_part, read_record};
 pub use values::record::{Record, RecordError, Value};

@@ -2,15 +2,15 @@
 
 #[cfg(feature = "schema")]
 use crate::problem::schema;
-use dfo::{Record, RecordError, Value, read_record};
+use dfo::{Record, RecordError, Value, read_known};
 use fmi::worker::{Isolation, WorkerLimits};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
 /// Settings of the simulations of a fit.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(default, deny_unknown_fields)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(deny_unknown_fields))]
+#[serde(default)]
 pub struct SimulationSettings {
     /// Interface of the model; default: model exchange where it offers that, else co-simulation.
     #[cfg_attr(feature = "schema", schemars(schema_with = "schema::interface"))]
@@ -71,7 +71,8 @@ impl SimulationSettings {
                 _ => continue,
             };
         }
-        read_record(&record, "setting of simulations")
+        // Unknown names are refused here alone: a fit that another version saved can be loaded.
+        read_known(&record, "setting of simulations")
     }
 
     /// Limits of the processes of the FMU.

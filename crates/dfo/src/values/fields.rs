@@ -26,6 +26,21 @@ pub fn read_record<T: DeserializeOwned>(record: &Record, what: &str) -> Result<T
     T::deserialize(&record).map_err(|error| error.among(what).of(what, &record))
 }
 
+/// Reads a record as a type that leaves out what it does not know.
+///
+/// # Errors
+/// As [`read_record`].
+pub fn read_known<T>(record: &Record, what: &str) -> Result<T, RecordError>
+where
+    T: Default + Serialize + DeserializeOwned,
+{
+    let known: Vec<String> = field_names::<T>()?.into_iter().collect();
+    match record.keys().find(|name| !known.contains(name)) {
+        Some(name) => Err(RecordError::unknown(what, name, &known)),
+        None => read_record(record, what),
+    }
+}
+
 /// Reads those fields of a record that the type has; the others are returned.
 ///
 /// # Errors

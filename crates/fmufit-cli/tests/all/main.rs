@@ -5,6 +5,7 @@ mod fit;
 mod help;
 mod init;
 mod interrupt;
+mod json_schema;
 mod models;
 mod schema;
 mod support;

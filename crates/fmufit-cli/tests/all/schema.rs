@@ -1,11 +1,12 @@
 //! The JSON schema of problem files: what the program takes, it takes, and it refuses the same unknown names.
 
 use crate::fit::PROBLEM;
+use crate::json_schema::Schema;
 use crate::support::{Folder, json};
 use serde_json::Value;
 
-fn validator(folder: &Folder) -> jsonschema::Validator {
-    jsonschema::validator_for(&json(&folder.run("schema").good())).unwrap()
+fn schema(folder: &Folder) -> Schema {
+    Schema::new(json(&folder.run("schema").good()))
 }
 
 fn document(text: &str) -> Value {
@@ -15,7 +16,7 @@ fn document(text: &str) -> Value {
 #[test]
 fn problem_files_follow_their_schema() {
     let folder = Folder::with_model("dahlquist");
-    let schema = validator(&folder);
+    let schema = schema(&folder);
     folder.record_decay();
     folder.run("init model.fmu run.csv written.toml").good();
     let written = folder.read("written.toml");
@@ -29,14 +30,11 @@ fn problem_files_follow_their_schema() {
          [settings]\nsolver = \"rk4\"\nstep_size = 0.01\ntimeout = 2\n[fit]\nmethod = \"de-classic\"\nweight = [0.5, 0.9]\nmax_evaluations = 60\n\
          [[stages]]\nparameters = [\"k\"]\nmethod = \"nm\"\ninitial_simplex = [0.1]\nbatch = 2\nmax_evaluations = 50\n"
     );
-    // The one of the README.
-    let readme = include_str!("../../../../README.md");
-    let readme = readme.split_once("```toml\n").unwrap().1.split_once("```").unwrap().0;
-    for text in [PROBLEM, &written, &uncommented, &whole, readme] {
-        let errors: Vec<String> = schema
-            .iter_errors(&document(text))
-            .map(|error| format!("{}: {error}", error.instance_path()))
-            .collect();
+    // That of the documentation.
+    let page = include_str!("../../../../docs/command-line.md");
+    let documented = page.split_once("```toml title=\"tank.toml\"\n").unwrap().1.split_once("```").unwrap().0;
+    for text in [PROBLEM, &written, &uncommented, &whole, documented] {
+        let errors = schema.errors(&document(text));
         assert!(errors.is_empty(), "{text}\n{errors:?}");
     }
     folder.write("whole.toml", &whole.replace("initial_states = { x = \"measured\" }\n", ""));
@@ -47,7 +45,7 @@ fn problem_files_follow_their_schema() {
 #[test]
 fn what_one_refuses_the_other_refuses() {
     let folder = Folder::with_model("dahlquist");
-    let schema = validator(&folder);
+    let schema = schema(&folder);
     folder.record_decay();
     for (from, to) in [
         ("model = ", "modell = "),
@@ -69,7 +67,7 @@ fn what_one_refuses_the_other_refuses() {
     ] {
         let text = PROBLEM.replacen(from, to, 1);
         assert_ne!(text, PROBLEM, "{from}");
-        assert!(!schema.is_valid(&document(&text)), "the schema takes {to}");
+        assert!(!schema.errors(&document(&text)).is_empty(), "the schema takes {to}");
         folder.write("wrong.toml", &text);
         let ran = folder.run("check wrong.toml --no-run");
         assert_eq!(ran.code, 2, "{to}: {ran:?}");
