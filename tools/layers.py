@@ -52,7 +52,7 @@ LAYERS = {
     """,
     "fmufit-cli": """
         error
-        arguments console interrupt
+        arguments console interrupt written
         problem
         commands
     """,

@@ -41,7 +41,7 @@ pub use data::{
 pub use dfo;
 pub use dfo::Kind;
 pub use error::CalibrationError;
-pub use export::{FmuExport, SavedFit, Table};
+pub use export::{FitDocument, FmuExport, SavedFit, Table};
 pub use findings::finding::{Finding, Severity};
 pub use findings::visible::visible;
 pub use fit::output_fit::OutputFit;

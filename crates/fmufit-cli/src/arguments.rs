@@ -1,6 +1,6 @@
 //! The arguments of the command line, and what `--help` teaches about them.
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
 /// Fit the parameters of Functional Mock-up Units (FMUs) to measurements.
@@ -83,12 +83,12 @@ pub(crate) enum Command {
         after_help = "Example:\n  fmufit build plant/ plant.fmu\n\nRuns the C compiler of this machine on the sources of the model."
     )]
     Build(Build),
-    /// Write the JSON schema of problem files to the standard output
+    /// Write the JSON schema of problem files, or of a result, to the standard output
     #[command(
         after_help = "Example:\n  fmufit schema > problem.schema.json\n\nEditors that know TOML check a problem file against it and complete \
             its fields; the first line\nof what init writes names this file."
     )]
-    Schema,
+    Schema(SchemaOf),
     /// Write the completions of a shell to the standard output
     #[command(
         after_help = "Example:\n  fmufit completions bash > ~/.local/share/bash-completion/completions/fmufit"
@@ -97,6 +97,20 @@ pub(crate) enum Command {
     /// Serve as the process in which models of another program run; that program starts it
     #[command(hide = true)]
     Worker,
+}
+
+impl Command {
+    /// True if the result is to be JSON: an error is, too.
+    pub(crate) fn is_json(&self) -> bool {
+        match self {
+            Self::Info(Info { json, .. })
+            | Self::Validate(Validate { json, .. })
+            | Self::Check(Check { json, .. })
+            | Self::Fit(Fit { json, .. })
+            | Self::Resume(Fit { json, .. }) => *json,
+            _ => false,
+        }
+    }
 }
 
 #[derive(Debug, Args)]
@@ -136,7 +150,10 @@ pub(crate) struct Simulate {
     /// A CSV file with a column `time`, and one for each input that is called as its column
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) input: Option<PathBuf>,
-    /// File of the table; default: the standard output
+    /// Name of its column of times, where it is not `time`
+    #[arg(long, value_name = "COLUMN", requires = "input")]
+    pub(crate) time: Option<String>,
+    /// File of the table; default, and -: the standard output
     #[arg(short, long, value_name = "FILE.csv")]
     pub(crate) output: Option<PathBuf>,
     /// Variables to record: names, patterns with * and ?, `all`; default: outputs and states
@@ -221,7 +238,7 @@ pub(crate) struct Check {
 /// A problem: a file, or a model and a recording with names.
 #[derive(Debug, Args)]
 pub(crate) struct Problem {
-    /// A problem file (see `fmufit init`), or a model
+    /// A problem file (see `fmufit init`; - is the standard input), or a model
     #[arg(value_name = "PROBLEM.toml | MODEL.fmu")]
     pub(crate) problem: PathBuf,
     /// With a model: the recording, a CSV file
@@ -229,12 +246,16 @@ pub(crate) struct Problem {
     /// With a model: a variable and the column that measured it; may be given several times
     #[arg(long, value_name = "VARIABLE=COLUMN", requires = "data")]
     pub(crate) output: Vec<String>,
-    /// With a model: an input, and the column or the number that drives it; may be given several times
+    /// With a model: an input, and the column or the number that drives it; may be given several times.
+    /// Default: the columns that are called as inputs
     #[arg(long, value_name = "VARIABLE=COLUMN", requires = "data")]
     pub(crate) input: Vec<String>,
     /// With a model: a parameter, its start and its bounds; may be given several times
     #[arg(long, value_name = "NAME=START:LOWER:UPPER", requires = "data")]
     pub(crate) parameter: Vec<String>,
+    /// With a model: name of the column of times, where it is not `time`
+    #[arg(long, value_name = "COLUMN", requires = "data")]
+    pub(crate) time: Option<String>,
     /// A setting of the simulations, as in [settings]; may be given several times
     #[arg(short = 'S', long, value_name = "NAME=VALUE")]
     pub(crate) setting: Vec<String>,
@@ -253,7 +274,7 @@ pub(crate) struct Fit {
     /// Save the fit, for `fmufit report` and `pydfo.load_fit`
     #[arg(short, long, value_name = "FILE.fit")]
     pub(crate) save: Option<PathBuf>,
-    /// Write a page with tables and figures
+    /// Write a page with tables and figures (.html), or what `fmufit report` writes
     #[arg(short, long, value_name = "FILE.html")]
     pub(crate) report: Option<PathBuf>,
     /// The result as a JSON document
@@ -278,6 +299,24 @@ pub(crate) struct Build {
     pub(crate) model: PathBuf,
     /// The .fmu file to write; default: that of the folder's name, beside it
     pub(crate) output: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct SchemaOf {
+    /// What it describes: problem files, what a command prints with --json, or its errors
+    #[arg(long, value_name = "DOCUMENT", default_value = "problem")]
+    pub(crate) of: Document,
+}
+
+/// A document that has a schema.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Document {
+    Problem,
+    Info,
+    Validate,
+    Check,
+    Fit,
+    Error,
 }
 
 #[derive(Debug, Args)]

@@ -1,5 +1,7 @@
 //! Errors of the command line, and the exit codes.
 
+use schemars::JsonSchema;
+use serde::Serialize;
 use std::fmt::Display;
 use std::io;
 use std::path::Path;
@@ -37,6 +39,21 @@ pub(crate) struct Error {
     message: String,
 }
 
+/// An error as `--json` prints it.
+#[derive(Serialize, JsonSchema)]
+#[schemars(title = "Error of fmufit")]
+pub(crate) struct ErrorDocument<'e> {
+    error: ErrorFields<'e>,
+}
+
+#[derive(Serialize, JsonSchema)]
+struct ErrorFields<'e> {
+    /// What went wrong, in a sentence.
+    message: &'e str,
+    /// The exit code of the program.
+    exit_code: u8,
+}
+
 impl Error {
     /// Arguments, files or values that cannot be used.
     pub(crate) fn input(message: impl Display) -> Self {
@@ -53,6 +70,12 @@ impl Error {
         Self { exit: Exit::Interrupted, message: "interrupted before there was a result".to_owned() }
     }
 
+    /// The error for programs that read JSON.
+    pub(crate) fn document(&self) -> serde_json::Value {
+        let error = ErrorFields { message: &self.message, exit_code: self.exit.code() };
+        serde_json::to_value(ErrorDocument { error }).unwrap_or_default()
+    }
+
     /// A file that cannot be written.
     pub(crate) fn write(path: &Path) -> impl Fn(io::Error) -> Self {
         move |error| Self::input(format!("cannot write {}: {error}", path.display()))
@@ -65,6 +88,12 @@ impl Error {
             calibration::CalibrationError::Model(fmi::FmiError::Cancelled) => Self::interrupted(),
             error => Self::work(error),
         }
+    }
+
+    /// The same of what arguments name, in their words.
+    pub(crate) fn of_arguments(error: calibration::CalibrationError) -> Self {
+        let Self { exit, message } = Self::of_input(error);
+        Self { exit, message: message.replace("time=\"...\"", "--time COLUMN") }
     }
 
     /// An error of what was read or built: an interrupt, if it is none of its own.

@@ -4,8 +4,8 @@
 //! program that calls [`calibration::serve_if_asked`] first, or names another one that does, has FMUs run in
 //! processes of their own.
 //!
-//! Folders, from the lowest: `error`; `console` (what is printed, and where), `interrupt`; `problem` (problem
-//! files and their short form); `arguments`; `commands`, one file for each.
+//! Folders, from the lowest: `error`; `written` (which files may be); `console` (what is printed, and where),
+//! `interrupt`; `problem` (problem files and their short form); `arguments`; `commands`, one file for each.
 #![forbid(unsafe_code)]
 
 mod arguments;
@@ -14,6 +14,7 @@ mod console;
 mod error;
 mod interrupt;
 mod problem;
+mod written;
 
 use arguments::CommandLine;
 use clap::Parser;
@@ -34,10 +35,16 @@ pub fn main(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) ->
         }
     };
     let console = Console::new(arguments.quiet);
-    match commands::run(arguments.command, &console) {
+    let is_json = arguments.command.is_json();
+    let ran = commands::run(arguments.command, &console).and_then(|exit| console.finish().map(|()| exit));
+    match ran {
         Ok(exit) => exit.code(),
         Err(error) => {
             console.error(&error);
+            if is_json {
+                // Programs read the standard output; there is nothing else to say where that fails.
+                let _ = console.json(&error.document());
+            }
             error.exit.code()
         }
     }

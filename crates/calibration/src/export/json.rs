@@ -5,9 +5,12 @@ use super::files::check_belongs;
 use super::tables::unit_of;
 use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
-use crate::fit::stage::Fit;
+use crate::findings::finding::Finding;
+use crate::fit::output_fit::OutputFit;
+use crate::fit::stage::{ChosenTolerance, Fit, FitNoise};
 use crate::uncertainty::estimate::Uncertainty;
-use serde_json::{Value as Json, json};
+use serde::Serialize;
+use serde_json::Value as Json;
 use std::collections::BTreeMap;
 
 impl Fit {
@@ -23,7 +26,7 @@ impl Fit {
         serde_json::to_string_pretty(&self.json(calibration).map_err(failed)?).map_err(failed)
     }
 
-    fn json(&self, calibration: &Calibration) -> Result<Json, serde_json::Error> {
+    fn json(&self, calibration: &Calibration) -> Result<FitDocument<'_>, serde_json::Error> {
         let mut uncertainty = serde_json::to_value(&self.uncertainty)?;
         if let Some(fields) = uncertainty.as_object_mut() {
             // As long as the recordings.
@@ -35,60 +38,140 @@ impl Fit {
         }
         let parameters = calibration.parameters().iter().enumerate().map(|(k, p)| {
             let side = self.at_bound.iter().find(|(index, _)| *index == k).map(|(_, side)| side.name());
-            json!({
-                "name": p.name(),
-                "value": self.x[k],
-                "standard_error": self.uncertainty.as_ref().map(|uncertainty| uncertainty.standard_errors[k]),
-                "start": self.start[k],
-                "lower": p.lower(),
-                "upper": p.upper(),
-                "unit": unit_of(p, calibration),
-                "fixed": p.is_fixed(),
-                "at_bound": side,
-                "without_effect": self.without_effect.contains(&k),
-            })
+            FitParameter {
+                name: p.name().to_owned(),
+                value: self.x[k],
+                standard_error: self.uncertainty.as_ref().map(|uncertainty| uncertainty.standard_errors[k]),
+                start: self.start[k],
+                unit: unit_of(p, calibration),
+                free: Some(FreeParameter {
+                    lower: p.lower(),
+                    upper: p.upper(),
+                    fixed: p.is_fixed(),
+                    at_bound: side,
+                    without_effect: self.without_effect.contains(&k),
+                }),
+                tied_to: None,
+            }
         });
-        let tied = self.tied_parameters(calibration).into_iter().map(|tied| {
-            json!({
-                "name": tied.name,
-                "value": tied.value,
-                "standard_error": tied.standard_error,
-                "start": tied.start,
-                "unit": tied.unit,
-                "tied_to": tied.to,
-            })
+        let tied = self.tied_parameters(calibration).into_iter().map(|tied| FitParameter {
+            name: tied.name,
+            value: tied.value,
+            standard_error: tied.standard_error,
+            start: tied.start,
+            unit: tied.unit,
+            free: None,
+            tied_to: Some(tied.to),
         });
         let report = &self.report;
         let model = &calibration.problem().model;
-        Ok(json!({
-            "written_by": format!("fmufit {}", env!("CARGO_PKG_VERSION")),
-            "model": {
-                "name": calibration.fmu().description().model_name,
-                "path": model.path.display().to_string(),
-                "sha256": model.content_hash,
+        Ok(FitDocument {
+            written_by: concat!("fmufit ", env!("CARGO_PKG_VERSION")),
+            model: FitModel {
+                name: calibration.fmu().description().model_name.clone(),
+                path: model.path.display().to_string(),
+                sha256: model.content_hash.clone(),
             },
-            "parameters": parameters.chain(tied).collect::<Vec<_>>(),
-            "cost": self.cost,
-            "rms": self.rms,
-            "start_cost": self.start_cost,
-            "start_rms": self.start_rms,
-            "outputs": serde_json::to_value(&self.outputs)?,
-            "noise": serde_json::to_value(&self.noise)?,
-            "tolerance": serde_json::to_value(self.tolerance)?,
-            "uncertainty": uncertainty,
-            "success": self.is_success(),
-            "termination": report.termination.name(),
-            "message": report.message,
-            "findings": serde_json::to_value(self.findings())?,
-            "method": report.method,
-            "options": report.options.iter().cloned().collect::<BTreeMap<_, _>>(),
-            "solver": self.solver.method.name(),
-            "n_evaluations": report.n_evaluations,
-            "n_iterations": report.n_iterations,
-            "n_failed": report.n_failed,
-            "seconds": report.seconds,
-            "seed": report.seed,
-            "stats": serde_json::to_value(self.stats)?,
-        }))
+            parameters: parameters.chain(tied).collect(),
+            cost: self.cost,
+            rms: self.rms,
+            start_cost: self.start_cost,
+            start_rms: self.start_rms,
+            outputs: &self.outputs,
+            noise: self.noise.as_ref(),
+            tolerance: self.tolerance,
+            uncertainty,
+            success: self.is_success(),
+            termination: report.termination.name(),
+            message: &report.message,
+            findings: self.findings(),
+            method: &report.method,
+            options: report.options.iter().map(|(name, value)| (&name[..], &value[..])).collect(),
+            solver: self.solver.method.name(),
+            n_evaluations: report.n_evaluations,
+            n_iterations: report.n_iterations,
+            n_failed: report.n_failed,
+            seconds: report.seconds,
+            seed: report.seed,
+            stats: serde_json::to_value(self.stats)?,
+        })
     }
+}
+
+/// Results of a fit, see [`Fit::to_json`].
+#[derive(Debug, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(title = "Fit of fmufit"))]
+pub struct FitDocument<'f> {
+    /// The program and its version.
+    written_by: &'static str,
+    model: FitModel,
+    /// Those of the search, then those that are tied to others.
+    parameters: Vec<FitParameter>,
+    cost: f64,
+    /// Root of the mean squared residual.
+    rms: f64,
+    start_cost: Option<f64>,
+    start_rms: Option<f64>,
+    /// Quality of fit of each output.
+    outputs: &'f [OutputFit],
+    noise: Option<&'f FitNoise>,
+    tolerance: Option<ChosenTolerance>,
+    /// Uncertainty of the parameters, where it was estimated, with a verdict in a sentence.
+    #[cfg_attr(feature = "schema", schemars(with = "Option<BTreeMap<String, Json>>"))]
+    uncertainty: Json,
+    success: bool,
+    /// Why the search ended, in a word.
+    termination: &'f str,
+    /// The same in a sentence.
+    message: &'f str,
+    findings: Vec<Finding>,
+    method: &'f str,
+    /// Options of the method, as texts.
+    options: BTreeMap<&'f str, &'f str>,
+    solver: &'f str,
+    n_evaluations: usize,
+    n_iterations: usize,
+    n_failed: usize,
+    seconds: f64,
+    seed: Option<u64>,
+    /// Counted work of the simulations.
+    #[cfg_attr(feature = "schema", schemars(with = "BTreeMap<String, Json>"))]
+    stats: Json,
+}
+
+/// The model of a fit.
+#[derive(Debug, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+struct FitModel {
+    name: String,
+    path: String,
+    sha256: String,
+}
+
+/// A parameter of a fit.
+#[derive(Debug, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+struct FitParameter {
+    name: String,
+    value: f64,
+    standard_error: Option<f64>,
+    start: f64,
+    unit: Option<String>,
+    /// Only of those that are not tied.
+    #[serde(flatten)]
+    free: Option<FreeParameter>,
+    /// The parameter that it follows.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    tied_to: Option<String>,
+}
+
+#[derive(Debug, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+struct FreeParameter {
+    lower: f64,
+    upper: f64,
+    fixed: bool,
+    /// The bound that it lies at: `lower`, `upper`.
+    at_bound: Option<&'static str>,
+    without_effect: bool,
 }

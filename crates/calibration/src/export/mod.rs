@@ -9,5 +9,6 @@ mod ssv;
 mod tables;
 
 pub use fmu::FmuExport;
+pub use json::FitDocument;
 pub use saved_fit::SavedFit;
 pub use tables::Table;

@@ -320,6 +320,9 @@ impl de::Error for RecordError {
             "f64" => "a number",
             "a boolean" => "True or False",
             "any value" => "plain data",
+            "path string" => "a path",
+            "a sequence" => "a list",
+            "a tuple of size 2" => "a list of two values",
             other => other,
         };
         let is_number =

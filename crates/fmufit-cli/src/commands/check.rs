@@ -5,11 +5,24 @@ use crate::console::Console;
 use crate::error::{Error, Exit};
 use crate::interrupt::Interrupt;
 use crate::problem;
-use calibration::{CheckOptions, PreflightOptions, RunContext, Severity};
-use serde_json::json;
+use calibration::{CheckOptions, Finding, Preflight, PreflightOptions, RunContext, Severity};
+use schemars::JsonSchema;
+use serde::Serialize;
+
+/// A check as `--json` prints it.
+#[derive(Serialize, JsonSchema)]
+#[schemars(title = "Check of fmufit")]
+pub(super) struct Document<'c> {
+    /// Nothing speaks against a fit.
+    is_ok: bool,
+    /// The most severe first.
+    findings: &'c [Finding],
+    /// What came of moving each parameter, where that was asked for.
+    preflight: Option<&'c Preflight>,
+}
 
 pub(crate) fn run(arguments: &Check, console: &Console) -> Result<Exit, Error> {
-    let file = problem::asked(&arguments.problem)?;
+    let file = problem::asked(&arguments.problem, console)?;
     let interrupt = Interrupt::watch()?;
     let is_asked = || interrupt.is_asked();
     let calibration = file.calibration(&RunContext::new().asking(&is_asked))?;
@@ -18,10 +31,7 @@ pub(crate) fn run(arguments: &Check, console: &Console) -> Result<Exit, Error> {
     file.options(n)?;
     file.stages(n)?;
     let line = console.live_line();
-    let shown = || {
-        line.show("checking", String::new);
-        interrupt.is_asked()
-    };
+    let shown = || line.show_until(interrupt.is_asked(), "checking");
     let context = RunContext::new().asking(&shown);
     let options = CheckOptions { simulate: !arguments.no_run, ..CheckOptions::default() };
     let check = calibration.check_with(&options, &context).map_err(Error::of_work)?;
@@ -32,11 +42,8 @@ pub(crate) fn run(arguments: &Check, console: &Console) -> Result<Exit, Error> {
     };
     drop(line);
     if arguments.json {
-        let document = json!({
-            "is_ok": check.is_ok(),
-            "findings": serde_json::to_value(&check.findings).unwrap_or_default(),
-            "preflight": serde_json::to_value(&preflight).unwrap_or_default(),
-        });
+        let document =
+            Document { is_ok: check.is_ok(), findings: &check.findings, preflight: preflight.as_ref() };
         console.json(&document)?;
     } else {
         console.result(&check.to_string());

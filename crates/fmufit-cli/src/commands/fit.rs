@@ -1,10 +1,12 @@
 //! `fmufit fit` and `fmufit resume`: parameters are fitted to recordings.
 
+use super::report;
 use crate::arguments::Fit;
 use crate::console::{Console, LiveLine};
 use crate::error::{Error, Exit};
 use crate::interrupt::Interrupt;
 use crate::problem::{self, short_form};
+use crate::written::check_written;
 use calibration::{Calibration, CurrentPhase, FitOptions, FitPhase, RunContext, Stage};
 use dfo::{Checkpoint, Progress, Resume, Termination};
 use ode::Number;
@@ -23,8 +25,11 @@ pub(crate) enum Begin {
 }
 
 pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Exit, Error> {
-    let mut file = problem::asked(&arguments.problem)?;
+    let mut file = problem::asked(&arguments.problem, console)?;
     file.set("fit", short_form::options(&arguments.option)?);
+    let written = [&arguments.checkpoint, &arguments.save, &arguments.report];
+    check_written(written.into_iter().flatten(), &file.files())?;
+    arguments.report.iter().try_for_each(|path| report::check_suffix(path))?;
     let interrupt = Interrupt::watch()?;
     let is_asked = || interrupt.is_asked();
     let calibration = file.calibration(&RunContext::new().asking(&is_asked))?;
@@ -59,7 +64,7 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
         if is_interrupted {
             console.note("no report after Ctrl-C: fmufit report writes that of a saved fit");
         } else {
-            calibration.report(&fit, path, &RunContext::new().asking(&is_asked)).map_err(Error::of_work)?;
+            report::write(&fit, &calibration, path, &RunContext::new().asking(&is_asked))?;
             console.note(&format!("wrote {}", path.display()));
         }
     }
@@ -84,7 +89,10 @@ fn searched(
         state: RefCell::default(),
     };
     let poll = || {
-        shown.show();
+        match interrupt.is_asked() {
+            true => shown.line.end(),
+            false => shown.show(),
+        }
         interrupt.is_asked()
     };
     let observer = |progress: &Progress<'_>| {

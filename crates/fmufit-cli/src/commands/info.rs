@@ -6,7 +6,9 @@ use crate::error::{Error, Exit};
 use fmi::description::{Causality, Interface};
 use fmi::{Fmu, ModelDescription, Value, Variable};
 use ode::Number;
-use serde_json::json;
+use schemars::JsonSchema;
+use serde::Serialize;
+use serde_json::{Value as Json, json};
 
 pub(crate) fn run(arguments: &Info, console: &Console) -> Result<Exit, Error> {
     let fmu = Fmu::open(&arguments.model).map_err(Error::input)?;
@@ -100,47 +102,100 @@ fn interfaces(description: &ModelDescription) -> Vec<(&'static str, &Interface)>
         .collect()
 }
 
-/// All of it for other programs.
-fn document(fmu: &Fmu, variables: &[&Variable]) -> serde_json::Value {
-    let description = fmu.description();
-    let value = |value: &Value| match value {
+/// A model as `--json` prints it.
+#[derive(Serialize, JsonSchema)]
+#[schemars(title = "Model of fmufit")]
+pub(super) struct Document<'m> {
+    /// The model.
+    path: String,
+    /// Its name.
+    model_name: &'m str,
+    /// Version of FMI, as `2.0`.
+    fmi_version: String,
+    description: Option<&'m str>,
+    generation_tool: Option<&'m str>,
+    generation_date_and_time: Option<&'m str>,
+    /// `model exchange`, `co-simulation`.
+    interfaces: Vec<&'static str>,
+    default_experiment: Experiment,
+    variables: Vec<VariableFields<'m>>,
+    /// Departures from the standard.
+    quirks: Vec<String>,
+}
+
+/// The default experiment of a model; times in s.
+#[derive(Serialize, JsonSchema)]
+struct Experiment {
+    start_time: Option<f64>,
+    stop_time: Option<f64>,
+    tolerance: Option<f64>,
+    step_size: Option<f64>,
+}
+
+/// A variable of a model.
+#[derive(Serialize, JsonSchema)]
+#[schemars(rename = "Variable")]
+struct VariableFields<'m> {
+    name: &'m str,
+    causality: &'static str,
+    variability: &'static str,
+    initial: Option<&'static str>,
+    r#type: &'static str,
+    unit: Option<&'m str>,
+    display_unit: Option<&'m str>,
+    /// A number, a text, a truth value, or a list of these.
+    start: Option<Json>,
+    min: Option<f64>,
+    max: Option<f64>,
+    nominal: Option<f64>,
+    is_array: bool,
+    description: Option<&'m str>,
+}
+
+fn json_of(value: &Value) -> Json {
+    match value {
         Value::Real(x) => json!(x),
         Value::Boolean(truth) => json!(truth),
         Value::Integer(i) => i64::try_from(*i).map_or_else(|_| json!(i.to_string()), |i| json!(i)),
         Value::String(text) => json!(text),
+        Value::Array(values) => values.iter().map(json_of).collect(),
         other => json!(other.to_string()),
+    }
+}
+
+fn document<'m>(fmu: &'m Fmu, variables: &[&'m Variable]) -> Document<'m> {
+    let description = fmu.description();
+    let variable = |variable: &&'m Variable| VariableFields {
+        name: &variable.name,
+        causality: variable.causality.name(),
+        variability: variable.variability.name(),
+        initial: variable.initial.map(|initial| initial.name()),
+        r#type: variable.kind.name(),
+        unit: variable.unit.as_deref(),
+        display_unit: variable.display_unit.as_deref(),
+        start: variable.start.as_ref().map(json_of),
+        min: variable.min,
+        max: variable.max,
+        nominal: variable.nominal,
+        is_array: !variable.dimensions.is_empty(),
+        description: variable.description.as_deref(),
     };
-    let start = |variable: &Variable| match &variable.start {
-        Some(Value::Array(values)) => Some(json!(values.iter().map(value).collect::<Vec<_>>())),
-        other => other.as_ref().map(value),
-    };
-    let variable = |variable: &&Variable| {
-        json!({
-            "name": variable.name,
-            "causality": variable.causality.name(),
-            "variability": variable.variability.name(),
-            "initial": variable.initial.map(|initial| initial.name()),
-            "type": variable.kind.name(),
-            "unit": variable.unit,
-            "display_unit": variable.display_unit,
-            "start": start(variable),
-            "min": variable.min,
-            "max": variable.max,
-            "nominal": variable.nominal,
-            "is_array": !variable.dimensions.is_empty(),
-            "description": variable.description,
-        })
-    };
-    json!({
-        "path": fmu.path().display().to_string(),
-        "model_name": description.model_name,
-        "fmi_version": description.fmi_version.to_string(),
-        "description": description.description,
-        "generation_tool": description.generation_tool,
-        "generation_date_and_time": description.generation_date_and_time,
-        "interfaces": interfaces(description).iter().map(|(name, _)| *name).collect::<Vec<_>>(),
-        "default_experiment": serde_json::to_value(description.default_experiment).unwrap_or_default(),
-        "variables": variables.iter().map(variable).collect::<Vec<_>>(),
-        "quirks": description.quirks.iter().map(ToString::to_string).collect::<Vec<_>>(),
-    })
+    let experiment = &description.default_experiment;
+    Document {
+        path: fmu.path().display().to_string(),
+        model_name: &description.model_name,
+        fmi_version: description.fmi_version.to_string(),
+        description: description.description.as_deref(),
+        generation_tool: description.generation_tool.as_deref(),
+        generation_date_and_time: description.generation_date_and_time.as_deref(),
+        interfaces: interfaces(description).iter().map(|(name, _)| *name).collect(),
+        default_experiment: Experiment {
+            start_time: experiment.start_time,
+            stop_time: experiment.stop_time,
+            tolerance: experiment.tolerance,
+            step_size: experiment.step_size,
+        },
+        variables: variables.iter().map(variable).collect(),
+        quirks: description.quirks.iter().map(ToString::to_string).collect(),
+    }
 }

@@ -28,7 +28,7 @@ pub(crate) fn run(command: Command, console: &Console) -> Result<Exit, Error> {
         Command::Resume(arguments) => fit::run(&arguments, fit::Begin::Resume, console),
         Command::Report(arguments) => report::run(&arguments, console),
         Command::Build(arguments) => build::run(&arguments, console),
-        Command::Schema => schema::run(console),
+        Command::Schema(arguments) => schema::run(&arguments, console),
         Command::Completions(arguments) => completions::run(&arguments, console),
         Command::Worker => Err(Error::input(
             "worker: no program has started this one to run models in it; programs do so by themselves",

@@ -4,11 +4,14 @@ use crate::arguments::Report;
 use crate::console::Console;
 use crate::error::{Error, Exit};
 use crate::interrupt::Interrupt;
+use crate::written::check_written;
 use calibration::{Calibration, CalibrationError, Fit, RunContext, SavedFit, Table};
 use fmi::Fmu;
 use std::path::Path;
 
 pub(crate) fn run(arguments: &Report, console: &Console) -> Result<Exit, Error> {
+    check_suffix(&arguments.output)?;
+    check_written([&arguments.output], &[arguments.fit.clone()])?;
     let saved = SavedFit::load(&arguments.fit).map_err(Error::of_input)?;
     let calibration = match &arguments.model {
         Some(path) => {
@@ -20,10 +23,7 @@ pub(crate) fn run(arguments: &Report, console: &Console) -> Result<Exit, Error> 
     let calibration = calibration.map_err(Error::of_input)?;
     let interrupt = Interrupt::watch()?;
     let line = console.live_line();
-    let shown = || {
-        line.show("simulating", String::new);
-        interrupt.is_asked()
-    };
+    let shown = || line.show_until(interrupt.is_asked(), "simulating");
     let written = write(&saved.fit, &calibration, &arguments.output, &RunContext::new().asking(&shown));
     drop(line);
     written?;
@@ -31,23 +31,37 @@ pub(crate) fn run(arguments: &Report, console: &Console) -> Result<Exit, Error> 
     Ok(Exit::Success)
 }
 
+fn suffix(path: &Path) -> String {
+    path.extension().map(|suffix| suffix.to_string_lossy().to_lowercase()).unwrap_or_default()
+}
+
+/// Refuses names that do not say what is to be written.
+pub(super) fn check_suffix(path: &Path) -> Result<(), Error> {
+    match ["html", "htm", "csv", "json", "ssv"].contains(&suffix(path).as_str()) {
+        true => Ok(()),
+        false => Err(Error::input(format!(
+            "{}: give a name that ends in .html (a page), .csv, .json or .ssv",
+            path.display()
+        ))),
+    }
+}
+
 /// Writes the file that the suffix of its name asks for.
-fn write(fit: &Fit, calibration: &Calibration, path: &Path, context: &RunContext<'_>) -> Result<(), Error> {
-    let suffix = path.extension().map(|suffix| suffix.to_string_lossy().to_lowercase());
-    let written = match suffix.as_deref() {
-        Some("html" | "htm") => calibration.report(fit, path, context),
-        Some("csv") => fit.write_csv(calibration, path, Table::Parameters, context),
-        Some("ssv") => fit.export_ssv(calibration, path, None),
-        Some("json") => {
+pub(super) fn write(
+    fit: &Fit,
+    calibration: &Calibration,
+    path: &Path,
+    context: &RunContext<'_>,
+) -> Result<(), Error> {
+    check_suffix(path)?;
+    let written = match suffix(path).as_str() {
+        "csv" => fit.write_csv(calibration, path, Table::Parameters, context),
+        "ssv" => fit.export_ssv(calibration, path, None),
+        "json" => {
             let text = fit.to_json(calibration).map_err(Error::of_input)?;
             return base::files::write_whole(path, text.as_bytes()).map_err(Error::write(path));
         }
-        _ => {
-            return Err(Error::input(format!(
-                "{}: give a name that ends in .html (a page), .csv, .json or .ssv",
-                path.display()
-            )));
-        }
+        _ => calibration.report(fit, path, context),
     };
     written.map_err(|error| match error {
         error @ (CalibrationError::ReportFile { .. } | CalibrationError::Setup(_)) => Error::input(error),

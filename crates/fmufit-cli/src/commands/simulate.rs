@@ -6,15 +6,19 @@ use crate::console::Console;
 use crate::error::{Error, Exit};
 use crate::interrupt::Interrupt;
 use crate::problem::short_form;
+use crate::written::{check_written, is_stream};
 use calibration::{CalibrationError, CsvRequest, Data, ModelProcess, RunContext, UnitConversion};
 use dfo::Value;
 use fmi::description::Causality;
 use fmi::worker::WorkerLimits;
 use fmi::{FmiError, Fmu, Inputs, SimulateOptions, SimulationPlan, Trajectory};
 use ode::{Number, Termination};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error> {
+    let output = arguments.output.as_ref().filter(|path| !is_stream(path));
+    let read: Vec<PathBuf> = arguments.input.iter().chain([&arguments.model]).cloned().collect();
+    check_written(output.into_iter().chain(&arguments.plot), &read)?;
     let fmu = Fmu::open(&arguments.model).map_err(Error::input)?;
     let options = options(arguments, &fmu)?;
     let kind = fmu.check_runnable_as(options.kind).map_err(Error::input)?;
@@ -25,7 +29,7 @@ pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error
     let table = table(&trajectory)?;
     let write =
         |path: &Path, text: &str| base::files::write_whole(path, text.as_bytes()).map_err(Error::write(path));
-    match &arguments.output {
+    match output {
         Some(path) => write(path, &table)?,
         None => console.data(&table),
     }
@@ -43,7 +47,7 @@ pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error
         console
             .note(&format!("warning: the model ended the simulation at {} s", Number(trajectory.end_time)));
     }
-    for path in arguments.output.iter().chain(&arguments.plot) {
+    for path in output.into_iter().chain(&arguments.plot) {
         console.note(&format!("wrote {}", path.display()));
     }
     Ok(Exit::Success)
@@ -104,13 +108,14 @@ fn options(arguments: &Simulate, fmu: &Fmu) -> Result<SimulateOptions, Error> {
     if !arguments.outputs.is_empty() {
         options = options.outputs(arguments.outputs.clone());
     }
-    for text in &arguments.values {
-        let (name, value) = short_form::assignment(text, "NAME=VALUE, as in --set friction=0.01")?;
+    for (name, value) in short_form::assignments(&arguments.values, "NAME=VALUE, as in --set friction=0.01")?
+    {
         let value = value_of(fmu.description(), &name, &value)?;
         options = options.start_value(name, value);
     }
     if let Some(path) = &arguments.input {
-        let data = Data::read_csv(path, CsvRequest::default()).map_err(Error::of_input)?;
+        let request = CsvRequest { time: arguments.time.as_deref(), ..CsvRequest::default() };
+        let data = Data::read_csv(path, request).map_err(Error::of_arguments)?;
         options = options.inputs(inputs(fmu, &data)?);
         if options.final_time.is_none() && fmu.description().default_experiment.stop_time.is_none() {
             options.final_time = data.time().last().copied();

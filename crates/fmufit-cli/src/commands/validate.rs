@@ -8,10 +8,29 @@ use calibration::CalibrationError;
 use dfo::Value;
 use fmi::{FmiError, Fmu, SimulateOptions, Trajectory};
 use ode::{Number, Termination};
-use serde_json::json;
+use schemars::JsonSchema;
+use serde::Serialize;
 
 /// Length of the run of a model that states none, in s.
 const SHORT: f64 = 1.0;
+
+/// A validation as `--json` prints it.
+#[derive(Serialize, JsonSchema)]
+#[schemars(title = "Validation of fmufit")]
+pub(super) struct Document<'v> {
+    /// The model.
+    path: String,
+    /// Name of the model.
+    model_name: &'v str,
+    /// Version of FMI, as `2.0`.
+    fmi_version: String,
+    /// Departures from the standard.
+    quirks: &'v [String],
+    /// The simulation went well.
+    is_simulated: bool,
+    /// What came of it, in a sentence.
+    simulation: &'v str,
+}
 
 pub(crate) fn run(arguments: &Validate, console: &Console) -> Result<Exit, Error> {
     let opened = Fmu::open(&arguments.model);
@@ -37,15 +56,14 @@ pub(crate) fn run(arguments: &Validate, console: &Console) -> Result<Exit, Error
             Ok(message) => (true, message),
             Err(message) => (false, message),
         };
-        let document = json!({
-            "path": fmu.path().display().to_string(),
-            "model_name": fmu.description().model_name,
-            "fmi_version": fmu.description().fmi_version.to_string(),
-            "quirks": quirks,
-            "is_simulated": is_simulated,
-            "simulation": message,
-        });
-        console.json(&document)?;
+        console.json(&Document {
+            path: fmu.path().display().to_string(),
+            model_name: &fmu.description().model_name,
+            fmi_version: fmu.description().fmi_version.to_string(),
+            quirks: &quirks,
+            is_simulated,
+            simulation: message,
+        })?;
     } else {
         let departures = match quirks.len() {
             0 => "no departures from the standard".to_owned(),

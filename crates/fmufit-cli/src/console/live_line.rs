@@ -18,11 +18,13 @@ pub(crate) struct LiveLine {
     bar: Option<ProgressBar>,
     /// Of lines that are printed: the heading of the last one, and when it was.
     printed: Option<(RefCell<String>, Cell<Instant>)>,
+    /// The end of the work was asked for: nothing is left on the screen that a second Ctrl-C would leave.
+    is_ending: Cell<bool>,
 }
 
 impl LiveLine {
     pub(super) fn new(is_shown: bool, is_rewritten: bool) -> Self {
-        let mut line = Self { bar: None, printed: None };
+        let mut line = Self { bar: None, printed: None, is_ending: Cell::new(false) };
         if is_shown && is_rewritten {
             let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
             if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}") {
@@ -36,8 +38,34 @@ impl LiveLine {
         line
     }
 
+    /// Shows what is done, unless its end was asked for. Returns whether it was.
+    pub(crate) fn show_until(&self, is_asked: bool, heading: &str) -> bool {
+        match is_asked {
+            true => self.end(),
+            false => self.show(heading, String::new),
+        }
+        is_asked
+    }
+
+    /// Says that the work is about to end; the line goes away.
+    pub(crate) fn end(&self) {
+        if self.is_ending.replace(true) {
+            return;
+        }
+        if let Some(bar) = &self.bar {
+            messages::stand_above(None);
+            bar.finish_and_clear();
+        }
+        if self.bar.is_some() || self.printed.is_some() {
+            messages::print("ending; Ctrl-C again ends at once, without a result");
+        }
+    }
+
     /// Shows what is done, and how far it is.
     pub(crate) fn show(&self, heading: &str, state: impl Fn() -> String) {
+        if self.is_ending.get() {
+            return;
+        }
         let text =
             |state: String| if state.is_empty() { heading.to_owned() } else { format!("{heading}: {state}") };
         if let Some(bar) = &self.bar {
@@ -58,7 +86,7 @@ impl LiveLine {
 
 impl Drop for LiveLine {
     fn drop(&mut self) {
-        if let Some(bar) = &self.bar {
+        if let Some(bar) = self.bar.as_ref().filter(|_| !self.is_ending.get()) {
             messages::stand_above(None);
             bar.finish_and_clear();
         }

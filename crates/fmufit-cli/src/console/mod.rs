@@ -9,11 +9,14 @@ pub(crate) use table::Table;
 
 use crate::error::Error;
 use calibration::visible;
-use std::io::{self, IsTerminal, Write};
+use std::cell::RefCell;
+use std::io::{self, ErrorKind, IsTerminal, Write};
 
 /// The two streams of a command.
 pub(crate) struct Console {
     is_quiet: bool,
+    /// Why something was not printed.
+    lost: RefCell<Option<io::Error>>,
 }
 
 impl Console {
@@ -21,23 +24,34 @@ impl Console {
     /// stream from now on.
     pub(crate) fn new(is_quiet: bool) -> Self {
         messages::pass_on(is_quiet);
-        Self { is_quiet }
+        Self { is_quiet, lost: RefCell::default() }
     }
 
-    /// Prints a result, with a line break at its end. Nobody may be there to read it any more.
+    /// Prints a result, with a line break at its end.
     pub(crate) fn result(&self, text: &str) {
-        let mut out = io::stdout().lock();
-        let _ = writeln!(out, "{}", visible(text.trim_end_matches('\n'))).and_then(|()| out.flush());
+        self.data(&format!("{}\n", visible(text.trim_end_matches('\n'))));
     }
 
     /// Prints data for other programs, as they are.
     pub(crate) fn data(&self, text: &str) {
         let mut out = io::stdout().lock();
-        let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+        match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+            // Nobody may be there to read it any more.
+            Err(error) if error.kind() != ErrorKind::BrokenPipe => _ = self.lost.replace(Some(error)),
+            _ => {}
+        }
+    }
+
+    /// Makes sure that all results were printed.
+    pub(crate) fn finish(&self) -> Result<(), Error> {
+        match self.lost.take() {
+            Some(error) => Err(Error::input(format!("cannot write to the standard output: {error}"))),
+            None => Ok(()),
+        }
     }
 
     /// Prints a JSON document for other programs.
-    pub(crate) fn json(&self, document: &serde_json::Value) -> Result<(), Error> {
+    pub(crate) fn json(&self, document: &impl serde::Serialize) -> Result<(), Error> {
         let text = serde_json::to_string_pretty(document);
         self.data(&(text.map_err(|e| Error::work(format!("no JSON can be made: {e}")))? + "\n"));
         Ok(())

@@ -3,16 +3,29 @@
 use super::problem_file::ProblemFile;
 use super::short_form;
 use crate::arguments::Problem;
+use crate::console::Console;
 use crate::error::Error;
+use calibration::{CsvRequest, Data, find_column};
+use fmi::Fmu;
+use fmi::description::Causality;
+use std::path::Path;
 
 /// The problem that arguments describe.
-pub(crate) fn asked(arguments: &Problem) -> Result<ProblemFile, Error> {
-    let Problem { problem, data, output, input, parameter, setting } = arguments;
+pub(crate) fn asked(arguments: &Problem, console: &Console) -> Result<ProblemFile, Error> {
+    let Problem { problem, data, output, input, parameter, time, setting } = arguments;
     let is_model =
         problem.is_dir() || problem.extension().is_some_and(|suffix| suffix.eq_ignore_ascii_case("fmu"));
     let mut file = match data {
         Some(data) if is_model => {
-            ProblemFile::without_file(short_form::record(problem, data, (parameter, output, input))?)?
+            let input = match input.is_empty() {
+                true => driven(problem, (data, time.as_deref()), console)?,
+                false => input.clone(),
+            };
+            ProblemFile::without_file(short_form::record(
+                problem,
+                (data, time.as_deref()),
+                (parameter, output, &input),
+            )?)?
         }
         Some(data) => {
             return Err(Error::input(format!(
@@ -33,4 +46,30 @@ pub(crate) fn asked(arguments: &Problem) -> Result<ProblemFile, Error> {
     };
     file.set("settings", short_form::options(setting)?);
     Ok(file)
+}
+
+/// The inputs that columns of the recording are called as, which drive them.
+fn driven(
+    model: &Path,
+    (data, time): (&Path, Option<&str>),
+    console: &Console,
+) -> Result<Vec<String>, Error> {
+    let fmu = Fmu::open(model).map_err(Error::input)?;
+    let inputs = fmu.description().variables.iter().filter(|v| v.causality == Causality::Input);
+    let inputs: Vec<&String> = inputs.map(|variable| &variable.name).collect();
+    if inputs.is_empty() {
+        return Ok(Vec::new());
+    }
+    let data =
+        Data::read_csv(data, CsvRequest { time, ..CsvRequest::default() }).map_err(Error::of_arguments)?;
+    let (driven, others): (Vec<&String>, Vec<&String>) =
+        inputs.into_iter().partition(|name| find_column(data.names(), name).is_ok());
+    let listed = |names: &[&String]| names.iter().map(|name| name.as_str()).collect::<Vec<_>>().join(", ");
+    if !driven.is_empty() {
+        console.note(&format!("driven by the columns of the same names: {}", listed(&driven)));
+    }
+    if !others.is_empty() {
+        console.note(&format!("warning: no column drives {}: at the start value", listed(&others)));
+    }
+    Ok(driven.into_iter().cloned().collect())
 }

@@ -4,6 +4,7 @@
 use super::document::Document;
 use super::place::{Lines, field, item, named_in};
 use crate::error::Error;
+use crate::written::is_stream;
 use calibration::{
     Calibration, CalibrationError, Experiment, ExperimentRecord, FitOptions, Parameter, ParameterRecord,
     RunContext, SimulationSettings, Stage, fit_schema, stage_schema,
@@ -13,6 +14,7 @@ use fmi::Fmu;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::Serialize;
 use std::fmt::Display;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// A problem file: which parameters of a model are fitted to which recordings.
@@ -59,8 +61,12 @@ pub(crate) struct ProblemFile {
 impl ProblemFile {
     /// Reads a file.
     pub(crate) fn read(path: &Path) -> Result<Self, Error> {
-        let bytes = base::files::read_regular(path)
-            .map_err(|error| Error::input(format!("cannot read {}: {error}", path.display())))?;
+        let failed = |error| Error::input(format!("cannot read {}: {error}", path.display()));
+        if is_stream(path) {
+            let text = io::read_to_string(io::stdin()).map_err(failed)?;
+            return Self::parse(&text, Path::new("<stdin>"));
+        }
+        let bytes = base::files::read_regular(path).map_err(failed)?;
         let text = String::from_utf8(bytes).map_err(|_| {
             Error::input(format!("{}: this is no text in UTF-8, so no problem file", path.display()))
         })?;
@@ -111,7 +117,8 @@ impl ProblemFile {
 
     /// An error of the library about the value at a path: at the line of what it names, if that stands there.
     fn located(&self, path: &str, error: CalibrationError) -> Error {
-        let message = match Error::of_input(error) {
+        let of = if self.path.is_some() { Error::of_input } else { Error::of_arguments };
+        let message = match of(error) {
             error if error.exit == crate::error::Exit::Interrupted => return error,
             error => error.to_string(),
         };
@@ -169,6 +176,17 @@ impl ProblemFile {
             }
             None => Ok(()),
         }
+    }
+
+    /// The files that it is read from: itself, the model, the recordings.
+    pub(crate) fn files(&self) -> Vec<PathBuf> {
+        let experiments = self.tables("experiments").unwrap_or_default();
+        let data = experiments.iter().filter_map(|(_, fields)| fields.get("data"));
+        let named = data.chain(self.value("model")).filter_map(|value| match value {
+            Value::Text(path) => Some(self.folder.join(path)),
+            _ => None,
+        });
+        named.chain(self.path.clone()).collect()
     }
 
     /// Opens the model.

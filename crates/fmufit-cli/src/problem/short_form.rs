@@ -15,11 +15,31 @@ pub(crate) fn assignment(text: &str, what: &str) -> Result<(String, String), Err
     }
 }
 
+/// Names and values, each name once.
+pub(crate) fn assignments(given: &[String], what: &str) -> Result<Vec<(String, String)>, Error> {
+    let mut pairs: Vec<(String, String)> = Vec::with_capacity(given.len());
+    for text in given {
+        let (name, value) = assignment(text, what)?;
+        if let Some((_, first)) = pairs.iter().find(|(earlier, _)| *earlier == name) {
+            return Err(Error::input(format!("'{name}' is given twice: {first} and {value}")));
+        }
+        pairs.push((name, value));
+    }
+    Ok(pairs)
+}
+
 /// Options given as `name=value`.
 pub(crate) fn options(given: &[String]) -> Result<Vec<(String, Value)>, Error> {
-    let option =
-        |text: &String| assignment(text, "name=value").map(|(name, value)| (name, value_of_text(&value)));
-    given.iter().map(option).collect()
+    let pairs = assignments(given, "name=value")?.into_iter();
+    Ok(pairs.map(|(name, value)| (name, value_of_text(&value))).collect())
+}
+
+/// A path as a problem holds it.
+pub(crate) fn text_of(path: &Path) -> Result<String, Error> {
+    path.to_str().map(str::to_owned).ok_or_else(|| {
+        let path = path.display();
+        Error::input(format!("the name {path} is not in UTF-8, which a problem cannot hold: rename the file"))
+    })
 }
 
 /// The record of a parameter, `name=start:lower:upper`, of which the bounds may be left out.
@@ -68,21 +88,22 @@ fn source(text: &str) -> Result<Value, Error> {
 /// The record of a problem with one recording.
 pub(crate) fn record(
     model: &Path,
-    data: &Path,
+    (data, time): (&Path, Option<&str>),
     (parameters, outputs, inputs): (&[String], &[String], &[String]),
 ) -> Result<Record, Error> {
-    let path = |path: &Path| Value::Text(path.to_string_lossy().into_owned());
-    let experiment = Record::from([
-        ("data".to_owned(), path(data)),
+    let path = |path: &Path| text_of(path).map(Value::Text);
+    let mut experiment = Record::from([
+        ("data".to_owned(), path(data)?),
         (
             "outputs".to_owned(),
             Value::List(outputs.iter().map(|text| column(text)).collect::<Result<_, _>>()?),
         ),
         ("inputs".to_owned(), Value::List(inputs.iter().map(|text| source(text)).collect::<Result<_, _>>()?)),
     ]);
+    experiment.extend(time.map(|time| ("time".to_owned(), Value::Text(time.to_owned()))));
     let parameters = parameters.iter().map(|text| parameter(text)).collect::<Result<_, _>>()?;
     Ok(Record::from([
-        ("model".to_owned(), path(model)),
+        ("model".to_owned(), path(model)?),
         ("experiments".to_owned(), Value::List(vec![Value::Record(experiment)])),
         ("parameters".to_owned(), Value::List(parameters)),
     ]))

@@ -39,7 +39,7 @@ fn a_fit_ends_with_the_best_point() {
     assert_eq!((&result["termination"], &result["success"]), (&"interrupted".into(), &false.into()));
     // The start is one of the points.
     assert!(result["cost"].as_f64().unwrap() <= result["start_cost"].as_f64().unwrap(), "{result}");
-    assert!(rest.contains("saved furuta.fit"), "{rest}");
+    assert!(rest.contains("ending; Ctrl-C again") && rest.contains("saved furuta.fit"), "{rest}");
     folder.run("report furuta.fit furuta.csv").good();
 }
 

@@ -67,9 +67,9 @@ impl Schema {
                     }
                     true
                 }
-                "required" => document
-                    .as_object()
-                    .is_none_or(|fields| items(rule).iter().all(|n| fields.contains_key(n.as_str().unwrap()))),
+                "required" => document.as_object().is_none_or(|fields| {
+                    items(rule).iter().all(|n| fields.contains_key(n.as_str().unwrap()))
+                }),
                 "propertyNames" => document
                     .as_object()
                     .is_none_or(|fields| fields.keys().all(|n| self.is_valid(rule, &n.clone().into()))),

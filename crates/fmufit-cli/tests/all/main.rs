@@ -1,6 +1,7 @@
 //! The command line as a program: what it prints and writes, and its exit codes.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod files;
 mod fit;
 mod help;
 mod init;

@@ -43,6 +43,34 @@ fn problem_files_follow_their_schema() {
 }
 
 #[test]
+fn results_follow_their_schemas() {
+    let folder = Folder::with_model("dahlquist");
+    folder.record_decay();
+    folder.write("problem.toml", PROBLEM);
+    for (of, arguments) in [
+        ("info", "info model.fmu --json"),
+        ("validate", "validate model.fmu --json"),
+        ("check", "check problem.toml --json"),
+        ("check", "check problem.toml --preflight --json"),
+        ("fit", "fit problem.toml --json -O preflight=true"),
+        ("fit", "fit problem.toml --json -O max_evaluations=3 -O covariance=none"),
+        ("error", "fit none.toml --json"),
+    ] {
+        let schema = Schema::new(json(&folder.run(&format!("schema --of {of}")).good()));
+        let document = json(&folder.run(arguments).out);
+        let errors = schema.errors(&document);
+        assert!(errors.is_empty(), "{arguments}: {errors:?}\n{document}");
+        // It says something: there are fields that may not be left out.
+        let is_needed = |name: &String| {
+            let mut less = document.clone();
+            less.as_object_mut().unwrap().remove(name);
+            !schema.errors(&less).is_empty()
+        };
+        assert!(document.as_object().unwrap().keys().any(is_needed), "{arguments}");
+    }
+}
+
+#[test]
 fn what_one_refuses_the_other_refuses() {
     let folder = Folder::with_model("dahlquist");
     let schema = schema(&folder);

@@ -9,6 +9,7 @@ use crate::console::Console;
 use crate::error::{Error, Exit};
 use crate::interrupt::Interrupt;
 use crate::problem::{ProblemFile, short_form};
+use crate::written::check_written;
 use calibration::{CsvRequest, Data, PreflightOptions, RunContext};
 use fmi::Fmu;
 use matching::{Columns, Pair};
@@ -20,20 +21,17 @@ pub(crate) fn run(arguments: &Init, console: &Console) -> Result<Exit, Error> {
     if problem.exists() && !arguments.force {
         return Err(Error::input(format!("{} is there already: --force replaces it", problem.display())));
     }
+    check_written([problem], &[model.clone(), data.clone()])?;
     let fmu = Fmu::open(model).map_err(Error::input)?;
     let request = CsvRequest { time: arguments.time.as_deref(), ..CsvRequest::default() };
-    let recording = Data::read_csv(data, request).map_err(Error::of_input)?;
+    let recording = Data::read_csv(data, request).map_err(Error::of_arguments)?;
     let columns = Columns::matched(&fmu, &recording, named(&arguments.output)?, named(&arguments.input)?)?;
     let mut proposed = Proposed::of(&fmu, &arguments.parameter)?;
     // Paths in the file begin where that is.
     let folder = base::files::folder_of(problem);
+    let (model_path, data_path) = (relative(model, folder)?, relative(data, folder)?);
     let text = |proposed: &Proposed| {
-        text::text(
-            &fmu,
-            (&relative(model, folder), &relative(data, folder)),
-            (&columns, arguments.time.as_deref()),
-            proposed,
-        )
+        text::text(&fmu, (&model_path, &data_path), (&columns, arguments.time.as_deref()), proposed)
     };
     let mut why_not = None;
     if !columns.has_outputs() {
@@ -66,20 +64,17 @@ fn named(given: &[String]) -> Result<Vec<Pair>, Error> {
 }
 
 /// A path as it is seen from a folder: in full, unless it is below.
-fn relative(path: &Path, folder: &Path) -> String {
+fn relative(path: &Path, folder: &Path) -> Result<String, Error> {
     let full = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
     let (path, folder) = (full(path), full(folder));
-    path.strip_prefix(&folder).unwrap_or(&path).to_string_lossy().into_owned()
+    short_form::text_of(path.strip_prefix(&folder).unwrap_or(&path))
 }
 
 /// Moves each of the parameters that a text proposes.
 fn tried(text: &str, path: &Path, console: &Console) -> Result<calibration::Preflight, Error> {
     let interrupt = Interrupt::watch()?;
     let line = console.live_line();
-    let shown = || {
-        line.show("trying the parameters", String::new);
-        interrupt.is_asked()
-    };
+    let shown = || line.show_until(interrupt.is_asked(), "trying the parameters");
     let context = RunContext::new().asking(&shown);
     let calibration = ProblemFile::parse(text, path)?.calibration(&context)?;
     calibration.preflight(&PreflightOptions::default(), &context).map_err(Error::of_work)

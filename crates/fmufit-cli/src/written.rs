@@ -1,0 +1,33 @@
+//! Files that a command writes.
+
+use crate::error::Error;
+use std::path::{Path, PathBuf};
+
+/// Refuses files to write that the command reads, and one file for two results.
+pub(crate) fn check_written<'p>(
+    written: impl IntoIterator<Item = &'p PathBuf>,
+    read: &[PathBuf],
+) -> Result<(), Error> {
+    let place = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    let read: Vec<PathBuf> = read.iter().map(|path| place(path)).collect();
+    let mut earlier = Vec::new();
+    for path in written {
+        let (own, shown) = (place(path), path.display());
+        if is_stream(path) {
+            return Err(Error::input("'-' is no file: this result needs the name of one"));
+        } else if read.contains(&own) {
+            return Err(Error::input(format!("{shown} is read by this command: name another file to write")));
+        } else if earlier.contains(&own) {
+            return Err(Error::input(format!(
+                "{shown} would be written twice: give each result a file of its own"
+            )));
+        }
+        earlier.push(own);
+    }
+    Ok(())
+}
+
+/// True for `-`: a standard stream.
+pub(crate) fn is_stream(path: &Path) -> bool {
+    path == Path::new("-")
+}
