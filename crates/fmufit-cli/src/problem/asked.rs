@@ -12,7 +12,7 @@ pub(crate) fn asked(arguments: &Problem) -> Result<ProblemFile, Error> {
         problem.is_dir() || problem.extension().is_some_and(|suffix| suffix.eq_ignore_ascii_case("fmu"));
     let mut file = match data {
         Some(data) if is_model => {
-            ProblemFile::without_file(short_form::record(problem, data, (parameter, output, input))?)?
+            ProblemFile::without_file(short_form::record(problem, data, parameter, output, input)?)?
         }
         Some(data) => {
             return Err(Error::input(format!(

@@ -69,7 +69,9 @@ fn source(text: &str) -> Result<Value, Error> {
 pub(crate) fn record(
     model: &Path,
     data: &Path,
-    (parameters, outputs, inputs): (&[String], &[String], &[String]),
+    parameters: &[String],
+    outputs: &[String],
+    inputs: &[String],
 ) -> Result<Record, Error> {
     let path = |path: &Path| Value::Text(path.to_string_lossy().into_owned());
     let experiment = Record::from([

@@ -30,8 +30,10 @@ pub(crate) fn run(arguments: &Init, console: &Console) -> Result<Exit, Error> {
     let text = |proposed: &Proposed| {
         text::text(
             &fmu,
-            (&relative(model, folder), &relative(data, folder)),
-            (&columns, arguments.time.as_deref()),
+            &relative(model, folder),
+            &relative(data, folder),
+            &columns,
+            arguments.time.as_deref(),
             proposed,
         )
     };
