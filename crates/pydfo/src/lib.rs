@@ -25,11 +25,6 @@ mod core_module {
     #[pymodule_export]
     use super::calibration::experiment::check_parameter;
     #[pymodule_export]
-    use super::calibration::export::{
-        export_fmu, export_ssv, fit_to_bytes, fit_to_csv, fit_to_json, functions_of_fit, load_fit,
-        parameters_of, save_fit, simulate_variables, variable_values,
-    };
-    #[pymodule_export]
     use super::calibration::fit::PyFit;
     #[pymodule_export]
     use super::calibration::native::PyCalibration;
@@ -38,13 +33,9 @@ mod core_module {
     #[pymodule_export]
     use super::calibration::recordings::{check, recorded, recorded_inputs};
     #[pymodule_export]
-    use super::calibration::report::{
-        fit_curves, fit_findings, fit_html, fit_outputs, fit_report, fit_sensitivities, fit_text,
-    };
+    use super::calibration::saved_fit::{functions_of_fit, load_fit};
     #[pymodule_export]
-    use super::calibration::uncertainty::{
-        PyUncertainty, preflight_at, preflight_of_fit, uncertainty_at, uncertainty_of_fit,
-    };
+    use super::calibration::uncertainty::PyUncertainty;
     #[pymodule_export]
     use super::calibration::validation::{cross_validate, prediction_bands, validate};
     #[pymodule_export]

@@ -379,6 +379,26 @@ def test_a_fit_with_functions_is_loaded_with_them(tmp_path):
         load_fit(path, inputs={"u1": 5.0})
 
 
+def test_what_an_input_function_raises_in_a_report_comes_out_of_it(tmp_path):
+    time = np.arange(0.0, 11.0)
+    works = True
+
+    def voltage(t):
+        if not works:
+            raise LookupError(f"no voltage at {t}")
+        return 5.0
+
+    data = {"time": time, "level": np.full(11, 0.1)}
+    parameter = Parameter("qt.a1", 3e-6, 2e-6, 4e-6)
+    calibration = Calibration(example_fmu("quad_tank"), data, {"qt.x1": "level"}, parameter, inputs={"u1": voltage, "u2": 5.0})
+    fit = calibration.fit(max_evaluations=3, covariance=None)
+    works = False
+    with pytest.raises(LookupError, match="no voltage at"):
+        fit.report(tmp_path / "tank.html")
+    with pytest.raises(LookupError, match="no voltage at"):
+        fit.to_csv(tmp_path / "tank.csv", "trajectories")
+
+
 def test_a_description_is_pickled_with_all_that_the_file_says():
     description = FMUModel(example_fmu("quad_tank")).description
     copy = pickle.loads(pickle.dumps(description))

@@ -3,7 +3,7 @@
 
 use super::series::{range, rounded};
 use super::subject::Subject;
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::Finding;
 use ode::Number;
 use std::ops::Range;
 
@@ -56,8 +56,7 @@ pub(super) fn findings(subject: &Subject<'_>) -> Vec<Finding> {
         let (low, high) =
             known.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
         if known.len() > 2 && low == high {
-            findings.push(Finding::new(
-                Severity::Warning,
+            findings.push(Finding::warning(
                 name,
                 format!("all {} measurements are {}", known.len(), Number(low)),
                 "is it the right column? A constant tells little about parameters",
@@ -65,8 +64,7 @@ pub(super) fn findings(subject: &Subject<'_>) -> Vec<Finding> {
             continue;
         }
         if known.len() * 10 < values.len() {
-            findings.push(Finding::new(
-                Severity::Note,
+            findings.push(Finding::note(
                 name.clone(),
                 format!("{} of {} rows have a value", known.len(), values.len()),
                 "the others are taken as missing",
@@ -77,8 +75,7 @@ pub(super) fn findings(subject: &Subject<'_>) -> Vec<Finding> {
             if let Some(n) = clipped(&known, limit, high - low) {
                 is_clipped = true;
                 let share = Number((1e3 * n as f64 / known.len() as f64).round() / 10.0);
-                findings.push(Finding::new(
-                    Severity::Warning,
+                findings.push(Finding::warning(
                     name.clone(),
                     format!(
                         "{share} % of the measurements are exactly {}, its {what} value{CLIPPED_DOUBT}",
@@ -90,8 +87,7 @@ pub(super) fn findings(subject: &Subject<'_>) -> Vec<Finding> {
         }
         if let Some(n) = frozen(&known).filter(|_| !is_clipped) {
             let value = known[longest_run(&known).start];
-            findings.push(Finding::new(
-                Severity::Warning,
+            findings.push(Finding::warning(
                 name.clone(),
                 format!(
                     "{n} measurements in a row are exactly {}, and the others are noisy: frozen?",
@@ -108,8 +104,7 @@ pub(super) fn findings(subject: &Subject<'_>) -> Vec<Finding> {
         let is_measured = outputs.contains(&column.as_str());
         let zeros = || zeros(values).filter(|_| is_measured);
         if let Some((value, n, rest)) = placeholder(values, is_measured).or_else(zeros) {
-            findings.push(Finding::new(
-                Severity::Warning,
+            findings.push(Finding::warning(
                 format!("{prefix}'{variable}' (column '{column}')"),
                 format!(
                     "{} {}, the others lie between {} and {}: a placeholder for a missing value?",
@@ -137,8 +132,7 @@ fn too_coarse(subject: &Subject<'_>) -> Option<Finding> {
     let lost = used.iter().filter_map(|(_, column)| Some((column, lost_of(column)?)));
     let (column, lost) = lost.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, lost)| *lost > LOST)?;
     let interval = Number(resampling.interval);
-    Some(Finding::new(
-        Severity::Warning,
+    Some(Finding::warning(
         format!("{prefix}column '{column}'"),
         format!(
             "means over {interval} s take away {} % of the variance of its signal: it is faster",

@@ -59,7 +59,7 @@ pub(super) fn findings(subject: &Subject<'_>) -> Vec<Finding> {
             continue;
         }
         let mut warn = |(sentence, remedy): (String, &str)| {
-            findings.push(Finding::new(Severity::Warning, name.clone(), sentence, remedy));
+            findings.push(Finding::warning(name.clone(), sentence, remedy));
         };
         if let Some((output, _)) = experiment.outputs().find(|(_, compared)| *compared == column) {
             warn((

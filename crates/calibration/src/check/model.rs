@@ -31,8 +31,7 @@ pub(crate) fn unstated_noise(problem: &Problem) -> Option<Finding> {
         return None;
     }
     let (priors, outputs) = (with_prior.join(", "), unstated.join(", "));
-    Some(Finding::new(
-        Severity::Note,
+    Some(Finding::note(
         format!("prior of {priors}"),
         format!(
             "it counts in units of its standard deviation, and nothing states the standard deviation of the noise of {outputs}: a fit of \
@@ -92,8 +91,7 @@ pub(super) fn units(subject: &Subject<'_>) -> Vec<Finding> {
     if columns.is_empty() {
         return Vec::new();
     }
-    vec![Finding::new(
-        Severity::Note,
+    vec![Finding::note(
         format!("{prefix}{}", experiment.data.source()),
         format!("columns without a unit are taken in those of the model: {}", columns.join(", ")),
         format!("state units to have them converted{}", example.unwrap_or_default()),

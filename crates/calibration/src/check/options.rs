@@ -1,6 +1,6 @@
 //! Options of a check.
 
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::Finding;
 use ode::Number;
 use std::time::Duration;
 
@@ -28,8 +28,7 @@ impl CheckOptions {
             true => "before all simulations were made",
             false => "before the simulation at the start values had ended",
         };
-        Finding::new(
-            Severity::Warning,
+        Finding::warning(
             "max_time",
             format!(
                 "the check was ended by its time limit of {limit} s {until}: what they show is not known"

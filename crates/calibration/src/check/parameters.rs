@@ -52,12 +52,7 @@ pub(super) fn nominals(parameters: &[Parameter]) -> Vec<Finding> {
                 Number(rounded(nominal / size))
             );
             let subject = format!("parameter '{}'", parameter.name());
-            Finding::new(
-                Severity::Warning,
-                subject,
-                sentence,
-                "give the size of the parameter, or leave nominal out",
-            )
+            Finding::warning(subject, sentence, "give the size of the parameter, or leave nominal out")
         })
     };
     parameters.iter().filter_map(of).collect()
@@ -105,7 +100,7 @@ pub(super) fn far_from_own_start(
                 Number(parameter.start()),
                 Number(rounded(parameter.start() / own))
             );
-            return Some(Finding::new(Severity::Warning, subject, sentence, remedy));
+            return Some(Finding::warning(subject, sentence, remedy));
         }
         let is_moved = is_far(MOVED, *value) && factor(*value, parameter.start()) >= MOVED;
         if is_moved && !is_far(MOVED, parameter.start()) && own != PLACEHOLDER {
@@ -121,7 +116,7 @@ pub(super) fn far_from_own_start(
             );
             let remedy = "if that cannot be: are the times, inputs and measurements in the units of the model? Times in min for s move \
                           time constants by 60";
-            return Some(Finding::new(Severity::Warning, subject, sentence, remedy));
+            return Some(Finding::warning(subject, sentence, remedy));
         }
         let (lower, upper) = (parameter.lower(), parameter.upper());
         if (lower..=upper).contains(&own) || lower == upper {
@@ -184,8 +179,7 @@ pub(super) fn given_values(subject: &Subject<'_>, parameters: &[Parameter]) -> V
         let unit = variable.unit.as_deref().unwrap_or_default();
         let beside = beside_the_model(variable, Given { lowest: value, highest: value, is_constant: true })?;
         let in_unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
-        Some(Finding::new(
-            Severity::Warning,
+        Some(Finding::warning(
             format!("{prefix}{what} of '{name}'"),
             format!("it is {}{in_unit}, {beside}", Number(value)),
             "give it in the unit of the model",
@@ -213,8 +207,7 @@ pub(super) fn ranges(parameters: &[Parameter], description: &ModelDescription) -
         };
         let start = parameter.start();
         if start < low || start > high {
-            findings.push(Finding::new(
-                Severity::Warning,
+            findings.push(Finding::warning(
                 subject,
                 format!("start {} is outside of the model's range {range}", Number(start)),
                 "start within it; is its unit that of the model?",

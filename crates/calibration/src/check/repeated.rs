@@ -3,7 +3,7 @@
 use super::series::range;
 use super::subject::Subject;
 use crate::cost::calibration::Calibration;
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::Finding;
 use crate::problem::residual_layout::OutputResiduals;
 
 /// Fewer equal measurements at equal times may be chance.
@@ -149,7 +149,7 @@ pub(super) fn findings(calibration: &Calibration, subjects: &[Subject<'_>]) -> V
         };
         // Of a recording with several outputs the first says it.
         if findings.iter().all(|known| known.subject != subject) {
-            findings.push(Finding::new(Severity::Warning, subject, sentence, remedy));
+            findings.push(Finding::warning(subject, sentence, remedy));
         }
     }
     findings

@@ -2,11 +2,10 @@
 
 use super::series::{Evaluations, Place, Series, all_series, rounded, size};
 use crate::cost::calibration::Calibration;
-use crate::cost::failure::NoCost;
-use crate::cost::residual::{CostRule, PointResiduals};
+use crate::cost::residual::PointResiduals;
 use crate::data::sampling_interval;
 use crate::error::CalibrationError;
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::Finding;
 use dfo::RobustLoss;
 use ode::{Number, Stats};
 
@@ -46,13 +45,9 @@ pub(super) fn finding(
     }
     let Some((between, intervals)) = midway(calibration) else { return Ok(None) };
     evaluations.n += 1;
-    let mut residuals = vec![0.0; between.n_residuals()];
-    let rule = CostRule::whole(RobustLoss::default(), &evaluations.context);
-    match between.evaluate_into(&at.x, rule, &mut residuals, &mut evaluations.stats) {
-        Ok(_) => {}
-        Err(NoCost::Cancelled) => return Err(CalibrationError::Cancelled),
-        Err(_) => return Ok(None),
-    }
+    let (loss, context) = (RobustLoss::default(), evaluations.context);
+    let residuals = between.residuals_with(None, &at.x, loss, &context, &mut evaluations.stats)?;
+    let Some(residuals) = residuals else { return Ok(None) };
     let (rows, between) = (all_series(calibration, &at.residuals), all_series(&between, &residuals));
     let is_fast = |(rows, between): &(&Series<'_>, &Series<'_>)| {
         turns_back(rows, between, intervals[rows.of.experiment])
@@ -65,9 +60,7 @@ pub(super) fn finding(
             Number(rounded(interval)),
             Number(rounded(0.5 / interval))
         );
-        Finding::new(
-            Severity::Warning,
-            format!("output '{}' (column '{}')", rows.of.variable, rows.of.column),
+        Finding::warning(format!("output '{}' (column '{}')", rows.of.variable, rows.of.column),
             sentence,
             "record faster; until then fits from other start values may end elsewhere and be as good",
         )

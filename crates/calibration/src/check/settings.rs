@@ -3,10 +3,9 @@
 use super::series::{Evaluations, Place, all_series, rounded, size, size_of_difference};
 use crate::cost::accuracy::Accuracy;
 use crate::cost::calibration::Calibration;
-use crate::cost::failure::NoCost;
-use crate::cost::residual::{CostRule, PointResiduals};
+use crate::cost::residual::PointResiduals;
 use crate::error::CalibrationError;
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::Finding;
 use dfo::RobustLoss;
 use ode::Number;
 
@@ -20,9 +19,7 @@ const STEP_ERROR: f64 = 0.01;
 pub(super) fn loose_tolerance(calibration: &Calibration) -> Option<Finding> {
     let given = calibration.problem().settings.relative_tolerance?;
     (given > LOOSE && !calibration.has_fixed_step()).then(|| {
-        Finding::new(
-            Severity::Warning,
-            "relative tolerance",
+        Finding::warning("relative tolerance",
             format!(
                 "relative_tolerance {} lets each step of a simulation err by {} % of its values: costs jump, and the best values shift",
                 Number(given),
@@ -50,14 +47,10 @@ pub(super) fn large_step(
         return Ok(None);
     }
     evaluations.n += 1;
-    let mut residuals = vec![0.0; calibration.n_residuals()];
-    let rule = CostRule::whole(RobustLoss::default(), &evaluations.context);
-    let stats = &mut evaluations.stats;
-    match calibration.evaluate_with(Accuracy::HalfStep, &at.x, rule, &mut residuals, stats) {
-        Ok(_) => {}
-        Err(NoCost::Cancelled) => return Err(CalibrationError::Cancelled),
-        Err(_) => return Ok(None),
-    }
+    let (loss, context) = (RobustLoss::default(), evaluations.context);
+    let half = Some(Accuracy::HalfStep);
+    let residuals = calibration.residuals_with(half, &at.x, loss, &context, &mut evaluations.stats)?;
+    let Some(residuals) = residuals else { return Ok(None) };
     let step = match is_co_simulation {
         true => "the communication step".to_owned(),
         false => format!("the step of the solver '{}'", calibration.problem().settings.method.name()),
@@ -96,6 +89,6 @@ pub(super) fn large_step(
         let sentence = format!(
             "half {step} changes '{variable}' {place} by {changed} (RMS), where {beside}: {too_large}"
         );
-        Finding::new(Severity::Warning, "step", sentence, remedy)
+        Finding::warning("step", sentence, remedy)
     }))
 }

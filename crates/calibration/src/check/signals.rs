@@ -4,7 +4,7 @@
 use super::columns::{FEW_VALUES, SHORTEST_CLIPPED, longest_run, n_distinct};
 use super::series::{Outputs, Place, Series, range, rounded, rounded_time, size, size_of_difference};
 use super::subject::Subject;
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::Finding;
 use crate::problem::column_units::declared;
 use ode::Number;
 use std::f64::consts::TAU;
@@ -43,9 +43,8 @@ pub(super) fn findings(subjects: &[Subject<'_>], outputs: &Outputs<'_>) -> Vec<F
     for series in outputs.last() {
         let subject = &subjects[series.of.experiment];
         let mut find = |found: Option<(String, &str)>| {
-            let finding = |(sentence, remedy): (String, &str)| {
-                Finding::new(Severity::Warning, series.name(subject), sentence, remedy)
-            };
+            let finding =
+                |(sentence, remedy): (String, &str)| Finding::warning(series.name(subject), sentence, remedy);
             findings.extend(found.map(finding));
         };
         find(wrapped(series, subject));

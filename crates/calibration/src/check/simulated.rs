@@ -5,7 +5,7 @@ use super::series::{Outputs, Place, Series, range, rounded, size, size_of_differ
 use super::signals;
 use super::subject::Subject;
 use crate::data::{UnitConversion, parts, sampling_interval};
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::Finding;
 use crate::problem::column_units::declared;
 use crate::problem::experiment::InitialState;
 use crate::problem::parameter::Parameter;
@@ -95,7 +95,7 @@ fn unit(series: &Series<'_>, subject: &Subject<'_>) -> Option<(Finding, f64)> {
         None => remedy,
     };
     let finding = |sentence: String, factor: f64| {
-        Some((Finding::new(Severity::Warning, series.name(subject), sentence, remedy.clone()), factor))
+        Some((Finding::warning(series.name(subject), sentence, remedy.clone()), factor))
     };
     let off = size_of_difference(measured, simulated.iter().copied());
     let times = |factor: f64| size_of_difference(measured, simulated.iter().map(|s| factor * s));
@@ -161,8 +161,7 @@ fn held(series: &Series<'_>, subject: &Subject<'_>, place: Place) -> Option<Find
     let (measured, simulated) = (&series.of.measured, &series.simulated);
     let is_held = simulated.len() > 2 && range(simulated) <= 1e-12 * size(simulated.iter().copied());
     (is_held && range(measured) > 0.0).then(|| {
-        Finding::new(
-            Severity::Warning,
+        Finding::warning(
             series.name(subject),
             format!(
                 "the simulation {place} holds it at {}, the measurements range over {}",
@@ -198,8 +197,7 @@ fn initial(series: &Series<'_>, subject: &Subject<'_>, place: Place) -> Option<F
     let off = (simulated[0] - measured[0]).abs();
     (off > 0.25 * range(measured) && off > 10.0 * noise).then(|| {
         let [first, at_start] = [measured[0], simulated[0]].map(|v| Number(rounded(v)));
-        Finding::new(
-            Severity::Warning,
+        Finding::warning(
             series.name(subject),
             format!("the first measurement is {first}, the simulation starts at {at_start}"),
             "give the initial state (start_values or initial_states), or fit it",
@@ -230,8 +228,7 @@ fn swapped(series: &[Series<'_>], subjects: &[Subject<'_>]) -> Vec<Finding> {
                 && off(b, a) < 0.5 * off(b, b)
             {
                 let subject = &subjects[a.of.experiment];
-                findings.push(Finding::new(
-                    Severity::Warning,
+                findings.push(Finding::warning(
                     format!("{}outputs '{}' and '{}'", subject.prefix, a.of.variable, b.of.variable),
                     format!(
                         "column '{}' is closer to the simulated '{}', and column '{}' to the simulated '{}'",

@@ -6,7 +6,7 @@ use crate::cost::calibration::Calibration;
 use crate::cost::failure::NoCost;
 use crate::cost::residual::CostRule;
 use crate::error::CalibrationError;
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::Finding;
 use dfo::RobustLoss;
 use ode::Number;
 use std::time::{Duration, Instant};
@@ -114,12 +114,7 @@ impl Reading {
                 "give the times in s as the column of times".to_owned(),
             ),
         };
-        Finding::new(
-            Severity::Warning,
-            format!("{}{}", subject.prefix, subject.experiment.data.source()),
-            sentence,
-            remedy,
-        )
+        Finding::warning(format!("{}{}", subject.prefix, subject.experiment.data.source()), sentence, remedy)
     }
 }
 
@@ -180,8 +175,7 @@ fn far_from_default_experiment(subject: &Subject<'_>) -> Option<(Finding, f64)> 
     let near = UNITS.into_iter().find(|(factor, _)| (ratio / factor).ln().abs() < ABOUT.ln());
     let likely = near.map_or("in another unit than s".to_owned(), |(_, unit)| format!("in {unit}"));
     let example = near.map_or("min", |(_, unit)| unit);
-    let finding = Finding::new(
-        Severity::Warning,
+    let finding = Finding::warning(
         format!("{}{}", subject.prefix, subject.experiment.data.source()),
         format!(
             "it lasts {} s, {} times the {} s of the experiment that the model suggests, and the simulation at the start values does not \

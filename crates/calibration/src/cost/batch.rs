@@ -5,7 +5,7 @@ use crate::cost::accuracy::Accuracy;
 use crate::cost::calibration::Calibration;
 use crate::cost::failure::NoCost;
 use crate::cost::parallel;
-use crate::cost::process::Asked;
+use crate::cost::process::{Asked, Evaluation};
 use crate::cost::residual::CostRule;
 use crate::error::CalibrationError;
 use base::RunContext;
@@ -82,10 +82,8 @@ impl<'a> Simulations<'a> {
             let mut residuals = vec![0.0; calibration.n_residuals()];
             let (mut stats, rule) = (Stats::default(), CostRule::whole(loss, context));
             let Point { x, is_accurate } = &points[k];
-            let cost = match is_accurate {
-                true => calibration.evaluate_accurately(x, rule, &mut residuals, &mut stats),
-                false => calibration.evaluate_into(x, rule, &mut residuals, &mut stats),
-            };
+            let accuracy = is_accurate.then(|| calibration.accurate());
+            let cost = calibration.evaluate_with(accuracy, x, rule, &mut residuals, &mut stats);
             (cost.map(|_| residuals), stats)
         };
         let answers = parallel::map(points.len(), self.workers, &self.context, &task);
@@ -96,9 +94,7 @@ impl<'a> Simulations<'a> {
             self.stats += stats;
             found.push(match residuals {
                 Ok(residuals) => Ok(residuals),
-                Err(NoCost::Failed { message, .. }) => Err(message),
-                Err(NoCost::Over(error)) => return Err(CalibrationError::Model(*error)),
-                Err(NoCost::Cancelled | NoCost::Above) => return Err(CalibrationError::Cancelled),
+                Err(no_cost) => Err(no_cost.of_point()?.message),
             });
         }
         Ok(found)
@@ -129,35 +125,49 @@ impl Calibration {
         self.evaluator().simulations[0].pool.plan().kind() == InterfaceKind::CoSimulation
     }
 
-    /// As [`evaluate_into`](Self::evaluate_into), with a hundredth of the relative tolerance or half the
-    /// step.
-    fn evaluate_accurately(
-        &self,
-        x: &[f64],
-        rule: CostRule<'_>,
-        out: &mut [f64],
-        stats: &mut Stats,
-    ) -> Result<f64, NoCost> {
+    /// With a hundredth of the relative tolerance or half the step.
+    fn accurate(&self) -> Accuracy {
         let tolerance = self.relative_tolerance();
-        let accuracy = match self.has_fixed_step() {
+        match self.has_fixed_step() {
             true => Accuracy::HalfStep,
             false => Accuracy::Tolerance((tolerance / ACCURATE).max(SMALLEST_TOLERANCE).min(tolerance)),
-        };
-        self.evaluate_with(accuracy, x, rule, out, stats)
+        }
     }
 
-    /// As [`evaluate_into`](Self::evaluate_into), with this accuracy.
+    /// The residuals at `x` as they count; `None` where the simulation fails there.
+    ///
+    /// # Errors
+    /// [`CalibrationError::Cancelled`].
+    pub(crate) fn residuals_with(
+        &self,
+        accuracy: Option<Accuracy>,
+        x: &[f64],
+        loss: RobustLoss,
+        context: &RunContext<'_>,
+        stats: &mut Stats,
+    ) -> Result<Option<Vec<f64>>, CalibrationError> {
+        let mut residuals = vec![0.0; self.n_residuals()];
+        match self.evaluate_with(accuracy, x, CostRule::whole(loss, context), &mut residuals, stats) {
+            Ok(_) => Ok(Some(residuals)),
+            Err(NoCost::Cancelled) => Err(CalibrationError::Cancelled),
+            Err(_) => Ok(None),
+        }
+    }
+
+    /// As [`evaluate_into`](Self::evaluate_into), with another accuracy where one is given.
     pub(crate) fn evaluate_with(
         &self,
-        accuracy: Accuracy,
+        accuracy: Option<Accuracy>,
         x: &[f64],
         rule: CostRule<'_>,
         out: &mut [f64],
         stats: &mut Stats,
     ) -> Result<f64, NoCost> {
+        let Some(accuracy) = accuracy else { return self.evaluate_into(x, rule, out, stats) };
         if let Ok(remote) = &self.evaluator().remote {
             let method = self.method(&rule.context)?;
-            return remote.evaluate(x, method, rule, (Some(accuracy), Asked::Any), out, stats);
+            let evaluation = Evaluation { method, accuracy: Some(accuracy), process: Asked::Any };
+            return remote.evaluate(x, evaluation, rule, out, stats);
         }
         self.evaluator().evaluate(x, rule, out, stats, |k, run| {
             let asked = self.evaluator().simulations[k].options_at_start();

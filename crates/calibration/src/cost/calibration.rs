@@ -1,8 +1,8 @@
 //! A problem and its model, ready to be evaluated: cost, residuals, trajectories, cutoff.
 
 use crate::cost::evaluator::Evaluator;
-use crate::cost::failure::NoCost;
-use crate::cost::process::{Asked, Job};
+use crate::cost::failure::{NoCost, PointFailure};
+use crate::cost::process::{Asked, Evaluation, Job};
 use crate::cost::residual::CostRule;
 use crate::cost::solver::{AtStart, Choice, Solver};
 use crate::error::CalibrationError;
@@ -389,11 +389,9 @@ impl Calibration {
         let mut residuals = vec![0.0; self.n_residuals()];
         let rule = CostRule::whole(RobustLoss::default(), context);
         let cost = self.evaluate_in(Asked::Checked, x, rule, &mut residuals, stats);
-        cost.map(|cost| (cost, residuals)).map_err(|no_cost| match no_cost {
-            NoCost::Failed { message, source, .. } => self.failed_at(x, message, source),
-            NoCost::Over(error) => CalibrationError::Model(*error),
-            // Nothing is above an infinite cutoff.
-            NoCost::Cancelled | NoCost::Above => CalibrationError::Cancelled,
+        cost.map(|cost| (cost, residuals)).map_err(|no_cost| match no_cost.of_point() {
+            Ok(PointFailure { message, source, .. }) => self.failed_at(x, message, source),
+            Err(error) => error,
         })
     }
 
@@ -477,7 +475,7 @@ impl Calibration {
     ) -> Result<f64, NoCost> {
         if let Ok(remote) = &self.evaluator.remote {
             let method = self.method(&rule.context)?;
-            return remote.evaluate(x, method, rule, (None, process), out, stats);
+            return remote.evaluate(x, Evaluation { method, accuracy: None, process }, rule, out, stats);
         }
         self.evaluator.evaluate(x, rule, out, stats, |k, run| {
             Ok(self.pool(k, &rule.context)?.with_simulator(&rule.context, run))

@@ -1,5 +1,6 @@
 //! Why there is no cost at a point.
 
+use crate::error::CalibrationError;
 use dfo::FailureKind;
 use fmi::FmiError;
 use fmi::error::{EndKind, Told};
@@ -35,6 +36,18 @@ impl NoCost {
         self
     }
 
+    /// The reason and all details of a failure at this point.
+    ///
+    /// # Errors
+    /// What ends the work, not at this point alone. (Nothing is above an infinite cutoff.)
+    pub(crate) fn of_point(self) -> Result<PointFailure, CalibrationError> {
+        match self {
+            Self::Failed { reason, message, source, .. } => Ok(PointFailure { reason, message, source }),
+            Self::Over(error) => Err(CalibrationError::Model(*error)),
+            Self::Cancelled | Self::Above => Err(CalibrationError::Cancelled),
+        }
+    }
+
     /// Why a worker process has given no answer: such an error is none of a simulation, unless the process
     /// has ended in one.
     pub(crate) fn of_worker(error: FmiError) -> Self {
@@ -43,6 +56,14 @@ impl NoCost {
             error => Self::Over(Box::new(error)),
         }
     }
+}
+
+/// Why a simulation failed.
+pub(crate) struct PointFailure {
+    /// The same for all failures of that sort.
+    pub(crate) reason: String,
+    pub(crate) message: String,
+    pub(crate) source: Option<Box<FmiError>>,
 }
 
 /// A [`NoCost`] on its way from a worker process.

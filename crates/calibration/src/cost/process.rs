@@ -67,19 +67,21 @@ pub(crate) struct Evaluated {
 /// A simulation of a race; its samples and then its residuals are the numbers of the frame.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Raced {
-    pub(crate) outcome: RacedOutcome,
+    /// Without its samples.
+    pub(crate) outcome: RaceOutcome,
     /// Statistics of all its simulations.
     pub(crate) stats: Stats,
     /// Number of residuals, and the seconds that they took.
     pub(crate) at_start: Option<(usize, f64)>,
 }
 
-/// A [`RaceOutcome`] without its samples.
-#[derive(Debug, Serialize, Deserialize)]
-pub(crate) enum RacedOutcome {
-    Finished(Stats),
-    GivenUp,
-    Failed(String),
+/// How a point is evaluated.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Evaluation {
+    pub(crate) method: Method,
+    /// Where it is not that of the problem.
+    pub(crate) accuracy: Option<Accuracy>,
+    pub(crate) process: Asked,
 }
 
 /// Process that answers a request.
@@ -315,13 +317,13 @@ impl Remote {
     pub(crate) fn evaluate(
         &self,
         x: &[f64],
-        method: Method,
+        evaluation: Evaluation,
         rule: CostRule<'_>,
-        (accuracy, process): (Option<Accuracy>, Asked),
         out: &mut [f64],
         stats: &mut Stats,
     ) -> Result<f64, NoCost> {
         let CostRule { loss, cutoff, context } = rule;
+        let Evaluation { method, accuracy, process } = evaluation;
         let job = Job::Evaluate { x: x.to_vec(), method, loss, cutoff, accuracy };
         let mut use_answer = |answer: &mut Frame| {
             let Evaluated { cost, stats } = answer.head()?;
@@ -357,24 +359,18 @@ impl Remote {
             let raced: Raced = answer.head()?;
             Ok((raced, std::mem::take(&mut answer.numbers)))
         });
-        let (Raced { outcome, stats: taken, at_start }, mut samples) = match raced {
+        let (Raced { mut outcome, stats: taken, at_start }, mut numbers) = match raced {
             Ok(raced) => raced,
             Err(error) => {
-                return match NoCost::of_worker(error) {
-                    NoCost::Failed { reason, .. } => Ok((RaceOutcome::Failed(reason), None)),
-                    NoCost::Over(error) => Err(CalibrationError::Model(*error)),
-                    NoCost::Above | NoCost::Cancelled => Err(CalibrationError::Cancelled),
-                };
+                return Ok((RaceOutcome::Failed(NoCost::of_worker(error).of_point()?.reason), None));
             }
         };
         *stats += taken;
         let at_start =
-            at_start.map(|(n, seconds)| (samples.split_off(samples.len().saturating_sub(n)), seconds));
-        let outcome = match outcome {
-            RacedOutcome::Finished(stats) => RaceOutcome::Finished { samples, stats },
-            RacedOutcome::GivenUp => RaceOutcome::GivenUp,
-            RacedOutcome::Failed(reason) => RaceOutcome::Failed(reason),
-        };
+            at_start.map(|(n, seconds)| (numbers.split_off(numbers.len().saturating_sub(n)), seconds));
+        if let RaceOutcome::Finished { samples, .. } = &mut outcome {
+            *samples = numbers;
+        }
         Ok((outcome, at_start))
     }
 

@@ -39,11 +39,12 @@ pub struct RaceTask {
 }
 
 /// Outcome of a simulation in a comparison of methods.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum RaceOutcome {
     /// Well.
     Finished {
         /// The samples, row by row, all of their outputs one after the other.
+        #[serde(skip)]
         samples: Vec<f64>,
         /// Statistics of the simulation. (Of several simulations: the sum.)
         stats: Stats,

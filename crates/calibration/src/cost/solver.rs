@@ -222,13 +222,7 @@ pub(crate) fn simulate_race(
             Err(FmiError::Simulation(e)) if matches!(e.kind, ErrorKind::TooMuchWork(_)) => {
                 return Ok((RaceOutcome::GivenUp, None));
             }
-            Err(error) => {
-                return match NoCost::from(error) {
-                    NoCost::Failed { reason, .. } => Ok((RaceOutcome::Failed(reason), None)),
-                    NoCost::Over(error) => Err(CalibrationError::Model(*error)),
-                    NoCost::Above | NoCost::Cancelled => Err(CalibrationError::Cancelled),
-                };
-            }
+            Err(error) => return Ok((RaceOutcome::Failed(NoCost::from(error).of_point()?.reason), None)),
         }
     }
     let is_evaluation = is_whole && task.relative_tolerance == relative;

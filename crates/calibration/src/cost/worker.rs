@@ -2,7 +2,7 @@
 
 use crate::cost::calibration::Calibration;
 use crate::cost::failure::ToldNoCost;
-use crate::cost::process::{Evaluated, Job, Loaded, Raced, RacedOutcome, put_trajectory};
+use crate::cost::process::{Evaluated, Job, Loaded, Raced, put_trajectory};
 use crate::cost::race::RaceOutcome;
 use crate::cost::residual::CostRule;
 use crate::cost::solver::{Solver, simulate_race};
@@ -141,11 +141,7 @@ fn done(
             calibration.check_length(&x).map_err(model_error)?;
             let (rule, mut stats) = (CostRule { loss, cutoff, context: *context }, Stats::default());
             answer.numbers.resize(calibration.n_residuals(), 0.0);
-            let (out, stats_of_it) = (&mut answer.numbers, &mut stats);
-            let cost = match accuracy {
-                Some(accuracy) => calibration.evaluate_with(accuracy, &x, rule, out, stats_of_it),
-                None => calibration.evaluate_into(&x, rule, out, stats_of_it),
-            };
+            let cost = calibration.evaluate_with(accuracy, &x, rule, &mut answer.numbers, &mut stats);
             if cost.is_err() {
                 answer.numbers.clear();
             }
@@ -155,16 +151,11 @@ fn done(
         }
         Job::Race(task) => {
             let mut stats = Stats::default();
-            let (outcome, at_start) =
+            let (mut outcome, at_start) =
                 simulate_race(calibration.evaluator(), &task, context, &mut stats).map_err(model_error)?;
-            let outcome = match outcome {
-                RaceOutcome::Finished { mut samples, stats } => {
-                    answer.numbers.append(&mut samples);
-                    RacedOutcome::Finished(stats)
-                }
-                RaceOutcome::GivenUp => RacedOutcome::GivenUp,
-                RaceOutcome::Failed(reason) => RacedOutcome::Failed(reason),
-            };
+            if let RaceOutcome::Finished { samples, .. } = &mut outcome {
+                answer.numbers.append(samples);
+            }
             let at_start = at_start.map(|(mut residuals, seconds)| {
                 let n = residuals.len();
                 answer.numbers.append(&mut residuals);

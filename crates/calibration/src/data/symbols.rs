@@ -233,8 +233,9 @@ fn spellings() -> impl Iterator<Item = String> {
 type Meaning = (Exponents, (f64, f64), f64);
 
 /// A fraction of whole numbers in lowest terms; others as they are.
-pub(super) fn reduced((mut n, mut d): (f64, f64)) -> (f64, f64) {
+pub(super) fn reduced(fraction: (f64, f64)) -> (f64, f64) {
     const EXACT: f64 = 9_007_199_254_740_992.0;
+    let (mut n, mut d) = fraction;
     if n == d {
         return (1.0, 1.0);
     }

@@ -121,7 +121,7 @@ impl UnitConversion {
             Some(base) => Ok(Unit::of_base(&base)),
             None => Unit::parse(name),
         };
-        Unit::conversion((from, unit(from)?), (to, unit(to)?)).map(without_offset)
+        Unit::conversion(from, unit(from)?, to, unit(to)?).map(without_offset)
     }
 
     /// Between two units given by their names.
@@ -129,7 +129,7 @@ impl UnitConversion {
     /// # Errors
     /// [`UnitError::Unknown`] (of either unit) or [`UnitError::Dimension`].
     pub fn between(from: &str, to: &str) -> Result<Self, UnitError> {
-        Unit::conversion((from, Unit::parse(from)?), (to, Unit::parse(to)?))
+        Unit::conversion(from, Unit::parse(from)?, to, Unit::parse(to)?)
     }
 }
 
@@ -182,10 +182,7 @@ impl Unit {
 
     /// Between two units with their names. Radians are pure numbers where it is no frequency: a frequency has
     /// cycles, of which an angular speed has 2 pi radians each.
-    fn conversion(
-        (from, unit): (&str, Self),
-        (to, target): (&str, Self),
-    ) -> Result<UnitConversion, UnitError> {
+    fn conversion(from: &str, unit: Self, to: &str, target: Self) -> Result<UnitConversion, UnitError> {
         let plain = |u: &Self| {
             let mut exponents = u.exponents;
             exponents[7] = 0;

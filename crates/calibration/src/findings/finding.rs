@@ -53,6 +53,22 @@ impl Finding {
         Self { severity, subject: subject.into(), sentence: sentence.into(), remedy: remedy.into() }
     }
 
+    pub(crate) fn warning(
+        subject: impl Into<String>,
+        sentence: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
+        Self::new(Severity::Warning, subject, sentence, remedy)
+    }
+
+    pub(crate) fn note(
+        subject: impl Into<String>,
+        sentence: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
+        Self::new(Severity::Note, subject, sentence, remedy)
+    }
+
     /// The sentence, after its subject where it does not name that itself.
     pub fn text(&self) -> String {
         match self.subject.is_empty() || self.sentence.contains(&self.subject) {

@@ -3,7 +3,7 @@
 
 use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::Finding;
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::stage::{
     Fit, FitObserver, FitOptions, Job, Made, Searched, Spent, add_earlier, checkpoint_of, ended_by,
@@ -422,7 +422,7 @@ impl Calibration {
         if !names.is_empty() {
             let names = names.join(", ");
             let sentence = format!("no stage frees {names}: at the start");
-            raised.push(Finding::new(Severity::Note, names, sentence, ""));
+            raised.push(Finding::note(names, sentence, ""));
         }
         let searched = Searched {
             residuals: KeptResiduals::new(&job.start, at_start).with(&report.x, at_end.as_deref()),

@@ -60,7 +60,7 @@ impl Calibration {
 
 #[cfg(test)]
 mod tests {
-    use crate::{BoundSide, Calibration, Data, Experiment, Finding, Fit, FitOptions, Parameter, Severity};
+    use crate::{BoundSide, Calibration, Data, Experiment, Finding, Fit, FitOptions, Parameter};
     use base::RunContext;
 
     /// x' = -k x with k = 2, recorded with an error of a thousandth; c has no effect.
@@ -108,8 +108,7 @@ mod tests {
         assert!(!text.contains("warning") && !text.contains("note"), "{text}");
         let uncertainty = fit.uncertainty.as_mut().unwrap();
         uncertainty.uncorrected_covariance = Some(vec![25e-8]);
-        uncertainty.findings =
-            vec![Finding::new(Severity::Note, "residuals", "the residuals are not white", "wait")];
+        uncertainty.findings = vec![Finding::note("residuals", "the residuals are not white", "wait")];
         fit.at_bound = vec![(0, BoundSide::Upper)];
         let text = fit.to_string();
         assert!(
@@ -137,10 +136,8 @@ mod tests {
         let sentence = "the data do not determine k: other values fit as well";
         let uncertainty = fit.uncertainty.as_mut().unwrap();
         uncertainty.undetermined = vec![0];
-        uncertainty.findings = vec![
-            Finding::new(Severity::Warning, "k", sentence, ""),
-            Finding::new(Severity::Note, "", "all is well", ""),
-        ];
+        uncertainty.findings =
+            vec![Finding::warning("k", sentence, ""), Finding::note("", "all is well", "")];
         fit.report.message = "f_tol reached".to_owned();
         let text = fit.to_string();
         assert!(text.contains("rate of decay  1  -> 2.0001"), "{text}");
@@ -172,7 +169,7 @@ mod tests {
         let (calibration, mut fit) = decay();
         let uncertainty = fit.uncertainty.as_mut().unwrap();
         uncertainty.standard_errors = vec![1e-3];
-        uncertainty.findings = vec![Finding::new(Severity::Note, "<x>", "the residuals are not white", "")];
+        uncertainty.findings = vec![Finding::note("<x>", "the residuals are not white", "")];
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("report.html");
         std::fs::write(&path, "an older one").unwrap();

@@ -2,10 +2,9 @@
 //! other recordings.
 
 use crate::cost::calibration::Calibration;
-use crate::cost::failure::NoCost;
-use crate::cost::residual::{CostRule, PointResiduals};
+use crate::cost::residual::PointResiduals;
 use crate::error::CalibrationError;
-use crate::findings::finding::{Finding, Severity, table};
+use crate::findings::finding::{Finding, table};
 use crate::fit::output_fit::OutputFit;
 use crate::fit::stage::{Fit, FitOptions, NoiseRule};
 use crate::problem::experiment::Experiment;
@@ -211,9 +210,7 @@ impl Calibration {
             let all = output.measured.len();
             let is_seen = n > 0 && n as f64 >= share * all as f64;
             is_seen.then(|| {
-                Finding::new(
-                    Severity::Warning,
-                    format!("{}: {}", names[output.experiment], output.variable),
+                Finding::warning(format!("{}: {}", names[output.experiment], output.variable),
                     format!(
                         "the fit has seen {n} of these {all} measurements: there the RMS says how well they are reproduced, not how well \
                          new ones are predicted"
@@ -235,13 +232,8 @@ impl Calibration {
         context: &RunContext<'_>,
     ) -> Result<Validation, CalibrationError> {
         let end = PointResiduals { x: x.to_vec(), residuals: self.residuals(x, context)? };
-        let mut residuals = vec![0.0; self.n_residuals()];
-        let rule = CostRule::whole(RobustLoss::default(), context);
-        let start = match self.evaluate_into(start, rule, &mut residuals, &mut stats) {
-            Ok(_) => Some(PointResiduals { x: start.to_vec(), residuals }),
-            Err(NoCost::Cancelled) => return Err(CalibrationError::Cancelled),
-            Err(_) => None,
-        };
+        let residuals = self.residuals_with(None, start, RobustLoss::default(), context, &mut stats)?;
+        let start = residuals.map(|residuals| PointResiduals { x: start.to_vec(), residuals });
         let fits = self.output_fits(&end, start.as_ref());
         let outputs = self.residual_layout().outputs.iter().zip(fits).map(|(own, fit)| {
             let plain = |of: &PointResiduals| {

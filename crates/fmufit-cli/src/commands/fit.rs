@@ -49,7 +49,7 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
             ));
         }
     }
-    let fit = searched(&calibration, (options, &stages), &interrupt, console)?;
+    let fit = searched(&calibration, options, &stages, &interrupt, console)?;
     // First of all: what follows may take long, or fail.
     match arguments.json {
         true => console.data(&(fit.to_json(&calibration).map_err(Error::of_work)? + "\n")),
@@ -78,7 +78,8 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
 /// Fits, and shows how far it is.
 fn searched(
     calibration: &Calibration,
-    (options, stages): (FitOptions<'_>, &[Stage]),
+    options: FitOptions<'_>,
+    stages: &[Stage],
     interrupt: &Interrupt,
     console: &Console,
 ) -> Result<calibration::Fit, Error> {

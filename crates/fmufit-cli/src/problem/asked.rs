@@ -18,14 +18,11 @@ pub(crate) fn asked(arguments: &Problem, console: &Console) -> Result<ProblemFil
     let mut file = match data {
         Some(data) if is_model => {
             let input = match input.is_empty() {
-                true => driven(problem, (data, time.as_deref()), console)?,
+                true => driven(problem, data, time.as_deref(), console)?,
                 false => input.clone(),
             };
-            ProblemFile::without_file(short_form::record(
-                problem,
-                (data, time.as_deref()),
-                (parameter, output, &input),
-            )?)?
+            let time = time.as_deref();
+            ProblemFile::without_file(short_form::record(problem, data, time, parameter, output, &input)?)?
         }
         Some(data) => {
             return Err(Error::input(format!(
@@ -49,11 +46,7 @@ pub(crate) fn asked(arguments: &Problem, console: &Console) -> Result<ProblemFil
 }
 
 /// The inputs that columns of the recording are called as, which drive them.
-fn driven(
-    model: &Path,
-    (data, time): (&Path, Option<&str>),
-    console: &Console,
-) -> Result<Vec<String>, Error> {
+fn driven(model: &Path, data: &Path, time: Option<&str>, console: &Console) -> Result<Vec<String>, Error> {
     let fmu = Fmu::open(model).map_err(Error::input)?;
     let inputs = fmu.description().variables.iter().filter(|v| v.causality == Causality::Input);
     let inputs: Vec<&String> = inputs.map(|variable| &variable.name).collect();

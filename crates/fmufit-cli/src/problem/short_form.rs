@@ -88,8 +88,11 @@ fn source(text: &str) -> Result<Value, Error> {
 /// The record of a problem with one recording.
 pub(crate) fn record(
     model: &Path,
-    (data, time): (&Path, Option<&str>),
-    (parameters, outputs, inputs): (&[String], &[String], &[String]),
+    data: &Path,
+    time: Option<&str>,
+    parameters: &[String],
+    outputs: &[String],
+    inputs: &[String],
 ) -> Result<Record, Error> {
     let path = |path: &Path| text_of(path).map(Value::Text);
     let mut experiment = Record::from([

@@ -24,7 +24,8 @@ impl ChatteringGuard {
     const TIME_EVENTS: (f64, f64) = (1e-9, 1e-6);
 
     /// By how much they must, in a span in which times closer than `time_tolerance` are one.
-    fn least_in((share, enough): (f64, f64), span: f64, time_tolerance: f64) -> f64 {
+    fn least_in(limits: (f64, f64), span: f64, time_tolerance: f64) -> f64 {
+        let (share, enough) = limits;
         (share * span).min(enough.max(Self::still(time_tolerance)))
     }
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import logging
 import operator
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal, SupportsFloat, SupportsIndex
 
 import numpy as np
@@ -26,36 +25,6 @@ __all__ = ["DenseOutput", "OdeResult", "solve", "solve_dae", "solve_second_order
 FloatArray = npt.NDArray[np.float64]
 
 _log = logging.getLogger("pydfo")
-
-
-@dataclass(frozen=True)
-class _Problem:
-    """What the native code reads, field by field."""
-
-    rhs: Callable[..., Any]
-    start: float
-    end: float
-    x0: list[float]
-    method: str
-    times: list[float] | None
-    dense_output: bool
-    events: list[tuple[Callable[..., Any], float, int]]
-    on_event: Callable[..., Any] | None
-    jacobian: object
-    sparsity: list[tuple[int, int]] | None
-    mass: object
-    rtol: float
-    atol: list[float]
-    first_step: float | None
-    max_step: float | None
-    step: float | None
-    interior_samples: int | None
-    chattering: str
-    max_steps: int | None
-    max_events: int | None
-    max_time: float | None
-    slopes: list[float] | None
-    exclude_algebraic: bool
 
 
 class DenseOutput:
@@ -511,30 +480,14 @@ def _run(
     equations: tuple[str, Callable[..., npt.ArrayLike]],
     t_span: Sequence[SupportsFloat],
     x0: npt.ArrayLike,
-    *,
-    method: str,
-    t_eval: npt.ArrayLike | None,
-    dense_output: bool,
-    events: Any,
-    on_event: Callable[..., npt.ArrayLike | None] | None,
-    args: Sequence[Any],
     rtol: SupportsFloat,
-    atol: npt.ArrayLike | None,
-    jac: Any,
-    jac_sparsity: Any,
-    first_step: SupportsFloat | None,
-    max_step: SupportsFloat | None,
-    interior_samples: SupportsIndex | None,
-    chattering: Literal["error", "warn", "slide"],
-    max_steps: SupportsFloat | None,
-    max_events: SupportsFloat | None,
-    max_time: SupportsFloat | None,
-    mass: Any = None,
-    step: SupportsFloat | None = None,
-    slopes: list[float] | None = None,
-    exclude_algebraic: bool = False,
+    chattering: str,
+    args: Sequence[Any],
+    **asked: Any,
 ) -> OdeResult:
-    """Checks the arguments and integrates; `equations` is the function with its name."""
+    """Checks the arguments, which have the names that they have in `solve`, and integrates; `equations` is the function with its
+    name. With slopes at the start it returns the residual."""
+    on_event, jac, sparsity = asked["on_event"], asked["jac"], asked["jac_sparsity"]
     for name, function in (equations, ("on_event", on_event)):
         if not callable(function) and (name != "on_event" or function is not None):
             raise TypeError(f"{name} must be callable, not {function!r}")
@@ -551,33 +504,32 @@ def _run(
     def bind(function: Callable[..., Any]) -> Callable[..., Any]:
         return (lambda *given: function(*given, *extra)) if extra else function
 
-    times = None if t_eval is None else _options.vector("t_eval", t_eval).tolist()
-    problem = _Problem(
-        rhs=bind(equations[1]),
-        start=start,
-        end=end,
-        x0=x.tolist(),
-        method=method,
-        times=times,
-        dense_output=_options.flag("dense_output", dense_output),
-        events=[(bind(function), *_marks(i, function)) for i, function in enumerate(_listed(events))],
-        on_event=None if on_event is None else bind(on_event),
-        jacobian=bind(jac) if callable(jac) else jac,
-        sparsity=None if jac_sparsity is None else _pattern(jac_sparsity, n),
-        mass=mass,
-        rtol=_options.number("rtol", rtol),
-        atol=_tolerances(atol, float(rtol), n),
-        first_step=_options.optional_number("first_step", first_step),
-        max_step=None if max_step == np.inf else _options.optional_number("max_step", max_step),
-        step=_options.optional_number("step", step),
-        interior_samples=None if interior_samples is None else _count("interior_samples", interior_samples),
-        chattering=_options.choice("chattering", chattering),
-        max_steps=_options.limit("max_steps", max_steps, 0),
-        max_events=_options.limit("max_events", max_events, 0),
-        max_time=_options.optional_number("max_time", max_time),
-        slopes=slopes,
-        exclude_algebraic=exclude_algebraic,
-    )
+    problem: _options.Record = {
+        "rhs": bind(equations[1]),
+        "start": start,
+        "end": end,
+        "x0": x.tolist(),
+        "method": asked["method"],
+        "times": None if asked["t_eval"] is None else _options.vector("t_eval", asked["t_eval"]).tolist(),
+        "dense_output": _options.flag("dense_output", asked["dense_output"]),
+        "events": [(bind(function), *_marks(i, function)) for i, function in enumerate(_listed(asked["events"]))],
+        "on_event": None if on_event is None else bind(on_event),
+        "jacobian": bind(jac) if callable(jac) else jac,
+        "sparsity": None if sparsity is None else _pattern(sparsity, n),
+        "mass": asked.get("mass"),
+        "rtol": _options.number("rtol", rtol),
+        "atol": _tolerances(asked["atol"], float(rtol), n),
+        "interior_samples": _count("interior_samples", asked["interior_samples"]),
+        "chattering": _options.choice("chattering", chattering),
+        "slopes": asked.get("slopes"),
+        "exclude_algebraic": asked.get("exclude_algebraic", False),
+    }
+    for name in ("first_step", "max_step", "step", "max_time"):
+        problem[name] = _options.optional_number(name, asked.get(name))
+    if problem["max_step"] == np.inf:
+        problem["max_step"] = None
+    for name in ("max_steps", "max_events"):
+        problem[name] = _options.limit(name, asked[name], 0)
     result = _core.solve(problem)
     if result.stats.chattering and chattering == "warn":
         _log.warning("solve: %d times a hundred events hardly advanced time", result.stats.chattering)
@@ -613,7 +565,9 @@ def _marks(i: int, function: Callable[..., Any]) -> tuple[float, int]:
     return float(np.sign(direction)), _options.limit(f"terminal of event {i}", terminal, 0) or 0
 
 
-def _count(name: str, value: SupportsIndex) -> int:
+def _count(name: str, value: SupportsIndex | None) -> int | None:
+    if value is None:
+        return None
     try:
         count = operator.index(value)
     except TypeError:

@@ -1,6 +1,7 @@
 //! Recordings: what Python asks of the native code while it reads them.
 
 use crate::convert::error;
+use crate::convert::object;
 use crate::interrupt::watch::Watch;
 use calibration::RunContext;
 use calibration::{CalibrationError, ClockChange, CsvRequest, Data, DateError, PairUnit, Series, TimeColumn};
@@ -133,9 +134,7 @@ impl PyTable {
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyBytes>,))> {
-        let mut state = Vec::new();
-        ciborium::into_writer(&slf.get().inner, &mut state)
-            .map_err(|e| PyValueError::new_err(e.to_string()))?;
+        let state = object::to_bytes(&slf.get().inner)?;
         Ok((slf.get_type().getattr("restore")?, (PyBytes::new(slf.py(), &state),)))
     }
 

@@ -1,17 +1,79 @@
-//! `Fit`: the native result of a fit with its calibration, which `pydfo.Fit` holds.
+//! `Fit`: the native result of a fit with its calibration, which `pydfo.Fit` holds, and what it is handed on
+//! as.
 
+use crate::calibration::shared::Shared;
+use crate::calibration::uncertainty::{PyUncertainty, preflight};
+use crate::convert::dict::dict;
+use crate::convert::error;
+use crate::convert::object;
+use crate::convert::record::read;
+use crate::convert::report::{self, ResultKind};
+use crate::model::trajectory::Counts;
+use calibration::{Calibration, CalibrationError, Fit, OutputResiduals, RunContext, Table};
+use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
+use pyo3::types::{IntoPyDict, PyBytes, PyDict};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// A fit and what was fitted.
 #[pyclass(frozen, module = "pydfo._core", name = "Fit")]
 pub(crate) struct PyFit {
-    pub(crate) inner: Arc<calibration::Fit>,
-    pub(crate) calibration: Arc<calibration::Calibration>,
+    pub(crate) inner: Arc<Fit>,
+    pub(crate) calibration: Shared,
+}
+
+/// A fit as `pydfo.OptimizeResult`, with the native one.
+pub(crate) fn result<'py>(py: Python<'py>, calibration: &Shared, fit: Fit) -> PyResult<Bound<'py, PyAny>> {
+    let result = report::to_python(py, fit.report.clone(), ResultKind::Cost, &|| false)?;
+    result.setattr("_native", PyFit { inner: Arc::new(fit), calibration: calibration.clone() })?;
+    Ok(result)
+}
+
+impl PyFit {
+    /// Computes with the fit and its calibration, as [`Shared::compute`].
+    pub(crate) fn compute<T: Send + 'static>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&Calibration, &Fit, &RunContext<'_>) -> Result<T, CalibrationError> + Send + 'static,
+    ) -> PyResult<T> {
+        let inner = Arc::clone(&self.inner);
+        self.calibration.compute(py, move |calibration, context| work(calibration, &inner, context))
+    }
+
+    /// Does what takes no simulation, without the interpreter lock.
+    fn write<T: Send>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&Fit, &Calibration) -> Result<T, CalibrationError> + Send,
+    ) -> PyResult<T> {
+        py.detach(|| work(&self.inner, &self.calibration.inner)).map_err(|e| error::calibration(py, &e))
+    }
 }
 
 #[pymethods]
 impl PyFit {
+    /// What `pydfo.Fit` has beside the fields of its run.
+    fn fields<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let fit = &*self.inner;
+        let at_bound = fit.at_bound.iter().map(|(i, side)| (&fit.names[*i], side.name()));
+        let stages = fit.stages.iter().map(|stage| result(py, &self.calibration, stage.clone()));
+        Ok(dict!(py;
+            fit => start_cost, start_rms, rms, objective, n_checks;
+            "success": fit.is_success(),
+            "stats": Counts::new(&fit.stats),
+            "at_bound": at_bound.into_py_dict(py)?,
+            "without_effect": fit.without_effect.iter().map(|i| &fit.names[*i]).collect::<Vec<_>>(),
+            "stages": stages.collect::<PyResult<Vec<_>>>()?,
+            "noise": object::to_python(py, &fit.noise)?,
+            "tolerance": object::to_python(py, &fit.tolerance)?,
+            "outputs": object::to_python(py, &fit.outputs)?,
+            "findings": object::to_python(py, &fit.findings())?,
+            "preflight": fit.preflight.as_ref().map(|found| preflight(py, found)).transpose()?,
+            "uncertainty": fit.uncertainty.clone().map(PyUncertainty::new),
+        ))
+    }
+
     /// Where it started.
     #[getter]
     fn start(&self) -> Vec<f64> {
@@ -22,5 +84,87 @@ impl PyFit {
     #[getter]
     fn shown_names(&self) -> Vec<String> {
         self.inner.shown_names().to_vec()
+    }
+
+    /// The summary as plain text.
+    fn text(&self) -> String {
+        self.inner.to_string()
+    }
+
+    /// The summary as an HTML element.
+    fn html(&self) -> String {
+        self.inner.to_html()
+    }
+
+    /// Writes the report.
+    fn report(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        self.compute(py, |calibration, fit, context| calibration.report(fit, path, context))
+    }
+
+    /// Curves to be drawn, per experiment.
+    fn curves<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        object::to_python(py, &self.compute(py, Calibration::curves)?)
+    }
+
+    /// Changes of each output for a relative change of each parameter: per output its name, its times, and a
+    /// row per parameter. Empty: not known.
+    fn sensitivities<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        let calibration = &self.calibration.inner;
+        let names = calibration.problem().experiment_names();
+        let output = |(series, columns): (&OutputResiduals, Vec<Vec<f64>>)| {
+            let declared = calibration.fmu().description().variable(&series.variable);
+            Ok(dict!(py; series => variable;
+                "experiment": &names[series.experiment],
+                "unit": declared.and_then(|v| v.unit.as_ref()),
+                "times": PyArray1::from_slice(py, &series.times),
+                "rows": PyArray2::from_vec2(py, &columns)?,
+            ))
+        };
+        let all = calibration.sensitivities(&self.inner);
+        calibration.residual_layout().outputs.iter().zip(all).map(output).collect()
+    }
+
+    /// Writes the fit to a file.
+    fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        self.write(py, |fit, calibration| fit.save(calibration, path))
+    }
+
+    /// The bytes of that file.
+    fn to_bytes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        Ok(PyBytes::new(py, &self.write(py, Fit::to_bytes)?))
+    }
+
+    /// The numbers as JSON.
+    fn to_json(&self, py: Python<'_>) -> PyResult<String> {
+        self.write(py, Fit::to_json)
+    }
+
+    /// A table as text; written to `path`, where there is one.
+    #[pyo3(signature = (table, path=None))]
+    fn to_csv(&self, py: Python<'_>, table: &str, path: Option<PathBuf>) -> PyResult<String> {
+        let table: Table = read("what", table)?;
+        self.compute(py, move |calibration, fit, context| match path {
+            Some(path) => fit.write_csv(calibration, path, table, context).map(|()| String::new()),
+            None => fit.csv(calibration, table, context),
+        })
+    }
+
+    /// Writes an SSP parameter file.
+    fn export_ssv(&self, py: Python<'_>, path: PathBuf, experiment: Option<&str>) -> PyResult<()> {
+        self.write(py, |fit, calibration| fit.export_ssv(calibration, path, experiment))
+    }
+
+    /// Writes a copy of the FMU: the copy, the parameter file and the warning, as far as there are any.
+    fn export_fmu(
+        &self,
+        py: Python<'_>,
+        path: PathBuf,
+        experiment: Option<String>,
+        keep: bool,
+    ) -> PyResult<(Option<PathBuf>, Option<PathBuf>, Option<String>)> {
+        let written = self.compute(py, move |calibration, fit, context| {
+            fit.export_fmu(calibration, path, experiment.as_deref(), keep, context)
+        })?;
+        Ok((written.fmu, written.ssv, written.warning))
     }
 }

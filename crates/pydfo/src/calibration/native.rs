@@ -3,23 +3,26 @@
 
 use crate::calibration::cost::{self, CostFields};
 use crate::calibration::experiment::{ExperimentFields, PyParameter, SignalFunctions};
-use crate::calibration::fit::PyFit;
+use crate::calibration::fit;
+use crate::calibration::shared::Shared;
+use crate::calibration::uncertainty::{self, PyUncertainty};
 use crate::convert::error;
 use crate::convert::fmu_error;
 use crate::convert::object;
-use crate::convert::record::PyRecord;
-use crate::convert::report::{self, LastProgress, Listener, ResultKind};
+use crate::convert::record::{PyRecord, read};
+use crate::convert::report::{self, LastProgress, Listener};
 use crate::interrupt::logs;
 use crate::interrupt::threads::lock;
-use crate::interrupt::watch::{Watch, fits_here};
+use crate::interrupt::watch::Watch;
 use crate::model::description::Fmu;
 use crate::model::files;
 use crate::model::inputs::Callbacks;
-use crate::model::trajectory::Counts;
-use crate::optimize::futures::{PyEngine, encoded, state};
+use crate::model::trajectory;
+use crate::optimize::futures::{PyEngine, state};
 use calibration::RunContext;
 use calibration::{
-    CalibrationError, CurrentPhase, Engine, Entry, Experiment, FitOptions, Problem, Severity, Solver, Verdict,
+    CalibrationError, CurrentPhase, Engine, Entry, Experiment, FitOptions, PreflightOptions, Problem,
+    Severity, Solver, UncertaintyOptions, Verdict,
 };
 use dfo::{Progress, Query, RobustLoss, Termination, Want};
 use fmi::OpenOptions;
@@ -31,138 +34,17 @@ use std::cell::RefCell;
 use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::{Duration, Instant};
 
 /// A calibration; `pydfo.Calibration` is its Python class.
 #[pyclass(frozen, module = "pydfo._core", name = "Calibration")]
 pub(crate) struct PyCalibration {
-    pub(crate) inner: Arc<calibration::Calibration>,
-    /// Duration of the last evaluation in ns; 0 before the first one.
-    last: Arc<AtomicU64>,
-    /// The functions of time that drive inputs.
-    callbacks: Callbacks,
+    pub(crate) shared: Shared,
 }
 
 impl PyCalibration {
-    pub(crate) fn of(inner: Arc<calibration::Calibration>) -> Self {
-        Self { inner, last: Arc::default(), callbacks: Callbacks::default() }
+    pub(crate) fn inner(&self) -> &calibration::Calibration {
+        &self.shared.inner
     }
-
-    /// Evaluates without the interpreter lock: on the calling thread if the last evaluation was short. Ctrl-C
-    /// ends it at the next step.
-    pub(crate) fn compute<T: Send + 'static>(
-        &self,
-        py: Python<'_>,
-        work: impl FnOnce(&calibration::Calibration, &RunContext<'_>) -> Result<T, CalibrationError>
-        + Send
-        + 'static,
-    ) -> PyResult<T> {
-        let last = self.last.load(Ordering::Relaxed);
-        let last = (last > 0).then(|| Duration::from_nanos(last));
-        let (inner, took) = (Arc::clone(&self.inner), Arc::clone(&self.last));
-        let timed = move |context: &RunContext<'_>| {
-            let begun = Instant::now();
-            let result = work(&inner, context);
-            took.store(
-                u64::try_from(begun.elapsed().as_nanos()).unwrap_or(u64::MAX).max(1),
-                Ordering::Relaxed,
-            );
-            result
-        };
-        let watch;
-        let result = if fits_here(last) {
-            watch = Watch::without_handler(py);
-            Some(watch.run_here(timed))
-        } else {
-            watch = Watch::new(py)?;
-            let flag = watch.stop().flag();
-            watch.run_briefly(move || timed(&RunContext::new().flagged(&flag)))?
-        };
-        logs::pass_on(py)?;
-        if let Some(e) = watch.stop().take_raised().or_else(|| self.callbacks.take_raised()) {
-            return Err(e);
-        }
-        match result {
-            _ if watch.stop().is_asked() => Err(error::interrupted(py, None, None)),
-            Some(result) => result.map_err(|e| error::calibration(py, &e)),
-            None => Err(error::interrupted(py, None, None)),
-        }
-    }
-
-    /// The same on another thread; the work ends on its own when Ctrl-C asks for it. Whether it did comes
-    /// with its result.
-    pub(crate) fn compute_to_end<T: Send + 'static>(
-        &self,
-        py: Python<'_>,
-        work: impl FnOnce(&calibration::Calibration, &RunContext<'_>) -> Result<T, CalibrationError>
-        + Send
-        + 'static,
-    ) -> PyResult<(T, bool)> {
-        let (watch, inner) = (Watch::new(py)?, Arc::clone(&self.inner));
-        let flag = watch.stop().flag();
-        let result = watch.run(move |_| work(&inner, &RunContext::new().flagged(&flag)))?;
-        logs::pass_on(py)?;
-        if let Some(e) = watch.stop().take_raised().or_else(|| self.callbacks.take_raised()) {
-            return Err(e);
-        }
-        match (result, watch.stop().is_asked()) {
-            (Some(Ok(result)), is_asked) => Ok((result, is_asked)),
-            (Some(Err(e)), false) => Err(error::calibration(py, &e)),
-            (Some(Err(_)) | None, _) => Err(error::interrupted(py, None, None)),
-        }
-    }
-
-    /// One that was built, unless a function of time has raised an exception.
-    pub(crate) fn finish(
-        py: Python<'_>,
-        built: Result<calibration::Calibration, CalibrationError>,
-        callbacks: Callbacks,
-    ) -> PyResult<Self> {
-        logs::pass_on(py)?;
-        if let Some(e) = callbacks.take_raised() {
-            return Err(e);
-        }
-        let inner = built.map_err(|e| error::calibration(py, &e))?;
-        Ok(Self { inner: Arc::new(inner), last: Arc::default(), callbacks })
-    }
-
-    /// A fit as `pydfo.OptimizeResult`, with what only a fit has.
-    pub(crate) fn result<'py>(&self, py: Python<'py>, fit: calibration::Fit) -> PyResult<Bound<'py, PyAny>> {
-        let result = report::to_python(py, &fit.report, ResultKind::Cost, &|| false)?;
-        result.setattr("success", fit.is_success())?;
-        result.setattr("stats", Counts::new(&fit.stats))?;
-        let at_bound = fit.at_bound.iter().map(|(i, side)| (&fit.names[*i], side.name()));
-        result.setattr("at_bound", at_bound.into_py_dict(py)?)?;
-        let inert: Vec<&String> = fit.without_effect.iter().map(|i| &fit.names[*i]).collect();
-        result.setattr("without_effect", inert)?;
-        result.setattr("start_cost", fit.start_cost)?;
-        result.setattr("objective", &fit.objective)?;
-        let stages = fit.stages.iter().map(|stage| self.result(py, stage.clone()));
-        result.setattr("stages", stages.collect::<PyResult<Vec<_>>>()?)?;
-        result.setattr("_rms", (fit.rms, fit.start_rms))?;
-        result.setattr("_noise", object::to_python(py, &fit.noise)?)?;
-        result.setattr("_tolerance", object::to_python(py, &fit.tolerance)?)?;
-        result.setattr("n_checks", fit.n_checks)?;
-        result.setattr("_native", PyFit { inner: Arc::new(fit), calibration: Arc::clone(&self.inner) })?;
-        Ok(result)
-    }
-}
-
-/// Computes with a fit and its calibration, as [`PyCalibration::compute`].
-pub(crate) fn compute_of<T: Send + 'static>(
-    py: Python<'_>,
-    fit: &PyFit,
-    work: impl FnOnce(
-        &calibration::Calibration,
-        &calibration::Fit,
-        &RunContext<'_>,
-    ) -> Result<T, CalibrationError>
-    + Send
-    + 'static,
-) -> PyResult<T> {
-    let (inner, calibration) = (Arc::clone(&fit.inner), PyCalibration::of(Arc::clone(&fit.calibration)));
-    calibration.compute(py, move |calibration, context| work(calibration, &inner, context))
 }
 
 /// Gives the experiments of a stored problem the functions of time that drive their inputs.
@@ -245,12 +127,12 @@ impl PyCalibration {
             }
             parameters.into_iter().fold(builder, |builder, parameter| builder.parameter(parameter)).build()
         })?;
-        Self::finish(py, built, callbacks)
+        Ok(Self { shared: Shared::finish(py, built, callbacks)? })
     }
 
     /// The problem and the solver, if it is known: what a pickle holds.
     fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
-        Ok(PyBytes::new(py, &state(&self.inner)?))
+        Ok(PyBytes::new(py, &state(self.inner())?))
     }
 
     /// The answer of a simulation to a fit elsewhere, as bytes. `loss`: what residuals count, likewise.
@@ -265,7 +147,7 @@ impl PyCalibration {
             ciborium::from_reader(loss).map_err(|e| PyValueError::new_err(e.to_string()))?;
         let watch = Watch::new(py)?;
         let stop = Arc::clone(watch.stop());
-        let inner = Arc::clone(&self.inner);
+        let inner = Arc::clone(&self.shared.inner);
         let asked = watch.run(move |_| {
             let mut stats = ode::Stats::default();
             let flag = stop.flag();
@@ -274,7 +156,7 @@ impl PyCalibration {
             (answer, stats)
         })?;
         let Some(answered) = asked else { return Err(error::interrupted(py, None, None)) };
-        Ok(PyBytes::new(py, &encoded(&answered)?))
+        Ok(PyBytes::new(py, &object::to_bytes(&answered)?))
     }
 
     /// The path and the content hash of the model of a state.
@@ -300,37 +182,37 @@ impl PyCalibration {
             solver.map_or(Ok(()), |solver| calibration.set_solver(solver))?;
             Ok(calibration)
         });
-        Self::finish(py, built, callbacks)
+        Ok(Self { shared: Shared::finish(py, built, callbacks)? })
     }
 
     /// Names of the entries of `x`.
     fn names(&self) -> Vec<&str> {
-        self.inner.parameters().iter().map(|p| p.name()).collect()
+        self.inner().parameters().iter().map(|p| p.name()).collect()
     }
 
     /// Names of the parameters that are tied, and their values.
     fn tied(&self, x: Vec<f64>) -> Vec<(String, f64)> {
-        self.inner.tied_values(&x)
+        self.inner().tied_values(&x)
     }
 
     /// Variables that are set in the model at `x` in the simulation of an experiment, and their values.
     fn model_values(&self, experiment: usize, x: Vec<f64>) -> Vec<(String, f64)> {
-        self.inner.model_values(experiment, &x)
+        self.inner().model_values(experiment, &x)
     }
 
     /// Their start values.
     fn start(&self) -> Vec<f64> {
-        self.inner.start()
+        self.inner().start()
     }
 
     /// Names of the experiments.
     fn experiments(&self) -> Vec<String> {
-        self.inner.problem().experiment_names()
+        self.inner().problem().experiment_names()
     }
 
     /// Warnings about the setup, without notes.
     fn warnings(&self) -> Vec<String> {
-        let warnings = self.inner.warnings().iter();
+        let warnings = self.inner().warnings().iter();
         warnings
             .filter(|w| w.severity() != Severity::Note)
             .map(|w| calibration::visible(&w.to_string()).into_owned())
@@ -339,34 +221,34 @@ impl PyCalibration {
 
     #[getter]
     fn n_residuals(&self) -> usize {
-        self.inner.n_residuals()
+        self.inner().n_residuals()
     }
 
     #[getter]
     fn n_measurements(&self) -> usize {
-        self.inner.n_measurements()
+        self.inner().n_measurements()
     }
 
     /// The rms at `x`, from the cost without a loss.
     fn rms(&self, x: Vec<f64>, cost: f64) -> f64 {
-        self.inner.rms(&x, cost, RobustLoss::default())
+        self.inner().rms(&x, cost, RobustLoss::default())
     }
 
     /// Name of the integration method that is in use; None: not chosen yet.
     fn known_solver(&self) -> Option<&'static str> {
-        self.inner.known_solver().map(|solver| solver.method.name())
+        self.inner().known_solver().map(|solver| solver.method.name())
     }
 
     /// The same, chosen if it is not yet.
     fn solver(&self, py: Python<'_>) -> PyResult<&'static str> {
-        self.compute(py, |calibration, context| {
+        self.shared.compute(py, |calibration, context| {
             calibration.solver(context).map(|solver| solver.method.name())
         })
     }
 
     /// The methods that were compared: name, work, how far from right, what became of it.
     fn race(&self) -> Option<Vec<Raced>> {
-        let race = self.inner.known_solver()?.race.as_ref()?;
+        let race = self.inner().known_solver()?.race.as_ref()?;
         let raced = |entry: &Entry| {
             let (deviation, verdict) = match &entry.verdict {
                 Verdict::Agrees(distance) => (Some(*distance), "agrees".to_owned()),
@@ -381,11 +263,12 @@ impl PyCalibration {
     }
 
     fn cost(&self, py: Python<'_>, x: Vec<f64>) -> PyResult<f64> {
-        self.compute(py, move |calibration, context| calibration.cost(&x, context))
+        self.shared.compute(py, move |calibration, context| calibration.cost(&x, context))
     }
 
     fn residuals<'py>(&self, py: Python<'py>, x: Vec<f64>) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let residuals = self.compute(py, move |calibration, context| calibration.residuals(&x, context))?;
+        let residuals =
+            self.shared.compute(py, move |calibration, context| calibration.residuals(&x, context))?;
         Ok(PyArray1::from_vec(py, residuals))
     }
 
@@ -399,17 +282,14 @@ impl PyCalibration {
         times: Option<Vec<f64>>,
         experiment: Option<usize>,
     ) -> PyResult<Vec<Bound<'py, PyDict>>> {
-        let trajectories = self.compute(py, move |calibration, context| match experiment {
+        let trajectories = self.shared.compute(py, move |calibration, context| match experiment {
             Some(k) => calibration.simulate_experiment(k, &x, times.as_deref(), context).map(|t| vec![t]),
             None => calibration.simulate(&x, times.as_deref(), context),
         })?;
         let columns = |trajectory: fmi::Trajectory| {
-            let columns = PyDict::new(py);
-            columns.set_item("time", PyArray1::from_vec(py, trajectory.time))?;
-            for (name, values) in trajectory.names.iter().zip(trajectory.columns) {
-                columns.set_item(name, PyArray1::from_vec(py, values))?;
-            }
-            Ok(columns)
+            let time = std::iter::once(("time".to_owned(), trajectory.time));
+            let columns = time.chain(trajectory.names.into_iter().zip(trajectory.columns));
+            columns.map(|(name, values)| (name, PyArray1::from_vec(py, values))).into_py_dict(py)
         };
         trajectories.into_iter().map(columns).collect()
     }
@@ -424,19 +304,83 @@ impl PyCalibration {
             });
             Ok((PyArray1::from_slice(py, data.time()), measured.collect::<PyResult<_>>()?))
         };
-        self.inner.problem().experiments.iter().map(recording).collect()
+        self.inner().problem().experiments.iter().map(recording).collect()
     }
 
     /// The measurements that count, as a function of the user's sees them.
     fn measured_series<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let outputs = &self.inner.residual_layout().outputs;
+        let outputs = &self.inner().residual_layout().outputs;
         let measured = outputs.iter().map(|o| (o.experiment, o.variable.as_str(), &o.measured[..]));
-        cost::series(py, &self.inner.problem().experiment_names(), measured)
+        cost::series(py, &self.inner().problem().experiment_names(), measured)
+    }
+
+    /// The place of the model, and the arguments of the `pydfo.Parameter` of each parameter.
+    fn arguments<'py>(&self, py: Python<'py>) -> PyResult<(PathBuf, Vec<Bound<'py, PyDict>>)> {
+        let problem = self.inner().problem();
+        let arguments = |parameter: &calibration::Parameter| {
+            let record = parameter.record().map_err(|e| error::calibration(py, &e))?;
+            object::fields(py, &record)
+        };
+        let all = problem.parameters.iter().map(arguments).collect::<PyResult<_>>()?;
+        Ok((problem.model.path.clone(), all))
+    }
+
+    /// The variables that the parameters set, and their values at `x`.
+    fn variable_values(
+        &self,
+        py: Python<'_>,
+        x: Vec<f64>,
+        experiment: Option<&str>,
+    ) -> PyResult<Vec<(String, f64)>> {
+        self.inner().variable_values(&x, experiment).map_err(|e| error::calibration(py, &e))
+    }
+
+    /// Per experiment what `pydfo.SimulationResult` is made of: these variables of the model at `x`.
+    fn simulate_variables<'py>(
+        &self,
+        py: Python<'py>,
+        x: Vec<f64>,
+        times: Option<Vec<f64>>,
+        variables: Vec<String>,
+    ) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        let trajectories = self.shared.compute(py, move |calibration, context| {
+            let simulate = |k| calibration.simulate_variables(k, &x, times.as_deref(), &variables, context);
+            (0..calibration.problem().experiments.len()).map(simulate).collect::<Result<Vec<_>, _>>()
+        })?;
+        let description = self.inner().fmu().description();
+        trajectories.into_iter().map(|trajectory| trajectory::record(py, description, trajectory)).collect()
+    }
+
+    /// Uncertainty of the parameters at a point; all but those of the numbers `held` are free.
+    fn uncertainty(
+        &self,
+        py: Python<'_>,
+        x: Vec<f64>,
+        covariance: &str,
+        held: Vec<usize>,
+        workers: Option<usize>,
+    ) -> PyResult<PyUncertainty> {
+        let estimator = read("covariance", covariance)?;
+        let options = UncertaintyOptions { workers, held, estimator, ..UncertaintyOptions::default() };
+        let found = self.shared.compute(py, move |c, context| c.uncertainty(&x, &options, context))?;
+        Ok(PyUncertainty::new(found))
+    }
+
+    /// The fields of `pydfo.Preflight`, found at `x`.
+    fn preflight<'py>(
+        &self,
+        py: Python<'py>,
+        x: Vec<f64>,
+        workers: Option<usize>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let options = PreflightOptions { start: Some(x), workers, ..PreflightOptions::default() };
+        let found = self.shared.compute(py, move |c, context| c.preflight(&options, context))?;
+        uncertainty::preflight(py, &found)
     }
 
     fn fit<'py>(&self, py: Python<'py>, asked: PyRecord, objects: FitFields) -> PyResult<Bound<'py, PyAny>> {
         let FitFields { start, observer, stages, objective, engine } = objects;
-        let n_parameters = self.inner.parameters().len();
+        let n_parameters = self.inner().parameters().len();
         let stage = |asked: PyRecord| {
             calibration::Stage::asked(asked.values.clone(), n_parameters).map_err(|e| asked.error(py, &e))
         };
@@ -449,14 +393,14 @@ impl PyCalibration {
         let stop = Arc::clone(watch.stop());
         let tick = observer.as_ref().and_then(|observer| observer.getattr(py, "tick").ok());
         let of_objective = cost::Raised::default();
-        let kind = |given| cost::kind(given, &self.inner, Arc::clone(&stop), Arc::clone(&of_objective));
+        let kind = |given| cost::kind(given, self.inner(), Arc::clone(&stop), Arc::clone(&of_objective));
         let objective = objective.map(kind).transpose()?.unwrap_or_default();
         let engine = engine.map(|engine| PyEngine::new(engine.bind(py), Arc::clone(&stop))).transpose()?;
         let listener = observer.map(|function| Arc::new(Listener::new(function, false)));
         let last_progress = Arc::new(LastProgress::default());
-        let (inner, asked) = (Arc::clone(&self.inner), Arc::clone(&stop));
+        let (inner, asked) = (Arc::clone(&self.shared.inner), Arc::clone(&stop));
         let (seen, notified) = (Arc::clone(&last_progress), listener.clone());
-        let callbacks = self.callbacks.clone();
+        let callbacks = self.shared.callbacks.clone();
         let phase = Arc::<CurrentPhase>::default();
         let told = Arc::clone(&phase);
         let outcome = watch.run_with_ticks(
@@ -496,7 +440,8 @@ impl PyCalibration {
             return Err(error::interrupted(py, last_progress.result(py)?.as_ref(), None));
         };
         let mut raised = listener.and_then(|l| l.take_raised()).or_else(|| stop.take_raised());
-        raised = raised.or_else(|| lock(&of_objective).take()).or_else(|| self.callbacks.take_raised());
+        raised =
+            raised.or_else(|| lock(&of_objective).take()).or_else(|| self.shared.callbacks.take_raised());
         let result = match outcome {
             Ok(mut fit) => {
                 // No simulation can be made any more.
@@ -504,7 +449,7 @@ impl PyCalibration {
                     raised = Some(fmu_error::unusable(reason));
                 }
                 report::set_raised(&mut fit.report, raised.as_ref());
-                Some(self.result(py, fit)?)
+                Some(fit::result(py, &self.shared, fit)?)
             }
             Err(e) if raised.is_none() && !stop.is_asked() => return Err(error::calibration(py, &e)),
             Err(_) => None,

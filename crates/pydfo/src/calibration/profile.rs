@@ -1,7 +1,6 @@
 //! Profile likelihoods, as the fields of `pydfo.Profile`.
 
 use crate::calibration::fit::PyFit;
-use crate::calibration::native::PyCalibration;
 use crate::convert::dict::dict;
 use crate::convert::error;
 use crate::model::trajectory::Counts;
@@ -17,21 +16,20 @@ use std::path::PathBuf;
 #[pyfunction]
 pub(crate) fn profile<'py>(
     py: Python<'py>,
-    calibration: &PyCalibration,
     fit: &PyFit,
     parameters: Option<Vec<usize>>,
     extent: (f64, bool, Option<usize>),
     workers: Option<usize>,
     checkpoint: Option<PathBuf>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let fit = fit.inner.clone();
     let (level, is_corrected, max_points) = extent;
     let max_points = max_points.unwrap_or_else(|| ProfileOptions::default().max_points);
     let options = ProfileOptions { parameters, level, is_corrected, max_points, workers, checkpoint };
+    let inner = fit.inner.clone();
     let work = move |calibration: &calibration::Calibration, context: &RunContext<'_>| {
-        calibration.profile(&fit, &options, context)
+        calibration.profile(&inner, &options, context)
     };
-    let (found, was_interrupted) = calibration.compute_to_end(py, work)?;
+    let (found, was_interrupted) = fit.calibration.compute_to_end(py, work)?;
     let fields = to_python(py, &found)?;
     match was_interrupted {
         true => Err(error::interrupted(py, Some(fields.as_any()), None)),

@@ -21,7 +21,7 @@ pub(crate) fn check<'py>(
     max_time: Option<f64>,
 ) -> PyResult<(Bound<'py, PyAny>, String, usize, bool)> {
     let options = CheckOptions { simulate, max_time: time_limit("max_time", max_time)? };
-    let check = calibration.compute(py, move |c, context| c.check_with(&options, context))?;
+    let check = calibration.shared.compute(py, move |c, context| c.check_with(&options, context))?;
     let (table, is_ok) = (check.to_string(), check.is_ok());
     Ok((object::to_python(py, &check.findings)?, table, check.n_evaluations, is_ok))
 }
@@ -35,7 +35,7 @@ type Recording<'py> = (Bound<'py, PyArray1<f64>>, Vec<Series<'py>>, Vec<(f64, f6
 /// The recordings of a calibration, in the units of the model.
 #[pyfunction]
 pub(crate) fn recorded<'py>(py: Python<'py>, calibration: &PyCalibration) -> Vec<Recording<'py>> {
-    let description = calibration.inner.fmu().description();
+    let description = calibration.inner().fmu().description();
     let recording = |experiment: &Experiment| {
         let data = experiment.data();
         let series = |(variable, column): (&str, &str), is_input| {
@@ -47,7 +47,7 @@ pub(crate) fn recorded<'py>(py: Python<'py>, calibration: &PyCalibration) -> Vec
         let all = outputs.chain(experiment.driving_columns().map(|pair| series(pair, true))).collect();
         (PyArray1::from_slice(py, data.time()), all, experiment.windows_of_measurements().to_vec())
     };
-    calibration.inner.problem().experiments.iter().map(recording).collect()
+    calibration.inner().problem().experiments.iter().map(recording).collect()
 }
 
 /// Input, times, values.

@@ -1,12 +1,10 @@
 //! `Uncertainty` and the preflight: the uncertainty of a fit, and what is found before it;
 //! `pydfo.Uncertainty` and `pydfo.Preflight` in Python.
 
-use crate::calibration::fit::PyFit;
-use crate::calibration::native::PyCalibration;
+use crate::convert::dict::dict;
 use crate::convert::error;
 use crate::convert::object;
-use crate::convert::record::read;
-use calibration::{Preflight, PreflightOptions, Uncertainty, UncertaintyOptions};
+use calibration::{Preflight, Uncertainty};
 use numpy::{PyArray1, PyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -19,60 +17,22 @@ pub(crate) struct PyUncertainty {
     inner: Arc<Uncertainty>,
 }
 
-/// Uncertainty of the parameters of a fit, if it was estimated.
-#[pyfunction]
-pub(crate) fn uncertainty_of_fit(fit: &PyFit) -> Option<PyUncertainty> {
-    fit.inner.uncertainty.clone().map(|uncertainty| PyUncertainty { inner: Arc::new(uncertainty) })
+/// The fields of `pydfo.Preflight`.
+pub(crate) fn preflight<'py>(py: Python<'py>, found: &Preflight) -> PyResult<Bound<'py, PyDict>> {
+    object::with_text(py, found)
 }
 
-/// Uncertainty of the parameters at a point; all but those of the numbers `held` are free.
-#[pyfunction]
-pub(crate) fn uncertainty_at(
-    py: Python<'_>,
-    calibration: &PyCalibration,
-    x: Vec<f64>,
-    covariance: &str,
-    held: Vec<usize>,
-    workers: Option<usize>,
-) -> PyResult<PyUncertainty> {
-    let estimator = read("covariance", covariance)?;
-    let options = UncertaintyOptions { workers, held, estimator, ..UncertaintyOptions::default() };
-    let uncertainty = calibration.compute(py, move |c, context| c.uncertainty(&x, &options, context))?;
-    Ok(PyUncertainty { inner: Arc::new(uncertainty) })
-}
-
-/// The fields of `pydfo.Preflight`, found at `x`.
-#[pyfunction]
-pub(crate) fn preflight_at<'py>(
-    py: Python<'py>,
-    calibration: &PyCalibration,
-    x: Vec<f64>,
-    workers: Option<usize>,
-) -> PyResult<Bound<'py, PyDict>> {
-    let options = PreflightOptions { start: Some(x), workers, ..PreflightOptions::default() };
-    let found = calibration.compute(py, move |c, context| c.preflight(&options, context))?;
-    preflight(py, &found)
-}
-
-/// The fields of `pydfo.Preflight` that a fit has, if it was asked for.
-#[pyfunction]
-pub(crate) fn preflight_of_fit<'py>(py: Python<'py>, fit: &PyFit) -> PyResult<Option<Bound<'py, PyDict>>> {
-    fit.inner.preflight.as_ref().map(|found| preflight(py, found)).transpose()
-}
-
-fn preflight<'py>(py: Python<'py>, found: &Preflight) -> PyResult<Bound<'py, PyDict>> {
-    let fields = object::fields(py, found)?;
-    fields.set_item("text", found.to_string())?;
-    Ok(fields)
+impl PyUncertainty {
+    pub(crate) fn new(inner: Uncertainty) -> Self {
+        Self { inner: Arc::new(inner) }
+    }
 }
 
 #[pymethods]
 impl PyUncertainty {
     /// All of it: what a pickle holds.
     fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
-        let mut bytes = Vec::new();
-        ciborium::into_writer(&*self.inner, &mut bytes).map_err(|e| PyValueError::new_err(e.to_string()))?;
-        Ok(PyBytes::new(py, &bytes))
+        Ok(PyBytes::new(py, &object::to_bytes(&*self.inner)?))
     }
 
     /// From its state.
@@ -81,15 +41,17 @@ impl PyUncertainty {
         let bad = |what: String| PyValueError::new_err(format!("this is no state of a Uncertainty: {what}"));
         let uncertainty: Uncertainty = ciborium::from_reader(state).map_err(|e| bad(e.to_string()))?;
         uncertainty.check_lengths().map_err(bad)?;
-        Ok(Self { inner: Arc::new(uncertainty) })
+        Ok(Self::new(uncertainty))
     }
 
     /// The fields of `pydfo.Uncertainty`.
     fn fields<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let fields = object::fields(py, &*self.inner)?;
-        let uncorrected = self.inner.uncorrected_errors().map(|errors| PyArray1::from_vec(py, errors));
-        fields.set_item("uncorrected_stderr", uncorrected)?;
-        fields.set_item("verdict", self.inner.verdict())?;
+        let computed = dict!(py;;
+            "uncorrected_stderr": self.inner.uncorrected_errors().map(|errors| PyArray1::from_vec(py, errors)),
+            "verdict": self.inner.verdict(),
+        );
+        fields.update(computed.as_mapping())?;
         Ok(fields)
     }
 

@@ -11,7 +11,8 @@ use crate::interrupt::watch::Watch;
 use crate::model::inputs::Callbacks;
 use crate::model::trajectory::Counts;
 use calibration::{
-    BandOptions, CalibrationError, CrossValidationOptions, Experiment, Fold, Validation, ValidationSet,
+    BandOptions, Calibration, CalibrationError, CrossValidationOptions, Experiment, Fold, Validation,
+    ValidationSet,
 };
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyDict};
@@ -19,12 +20,12 @@ use pyo3::types::{IntoPyDict, PyDict};
 /// Recordings from the fields of their Python class; errors name the recording where there are several.
 fn experiments(
     py: Python<'_>,
-    calibration: &PyCalibration,
+    calibration: &Calibration,
     given: Vec<ExperimentFields>,
     callbacks: &mut Callbacks,
 ) -> PyResult<Vec<Experiment>> {
     let is_one = given.len() == 1;
-    let (fmu, parameters) = (calibration.inner.fmu(), &calibration.inner.problem().parameters);
+    let (fmu, parameters) = (calibration.fmu(), &calibration.problem().parameters);
     let made = |(k, mut fields): (usize, ExperimentFields)| {
         let name = fields.name.clone().unwrap_or_else(|| Experiment::default_name(k));
         let resolved = fields.resolve(py, fmu, parameters, callbacks)?;
@@ -45,19 +46,19 @@ fn experiments(
 #[pyfunction]
 pub(crate) fn validate<'py>(
     py: Python<'py>,
-    calibration: &PyCalibration,
     fit: &PyFit,
     windows: Vec<(f64, f64)>,
     experiments: Option<Vec<ExperimentFields>>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let mut callbacks = Callbacks::default();
     let set = match experiments {
-        Some(given) => ValidationSet::Experiments(self::experiments(py, calibration, given, &mut callbacks)?),
+        Some(given) => {
+            ValidationSet::Experiments(self::experiments(py, &fit.calibration.inner, given, &mut callbacks)?)
+        }
         None => ValidationSet::Windows(windows),
     };
-    let fit = fit.inner.clone();
     let validation =
-        calibration.compute(py, move |calibration, context| calibration.validate(&fit, &set, context));
+        fit.compute(py, move |calibration, fit, context| calibration.validate(fit, &set, context));
     // An exception of an input function is why the simulation failed.
     if let Some(e) = callbacks.take_raised() {
         return Err(e);
@@ -67,9 +68,8 @@ pub(crate) fn validate<'py>(
 
 /// The fields of `pydfo.Validation`.
 fn to_python<'py>(py: Python<'py>, validation: &Validation) -> PyResult<Bound<'py, PyDict>> {
-    let fields = object::fields(py, validation)?;
-    fields.set_item("stats", Counts::new(&validation.stats))?;
-    fields.set_item("text", validation.to_string())?;
+    let fields = object::with_text(py, validation)?;
+    fields.update(dict!(py;; "stats": Counts::new(&validation.stats)).as_mapping())?;
     Ok(fields)
 }
 
@@ -80,11 +80,10 @@ pub(crate) fn cross_validate<'py>(
     calibration: &PyCalibration,
     asked: PyRecord,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let n_parameters = calibration.inner.parameters().len();
+    let n_parameters = calibration.inner().parameters().len();
     let options = CrossValidationOptions::asked(asked.values.clone(), n_parameters);
     let options = options.map_err(|e| asked.error(py, &e))?;
-    let found =
-        calibration.compute(py, move |calibration, context| calibration.cross_validate(&options, context))?;
+    let found = calibration.shared.compute(py, move |c, context| c.cross_validate(&options, context))?;
     let of_fold = |fold: &Fold| {
         Ok(dict!(py;
             fold => held_out, fit_rms;
@@ -110,16 +109,14 @@ pub(crate) fn cross_validate<'py>(
 #[pyfunction]
 pub(crate) fn prediction_bands<'py>(
     py: Python<'py>,
-    calibration: &PyCalibration,
     fit: &PyFit,
     times: Option<Vec<f64>>,
     extent: (f64, bool),
     outputs: Option<Vec<String>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let fit = fit.inner.clone();
     let (level, is_corrected) = extent;
     let options = BandOptions { times, level, is_corrected, outputs, workers: None };
-    let bands = calibration
-        .compute(py, move |calibration, context| calibration.prediction_bands(&fit, &options, context))?;
+    let bands = fit
+        .compute(py, move |calibration, fit, context| calibration.prediction_bands(fit, &options, context))?;
     object::to_python(py, &bands)
 }

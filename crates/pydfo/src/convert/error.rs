@@ -1,13 +1,14 @@
 //! Errors of optimisers and calibrations as Python exceptions, and how a run ends for the user. (Errors of
 //! models: `fmu_error`.) The exception classes themselves are defined, and documented, in `pydfo/_errors.py`.
 
+use crate::convert::dict::dict;
 use crate::convert::fmu_error;
 use crate::interrupt::watch::EndRequest;
 use pyo3::exceptions::{
     PyKeyError, PyKeyboardInterrupt, PyMemoryError, PyOSError, PyTypeError, PyUserWarning, PyValueError,
 };
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::IntoPyDict;
 use std::io;
 use std::path::Path;
 
@@ -40,17 +41,14 @@ pub(crate) fn optimiser(py: Python<'_>, error: &dfo::Error) -> PyErr {
         dfo::Error::UnknownPoint { .. } => return PyKeyError::new_err(message),
         _ => return PyValueError::new_err(message),
     };
-    let attach = || -> PyResult<()> {
-        let value = exception.value(py);
-        let failures = PyDict::new(py);
-        for (reason, count) in &found.failures {
-            failures.set_item(reason, count)?;
-        }
-        value.setattr("failures", failures)?;
-        value.setattr("nfev", found.n_evaluations)?;
-        value.setattr("trace", crate::convert::report::trace(py, &found.trace)?)
+    let attributes = || {
+        Ok(dict!(py;;
+            "failures": found.failures.iter().map(|(reason, count)| (reason, count)).into_py_dict(py)?,
+            "nfev": found.n_evaluations,
+            "trace": crate::convert::report::trace(py, &found.trace)?,
+        ))
     };
-    attach().err().unwrap_or(exception)
+    fmu_error::with_attributes(py, exception, attributes())
 }
 
 /// An error of a calibration.

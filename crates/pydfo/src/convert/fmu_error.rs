@@ -1,12 +1,14 @@
 //! Errors of models as Python exceptions: a class for each sort of mistake, and numbers to work with where
 //! there are any.
 
+use crate::convert::dict::dict;
 use calibration::visible;
 use fmi::FmiError;
 use fmi::error::{Told, ToldKind};
 use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::{PyFileNotFoundError, PyKeyboardInterrupt, PyMemoryError, PyOSError};
 use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyString};
 use std::io;
 use std::path::Path;
 
@@ -64,12 +66,20 @@ fn os_error(py: Python<'_>, path: &Path, source: &io::Error, message: String) ->
 }
 
 fn simulation(py: Python<'_>, told: Told, message: String) -> PyErr {
-    let exception = SimulationError::new_err(message);
-    let attach = || -> PyResult<()> {
-        let value = exception.value(py);
-        value.setattr("status", told.status)?;
-        value.setattr("time", told.time)?;
-        value.setattr("log", told.log)
+    let attributes = || Ok(dict!(py; told => status, time, log));
+    with_attributes(py, SimulationError::new_err(message), attributes())
+}
+
+/// The exception with these attributes, or what went wrong when they were made.
+pub(crate) fn with_attributes(
+    py: Python<'_>,
+    exception: PyErr,
+    attributes: PyResult<Bound<'_, PyDict>>,
+) -> PyErr {
+    let attach = |attributes: Bound<'_, PyDict>| {
+        attributes
+            .iter()
+            .try_for_each(|(name, value)| exception.value(py).setattr(name.cast::<PyString>()?, value))
     };
-    attach().err().unwrap_or(exception)
+    attributes.and_then(attach).err().unwrap_or(exception)
 }

@@ -7,6 +7,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PyList};
 use serde::Serialize;
+use std::fmt::Display;
 
 /// The serialised form of a value: of a structure a dict by the names of its fields, of a series of numbers
 /// an array.
@@ -17,6 +18,23 @@ pub(crate) fn to_python<'py, T: Serialize>(py: Python<'py>, value: &T) -> PyResu
 /// The fields of a structure.
 pub(crate) fn fields<'py, T: Serialize>(py: Python<'py>, value: &T) -> PyResult<Bound<'py, PyDict>> {
     Ok(to_python(py, value)?.cast_into()?)
+}
+
+/// The fields of a structure, and its `Display` as `text`.
+pub(crate) fn with_text<'py, T: Serialize + Display>(
+    py: Python<'py>,
+    value: &T,
+) -> PyResult<Bound<'py, PyDict>> {
+    let fields = fields(py, value)?;
+    fields.set_item("text", value.to_string())?;
+    Ok(fields)
+}
+
+/// A value as bytes (CBOR).
+pub(crate) fn to_bytes(value: &impl Serialize) -> PyResult<Vec<u8>> {
+    let mut bytes = Vec::new();
+    ciborium::into_writer(value, &mut bytes).map_err(|e| PyValueError::new_err(e.to_string()))?;
+    Ok(bytes)
 }
 
 fn object(py: Python<'_>, value: Value) -> PyResult<Bound<'_, PyAny>> {

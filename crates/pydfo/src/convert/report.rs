@@ -1,18 +1,22 @@
 //! Runs as Python objects: progress, trace, result.
 
+use crate::convert::dict::dict;
+use crate::convert::object;
 use crate::interrupt::threads::lock;
 use crate::interrupt::watch::CallingThread;
 use base::RunContext;
 use dfo::{Outcome, Progress, Report, Simplex, Termination, Tests, Trace, TraceEntry};
-use numpy::{PyArray1, PyArrayMethods};
+use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::PyStopIteration;
 use pyo3::prelude::*;
-use pyo3::types::{IntoPyDict, PyDict, PyTuple};
+use pyo3::types::{IntoPyDict, PyDict};
+use serde::Serialize;
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex};
 
-/// The state of a run after an iteration, to be kept and passed between threads.
-#[derive(Clone)]
+/// The state of a run after an iteration, to be kept and passed between threads: the fields of a [`Report`]
+/// that are known by then.
+#[derive(Clone, Serialize)]
 pub(crate) struct Snapshot {
     n_iterations: usize,
     n_evaluations: usize,
@@ -23,15 +27,15 @@ pub(crate) struct Snapshot {
     operation: String,
     seconds: f64,
     tests: Option<Tests>,
-    simplex: Option<Simplex>,
-    population: Option<Simplex>,
-    /// The evaluations of the iteration, if wanted.
-    recent: Vec<(Vec<f64>, Outcome, bool)>,
+    final_simplex: Option<Simplex>,
+    final_population: Option<Simplex>,
+    /// The evaluations of the iteration, if wanted: the point, what became of it, and whether it was used.
+    recent: Vec<(Vec<f64>, String, bool)>,
 }
 
 impl Snapshot {
     pub(crate) fn new(progress: &Progress<'_>, detail: bool) -> Self {
-        let entry = |e: TraceEntry<'_>| (e.x.to_vec(), e.outcome.clone(), e.used);
+        let entry = |e: TraceEntry<'_>| (e.x.to_vec(), describe(e.outcome), e.used);
         Self {
             n_iterations: progress.n_iterations,
             n_evaluations: progress.n_evaluations,
@@ -42,49 +46,22 @@ impl Snapshot {
             operation: progress.operation.to_string(),
             seconds: progress.seconds,
             tests: progress.tests,
-            simplex: progress.simplex.map(|s| s.to_owned()),
-            population: progress.population.map(|s| s.to_owned()),
+            final_simplex: progress.simplex.map(|s| s.to_owned()),
+            final_population: progress.population.map(|s| s.to_owned()),
             recent: if detail { progress.recent().map(entry).collect() } else { Vec::new() },
         }
     }
 
-    fn fields<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let fields = PyDict::new(py);
-        fields.set_item("x", PyArray1::from_slice(py, &self.x))?;
-        fields.set_item("fun", self.fun)?;
-        fields.set_item("nit", self.n_iterations)?;
-        fields.set_item("nfev", self.n_evaluations)?;
-        fields.set_item("nfail", self.n_failed)?;
-        fields.set_item("n_speculative", self.n_speculative)?;
-        fields.set_item("solve_time", self.seconds)?;
-        fields.set_item("x_size", self.tests.map(|t| t.x_size))?;
-        fields.set_item("f_spread", self.tests.and_then(|t| t.f_spread))?;
-        fields.set_item("final_simplex", self.simplex.as_ref().map(|s| simplex(py, s)).transpose()?)?;
-        let population = self.population.as_ref().map(|s| simplex(py, s)).transpose()?;
-        fields.set_item("final_population", population)?;
-        Ok(fields)
-    }
-
-    /// `pydfo._optimize.progress.Progress`
-    fn to_python<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let fields = self.fields(py)?;
-        fields.set_item("operation", &self.operation)?;
-        let recent = self
-            .recent
-            .iter()
-            .map(|(x, outcome, used)| Ok((PyArray1::from_slice(py, x), describe(outcome), *used)))
-            .collect::<PyResult<Vec<_>>>()?;
-        fields.set_item("_recent", recent)?;
-        py.import("pydfo._optimize.progress")?.getattr("Progress")?.call((), Some(&fields))
-    }
-
     /// A result made of what is known while the run has not ended.
     fn to_result<'py>(&self, py: Python<'py>, kind: ResultKind) -> PyResult<Bound<'py, PyAny>> {
-        let fields = self.fields(py)?;
-        fields.set_item("termination", "interrupted")?;
-        fields.set_item("success", false)?;
-        fields.set_item("message", "interrupted twice: the state after the last complete iteration")?;
-        result(py, &fields, kind)
+        let record = object::fields(py, self)?;
+        let ended = dict!(py;;
+            "termination": "interrupted",
+            "success": false,
+            "message": "interrupted twice: the state after the last complete iteration",
+        );
+        record.update(ended.as_mapping())?;
+        made(&record, "result", kind.class())
     }
 }
 
@@ -102,8 +79,8 @@ impl Listener {
 
     /// Ends the run if the function returns True or raises; StopIteration ends it without an error.
     pub(crate) fn notify(&self, py: Python<'_>, snapshot: &Snapshot) -> ControlFlow<()> {
-        let answer = snapshot
-            .to_python(py)
+        let answer = object::fields(py, snapshot)
+            .and_then(|record| made(&record, "progress", "Progress"))
             .and_then(|progress| self.function.bind(py).call1((progress,)))
             .map(|answer| answer.extract::<bool>().unwrap_or(false));
         match answer {
@@ -169,19 +146,19 @@ impl ResultKind {
     pub(crate) fn of(residuals: bool) -> Self {
         if residuals { Self::Residuals } else { Self::Cost }
     }
+
+    fn class(self) -> &'static str {
+        match self {
+            Self::Cost => "OptimizeResult",
+            Self::Residuals => "LeastSquaresResult",
+        }
+    }
 }
 
-/// The result from its fields.
-fn result<'py>(
-    py: Python<'py>,
-    fields: &Bound<'py, PyDict>,
-    kind: ResultKind,
-) -> PyResult<Bound<'py, PyAny>> {
-    let class = match kind {
-        ResultKind::Cost => "OptimizeResult",
-        ResultKind::Residuals => "LeastSquaresResult",
-    };
-    py.import("pydfo._optimize.result")?.getattr(class)?.call((), Some(fields))
+/// An object of a class of Python's, which knows what the fields of the record are called there.
+fn made<'py>(record: &Bound<'py, PyDict>, module: &str, class: &str) -> PyResult<Bound<'py, PyAny>> {
+    let module = record.py().import(format!("pydfo._optimize.{module}"))?;
+    module.getattr(class)?.call_method1("_of", (record,))
 }
 
 /// A run that an observer ended with an exception was not stopped, but aborted.
@@ -192,119 +169,72 @@ pub(crate) fn set_raised(report: &mut Report, raised: Option<&PyErr>) {
     }
 }
 
-/// The result of a run that has ended.
+/// The result of a run that has ended: the record that is saved, with what is computed from it. What is as
+/// long as the run or its residuals goes as arrays.
 pub(crate) fn to_python<'py>(
     py: Python<'py>,
-    report: &Report,
+    mut report: Report,
     kind: ResultKind,
     is_over: &dyn Fn() -> bool,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let fields = PyDict::new(py);
-    fields.set_item("x", PyArray1::from_slice(py, &report.x))?;
-    fields.set_item("fun", report.fun)?;
-    fields.set_item("nit", report.n_iterations)?;
-    fields.set_item("nfev", report.n_evaluations)?;
-    fields.set_item("nfail", report.n_failed)?;
-    fields.set_item("n_speculative", report.n_speculative)?;
-    fields.set_item("n_cached", report.n_cached)?;
-    fields.set_item("n_batches", report.n_batches)?;
-    fields.set_item("solve_time", report.seconds)?;
-    fields.set_item("termination", report.termination.name())?;
-    fields.set_item("success", report.is_success())?;
-    let message = match &report.resumed {
-        Some(resumed) => format!("{}; {resumed}", report.message),
-        None => report.message.clone(),
-    };
-    fields.set_item("message", message)?;
-    fields.set_item("x_size", report.tests.map(|t| t.x_size))?;
-    fields.set_item("f_spread", report.tests.and_then(|t| t.f_spread))?;
-    fields.set_item("final_simplex", report.final_simplex.as_ref().map(|s| simplex(py, s)).transpose()?)?;
-    let population = report.final_population.as_ref().map(|s| simplex(py, s)).transpose()?;
-    fields.set_item("final_population", population)?;
-    let stages = report.schedule.iter().map(|s| {
-        let x = PyArray1::from_slice(py, &s.x);
-        (s.mu, s.barrier, x, s.value, s.n_evaluations)
-    });
-    fields.set_item("schedule", stages.collect::<Vec<_>>())?;
-    fields.set_item("seed", report.seed)?;
-    let failures = PyDict::new(py);
-    for (reason, count) in &report.failures {
-        failures.set_item(reason, count)?;
-    }
-    fields.set_item("failures", failures)?;
-    fields.set_item("trace", trace(py, &report.trace)?)?;
-    fields.set_item("method", &*report.method)?;
-    fields.set_item("method_reason", report.method_reason.as_deref())?;
-    fields.set_item("options", report.options.iter().cloned().into_py_dict(py)?)?;
-    let optima = report.optima.iter().map(|o| (PyArray1::from_slice(py, &o.x), o.cost, o.n_starts));
-    fields.set_item("optima", optima.collect::<Vec<_>>())?;
-    fields.set_item("batch", &*report.batch)?;
-    fields.set_item("workers", report.workers)?;
     let n = report.x.len();
-    if let Some(jacobian) = &report.jacobian {
-        let rows = PyArray1::from_slice(py, jacobian).reshape([jacobian.len() / n.max(1), n])?;
-        fields.set_item("jac", rows)?;
-        fields
-            .set_item("active_mask", PyArray1::from_iter(py, report.active.iter().map(|a| i64::from(*a))))?;
-    }
-    if let Some(covariance) = report.covariance_unless(&RunContext::new().asking(is_over)) {
-        fields.set_item("cov_message", covariance.message(|index| format!("x[{index}]")))?;
-        fields.set_item("cov", PyArray1::from_vec(py, covariance.matrix).reshape([n, n])?)?;
-    }
-    if kind == ResultKind::Residuals {
-        let residuals = report.residuals.as_deref().unwrap_or_default();
-        fields.set_item("residuals", PyArray1::from_slice(py, residuals))?;
-        fields.set_item("sum_of_squares", report.sum_of_squares())?;
-    }
-    result(py, &fields, kind)
+    let covariance = report.covariance_unless(&RunContext::new().asking(is_over));
+    let message = covariance.as_ref().map(|covariance| covariance.message(|index| format!("x[{index}]")));
+    let covariance = covariance.map(|covariance| matrix(py, covariance.matrix, n)).transpose()?;
+    let computed = dict!(py;;
+        "termination": report.termination.name(),
+        "success": report.is_success(),
+        "message": match &report.resumed {
+            Some(resumed) => format!("{}; {resumed}", report.message),
+            None => report.message.clone(),
+        },
+        "cov": covariance,
+        "cov_message": message.unwrap_or_default(),
+        "sum_of_squares": report.sum_of_squares(),
+        "trace": trace(py, &std::mem::take(&mut report.trace))?,
+        "jacobian": report.jacobian.take().map(|jacobian| matrix(py, jacobian, n)).transpose()?,
+        "residuals": PyArray1::from_vec(py, report.residuals.take().unwrap_or_default()),
+    );
+    let record = object::fields(py, &report)?;
+    record.update(computed.as_mapping())?;
+    made(&record, "result", kind.class())
 }
 
-/// Vertices (n + 1, n) and costs (n + 1), NaN where the objective failed; best first.
-fn simplex<'py>(py: Python<'py>, simplex: &Simplex) -> PyResult<Bound<'py, PyTuple>> {
-    let rows = simplex.vertices.len();
-    let columns = simplex.vertices.first().map_or(0, Vec::len);
-    let vertices = PyArray1::from_vec(py, simplex.vertices.concat()).reshape([rows, columns])?;
-    let costs = simplex.costs.iter().map(|c| c.unwrap_or(f64::NAN));
-    (vertices, PyArray1::from_iter(py, costs)).into_pyobject(py)
+/// An array of `n` columns, from its rows one after the other.
+fn matrix(py: Python<'_>, rows: Vec<f64>, n: usize) -> PyResult<Bound<'_, PyArray2<f64>>> {
+    let m = rows.len() / n.max(1);
+    PyArray1::from_vec(py, rows).reshape([m, n])
 }
 
-fn describe(outcome: &Outcome) -> (f64, String) {
+fn describe(outcome: &Outcome) -> String {
     match outcome {
-        Outcome::Value(cost) => (*cost, String::new()),
-        Outcome::Above(cutoff) => (f64::NAN, format!("> {cutoff}")),
-        Outcome::Failed(failure) => (f64::NAN, failure.message.clone()),
-        Outcome::Abort(message) => (f64::NAN, message.clone()),
-        Outcome::Skipped => (f64::NAN, "not evaluated".to_owned()),
+        Outcome::Value(cost) => format!("{cost:?}"),
+        Outcome::Above(cutoff) => format!("> {cutoff}"),
+        Outcome::Failed(failure) => failure.message.clone(),
+        Outcome::Abort(message) => message.clone(),
+        Outcome::Skipped => "not evaluated".to_owned(),
     }
 }
 
 /// `pydfo.Trace`
 pub(crate) fn trace<'py>(py: Python<'py>, trace: &Trace) -> PyResult<Bound<'py, PyAny>> {
-    let fields = PyDict::new(py);
     let all = || trace.iter().chain(trace.speculative());
-    let n_rows = trace.len() + trace.speculative().len();
-    let flat: Vec<f64> = all().flat_map(|e| e.x.iter().copied()).collect();
-    let points = PyArray1::from_vec(py, flat).reshape([n_rows, trace.n()])?;
-    fields.set_item("x", points)?;
-    let costs = all().map(|e| e.outcome.value().unwrap_or(f64::NAN));
-    fields.set_item("fun", PyArray1::from_iter(py, costs))?;
-    let above = all().map(|e| match e.outcome {
-        Outcome::Above(cutoff) => *cutoff,
-        _ => f64::NAN,
-    });
-    fields.set_item("above", PyArray1::from_iter(py, above))?;
-    fields.set_item("used", PyArray1::from_iter(py, all().map(|e| e.used)))?;
-    fields.set_item("id", PyArray1::from_iter(py, all().map(|e| e.id)))?;
-    fields.set_item("batch", PyArray1::from_iter(py, all().map(|e| e.batch)))?;
-    fields.set_item("seconds", PyArray1::from_iter(py, all().map(|e| e.seconds)))?;
-    let messages = PyDict::new(py);
-    for (k, entry) in all().enumerate() {
-        if matches!(entry.outcome, Outcome::Failed(_) | Outcome::Abort(_)) {
-            messages.set_item(k, describe(entry.outcome).1)?;
-        }
-    }
-    fields.set_item("messages", messages)?;
-    fields.set_item("n_dropped", trace.n_dropped())?;
-    fields.set_item("problem", trace.problem())?;
+    let points: Vec<f64> = all().flat_map(|e| e.x.iter().copied()).collect();
+    let above = |outcome: &Outcome| if let Outcome::Above(cutoff) = outcome { *cutoff } else { f64::NAN };
+    let failed =
+        |(_, e): &(usize, TraceEntry<'_>)| matches!(e.outcome, Outcome::Failed(_) | Outcome::Abort(_));
+    let messages = all().enumerate().filter(failed).map(|(k, e)| (k, describe(e.outcome)));
+    let fields = dict!(py;;
+        "x": PyArray1::from_vec(py, points).reshape([all().count(), trace.n()])?,
+        "fun": PyArray1::from_iter(py, all().map(|e| e.outcome.value().unwrap_or(f64::NAN))),
+        "above": PyArray1::from_iter(py, all().map(|e| above(e.outcome))),
+        "used": PyArray1::from_iter(py, all().map(|e| e.used)),
+        "id": PyArray1::from_iter(py, all().map(|e| e.id)),
+        "batch": PyArray1::from_iter(py, all().map(|e| e.batch)),
+        "seconds": PyArray1::from_iter(py, all().map(|e| e.seconds)),
+        "messages": messages.into_py_dict(py)?,
+        "n_dropped": trace.n_dropped(),
+        "problem": trace.problem(),
+    );
     py.import("pydfo._optimize.result")?.getattr("Trace")?.call((), Some(&fields))
 }

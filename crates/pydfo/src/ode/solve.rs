@@ -1,5 +1,6 @@
 //! `pydfo.ode.solve`: hybrid systems written in Python meet the stepper.
 
+use crate::convert::dict::dict;
 use crate::convert::error;
 use crate::convert::record::time_limit;
 use crate::interrupt::watch::{EndRequest, Watch};
@@ -15,12 +16,12 @@ use ode::{
 };
 use pyo3::exceptions::{PyMemoryError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyList};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-/// `pydfo.ode._Problem`, field by field.
+/// What is integrated and how, by name.
 #[derive(FromPyObject)]
+#[pyo3(from_item_all)]
 pub(crate) struct Problem<'py> {
     rhs: Bound<'py, PyAny>,
     start: f64,
@@ -332,27 +333,27 @@ fn result<'py>(
             (-1, message, e.time, &e.stats)
         }
     };
-    let fields = PyDict::new(py);
     let (times, states) =
         if system.keeps_steps { (system.times, system.states) } else { (keeper.times, keeper.states) };
-    fields.set_item("states", rows(states, times.len())?)?;
-    fields.set_item("t", PyArray1::from_vec(py, times))?;
-    let (event_times, event_states) = (PyList::empty(py), PyList::empty(py));
-    for event in system.events {
-        event_states.append(rows(event.states, event.times.len())?)?;
-        event_times.append(PyArray1::from_vec(py, event.times))?;
-    }
-    fields.set_item("t_events", event_times)?;
-    fields.set_item("y_events", event_states)?;
-    fields.set_item("status", status)?;
-    fields.set_item("message", message)?;
-    fields.set_item("end_time", end_time)?;
-    fields.set_item("stats", Counts::new(stats))?;
-    if let Some(dense) = keeper.dense {
-        let steps = dense.spans().len() / 2;
-        let shape = [steps, DenseOutput::NODES, n];
-        fields.set_item("spans", PyArray1::from_slice(py, dense.spans()).reshape([steps, 2])?)?;
-        fields.set_item("values", PyArray1::from_slice(py, dense.values()).reshape(shape)?)?;
-    }
+    let (event_times, event_states): (Vec<_>, Vec<_>) =
+        system.events.into_iter().map(|event| (event.times, event.states)).unzip();
+    let event_states = event_states.into_iter().zip(&event_times).map(|(states, t)| rows(states, t.len()));
+    let n_steps = keeper.dense.as_ref().map_or(0, |dense| dense.spans().len() / 2);
+    let array = |values: &[f64]| PyArray1::from_slice(py, values);
+    let spans = keeper.dense.as_ref().map(|dense| array(dense.spans()).reshape([n_steps, 2]));
+    let shape = [n_steps, DenseOutput::NODES, n];
+    let values = keeper.dense.as_ref().map(|dense| array(dense.values()).reshape(shape));
+    let fields = dict!(py;;
+        "states": rows(states, times.len())?,
+        "t": PyArray1::from_vec(py, times),
+        "y_events": event_states.collect::<PyResult<Vec<_>>>()?,
+        "t_events": event_times.into_iter().map(|times| PyArray1::from_vec(py, times)).collect::<Vec<_>>(),
+        "status": status,
+        "message": message,
+        "end_time": end_time,
+        "stats": Counts::new(stats),
+        "spans": spans.transpose()?,
+        "values": values.transpose()?,
+    );
     py.import("pydfo.ode")?.getattr("OdeResult")?.call((), Some(&fields))
 }

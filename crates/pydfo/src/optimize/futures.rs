@@ -1,29 +1,21 @@
 //! An executor of Python's as an evaluator: points go to it one by one, for a function of the user's or for
 //! the simulations of a fit.
 
+use crate::convert::object::to_bytes;
 use crate::interrupt::watch::{EndRequest, Inside};
 use crate::optimize::objective::PyObjective;
 use calibration::{Calibration, Engine};
 use dfo::{Answer, Evaluator, GivesUp, Outcome, Polled, Query, RobustLoss, Wait};
 use numpy::PyArray1;
 use ode::Stats;
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use serde::Serialize;
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
-/// As bytes (CBOR).
-pub(crate) fn encoded(value: &impl Serialize) -> PyResult<Vec<u8>> {
-    let mut bytes = Vec::new();
-    ciborium::into_writer(value, &mut bytes).map_err(|e| PyValueError::new_err(e.to_string()))?;
-    Ok(bytes)
-}
-
 /// A problem and the solver that was chosen for it.
 pub(crate) fn state(calibration: &Calibration) -> PyResult<Vec<u8>> {
-    encoded(&(calibration.problem(), calibration.known_solver()))
+    to_bytes(&(calibration.problem(), calibration.known_solver()))
 }
 
 /// Answer of `_evaluate.Futures`: number of the point, time of the evaluation in s, its outcome, and the
@@ -262,7 +254,7 @@ impl Engine for PyEngine {
     fn begin(&mut self, calibration: &Calibration, loss: RobustLoss) {
         let begun = Python::attach(|py| {
             let state = PyBytes::new(py, &state(calibration)?);
-            let loss = PyBytes::new(py, &encoded(&loss)?);
+            let loss = PyBytes::new(py, &to_bytes(&loss)?);
             self.futures.futures.call_method1(py, "begin", (state, loss)).map(drop)
         });
         if let Err(e) = begun {

@@ -138,7 +138,7 @@ fn conclude<'py>(
     let result = match outcome {
         Ok(mut report) => {
             report::set_raised(&mut report, raised.as_ref());
-            Some(report::to_python(py, &report, kind, &|| stop.poll(py))?)
+            Some(report::to_python(py, report, kind, &|| stop.poll(py))?)
         }
         Err(e) if raised.is_none() && !stop.is_asked() => return Err(error::optimiser(py, &e)),
         Err(_) => None,

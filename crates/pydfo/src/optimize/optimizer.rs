@@ -106,7 +106,7 @@ impl PyOptimizer {
     fn report<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let report = py.detach(|| lock(&self.inner).report());
         let kind = ResultKind::of(self.of_residuals);
-        report::to_python(py, &report.map_err(|e| error::optimiser(py, &e))?, kind, &|| false)
+        report::to_python(py, report.map_err(|e| error::optimiser(py, &e))?, kind, &|| false)
     }
 
     fn save(&self, py: Python<'_>) -> PyResult<()> {

@@ -4,7 +4,7 @@
 use crate::cost::calibration::Calibration;
 use crate::cost::failure::NoCost;
 use crate::cost::parallel::{beside, map};
-use crate::cost::process::{Asked, Remote};
+use crate::cost::process::{Asked, Evaluation, Remote};
 use crate::cost::residual::CostRule;
 use base::RunContext;
 use dfo::RobustLoss;
@@ -99,8 +99,8 @@ impl Repeated<'_> {
         let rule = CostRule::whole(self.loss, context);
         let mut residuals = vec![0.0; self.calibration.n_residuals()];
         let method = self.calibration.method(context).ok()?;
-        let (asked, mut stats) = ((None, process), Stats::default());
-        let found = self.remote.evaluate(&self.best.x, method, rule, asked, &mut residuals, &mut stats);
+        let (evaluation, mut stats) = (Evaluation { method, accuracy: None, process }, Stats::default());
+        let found = self.remote.evaluate(&self.best.x, evaluation, rule, &mut residuals, &mut stats);
         let n_simulations = self.calibration.problem().experiments.len() as u64;
         *self.taken.lock().unwrap_or_else(PoisonError::into_inner) += stats.as_checks(n_simulations);
         match found {

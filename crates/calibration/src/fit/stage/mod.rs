@@ -20,7 +20,7 @@ pub use tolerance::ChosenTolerance;
 use crate::cost::calibration::Calibration;
 use crate::cost::process::HIDDEN_STATE;
 use crate::error::CalibrationError;
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::Finding;
 use crate::fit::output_fit::KeptResiduals;
 use base::RunContext;
 use fresh::Fresh;
@@ -37,7 +37,7 @@ const NOT_ANEW: &str = "a cost depends on what ran before it in the same process
                         of this fit may be wrong, and its time was over before it could begin anew";
 
 fn finding_about_fmu(sentence: &str) -> Finding {
-    Finding::new(Severity::Warning, "FMU", sentence, "")
+    Finding::warning("FMU", sentence, "")
 }
 
 impl Calibration {

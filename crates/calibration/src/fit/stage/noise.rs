@@ -247,9 +247,7 @@ impl EstimatedNoise {
         let open = self.outputs.iter().filter(|noise| !noise.is_of_residuals);
         let mut found: Vec<Finding> = open
             .map(|OutputNoise { variable, sd, .. }| {
-                Finding::new(
-                    Severity::Warning,
-                    format!("noise of {variable}"),
+                Finding::warning(format!("noise of {variable}"),
                     format!(
                         "its standard deviation {} is that of the differences between neighbouring measurements: residuals that say more of \
                          it there are not, for they are too few beside the parameters, or the search was ended",
@@ -260,8 +258,7 @@ impl EstimatedNoise {
             })
             .collect();
         if !self.is_settled && self.n_rounds >= MOST_ROUNDS {
-            found.push(Finding::new(
-                Severity::Warning,
+            found.push(Finding::warning(
                 "noise",
                 format!("its estimates had not settled to 1 % after {MOST_ROUNDS} fits"),
                 "state it: weights of 1 over the standard deviation",
@@ -297,7 +294,7 @@ pub(super) fn contradictions_of_stated(calibration: &Calibration, residuals: &[f
         };
         let sentence =
             format!("its residuals are {} times the noise that its weights state: {meaning}", digits(ratio));
-        Some(Finding::new(Severity::Warning, format!("noise of {}", output.variable), sentence, remedy))
+        Some(Finding::warning(format!("noise of {}", output.variable), sentence, remedy))
     };
     layout.outputs.iter().filter_map(of).collect()
 }

@@ -4,7 +4,7 @@ use super::noise::FitNoise;
 use super::tolerance::ChosenTolerance;
 use crate::cost::calibration::Calibration;
 use crate::cost::solver::Solver;
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::Finding;
 use crate::fit::output_fit::OutputFit;
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::active_bounds::BoundSide;
@@ -146,11 +146,11 @@ impl Fit {
                 side.name(),
                 Number(bound)
             );
-            Finding::new(Severity::Warning, &names[*i], sentence, "")
+            Finding::warning(&names[*i], sentence, "")
         };
         let without_effect = |i: &usize| {
             let sentence = format!("{} did not change the cost: its value says nothing", names[*i]);
-            Finding::new(Severity::Warning, &names[*i], sentence, "")
+            Finding::warning(&names[*i], sentence, "")
         };
         let is_said = |i: &&usize| {
             !self.uncertainty.as_ref().is_some_and(|uncertainty| uncertainty.undetermined.contains(i))
@@ -175,7 +175,7 @@ impl Fit {
             best.n_starts,
         );
         let remedy = "compare the minima (optima); a larger max_evaluations lets more searches start";
-        Some(Finding::new(Severity::Note, "search", sentence, remedy))
+        Some(Finding::note("search", sentence, remedy))
     }
 
     /// The RMS over that at the start, on the same measurements; `None` if the simulation failed at the

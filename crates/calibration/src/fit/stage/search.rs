@@ -7,7 +7,7 @@ use crate::cost::calibration::Calibration;
 use crate::cost::residual::sum_of_squares;
 use crate::cost::solver::{AtStart, Solver};
 use crate::error::CalibrationError;
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::Finding;
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::{CurrentPhase, FitPhase};
 use crate::problem::objective::CostKind;
@@ -298,7 +298,7 @@ fn raise_f_tol(tolerances: &mut Tolerances, preflight: &Preflight) -> Option<Fin
         tolerances.f_tol = preflight.noise;
         let noise = digits(preflight.noise);
         let sentence = format!("f_tol was raised to the noise of the simulations, {noise}");
-        Finding::new(Severity::Note, "f_tol", sentence, "")
+        Finding::note("f_tol", sentence, "")
     })
 }
 

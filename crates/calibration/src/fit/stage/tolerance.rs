@@ -4,11 +4,10 @@ use super::noise::{EstimatedNoise, NoiseRule};
 use super::search::Job;
 use crate::cost::accuracy::Accuracy;
 use crate::cost::calibration::Calibration;
-use crate::cost::failure::NoCost;
-use crate::cost::residual::{CostRule, sum_of_squares};
+use crate::cost::residual::sum_of_squares;
 use crate::cost::solver::AtStart;
 use crate::error::CalibrationError;
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::Finding;
 use crate::problem::residual_layout::OutputResiduals;
 use dfo::{Measure, RobustLoss};
 use fmi::InterfaceKind;
@@ -59,9 +58,7 @@ impl ChosenTolerance {
         let sentence = format!(
             "simulations have the relative tolerance {used} instead of {stated}, which leaves the cost noisier than f_tol allows"
         );
-        let finding = || {
-            Finding::new(Severity::Note, "relative tolerance", sentence, "relative_tolerance overrides it")
-        };
+        let finding = || Finding::note("relative tolerance", sentence, "relative_tolerance overrides it");
         (self.used < self.stated).then(finding)
     }
 }
@@ -94,20 +91,10 @@ impl Calibration {
             return Ok(Some((chosen, known)));
         }
         let mut simulated = |tolerance: f64| {
-            let mut residuals = vec![0.0; self.n_residuals()];
-            let before = stats.seconds.get();
-            let cost = self.evaluate_with(
-                Accuracy::Tolerance(tolerance),
-                start,
-                CostRule::whole(loss, context),
-                &mut residuals,
-                stats,
-            );
-            match cost {
-                Ok(_) => Ok(Some(AtStart { residuals, seconds: stats.seconds.get() - before })),
-                Err(NoCost::Cancelled) => Err(CalibrationError::Cancelled),
-                Err(_) => Ok(None),
-            }
+            let (accuracy, before) = (Accuracy::Tolerance(tolerance), stats.seconds.get());
+            let residuals = self.residuals_with(Some(accuracy), start, loss, context, stats)?;
+            let seconds = stats.seconds.get() - before;
+            Ok::<_, CalibrationError>(residuals.map(|residuals| AtStart { residuals, seconds }))
         };
         let first = if known.is_some() { known } else { simulated(first_used)? };
         let second = if first.is_some() { simulated(first_used / 10.0)? } else { None };

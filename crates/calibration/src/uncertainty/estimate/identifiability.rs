@@ -231,7 +231,7 @@ impl Uncertainty {
     pub(super) fn undetermined_findings(&self) -> Vec<Finding> {
         let mut said = Vec::new();
         let mut find = |names: String, sentence: String, remedy: &str| {
-            said.push(Finding::new(Severity::Warning, names, sentence, remedy));
+            said.push(Finding::warning(names, sentence, remedy));
         };
         if self.degrees_of_freedom == 0 && self.held.len() < self.n() {
             let sentence = "there are no more residuals than parameters: nothing is known of their errors";
@@ -284,7 +284,7 @@ impl Uncertainty {
                  their {better}; the standard errors of each take account of it"
             );
             let remedy = "where they are too large, fix one or fit in two stages";
-            Finding::new(Severity::Note, names, sentence, remedy)
+            Finding::note(names, sentence, remedy)
         })
     }
 
@@ -310,7 +310,7 @@ impl Uncertainty {
                 digits(f_tol),
                 digits(self.shift_by_accuracy),
             );
-            Finding::new(Severity::Warning, subject, sentence, remedy)
+            Finding::warning(subject, sentence, remedy)
         })
     }
 
@@ -332,7 +332,7 @@ impl Uncertainty {
                 "give smaller x_tol and f_tol, or larger limits, and start from the result",
             ),
         };
-        Some(Finding::new(Severity::Warning, SEARCH, sentence, remedy))
+        Some(Finding::warning(SEARCH, sentence, remedy))
     }
 
     /// Standard errors that were corrected for autocorrelation, and by how much.
@@ -368,7 +368,7 @@ impl Uncertainty {
     pub(super) fn all_findings(&self, f_tol: f64) -> Vec<Finding> {
         let mut said = self.undetermined_findings();
         let mut note = |subject: String, sentence: String| {
-            said.push(Finding::new(Severity::Note, subject, sentence, ""));
+            said.push(Finding::note(subject, sentence, ""));
         };
         for i in self.known_from_prior() {
             let name = &self.names[i];
@@ -387,7 +387,7 @@ impl Uncertainty {
                 let (name, percent) = (&self.names[i], digits((100.0 * error).round()));
                 let of = if self.size(i) == self.x[i].abs() { "value" } else { "size" };
                 let sentence = format!("the standard error of {name} is {percent} % of its {of}");
-                said.push(Finding::new(Severity::Warning, name, sentence, ""));
+                said.push(Finding::warning(name, sentence, ""));
             }
         }
         let n_free = self.n() - self.held.len();
@@ -409,7 +409,7 @@ impl Uncertainty {
         }
         if self.is_exact {
             let sentence = "the measurements are reproduced to the accuracy of the simulations: standard errors say little";
-            said.push(Finding::new(Severity::Note, "measurements", sentence, ""));
+            said.push(Finding::note("measurements", sentence, ""));
         }
         if !self.is_exact {
             said.extend(ResidualCheck::all_findings(&self.residual_checks, self.has_loss, true));

@@ -4,7 +4,7 @@ use super::chance::BY_CHANCE;
 use super::digits::digits;
 use super::residual_check::ResidualCheck;
 use crate::error::CalibrationError;
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::Finding;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
 use crate::uncertainty::tall::{go_on, triangle};
 use base::RunContext;
@@ -213,8 +213,7 @@ impl PartConflict {
              something, or a column, an input or a value that is held is wrong",
             digits(self.chance)
         );
-        Finding::new(
-            Severity::Warning,
+        Finding::warning(
             subject,
             sentence,
             "look at the residuals of both; fit them apart to see how the values differ",

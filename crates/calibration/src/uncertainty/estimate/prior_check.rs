@@ -3,7 +3,7 @@
 use super::differences::Center;
 use super::digits::digits;
 use crate::error::CalibrationError;
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::Finding;
 use crate::problem::prior::Prior;
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::active_bounds::{inner, outer};
@@ -87,6 +87,6 @@ impl PriorConflict {
             digits(self.deviations)
         );
         let remedy = "are its value and its unit right? The result follows whichever counts more: widen the prior, or leave it out";
-        Finding::new(Severity::Warning, format!("prior of {name}"), sentence, remedy)
+        Finding::warning(format!("prior of {name}"), sentence, remedy)
     }
 }

@@ -192,7 +192,7 @@ impl ResidualCheck {
                 "{what} would take away {:.1} % of the squares of the {subject}",
                 100.0 * (1.0 - unmodelled.left)
             );
-            said.push(Finding::new(Severity::Warning, subject.clone(), sentence, remedy));
+            said.push(Finding::warning(subject.clone(), sentence, remedy));
         }
         let share = 100.0 * self.n_outliers as f64 / self.n as f64;
         // Those of a systematic misfit are said already.

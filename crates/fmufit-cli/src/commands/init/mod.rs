@@ -31,7 +31,7 @@ pub(crate) fn run(arguments: &Init, console: &Console) -> Result<Exit, Error> {
     let folder = base::files::folder_of(problem);
     let (model_path, data_path) = (relative(model, folder)?, relative(data, folder)?);
     let text = |proposed: &Proposed| {
-        text::text(&fmu, (&model_path, &data_path), (&columns, arguments.time.as_deref()), proposed)
+        text::text(&fmu, &model_path, &data_path, &columns, arguments.time.as_deref(), proposed)
     };
     let mut why_not = None;
     if !columns.has_outputs() {

@@ -10,8 +10,10 @@ use ode::Number;
 /// The text; `paths` of model and recording as they stand in the file.
 pub(super) fn text(
     fmu: &Fmu,
-    (model, data): (&str, &str),
-    (columns, time): (&Columns, Option<&str>),
+    model: &str,
+    data: &str,
+    columns: &Columns,
+    time: Option<&str>,
     proposed: &Proposed,
 ) -> String {
     let description = fmu.description();

@@ -277,9 +277,13 @@ def index(name: str, value: SupportsIndex) -> int:
         raise TypeError(f"{name} must be whole numbers, not {show(value)}") from None
 
 
-def folded(value: Any) -> Any:
-    """A word in lower case; anything else as it is."""
-    return value.lower() if isinstance(value, str) else value
+def with_plan(options: Mapping[str, Any] | None, workers: int | None) -> dict[str, Any]:
+    """Options in which a batch plan "workers" stands as their number."""
+    own = dictionary(options)
+    plan = own.get("batch")
+    if isinstance(plan, str):
+        own["batch"] = (workers or all_cores()) if plan.lower() == "workers" else plan.lower()
+    return own
 
 
 def worker_count(name: str, value: SupportsIndex | None, default: int | None) -> int | None:

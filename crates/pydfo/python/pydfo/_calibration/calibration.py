@@ -312,7 +312,7 @@ class Calibration(Point):
             Nelder-Mead and barrier: how many trial points are simulated at once in an iteration; see `fmin`. Least squares:
             "serial", "rounds", a number of points, or "workers"; see `least_squares`.
         disp : bool, optional
-            True: show a line that follows the fit where standard error is a terminal or a notebook (by rich or tqdm, where one is
+            True: show a line that follows the fit where standard error is a terminal or a notebook (by rich, where that is
             installed), else print a line per iteration, as `fmin` does; and how the fit ended. False: show nothing. None: show the
             line in a terminal or a notebook where the fit lasts more than 2 s.
         callback : callable, optional
@@ -399,10 +399,7 @@ class Calibration(Point):
         executor = _evaluate.executor_of(given)
         engine = None if executor is None else _engine.Simulations(self, executor)
         count = engine.width if engine else _options.worker_count("workers", given, None)
-        if "batch" in own:
-            own["batch"] = _options.folded(own["batch"])
-        if own.get("batch") == "workers":
-            own["batch"] = count or _options.all_cores()
+        own = _options.with_plan(own, count)
         cost = _objective.built(objective, self)
 
         def record(method: str, own: Mapping[str, Any], **more: Any) -> _options.Record:

@@ -108,7 +108,7 @@ def _loaded(
         fmu = known if isinstance(known, _core.Fmu) else _core.Fmu(path_of(model), opened)
     native, result = _core.load_fit(path, content, fmu, functions)
     calibration = Calibration.__new__(Calibration)
-    place, parameters = _core.parameters_of(native)
+    place, parameters = native.arguments()
     calibration._parameters = tuple(Parameter._of(record) for record in parameters)
     calibration._model = os.fspath(place)
     calibration._opened = opened
@@ -124,7 +124,7 @@ def pickled(fit: Fit) -> tuple[Any, ...]:
         # Interrupted twice: there is no more than its fields.
         return _restored_fields, (type(fit), vars(fit))
     calibration = fit._calibration
-    return _restored, (_core.fit_to_bytes(native), calibration._opened, calibration._functions)
+    return _restored, (native.to_bytes(), calibration._opened, calibration._functions)
 
 
 def _restored(content: bytes, opened: OpenOptions | None, functions: list[tuple[int, str, Any]]) -> Fit:
@@ -139,23 +139,21 @@ def _restored_fields(of: type[Fit], fields: dict[str, Any]) -> Fit:
 
 def native_of(fit: Fit) -> _core.Fit:
     """The native fit."""
-    native = vars(fit).get("_native")
+    native: _core.Fit | None = vars(fit).get("_native")
     if native is None:
-        raise ValueError("the fit was interrupted twice and has no more than its last point: it cannot be handed on")
-    assert isinstance(native, _core.Fit)
+        raise BadCalibrationError("the fit was interrupted twice, and has nothing but its last iteration: fit again")
     return native
 
 
 def dataframe(fit: Fit, what: str) -> Any:
     """A table of a fit as a pandas.DataFrame."""
-    text = _core.fit_to_csv(native_of(fit), _options.choice("what", what))
+    text = native_of(fit).to_csv(_options.choice("what", what))
     return _options.pandas().read_csv(io.StringIO(text), float_precision="round_trip")
 
 
 def export_fmu(fit: Fit, path: PathLike, experiment: str | None, keep: bool) -> Path:
     """Writes a copy of the FMU, or what takes its place."""
-    native = native_of(fit)
-    fmu, ssv, warning = _core.export_fmu(native, _options.path("path", path), experiment, keep)
+    fmu, ssv, warning = native_of(fit).export_fmu(_options.path("path", path), experiment, keep)
     if warning is not None:
         warnings.warn(warning, CalibrationWarning, stacklevel=3)
     written = fmu or ssv

@@ -12,9 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core
-from . import profile as _profile, export as _export, validation as _validation, uncertainty as _uncertainty
+from . import profile as _profile, export as _export, validation as _validation
 from .check import Finding
-from .._errors import CalibrationError
 from .experiment import Experiment
 from .._args import options as _options
 from .._args.keywords import also_called, explained
@@ -23,6 +22,7 @@ from .._optimize.result import OptimizeResult
 from .export import PathLike
 from .stages import Windows
 from .._model.trajectory import SimulationStats
+from .uncertainty import Preflight, Uncertainty
 from .validation import Validation
 
 if TYPE_CHECKING:
@@ -94,6 +94,17 @@ def _noise(found: Any) -> FitNoise | None:
     return FitNoise("estimated", sds, of_residuals, estimated["n_rounds"], estimated["is_settled"])
 
 
+#: The fields of a fit of which there is no more than the last iteration.
+_UNKNOWN: dict[str, Any] = {
+    **dict.fromkeys(("noise", "tolerance", "stats", "preflight", "uncertainty", "start_cost", "start_rms")),
+    **{name: [] for name in ("stages", "findings", "outputs", "without_effect")},
+    "success": False,
+    "at_bound": {},
+    "n_checks": 0,
+    "objective": "",
+}
+
+
 class Fit(OptimizeResult):
     """The result of a fit: all that an `OptimizeResult` has, with names and in terms of the measurements.
 
@@ -161,34 +172,39 @@ class Fit(OptimizeResult):
         from before not. (None: interrupted twice, and the simulations under way were left behind.)
     """
 
+    noise: FitNoise | None
+    tolerance: ChosenTolerance | None
+    objective: str
+    rms: float
+    start_cost: float | None
+    start_rms: float | None
+    at_bound: dict[str, str]
+    without_effect: list[str]
+    n_checks: int
+
     def __init__(self, calibration: Calibration, result: OptimizeResult, start: FloatArray, solver: str | None) -> None:
         vars(self).update(vars(result))
-        rms = calibration._native.rms(list(map(float, self.x)), self.fun)
-        self.noise = _noise(vars(self).pop("_noise", None))
-        tolerance = vars(self).pop("_tolerance", None)
-        self.tolerance = None if tolerance is None else ChosenTolerance(**tolerance)
-        self._rms_and_start: tuple[float, float | None] = vars(self).pop("_rms", (rms, None))
-        counts = vars(self).pop("stats", None)
-        self.stats = None if counts is None else SimulationStats(**counts)
-        if "at_bound" not in vars(self):
-            # Interrupted twice.
-            self.start_cost: float | None = None
-            self.at_bound: dict[str, str] = {}
-            self.without_effect: list[str] = []
-            self.n_checks = 0
-            self.objective = ""
-        self._native: _core.Fit | None = vars(self).get("_native")
-        self.stages = [Fit(calibration, stage, np.array(stage._native.start), solver) for stage in vars(self).get("stages", [])]
         self._calibration = calibration
-        self.findings = [] if self._native is None else [Finding(**finding) for finding in _core.fit_findings(self._native)]
-        self.uncertainty = _uncertainty.of_fit(vars(self).get("_native"))
-        self.preflight = _uncertainty.before_fit(vars(self).get("_native"))
+        self._native: _core.Fit | None = vars(self).get("_native")
+        if self._native is None:
+            # Interrupted twice.
+            fields = {**_UNKNOWN, "rms": calibration._native.rms(list(map(float, self.x)), self.fun)}
+        else:
+            fields = self._native.fields()
+        vars(self).update(fields)
+        self.noise = _noise(fields["noise"])
+        self.tolerance = fields["tolerance"] and ChosenTolerance(**fields["tolerance"])
+        self.stats = fields["stats"] and SimulationStats(**fields["stats"])
+        self.stages = [Fit(calibration, stage, np.array(stage._native.start), solver) for stage in fields["stages"]]
+        self.findings = [Finding(**finding) for finding in fields["findings"]]
+        self.outputs = [OutputFit(**output) for output in fields["outputs"]]
+        self.preflight = fields["preflight"] and Preflight(fields["preflight"])
+        self.uncertainty = fields["uncertainty"] and Uncertainty(fields["uncertainty"])
         self.cov = None if self.uncertainty is None else self.uncertainty.covariance
         self.cov_message = "" if self.uncertainty is None else self.uncertainty.message
         self.start = start
         self.solver = solver
         self.race = calibration.race
-        self.outputs = [] if self._native is None else [OutputFit(**output) for output in _core.fit_outputs(self._native)]
 
     @property
     def stderr(self) -> FloatArray | None:
@@ -230,16 +246,6 @@ class Fit(OptimizeResult):
         """Sum of the squared weighted residuals at the fitted values."""
         cost: float = self.fun
         return cost
-
-    @property
-    def rms(self) -> float:
-        """Root of the mean squared weighted residual at the fitted values."""
-        return self._rms_and_start[0]
-
-    @property
-    def start_rms(self) -> float | None:
-        """Root of the mean squared weighted residual at the start."""
-        return self._rms_and_start[1]
 
     @property
     def scaled_rms(self) -> float | None:
@@ -413,7 +419,7 @@ class Fit(OptimizeResult):
         """
         from .. import _plot
 
-        return _plot.fit(self, self._of_run("plot"))
+        return _plot.fit(self, _export.native_of(self))
 
     def plot_convergence(self) -> Figure:
         """Draws the cost of each evaluation and the best so far, and below them how the best point moved; as `plot`."""
@@ -444,7 +450,7 @@ class Fit(OptimizeResult):
         mean square; as `plot`. ValueError: the fit has no standard errors, and no derivatives."""
         from .. import _plot
 
-        return _plot.sensitivity(self._of_run("plot_sensitivity"), self._shown_names())
+        return _plot.sensitivity(_export.native_of(self), self._shown_names())
 
     def save(self, path: PathLike) -> None:
         """Writes the fit to a file that `load_fit` reads: with all its numbers, bit for bit, its trace, and the calibration.
@@ -464,7 +470,7 @@ class Fit(OptimizeResult):
         OSError
             The file cannot be written.
         """
-        _core.save_fit(_export.native_of(self), _options.path("path", path))
+        _export.native_of(self).save(_options.path("path", path))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _export.pickled(self)
@@ -490,7 +496,7 @@ class Fit(OptimizeResult):
         --------
         >>> model.set(fit.parameters_of("run1"))  # doctest: +SKIP
         """
-        return dict(_core.variable_values(self._calibration._native, np.asarray(self.x).tolist(), experiment))
+        return dict(self._calibration._native.variable_values(np.asarray(self.x).tolist(), experiment))
 
     def to_dict(self) -> dict[str, Any]:
         """What the fit found, as dictionaries, lists, numbers and texts: parameters with errors, start, bounds and units, those
@@ -500,7 +506,7 @@ class Fit(OptimizeResult):
 
     def to_json(self) -> str:
         """The same as a text in JSON."""
-        return _core.fit_to_json(_export.native_of(self))
+        return _export.native_of(self).to_json()
 
     def to_csv(
         self, path: PathLike, what: Literal["parameters", "trajectories", "trace"] = "parameters"
@@ -523,7 +529,7 @@ class Fit(OptimizeResult):
         OSError
             The file cannot be written.
         """
-        _core.fit_to_csv(_export.native_of(self), _options.choice("what", what), _options.path("path", path))
+        _export.native_of(self).to_csv(_options.choice("what", what), _options.path("path", path))
 
     def to_dataframe(self, what: Literal["parameters", "trajectories", "trace"] = "parameters") -> Any:
         """The same table as a pandas.DataFrame. Needs pandas."""
@@ -552,7 +558,7 @@ class Fit(OptimizeResult):
         ValueError
             As `parameters_of`; `path` has another suffix.
         """
-        _core.export_ssv(_export.native_of(self), _options.path("path", path), experiment)
+        _export.native_of(self).export_ssv(_options.path("path", path), experiment)
         return Path(path)
 
     def export_fmu(self, path: PathLike, experiment: str | None = None, *, keep: bool = False) -> Path:
@@ -588,7 +594,7 @@ class Fit(OptimizeResult):
         return _export.export_fmu(self, path, experiment, keep)
 
     def __getitem__(self, key: Any) -> Any:
-        if key in ("parameters", "cost", "rms", "stderr", "covariance", "correlation", "start_rms", "scaled_rms"):
+        if key in ("parameters", "cost", "stderr", "covariance", "correlation", "scaled_rms"):
             return getattr(self, key)
         return super().__getitem__(key)
 
@@ -613,21 +619,15 @@ class Fit(OptimizeResult):
         SimulationError
             A simulation fails that did not in the fit.
         """
-        _core.fit_report(self._of_run("report"), _options.path("path", path))
+        _export.native_of(self).report(_options.path("path", path))
 
     def _shown_names(self) -> list[str]:
         """What figures call the parameters."""
         return self._calibration.names if self._native is None else self._native.shown_names
 
-    def _of_run(self, what: str) -> _core.Fit:
-        """The native fit."""
-        if self._native is None:
-            raise CalibrationError(f"{what}: the fit was interrupted twice, and has nothing but its last iteration")
-        return self._native
-
     def __repr__(self) -> str:
-        return super().__repr__() if self._native is None else _core.fit_text(self._native)
+        return super().__repr__() if self._native is None else self._native.text()
 
     def _repr_html_(self) -> str | None:
         """The same for notebooks."""
-        return None if self._native is None else _core.fit_html(self._native)
+        return None if self._native is None else self._native.html()

@@ -204,7 +204,7 @@ class Point:
         rows = None if times is None else _options.vector("times", times).tolist()
         if outputs is not None:
             names = [outputs] if isinstance(outputs, str) else _options.names("outputs", outputs)
-            found = _core.simulate_variables(self._native, self._values(x), rows, names)
+            found = self._native.simulate_variables(self._values(x), rows, names)
             return self._by_experiment([SimulationResult(**fields) for fields in found])
         return self._by_experiment(self._native.simulate(self._values(x), rows))
 

@@ -123,7 +123,6 @@ def of_fit(
         chosen = [names.index(name) for name in given]
     try:
         fields = _core.profile(
-            fit._calibration._native,
             _export.native_of(fit),
             chosen,
             (_options.number("level", level), _options.flag("corrected", corrected), _options.limit("max_points", max_points, 1)),

@@ -223,19 +223,7 @@ class Preflight:
 
 def before(calibration: Calibration, x: list[float], workers: SupportsIndex | None) -> Preflight:
     """What is found at a point before a fit."""
-    return Preflight(_core.preflight_at(calibration._native, x, _options.worker_count("workers", workers, None)))
-
-
-def before_fit(fit: _core.Fit | None) -> Preflight | None:
-    """What was found before a fit, if it was asked for."""
-    fields = None if fit is None else _core.preflight_of_fit(fit)
-    return None if fields is None else Preflight(fields)
-
-
-def of_fit(fit: _core.Fit | None) -> Uncertainty | None:
-    """The uncertainty of a fit, if that was found out."""
-    native = None if fit is None else _core.uncertainty_of_fit(fit)
-    return None if native is None else Uncertainty(native)
+    return Preflight(calibration._native.preflight(x, _options.worker_count("workers", workers, None)))
 
 
 def at(
@@ -249,4 +237,4 @@ def at(
             raise BadCalibrationError(f"there is no parameter '{unknown[0]}'; there are: {', '.join(calibration.names)}")
         held = [i for i, name in enumerate(calibration.names) if name not in free]
     count = _options.worker_count("workers", workers, None)
-    return Uncertainty(_core.uncertainty_at(calibration._native, x, covariance, held, count))
+    return Uncertainty(calibration._native.uncertainty(x, covariance, held, count))

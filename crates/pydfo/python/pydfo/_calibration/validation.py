@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core
+from . import export as _export
 from .._args import options as _options
 from .check import Finding
 from .._errors import BadCalibrationError
@@ -247,7 +248,7 @@ def prediction_band(
     names = None if chosen is None else [_options.choice("outputs", name) for name in chosen]
     calibration = fit._calibration
     extent = (_options.number("level", level), _options.flag("corrected", corrected))
-    found = _core.prediction_bands(calibration._native, native(fit), rows, extent, names)
+    found = _core.prediction_bands(_export.native_of(fit), rows, extent, names)
     bands = [PredictionBand(**fields) for fields in found]
     by_experiment = [{b.variable: b for b in bands if b.experiment == name} for name in calibration.experiments]
     return by_experiment[0] if len(by_experiment) == 1 else dict(zip(calibration.experiments, by_experiment))
@@ -262,12 +263,4 @@ def validate(fit: Fit, experiment: Experiment | Sequence[Experiment] | None, win
         experiments = listed(experiment)
         if experiments is None:
             raise TypeError(f"experiment must be an Experiment or a list of such, not {_options.show(experiment)}")
-    return Validation(_core.validate(fit._calibration._native, native(fit), intervals("windows", windows), experiments))
-
-
-def native(fit: Fit) -> Any:
-    """What the native code keeps of a fit."""
-    found = getattr(fit, "_native", None)
-    if found is None:
-        raise BadCalibrationError("this fit was interrupted twice, there is nothing but its last point: fit again")
-    return found
+    return Validation(_core.validate(_export.native_of(fit), intervals("windows", windows), experiments))

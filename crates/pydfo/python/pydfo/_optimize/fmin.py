@@ -63,8 +63,8 @@ def listen(callback: Callback) -> Callback:
 
 def log_evaluations(progress: Progress) -> None:
     """Writes the evaluations of an iteration to the log."""
-    for x, (cost, remark), used in progress._recent:
-        _log.debug("x = %s: %s%s", x.tolist(), remark or repr(cost), "" if used else " (not used)")
+    for x, outcome, used in progress._recent:
+        _log.debug("x = %s: %s%s", x.tolist(), outcome, "" if used else " (not used)")
 
 
 @explained

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, SupportsFloat, SupportsIndex
@@ -10,15 +9,11 @@ from typing import Any, Literal, SupportsFloat, SupportsIndex
 import numpy as np
 import numpy.typing as npt
 
-from .. import _core
-from . import evaluate as _evaluate
 from .._args import options as _options
-from .fmin import Callback, check_callback, listen
+from .fmin import Callback
 from .._args.keywords import explained, given_once
-from .minimize import describe
+from .minimize import run
 from .result import LeastSquaresResult
-
-_log = logging.getLogger("pydfo")
 
 
 @explained
@@ -120,37 +115,24 @@ def least_squares(
     >>> res.x.round(2), res.success, res.fun.shape
     (array([2. , 0.7]), True, (9,))
     """
-    if not callable(fun):
-        raise TypeError(f"fun must be callable, not {fun!r}")
-    if on_error not in ("raise", "fail"):
-        raise ValueError(f"on_error = {on_error!r} is none of 'raise', 'fail'")
-    check_callback(callback)
     if x0 is None:
         raise ValueError("x0 is needed: the point to start from")
     start = _options.vector("x0", x0)
-    extra = args if isinstance(args, tuple) else (args,)
-    called = _evaluate.WithArguments(fun, extra) if extra else fun
-    batches, count = _evaluate.shared_out(called, "workers", workers, 1)
-    if _options.flag("vectorized", vectorized):
-        if batches is not None:
-            raise ValueError("vectorized=True evaluates whole batches itself; workers must be a number then")
-        batches = _evaluate.vectorized(called, of_residuals=True)
-    given = given_once(_options.dictionary(options), least_squares, x_tol=x_tol, f_tol=f_tol, batch=batch)
-    if "batch" in given:
-        given["batch"] = _options.folded(given["batch"])
-    if given.get("batch") == "workers":
-        given["batch"] = count
-    bounds = _options.bounds_of_least_squares(bounds, start)
-    begin, lower, upper, asked = describe(
+    result = run(
         least_squares,
+        fun,
         "least-squares" if search == "local" else "auto",
         start,
-        bounds,
-        given,
+        _options.bounds_of_least_squares(bounds, start),
+        given_once(_options.dictionary(options), least_squares, x_tol=x_tol, f_tol=f_tol, batch=batch),
+        args=args,
+        workers=workers,
+        callback=callback,
+        on_error=on_error,
+        vectorized=vectorized,
+        of_residuals=True,
         rng=rng,
         checkpoint=checkpoint,
-        function=(fun, extra),
-        workers=count,
         max_evaluations=max_evaluations,
         max_iterations=max_iterations,
         max_time=max_time,
@@ -160,16 +142,5 @@ def least_squares(
         loss=loss,
         f_scale=f_scale,
     )
-    result = _core.minimize(
-        batches or called,
-        begin,
-        lower,
-        upper,
-        asked,
-        tolerant=on_error == "fail",
-        observer=None if callback is None else listen(callback),
-        batches=batches is not None,
-    )
     assert isinstance(result, LeastSquaresResult)
-    _log.info("least_squares: %s; cost = %r after %d evaluations", result.message, result.cost, result.nfev)
     return result

@@ -72,26 +72,11 @@ class _Rich:
         self._status.stop()
 
 
-class _Tqdm:
-    """The line by tqdm."""
-
-    def __init__(self, tqdm: Any) -> None:
-        self._bar = tqdm.tqdm(bar_format="{desc}", leave=False, file=sys.stderr)
-
-    def show(self, text: str) -> None:
-        self._bar.set_description_str(text)
-
-    def close(self) -> None:
-        self._bar.close()
-
-
-def _display() -> _Plain | _Rich | _Tqdm:
-    for module, kind in (("rich.console", _Rich), ("tqdm.auto" if is_notebook() else "tqdm", _Tqdm)):
-        try:
-            return kind(importlib.import_module(module))
-        except ImportError:
-            continue
-    return _Plain()
+def _display() -> _Plain | _Rich:
+    try:
+        return _Rich(importlib.import_module("rich.console"))
+    except ImportError:
+        return _Plain()
 
 
 class LiveLine:
@@ -122,7 +107,7 @@ class LiveLine:
         self._limits = {name: number(name, limit) for name, limit in limits.items() if limit is not None}
         self._progress: Progress | None = None
         self._phase = SEARCH
-        self._display: _Plain | _Rich | _Tqdm | None = None
+        self._display: _Plain | _Rich | None = None
 
     def __call__(self, progress: Progress) -> None:
         """Takes in the progress after an iteration."""

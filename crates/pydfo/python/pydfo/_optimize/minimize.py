@@ -175,31 +175,20 @@ def minimize(
     >>> res.x.round(3), res.success
     (array([ 1., -2.]), True)
     """
-    if not callable(fun):
-        raise TypeError(f"fun must be callable, not {fun!r}")
-    if on_error not in ("raise", "fail"):
-        raise ValueError(f"on_error = {on_error!r} is none of 'raise', 'fail'")
-    check_callback(callback)
-    extra = args if isinstance(args, tuple) else (args,)
-    called = _evaluate.WithArguments(fun, extra) if extra else fun
-    cutoffs = _evaluate.takes_cutoff(fun)
-    batches, count = _evaluate.shared_out(called, "workers", workers, 1, cutoffs)
-    if _options.flag("vectorized", vectorized) and cutoffs:
-        raise ValueError("fun has a parameter cutoff, but vectorized=True evaluates many points at once")
-    if vectorized:
-        if batches is not None:
-            raise ValueError("vectorized=True evaluates whole batches itself; workers must be a number then")
-        batches = _evaluate.vectorized(called)
-    start, lower, upper, asked = describe(
+    return run(
         minimize,
+        fun,
         method,
         x0,
         bounds,
         options,
+        args=args,
+        workers=workers,
+        callback=callback,
+        on_error=on_error,
+        vectorized=vectorized,
         rng=rng,
         checkpoint=checkpoint,
-        function=(fun, extra),
-        workers=count,
         max_evaluations=max_evaluations,
         max_iterations=max_iterations,
         max_time=max_time,
@@ -207,7 +196,43 @@ def minimize(
         resume=resume,
         search=search,
     )
-    result: OptimizeResult = _core.minimize(
+
+
+def run(
+    of: Callable[..., Any],
+    fun: Callable[..., Any],
+    method: str,
+    x0: npt.ArrayLike | None,
+    bounds: Any,
+    options: Mapping[str, Any] | None,
+    *,
+    args: Any,
+    workers: SupportsIndex | Any,
+    callback: Callback | None,
+    on_error: str,
+    vectorized: bool,
+    of_residuals: bool = False,
+    **arguments: Any,
+) -> OptimizeResult:
+    """Minimises the cost or the residuals that `fun` returns; `of` is the function that the user called."""
+    if not callable(fun):
+        raise TypeError(f"fun must be callable, not {fun!r}")
+    if on_error not in ("raise", "fail"):
+        raise ValueError(f"on_error = {on_error!r} is none of 'raise', 'fail'")
+    check_callback(callback)
+    extra = args if isinstance(args, tuple) else (args,)
+    called = _evaluate.WithArguments(fun, extra) if extra else fun
+    cutoffs = not of_residuals and _evaluate.takes_cutoff(fun)
+    batches, count = _evaluate.shared_out(called, "workers", workers, 1, cutoffs)
+    if _options.flag("vectorized", vectorized):
+        if cutoffs:
+            raise ValueError("fun has a parameter cutoff, but vectorized=True evaluates many points at once")
+        if batches is not None:
+            raise ValueError("vectorized=True evaluates whole batches itself; workers must be a number then")
+        batches = _evaluate.vectorized(called, of_residuals)
+    own = _options.with_plan(options, count) if of_residuals else options
+    start, lower, upper, asked = describe(of, method, x0, bounds, own, function=(fun, extra), workers=count, **arguments)
+    result = _core.minimize(
         batches or called,
         start,
         lower,
@@ -218,7 +243,7 @@ def minimize(
         batches=batches is not None,
         cutoffs=cutoffs,
     )
-    _log.info("minimize: %s; f = %r after %d evaluations", result.message, result.fun, result.nfev)
+    _log.info("%s: %s; cost = %r after %d evaluations", of.__name__, result.message, result[1], result.nfev)
     return result
 
 

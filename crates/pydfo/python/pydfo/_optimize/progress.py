@@ -2,13 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+
+#: What fields of the native code's records of runs are called in results, as in SciPy's.
+_NAMES = {
+    "n_iterations": "nit",
+    "n_evaluations": "nfev",
+    "n_failed": "nfail",
+    "seconds": "solve_time",
+    "jacobian": "jac",
+    "active": "active_mask",
+    "recent": "_recent",
+}
+
+
+def named(record: dict[str, Any], of: type) -> dict[str, Any]:
+    """The fields of the class of a result, from a record of the native code's."""
+    known = {_NAMES.get(name, name): value for name, value in record.items()}
+    known.update(record["tests"] or {"x_size": None, "f_spread": None})
+    for name in ("final_simplex", "final_population"):
+        if (simplex := record[name]) is not None:
+            known[name] = np.array(simplex["vertices"]), np.array(simplex["costs"], dtype=np.float64)
+    return {field.name: known[field.name] for field in fields(of) if field.name in known}
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
@@ -51,7 +72,12 @@ class Progress:
     f_spread: float | None
     final_simplex: tuple[FloatArray, FloatArray] | None
     final_population: tuple[FloatArray, FloatArray] | None
-    _recent: list[tuple[FloatArray, tuple[float, str], bool]]
+    _recent: list[tuple[FloatArray, str, bool]]
+
+    @classmethod
+    def _of(cls, record: dict[str, Any]) -> Progress:
+        """That of a record of the native code's."""
+        return cls(**named(record, cls))
 
     def __getitem__(self, key: str) -> Any:
         return vars(self)[key]

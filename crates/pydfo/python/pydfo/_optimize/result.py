@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .._args import options as _options
+from . import progress as _progress
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -266,8 +267,17 @@ class OptimizeResult:
 
     def __post_init__(self) -> None:
         self.status = STATUS[self.termination]
-        self.schedule = tuple(BarrierStage(*stage) for stage in self.schedule)
-        self.optima = tuple(Optimum(*optimum) for optimum in self.optima)
+
+    @classmethod
+    def _of(cls, record: dict[str, Any]) -> OptimizeResult:
+        """That of a record of the native code's."""
+        found = _progress.named(record, cls)
+        if "schedule" in found:
+            found["schedule"] = tuple(BarrierStage(*stage.values()) for stage in found["schedule"])
+            found["optima"] = tuple(Optimum(*optimum.values()) for optimum in found["optima"])
+            found["active_mask"] = None if found["jac"] is None else np.array(found["active_mask"], dtype=np.int64)
+            found.update(options=dict(found["options"]), failures=dict(found["failures"]))
+        return cls(**found)
 
     def _tuple(self) -> tuple[FloatArray, float, int, int, float]:
         return self.x, self.fun, self.nit, self.nfev, self.solve_time
@@ -327,6 +337,7 @@ class OptimizeResult:
         return "\n".join(f"{name:>10}: {text}" for name, text in lines)
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class LeastSquaresResult(OptimizeResult):
     """The result of `least_squares`: ``fun`` is the vector of residuals, and ``cost`` their sum of squares.
 
@@ -349,11 +360,14 @@ class LeastSquaresResult(OptimizeResult):
         As in `OptimizeResult`. With a loss, residuals and Jacobian enter it as they count in the cost.
     """
 
-    def __init__(self, *, fun: float, residuals: FloatArray | None = None, sum_of_squares: float | None = None, **fields: Any) -> None:
-        super().__init__(fun=fun, **fields)
-        self.cost = fun
-        self.fun = np.empty(0) if residuals is None else residuals
-        self.sum_of_squares = fun if sum_of_squares is None else sum_of_squares
+    cost: float
+    sum_of_squares: float
+
+    @classmethod
+    def _of(cls, record: dict[str, Any]) -> OptimizeResult:
+        residuals, cost = record.get("residuals", np.empty(0)), record["fun"]
+        rest = {"fun": residuals, "cost": cost, "sum_of_squares": record.get("sum_of_squares", cost)}
+        return super()._of({**record, **rest})
 
     def _tuple(self) -> tuple[FloatArray, float, int, int, float]:
         return self.x, self.cost, self.nit, self.nfev, self.solve_time

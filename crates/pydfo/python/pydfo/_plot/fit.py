@@ -21,7 +21,7 @@ MOST_COLUMNS = 4
 #: More values of parameters are no title.
 MOST_VALUES = 3
 
-#: What is drawn of an experiment, of one of its outputs, or of an input (see `_core.fit_curves`).
+#: What is drawn of an experiment, of one of its outputs, or of an input (see `_core.Fit.curves`).
 Curves = dict[str, Any]
 
 
@@ -29,7 +29,7 @@ def fit(fit: Fit, native: _core.Fit) -> Figure:
     """Per output of each experiment measurements, the response at the start and the fitted one, and below them the residuals of
     the fitted one; at the bottom the inputs, those with the same unit together."""
     plt = pyplot()
-    experiments: list[Curves] = _core.fit_curves(native)
+    experiments: list[Curves] = native.curves()
     outputs, inputs = _columns(experiments)
     width = {1: 7.4, 2: 10.4}.get(len(outputs), 1.2 + 3.9 * len(outputs))
     n_rows, n_inputs = max(map(len, outputs)), max(map(len, inputs))

@@ -51,7 +51,7 @@ def correlation(matrix: FloatArray | None, names: list[str]) -> Figure:
 
 def sensitivity(native: _core.Fit, names: list[str]) -> Figure:
     """What a relative change of each parameter makes of each output: over time, or for many parameters its root mean square."""
-    outputs: list[dict[str, Any]] = _core.fit_sensitivities(native)
+    outputs: list[dict[str, Any]] = native.sensitivities()
     if not outputs:
         raise ValueError(_NO_WORTH)
     plt = pyplot()

@@ -10,7 +10,7 @@ import os
 import re
 import shutil
 import tempfile
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import IO, Any
 
@@ -272,43 +272,35 @@ def path_of(filename: PathLike | IO[bytes]) -> tuple[str, str | None]:
     return path, folder
 
 
+def _own_name(theirs: str) -> str:
+    """What an attribute of FMPy's is called here."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", theirs).lower()
+
+
+def _copied(kind: type[Any], found: Any, **others: Any) -> Any:
+    """FMPy's object for one of ours: its attributes, but for those that are called or written otherwise."""
+    same = (field.name for field in fields(kind) if field.name not in others)
+    return kind(**{name: getattr(found, _own_name(name)) for name in same}, **others)
+
+
 def _interface(found: _native.Interface | None, kind: type[Any]) -> Any:
     if found is None:
         return None
     can = found.capabilities
-    fields: dict[str, Any] = {
+    others: dict[str, Any] = {
         "modelIdentifier": found.model_identifier,
-        "needsExecutionTool": can.needs_execution_tool,
-        "canBeInstantiatedOnlyOncePerProcess": can.can_be_instantiated_only_once_per_process,
         "canGetAndSetFMUstate": can.can_get_and_set_state,
         "canSerializeFMUstate": can.can_serialize_state,
         "providesAdjointDerivatives": can.provides_adjoint_derivative,
-        "canNotUseMemoryManagementFunctions": can.can_not_use_memory_management_functions,
-        "providesDirectionalDerivative": can.provides_directional_derivative,
     }
     if kind is ModelExchange:
-        fields["completedIntegratorStepNotNeeded"] = can.completed_integrator_step_not_needed
-        fields["needsCompletedIntegratorStep"] = not can.completed_integrator_step_not_needed
-    else:
-        fields |= {
-            "canHandleVariableCommunicationStepSize": can.can_handle_variable_communication_step_size,
-            "fixedInternalStepSize": can.fixed_internal_step_size,
-            "maxOutputDerivativeOrder": can.max_output_derivative_order,
-            "canInterpolateInputs": can.can_interpolate_inputs,
-            "providesIntermediateUpdate": can.provides_intermediate_update,
-            "mightReturnEarlyFromDoStep": can.might_return_early_from_do_step,
-            "canReturnEarlyAfterIntermediateUpdate": can.can_return_early_after_intermediate_update,
-            "hasEventMode": can.has_event_mode,
-            "canRunAsynchronuously": can.can_run_asynchronuously,
-        }
-    return kind(**fields)
+        others["needsCompletedIntegratorStep"] = not can.completed_integrator_step_not_needed
+    return _copied(kind, can, **others)
 
 
 def _unit(unit: _native.Unit) -> Unit:
-    base = unit.base
-    shown = [DisplayUnit(display.name, display.factor, display.offset) for display in unit.display_units]
-    exponents = None if base is None else BaseUnit(base.kg, base.m, base.s, base.a, base.k, base.mol, base.cd, base.rad, base.factor, base.offset)
-    return Unit(unit.name, exponents, shown)
+    exponents = None if unit.base is None else _copied(BaseUnit, unit.base)
+    return Unit(unit.name, exponents, [_copied(DisplayUnit, shown) for shown in unit.display_units])
 
 
 #: FMPy's names of the types of FMI 3.0 that are called otherwise here.
@@ -319,21 +311,16 @@ def _type_name(name: str, version: str) -> str:
     return _TYPES_3.get(name, name) if version.startswith("3") else name
 
 
+def _texts(found: Any, *names: str) -> dict[str, str | None]:
+    """Numbers as texts."""
+    return {name: text_of(getattr(found, name)) for name in names}
+
+
 def _type(found: _native.TypeDefinition, version: str) -> SimpleType:
-    return SimpleType(
-        name=found.name,
-        description=found.description,
-        type=_type_name(found.type, version),
-        quantity=found.quantity,
-        unit=found.unit,
-        displayUnit=found.display_unit,
-        relativeQuantity=found.relative_quantity,
-        min=text_of(found.min),
-        max=text_of(found.max),
-        nominal=text_of(found.nominal),
-        unbounded=found.unbounded,
-        items=[Item(item.name, str(item.value), item.description) for item in found.items],
-    )
+    items = [Item(item.name, str(item.value), item.description) for item in found.items]
+    limits = _texts(found, "min", "max", "nominal")
+    made: SimpleType = _copied(SimpleType, found, type=_type_name(found.type, version), items=items, **limits)
+    return made
 
 
 def of_description(found: _native.Description) -> ModelDescription:
@@ -343,31 +330,18 @@ def of_description(found: _native.Description) -> ModelDescription:
     variables: dict[str, ModelVariable] = {}
     origins: dict[int, ModelVariable] = {}
     for name, v in found.variables.items():
-        variables[name] = ModelVariable(
-            name=name,
-            valueReference=v.value_reference,
+        variables[name] = _copied(
+            ModelVariable,
+            v,
             type=_type_name(v.type, version),
             shape=v.shape or None,
-            description=v.description,
-            causality=v.causality,
-            variability=v.variability,
-            initial=v.initial,
-            canHandleMultipleSetPerTimeInstant=v.can_handle_multiple_set_per_time_instant,
             declaredType=types.get(v.declared_type) if v.declared_type else None,
             dimensions=list(v.dimensions),
-            quantity=v.quantity,
-            unit=v.unit,
-            displayUnit=v.display_unit,
-            relativeQuantity=v.relative_quantity,
-            min=text_of(v.min),
-            max=text_of(v.max),
-            nominal=text_of(v.nominal),
-            unbounded=v.unbounded,
-            start=text_of(v.start),
-            reinit=v.reinit,
+            derivative=None,
             sourceline=v.line,
-            intervalVariability=v.interval_variability,
+            aliases=[],
             alias=origins.get(v.index),
+            **_texts(v, "min", "max", "nominal", "start"),
         )
         if (origin := origins.setdefault(v.index, variables[name])) is not variables[name]:
             origin.aliases.append(VariableAlias(name, v.description, v.display_unit))
@@ -377,17 +351,10 @@ def of_description(found: _native.Description) -> ModelDescription:
     of_state = {v.derivative.name: v for v in variables.values() if v.derivative is not None}
     default = found.default_experiment
     texts = [text_of(value) for value in (default.start_time, default.stop_time, default.tolerance, default.step_size)]
-    return ModelDescription(
-        fmiVersion=version,
-        modelName=found.model_name,
+    made: ModelDescription = _copied(
+        ModelDescription,
+        found,
         instantiationToken=found.guid,
-        description=found.description,
-        author=found.author,
-        version=found.version,
-        copyright=found.copyright,
-        license=found.license,
-        generationTool=found.generation_tool,
-        generationDateAndTime=found.generation_date_and_time,
         variableNamingConvention=found.variable_naming_convention or "flat",
         numberOfContinuousStates=found.n_states,
         numberOfEventIndicators=found.n_event_indicators,
@@ -403,6 +370,7 @@ def of_description(found: _native.Description) -> ModelDescription:
         outputs=[Unknown(variables[name]) for name in found.outputs] if version != "1.0" else [],
         derivatives=[Unknown(of_state[name]) for name in found.states if name is not None and name in of_state],
     )
+    return made
 
 
 def read_model_description(
