@@ -4,6 +4,7 @@
 use crate::calibration::cost::{self, CostFields};
 use crate::calibration::experiment::{ExperimentFields, PyParameter, SignalFunctions};
 use crate::calibration::fit::PyFit;
+use crate::convert::dict::dict;
 use crate::convert::error;
 use crate::convert::fmu_error;
 use crate::convert::object;
@@ -131,7 +132,15 @@ impl PyCalibration {
     pub(crate) fn result<'py>(&self, py: Python<'py>, fit: calibration::Fit) -> PyResult<Bound<'py, PyAny>> {
         let result = report::to_python(py, &fit.report, ResultKind::Cost, &|| false)?;
         result.setattr("success", fit.is_success())?;
-        result.setattr("stats", Counts::new(&fit.stats))?;
+        let stats = Counts::new(&fit.stats).into_pyobject(py)?;
+        let phases = PyDict::new(py);
+        for cost in &fit.phases {
+            let taken =
+                dict!(py; cost.taken => simulations, right_hand_sides; "seconds": cost.taken.seconds.get());
+            phases.set_item(cost.phase.key(), taken)?;
+        }
+        stats.set_item("phases", phases)?;
+        result.setattr("stats", stats)?;
         let at_bound = fit.at_bound.iter().map(|(i, side)| (&fit.names[*i], side.name()));
         result.setattr("at_bound", at_bound.into_py_dict(py)?)?;
         let inert: Vec<&String> = fit.without_effect.iter().map(|i| &fit.names[*i]).collect();
