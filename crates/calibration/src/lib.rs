@@ -28,6 +28,7 @@ mod validation;
 
 pub use base::RunContext;
 pub use check::{Check, CheckOptions};
+pub use cost::batch::Taken;
 pub use cost::calibration::{Calibration, CalibrationBuilder};
 pub use cost::process::ModelProcess;
 pub use cost::race::{Entry, Race, RaceOutcome, RaceTask, Verdict, race};
@@ -45,7 +46,7 @@ pub use export::{FitDocument, FmuExport, SavedFit, Table};
 pub use findings::finding::{Finding, Severity};
 pub use findings::visible::visible;
 pub use fit::output_fit::OutputFit;
-pub use fit::phase::{CurrentPhase, FitPhase};
+pub use fit::phase::{CurrentPhase, FitPhase, PhaseCost};
 #[cfg(feature = "schema")]
 pub use fit::schema::{fit_schema, stage_schema};
 pub use fit::stage::{

@@ -76,7 +76,16 @@ impl Weights {
 
     /// Norm of the error of a step from `x` to `x_new`; NaN if anything in it is.
     pub(crate) fn error_norm(&self, x: &[f64], x_new: &[f64], error: &[f64]) -> f64 {
-        let sum: f64 = (0..x.len()).map(|i| (error[i] / self.weight(i, x[i], x_new[i])).powi(2)).sum();
+        let n = x.len();
+        let (x_new, error) = (&x_new[..n], &error[..n]);
+        let (atol, relative) = (&self.atol[..n], &self.relative[..n]);
+        let mut sum = 0.0;
+        for i in 0..n {
+            // A number that is not one is found in the error.
+            let (a, b) = (x[i].abs(), x_new[i].abs());
+            let part = error[i] / (atol[i] + relative[i] * if a > b { a } else { b });
+            sum += part * part;
+        }
         (sum / x.len().max(1) as f64).sqrt()
     }
 

@@ -84,6 +84,9 @@ impl AddAssign for Checks {
 /// Counts of one run, and how long it took. They add up over runs. Runs are compared by the counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Stats {
+    /// Runs that were begun.
+    #[serde(default)]
+    pub runs: u64,
     /// Accepted steps.
     pub accepted_steps: u64,
     /// Rejected steps.
@@ -160,6 +163,7 @@ impl Stats {
 
 impl AddAssign for Stats {
     fn add_assign(&mut self, other: Self) {
+        self.runs += other.runs;
         self.accepted_steps += other.accepted_steps;
         self.rejected_steps += other.rejected_steps;
         self.right_hand_sides += other.right_hand_sides;

@@ -11,8 +11,11 @@ use crate::error::CalibrationError;
 use base::RunContext;
 use dfo::RobustLoss;
 use fmi::{InterfaceKind, SimulateOptions, SimulationPlan, Simulator};
-use ode::Stats;
+use ode::{Seconds, Stats};
+use serde::{Deserialize, Serialize};
+use std::ops::AddAssign;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// By what the relative tolerance is divided in accurate simulations.
 pub(crate) const ACCURATE: f64 = 100.0;
@@ -23,6 +26,43 @@ const SMALLEST_TOLERANCE: f64 = 1e-13;
 /// With a looser relative tolerance residuals may be noise, and their size says nothing of the error of the
 /// simulations.
 const LOOSEST_OF_EXACT: f64 = 1e-5;
+
+/// What a part of a fit took. All are equal, as the [checks](ode::Checks) among its simulations are.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Taken {
+    /// Simulations, with those made to test the model.
+    pub simulations: u64,
+    /// Right-hand sides in them, but for those of tests.
+    pub right_hand_sides: u64,
+    /// Wall-clock time.
+    #[cfg_attr(feature = "schema", schemars(with = "f64"))]
+    pub seconds: Seconds,
+}
+
+impl Taken {
+    pub(crate) fn of(stats: &Stats, elapsed: Duration) -> Self {
+        Self {
+            simulations: stats.runs + stats.checks.runs,
+            right_hand_sides: stats.right_hand_sides,
+            seconds: Seconds::new(elapsed.as_secs_f64()),
+        }
+    }
+}
+
+impl PartialEq for Taken {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl AddAssign for Taken {
+    fn add_assign(&mut self, other: Self) {
+        self.simulations += other.simulations;
+        self.right_hand_sides += other.right_hand_sides;
+        self.seconds += other.seconds;
+    }
+}
 
 /// A point to be simulated.
 #[derive(Debug, Clone)]

@@ -207,19 +207,22 @@ impl<'a> Accumulator<'a> {
 impl Observer for Accumulator<'_> {
     fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()> {
         let Some(index) = sample.index else { return ControlFlow::Continue(()) };
-        for (k, output) in self.comparison.outputs.iter().enumerate() {
-            while self.next[k] < output.times.len() && self.schedule.sample_of(k, self.next[k]) == index {
-                let row = self.next[k];
-                self.next[k] += 1;
-                let simulated = sample.outputs[k] + self.offsets[k];
-                let residual =
-                    self.rule.loss.transform(output.weights[row] * (simulated - output.values[row]));
-                self.out[self.comparison.begins[k] + row] = residual;
+        let Self { comparison, schedule, rule, out, next, .. } = self;
+        let simulated = sample.outputs.iter().zip(self.offsets).map(|(output, offset)| output + offset);
+        let of_outputs = comparison.outputs.iter().zip(&comparison.begins).zip(next).zip(simulated);
+        for (k, (((output, begin), next), simulated)) in of_outputs.enumerate() {
+            let (mut row, weights) = (*next, &output.weights);
+            while row < weights.len() && schedule.sample_of(k, row) == index {
+                let residual = rule.loss.transform(weights[row] * (simulated - output.values[row]));
+                out[begin + row] = residual;
                 self.sum += residual * residual;
+                row += 1;
                 if !self.sum.is_finite() {
+                    *next = row;
                     return self.end(Stop::NotFinite(k));
                 }
             }
+            *next = row;
         }
         self.seen = index + 1;
         if self.sum > self.rule.cutoff { self.end(Stop::AboveCutoff) } else { ControlFlow::Continue(()) }

@@ -1,13 +1,21 @@
-//! The phases of a fit.
+//! The phases of a fit, and what each takes.
 
+use crate::cost::batch::Taken;
+use ode::{Seconds, Stats};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
+use std::time::{Duration, Instant};
 
 /// Phase of a fit.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum FitPhase {
     /// The integration methods are compared.
     Solver,
+    /// The tolerance of the simulations is chosen.
+    Tolerance,
     /// It is tested how the model's instances can be reused.
     ModelTest,
     /// The start is looked at.
@@ -16,23 +24,55 @@ pub enum FitPhase {
     Search,
     /// Bounds and parameters without effect are looked at, and what may not be meant as it was given.
     Checks,
+    /// The best point is evaluated again in the processes that the fit has used. In a fresh one it is, too,
+    /// but while the phases after this one last: that simulation counts here, its time does not.
+    FreshProcess,
     /// The standard errors are found.
     Uncertainty,
+    /// Numbers that are taken as known are varied, to see whether the residuals ask for others.
+    ScoreTest,
 }
 
 impl FitPhase {
-    const ALL: [Self; 6] =
-        [Self::Solver, Self::ModelTest, Self::Preflight, Self::Search, Self::Checks, Self::Uncertainty];
+    const ALL: [Self; 9] = [
+        Self::Solver,
+        Self::Tolerance,
+        Self::ModelTest,
+        Self::Preflight,
+        Self::Search,
+        Self::Checks,
+        Self::FreshProcess,
+        Self::Uncertainty,
+        Self::ScoreTest,
+    ];
+
+    /// The phase as a key.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Solver => "solver",
+            Self::Tolerance => "tolerance",
+            Self::ModelTest => "model_test",
+            Self::Preflight => "preflight",
+            Self::Search => "search",
+            Self::Checks => "checks",
+            Self::FreshProcess => "fresh_process",
+            Self::Uncertainty => "uncertainty",
+            Self::ScoreTest => "score_test",
+        }
+    }
 
     /// Name of the phase, for messages while it lasts.
     pub fn name(self) -> &'static str {
         match self {
             Self::Solver => "choosing a solver",
+            Self::Tolerance => "choosing a tolerance",
             Self::ModelTest => "testing the model",
             Self::Preflight => "looking at the start",
             Self::Search => "searching",
             Self::Checks => "checking the result",
+            Self::FreshProcess => "comparing with a fresh process",
             Self::Uncertainty => "standard errors",
+            Self::ScoreTest => "looking for numbers that are wrong",
         }
     }
 }
@@ -49,6 +89,79 @@ impl CurrentPhase {
 
     pub(crate) fn set(&self, phase: FitPhase) {
         self.0.store(phase as u8, Ordering::Relaxed);
+    }
+}
+
+/// What a phase of a fit took.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct PhaseCost {
+    /// The phase.
+    pub phase: FitPhase,
+    /// What it took.
+    pub taken: Taken,
+}
+
+/// The phases of a fit one after the other, with what they take.
+#[derive(Debug)]
+pub(crate) struct Phases {
+    told: Arc<CurrentPhase>,
+    taken: [Taken; FitPhase::ALL.len()],
+    /// The phase that lasts, from when on, and what was taken before.
+    now: (FitPhase, Instant, Taken),
+}
+
+impl Phases {
+    /// It is to be told the phase.
+    pub(crate) fn new(told: Arc<CurrentPhase>) -> Self {
+        let now = (told.get(), Instant::now(), Taken::default());
+        Self { told, taken: Default::default(), now }
+    }
+
+    /// Ends a phase and begins this one. `stats`: of all simulations of the fit so far.
+    pub(crate) fn enter(&mut self, phase: FitPhase, stats: &Stats) {
+        let (last, since, before) = self.now;
+        let mut own = Taken::of(stats, since.elapsed());
+        own.simulations = own.simulations.saturating_sub(before.simulations);
+        own.right_hand_sides = own.right_hand_sides.saturating_sub(before.right_hand_sides);
+        self.taken[last as usize] += own;
+        self.begin(phase, stats);
+    }
+
+    /// Begins a phase where what was before counts elsewhere.
+    pub(crate) fn begin(&mut self, phase: FitPhase, stats: &Stats) {
+        self.now = (phase, Instant::now(), Taken::of(stats, Duration::ZERO));
+        // That lasts while others do.
+        if phase != FitPhase::FreshProcess {
+            self.told.set(phase);
+        }
+    }
+
+    /// Who is told the phase.
+    pub(crate) fn told(&self) -> Arc<CurrentPhase> {
+        Arc::clone(&self.told)
+    }
+
+    /// Adds what a part of a phase took to another one.
+    pub(crate) fn move_part(&mut self, part: Taken, from: FitPhase, to: FitPhase) {
+        self.taken[to as usize] += part;
+        let whole = &mut self.taken[from as usize];
+        whole.simulations -= part.simulations.min(whole.simulations);
+        whole.right_hand_sides -= part.right_hand_sides.min(whole.right_hand_sides);
+        whole.seconds = Seconds::new((whole.seconds.get() - part.seconds.get()).max(0.0));
+    }
+
+    /// Adds what parts of a fit took.
+    pub(crate) fn add(&mut self, costs: &[PhaseCost]) {
+        costs.iter().for_each(|cost| self.taken[cost.phase as usize] += cost.taken);
+    }
+
+    /// The phases that there were. `stats`: as for [`enter`](Self::enter).
+    pub(crate) fn costs(&mut self, stats: &Stats) -> Vec<PhaseCost> {
+        self.enter(self.now.0, stats);
+        let all = FitPhase::ALL.iter().zip(self.taken);
+        let was = |taken: &Taken| taken.simulations > 0 || taken.seconds.get() > 0.0;
+        all.filter(|(_, taken)| was(taken)).map(|(phase, taken)| PhaseCost { phase: *phase, taken }).collect()
     }
 }
 

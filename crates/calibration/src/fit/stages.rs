@@ -5,6 +5,7 @@ use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
 use crate::fit::output_fit::KeptResiduals;
+use crate::fit::phase::FitPhase;
 use crate::fit::stage::{
     Fit, FitObserver, FitOptions, Job, Made, Searched, Spent, add_earlier, checkpoint_of, ended_by,
 };
@@ -17,7 +18,6 @@ use dfo::{
 use ode::Stats;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
-use std::sync::Arc;
 use std::time::Duration;
 
 /// One stage of a fit.
@@ -278,6 +278,7 @@ impl Calibration {
         }
         let mut stats = Stats::default();
         // The stages have one solver and one tolerance. Where there is no time for that, the first one ends at its start.
+        job.enter(FitPhase::Solver, &stats);
         let chosen = self
             .solver_counted(&job.context, &mut stats)
             .and_then(|_| self.choose_tolerance(&job, None, &mut stats));
@@ -287,16 +288,24 @@ impl Calibration {
         };
         let tolerant = self.with_tolerance(tolerance.as_ref())?;
         let this = tolerant.as_ref().unwrap_or(self);
+        job.enter(FitPhase::Checks, &stats);
         let done = this.in_turn(stages, &freed, &job)?;
+        job.phases.borrow_mut().begin(FitPhase::Checks, &stats);
         let is_freed = |i: &usize| freed.iter().any(|freed| freed.contains(i));
         job.held = (0..job.start.len()).filter(|i| !is_freed(i)).collect();
         job.is_whole = true;
         let mut made = this.all_in_one(stages, &freed, &done, &job, &mut stats)?;
         made.searched.raised.extend(tolerance.and_then(|chosen| chosen.finding()));
         made.tolerance = tolerance;
-        done.fits.iter().for_each(|fit| stats += fit.stats);
+        job.enter(FitPhase::Checks, &stats);
+        for fit in &done.fits {
+            stats += fit.stats;
+            job.phases.borrow_mut().add(&fit.phases);
+        }
+        job.phases.borrow_mut().begin(FitPhase::Checks, &stats);
         let own = made.own.take();
         let (mut fit, _) = this.judged(own.as_ref().unwrap_or(this), &job, made, stats);
+        fit.phases = job.phases.borrow_mut().costs(&fit.stats);
         fit.stages = done.fits;
         Ok(fit)
     }
@@ -342,7 +351,7 @@ impl Calibration {
                 }),
                 context: job.context,
                 engine: job.engine.clone(),
-                phase: Arc::clone(&job.phase),
+                phase: job.phases.borrow().told(),
             };
             let (fit, kept) = match windowed[k].as_ref().unwrap_or(self).fit_and_keep(options, Some(within)) {
                 Ok(fitted) => fitted,

@@ -2,6 +2,7 @@
 
 use super::number::{rounded, with_error};
 use crate::findings::finding::{Finding, counts};
+use crate::fit::phase::PhaseCost;
 use crate::fit::stage::Fit;
 use crate::uncertainty::active_bounds::BoundSide;
 use crate::uncertainty::estimate::Uncertainty;
@@ -282,6 +283,11 @@ fn facts(fit: &Fit) -> Vec<Fact> {
             rounded(fit.stats.seconds_in_model.get(), 3)
         ),
     ));
+    let phase = |PhaseCost { phase, taken }: &PhaseCost| {
+        let seconds = rounded(taken.seconds.get(), 3);
+        format!("{} {} simulations, {seconds} s", phase.key().replace('_', " "), taken.simulations)
+    };
+    facts.push(("phases", fit.phases.iter().map(phase).collect::<Vec<_>>().join("; ")));
     facts.into_iter().map(|(name, value)| Fact { name, value }).collect()
 }
 

@@ -105,7 +105,12 @@ impl RobustLoss {
 
     /// The number whose square is what the residual counts: exact for small residuals, without overflow for
     /// large ones. NaN and infinities stay what they are.
+    #[inline]
     pub fn transform(&self, r: f64) -> f64 {
+        if self.is_linear() { r } else { self.bent(r) }
+    }
+
+    fn bent(&self, r: f64) -> f64 {
         let (scale, size) = (self.scale, r.abs());
         if !r.is_finite() {
             return r;

@@ -185,6 +185,30 @@ impl System {
         Ok(true)
     }
 
+    /// Makes a raw call at a point whose time is set, or that is set here; it sets the states that it is
+    /// given.
+    fn at_set_time(
+        &mut self,
+        t: f64,
+        x: &[f64],
+        call: impl FnOnce(&mut RawInstance, Option<&[f64]>) -> Result<(), Fault>,
+    ) -> CallResult<()> {
+        let is_new = self.is_point_of_states && !(self.set_states.is_some() && has(&self.states, x));
+        if !self.is_point_of_states {
+            self.set_point(t, x)?;
+        }
+        if is_new {
+            self.is_evaluated = false;
+            self.set_states = None;
+        }
+        self.call(|raw| call(raw, is_new.then_some(x)))?;
+        if is_new {
+            copy(&mut self.states, x);
+            self.set_states = Some(());
+        }
+        Ok(())
+    }
+
     /// Sets the continuous inputs at `t`.
     fn set_inputs(&mut self, t: f64) -> CallResult<()> {
         let Self { running: Running { plan, inputs, current, .. }, sent, .. } = self;
@@ -515,8 +539,7 @@ impl HybridSystem for Integration<'_> {
 
     fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
         if !self.at_new_point(t, x, |raw, time| raw.right_hand_side(time, x, dx))? {
-            self.set_point(t, x)?;
-            self.call(|raw| raw.get_derivatives(dx))?;
+            self.at_set_time(t, x, |raw, states| raw.derivatives_with(states, dx))?;
         }
         self.is_evaluated = true;
         all_finite(dx)?;
@@ -564,8 +587,7 @@ impl HybridSystem for Integration<'_> {
             return Ok(());
         }
         if !self.at_new_point(t, x, |raw, time| raw.indicators_at(time, x, z))? {
-            self.set_point(t, x)?;
-            self.call(|raw| raw.get_event_indicators(z))?;
+            self.at_set_time(t, x, |raw, states| raw.indicators_with(states, z))?;
         }
         self.running.note(z);
         Ok(())

@@ -143,7 +143,7 @@ where
             undetermined: None,
             worst_state: None,
             last_event: None,
-            stats: Stats::default(),
+            stats: Stats { runs: 1, ..Stats::default() },
             watch,
         }
     }

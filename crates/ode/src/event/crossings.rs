@@ -1,6 +1,6 @@
 //! Indicators that have crossed up to the end of a step, and those that slide.
 
-use super::domains::{CLEAN_STEPS, Domains, crosses, flipped, is_behind};
+use super::domains::{CLEAN_STEPS, Domains, any_flips, crosses, flipped, is_behind};
 use super::returns::SMALL;
 use crate::system::Direction;
 
@@ -9,6 +9,10 @@ impl Domains {
     /// returns the first that crossed, those that do not slide before those that do. Times within `tolerance`
     /// are one.
     pub(crate) fn mark(&mut self, elapsed: f64, tolerance: f64) -> Option<usize> {
+        if self.is_calm && !any_flips(self.reference(), &self.end) {
+            self.crossings.fill(0);
+            return None;
+        }
         let mut has_any = false;
         for i in 0..self.len() {
             let (base, end) = (self.base[i], self.end[i]);

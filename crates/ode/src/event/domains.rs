@@ -38,6 +38,12 @@ pub(super) fn flipped(from: f64, to: f64) -> bool {
     (from > 0.0) != (to > 0.0)
 }
 
+/// True if any of the indicators changes its domain.
+#[inline]
+pub(super) fn any_flips(from: &[f64], to: &[f64]) -> bool {
+    from.iter().zip(to).fold(false, |any, (from, to)| any | flipped(*from, *to))
+}
+
 /// True if a change of an indicator is an event.
 pub(super) fn crosses(direction: Direction, from: f64, to: f64) -> bool {
     flipped(from, to)
@@ -90,6 +96,8 @@ pub(crate) struct Domains {
     /// Indicators that chatter: their crossings count at the ends of steps. For so many more steps, if they
     /// do not cross; 0: they do not slide.
     pub(super) sliding: Vec<u32>,
+    /// All are settled, and none bounces, goes on from its event or slides.
+    pub(super) is_calm: bool,
 }
 
 impl Domains {
@@ -124,6 +132,7 @@ impl Domains {
         self.directions.extend((0..n).map(direction));
         self.before_time = None;
         self.counts_since = None;
+        self.is_calm = true;
     }
 
     pub(crate) fn len(&self) -> usize {
@@ -155,10 +164,8 @@ impl Domains {
     /// True if any indicator has an event between two points.
     #[inline]
     pub(super) fn any_crosses(&self, from: &[f64], to: &[f64]) -> bool {
-        from.iter()
-            .zip(to)
-            .enumerate()
-            .any(|(i, (from, to))| flipped(*from, *to) && self.is_located(i, *from, *to))
+        any_flips(from, to)
+            && from.iter().zip(to).enumerate().any(|(i, (from, to))| self.is_located(i, *from, *to))
     }
 
     /// True if any indicator has left the domain it was in, so that it is an event.
@@ -170,6 +177,7 @@ impl Domains {
     /// This indicator slides from now on.
     pub(crate) fn slide(&mut self, i: usize) {
         self.sliding[i] = CLEAN_STEPS;
+        self.is_calm = false;
     }
 
     /// This indicator slides no more.

@@ -1,6 +1,6 @@
 //! Where in a step the first event is: turning points that may hide one, and root location.
 
-use super::domains::{Domains, flipped};
+use super::domains::{Domains, any_flips, flipped};
 use crate::system::CallResult;
 
 /// A parabola comes near zero where its turning point is less than this share of the least value that it
@@ -137,22 +137,22 @@ impl Domains {
         evaluate: impl FnOnce(f64, &mut [f64]) -> CallResult<()>,
     ) -> CallResult<bool> {
         evaluate(t, &mut self.mid)?;
-        if self.any_crosses(self.reference(), &self.mid) {
-            std::mem::swap(&mut self.end, &mut self.mid);
-            return Ok(true);
-        }
-        if self.reference().iter().zip(&self.mid).any(|(from, mid)| flipped(*from, *mid)) {
+        if any_flips(self.reference(), &self.mid) {
+            if self.any_crosses(self.reference(), &self.mid) {
+                std::mem::swap(&mut self.end, &mut self.mid);
+                return Ok(true);
+            }
             self.from.copy_from_slice(&self.mid);
             self.counts_since = Some(t);
         }
-        let n = self.mid.len();
-        let is_last = self.looked_at.last().is_none_or(|last| *last < t);
-        let place = if is_last { None } else { Some(self.looked_at.partition_point(|other| *other < t)) };
         self.looked_at.push(t);
         self.looked.extend_from_slice(&self.mid);
-        if let Some(place) = place {
+        if let [.., last, _] = self.looked_at[..]
+            && last >= t
+        {
+            let place = self.looked_at.partition_point(|other| *other < t);
             self.looked_at[place..].rotate_right(1);
-            self.looked[place * n..].rotate_right(n);
+            self.looked[place * self.mid.len()..].rotate_right(self.mid.len());
         }
         Ok(false)
     }
@@ -222,7 +222,7 @@ impl Domains {
                 third = Some(hi);
                 hi = mid;
             } else {
-                if self.lo.iter().zip(&self.mid).any(|(lo, mid)| flipped(*lo, *mid)) {
+                if any_flips(&self.lo, &self.mid) {
                     self.from.copy_from_slice(&self.mid);
                     self.counts_since = Some(mid);
                 }
@@ -242,7 +242,7 @@ impl Domains {
         let mut best = (f64::INFINITY, 0);
         for i in 0..self.base.len() {
             let (a, b) = (self.lo[i], self.end[i]);
-            if self.is_located(i, a, b) {
+            if flipped(a, b) && self.is_located(i, a, b) {
                 let t = lo + (hi - lo) * (a / (a - b)).clamp(0.0, 1.0);
                 let t = if t.is_nan() { lo } else { t };
                 if t < best.0 {

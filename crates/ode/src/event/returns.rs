@@ -45,21 +45,22 @@ impl Domains {
                 _ => SinceEvent::Settled,
             };
         }
+        self.is_calm = false;
     }
 
     /// A step is over, with events at its end or not: those that are seen in the domain they came from are
     /// settled, and of the others none has been seen to go on.
     pub(crate) fn settle(&mut self) {
+        for (largest, z) in self.largest.iter_mut().zip(&self.end) {
+            *largest = if z.abs() > *largest { z.abs() } else { *largest };
+        }
+        if self.is_calm {
+            return;
+        }
+        let mut is_calm = true;
         for i in 0..self.len() {
-            let z = self.end[i];
-            if self.since_event[i] == SinceEvent::Settled && !self.bounces[i] {
-                self.largest[i] = self.largest[i].max(z.abs());
-                self.onward[i] = false;
-                continue;
-            }
-            let depth = self.since_event[i].depth();
+            let (z, depth) = (self.end[i], self.since_event[i].depth());
             let came_back = depth.is_some_and(|depth| !is_behind(depth, z));
-            self.largest[i] = self.largest[i].max(z.abs());
             self.bounces[i] = (self.bounces[i] || came_back) && z.abs() <= SMALL * self.largest[i];
             if self.crossings[i] == 0 {
                 self.since_event[i] = match depth {
@@ -70,7 +71,9 @@ impl Domains {
                 };
             }
             self.onward[i] = false;
+            is_calm &= self.since_event[i] == SinceEvent::Settled && !self.bounces[i] && !self.slides(i);
         }
+        self.is_calm = is_calm;
     }
 
     /// True if indicator `i` crosses up to the end, and has been next to zero since an event has turned it
@@ -125,7 +128,7 @@ impl Domains {
 
     /// True if any indicator [may have returned](Self::may_return).
     pub(crate) fn any_may_return(&self) -> bool {
-        (0..self.len()).any(|i| self.may_return(i))
+        !(self.is_calm && self.before_time.is_some()) && (0..self.len()).any(|i| self.may_return(i))
     }
 
     /// Of these the slopes at the start of the step of size `h`, where they point out of the domain: by
@@ -139,6 +142,7 @@ impl Domains {
         mut evaluate: impl FnMut(f64, &mut [f64]) -> CallResult<()>,
     ) -> CallResult<()> {
         let step = SLOPE_STEP * h;
+        self.is_calm = false;
         self.onward.fill(false);
         evaluate(step, &mut self.mid)?;
         for i in 0..self.len() {

@@ -58,10 +58,17 @@ impl PyFit {
         let fit = &*self.inner;
         let at_bound = fit.at_bound.iter().map(|(i, side)| (&fit.names[*i], side.name()));
         let stages = fit.stages.iter().map(|stage| result(py, &self.calibration, stage.clone()));
+        let stats = Counts::new(&fit.stats).into_pyobject(py)?;
+        let phases = fit.phases.iter().map(|cost| {
+            let taken = &cost.taken;
+            let taken = dict!(py; taken => simulations, right_hand_sides; "seconds": taken.seconds.get());
+            Ok((cost.phase.key(), taken))
+        });
+        stats.set_item("phases", phases.collect::<PyResult<Vec<_>>>()?.into_py_dict(py)?)?;
         Ok(dict!(py;
             fit => start_cost, start_rms, rms, objective, n_checks;
             "success": fit.is_success(),
-            "stats": Counts::new(&fit.stats),
+            "stats": stats,
             "at_bound": at_bound.into_py_dict(py)?,
             "without_effect": fit.without_effect.iter().map(|i| &fit.names[*i]).collect::<Vec<_>>(),
             "stages": stages.collect::<PyResult<Vec<_>>>()?,

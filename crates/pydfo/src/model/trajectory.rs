@@ -29,7 +29,7 @@ impl<'py> IntoPyObject<'py> for Counts {
     fn into_pyobject(self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let stats = &self.0;
         Ok(dict!(py; stats =>
-            accepted_steps, rejected_steps, right_hand_sides, jacobians, directional_derivatives, decompositions,
+            runs, accepted_steps, rejected_steps, right_hand_sides, jacobians, directional_derivatives, decompositions,
             newton_iterations, event_indicators, samples, events, state_events, time_events, step_events, input_events,
             restarts, chattering;
             "check_runs": stats.checks.runs,

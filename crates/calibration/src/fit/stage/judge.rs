@@ -28,6 +28,11 @@ const LOOSE: f64 = 0.1;
 /// A simulation that has run so many times as long as all others may have no end.
 const ENDLESS: f64 = 10.0;
 
+/// The search has so many evaluations for each simulation of the [score test](Uncertainty::omitted), which
+/// makes these at least: one number moved, with a better step where the first one was none.
+const EVALUATIONS_PER_QUESTION: usize = 5;
+const FEWEST_QUESTIONS: usize = 3;
+
 impl Calibration {
     /// The fit of which the searches are made, with the residuals that they have computed, by the weights of
     /// this calibration. `own`: that with the weights and the tolerance of the fit; `stats`: what the
@@ -40,13 +45,13 @@ impl Calibration {
         mut stats: Stats,
     ) -> (Fit, KeptResiduals) {
         let Searched { report, residuals, start_cost, .. } = &made.searched;
-        let Job { start, objective, loss, context, phase, .. } = job;
-        phase.set(FitPhase::Checks);
+        let Job { start, objective, loss, context, .. } = job;
+        job.enter(FitPhase::Checks, &stats);
         let ends = own.end_residuals(&report.x, residuals, *loss, context, &mut stats);
         let mut findings = own.findings_of_search(job, &made, &ends, &mut stats);
         let outputs =
             ends.end.as_ref().map_or_else(Vec::new, |end| own.output_fits(end, ends.start.as_ref()));
-        phase.set(FitPhase::Uncertainty);
+        job.enter(FitPhase::Uncertainty, &stats);
         let uncertainty = own.uncertainty_of_fit(job, &made.searched, &ends, &mut stats);
         if uncertainty.is_none() {
             findings.extend(own.findings_without_uncertainty(job, &made.searched, &ends, &mut stats));
@@ -69,6 +74,11 @@ impl Calibration {
         let unit = |p: &Parameter| p.unit(description).map(str::to_owned);
         let kept_by = own.residual_layout().clone();
         let Searched { report, stuck, residuals, start_cost, preflight, solver, .. } = made.searched;
+        job.enter(FitPhase::FreshProcess, &stats);
+        if let Some(uncertainty) = &uncertainty {
+            let (from, to) = (FitPhase::Uncertainty, FitPhase::ScoreTest);
+            job.phases.borrow_mut().move_part(uncertainty.score_test, from, to);
+        }
         let fit = Fit {
             units: parameters.iter().map(unit).collect(),
             bounds: parameters.iter().map(|p| (p.lower(), p.upper())).collect(),
@@ -83,7 +93,6 @@ impl Calibration {
             outputs,
             preflight,
             setup_findings: findings,
-            uncertainty,
             cost: report.fun,
             rms: rms.unwrap_or(f64::NAN),
             tied: self.tied_values(&report.x),
@@ -92,6 +101,8 @@ impl Calibration {
             objective: objective.name().to_owned(),
             start: start.clone(),
             stages: Vec::new(),
+            phases: Vec::new(),
+            uncertainty,
             at_bound: stuck.at_bound,
             without_effect: stuck.without_effect,
             n_checks: stuck.n_checks,
@@ -310,7 +321,7 @@ impl Calibration {
                 Measure::Absolute => tolerances.f_tol / report.fun.abs(),
             },
             criterion,
-            questions_known: true,
+            most_of_score_test: (report.n_evaluations / EVALUATIONS_PER_QUESTION).max(FEWEST_QUESTIONS),
         };
         let uncertainty = self.uncertainty_of(&report.x, options.estimator, &known, &mut simulations);
         *stats += simulations.stats;

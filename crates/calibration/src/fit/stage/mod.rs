@@ -22,6 +22,7 @@ use crate::cost::process::HIDDEN_STATE;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
 use crate::fit::output_fit::KeptResiduals;
+use crate::fit::phase::FitPhase;
 use base::RunContext;
 use fresh::Fresh;
 use ode::Stats;
@@ -72,6 +73,7 @@ impl Calibration {
                 made => made?,
             };
             made.searched.raised.extend(is_apart.then(|| finding_about_fmu(HIDDEN_STATE)));
+            job.enter(FitPhase::FreshProcess, &stats);
             let (own, best) = (made.own.take(), made.best());
             let own = own.as_ref().unwrap_or(self);
             let ((mut fit, kept), again, checks) =
@@ -79,6 +81,7 @@ impl Calibration {
                     self.judged(own, &job, made, stats)
                 });
             fit.stats.add_checks(checks);
+            fit.phases = job.phases.borrow_mut().costs(&fit.stats);
             // A worker may have found it out by itself.
             let is_found_out = !is_apart && self.is_apart();
             let doubt = match again {

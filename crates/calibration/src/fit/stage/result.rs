@@ -6,6 +6,7 @@ use crate::cost::calibration::Calibration;
 use crate::cost::solver::Solver;
 use crate::findings::finding::Finding;
 use crate::fit::output_fit::OutputFit;
+use crate::fit::phase::PhaseCost;
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::active_bounds::BoundSide;
 use crate::uncertainty::estimate::Uncertainty;
@@ -92,6 +93,9 @@ pub struct Fit {
     /// failed or were given up count, those of a resumed fit from before do not. The best point evaluated
     /// again, in a fresh process and in those used, is among the [checks](Stats::checks).
     pub stats: Stats,
+    /// What its phases took: the simulations that `stats` counts, and wall-clock time.
+    #[serde(default)]
+    pub phases: Vec<PhaseCost>,
     /// The integration method of all simulations, and how it was found.
     pub solver: Solver,
     /// Report of the optimiser: counts, reason to end, trace.

@@ -204,7 +204,7 @@ impl Calibration {
         if let Some(checkpoint) = &job.run.checkpoint {
             self.adopt_solver(checkpoint)?;
         }
-        job.phase.set(FitPhase::Solver);
+        job.enter(FitPhase::Solver, stats);
         let (_, raced) = self.solver_counted(&job.context, stats)?;
         Ok(raced.filter(|_| job.start == self.start()).map(|AtStart { residuals, seconds }| AtStart {
             residuals: residuals.into_iter().map(|r| job.loss.transform(r)).collect(),
@@ -218,7 +218,10 @@ impl Calibration {
         *job.at_start.borrow_mut() = at_start.as_ref().map(|known| known.residuals.clone());
         let chosen = match job.is_part {
             true => None,
-            false => self.choose_tolerance(job, at_start.take(), stats)?,
+            false => {
+                job.enter(FitPhase::Tolerance, stats);
+                self.choose_tolerance(job, at_start.take(), stats)?
+            }
         };
         let (tolerance, known) = chosen.unzip();
         let tolerant = self.with_tolerance(tolerance.as_ref())?;

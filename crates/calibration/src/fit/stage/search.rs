@@ -9,7 +9,7 @@ use crate::cost::solver::{AtStart, Solver};
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
 use crate::fit::output_fit::KeptResiduals;
-use crate::fit::phase::{CurrentPhase, FitPhase};
+use crate::fit::phase::{FitPhase, Phases};
 use crate::problem::objective::CostKind;
 use crate::problem::parameter::{Parameter, Scale};
 use crate::uncertainty::active_bounds::{EndedRun, StuckParameters};
@@ -25,7 +25,7 @@ use ode::{Number, Stats};
 use std::cell::RefCell;
 use std::collections::{HashMap, VecDeque};
 use std::rc::Rc;
-use std::sync::{Arc, Mutex};
+use std::sync::Mutex;
 use std::thread::available_parallelism;
 
 /// The objective of one fit, which adds up what its simulations take.
@@ -198,7 +198,7 @@ pub(crate) struct Job<'a> {
     pub(crate) uncertainty: Option<UncertaintyOptions>,
     pub(crate) observer: RefCell<Option<Box<FitObserver<'a>>>>,
     pub(crate) engine: Option<Rc<RefCell<dyn Engine>>>,
-    pub(crate) phase: Arc<CurrentPhase>,
+    pub(crate) phases: RefCell<Phases>,
     /// Who may end it, and its time.
     pub(crate) context: RunContext<'a>,
     /// True if it is a part of a fit, which has chosen the tolerance.
@@ -251,7 +251,7 @@ impl<'a> Job<'a> {
             uncertainty: options.uncertainty,
             observer: RefCell::new(options.observer),
             engine: options.engine,
-            phase: options.phase,
+            phases: RefCell::new(Phases::new(options.phase)),
             context,
             is_part,
             spent: Spent::default(),
@@ -268,6 +268,11 @@ impl Job<'_> {
         self.run.checkpoint = self.run.checkpoint.take().map(|checkpoint| checkpoint.resume(Resume::Never));
         self.run.known.iter_mut().for_each(|known| known.problem = None);
         self.spent = Spent::default();
+    }
+
+    /// Begins a phase. `stats`: of all simulations of the fit so far.
+    pub(crate) fn enter(&self, phase: FitPhase, stats: &Stats) {
+        self.phases.borrow_mut().enter(phase, stats);
     }
 
     /// True if the problem is checked again at the result.
@@ -319,11 +324,11 @@ impl Calibration {
     ) -> Result<Searched, CalibrationError> {
         let Job { start, context, .. } = job;
         let solver = self.solver(context)?;
-        job.phase.set(FitPhase::ModelTest);
+        job.enter(FitPhase::ModelTest, stats);
         self.prepare()?;
         let mut run = self.run_of_search(job, solver);
         let preflight = job.wants_preflight.then(|| {
-            job.phase.set(FitPhase::Preflight);
+            job.enter(FitPhase::Preflight, stats);
             let (workers, loss) = (run.workers, job.loss);
             let options = PreflightOptions { start: Some(start.clone()), workers, loss };
             self.preflight_counted(&options, &mut at_start, context, stats)
@@ -331,14 +336,14 @@ impl Calibration {
         let preflight = preflight.transpose()?;
         let raised: Vec<Finding> =
             preflight.iter().filter_map(|found| raise_f_tol(&mut run.tolerances, found)).collect();
-        job.phase.set(FitPhase::Search);
+        job.enter(FitPhase::Search, stats);
         if let Ok(remote) = &self.evaluator().remote {
             remote.set_checked();
         }
         let known = at_start.take().map(|known| known.residuals);
         job.at_start.borrow_mut().clone_from(&known);
         let (report, residuals) = self.run_once(job, &run, known, stats)?;
-        job.phase.set(FitPhase::Checks);
+        job.enter(FitPhase::Checks, stats);
         let ended = EndedRun {
             start,
             held: &job.held,

@@ -15,8 +15,15 @@ use fmi::Value;
 use fmi::description::{Causality, Initial, Variability, Variable};
 use nalgebra::DVector;
 
-/// So many are looked at, in the order of the model: each takes one simulation, or two.
+/// So many are looked at: each takes one simulation, or two.
 const MOST: usize = 16;
+
+/// Simulations for all of them.
+pub(super) const MOST_SIMULATIONS: usize = 1 + 2 * MOST;
+
+/// Of the simulations beside the first this part moves a number for the first time, the others with a better
+/// step.
+const FIRST: (usize, usize) = (2, 3);
 
 /// The part of its size that each is moved by first.
 const PART: f64 = 1e-3;
@@ -50,36 +57,38 @@ pub(super) struct AtPoint<'a> {
 
 impl Calibration {
     /// The changes of the residuals at a point by each of them, for a size of one; those that cannot be set
-    /// are left out.
+    /// are left out. `most`: simulations that this may take.
     ///
     /// # Errors
     /// [`CalibrationError::Cancelled`].
     pub(super) fn changes_by_candidates(
         &self,
         at: &AtPoint<'_>,
+        most: usize,
         simulations: &mut Simulations<'_>,
     ) -> Result<Vec<Change>, CalibrationError> {
-        let candidates = self.candidates();
-        if let Some(all) = self.changes_by(&candidates, at, simulations)? {
+        let last = simulations.n + most;
+        let candidates = self.candidates((most.saturating_sub(1) * FIRST.0 / FIRST.1).min(MOST));
+        if let Some(all) = self.changes_by(&candidates, at, last, simulations)? {
             return Ok(all);
         }
         // One of them that cannot be set, or that is no value of its own, spoils no others than those of its kind.
         let mut found = Vec::new();
         for kind in candidates.chunk_by(|a, b| a.effect == b.effect) {
-            found.extend(self.changes_by(kind, at, simulations)?.unwrap_or_default());
+            found.extend(self.changes_by(kind, at, last, simulations)?.unwrap_or_default());
         }
         Ok(found)
     }
 
     /// The offsets of the inputs, the start values, and the parameters that the model has beside those that
-    /// are fitted.
-    fn candidates(&self) -> Vec<Candidate> {
+    /// are fitted: so many at most, first those that the problem names, each in the order of the model.
+    fn candidates(&self, most: usize) -> Vec<Candidate> {
         let (problem, description) = (self.problem(), self.fmu().description());
-        let is_same = |name: &str, variable: &Variable| is_same(description, name, &variable.name);
         let is_fitted = |variable: &Variable| {
+            let is_it = |name: &str| is_same(description, name, &variable.name);
             let mut fitted = problem.parameters.iter().filter_map(Parameter::variable);
-            let of_parameter = |p: &Parameter| p.variable_names().iter().any(|name| is_same(name, variable));
-            fitted.any(|name| is_same(name, variable)) || problem.parameters.iter().any(of_parameter)
+            let of_parameter = |p: &Parameter| p.variable_names().iter().any(|name| is_it(name));
+            fitted.any(is_it) || problem.parameters.iter().any(of_parameter)
         };
         let number = |effect: Effect, variable: &Variable| {
             let start =
@@ -128,7 +137,18 @@ impl Calibration {
                     fixed: Some(i),
                 }
             });
-        inputs.into_iter().chain(starts).chain(fixed).chain(held).take(MOST).collect()
+        let mut all: Vec<Candidate> = inputs.into_iter().chain(starts).chain(fixed).chain(held).collect();
+        let is_named = |c: &Candidate| {
+            let is_it = |name: &str| is_same(description, name, &c.variable);
+            let mut given = problem.experiments.iter().flat_map(|e| {
+                let states = e.initial_states.iter().map(|(name, _)| name);
+                states.chain(e.start_values.iter().map(|(name, _)| name))
+            });
+            c.effect == Effect::InputOffset || c.fixed.is_some() || given.any(|name| is_it(name))
+        };
+        all.sort_by_cached_key(|c| !is_named(c));
+        all.truncate(most);
+        all
     }
 
     /// The value of a variable in each experiment, its own where none is given; `None`: one that is measured,
@@ -149,14 +169,16 @@ impl Calibration {
         self.problem().experiments.iter().map(of).collect()
     }
 
-    /// `None`: with these as parameters of their own the simulation is another one, or none.
+    /// `None`: with these as parameters of their own the simulation is another one, or none. Of the
+    /// simulations the last one has the number `last`.
     fn changes_by(
         &self,
         candidates: &[Candidate],
         at: &AtPoint<'_>,
+        last: usize,
         simulations: &mut Simulations<'_>,
     ) -> Result<Option<Vec<Change>>, CalibrationError> {
-        if candidates.is_empty() {
+        if candidates.is_empty() || simulations.n + candidates.len() >= last {
             return Ok(Some(Vec::new()));
         }
         let AtPoint { x, residuals, variances } = *at;
@@ -199,9 +221,15 @@ impl Calibration {
         });
         let mut again = Vec::new();
         if let Some(base) = &base {
-            for (c, found) in found.iter().enumerate() {
+            let mut left = last - (simulations.n + own.n);
+            for (c, found) in found.iter_mut().enumerate() {
                 let by = found.as_ref().map_or(0.0, |found| norm(found, base));
                 if by > 0.0 && by.is_finite() && !(STEP.0..=STEP.1).contains(&by) {
+                    if left == 0 {
+                        *found = Err("there is no simulation left for a better step".to_owned());
+                        continue;
+                    }
+                    left -= 1;
                     steps[c] *= by.recip().min(LONGER);
                     again.push((c, moved(c, steps[c])));
                 }

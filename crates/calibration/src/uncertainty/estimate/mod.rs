@@ -19,7 +19,7 @@ mod result;
 mod scores;
 mod unmodelled;
 
-use crate::cost::batch::{Point, Simulations};
+use crate::cost::batch::{Point, Simulations, Taken};
 use crate::cost::calibration::Calibration;
 use crate::cost::residual::sum_of_squares;
 use crate::error::CalibrationError;
@@ -29,7 +29,7 @@ use crate::uncertainty::active_bounds::{AT, inner};
 use crate::uncertainty::tall::{along, go_on};
 use autocorrelation::Dependence;
 use base::RunContext;
-use candidates::AtPoint;
+use candidates::{AtPoint, MOST_SIMULATIONS};
 use chance::OfIndependent;
 pub(crate) use chance::{MEDIAN_DEVIATION, median};
 use covariance::{Factors, Noise, groups};
@@ -52,6 +52,7 @@ pub use result::{Estimator, Uncertainty, UncertaintyOptions};
 pub(crate) use scores::Criterion;
 use scores::Working;
 use std::thread::available_parallelism;
+use std::time::Instant;
 pub use unmodelled::{Unmodelled, UnmodelledKind};
 
 /// Data at a point that are known before its uncertainty is estimated.
@@ -70,8 +71,9 @@ pub(crate) struct KnownPoint<'a> {
     pub(crate) f_tol: f64,
     /// Form of the cost as a function of the residuals.
     pub(crate) criterion: Criterion,
-    /// Numbers that are taken as known are varied, too, to see whether the residuals ask for others.
-    pub(crate) questions_known: bool,
+    /// Simulations, at most, of numbers that are taken as known and varied to see whether the residuals ask
+    /// for others.
+    pub(crate) most_of_score_test: usize,
 }
 
 /// The residuals at a point.
@@ -111,7 +113,7 @@ struct OfFit<'a> {
     free: &'a [usize],
     working: &'a Working,
     /// See [`KnownPoint`].
-    questions_known: bool,
+    most_of_score_test: usize,
 }
 
 /// Covariances of all parameters, n x n, in the user's units.
@@ -220,8 +222,13 @@ impl Calibration {
             )));
         }
         let (held, criterion) = (options.held.clone(), options.criterion());
-        let known =
-            KnownPoint { f_tol: 1e-4, held, criterion, questions_known: true, ..KnownPoint::default() };
+        let known = KnownPoint {
+            f_tol: 1e-4,
+            held,
+            criterion,
+            most_of_score_test: MOST_SIMULATIONS,
+            ..KnownPoint::default()
+        };
         self.uncertainty_of(x, options.estimator, &known, &mut simulations)
     }
 
@@ -330,7 +337,7 @@ impl Calibration {
             independent: &independent,
             free: &free,
             working: &working,
-            questions_known: known.questions_known,
+            most_of_score_test: known.most_of_score_test,
         };
         self.explain_residuals(&mut uncertainty, &of_fit, simulations)?;
         let n_simulations = simulations.n - before;
@@ -422,8 +429,14 @@ impl Calibration {
             let (checks, n) = (&mut uncertainty.residual_checks, layout.n_measurements());
             by_weights::mark(checks, &uncertainty.residuals, n, jacobian, independent, context)?;
         }
-        if is_minimum && !uncertainty.is_exact && of_fit.questions_known {
-            uncertainty.omitted = self.omitted(uncertainty, of_fit, simulations)?;
+        if is_minimum && !uncertainty.is_exact && of_fit.most_of_score_test > 0 {
+            let mut stats = std::mem::take(&mut simulations.stats);
+            let began = Instant::now();
+            let omitted = self.omitted(uncertainty, of_fit, simulations);
+            uncertainty.score_test = Taken::of(&simulations.stats, began.elapsed());
+            stats += simulations.stats;
+            simulations.stats = stats;
+            uncertainty.omitted = omitted?;
         }
         if !of_fit.is_linear || uncertainty.is_exact {
             return Ok(());
@@ -459,8 +472,11 @@ impl Calibration {
         let is_systematic = residual_checks.iter().any(ResidualCheck::is_systematic);
         let plain: Vec<f64> =
             variances.iter().zip(&working.roots).map(|(v, root)| v / (root * root)).collect();
-        let mut changes =
-            self.changes_by_candidates(&AtPoint { x, residuals, variances: &plain }, simulations)?;
+        let mut changes = self.changes_by_candidates(
+            &AtPoint { x, residuals, variances: &plain },
+            of_fit.most_of_score_test,
+            simulations,
+        )?;
         let errors: Vec<f64> = uncertainty.errors_of_search().collect();
         changes.extend(of_outputs(layout, residuals));
         let none = vec![0.0; autocorrelations.len()];

@@ -6,6 +6,7 @@ use super::parts::PartConflict;
 use super::prior_check::PriorConflict;
 use super::residual_check::ResidualCheck;
 use super::scores::Criterion;
+use crate::cost::batch::Taken;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, table};
 use dfo::RobustLoss;
@@ -188,6 +189,9 @@ pub struct Uncertainty {
     pub residuals: Vec<f64>,
     /// Points that were simulated to find out.
     pub n_simulations: usize,
+    /// What of that it took to look for a number that the residuals ask to be [another one](Self::omitted).
+    #[serde(default)]
+    pub score_test: Taken,
 }
 
 fn certain() -> f64 {

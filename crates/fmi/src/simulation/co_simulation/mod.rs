@@ -48,7 +48,7 @@ impl Stepping {
             discards: 0,
             is_elsewhere: false,
             tried: 0.0,
-            stats: Stats::default(),
+            stats: Stats { runs: 1, ..Stats::default() },
         };
         let exit = match run.start() {
             Ok(()) => loop {

@@ -40,11 +40,11 @@ pub(super) struct Memory {
     pub(super) is_step_repeated: bool,
 }
 
-/// A point at which a model is evaluated.
+/// What is to be set before a model is evaluated.
 #[derive(Clone, Copy)]
 struct Point<'a> {
-    time: f64,
-    states: &'a [f64],
+    time: Option<f64>,
+    states: Option<&'a [f64]>,
 }
 
 /// A live component.
@@ -405,19 +405,33 @@ impl RawInstance {
     /// The derivatives at a point: sets the time, then the states, and reads them.
     #[inline(always)]
     pub(crate) fn right_hand_side(&mut self, time: f64, states: &[f64], derivatives: &mut [f64]) -> Outcome {
-        let size = self.sizes.states;
-        self.vector_at(Point { time, states }, |functions| &functions.get_derivatives, size, derivatives)
+        let at = Point { time: Some(time), states: Some(states) };
+        self.vector_at(at, |functions| &functions.get_derivatives, self.sizes.states, derivatives)
+    }
+
+    /// The derivatives at the time that is set, with other states where some are given.
+    #[inline(never)]
+    pub(crate) fn derivatives_with(&mut self, states: Option<&[f64]>, derivatives: &mut [f64]) -> Outcome {
+        let at = Point { time: None, states };
+        self.vector_at(at, |functions| &functions.get_derivatives, self.sizes.states, derivatives)
     }
 
     /// The event indicators at a point: sets the time, then the states, and reads them.
     #[inline]
     pub(crate) fn indicators_at(&mut self, time: f64, states: &[f64], indicators: &mut [f64]) -> Outcome {
-        let size = self.sizes.indicators;
-        self.vector_at(Point { time, states }, |functions| &functions.get_event_indicators, size, indicators)
+        let at = Point { time: Some(time), states: Some(states) };
+        self.vector_at(at, |functions| &functions.get_event_indicators, self.sizes.indicators, indicators)
+    }
+
+    /// The event indicators at the time that is set, with other states where some are given.
+    #[inline(never)]
+    pub(crate) fn indicators_with(&mut self, states: Option<&[f64]>, indicators: &mut [f64]) -> Outcome {
+        let at = Point { time: None, states };
+        self.vector_at(at, |functions| &functions.get_event_indicators, self.sizes.indicators, indicators)
     }
 
     /// Sets the time, then the states, and calls a function that fills a vector of the model, which has this
-    /// size. The mode of the thread is looked at once, behind the three calls; where one of them has changed
+    /// size. The mode of the thread is looked at once, behind all calls; where one of them has changed
     /// it, which may have acted in those after it, they are made again one by one.
     #[inline(always)]
     fn vector_at(
@@ -429,11 +443,15 @@ impl RawInstance {
     ) -> Outcome {
         let Point { time, states } = at;
         let point = &self.library.functions;
-        self.length(point.set_continuous_states.name, self.sizes.states, states.len())?;
+        if let Some(states) = states {
+            self.length(point.set_continuous_states.name, self.sizes.states, states.len())?;
+        }
         self.length(get(point).name, size, values.len())?;
         self.check_usable()?;
-        self.callbacks.log().go_on();
-        self.set_time_told(time);
+        if let Some(time) = time {
+            self.callbacks.log().go_on();
+            self.set_time_told(time);
+        }
         if self.to_look_into > 0 || self.callbacks.is_by_thread() {
             return self.vector_one_by_one(at, get, values);
         }
@@ -442,9 +460,11 @@ impl RawInstance {
         let c = self.component;
         // SAFETY (of the three calls): the component is alive and ours alone (`&mut self`), both slices have as many places as
         // the function reads or fills.
-        let outcome = call!(&point.set_time, c, time)
-            .good()
-            .and_then(|()| call!(&point.set_continuous_states, c, states.as_ptr(), states.len()).good())
+        let set_time = |time| call!(&point.set_time, c, time).good();
+        let set_states =
+            |states: &[f64]| call!(&point.set_continuous_states, c, states.as_ptr(), states.len()).good();
+        let outcome = (time.map_or(Ok(()), set_time))
+            .and_then(|()| states.map_or(Ok(()), set_states))
             .and_then(|()| call!(get(point), c, values.as_mut_ptr(), values.len()).good());
         let has_changed = restore_default();
         one.forget();
@@ -458,7 +478,7 @@ impl RawInstance {
         }
     }
 
-    /// The three calls of which each starts in the default floating-point mode; slices are checked.
+    /// The same calls, of which each starts in the default floating-point mode; slices are checked.
     #[inline(never)]
     fn vector_one_by_one(
         &mut self,
@@ -471,16 +491,17 @@ impl RawInstance {
         let _current = self.callbacks.enter();
         let c = self.component;
         // SAFETY: as for `vector_at`.
-        let mut answer = call!(&point.set_time, c, time);
-        let mut changes = restore_default();
-        if answer.is_good() {
-            answer = call!(&point.set_continuous_states, c, states.as_ptr(), states.len());
+        let mut changes = false;
+        let mut looked_at = |answer: Answer| {
             changes |= restore_default();
-        }
-        if answer.is_good() {
-            answer = call!(get(point), c, values.as_mut_ptr(), values.len());
-            changes |= restore_default();
-        }
+            answer.good()
+        };
+        let outcome = (time.map_or(Ok(()), |time| looked_at(call!(&point.set_time, c, time))))
+            .and_then(|()| {
+                let Some(states) = states else { return Ok(()) };
+                looked_at(call!(&point.set_continuous_states, c, states.as_ptr(), states.len()))
+            })
+            .and_then(|()| looked_at(call!(get(point), c, values.as_mut_ptr(), values.len())));
         one.forget();
         if changes {
             self.to_look_into = u8::MAX;
@@ -488,7 +509,7 @@ impl RawInstance {
             // Who changes the mode does so from the first; looking takes as long as the calls of a small model.
             self.to_look_into = self.to_look_into.saturating_sub(1);
         }
-        self.check(answer)
+        outcome.or_else(|answer| self.not_ok(answer))
     }
 }
 

@@ -34,6 +34,8 @@ class SimulationStats:
 
     Attributes
     ----------
+    runs : int
+        Simulations that these are the counts of.
     accepted_steps, rejected_steps : int
     right_hand_sides, event_indicators : int
         Evaluations; the right-hand sides for differences of a Jacobian count.
@@ -62,8 +64,14 @@ class SimulationStats:
         The part of it that was spent inside of the model: in the calls of the FMU, or of the functions given to
         `pydfo.ode.solve`; at most what input functions leave of the run. An estimate: where calls take less than
         1 us, one of 61 is timed and stands for all.
+    phases : dict
+        Of a fit: what each of its phases took, as ``{"simulations": .., "right_hand_sides": .., "seconds": ..}`` (wall-clock
+        time) under the names ``solver`` and ``tolerance`` (their choice), ``model_test``, ``preflight``, ``search``, ``checks``,
+        ``fresh_process``, ``uncertainty`` (standard errors) and ``score_test`` (whether the residuals ask for another start value,
+        held parameter or offset of an input).
     """
 
+    runs: int
     accepted_steps: int
     rejected_steps: int
     right_hand_sides: int
@@ -84,6 +92,7 @@ class SimulationStats:
     check_steps: int = field(compare=False)
     seconds: float = field(compare=False)
     seconds_in_model: float = field(compare=False)
+    phases: dict[str, dict[str, float]] = field(default_factory=dict, compare=False)
 
 
 class SimulationResult(Mapping[str, Column]):
