@@ -12,7 +12,7 @@ macro_rules! untagged {
         $($(#[$doc])*
         #[derive(JsonSchema)]
         #[serde(untagged)]
-        #[allow(dead_code, reason = "its schema alone is used")]
+        #[allow(dead_code, clippy::large_enum_variant, reason = "its schema alone is used")]
         pub(crate) enum $name $(<$T>)? {
             $($variant($content)),*
         })*

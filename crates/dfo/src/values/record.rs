@@ -178,7 +178,7 @@ enum Problem {
     /// It is none of these words.
     Word(Vec<&'static str>),
     /// The record has no field of this name; those there are.
-    Field(String, &'static [&'static str]),
+    Field(Box<(String, &'static [&'static str])>),
     /// What is wrong, in full.
     Message(String),
 }
@@ -221,7 +221,7 @@ impl RecordError {
     /// The same, where it is about a name that the outermost record does not have: what the names there are.
     pub(crate) fn among(self, what: &str) -> Self {
         match &self.problem {
-            Problem::Field(field, known) if self.name.is_none() => Self::unknown(what, field, known),
+            Problem::Field(field) if self.name.is_none() => Self::unknown(what, &field.0, field.1),
             _ => self,
         }
     }
@@ -294,7 +294,7 @@ impl RecordError {
             Problem::NoCheckpoint => {
                 format!("{name} = {given} has no effect without a checkpoint: give its file, checkpoint=...")
             }
-            Problem::Field(field, known) => Self::unknown("field", field, known).with_given(given),
+            Problem::Field(field) => Self::unknown("field", &field.0, field.1).with_given(given),
             Problem::Message(message) => message.clone(),
         }
     }
@@ -339,7 +339,7 @@ impl de::Error for RecordError {
     }
 
     fn unknown_field(field: &str, expected: &'static [&'static str]) -> Self {
-        Self::new(Problem::Field(field.to_owned(), expected))
+        Self::new(Problem::Field(Box::new((field.to_owned(), expected))))
     }
 
     fn unknown_variant(_: &str, expected: &'static [&'static str]) -> Self {

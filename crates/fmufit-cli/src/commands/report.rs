@@ -11,7 +11,7 @@ use std::path::Path;
 
 pub(crate) fn run(arguments: &Report, console: &Console) -> Result<Exit, Error> {
     check_suffix(&arguments.output)?;
-    check_written([&arguments.output], &[arguments.fit.clone()])?;
+    check_written([&arguments.output], std::slice::from_ref(&arguments.fit))?;
     let saved = SavedFit::load(&arguments.fit).map_err(Error::of_input)?;
     let calibration = match &arguments.model {
         Some(path) => {
