@@ -177,7 +177,7 @@ impl Ledger {
     /// Drops what the trace need not keep; `all`: down to the limit, else now and then.
     pub(crate) fn trim(&mut self, all: bool) {
         if let Some(limit) = self.trace_limit
-            && (all || self.trace.longest() >= limit.saturating_mul(2).max(limit + 64))
+            && (all || self.trace.longest() >= limit.saturating_mul(2).max(limit.saturating_add(64)))
         {
             self.trace.keep_last(limit);
         }
