@@ -3,7 +3,8 @@
 use crate::error::Error;
 use std::path::{Path, PathBuf};
 
-/// Refuses files to write that the command reads, and one file for two results.
+/// Refuses files to write that the command reads, one file for two results, and places that cannot be
+/// written.
 pub(crate) fn check_written<'p>(
     written: impl IntoIterator<Item = &'p PathBuf>,
     read: &[PathBuf],
@@ -21,6 +22,10 @@ pub(crate) fn check_written<'p>(
             return Err(Error::input(format!(
                 "{shown} would be written twice: give each result a file of its own"
             )));
+        }
+        // Found now, not after hours of work. A pipe is opened once.
+        if !std::fs::metadata(path).is_ok_and(|there| !there.is_file() && !there.is_dir()) {
+            drop(base::files::Unfinished::new(path).map_err(Error::write(path))?);
         }
         earlier.push(own);
     }

@@ -142,3 +142,22 @@ fn names_that_are_no_utf8_are_used_or_refused() {
     }
     assert!(!folder.path("problem.toml").exists());
 }
+
+#[test]
+fn a_place_that_cannot_be_written_is_an_error_before_the_work() {
+    let folder = Folder::with_model("dahlquist");
+    std::fs::write(folder.path("data.csv"), "time,x\n0,1\n0.5,0.6\n1,0.37\n").unwrap();
+    let fit = "fit model.fmu data.csv --output x --parameter k=0.5:0.1:3";
+    for (result, place) in
+        [("--save", "none/a.fit"), ("--report", "none/a.html"), ("--save", "."), ("--checkpoint", "none/a")]
+    {
+        let ran = folder.run(&format!("{fit} {result} {place}"));
+        assert!(ran.code == 2 && ran.out.is_empty(), "{result}: {ran:?}");
+        assert!(ran.err.starts_with(&format!("error: cannot write {place}: ")), "{ran:?}");
+    }
+    // A value of an option that no fit can have.
+    for option in ["workers=0", "max_failed=2"] {
+        let ran = folder.run(&format!("{fit} -O {option}"));
+        assert_eq!(ran.code, 2, "{ran:?}");
+    }
+}
