@@ -173,8 +173,11 @@ impl Drop for Claim {
     }
 }
 
-/// True if an open file is still the one at a place: its owner may have removed it meanwhile.
-fn is_at(file: &File, place: &Path) -> io::Result<bool> {
+/// True if an open file is still the one at a place (no link): its owner may have removed it meanwhile.
+///
+/// # Errors
+/// Those of the system.
+pub fn is_at(file: &File, place: &Path) -> io::Result<bool> {
     #[cfg(unix)]
     {
         use std::os::unix::fs::MetadataExt;
@@ -272,68 +275,31 @@ impl Unfinished {
         if self.stream.is_none() {
             self.file.as_file().sync_all()?;
         }
-        self.take_place()
+        self.take_place().map(drop)
     }
 
     /// It is whole: it takes its place, and is flushed to the disk before that only where it replaces another
-    /// file, which a failure of the power would else leave without either.
+    /// file, which a failure of the power would else leave without either. Returns the file, open for more at
+    /// its end; `None` for a device or a pipe.
     ///
     /// # Errors
     /// As [`finish`](Self::finish).
-    pub fn finish_soon(self) -> io::Result<()> {
-        if self.target.exists() { self.finish() } else { self.take_place() }
+    pub fn finish_open(self) -> io::Result<Option<File>> {
+        if self.stream.is_none() && self.target.exists() {
+            self.file.as_file().sync_all()?;
+        }
+        self.take_place()
     }
 
-    fn take_place(self) -> io::Result<()> {
+    fn take_place(self) -> io::Result<Option<File>> {
         let Some(mut stream) = self.stream else {
-            return self.file.persist(&self.target).map(drop).map_err(|error| error.error);
+            return self.file.persist(&self.target).map(Some).map_err(|error| error.error);
         };
         let (mut file, path): (File, TempPath) = self.file.into_parts();
         file.seek(SeekFrom::Start(0))?;
-        let copied = io::copy(&mut file, &mut stream).map(drop);
+        let copied = io::copy(&mut file, &mut stream);
         drop((file, path));
-        copied
-    }
-}
-
-/// A file as it was written, known by what the system numbers it with and by its length.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Written {
-    number: (u64, u64),
-    len: u64,
-}
-
-impl Written {
-    /// That of an open file.
-    ///
-    /// # Errors
-    /// Those of the system.
-    pub fn of(file: &File) -> io::Result<Self> {
-        let metadata = file.metadata()?;
-        #[cfg(unix)]
-        let number = {
-            use std::os::unix::fs::MetadataExt;
-            (metadata.dev(), metadata.ino())
-        };
-        #[cfg(not(unix))]
-        let number = (0, 0);
-        Ok(Self { number, len: metadata.len() })
-    }
-
-    /// Its length in bytes.
-    pub fn n_bytes(&self) -> u64 {
-        self.len
-    }
-
-    /// The file opened for more at its end, if the one at this place is still the same.
-    pub fn reopen(&self, path: &Path) -> Option<File> {
-        let mut options = OpenOptions::new();
-        let mut file = without_waiting(options.read(true).write(true), 0).open(path).ok()?;
-        if !file.metadata().ok()?.is_file() || Self::of(&file).ok()? != *self {
-            return None;
-        }
-        file.seek(SeekFrom::End(0)).ok()?;
-        Some(file)
+        copied.map(|_| None)
     }
 }
 

@@ -1,5 +1,6 @@
 //! Errors of the command line, and the exit codes.
 
+use calibration::CalibrationError;
 use schemars::JsonSchema;
 use serde::Serialize;
 use std::fmt::Display;
@@ -81,23 +82,32 @@ impl Error {
         move |error| Self::input(format!("cannot write {}: {error}", path.display()))
     }
 
-    /// An error of work: an interrupt, if it is none of its own.
-    pub(crate) fn of_work(error: calibration::CalibrationError) -> Self {
+    /// An error of work: an interrupt, if it is none of its own; a value or a file that cannot be used, if it
+    /// is one of these.
+    pub(crate) fn of_work(error: CalibrationError) -> Self {
+        use dfo::Error::{Checkpoint, CheckpointFile, CheckpointMismatch, Option};
         match error {
-            calibration::CalibrationError::Cancelled => Self::interrupted(),
-            calibration::CalibrationError::Model(fmi::FmiError::Cancelled) => Self::interrupted(),
+            CalibrationError::Cancelled | CalibrationError::Model(fmi::FmiError::Cancelled) => {
+                Self::interrupted()
+            }
+            CalibrationError::Setup(_)
+            | CalibrationError::Record(_)
+            | CalibrationError::ReportFile { .. }
+            | CalibrationError::Optimiser(
+                Option { .. } | Checkpoint { .. } | CheckpointFile { .. } | CheckpointMismatch { .. },
+            ) => Self::input(error),
             error => Self::work(error),
         }
     }
 
     /// The same of what arguments name, in their words.
-    pub(crate) fn of_arguments(error: calibration::CalibrationError) -> Self {
+    pub(crate) fn of_arguments(error: CalibrationError) -> Self {
         let Self { exit, message } = Self::of_input(error);
         Self { exit, message: message.replace("time=\"...\"", "--time COLUMN") }
     }
 
     /// An error of what was read or built: an interrupt, if it is none of its own.
-    pub(crate) fn of_input(error: calibration::CalibrationError) -> Self {
+    pub(crate) fn of_input(error: CalibrationError) -> Self {
         match Self::of_work(error) {
             Self { exit: Exit::NoSuccess, message } => Self { exit: Exit::WrongInput, message },
             other => other,

@@ -60,7 +60,8 @@ pub(super) fn finding(
             Number(rounded(interval)),
             Number(rounded(0.5 / interval))
         );
-        Finding::warning(format!("output '{}' (column '{}')", rows.of.variable, rows.of.column),
+        Finding::warning(
+            format!("output '{}' (column '{}')", rows.of.variable, rows.of.column),
             sentence,
             "record faster; until then fits from other start values may end elsewhere and be as good",
         )

@@ -122,7 +122,8 @@ pub(super) fn inverse_weights(calibration: &Calibration, residuals: &[f64]) -> O
     let (unlike, of_weights) = (large.1 / small.1, large.2 / small.2);
     let is_inverse = unlike >= UNLIKE && AS_RESIDUALS.contains(&(of_weights.ln() / unlike.ln()));
     is_inverse.then(|| {
-        Finding::warning(format!("outputs '{}' and '{}'", small.0.variable, large.0.variable),
+        Finding::warning(
+            format!("outputs '{}' and '{}'", small.0.variable, large.0.variable),
             format!(
                 "their residuals are {} and {} (RMS), and their weights {} and {}: the noisier one counts more",
                 Number(rounded(small.1)),

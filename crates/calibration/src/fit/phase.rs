@@ -34,46 +34,27 @@ pub enum FitPhase {
 }
 
 impl FitPhase {
-    const ALL: [Self; 9] = [
-        Self::Solver,
-        Self::Tolerance,
-        Self::ModelTest,
-        Self::Preflight,
-        Self::Search,
-        Self::Checks,
-        Self::FreshProcess,
-        Self::Uncertainty,
-        Self::ScoreTest,
+    /// All in the order of the type, each with its key and what it is called while it lasts.
+    const ALL: [(Self, &'static str, &'static str); 9] = [
+        (Self::Solver, "solver", "choosing a solver"),
+        (Self::Tolerance, "tolerance", "choosing a tolerance"),
+        (Self::ModelTest, "model_test", "testing the model"),
+        (Self::Preflight, "preflight", "looking at the start"),
+        (Self::Search, "search", "searching"),
+        (Self::Checks, "checks", "checking the result"),
+        (Self::FreshProcess, "fresh_process", "comparing with a fresh process"),
+        (Self::Uncertainty, "uncertainty", "standard errors"),
+        (Self::ScoreTest, "score_test", "looking for numbers that are wrong"),
     ];
 
     /// The phase as a key.
     pub fn key(self) -> &'static str {
-        match self {
-            Self::Solver => "solver",
-            Self::Tolerance => "tolerance",
-            Self::ModelTest => "model_test",
-            Self::Preflight => "preflight",
-            Self::Search => "search",
-            Self::Checks => "checks",
-            Self::FreshProcess => "fresh_process",
-            Self::Uncertainty => "uncertainty",
-            Self::ScoreTest => "score_test",
-        }
+        Self::ALL[self as usize].1
     }
 
     /// Name of the phase, for messages while it lasts.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Solver => "choosing a solver",
-            Self::Tolerance => "choosing a tolerance",
-            Self::ModelTest => "testing the model",
-            Self::Preflight => "looking at the start",
-            Self::Search => "searching",
-            Self::Checks => "checking the result",
-            Self::FreshProcess => "comparing with a fresh process",
-            Self::Uncertainty => "standard errors",
-            Self::ScoreTest => "looking for numbers that are wrong",
-        }
+        Self::ALL[self as usize].2
     }
 }
 
@@ -84,7 +65,7 @@ pub struct CurrentPhase(AtomicU8);
 impl CurrentPhase {
     /// The phase; the first before the fit has begun.
     pub fn get(&self) -> FitPhase {
-        FitPhase::ALL[usize::from(self.0.load(Ordering::Relaxed)).min(FitPhase::ALL.len() - 1)]
+        FitPhase::ALL[usize::from(self.0.load(Ordering::Relaxed)).min(FitPhase::ALL.len() - 1)].0
     }
 
     pub(crate) fn set(&self, phase: FitPhase) {
@@ -161,7 +142,9 @@ impl Phases {
         self.enter(self.now.0, stats);
         let all = FitPhase::ALL.iter().zip(self.taken);
         let was = |taken: &Taken| taken.simulations > 0 || taken.seconds.get() > 0.0;
-        all.filter(|(_, taken)| was(taken)).map(|(phase, taken)| PhaseCost { phase: *phase, taken }).collect()
+        all.filter(|(_, taken)| was(taken))
+            .map(|((phase, ..), taken)| PhaseCost { phase: *phase, taken })
+            .collect()
     }
 }
 
@@ -172,9 +155,10 @@ mod tests {
     #[test]
     fn every_phase_is_read_as_it_was_set() {
         let current = CurrentPhase::default();
-        for phase in FitPhase::ALL {
+        for (phase, key, _) in FitPhase::ALL {
             current.set(phase);
-            assert_eq!(current.get(), phase);
+            assert_eq!((current.get(), phase.key()), (phase, key));
+            assert_eq!(serde_json::to_value(phase).unwrap(), key);
         }
     }
 }

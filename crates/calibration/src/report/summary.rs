@@ -284,10 +284,12 @@ fn facts(fit: &Fit) -> Vec<Fact> {
         ),
     ));
     let phase = |PhaseCost { phase, taken }: &PhaseCost| {
-        let seconds = rounded(taken.seconds.get(), 3);
-        format!("{} {} simulations, {seconds} s", phase.key().replace('_', " "), taken.simulations)
+        let (n, seconds) = (taken.simulations, rounded(taken.seconds.get(), 3));
+        let what = if n == 1 { "simulation" } else { "simulations" };
+        format!("{} {n} {what}, {seconds} s", phase.key().replace('_', " "))
     };
-    facts.push(("phases", fit.phases.iter().map(phase).collect::<Vec<_>>().join("; ")));
+    let with_simulations = fit.phases.iter().filter(|cost| cost.taken.simulations > 0);
+    facts.push(("phases", with_simulations.map(phase).collect::<Vec<_>>().join("; ")));
     facts.into_iter().map(|(name, value)| Fact { name, value }).collect()
 }
 

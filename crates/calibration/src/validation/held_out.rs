@@ -210,7 +210,8 @@ impl Calibration {
             let all = output.measured.len();
             let is_seen = n > 0 && n as f64 >= share * all as f64;
             is_seen.then(|| {
-                Finding::warning(format!("{}: {}", names[output.experiment], output.variable),
+                Finding::warning(
+                    format!("{}: {}", names[output.experiment], output.variable),
                     format!(
                         "the fit has seen {n} of these {all} measurements: there the RMS says how well they are reproduced, not how well \
                          new ones are predicted"

@@ -26,7 +26,7 @@ pub struct Trace {
 /// Length of a trace at some time: evaluations of the path and beside it, those dropped included.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub(crate) struct Extent {
-    path: usize,
+    pub(crate) path: usize,
     speculative: usize,
 }
 
@@ -231,7 +231,7 @@ impl Trace {
     /// Drops all but the last so many evaluations.
     pub(crate) fn keep_last(&mut self, limit: usize) {
         let before = |end: usize| end.saturating_sub(limit);
-        let (end, _) = self.extents();
+        let end = self.extent();
         self.drop_before(Extent { path: before(end.path), speculative: before(end.speculative) });
     }
 
@@ -246,11 +246,14 @@ impl Trace {
         self.dropped_speculative += surplus;
     }
 
-    /// Its length, and that of what was dropped.
-    pub(crate) fn extents(&self) -> (Extent, Extent) {
-        let (path, speculative) = (self.dropped, self.dropped_speculative);
-        let end = Extent { path: self.end(), speculative: speculative + self.speculative.len() };
-        (end, Extent { path, speculative })
+    /// Its length.
+    pub(crate) fn extent(&self) -> Extent {
+        Extent { path: self.end(), speculative: self.dropped_speculative + self.speculative.len() }
+    }
+
+    /// Length of what was dropped of it.
+    pub(crate) fn dropped_extent(&self) -> Extent {
+        Extent { path: self.dropped, speculative: self.dropped_speculative }
     }
 
     /// What came after it had this length, as far as it is kept.
@@ -270,7 +273,7 @@ impl Trace {
 
     /// Goes on with what [`since`](Self::since) gave; false if they do not fit together.
     pub(crate) fn go_on(&mut self, mut later: Trace) -> bool {
-        let (end, _) = self.extents();
+        let end = self.extent();
         if !later.is_sound(self.n) || later.dropped < end.path || later.dropped_speculative < end.speculative
         {
             return false;

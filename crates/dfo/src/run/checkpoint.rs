@@ -24,7 +24,7 @@ use crate::values::encoding::{decode, encode};
 use base::files::{self, Claim, Unfinished};
 use crc32fast::Hasher;
 use serde::{Deserialize, Serialize};
-use std::fs::File;
+use std::fs::{File, Metadata};
 use std::io::{BufWriter, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -409,7 +409,7 @@ fn least_time(spent: Duration, last: Duration) -> Duration {
 
 /// Writes a block at the end of a file. Its length and checksum come last, once they are known.
 fn write_block(mut file: &File, snapshot: &SnapshotRef<'_>) -> std::io::Result<u64> {
-    let head = file.stream_position()?;
+    let head = file.seek(SeekFrom::End(0))?;
     file.write_all(&[0; BLOCK_HEAD])?;
     let mut summed = BufWriter::new(Summed { file, sum: Hasher::new(), length: 0 });
     ciborium::into_writer(snapshot, &mut summed).map_err(|e| match e {
@@ -424,20 +424,31 @@ fn write_block(mut file: &File, snapshot: &SnapshotRef<'_>) -> std::io::Result<u
 }
 
 /// A file with blocks.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug)]
 struct Blocks {
-    file: files::Written,
+    file: File,
+    n_bytes: u64,
+    /// Bytes of the last state, and of all, beside those of the trace.
+    n_state: u64,
+    n_states: u64,
     /// Length of the trace that is in it.
     extent: Extent,
-    /// Bytes of the last block beside those of the trace.
-    n_state: u64,
 }
 
 impl Blocks {
-    /// True if the states that have been replaced fill more than half of it, with this trace.
+    /// True if the states that have been replaced, and what the run has dropped of its trace, fill more than
+    /// half of it.
     fn is_wasteful(&self, trace: &Trace) -> bool {
-        let whole = trace.since(Extent::default()).n_bytes() + self.n_state;
-        self.file.n_bytes() + self.n_state > 2 * whole
+        let kept = trace.len() as f64 / trace.extent().path.max(1) as f64;
+        let whole = (self.n_bytes - self.n_states) as f64 * kept + self.n_state as f64;
+        (self.n_bytes + self.n_state) as f64 > 2.0 * whole
+    }
+
+    /// True if it is still the file at a place, as it was written, and may be written to.
+    fn is_at(&self, path: &Path) -> bool {
+        let is_whole = |file: Metadata| file.len() == self.n_bytes && !file.permissions().readonly();
+        files::is_at(&self.file, &files::followed(path)).unwrap_or(false)
+            && self.file.metadata().is_ok_and(is_whole)
     }
 }
 
@@ -476,7 +487,7 @@ impl Writer {
         Instant::now() >= self.next
     }
 
-    /// Writes a whole file and puts it in the place of the old one. `known`: what is known of the batch that
+    /// Adds a block to the file, or puts a whole one in its place. `known`: what is known of the batch that
     /// the method waits for; `observed`: the iteration that the observer saw last, and where the trace stood
     /// then.
     pub(crate) fn write<M: Method + ?Sized>(
@@ -492,16 +503,15 @@ impl Writer {
         let begin = Instant::now();
         let state = method.save().ok_or_else(|| failed(path, "this method cannot be continued"))?;
         let trace = &round.ledger.trace;
-        let before = self.written.take().filter(|blocks| !blocks.is_wasteful(trace));
-        let open = before.and_then(|blocks| Some((blocks.file.reopen(path)?, blocks)));
-        let extent = open.as_ref().map_or(Extent::default(), |(_, blocks)| blocks.extent);
+        let before = self.written.take().filter(|blocks| !blocks.is_wasteful(trace) && blocks.is_at(path));
+        let extent = before.as_ref().map_or(Extent::default(), |blocks| blocks.extent);
         let snapshot = SnapshotRef {
             version: VERSION,
             fingerprint: &self.fingerprint,
             method: &state,
             ledger: &round.ledger,
             trace: trace.since(extent),
-            dropped: trace.extents().1,
+            dropped: trace.dropped_extent(),
             store: &round.store,
             stale: round.stale,
             known,
@@ -510,22 +520,23 @@ impl Writer {
             seconds,
             seed: method.details().seed,
         };
-        let written = match open {
-            Some((file, blocks)) => write_block(&file, &snapshot)
-                .and_then(|n| Ok((n, files::Written::of(&file)?)))
-                .inspect_err(|_| _ = file.set_len(blocks.file.n_bytes())),
+        let written = match before {
+            Some(blocks) => write_block(&blocks.file, &snapshot)
+                .inspect_err(|_| _ = blocks.file.set_len(blocks.n_bytes))
+                .map(|n| (n, Some(blocks.file), blocks.n_states)),
             None => Unfinished::new(path).and_then(|unfinished| {
-                let mut file = unfinished.file();
-                file.write_all(&[&MARK[..], &[FORMAT]].concat())?;
-                let n = write_block(file, &snapshot)?;
-                let written = files::Written::of(file)?;
-                unfinished.finish_soon()?;
-                Ok((n, written))
+                unfinished.file().write_all(&[&MARK[..], &[FORMAT]].concat())?;
+                let n = write_block(unfinished.file(), &snapshot)?;
+                Ok((n, unfinished.finish_open()?, 0))
             }),
         };
-        let written = written.map(|(length, file)| {
+        let written = written.and_then(|(length, file, n_states)| {
+            let Some(file) = file else { return Ok(()) };
             let n_state = length.saturating_sub(snapshot.trace.n_bytes());
-            self.written = Some(Blocks { file, extent: trace.extents().0, n_state });
+            let n_bytes = file.metadata()?.len();
+            let (n_states, extent) = ((n_states + n_state).min(n_bytes), trace.extent());
+            self.written = Some(Blocks { file, n_bytes, n_state, n_states, extent });
+            Ok(())
         });
         // What could not be written is tried again.
         self.spent += begin.elapsed();

@@ -7,7 +7,7 @@ use crate::error::{Error, Exit};
 use crate::interrupt::Interrupt;
 use crate::problem::{self, short_form};
 use crate::written::check_written;
-use calibration::{Calibration, CalibrationError, CurrentPhase, FitOptions, FitPhase, RunContext, Stage};
+use calibration::{Calibration, CurrentPhase, FitOptions, FitPhase, RunContext, Stage};
 use dfo::{Checkpoint, Progress, Resume, Termination};
 use ode::Number;
 use std::cell::RefCell;
@@ -106,18 +106,7 @@ fn searched(
         true => calibration.fit(options),
         false => calibration.fit_stages(stages, options),
     };
-    fit.map_err(|error| match error {
-        // A value or a file of the options, not a fit that has ended without success.
-        error @ (CalibrationError::Setup(_)
-        | CalibrationError::Record(_)
-        | CalibrationError::Optimiser(
-            dfo::Error::Option { .. }
-            | dfo::Error::Checkpoint { .. }
-            | dfo::Error::CheckpointFile { .. }
-            | dfo::Error::CheckpointMismatch { .. },
-        )) => Error::of_input(error),
-        error => Error::of_work(error),
-    })
+    fit.map_err(Error::of_work)
 }
 
 /// The line that shows a fit while it runs.

@@ -5,7 +5,7 @@ use crate::console::Console;
 use crate::error::{Error, Exit};
 use crate::interrupt::Interrupt;
 use crate::written::check_written;
-use calibration::{Calibration, CalibrationError, Fit, RunContext, SavedFit, Table};
+use calibration::{Calibration, Fit, RunContext, SavedFit, Table};
 use fmi::Fmu;
 use std::path::Path;
 
@@ -63,8 +63,5 @@ pub(super) fn write(
         }
         _ => calibration.report(fit, path, context),
     };
-    written.map_err(|error| match error {
-        error @ (CalibrationError::ReportFile { .. } | CalibrationError::Setup(_)) => Error::input(error),
-        error => Error::of_work(error),
-    })
+    written.map_err(Error::of_work)
 }

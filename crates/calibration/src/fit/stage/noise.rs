@@ -247,7 +247,8 @@ impl EstimatedNoise {
         let open = self.outputs.iter().filter(|noise| !noise.is_of_residuals);
         let mut found: Vec<Finding> = open
             .map(|OutputNoise { variable, sd, .. }| {
-                Finding::warning(format!("noise of {variable}"),
+                Finding::warning(
+                    format!("noise of {variable}"),
                     format!(
                         "its standard deviation {} is that of the differences between neighbouring measurements: residuals that say more of \
                          it there are not, for they are too few beside the parameters, or the search was ended",

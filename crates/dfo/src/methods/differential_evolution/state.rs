@@ -164,8 +164,9 @@ impl DifferentialRules {
 
     /// Makes trials until `n` are not selected from, `n_left` of which are candidates.
     fn make_up_to(&mut self, n: usize, n_left: usize, problem: (&Setup, u64), population: &RankedPoints) {
-        while self.ahead_made.len() + n_left < n && problem.0.space.n_free() > 0 {
-            self.make(problem.0, problem.1, population);
+        let (setup, seed) = problem;
+        while self.ahead_made.len() + n_left < n && setup.space.n_free() > 0 {
+            self.make(setup, seed, population);
         }
     }
 

@@ -62,9 +62,8 @@ impl GeneticRules {
     ) -> Result<GeneticState, Error> {
         let (n, length) = (setup.space.n_free(), coding.length());
         let n_children = if n == 0 { 0 } else { members - options.elite };
-        let sizes = (members, n_children);
         let (mut pool, n_exact) =
-            Populations::new(setup, seed, sizes.0, sizes.1, options.sampling, options.include_start)?;
+            Populations::new(setup, seed, members, n_children, options.sampling, options.include_start)?;
         let (mut bits, mut decoded) = (vec![false; members * length], vec![0.0; n]);
         let Populations { setup, population, .. } = &mut pool;
         for slot in 0..members {
