@@ -283,7 +283,10 @@ fn load(options: &Checkpoint) -> Result<Option<Snapshot>, Error> {
     while !rest.is_empty() {
         let Some((block, later)) = next_block(rest) else {
             if snapshot.is_none() {
-                return Err(failed(path, "the file is damaged: its checksum does not fit"));
+                return Err(failed(
+                    path,
+                    "the file is damaged: its checksum does not fit; go on with a copy of it, or start anew (resume never)",
+                ));
             }
             let (path, n) = (path.display(), rest.len());
             log::warn!(
