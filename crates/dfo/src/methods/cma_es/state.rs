@@ -1,7 +1,7 @@
 //! The running search: how a generation is drawn and what is learnt from it.
 
 use super::boundary::Boundary;
-use super::distribution::Distribution;
+use super::distribution::{Distribution, TWO_POINTS_FROM};
 use super::options::{CmaBounds, CmaEs};
 use super::restarts::{Schedule, draw_start};
 use super::weights::Weights;
@@ -65,6 +65,17 @@ fn unbend(point: &mut [f64], space: &Space, handling: CmaBounds) {
     }
 }
 
+/// By how many of the ranks of a generation its first individual is better than its second; equal costs have
+/// one rank.
+fn lead(generation: &RankedPoints) -> f64 {
+    let rank = |slot: usize| {
+        let own = generation.cost(slot).value().unwrap_or(f64::INFINITY);
+        (0..generation.len()).filter(|k| generation.cost(*k).value().is_some_and(|other| other < own)).count()
+            as f64
+    };
+    (rank(1) - rank(0)) / (generation.len() - 1) as f64
+}
+
 impl CmaRules {
     pub(super) fn begin(options: &CmaEs, setup: Setup, members: usize, seed: u64) -> Generations<Self> {
         let (space, n) = (&setup.space, setup.space.n_free());
@@ -124,6 +135,10 @@ impl CmaRules {
             } else {
                 let mut stream = Stream::new(seed, Purpose::Individual, generation, i);
                 squared[i] = distribution.draw(&mut stream, normals, step);
+                if i < 2 && distribution.has_line() {
+                    squared[i] = squared[0];
+                    distribution.draw_on_line(i == 0, squared[i], step, normals);
+                }
                 for (k, u) in point.iter_mut().enumerate() {
                     *u = boundary(k).bend(mean[k] + sigma * space.size(k) * step[k], mean[k]);
                 }
@@ -168,7 +183,8 @@ impl CmaRules {
         let step_of =
             |&slot: &usize| Some((self.steps.get(slot * n..(slot + 1) * n)?, *self.squared.get(slot)?));
         let ranked = generation.order()[..generation.n_finite()].iter().filter_map(step_of);
-        self.distribution.update(&self.weights, ranked, self.n_earlier == 0, |k| space.size(k));
+        let lead = (self.lag == 0 && n >= TWO_POINTS_FROM).then(|| lead(generation));
+        self.distribution.update(&self.weights, ranked, self.n_earlier == 0, lead, |k| space.size(k));
         // Wider than the box along every parameter it would be as good as uniform.
         let excess = |k: usize| match space.width(k) {
             Some(width) => self.distribution.deviation(k) * space.size(k) / (0.5 * width),
