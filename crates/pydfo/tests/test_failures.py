@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import concurrent.futures
+import contextlib
 import threading
 
 import numpy as np
@@ -114,6 +116,24 @@ def test_exceptions_that_end_programs_are_never_swallowed():
 
     with pytest.raises(SystemExit):
         fmin(func, [0.0], on_error="fail", **QUIET)
+
+
+def test_a_program_ends_at_the_same_point_with_any_number_of_workers():
+    def func(x):
+        if x[0] > 0.5:
+            raise SystemExit(3)
+        return (x[0] - 0.45) ** 2 + 10.0 * (x[1] - x[0]) ** 2
+
+    def end(workers):
+        try:
+            with contextlib.nullcontext() if isinstance(workers, int) else workers as pool:
+                return pydfo.minimize(func, [-0.3, 0.4], method="nelder-mead", workers=pool or workers, bounds=[(-1, 2)] * 2).x
+        except SystemExit as e:
+            return [*e.partial_result.x, e.partial_result.nfev, e.code]
+
+    alone = end(1)
+    for workers in (2, 7, concurrent.futures.ThreadPoolExecutor(4)):
+        assert np.array_equal(end(workers), alone)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ use crate::interrupt::watch::{EndRequest, Inside};
 use crate::optimize::objective::{number, residuals};
 use calibration::{Calibration, Compared, CostKind, CustomCost, CustomFailure};
 use numpy::PyArray1;
-use pyo3::exceptions::{PyException, PyValueError};
+use pyo3::exceptions::{PyKeyboardInterrupt, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::{Arc, Mutex, OnceLock};
@@ -88,10 +88,10 @@ pub(crate) fn kind(
             };
             returned().map_err(|e: PyErr| {
                 let message = e.to_string();
-                if e.is_instance_of::<PyException>(py) {
-                    lock(&raised).get_or_insert(e);
-                } else {
+                if e.is_instance_of::<PyKeyboardInterrupt>(py) {
                     stop.end_with(e);
+                } else {
+                    lock(&raised).get_or_insert(e);
                 }
                 CustomFailure::Abort(message)
             })

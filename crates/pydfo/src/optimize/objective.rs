@@ -5,7 +5,7 @@ use crate::interrupt::threads::lock;
 use crate::interrupt::watch::{EndRequest, Inside};
 use dfo::{Answer, BatchView, GivesUp, Objective, Outcome, Query, Report, RobustLoss};
 use numpy::{PyArray1, PyArrayMethods, PyUntypedArray};
-use pyo3::exceptions::{PyBaseException, PyException, PyTypeError, PyValueError};
+use pyo3::exceptions::{PyBaseException, PyException, PyKeyboardInterrupt, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyCFunction, PyDict, PyFloat, PyTuple};
 use std::sync::{Arc, Mutex};
@@ -87,15 +87,15 @@ impl PyObjective {
                 // Always an error in the program, never one of the model.
                 Err(e) => self.abort(x, e),
             },
-            // SystemExit, KeyboardInterrupt and their like always end the run.
-            Err(e) if self.tolerant && e.is_instance_of::<PyException>(py) => Outcome::failed(e.to_string()),
-            Err(e) if e.is_instance_of::<PyException>(py) => self.abort(x, e),
-            // Also at a point that is evaluated ahead of need.
-            Err(e) => {
+            // The user's wish, also at a point that is evaluated ahead of need.
+            Err(e) if e.is_instance_of::<PyKeyboardInterrupt>(py) => {
                 let message = e.to_string();
                 self.stop.end_with(e);
                 Outcome::Abort(message)
             }
+            // SystemExit and its like end the run whenever its path comes to them.
+            Err(e) if self.tolerant && e.is_instance_of::<PyException>(py) => Outcome::failed(e.to_string()),
+            Err(e) => self.abort(x, e),
         }
     }
 

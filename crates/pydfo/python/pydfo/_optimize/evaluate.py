@@ -80,7 +80,7 @@ class Returning:
                 raise
             # A worker of a pool that dies of Ctrl-C leaves its map waiting for ever.
             return KeyboardInterrupt()
-        except Exception as e:
+        except BaseException as e:
             if os.getpid() == self.home:
                 return e
             try:
