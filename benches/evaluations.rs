@@ -6,7 +6,7 @@
 use fmufit::calibration::{Calibration, Data, Experiment, Parameter, RunContext, SimulationSettings};
 use fmufit::example_models::{ExampleKind, example_fmu_as};
 use fmufit::fmi::worker::Isolation;
-use fmufit::fmi::{Fmu, Kind};
+use fmufit::fmi::{Fmu, Kind, RunSettings};
 use fmufit::ode::Method;
 
 /// A parameter and its start value.
@@ -94,9 +94,7 @@ fn main() {
             .parameter(Parameter::new(parameter, start).bounds(0.5 * start, 2.0 * start))
             .settings(SimulationSettings {
                 isolation: Isolation::None,
-                method,
-                kind: case.run_as,
-                ..SimulationSettings::default()
+                ..RunSettings { method, kind: case.run_as, ..RunSettings::default() }.into()
             })
             .build()
             .unwrap();

@@ -7,11 +7,9 @@
 #![allow(clippy::print_stdout)]
 
 use calibration::RunContext;
-use fmufit::calibration::{
-    Calibration, Data, Experiment, FitOptions, Parameter, SavedFit, SimulationSettings,
-};
+use fmufit::calibration::{Calibration, Data, Experiment, FitOptions, Parameter, SavedFit};
 use fmufit::example_models::{ExampleKind, example_fmu_as};
-use fmufit::fmi::Fmu;
+use fmufit::fmi::{Fmu, RunSettings};
 use std::error::Error;
 use std::path::Path;
 
@@ -36,7 +34,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     for i in 1..=4 {
         experiment = experiment.output(format!("qt.x{i}"), format!("level {i}"));
     }
-    let settings = SimulationSettings { step_size: Some(0.1), ..SimulationSettings::default() };
+    let settings = RunSettings { step_size: Some(0.1), ..RunSettings::default() };
     let mut builder = Calibration::builder(fmu.clone()).experiment(experiment).settings(settings);
     for i in 1..=4 {
         builder = builder.parameter(Parameter::new(format!("qt.a{i}"), 3e-6).bounds(2e-6, 4e-6));

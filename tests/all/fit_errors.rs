@@ -7,6 +7,7 @@ use crate::common;
 use calibration::RunContext;
 use common::*;
 use fmufit::calibration::{Calibration, CalibrationBuilder, Data, Experiment, FitOptions, Parameter};
+use fmufit::fmi::RunSettings;
 
 fn data(columns: &[(&str, &[f64])]) -> Data {
     let time = (0..columns[0].1.len()).map(|k| k as f64 * 0.1).collect();
@@ -73,10 +74,7 @@ fn a_simulation_that_fails_at_every_start_is_a_named_error_with_counts() {
     let c = builder()
         .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
         .experiment(Experiment::new(d).output("x", "x"))
-        .settings(fmufit::calibration::SimulationSettings {
-            timeout: Some(std::time::Duration::ZERO),
-            ..Default::default()
-        })
+        .settings(RunSettings { timeout: Some(std::time::Duration::ZERO), ..RunSettings::default() })
         .build()
         .unwrap();
     let e = c.fit(FitOptions::default()).unwrap_err().to_string();
@@ -90,7 +88,7 @@ fn a_time_limit_that_is_too_short_says_nothing_about_the_model() {
         Calibration::builder(fmu.clone())
             .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
             .experiment(Experiment::new(data(&[("x", &[1.0, 0.9, 0.8])])).output("x", "x"))
-            .settings(fmufit::calibration::SimulationSettings { timeout, ..Default::default() })
+            .settings(RunSettings { timeout, ..RunSettings::default() })
             .build()
             .unwrap()
     };

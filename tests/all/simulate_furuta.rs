@@ -16,9 +16,8 @@ fn options(friction: (f64, f64)) -> SimulateOptions {
             ("pendulumFriction".to_owned(), friction.1.into()),
         ],
         outputs: Some(vec!["armJoint.phi".to_owned(), "pendulumJoint.phi".to_owned()]),
-        relative_tolerance: Some(1e-8),
         final_time: Some(40.0),
-        ..SimulateOptions::default()
+        ..SimulateOptions::new().relative_tolerance(1e-8)
     }
 }
 
@@ -33,9 +32,7 @@ fn trajectories_agree_with_the_reference_to_1e_6() {
         let reference = shared_data(file).map(|path| Data::from_csv(path).unwrap());
         let own = SimulateOptions {
             times: Some(times.clone()),
-            method: Method::Radau5,
-            relative_tolerance: Some(1e-11),
-            ..options(friction)
+            ..options(friction).method(Method::Radau5).relative_tolerance(1e-11)
         };
         let own = reference.is_none().then(|| fmu.simulate(&own).unwrap());
         let times = reference.as_ref().map_or(times, |reference| reference.time().to_vec());

@@ -14,6 +14,7 @@ use dfo::{
     AnyMethod, Checkpoint, DifferentialEvolution, LeastSquares, Limits, Multistart, NelderMead, RunOptions,
     Termination,
 };
+use fmi::RunSettings;
 use fmi::worker::{Isolation, Launcher, WorkerLimits};
 use fmi::{Fmu, SimulateOptions};
 use std::path::{Path, PathBuf};
@@ -32,6 +33,14 @@ fn settings(isolation: Isolation) -> SimulationSettings {
 }
 
 /// y = exp(-1.7 t), which the model follows at k = 1.7.
+/// Settings with a limit of time.
+fn with_limit(timeout: Option<Duration>) -> SimulationSettings {
+    SimulationSettings {
+        isolation: Isolation::Process,
+        ..RunSettings { timeout, ..RunSettings::default() }.into()
+    }
+}
+
 fn decay(fmu: Fmu, settings: SimulationSettings) -> Calibration {
     launch();
     let t: Vec<f64> = (0..=20).map(|i| 0.05 * f64::from(i)).collect();
@@ -120,7 +129,7 @@ fn a_death_costs_one_evaluation() {
 fn a_hang_is_ended_soon_after_its_limit() {
     let folder = faulty(&["FAULT_ABOVE=2.2", "FAULT=hang()"]);
     let timeout = Some(Duration::from_millis(300));
-    let calibration = decay(open(&folder), SimulationSettings { timeout, ..settings(Isolation::Process) });
+    let calibration = decay(open(&folder), with_limit(timeout));
     assert!(calibration.cost(&[1.0], &RunContext::new()).is_ok());
     let error = calibration.cost(&[3.0], &RunContext::new()).unwrap_err().to_string();
     assert!(error.contains("no answer within the time limit in fmi2GetDerivatives"), "{error}");
@@ -138,7 +147,7 @@ fn a_hang_is_ended_soon_after_its_limit() {
 fn what_the_end_of_a_run_does_belongs_to_its_evaluation() {
     let folder = faulty(&["FAULT_ABOVE=2.2", "FAULT=hang()", "FAULT_AT_END"]);
     let timeout = Some(Duration::from_millis(300));
-    let calibration = decay(open(&folder), SimulationSettings { timeout, ..settings(Isolation::Process) });
+    let calibration = decay(open(&folder), with_limit(timeout));
     for k in [1.0, 3.0, 1.5, 2.5, 2.0] {
         match calibration.cost(&[k], &RunContext::new()) {
             Ok(_) => assert!(k < 2.2, "{k}"),
@@ -267,7 +276,7 @@ fn limits_hold() {
 
     let folder = faulty(&["FAULT_ABOVE=2.2", "FAULT=print_for_ever()"]);
     let timeout = Some(Duration::from_millis(300));
-    let calibration = decay(open(&folder), SimulationSettings { timeout, ..settings(Isolation::Process) });
+    let calibration = decay(open(&folder), with_limit(timeout));
     let error = calibration.cost(&[3.0], &RunContext::new()).unwrap_err().to_string();
     assert!(error.contains("it had printed: ") && error.contains("what a model has to say"), "{error}");
 
@@ -584,12 +593,9 @@ fn a_zoo_of_faults() {
         for bound in [4.755, 2.55] {
             let began = Instant::now();
             let folder = faulty(&[&format!("FAULT_ABOVE={bound}"), &format!("FAULT={fault}")]);
-            let limited = SimulationSettings {
-                timeout: Some(Duration::from_millis(300)),
-                memory_limit: Some(500 << 20),
-                ..settings(Isolation::Process)
-            };
-            let calibration = decay(open(&folder), limited);
+            let settings = with_limit(Some(Duration::from_millis(300)));
+            let settings = SimulationSettings { memory_limit: Some(500 << 20), ..settings };
+            let calibration = decay(open(&folder), settings);
             let found = fit(&calibration, 2, 60);
             assert!((found.x[0] - 1.7).abs() < 0.1, "{name}: {found}");
             let context = RunContext::new();

@@ -72,8 +72,8 @@ pub use ode;
 pub use open_options::{LogOptions, OpenOptions};
 pub use session::Session;
 pub use simulation::{
-    BetweenSteps, DEFAULT_INTERVALS, DEFAULT_TOLERANCE, InputFunction, Inputs, Recorded, SimulateOptions,
-    SimulationPlan, Tick, Trajectory, ValueColumn,
+    BetweenSteps, DEFAULT_INTERVALS, DEFAULT_TOLERANCE, InputFunction, Inputs, Recorded, RunSettings,
+    SimulateOptions, SimulationPlan, Tick, Trajectory, ValueColumn,
 };
 pub use simulators::{InstanceOptions, Pool, Simulator};
 pub use source::{build_library, clear_caches, pack, pack_texts, pack_unless};

@@ -271,8 +271,8 @@ impl Session {
     /// The options of a simulation with all values set.
     pub fn with_values(&self, options: &SimulateOptions) -> SimulateOptions {
         let mut options = options.clone();
-        if options.kind == Kind::Auto {
-            options.kind = self.kind;
+        if options.run.kind == Kind::Auto {
+            options.run.kind = self.kind;
         }
         let variables = &self.fmu.description().variables;
         let mut values: Vec<(String, Value)> = self

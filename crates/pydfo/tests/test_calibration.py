@@ -239,6 +239,7 @@ def test_simulations_that_fail(dahlquist):
         ({"data": {"time": TIME + 100.0, "x": TRUE}}, ValueError, "Give start_time = 100 .* start_time = 0"),
         ({"timeout": -1.0}, ValueError, "timeout = -1"),
         ({"relative_tolerance": -1.0}, ValueError, "toleran"),
+        ({"interior_samples": -1}, ValueError, "interior_samples = -1"),
         ({"solver": "magic"}, ValueError, "magic"),
         ({"solver": None}, TypeError, "solver must be a string"),
         ({"inputs": {"u": "x"}}, KeyError, '"u"'),
@@ -251,6 +252,18 @@ def test_what_does_not_fit_together_is_named(dahlquist, tmp_path, monkeypatch, c
     with pytest.raises(error, match=said):
         Calibration(**arguments)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_setting_reaches_the_solver_and_the_identity_of_the_problem(dahlquist, tmp_path):
+    ball = FMUModel(example_fmu("bouncing_ball"))
+    usual, close = (ball.simulate(final_time=1.0, **settings).stats for settings in ({}, {"interior_samples": 20}))
+    assert close.event_indicators > 2 * usual.event_indicators
+    with pytest.raises(ValueError, match="interior_samples = -1"):
+        ball.simulate(final_time=1.0, interior_samples=-1)
+    file = tmp_path / "fit"
+    decay(dahlquist).fit(checkpoint=file)
+    with pytest.raises(pydfo.CheckpointError, match="interior_samples of the simulations: none in the file, 9 here"):
+        decay(dahlquist, interior_samples=9).fit(checkpoint=file)
 
 
 def test_bad_csv_files_say_where(dahlquist, tmp_path):

@@ -17,7 +17,7 @@ const STEP_ERROR: f64 = 0.01;
 
 /// A relative tolerance that was given, and is so large that simulations say little.
 pub(super) fn loose_tolerance(calibration: &Calibration) -> Option<Finding> {
-    let given = calibration.problem().settings.relative_tolerance?;
+    let given = calibration.problem().settings.run.relative_tolerance?;
     (given > LOOSE && !calibration.has_fixed_step()).then(|| {
         Finding::warning("relative tolerance",
             format!(
@@ -53,7 +53,7 @@ pub(super) fn large_step(
     let Some(residuals) = residuals else { return Ok(None) };
     let step = match is_co_simulation {
         true => "the communication step".to_owned(),
-        false => format!("the step of the solver '{}'", calibration.problem().settings.method.name()),
+        false => format!("the step of the solver '{}'", calibration.problem().settings.run.method.name()),
     };
     let [whole, half] = [&at.residuals, &residuals].map(|residuals| all_series(calibration, residuals));
     let changes = whole.iter().zip(&half).map(|(whole, half)| {

@@ -10,7 +10,7 @@ use crate::cost::residual::CostRule;
 use crate::error::CalibrationError;
 use base::RunContext;
 use dfo::RobustLoss;
-use fmi::{InterfaceKind, SimulateOptions, SimulationPlan, Simulator};
+use fmi::{InterfaceKind, SimulationPlan, Simulator};
 use ode::{Seconds, Stats};
 use serde::{Deserialize, Serialize};
 use std::ops::AddAssign;
@@ -157,7 +157,7 @@ impl Calibration {
     /// True if the simulations of the calibration have a fixed step.
     pub(crate) fn has_fixed_step(&self) -> bool {
         let plan = self.evaluator().simulations[0].pool.plan();
-        plan.kind() == InterfaceKind::ModelExchange && self.problem().settings.method.is_fixed_step()
+        plan.kind() == InterfaceKind::ModelExchange && self.problem().settings.run.method.is_fixed_step()
     }
 
     /// True if the model integrates itself.
@@ -210,16 +210,16 @@ impl Calibration {
             return remote.evaluate(x, evaluation, rule, out, stats);
         }
         self.evaluator().evaluate(x, rule, out, stats, |k, run| {
-            let asked = self.evaluator().simulations[k].options_at_start();
-            let mut options = SimulateOptions {
-                method: self.known_solver().map_or(asked.method, |solver| solver.method),
-                ..asked
-            };
+            let mut options = self.evaluator().simulations[k].options_at_start();
+            let run_settings = &mut options.run;
+            if let Some(solver) = self.known_solver() {
+                run_settings.method = solver.method;
+            }
             match accuracy {
-                Accuracy::Tolerance(tolerance) => options.relative_tolerance = Some(tolerance),
+                Accuracy::Tolerance(tolerance) => run_settings.relative_tolerance = Some(tolerance),
                 Accuracy::HalfStep => {
                     let communication = self.evaluator().simulations[k].pool.plan().communication_step();
-                    options.step_size = communication.map(|step| 0.5 * step).or(options.step_size);
+                    run_settings.step_size = communication.map(|step| 0.5 * step).or(run_settings.step_size);
                     options.halve_steps = true;
                 }
             }

@@ -83,8 +83,8 @@ impl CalibrationBuilder {
 
     /// Settings of the simulations.
     #[must_use]
-    pub fn settings(mut self, settings: SimulationSettings) -> Self {
-        self.settings = settings;
+    pub fn settings(mut self, settings: impl Into<SimulationSettings>) -> Self {
+        self.settings = settings.into();
         self
     }
 
@@ -368,7 +368,7 @@ impl Calibration {
             remote.prepare_second();
             return Ok(());
         }
-        Ok(self.fmu().prepare(self.problem().settings.kind, &Cancel::default())?)
+        Ok(self.fmu().prepare(self.problem().settings.run.kind, &Cancel::default())?)
     }
 
     pub(crate) fn check_length(&self, x: &[f64]) -> Result<(), CalibrationError> {
@@ -526,7 +526,7 @@ impl Calibration {
     /// Takes the solver of a checkpoint that will be continued, if it is of this calibration and there is no
     /// race yet.
     pub(crate) fn adopt_solver(&self, checkpoint: &Checkpoint) -> Result<(), CalibrationError> {
-        if self.problem().settings.method != Method::Auto || self.known_solver().is_some() {
+        if self.problem().settings.run.method != Method::Auto || self.known_solver().is_some() {
             return Ok(());
         }
         let Some(stored) = checkpoint.stored_identity()? else { return Ok(()) };

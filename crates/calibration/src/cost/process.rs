@@ -278,7 +278,7 @@ impl Remote {
         let model = ModelFile::of(fmu).map_err(|error| Some(error.to_string()))?;
         let settings = SimulationSettings { isolation: Isolation::None, ..settings.clone() };
         let problem = Problem { model, settings, ..problem.clone() };
-        let run_limit = problem.settings.timeout;
+        let run_limit = problem.settings.run.timeout;
         let load = Job::Load(Box::new(Loaded { problem, options: fmu.options().clone() }));
         let processes = Processes::new(fmu, limits, load).map_err(|error| match error {
             FmiError::NoWorker { reason } => Some(reason),
@@ -421,7 +421,7 @@ impl ModelProcess {
             return Err(FmiError::BadSetting(problem));
         }
         let job = Job::Simulate(Box::new(options.clone()));
-        self.processes.ask(&job, Asked::Checked, options.timeout, context, trajectory_of)
+        self.processes.ask(&job, Asked::Checked, options.run.timeout, context, trajectory_of)
     }
 }
 

@@ -78,14 +78,7 @@ impl Simulation {
             parameters: names.clone(),
             outputs: Some(experiment.outputs.iter().map(|o| o.variable.clone()).collect()),
             inputs: inputs(&signals, assigned.input_shifts(&start)),
-            relative_tolerance: settings.tolerance_of_fits(description),
-            kind: settings.kind,
-            method: settings.method,
-            step_size: settings.step_size,
-            max_step: settings.max_step,
-            timeout: settings.timeout,
-            chattering: settings.chattering,
-            input_derivatives: settings.input_derivatives,
+            run: settings.run_of_fits(description),
             ..SimulateOptions::default()
         };
         let schedule = comparison.schedule(|output| assigned.outputs[output].0.in_model(&start), start_time);
@@ -205,11 +198,10 @@ impl Simulation {
     ) -> SimulateOptions {
         let times = times.unwrap_or(&self.times);
         SimulateOptions {
-            method,
             parameters: Vec::new(),
             outputs: Some(variables.to_vec()),
             final_time: times.last().copied(),
-            ..self.options_at(x, times)
+            ..self.options_at(x, times).method(method)
         }
     }
 
@@ -234,7 +226,7 @@ impl Simulation {
         let schedule = is_late.then(|| self.scheduled(&rows, x));
         let sampled = schedule.as_ref().map_or(times, |schedule| &schedule.times[..]);
         let mut options = self.options_at(x, sampled);
-        options.method = method;
+        options.run.method = method;
         if schedule.is_none() {
             options.final_time = times.last().copied();
         }

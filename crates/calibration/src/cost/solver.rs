@@ -116,7 +116,7 @@ impl Choice {
         if let Some(chosen) = self.made.get() {
             return Ok((chosen, None));
         }
-        let method = problem.problem.settings.method;
+        let method = problem.problem.settings.run.method;
         let integrates = problem.simulations[0].pool.plan().kind() == InterfaceKind::ModelExchange;
         let (solver, at_start) = if method == Method::Auto && integrates {
             let (race, at_start) = run_race(problem, context, stats)?;
@@ -130,9 +130,9 @@ impl Choice {
     /// Fixes the choice, unless it is made.
     pub(crate) fn choose(&self, problem: &Evaluator, solver: Solver) -> Result<&Chosen, CalibrationError> {
         let mut pools = Vec::new();
-        if solver.method != problem.problem.settings.method {
+        if solver.method != problem.problem.settings.run.method {
             for simulation in &problem.simulations {
-                let options = SimulateOptions { method: solver.method, ..simulation.options_at_start() };
+                let options = simulation.options_at_start().method(solver.method);
                 let plan = Arc::new(SimulationPlan::new(&problem.fmu, &options)?);
                 pools.push(Pool::new(plan));
             }
@@ -197,10 +197,8 @@ pub(crate) fn simulate_race(
         let (schedule, offsets) = (simulation.schedule(&start), simulation.output_offsets(&start));
         let compared = Accumulator::new(&simulation.comparison, &schedule, &offsets, rule, 0.0, part);
         let options = SimulateOptions {
-            method: task.method,
-            relative_tolerance: Some(task.relative_tolerance),
             max_work: task.max_work.map(|most| (most - total.work(n)).max(0.0)),
-            ..simulation.options_at_start()
+            ..simulation.options_at_start().method(task.method).relative_tolerance(task.relative_tolerance)
         };
         let plan = Arc::new(SimulationPlan::new(&problem.fmu, &options)?);
         let named = plan.output_names().len();

@@ -29,7 +29,7 @@ pub(crate) fn identity(
         ("parameter names".to_owned(), names.join(", ")),
     ];
     let mut settings = problem.settings.clone();
-    settings.input_derivatives.get_or_insert(true);
+    settings.run.input_derivatives.get_or_insert(true);
     all.extend(fields("the simulations", &settings)?);
     for parameter in &problem.parameters {
         all.extend(fields(&format!("parameter {}", parameter.name()), &parameter.without_search())?);

@@ -40,18 +40,6 @@ pub(crate) enum Measured {
     Measured,
 }
 
-pub(crate) fn interface(_: &mut SchemaGenerator) -> Schema {
-    json_schema!({ "enum": ["auto", "ME", "CS", "me", "cs", "ModelExchange", "CoSimulation"] })
-}
-
-pub(crate) fn solver(_: &mut SchemaGenerator) -> Schema {
-    json_schema!({ "enum": ode::Method::ALL.map(ode::Method::name) })
-}
-
-pub(crate) fn chattering(_: &mut SchemaGenerator) -> Schema {
-    json_schema!({ "enum": ode::ChatteringPolicy::NAMES })
-}
-
 pub(crate) fn isolation(_: &mut SchemaGenerator) -> Schema {
     json_schema!({ "enum": Isolation::NAMES.map(|(name, _)| name) })
 }

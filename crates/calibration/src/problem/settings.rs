@@ -3,40 +3,21 @@
 #[cfg(feature = "schema")]
 use crate::problem::schema;
 use dfo::{Record, RecordError, Value, read_known};
+use fmi::RunSettings;
 use fmi::worker::{Isolation, WorkerLimits};
 use serde::{Deserialize, Serialize};
-use std::time::Duration;
 
 /// Settings of the simulations of a fit.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(deny_unknown_fields))]
 #[serde(default)]
 pub struct SimulationSettings {
-    /// Interface of the model; default: model exchange where it offers that, else co-simulation.
-    #[cfg_attr(feature = "schema", schemars(schema_with = "schema::interface"))]
-    pub kind: fmi::Kind,
-    /// Integration method. Default [`ode::Method::Auto`]: the winner of a race between the methods, see
-    /// [`Calibration::solver`](crate::Calibration::solver).
-    #[serde(rename = "solver")]
-    #[cfg_attr(feature = "schema", schemars(schema_with = "schema::solver"))]
-    pub method: ode::Method,
-    /// Relative tolerance; default: the model's default experiment, but at most 1e-6, else 1e-6: a fit says
-    /// where it is smaller than the model's.
-    pub relative_tolerance: Option<f64>,
-    /// Step of a fixed-step method; the communication step of co-simulation.
-    pub step_size: Option<f64>,
-    /// Largest step of an adaptive method.
-    pub max_step: Option<f64>,
-    /// True to give a co-simulation the derivatives of its inputs, see
-    /// [`SimulateOptions::input_derivatives`](fmi::SimulateOptions::input_derivatives); default: true.
-    pub input_derivatives: Option<bool>,
-    /// Policy for state events that follow each other so closely that time hardly advances; default: the
-    /// simulation counts as failed.
-    #[cfg_attr(feature = "schema", schemars(schema_with = "schema::chattering"))]
-    pub chattering: ode::ChatteringPolicy,
-    /// Wall-clock limit of one simulation, in s where users write it; one that reaches it counts as failed.
-    #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", extend("exclusiveMinimum" = 0)))]
-    pub timeout: Option<Duration>,
+    /// How the model is run. `method` [`Auto`](ode::Method::Auto) is here the winner of a race between the
+    /// methods, see [`Calibration::solver`](crate::Calibration::solver); a `relative_tolerance` that is not
+    /// given is that of the model, but at most 1e-6: a fit says where it is smaller than the model's. A
+    /// simulation that reaches the `timeout`, or whose events let time hardly advance, counts as failed.
+    #[serde(flatten)]
+    pub run: RunSettings,
     /// Where the FMU runs. The costs do not depend on it.
     #[cfg_attr(feature = "schema", schemars(schema_with = "schema::isolation"))]
     pub isolation: Isolation,
@@ -81,11 +62,20 @@ impl SimulationSettings {
         WorkerLimits { memory: self.memory_limit.or(usual.memory), sandbox: self.sandbox, ..usual }
     }
 
-    /// The relative tolerance that simulations are asked for: what is set, else [`LOOSEST`] where the model
-    /// states a larger one; `None`: its own, or the default.
-    pub(crate) fn tolerance_of_fits(&self, description: &fmi::ModelDescription) -> Option<f64> {
+    /// How the model is run in a fit: with the relative tolerance that is set, else [`LOOSEST`] where the
+    /// model states a larger one.
+    pub(crate) fn run_of_fits(&self, description: &fmi::ModelDescription) -> RunSettings {
+        let mut run = self.run.clone();
         let stated = description.default_experiment.tolerance;
-        self.relative_tolerance
-            .or_else(|| stated.filter(|stated| *stated > LOOSEST && *stated < 1.0).map(|_| LOOSEST))
+        if run.relative_tolerance.is_none() && stated.is_some_and(|stated| stated > LOOSEST && stated < 1.0) {
+            run.relative_tolerance = Some(LOOSEST);
+        }
+        run
+    }
+}
+
+impl From<RunSettings> for SimulationSettings {
+    fn from(run: RunSettings) -> Self {
+        Self { run, ..Self::default() }
     }
 }

@@ -3,12 +3,14 @@
 use super::curves::{ExperimentCurves, OutputCurves, Signal};
 use super::figure::{self, Panel, Point, Series};
 use super::number::rounded;
-use super::summary::{Fact, Summary};
+use super::summary::{Fact, Summary, fact};
 use super::template;
 use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::stage::Fit;
 use base::RunContext;
+use dfo::{Record, Value};
+use fmi::RunSettings;
 use ode::Number;
 use serde::Serialize;
 
@@ -212,11 +214,24 @@ fn settings(calibration: &Calibration, fit: &Fit) -> Vec<Fact> {
     let used = chosen.or_else(|| plan.map(|plan| plan.relative_tolerance()));
     let tolerance = used.map(|used| Number(used).to_string());
     facts.extend(tolerance.map(|tolerance| ("relative tolerance", tolerance)));
-    let steps = [("step size in s", settings.step_size), ("largest step in s", settings.max_step)];
-    facts.extend(steps.into_iter().filter_map(|(name, value)| Some((name, Number(value?).to_string()))));
-    let limit = settings.timeout.map(|limit| Number(limit.as_secs_f64()).to_string());
+    let limit = settings.run.timeout.map(|limit| Number(limit.as_secs_f64()).to_string());
     facts.extend(limit.map(|limit| ("time limit of a simulation in s", limit)));
-    facts.into_iter().map(|(name, value)| Fact { name, value }).collect()
+    facts.into_iter().map(fact).chain(changed(&settings.run)).collect()
+}
+
+/// Settings of simulations that are not the default, by the names that users write; without those that have a
+/// line of their own.
+fn changed(settings: &RunSettings) -> Vec<Fact> {
+    let fields = |settings| match Value::of(settings) {
+        Ok(Value::Record(fields)) => fields,
+        _ => Record::default(),
+    };
+    let (mut own, usual) = (fields(settings), fields(&RunSettings::default()));
+    own.retain(|name, value| {
+        !["solver", "relative_tolerance", "timeout"].contains(&name.as_str())
+            && usual.get(name) != Some(value)
+    });
+    own.into_iter().map(|(name, value)| Fact { name: name.into(), value: value.to_string() }).collect()
 }
 
 /// Parts of each experiment, with the hash of its data.
@@ -250,5 +265,5 @@ fn origin(calibration: &Calibration) -> Vec<Fact> {
         ("fmufit", Some(env!("CARGO_PKG_VERSION").to_owned())),
     ];
     let known = facts.into_iter().filter_map(|(name, value)| Some((name, value?)));
-    known.filter(|(_, value)| !value.is_empty()).map(|(name, value)| Fact { name, value }).collect()
+    known.filter(|(_, value)| !value.is_empty()).map(fact).collect()
 }

@@ -9,6 +9,7 @@ use crate::uncertainty::estimate::Uncertainty;
 use dfo::Termination;
 use ode::Number;
 use serde::Serialize;
+use std::borrow::Cow;
 
 /// Digits of a number that has no error.
 const DIGITS: usize = 8;
@@ -47,8 +48,12 @@ pub(super) struct Summary {
 /// A name and its value.
 #[derive(Debug, Serialize)]
 pub(super) struct Fact {
-    pub(super) name: &'static str,
+    pub(super) name: Cow<'static, str>,
     pub(super) value: String,
+}
+
+pub(super) fn fact((name, value): (&'static str, String)) -> Fact {
+    Fact { name: name.into(), value }
 }
 
 /// A parameter.
@@ -290,7 +295,7 @@ fn facts(fit: &Fit) -> Vec<Fact> {
     };
     let with_simulations = fit.phases.iter().filter(|cost| cost.taken.simulations > 0);
     facts.push(("phases", with_simulations.map(phase).collect::<Vec<_>>().join("; ")));
-    facts.into_iter().map(|(name, value)| Fact { name, value }).collect()
+    facts.into_iter().map(fact).collect()
 }
 
 /// Description of the estimate of the standard errors.

@@ -6,9 +6,10 @@ use calibration::RunContext;
 use calibration::dfo::{DifferentialEvolution, RunOptions};
 use calibration::{
     Calibration, CalibrationBuilder, Check, CheckOptions, Data, Experiment, Finding, FitOptions, Parameter,
-    PreflightOptions, Scale, Severity, SimulationSettings,
+    PreflightOptions, Scale, Severity,
 };
 use example_models::example_fmu;
+use fmi::RunSettings;
 use fmi::{Fmu, SimulateOptions};
 use std::path::Path;
 
@@ -366,11 +367,8 @@ fn a_fixed_step_is_halved_where_the_rows_of_an_input_cut_it() {
             .output("qt.x1", "x1")
             .input("u1", "u1")
             .constant_input("u2", 5.0);
-        let settings = SimulationSettings {
-            method: ode::Method::Euler,
-            step_size: Some(step),
-            ..SimulationSettings::default()
-        };
+        let settings =
+            RunSettings { method: ode::Method::Euler, step_size: Some(step), ..RunSettings::default() };
         let builder = Calibration::builder(open("quad_tank")).experiment(experiment).settings(settings);
         let calibration =
             builder.parameter(Parameter::new("qt.a1", 3e-6).bounds(2e-6, 4e-6)).build().unwrap();

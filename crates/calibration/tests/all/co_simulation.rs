@@ -3,9 +3,10 @@
 #![allow(clippy::unwrap_used)]
 
 use crate::support::faulty;
-use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, SimulationSettings};
+use calibration::{Calibration, Data, Experiment, FitOptions, Parameter};
 use example_models::{ExampleKind, example_fmu_as};
 use fmi::Fmu;
+use fmi::RunSettings;
 
 #[test]
 fn a_decay_is_fitted_in_every_version() {
@@ -43,7 +44,7 @@ fn a_communication_step_that_changes_the_results_is_named() {
             .map(|(k, t)| (-2.0 * t).exp() + noise * f64::from(u8::from(k % 2 == 0)))
             .collect();
         let data = Data::from_columns(t, [("y".to_owned(), y)]).unwrap();
-        let settings = SimulationSettings { step_size: Some(step), ..SimulationSettings::default() };
+        let settings = RunSettings { step_size: Some(step), ..RunSettings::default() };
         let calibration = Calibration::builder(Fmu::open(folder.path()).unwrap())
             .experiment(Experiment::new(data).output("y", "y"))
             .parameter(Parameter::new("k", 1.0).bounds(0.1, 5.0))

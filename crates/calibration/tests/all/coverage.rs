@@ -6,10 +6,11 @@
 use calibration::RunContext;
 use calibration::{
     BandOptions, Calibration, CostKind, Data, Estimator, Experiment, FitOptions, NamedCost, Parameter, Prior,
-    ProfileOptions, Scale, SimulationSettings, UncertaintyOptions, Weight,
+    ProfileOptions, Scale, UncertaintyOptions, Weight,
 };
 use dfo::{Loss, RobustLoss, RunOptions};
 use example_models::example_fmu;
+use fmi::RunSettings;
 
 const TRUTH: [f64; 3] = [1.5, 2.0, 0.5];
 const DEVIATIONS: [f64; 2] = [0.05, 0.3];
@@ -33,7 +34,7 @@ fn calibration(columns: [Vec<f64>; 2]) -> Calibration {
         .parameter(Parameter::new("mu", 1.2).bounds(0.1, 5.0))
         .parameter(Parameter::new("x0", 1.8))
         .parameter(Parameter::new("x1", 0.3))
-        .settings(SimulationSettings { method: ode::Method::Tsit5, ..SimulationSettings::default() })
+        .settings(RunSettings { method: ode::Method::Tsit5, ..RunSettings::default() })
         .build()
         .unwrap()
 }
@@ -157,7 +158,7 @@ impl Study {
         let time: Vec<f64> = (0..60).map(|k| 0.05 * f64::from(k)).collect();
         let [rate, start] = Self::TRUTH;
         let e = self.errors(60, &mut normal);
-        let settings = SimulationSettings { method: ode::Method::Tsit5, ..SimulationSettings::default() };
+        let settings = RunSettings { method: ode::Method::Tsit5, ..RunSettings::default() };
         if self.is_line {
             let h = time.iter().zip(&e).map(|(t, e)| rate + start * t + e).collect();
             let v = self.errors(60, &mut normal).iter().map(|e| start + 10.0 * e).collect();

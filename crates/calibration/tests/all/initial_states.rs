@@ -3,11 +3,11 @@
 #![allow(clippy::unwrap_used)]
 
 use calibration::{
-    Calibration, CalibrationError, Data, Experiment, FitOptions, InitialState, Parameter, SimulationSettings,
-    Weight,
+    Calibration, CalibrationError, Data, Experiment, FitOptions, InitialState, Parameter, Weight,
 };
 use example_models::example_fmu;
 use fmi::Fmu;
+use fmi::RunSettings;
 
 const K: f64 = 2.0;
 
@@ -24,7 +24,7 @@ fn fitted(experiment: Experiment, parameters: &[Parameter]) -> Result<Vec<f64>, 
     let experiment = experiment.initial_state("x", InitialState::Measured);
     let mut builder = Calibration::builder(Fmu::open(example_fmu("dahlquist").unwrap()).unwrap())
         .experiment(experiment)
-        .settings(SimulationSettings { relative_tolerance: Some(1e-9), ..SimulationSettings::default() });
+        .settings(RunSettings { relative_tolerance: Some(1e-9), ..RunSettings::default() });
     for parameter in parameters {
         builder = builder.parameter(parameter.clone());
     }

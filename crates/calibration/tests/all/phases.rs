@@ -5,11 +5,12 @@
 use calibration::RunContext;
 use calibration::{
     Calibration, CheckOptions, CurrentPhase, Data, Experiment, FitOptions, FitPhase, Parameter, SavedFit,
-    SimulationSettings, Stage,
+    Stage,
 };
 use dfo::{Limits, NelderMead, RunOptions, Termination};
 use example_models::example_fmu;
 use fmi::Fmu;
+use fmi::RunSettings;
 use ode::{Method, Stats};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -17,7 +18,7 @@ use std::time::{Duration, Instant};
 fn decay(parameter: Parameter, method: Method, step: Option<f64>) -> Calibration {
     let t: Vec<f64> = (0..51).map(|i| 0.1 * f64::from(i)).collect();
     let x = t.iter().map(|t| (-2.0 * t).exp()).collect();
-    let settings = SimulationSettings { method, step_size: step, ..SimulationSettings::default() };
+    let settings = RunSettings { method, step_size: step, ..RunSettings::default() };
     Calibration::builder(Fmu::open(example_fmu("dahlquist").unwrap()).unwrap())
         .experiment(Experiment::new(Data::from_columns(t, [("x".to_owned(), x)]).unwrap()).output("x", "x"))
         .parameter(parameter)

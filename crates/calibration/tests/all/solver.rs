@@ -3,12 +3,10 @@
 #![allow(clippy::unwrap_used)]
 
 use calibration::RunContext;
-use calibration::{
-    Calibration, CalibrationError, Data, Entry, Experiment, FitOptions, Parameter, SimulationSettings,
-    Verdict,
-};
+use calibration::{Calibration, CalibrationError, Data, Entry, Experiment, FitOptions, Parameter, Verdict};
 use dfo::{Checkpoint, Limits, Resume, RunOptions};
 use example_models::example_fmu;
+use fmi::RunSettings;
 use fmi::{Fmu, Inputs, SimulateOptions};
 use ode::Method;
 
@@ -33,7 +31,7 @@ fn exhaust() -> Data {
         columns.push((name.to_owned(), column(from, by)));
     }
     let fmu = Fmu::open(example_fmu("exhaust").unwrap()).unwrap();
-    let options = SimulateOptions { relative_tolerance: Some(1e-9), ..SimulateOptions::default() };
+    let options = SimulateOptions::new().relative_tolerance(1e-9);
     let truth = fmu.simulate(&options.times(time.clone()).inputs(inputs).outputs(["T_out"])).unwrap();
     columns.push(("T_out".to_owned(), truth.get("T_out").unwrap().to_vec()));
     Data::from_columns(time, columns).unwrap()
@@ -45,7 +43,7 @@ fn calibration(method: Method) -> Calibration {
         experiment = experiment.input(name, name);
     }
     let mut builder = Calibration::builder(Fmu::open(example_fmu("exhaust").unwrap()).unwrap())
-        .settings(SimulationSettings { method, ..SimulationSettings::default() })
+        .settings(RunSettings { method, ..RunSettings::default() })
         .experiment(experiment);
     for (name, value) in TRUE {
         builder = builder.parameter(Parameter::new(name, 1.5 * value).bounds(0.1 * value, 10.0 * value));

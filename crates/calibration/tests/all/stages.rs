@@ -4,8 +4,9 @@
 
 use calibration::RunContext;
 use calibration::dfo::{Checkpoint, Limits, NelderMead, Resume, RunOptions, Termination};
-use calibration::{Calibration, Data, Experiment, Fit, FitOptions, Parameter, SimulationSettings, Stage};
+use calibration::{Calibration, Data, Experiment, Fit, FitOptions, Parameter, Stage};
 use example_models::example_fmu;
+use fmi::RunSettings;
 use std::ops::ControlFlow;
 use std::path::Path;
 
@@ -20,7 +21,7 @@ fn tanks(starts: &[(&str, f64)], window: Option<(f64, f64)>) -> Calibration {
     if let Some((from, to)) = window {
         experiment = experiment.window(from, to);
     }
-    let settings = SimulationSettings { method: ode::Method::Tsit5, ..SimulationSettings::default() };
+    let settings = RunSettings { method: ode::Method::Tsit5, ..RunSettings::default() };
     let fmu = fmi::Fmu::open(example_fmu("quad_tank").unwrap()).unwrap();
     let mut builder = Calibration::builder(fmu).experiment(experiment).settings(settings);
     for name in OUTLETS {

@@ -4,11 +4,12 @@
 use calibration::RunContext;
 use calibration::{
     Calibration, CalibrationBuilder, Data, Experiment, Fit, FitOptions, Parameter, ProfileOptions, SavedFit,
-    Severity, SimulationSettings, Stage,
+    Severity, Stage,
 };
 use dfo::{AnyMethod, RunOptions, Tolerances};
 use example_models::example_fmu;
 use fmi::Fmu;
+use fmi::RunSettings;
 use std::fs::File;
 use tempfile::TempDir;
 
@@ -32,8 +33,7 @@ fn recording(noise: f64) -> Data {
         times: Some(time.clone()),
         start_values: vec![("mu".to_owned(), 1.5.into())],
         outputs: Some(vec!["x0".to_owned()]),
-        relative_tolerance: Some(1e-11),
-        ..fmi::SimulateOptions::default()
+        ..fmi::SimulateOptions::new().relative_tolerance(1e-11)
     };
     let exact = fmu.simulate(&options).unwrap().columns.swap_remove(0);
     let wave = |k: usize| (12.9898 * (k as f64 + 1.0)).sin() * 43_758.547;
@@ -88,7 +88,7 @@ fn the_tolerance_leaves_the_cost_as_smooth_as_f_tol_asks() {
 #[test]
 fn nothing_is_simulated_for_it_where_it_cannot_matter() {
     let folder = stating("van_der_pol", "1e-3");
-    let given = SimulationSettings { relative_tolerance: Some(1e-4), ..SimulationSettings::default() };
+    let given = RunSettings { relative_tolerance: Some(1e-4), ..RunSettings::default() };
     let fit = oscillator(&folder, 0.03).settings(given).build().unwrap().fit(run(1e-4)).unwrap();
     assert!(fit.tolerance.is_none(), "{fit}");
     let fit = oscillator(&folder, 0.03).build().unwrap().fit(run(0.1)).unwrap();

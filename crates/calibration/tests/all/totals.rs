@@ -3,10 +3,11 @@
 #![allow(clippy::unwrap_used)]
 
 use calibration::RunContext;
-use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, SimulationSettings};
+use calibration::{Calibration, Data, Experiment, FitOptions, Parameter};
 use dfo::{Limits, Lookahead, NelderMead, RunOptions};
 use example_models::example_fmu;
 use fmi::Fmu;
+use fmi::RunSettings;
 use ode::{Method, Stats};
 
 /// A ball that bounces, measured at four instants; with less and less restitution it stops bouncing earlier.
@@ -16,7 +17,7 @@ fn calibration() -> Calibration {
     Calibration::builder(Fmu::open(example_fmu("bouncing_ball").unwrap()).unwrap())
         .experiment(Experiment::new(data).output("h", "h"))
         .parameter(Parameter::new("e", 0.7).bounds(0.1, 0.95))
-        .settings(SimulationSettings { method: Method::Tsit5, ..SimulationSettings::default() })
+        .settings(RunSettings { method: Method::Tsit5, ..RunSettings::default() })
         .build()
         .unwrap()
 }

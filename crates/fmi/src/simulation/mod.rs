@@ -19,7 +19,7 @@ pub(crate) mod variable_elements;
 
 pub use clocks::Tick;
 pub use inputs::{InputFunction, Inputs};
-pub use options::{BetweenSteps, DEFAULT_INTERVALS, DEFAULT_TOLERANCE, SimulateOptions};
+pub use options::{BetweenSteps, DEFAULT_INTERVALS, DEFAULT_TOLERANCE, RunSettings, SimulateOptions};
 pub use outputs::Recorded;
 pub use plan::SimulationPlan;
 pub use trajectory::{Trajectory, ValueColumn};

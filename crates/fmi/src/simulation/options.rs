@@ -33,14 +33,77 @@ pub enum BetweenSteps {
 
 /// Functions that set an option and give the options back.
 macro_rules! setters {
-    ($($name:ident($type:ty) = |$given:ident| $value:expr;)*) => {$(
-        #[doc = concat!("Sets [`", stringify!($name), "`](Self::", stringify!($name), ").")]
+    ($of:literal, $($part:ident.)? { $($name:ident($type:ty) = |$given:ident| $value:expr;)* }) => {
+        setters!(@ $of, [$($part.)?] $($name($type) = |$given| $value;)*);
+    };
+    (@ $of:literal, $part:tt $($name:ident($type:ty) = |$given:ident| $value:expr;)*) => {$(
+        setters!(@@ $of, $part, $name($type) = |$given| $value);
+    )*};
+    (@@ $of:literal, [$($part:tt)*], $name:ident($type:ty) = |$given:ident| $value:expr) => {
+        #[doc = concat!("Sets [`", stringify!($name), "`](", $of, "::", stringify!($name), ").")]
         #[must_use]
         pub fn $name(mut self, $given: $type) -> Self {
-            self.$name = $value;
+            self.$($part)*$name = $value;
             self
         }
+    };
+}
+
+/// How a model is run: what a user sets once for all simulations of it. Serialised under the names that users
+/// write.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(default)]
+pub struct RunSettings {
+    /// Interface that runs the model; default: model exchange where it offers that, else co-simulation.
+    #[cfg_attr(feature = "schema", schemars(schema_with = "kinds"))]
+    pub kind: Kind,
+    /// Integration method (model exchange).
+    #[serde(rename = "solver")]
+    #[cfg_attr(feature = "schema", schemars(schema_with = "solvers"))]
+    pub method: Method,
+    /// Relative tolerance; default: that of the default experiment, else 1e-6. The model is told of it where
+    /// it is given here or there: a co-simulation has a default of its own.
+    pub relative_tolerance: Option<f64>,
+    /// Model exchange: step of the fixed-step methods; default: a 500th of the span. Co-simulation: the
+    /// communication step; default: that of the default experiment, else the distance of the rows. Where the
+    /// model takes steps of any length, there are further communication points at the rows and wherever an
+    /// input jumps or changes its slope.
+    pub step_size: Option<f64>,
+    /// Largest step of the adaptive methods.
+    pub max_step: Option<f64>,
+    /// Points within each step at which event indicators are looked at, for those that cross zero and back
+    /// within one (model exchange); default: see [`ode::Options::interior_samples`].
+    pub interior_samples: Option<u32>,
+    /// Passes derivatives of inputs, those of the line to the inputs at the end of the next step, to
+    /// co-simulations that extrapolate inputs (`canInterpolateInputs`, FMI 1.0 and 2.0). Default: yes. Inputs
+    /// held over each step, as with `Some(false)` and in most other tools, are less accurate, by an error of
+    /// the order of the step.
+    pub input_derivatives: Option<bool>,
+    /// Response to state events that follow each other so closely that time hardly advances (model exchange);
+    /// default: an error.
+    #[cfg_attr(feature = "schema", schemars(schema_with = "policies"))]
+    pub chattering: ChatteringPolicy,
+    /// Limit of wall-clock time of one simulation, in s where users write it.
+    #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", extend("exclusiveMinimum" = 0)))]
+    pub timeout: Option<Duration>,
+}
+
+/// JSON schema of a choice between names.
+#[cfg(feature = "schema")]
+macro_rules! names {
+    ($($function:ident = $names:expr;)*) => {$(
+        fn $function(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
+            schemars::json_schema!({ "enum": $names })
+        }
     )*};
+}
+
+#[cfg(feature = "schema")]
+names! {
+    kinds = ["auto", "ME", "CS", "me", "cs", "ModelExchange", "CoSimulation"];
+    solvers = Method::ALL.map(Method::name);
+    policies = ChatteringPolicy::NAMES;
 }
 
 /// Options of a simulation; the default leaves everything to the model.
@@ -80,36 +143,15 @@ pub struct SimulateOptions {
     pub outputs: Option<Vec<String>>,
     /// Time-varying inputs.
     pub inputs: Option<Inputs>,
-    /// Passes derivatives of inputs, those of the line to the inputs at the end of the next step, to
-    /// co-simulations that extrapolate inputs (`canInterpolateInputs`, FMI 1.0 and 2.0). Default: yes. Inputs
-    /// held over each step, as with `Some(false)` and in most other tools, are less accurate, by an error of
-    /// the order of the step.
-    pub input_derivatives: Option<bool>,
-    /// Relative tolerance; default: that of the default experiment, else 1e-6. The model is told of it where
-    /// it is given here or there: a co-simulation has a default of its own.
-    pub relative_tolerance: Option<f64>,
-    /// Interface that runs the model.
-    pub kind: Kind,
-    /// Integration method (model exchange).
-    pub method: Method,
-    /// Model exchange: step of the fixed-step methods; default: a 500th of the span. Co-simulation: the
-    /// communication step; default: that of the default experiment, else the distance of the rows. Where the
-    /// model takes steps of any length, there are further communication points at the rows and wherever an
-    /// input jumps or changes its slope.
-    pub step_size: Option<f64>,
+    /// How the model is run.
+    pub run: RunSettings,
     /// Takes each step of a fixed-step method in two halves, also one that an input or an event has cut
     /// (model exchange): for comparison with a run that does not.
     pub halve_steps: bool,
     /// Rows between the steps of a co-simulation that cannot stop there; default: interpolated.
     pub between_steps: BetweenSteps,
-    /// Largest step of the adaptive methods.
-    pub max_step: Option<f64>,
-    /// Limit of wall-clock time.
-    pub timeout: Option<Duration>,
     /// Limit of work in equivalents of a right-hand side, see [`ode::Stats::work`] (model exchange).
     pub max_work: Option<f64>,
-    /// Response to state events that follow each other so closely that time hardly advances (model exchange).
-    pub chattering: ChatteringPolicy,
     /// Add rows for both sides of every event.
     pub record_events: bool,
     /// Set from outside to end the run.
@@ -123,27 +165,31 @@ impl SimulateOptions {
         Self::default()
     }
 
-    setters! {
+    setters! { "Self", {
         start_time(f64) = |time| Some(time);
         final_time(f64) = |time| Some(time);
         times(impl Into<Vec<f64>>) = |times| Some(times.into());
         output_interval(f64) = |interval| Some(interval);
         ncp(usize) = |intervals| Some(intervals);
         inputs(Inputs) = |inputs| Some(inputs);
+        halve_steps(bool) = |halve| halve;
+        between_steps(BetweenSteps) = |choice| choice;
+        max_work(f64) = |work| Some(work);
+        record_events(bool) = |on| on;
+        cancel(Arc<AtomicBool>) = |flag| Some(flag);
+    }}
+
+    setters! { "RunSettings", run. {
         input_derivatives(bool) = |told| Some(told);
         relative_tolerance(f64) = |tolerance| Some(tolerance);
         kind(Kind) = |kind| kind;
         method(Method) = |method| method;
         step_size(f64) = |step| Some(step);
-        halve_steps(bool) = |halve| halve;
-        between_steps(BetweenSteps) = |choice| choice;
         max_step(f64) = |step| Some(step);
+        interior_samples(u32) = |points| Some(points);
         timeout(Duration) = |limit| Some(limit);
-        max_work(f64) = |work| Some(work);
         chattering(ChatteringPolicy) = |policy| policy;
-        record_events(bool) = |on| on;
-        cancel(Arc<AtomicBool>) = |flag| Some(flag);
-    }
+    }}
 
     /// Adds to [`clock_intervals`](Self::clock_intervals).
     #[must_use]
@@ -189,27 +235,28 @@ impl SimulateOptions {
             }};
         }
         same!(but inputs, cancel; start_time, final_time, times, output_interval, ncp, start_values, clock_intervals,
-            parameters, outputs, input_derivatives, relative_tolerance, kind, method, step_size, halve_steps, between_steps, max_step, timeout,
-            max_work, chattering, record_events)
+            parameters, outputs, run, halve_steps, between_steps, max_work, record_events)
     }
 
     /// The tolerance that was asked for, else that of the default experiment.
     pub(crate) fn stated_tolerance(&self, experiment: &DefaultExperiment) -> Option<f64> {
         let suggested = experiment.tolerance.filter(|tolerance| (1e-14..1.0).contains(tolerance));
-        self.relative_tolerance.or(suggested)
+        self.run.relative_tolerance.or(suggested)
     }
 
     /// The options of the integration method.
     pub(crate) fn method_options(&self, experiment: &DefaultExperiment) -> ode::Options {
+        let run = &self.run;
         ode::Options {
-            method: self.method,
+            method: run.method,
             relative_tolerance: self.stated_tolerance(experiment).unwrap_or(DEFAULT_TOLERANCE),
-            step_size: self.step_size,
+            step_size: run.step_size,
             halve_steps: self.halve_steps,
-            max_step: self.max_step,
+            max_step: run.max_step,
+            interior_samples: run.interior_samples,
             record_events: self.record_events,
-            limits: ode::Limits { timeout: self.timeout, max_work: self.max_work, ..ode::Limits::default() },
-            chattering: self.chattering,
+            limits: ode::Limits { timeout: run.timeout, max_work: self.max_work, ..ode::Limits::default() },
+            chattering: run.chattering,
             cancel: self.cancel.clone(),
             ..ode::Options::default()
         }
@@ -219,7 +266,7 @@ impl SimulateOptions {
 impl SimulateOptions {
     /// Settings that have no effect with this interface, with the reason; one sentence each.
     pub fn without_effect(&self, kind: InterfaceKind) -> Vec<String> {
-        let (method, integrates) = (self.method, kind == InterfaceKind::ModelExchange);
+        let (method, integrates) = (self.run.method, kind == InterfaceKind::ModelExchange);
         let mut found = Vec::new();
         if !integrates && method != Method::Auto {
             found.push(format!(
@@ -227,14 +274,14 @@ impl SimulateOptions {
                 method.name()
             ));
         }
-        if let Some(step) = self.step_size.filter(|_| integrates && !method.is_fixed_step()) {
+        if let Some(step) = self.run.step_size.filter(|_| integrates && !method.is_fixed_step()) {
             found.push(format!(
                 "step_size = {} has no effect with the solver '{}', which chooses its steps itself; max_step limits them",
                 Number(step),
                 method.name()
             ));
         }
-        match self.max_step.map(Number) {
+        match self.run.max_step.map(Number) {
             Some(step) if !integrates => found.push(format!(
                 "max_step = {step} has no effect in co-simulation: the model integrates itself; step_size is the \
                  communication step"

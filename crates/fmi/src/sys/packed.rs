@@ -107,6 +107,6 @@ mod tests {
         assert_eq!(round::<u64>(&[-1, 0]), [-1, 0]);
         let floats: Vec<i64> = [1.5f64, -0.25, 0.0].iter().map(|x| x.to_bits() as i64).collect();
         assert_eq!(round::<f32>(&floats), floats);
-        assert_eq!(round::<i8>(&[]), []);
+        assert_eq!(round::<i8>(&[]), [0_i64; 0]);
     }
 }

@@ -135,7 +135,7 @@ fn rows_between_the_steps_of_the_model_are_interpolated_or_refused() {
     for times in [vec![0.0, 0.2, 0.25, 1.0], vec![0.03, 0.04, 0.11, 0.97]] {
         for step in [None, Some(0.1), Some(0.3)] {
             let mut options = SimulateOptions::new().times(times.clone());
-            options.step_size = step;
+            options.run.step_size = step;
             options.final_time = times.last().copied();
             let result = fmu.simulate(&options).unwrap();
             for (t, x) in times.iter().zip(result.get("x").unwrap()) {

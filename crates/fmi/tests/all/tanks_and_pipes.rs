@@ -101,9 +101,8 @@ fn the_tanks_settle_and_empty_as_they_should() {
     let fmu = folder.open();
     let options = SimulateOptions {
         start_values: vec![("u1".to_owned(), 5.0.into()), ("u2".to_owned(), 6.0.into())],
-        relative_tolerance: Some(1e-10),
         final_time: Some(2000.0),
-        ..SimulateOptions::default()
+        ..SimulateOptions::new().relative_tolerance(1e-10)
     };
     let settled = fmu.simulate(&options).unwrap();
     for (name, level) in

@@ -21,7 +21,7 @@ pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error
     check_written(output.into_iter().chain(&arguments.plot), &read)?;
     let fmu = Fmu::open(&arguments.model).map_err(Error::input)?;
     let options = options(arguments, &fmu)?;
-    let kind = fmu.check_runnable_as(options.kind).map_err(Error::input)?;
+    let kind = fmu.check_runnable_as(options.run.kind).map_err(Error::input)?;
     options.without_effect(kind).iter().for_each(|sentence| console.note(&format!("warning: {sentence}")));
     // What is wrong with the options shows before the model is loaded.
     SimulationPlan::new(&fmu, &options).map_err(Error::input)?;
@@ -92,18 +92,18 @@ fn options(arguments: &Simulate, fmu: &Fmu) -> Result<SimulateOptions, Error> {
         start_time: arguments.start_time,
         final_time: arguments.final_time,
         output_interval: arguments.interval,
-        relative_tolerance: arguments.tolerance,
-        step_size: arguments.step_size,
         ..SimulateOptions::default()
     };
+    options.run.relative_tolerance = arguments.tolerance;
+    options.run.step_size = arguments.step_size;
     if let Some((name, method)) = parsed("--solver", &arguments.solver) {
-        options.method = method.parse(&name).map_err(Error::input)?;
+        options.run.method = method.parse(&name).map_err(Error::input)?;
     }
     if let Some((name, kind)) = parsed("--kind", &arguments.kind) {
-        options.kind = kind.parse(&name).map_err(Error::input)?;
+        options.run.kind = kind.parse(&name).map_err(Error::input)?;
     }
     if let Some(seconds) = arguments.timeout {
-        options.timeout = Value::Number(seconds).read_time("--timeout").map_err(Error::input)?;
+        options.run.timeout = Value::Number(seconds).read_time("--timeout").map_err(Error::input)?;
     }
     if !arguments.outputs.is_empty() {
         options = options.outputs(arguments.outputs.clone());

@@ -40,7 +40,8 @@ pub(crate) fn run(arguments: &Validate, console: &Console) -> Result<Exit, Error
     })?;
     let timeout = Value::Number(arguments.timeout).read_time("--timeout").map_err(Error::input)?;
     let experiment = &fmu.description().default_experiment;
-    let mut options = SimulateOptions { timeout, ..SimulateOptions::default() };
+    let mut options = SimulateOptions::default();
+    options.run.timeout = timeout;
     if experiment.stop_time.is_none() {
         options = options.final_time(experiment.start_time.unwrap_or_default() + SHORT);
     }

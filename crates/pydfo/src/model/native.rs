@@ -2,7 +2,7 @@
 
 use crate::convert::error;
 use crate::convert::fmu_error;
-use crate::convert::record::{read, time_limit};
+use crate::convert::record::{PyRecord, read, time_limit};
 use crate::convert::values;
 use crate::interrupt::logs;
 use crate::interrupt::threads::lock;
@@ -104,25 +104,16 @@ pub(crate) struct Request<'py> {
     tables: Vec<Table<'py>>,
     #[pyo3(item(9))]
     functions: Vec<Function>,
+    /// How the model is run, where that is not the default.
     #[pyo3(item(10))]
-    relative_tolerance: Option<f64>,
+    settings: PyRecord,
     #[pyo3(item(11))]
-    solver: String,
-    #[pyo3(item(12))]
-    step_size: Option<f64>,
-    #[pyo3(item(13))]
-    max_step: Option<f64>,
-    #[pyo3(item(14))]
     max_time: Option<f64>,
-    #[pyo3(item(15))]
+    #[pyo3(item(12))]
     record_events: bool,
-    #[pyo3(item(16))]
-    input_derivatives: bool,
-    #[pyo3(item(17))]
-    chattering: String,
-    #[pyo3(item(18))]
+    #[pyo3(item(13))]
     between_steps: String,
-    #[pyo3(item(19))]
+    #[pyo3(item(14))]
     isolation: String,
 }
 
@@ -303,11 +294,11 @@ impl Model {
     ) -> PyResult<(SimulateOptions, Callbacks)> {
         let flag = stop.flag();
         let (inputs, callbacks) = inputs::inputs(request.tables, request.functions, &flag)?;
-        let mut options = SimulateOptions::new()
-            .inputs(inputs)
-            .cancel(flag)
-            .record_events(request.record_events)
-            .input_derivatives(request.input_derivatives);
+        let mut options =
+            SimulateOptions::new().inputs(inputs).cancel(flag).record_events(request.record_events);
+        if !request.settings.values.is_empty() {
+            options.run = request.settings.settings(py)?.run;
+        }
         options.start_time = request.start_time;
         options.final_time = request.final_time;
         options.times = request.times.map(|times| times.to_vec()).transpose()?;
@@ -318,18 +309,11 @@ impl Model {
         options.clock_intervals =
             request.clock_intervals.into_iter().map(|(name, interval)| (name, interval.into())).collect();
         options.outputs = request.outputs;
-        options.relative_tolerance = request.relative_tolerance;
-        options.method =
-            request.solver.parse().map_err(|e: ode::OptionsError| fmu_error::raise(py, &e.into()))?;
-        options.chattering =
-            request.chattering.parse().map_err(|e: ode::OptionsError| fmu_error::raise(py, &e.into()))?;
-        options.step_size = request.step_size;
         options.between_steps = read("between_steps", &request.between_steps)?;
-        options.max_step = request.max_step;
         for ignored in options.without_effect(self.kind) {
             error::warn(py, &ignored)?;
         }
-        options.timeout = time_limit("max_time", request.max_time)?;
+        options.run.timeout = time_limit("max_time", request.max_time)?;
         Ok((options, callbacks))
     }
 }

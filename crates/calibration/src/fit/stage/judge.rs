@@ -175,7 +175,7 @@ impl Calibration {
         let finished = report.trace.iter().filter(|entry| entry.outcome.value().is_some());
         let most = finished.fold(0.0, |most: f64, entry| most.max(entry.seconds));
         let is_endless = report.termination == Termination::MaxTime
-            && self.problem().settings.timeout.is_none()
+            && self.problem().settings.run.timeout.is_none()
             && ended > ENDLESS * most;
         is_endless.then(|| {
             let (ended, most) = (digits(ended), digits(most));

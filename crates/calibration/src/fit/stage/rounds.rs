@@ -176,7 +176,7 @@ impl Calibration {
         let other = chosen.map(|chosen| chosen.used).filter(|used| *used != self.relative_tolerance());
         let derived = other.map(|used| {
             let mut problem = self.problem().clone();
-            problem.settings.relative_tolerance = Some(used);
+            problem.settings.run.relative_tolerance = Some(used);
             self.derived_for_fit(problem)
         });
         derived.transpose()

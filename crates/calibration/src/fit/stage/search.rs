@@ -468,7 +468,7 @@ impl Calibration {
             }) => *found,
             error => return Err(self.over_or(error)),
         };
-        let named = Solver { method: self.problem().settings.method, race: None };
+        let named = Solver { method: self.problem().settings.run.method, race: None };
         let mut report = Report::without_cost(
             &job.start,
             job.run.method.name(),

@@ -77,7 +77,7 @@ impl Calibration {
         let (loss, tolerances) = (*loss, &job.run.tolerances);
         let stated = self.fmu().description().default_experiment.tolerance.filter(|t| *t > 0.0 && *t < 1.0);
         let plan = self.evaluator().simulations[0].pool.plan();
-        let is_given = self.problem().settings.relative_tolerance.is_some();
+        let is_given = self.problem().settings.run.relative_tolerance.is_some();
         let has_own = stated.is_none() && plan.kind() != InterfaceKind::ModelExchange;
         if is_given || has_own || self.has_fixed_step() || tolerances.f_tol == 0.0 {
             return Ok(None);

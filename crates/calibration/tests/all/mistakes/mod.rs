@@ -43,7 +43,7 @@ fn k() -> Parameter {
 fn calibration(
     experiments: Vec<Experiment>,
     parameter: Parameter,
-    settings: SimulationSettings,
+    settings: impl Into<SimulationSettings>,
 ) -> Calibration {
     let builder = Calibration::builder(open("dahlquist")).parameter(parameter).settings(settings);
     experiments.into_iter().fold(builder, calibration::CalibrationBuilder::experiment).build().unwrap()

@@ -6,13 +6,13 @@ use calibration::{
     Calibration, CheckOptions, Data, Experiment, FitOptions, NoiseRule, Parameter, Prior, RunContext, Scale,
     SimulationSettings, Stage, Weight,
 };
+use fmi::RunSettings;
 use ode::Method;
 use std::time::Duration;
 
 #[test]
 fn a_fixed_step_that_is_too_large_is_compared_with_half_of_it() {
-    let settings =
-        |method, step| SimulationSettings { method, step_size: Some(step), ..SimulationSettings::default() };
+    let settings = |method, step| RunSettings { method, step_size: Some(step), ..RunSettings::default() };
     // One step of Euler's method multiplies with 1 - k h instead of exp(-k h): it is right with k = (1 - exp(-0.5)) / 0.25 = 1.574.
     let coarse = calibration(vec![sound(1e-3)], k(), settings(Method::Euler, 0.25));
     let check = coarse.check();
@@ -114,7 +114,7 @@ fn tolerances_that_mean_nothing_are_named() {
 
 #[test]
 fn loose_simulations_are_named_and_reproduce_nothing() {
-    let loose = SimulationSettings { relative_tolerance: Some(0.1), ..SimulationSettings::default() };
+    let loose = RunSettings { relative_tolerance: Some(0.1), ..RunSettings::default() };
     let fit = calibration(vec![sound(1e-2)], k(), loose).fit(FitOptions::default()).unwrap();
     assert!(warns(&fit.findings(), "relative_tolerance 0.1 lets each step"), "{fit}");
     assert!(!fit.to_string().contains("reproduced to the accuracy"), "{fit}");

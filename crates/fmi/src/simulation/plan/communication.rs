@@ -46,7 +46,7 @@ impl Communication {
         let span = grid.end - grid.start;
         let makes_sense =
             |step: &f64| step.is_finite() && *step > grid.time_tolerance && span / *step <= MAX_STEPS;
-        if let Some(step) = options.step_size.filter(|step| !makes_sense(step)) {
+        if let Some(step) = options.run.step_size.filter(|step| !makes_sense(step)) {
             let problem = format!(
                 "step_size = {} from {} to {}: it must be positive, finite, and not make more than {MAX_STEPS:e} steps",
                 Number(step),
@@ -57,7 +57,7 @@ impl Communication {
         }
         let variable = capabilities.can_handle_variable_communication_step_size;
         let suggested = experiment.step_size.filter(makes_sense);
-        let step = options.step_size.or(suggested).or(grid.interval.filter(makes_sense));
+        let step = options.run.step_size.or(suggested).or(grid.interval.filter(makes_sense));
         // 500 steps where nobody says anything, as many as there are rows by default.
         let step = if variable { step } else { step.or(Some(span / 500.0).filter(makes_sense)) };
         let internal = capabilities.fixed_internal_step_size;
@@ -66,7 +66,7 @@ impl Communication {
             multiple >= 1.0 && (step - multiple * internal).abs() <= 1e-9 * step
         };
         // Where nobody asks for a step, one that the model can make; of one length only, one that loses nothing between.
-        let step = match (internal, options.step_size, step) {
+        let step = match (internal, options.run.step_size, step) {
             (Some(internal), None, Some(step)) if is_multiple(step, internal) => {
                 Some((step / internal).round() * internal)
             }
@@ -95,7 +95,7 @@ impl Communication {
             ends_exactly: variable,
             extrapolates: capabilities.can_interpolate_inputs,
             input_derivatives: capabilities.can_interpolate_inputs
-                && options.input_derivatives != Some(false),
+                && options.run.input_derivatives != Some(false),
             output_derivatives: capabilities.max_output_derivative_order > 0,
         };
         // The last step leads beyond an end that is no multiple.
@@ -176,7 +176,10 @@ mod tests {
     }
 
     fn communication(step: Option<f64>, suggested: Option<f64>, variable: bool) -> Result<Communication> {
-        let options = SimulateOptions { step_size: step, ..SimulateOptions::default() };
+        let options = SimulateOptions {
+            run: crate::RunSettings { step_size: step, ..Default::default() },
+            ..SimulateOptions::default()
+        };
         let experiment = DefaultExperiment { step_size: suggested, ..DefaultExperiment::default() };
         Communication::new(&options, &experiment, &capabilities(variable), &grid())
     }

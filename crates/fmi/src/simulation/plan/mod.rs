@@ -69,7 +69,7 @@ impl SimulationPlan {
     /// The FMU cannot be simulated by this version; a name is unknown (with the nearest names); a value has
     /// the wrong type or is not finite; a variable cannot be set; times or other options make no sense.
     pub fn new(fmu: &Fmu, options: &SimulateOptions) -> Result<Self> {
-        let kind = fmu.choose(options.kind)?;
+        let kind = fmu.choose(options.run.kind)?;
         let interface = fmu.check_interface(kind)?;
         let description = fmu.description();
         // What cannot run at all is said before what is missing.

@@ -96,7 +96,7 @@ fn settings() -> Vec<String> {
         "[settings]".to_owned(),
         format!(
             "# solver = \"{}\"             # the least work of all that are accurate enough",
-            settings.method.name()
+            settings.run.method.name()
         ),
         "# relative_tolerance = 1e-6".to_owned(),
         "# timeout = 10.0              # of one simulation, in s; one that takes longer has failed"

@@ -400,3 +400,14 @@ def solver(name: str, argument: str = "solver") -> str:
         return name
     _log.info("there is no %s here: %s=%r is used instead", name, argument, ours)
     return ours
+
+
+#: The settings of a run of a model that are not None by default.
+_USUAL = {"solver": "auto", "chattering": "error", "input_derivatives": True}
+
+
+def run_settings(**given: Any) -> Record:
+    """How a model is run, where that is not the default: the native code knows the names and what values may be."""
+    given["solver"] = solver(given["solver"])
+    usual = {name for name, value in given.items() if value is None or (isinstance(value, (str, bool)) and value == _USUAL.get(name))}
+    return {name: value for name, value in given.items() if name not in usual}

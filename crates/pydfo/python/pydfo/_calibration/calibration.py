@@ -103,6 +103,8 @@ class Calibration(Point):
         Step of the fixed-step methods, or the communication step of co-simulation; largest step of the other methods;
         in s. Measurements between the steps of a co-simulation that cannot stop there are compared with values interpolated
         linearly between the steps, see `between_steps` in `FMUModel.simulate`.
+    interior_samples : int, optional
+        Points within each step at which event indicators are looked at, as in `FMUModel.simulate`.
     chattering : {"error", "warn", "slide"}
         What happens when state events follow each other so closely that time hardly advances, as in `FMUModel.simulate`;
         a simulation that ends with the error counts as failed.
@@ -177,6 +179,7 @@ class Calibration(Point):
         isolation: Literal["process", "none"] = "process",
         memory_limit: SupportsFloat | None = None,
         sandbox: bool = False,
+        interior_samples: SupportsIndex | None = None,
         initial_states: Mapping[str, SupportsFloat | str | Parameter] | None = None,
         windows: Sequence[tuple[float, float]] | None = None,
         warm_up: SupportsFloat | None = None,
@@ -217,6 +220,7 @@ class Calibration(Point):
             "solver": _solver(solver),
             "step_size": step_size,
             "max_step": max_step,
+            "interior_samples": interior_samples,
             "chattering": chattering,
             "input_derivatives": input_derivatives,
             "isolation": isolation,

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, NamedTuple, NoReturn, SupportsFloat
+from typing import Any, Literal, NamedTuple, NoReturn, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
@@ -43,14 +43,9 @@ class Request(NamedTuple):
     outputs: list[str] | None
     tables: list[_inputs.Table]
     functions: list[_inputs.Function]
-    relative_tolerance: float | None
-    solver: str
-    step_size: float | None
-    max_step: float | None
+    settings: dict[str, Any]
     max_time: float | None
     record_events: bool
-    input_derivatives: bool
-    chattering: str
     between_steps: str
     isolation: str
 
@@ -284,6 +279,7 @@ class FMUModel:
         solver: str = "auto",
         step_size: SupportsFloat | None = None,
         max_step: SupportsFloat | None = None,
+        interior_samples: SupportsIndex | None = None,
         max_time: SupportsFloat | None = None,
         record_events: bool = False,
         chattering: Literal["error", "warn", "slide"] = "error",
@@ -356,6 +352,9 @@ class FMUModel:
             can step to any time, it communicates at the rows of the result and of the inputs, too.
         max_step : float, optional
             Largest step of the other methods.
+        interior_samples : int, optional
+            Points within each step at which event indicators are looked at, for one that crosses zero and back within a step
+            (model exchange). Default: one ("dop853", "radau5": three), and more where the values bend.
         max_time : float, optional
             Limit of wall-clock time in s; it acts between calls into the FMU. Also called `timeout`.
         record_events : bool
@@ -418,14 +417,17 @@ class FMUModel:
             outputs=self._outputs(outputs),
             tables=tables,
             functions=functions,
-            relative_tolerance=_options.optional_number("relative_tolerance", relative_tolerance),
-            solver=_options.solver(solver),
-            step_size=_options.optional_number("step_size", step_size),
-            max_step=_options.optional_number("max_step", max_step),
+            settings=_options.run_settings(
+                relative_tolerance=relative_tolerance,
+                solver=solver,
+                step_size=step_size,
+                max_step=max_step,
+                interior_samples=interior_samples,
+                chattering=chattering,
+                input_derivatives=input_derivatives,
+            ),
             max_time=_options.optional_number("max_time", max_time),
             record_events=_options.flag("record_events", record_events),
-            input_derivatives=_options.flag("input_derivatives", input_derivatives),
-            chattering=_options.choice("chattering", chattering),
             between_steps=_options.choice("between_steps", between_steps),
             isolation=_options.choice("isolation", isolation),
         )
