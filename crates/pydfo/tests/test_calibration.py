@@ -255,7 +255,7 @@ def test_what_does_not_fit_together_is_named(dahlquist, tmp_path, monkeypatch, c
 
 
 def test_a_setting_reaches_the_solver_and_the_identity_of_the_problem(dahlquist, tmp_path):
-    ball = FMUModel(example_fmu("bouncing_ball"))
+    ball = pydfo.FMUModel(example_fmu("bouncing_ball"))
     usual, close = (ball.simulate(final_time=1.0, **settings).stats for settings in ({}, {"interior_samples": 20}))
     assert close.event_indicators > 2 * usual.event_indicators
     with pytest.raises(ValueError, match="interior_samples = -1"):
