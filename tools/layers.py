@@ -52,7 +52,7 @@ LAYERS = {
     """,
     "fmufit-cli": """
         error
-        arguments console interrupt written
+        arguments console interrupt output_paths
         problem
         commands
     """,

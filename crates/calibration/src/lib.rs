@@ -44,7 +44,7 @@ pub use dfo::Kind;
 pub use error::CalibrationError;
 pub use export::{FitDocument, FmuExport, SavedFit, Table};
 pub use findings::finding::{Finding, Severity};
-pub use findings::visible::visible;
+pub use findings::hidden_characters::visible;
 pub use fit::output_fit::OutputFit;
 pub use fit::phase::{CurrentPhase, FitPhase, PhaseCost};
 #[cfg(feature = "schema")]

@@ -1,4 +1,4 @@
-//! The wish to end work early, told from another thread: what opening, unpacking and compiling look at.
+//! A request to end work early, made by another thread: opening, unpacking and compiling look at it.
 
 use crate::error::{FmiError, Result};
 use std::sync::Arc;

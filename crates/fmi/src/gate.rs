@@ -1,4 +1,4 @@
-//! One thread at a time, in the order of their coming: who may be inside a loaded library.
+//! The lock of a loaded library: one thread at a time, first come, first served.
 
 use std::collections::VecDeque;
 use std::fmt;

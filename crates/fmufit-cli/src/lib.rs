@@ -13,8 +13,8 @@ mod commands;
 mod console;
 mod error;
 mod interrupt;
+mod output_paths;
 mod problem;
-mod written;
 
 use arguments::CommandLine;
 use clap::Parser;

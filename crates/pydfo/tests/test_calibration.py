@@ -239,7 +239,7 @@ def test_simulations_that_fail(dahlquist):
         ({"data": {"time": TIME + 100.0, "x": TRUE}}, ValueError, "Give start_time = 100 .* start_time = 0"),
         ({"timeout": -1.0}, ValueError, "timeout = -1"),
         ({"relative_tolerance": -1.0}, ValueError, "toleran"),
-        ({"interior_samples": -1}, ValueError, "interior_samples = -1"),
+        ({"interior_samples": -1}, ValueError, "interior_samples must be a whole number, at least 0, not -1"),
         ({"solver": "magic"}, ValueError, "magic"),
         ({"solver": None}, TypeError, "solver must be a string"),
         ({"inputs": {"u": "x"}}, KeyError, '"u"'),
@@ -258,7 +258,7 @@ def test_a_setting_reaches_the_solver_and_the_identity_of_the_problem(dahlquist,
     ball = pydfo.FMUModel(example_fmu("bouncing_ball"))
     usual, close = (ball.simulate(final_time=1.0, **settings).stats for settings in ({}, {"interior_samples": 20}))
     assert close.event_indicators > 2 * usual.event_indicators
-    with pytest.raises(ValueError, match="interior_samples = -1"):
+    with pytest.raises(ValueError, match="interior_samples must be a whole number, at least 0, not -1"):
         ball.simulate(final_time=1.0, interior_samples=-1)
     file = tmp_path / "fit"
     decay(dahlquist).fit(checkpoint=file)

@@ -1,8 +1,8 @@
 //! Checks of the values of a recording: columns that are constant, clipped, frozen, missing, or hold
 //! placeholders.
 
-use super::series::{range, rounded};
-use super::subject::Subject;
+use super::checked_experiment::Subject;
+use super::simulated_outputs::{range, rounded};
 use crate::findings::finding::Finding;
 use ode::Number;
 use std::ops::Range;

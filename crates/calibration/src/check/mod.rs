@@ -1,7 +1,8 @@
 //! Check before a fit: contradictions between model, recordings and parameters.
 
+mod checked_experiment;
 mod columns;
-mod driving;
+mod input_columns;
 mod model;
 mod options;
 mod parameters;
@@ -9,11 +10,10 @@ mod repeated;
 mod result;
 mod sampling;
 mod scales;
-mod series;
 mod settings;
 mod signals;
 mod simulated;
-mod subject;
+mod simulated_outputs;
 mod time_unit;
 mod times;
 
@@ -26,9 +26,9 @@ use crate::cost::residual::PointResiduals;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
 use base::RunContext;
+use checked_experiment::Subject;
 use ode::Stats;
-use series::{Evaluations, Outputs, Place};
-use subject::Subject;
+use simulated_outputs::{Evaluations, Outputs, Place};
 
 /// A fit that moves no parameter by this factor leaves an oscillation about as fast as it was.
 const SLOWER: f64 = 1.5;
@@ -227,7 +227,7 @@ impl Calibration {
             findings.extend(parameters::given_values(subject, &self.problem().parameters));
             findings.extend(times::findings(subject));
             findings.extend(columns::findings(subject));
-            findings.extend(driving::findings(subject));
+            findings.extend(input_columns::findings(subject));
         }
         findings
     }

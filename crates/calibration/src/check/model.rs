@@ -1,6 +1,6 @@
 //! Checks of the inputs and units in the description of the model, and the warnings of the setup.
 
-use super::subject::Subject;
+use super::checked_experiment::Subject;
 use crate::findings::finding::{Finding, Severity};
 use crate::problem::column_units::declared;
 use crate::problem::definition::Problem;

@@ -1,8 +1,8 @@
 //! Parameters and values that are given, beside what the model states for them: ranges and its own start
 //! values.
 
-use super::series::rounded;
-use super::subject::Subject;
+use super::checked_experiment::Subject;
+use super::simulated_outputs::rounded;
 use crate::data::UnitConversion;
 use crate::findings::finding::{Finding, Severity};
 use crate::problem::column_units::declared;

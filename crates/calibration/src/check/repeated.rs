@@ -1,7 +1,7 @@
 //! Measurements that are there more than once: a recording given twice, a column for two outputs.
 
-use super::series::range;
-use super::subject::Subject;
+use super::checked_experiment::Subject;
+use super::simulated_outputs::range;
 use crate::cost::calibration::Calibration;
 use crate::findings::finding::Finding;
 use crate::problem::residual_layout::OutputResiduals;

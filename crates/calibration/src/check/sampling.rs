@@ -1,6 +1,6 @@
 //! Rows that are too far apart to show what the simulation does between them.
 
-use super::series::{Evaluations, Place, Series, all_series, rounded, size};
+use super::simulated_outputs::{Evaluations, Place, Series, all_series, rounded, size};
 use crate::cost::calibration::Calibration;
 use crate::cost::residual::PointResiduals;
 use crate::data::sampling_interval;

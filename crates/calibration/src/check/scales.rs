@@ -1,6 +1,6 @@
 //! Outputs that are measured on unlike scales and have the same weight: the largest decides the fit.
 
-use super::series::{Place, rounded};
+use super::simulated_outputs::{Place, rounded};
 use crate::cost::calibration::Calibration;
 use crate::findings::finding::{Finding, Severity};
 use crate::problem::column_units::declared;

@@ -1,6 +1,6 @@
 //! Checks of the accuracy of the simulation settings: a loose tolerance, a step that is too large.
 
-use super::series::{Evaluations, Place, all_series, rounded, size, size_of_difference};
+use super::simulated_outputs::{Evaluations, Place, all_series, rounded, size, size_of_difference};
 use crate::cost::accuracy::Accuracy;
 use crate::cost::calibration::Calibration;
 use crate::cost::residual::PointResiduals;

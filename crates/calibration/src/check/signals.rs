@@ -1,9 +1,11 @@
 //! Checks of the simulated course of an output against the measured one: wrong sign, worse than a constant,
 //! frozen, wrapped at a full turn.
 
+use super::checked_experiment::Subject;
 use super::columns::{FEW_VALUES, SHORTEST_CLIPPED, longest_run, n_distinct};
-use super::series::{Outputs, Place, Series, range, rounded, rounded_time, size, size_of_difference};
-use super::subject::Subject;
+use super::simulated_outputs::{
+    Outputs, Place, Series, range, rounded, rounded_time, size, size_of_difference,
+};
 use crate::findings::finding::Finding;
 use crate::problem::column_units::declared;
 use ode::Number;

@@ -1,9 +1,11 @@
 //! Checks of an evaluation at the start values: measurements in another unit, swapped, or far from the
 //! simulation from the start.
 
-use super::series::{Outputs, Place, Series, range, rounded, size, size_of_difference, unexplained};
+use super::checked_experiment::Subject;
 use super::signals;
-use super::subject::Subject;
+use super::simulated_outputs::{
+    Outputs, Place, Series, range, rounded, size, size_of_difference, unexplained,
+};
 use crate::data::{UnitConversion, parts, sampling_interval};
 use crate::findings::finding::Finding;
 use crate::problem::column_units::declared;

@@ -1,7 +1,7 @@
 //! Times in another unit than s, as the response of the model tells.
 
-use super::series::{Evaluations, Outputs, all_series, rounded, rounded_time, unexplained};
-use super::subject::Subject;
+use super::checked_experiment::Subject;
+use super::simulated_outputs::{Evaluations, Outputs, all_series, rounded, rounded_time, unexplained};
 use crate::cost::calibration::Calibration;
 use crate::cost::failure::NoCost;
 use crate::cost::residual::CostRule;

@@ -1,7 +1,7 @@
 //! Checks of the times of a recording: gaps, duplicate rows, another unit, months taken for days.
 
-use super::series::{rounded, rounded_time};
-use super::subject::Subject;
+use super::checked_experiment::Subject;
+use super::simulated_outputs::{rounded, rounded_time};
 use crate::data::sampling_interval;
 use crate::findings::finding::{Finding, Severity};
 use ode::Number;

@@ -1,4 +1,4 @@
-//! A race between methods: who does one simulation with the least counted work, and right.
+//! The comparison of integration methods: the one that simulates with the least counted work, accurately.
 //!
 //! For a system that is simulated over and over, as in a fit. Work is counted ([`Stats::work`]), never
 //! measured, so that the race has the same winner on every machine. [`Method::Auto`] runs first. Where the

@@ -6,7 +6,7 @@ use jiff::civil::{Date, DateTime, Time};
 use jiff::fmt::strtime;
 
 use super::clock_change::{ClockChange, clock_change};
-use super::text::shortened;
+use super::shortened_text::shortened;
 use super::time_column::PairUnit;
 
 /// After so many cells it is asked whether reading is to end.

@@ -6,10 +6,10 @@ mod csv_records;
 mod dates;
 mod resampling;
 mod series;
-mod symbols;
+mod shortened_text;
 mod table;
-mod text;
 mod time_column;
+mod unit_symbols;
 mod units;
 
 pub use clock_change::{ClockChange, clock_change};

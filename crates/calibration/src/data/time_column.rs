@@ -1,6 +1,6 @@
 //! Selection of the column of a table that holds the times, and its unit.
 
-use super::text::shortened;
+use super::shortened_text::shortened;
 use super::units::Unit;
 
 /// Names beyond these are counted only.

@@ -1,7 +1,7 @@
 //! Units of measurement by their names: exponents of the SI base units, factor and offset; conversion into
 //! the unit of a variable.
 
-use super::symbols::{
+use super::unit_symbols::{
     self, ACCELERATION, ANGULAR_SPEED, Exponents, FREQUENCY, NONE, SYMBOLS_OF_BASE, TEMPERATURE, TIME,
     reduced,
 };

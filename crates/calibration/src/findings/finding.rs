@@ -1,6 +1,6 @@
 //! Findings about a setup or a fit: sentences with a subject, a severity, and a remedy.
 
-use crate::findings::visible::visible;
+use crate::findings::hidden_characters::visible;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 

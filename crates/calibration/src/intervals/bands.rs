@@ -8,7 +8,7 @@ use crate::problem::parameter::Parameter;
 use crate::problem::residual_layout::OutputResiduals;
 use crate::uncertainty::active_bounds::{inner, outer};
 use crate::uncertainty::estimate::{Uncertainty, check_level};
-use crate::uncertainty::tall::go_on;
+use crate::uncertainty::row_blocks::go_on;
 use base::RunContext;
 use fmi::Trajectory;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};

@@ -2,7 +2,7 @@
 
 #[cfg(feature = "schema")]
 use crate::problem::schema;
-use dfo::{Record, RecordError, Value, read_known};
+use dfo::{Record, RecordError, Value, read_known, read_part};
 use fmi::RunSettings;
 use fmi::worker::{Isolation, WorkerLimits};
 use serde::{Deserialize, Serialize};
@@ -26,6 +26,9 @@ pub struct SimulationSettings {
     /// Processes of the FMU may write into their own folder only, and open no connections.
     pub sandbox: bool,
 }
+
+/// A field of the settings, for messages.
+const SETTING: &str = "setting of simulations";
 
 /// The largest relative tolerance that simulations of a fit have where none is asked for. With it a cost of
 /// residuals of usual noise is smooth far below 1e-4 of itself, the `f_tol` of a fit; at 1e-4, which many
@@ -52,8 +55,10 @@ impl SimulationSettings {
                 _ => continue,
             };
         }
-        // Unknown names are refused here alone: a fit that another version saved can be loaded.
-        read_known(&record, "setting of simulations")
+        // In two parts, so that an error has the name of its field. Unknown names are refused here alone: a fit
+        // that another version saved can be loaded.
+        let (run, others) = read_part(record, SETTING)?;
+        Ok(Self { run, ..read_known(&others, SETTING)? })
     }
 
     /// Limits of the processes of the FMU.

@@ -1,8 +1,8 @@
 //! The templates of the report and of the part for notebooks. What they are given is escaped: names in an FMU
-//! are anybody's.
+//! may hold any characters.
 
 use super::summary::Summary;
-use crate::findings::visible::visible;
+use crate::findings::hidden_characters::visible;
 use minijinja::value::Serde;
 use minijinja::{Environment, Value, context};
 use serde::Serialize;

@@ -2,7 +2,7 @@
 
 use super::summary::{OutputRow, ParameterRow, Summary};
 use crate::findings::finding::table;
-use crate::findings::visible::visible;
+use crate::findings::hidden_characters::visible;
 use crate::fit::stage::Fit;
 use std::fmt::{self, Write};
 

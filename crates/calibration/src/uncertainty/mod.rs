@@ -3,4 +3,4 @@
 pub(crate) mod active_bounds;
 pub(crate) mod estimate;
 pub(crate) mod preflight;
-pub(crate) mod tall;
+pub(crate) mod row_blocks;

@@ -327,7 +327,9 @@ impl de::Error for RecordError {
         };
         let is_number =
             matches!(found, Unexpected::Float(_) | Unexpected::Signed(_) | Unexpected::Unsigned(_));
-        Self::expected(what, !(is_number && what == "a number"))
+        // A number of the right kind that cannot be: a negative count.
+        let is_count = matches!(found, Unexpected::Signed(_)) && what.starts_with("a whole number");
+        Self::expected(what, !(is_count || is_number && what == "a number"))
     }
 
     fn invalid_value(found: Unexpected<'_>, expected: &dyn de::Expected) -> Self {

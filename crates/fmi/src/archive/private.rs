@@ -1,4 +1,5 @@
-//! Private folders for unpacked archives: gone when the value goes, swept up later if the process was killed.
+//! Private folders for unpacked archives: removed with their value, or by a later process if this one was
+//! killed.
 //!
 //! Layout: `fmufit-unpacked-XXXXXX/fmu/` is what is handed out; `fmufit-unpacked-XXXXXX/lock` says in words
 //! that the folder is ours, and is locked by the process that owns it. Nothing is swept that has not exactly

@@ -1,6 +1,6 @@
 //! Checks that need the whole description: references between its parts, and the quirk report.
 //!
-//! Everything that can be worked with is tolerated and reported (FMUs in the wild leave the standard in many
+//! Everything that can be worked with is tolerated and reported (exported FMUs leave the standard in many
 //! small ways); only what would make a run wrong or unsafe is an error.
 
 use super::draft::Draft;

@@ -1,5 +1,5 @@
-//! Everything that differs between operating systems and processors: names of folders and libraries,
-//! machine types of binaries, where caches and private folders live, how a C compiler is called.
+//! Names that differ between operating systems and processors: those of folders and libraries, machine types
+//! of binaries, where caches and private folders live, how a C compiler is called.
 
 use super::binary::Machine;
 use std::fs::{self, File};

@@ -1,4 +1,4 @@
-//! A plan, a live instance, a driver and buffers, run as often as one likes.
+//! A plan, a live instance, a driver and buffers, for any number of runs.
 
 use super::first_run::FirstRun;
 use crate::description::Value;

@@ -1,6 +1,6 @@
 //! A look at the reason of a fault of the FMU, before it ends the process.
 
-use super::last_call::note_no_memory;
+use super::shared_page::note_no_memory;
 use std::io;
 use std::mem::MaybeUninit;
 use std::sync::OnceLock;

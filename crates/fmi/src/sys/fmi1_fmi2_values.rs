@@ -1,7 +1,7 @@
 //! Getters and setters of FMI 1.0 and 2.0.
 
 use super::function::{Answer, call};
-use super::packed::{self, Element};
+use super::packed_integers::{self, Element};
 use super::symbols::table;
 use super::types::Component;
 use super::version::{NO_SUCH_TYPE, Values};

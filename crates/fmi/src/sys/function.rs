@@ -1,6 +1,6 @@
 //! A function of a library, and what a call of it answers.
 
-use super::last_call;
+use super::shared_page;
 use super::types::{Component, OK, status};
 use crate::error::Status;
 use std::ffi::c_int;

@@ -54,7 +54,7 @@ mod fork;
 mod function;
 mod functions;
 #[cfg(unix)]
-mod last_call;
+mod shared_page;
 #[cfg(not(unix))]
 mod last_call {
     //! No other process reads what is called here.
@@ -69,7 +69,7 @@ mod last_call {
     }
 }
 mod library;
-mod packed;
+mod packed_integers;
 mod platform;
 mod raw_instance;
 mod symbols;
@@ -88,12 +88,12 @@ pub(crate) use environment::Inside;
 pub(crate) use faults::tell_faults;
 #[cfg(unix)]
 pub(crate) use fork::{fork, overwrite_variable};
-#[cfg(unix)]
-pub(crate) use last_call::{Page, tell_calls};
-pub(crate) use last_call::{is_worker, note_run};
 pub(crate) use library::{Library, LoadFrom};
 pub use platform::LoaderOptions;
 pub(crate) use raw_instance::{Fault, RawInstance, SavedSlot, Sizes};
+#[cfg(unix)]
+pub(crate) use shared_page::{Page, tell_calls};
+pub(crate) use shared_page::{is_worker, note_run};
 pub(crate) use types::{Direction, EventInfo, Experiment, IntervalAnswer, Qualifier, Request, StepInfo};
 pub use types::{ElementDependency, InterfaceKind};
 

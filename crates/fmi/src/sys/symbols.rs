@@ -1,8 +1,8 @@
 //! Symbols of a library, looked up while its tables are being made; how a table is written.
 
 use super::function::Function;
-use super::last_call;
 use super::platform::Handle;
+use super::shared_page;
 use super::types::InterfaceKind;
 use crate::error::{FmiError, Result};
 use std::path::Path;

@@ -3,7 +3,7 @@
 use super::frame::Frame;
 use super::limits::{Ask, WorkerLimits};
 use super::load::Load;
-use super::service::Service;
+use super::requests::Service;
 use crate::description::Quirk;
 use crate::error::FmiError;
 use base::RunContext;

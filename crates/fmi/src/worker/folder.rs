@@ -1,6 +1,6 @@
 //! The folders of worker processes.
 
-use super::settings::{FOLDER, TEMPORARY};
+use super::handshake::{FOLDER, TEMPORARY};
 use crate::sys::overwrite_variable;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};

@@ -10,12 +10,15 @@
 #[cfg(not(unix))]
 mod absent;
 #[cfg(unix)]
-mod child;
-#[cfg(unix)]
 mod end;
 #[cfg(unix)]
 mod folder;
+#[cfg(unix)]
+mod fork_server;
+#[cfg(unix)]
+mod fork_server_main;
 mod frame;
+mod handshake;
 mod launcher;
 mod limits;
 mod load;
@@ -23,28 +26,25 @@ mod load;
 mod notes;
 #[cfg(unix)]
 mod printed;
+mod requests;
 #[cfg(unix)]
-mod process;
+mod worker_main;
 #[cfg(unix)]
-mod serve;
-mod service;
-mod settings;
-#[cfg(unix)]
-mod template;
+mod worker_process;
 #[cfg(unix)]
 mod workers;
 
 #[cfg(not(unix))]
 pub use absent::{StartedAhead, Workers, serve_if_asked, start_ahead};
+#[cfg(unix)]
+pub use fork_server::{StartedAhead, start_ahead};
+#[cfg(unix)]
+pub use fork_server_main::serve_if_asked;
 pub use frame::Frame;
+pub use handshake::is_asked;
 pub use launcher::Launcher;
 pub use limits::{Ask, Isolation, WorkerLimits};
 pub use load::Load;
-#[cfg(unix)]
-pub use serve::serve_if_asked;
-pub use service::Service;
-pub use settings::is_asked;
-#[cfg(unix)]
-pub use template::{StartedAhead, start_ahead};
+pub use requests::Service;
 #[cfg(unix)]
 pub use workers::Workers;

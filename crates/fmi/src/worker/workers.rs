@@ -1,12 +1,12 @@
 //! Worker processes for as many threads as ask for something: started when they are needed, replaced when
 //! they end or grow.
 
+use super::fork_server::Template;
 use super::frame::Frame;
 use super::launcher::Launcher;
 use super::limits::{Ask, WorkerLimits};
 use super::load::Load;
-use super::process::{NoAnswer, Process};
-use super::template::Template;
+use super::worker_process::{NoAnswer, Process};
 use crate::description::Quirk;
 use crate::error::{EndKind, FmiError, Told, ToldKind, WorkerEnd};
 use base::RunContext;

@@ -4,7 +4,7 @@ use crate::arguments::Report;
 use crate::console::Console;
 use crate::error::{Error, Exit};
 use crate::interrupt::Interrupt;
-use crate::written::check_written;
+use crate::output_paths::check_written;
 use calibration::{Calibration, Fit, RunContext, SavedFit, Table};
 use fmi::Fmu;
 use std::path::Path;

@@ -1,6 +1,6 @@
 //! A TOML document as plain data, with the line of each value.
 
-use super::place::{Lines, field, item};
+use super::error_location::{Lines, field, item};
 use dfo::{Record, Value};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};

@@ -2,9 +2,9 @@
 //! reads it from a record.
 
 use super::document::Document;
-use super::place::{Lines, field, item, named_in};
+use super::error_location::{Lines, field, item, named_in};
 use crate::error::Error;
-use crate::written::is_stream;
+use crate::output_paths::is_stream;
 use calibration::{
     Calibration, CalibrationError, Experiment, ExperimentRecord, FitOptions, Parameter, ParameterRecord,
     RunContext, SimulationSettings, Stage, fit_schema, stage_schema,

@@ -1,4 +1,4 @@
-//! `pydfo.ode.solve`: hybrid systems written in Python meet the stepper.
+//! `pydfo.ode.solve`: integrates hybrid systems written in Python.
 
 use crate::convert::dict::dict;
 use crate::convert::error;

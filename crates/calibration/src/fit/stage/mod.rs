@@ -1,16 +1,16 @@
 //! The fit: what is asked for, the search, and the uncertainty of its result; parameters with names come out.
 
-mod engine;
-mod fresh;
-mod judge;
+mod assessment;
+mod external_simulations;
 mod noise;
 mod options;
+mod reproducibility;
 mod result;
 mod rounds;
 mod search;
 mod tolerance;
 
-pub use engine::Engine;
+pub use external_simulations::Engine;
 pub use noise::{EstimatedNoise, FitNoise, NoiseRule, OutputNoise};
 pub use options::{FitObserver, FitOptions, FitRecord};
 pub use result::Fit;
@@ -24,8 +24,8 @@ use crate::findings::finding::Finding;
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::FitPhase;
 use base::RunContext;
-use fresh::Fresh;
 use ode::Stats;
+use reproducibility::Fresh;
 pub(crate) use rounds::Made;
 pub(crate) use search::{Job, Searched, Spent};
 

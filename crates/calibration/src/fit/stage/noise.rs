@@ -10,7 +10,7 @@ use crate::problem::definition::Problem;
 use crate::problem::experiment::Weight;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
 use crate::uncertainty::estimate::{MEDIAN_DEVIATION, autocorrelation, digits, median};
-use crate::uncertainty::tall::{ThinSvd, thin_svd};
+use crate::uncertainty::row_blocks::{ThinSvd, thin_svd};
 use base::RunContext;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};

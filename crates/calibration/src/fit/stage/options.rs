@@ -1,6 +1,6 @@
 //! Options of a fit.
 
-use super::engine::Engine;
+use super::external_simulations::Engine;
 use super::noise::NoiseRule;
 use crate::fit::phase::CurrentPhase;
 use crate::problem::objective::CostKind;

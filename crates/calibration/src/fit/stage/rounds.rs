@@ -1,7 +1,7 @@
 //! The searches of a fit: one, or several that take turns with estimates of the noise.
 
-use super::fresh::BestPoint;
 use super::noise::{EstimatedNoise, FitNoise, MOST_ROUNDS, NoiseRule, leverages};
+use super::reproducibility::BestPoint;
 use super::search::{Job, Searched, Spent, start_cost_in};
 use super::tolerance::ChosenTolerance;
 use crate::cost::batch::{Point, Simulations};

@@ -1,6 +1,6 @@
-//! The search for the best point, with what comes before it: the objective meets an optimiser.
+//! The search for the best point, with what comes before it.
 
-use super::engine::Engine;
+use super::external_simulations::Engine;
 use super::noise::NoiseRule;
 use super::options::{FitObserver, FitOptions};
 use crate::cost::calibration::Calibration;

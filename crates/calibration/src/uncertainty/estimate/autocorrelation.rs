@@ -2,7 +2,7 @@
 //! how well that is known.
 
 use crate::error::CalibrationError;
-use crate::uncertainty::tall::{beside, go_on, inner_products};
+use crate::uncertainty::row_blocks::{beside, go_on, inner_products};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ChiSquared, ContinuousCDF};

@@ -4,7 +4,7 @@
 use super::chance::OfIndependent;
 use super::residual_check::ResidualCheck;
 use crate::error::CalibrationError;
-use crate::uncertainty::tall::{ThinSvd, scaled, thin_svd};
+use crate::uncertainty::row_blocks::{ThinSvd, scaled, thin_svd};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 

@@ -9,7 +9,7 @@ use super::result::Estimator;
 use super::scores::{Criterion, Working};
 use crate::error::CalibrationError;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
-use crate::uncertainty::tall::{ThinSvd, inner_products, thin_svd, triangle, weighted_products};
+use crate::uncertainty::row_blocks::{ThinSvd, inner_products, thin_svd, triangle, weighted_products};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;

@@ -10,7 +10,7 @@ use crate::cost::batch::{Found, Point, Simulations};
 use crate::error::CalibrationError;
 use crate::problem::parameter::Parameter;
 use crate::uncertainty::active_bounds::{inner, outer};
-use crate::uncertainty::tall::{go_on, product, triangle};
+use crate::uncertainty::row_blocks::{go_on, product, triangle};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 

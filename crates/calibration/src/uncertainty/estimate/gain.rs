@@ -6,7 +6,7 @@ use crate::cost::residual::sum_of_squares;
 use crate::error::CalibrationError;
 use crate::problem::parameter::Parameter;
 use crate::uncertainty::active_bounds::{inner, outer};
-use crate::uncertainty::tall::along;
+use crate::uncertainty::row_blocks::along;
 use nalgebra::DVector;
 
 /// A step of least squares that takes away less than this part of the cost, or is shorter than a standard

@@ -10,7 +10,7 @@ use super::result::{Uncertainty, errors_and_correlation};
 use crate::cost::accuracy::Accuracy;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
-use crate::uncertainty::tall::triangle;
+use crate::uncertainty::row_blocks::triangle;
 use base::RunContext;
 use nalgebra::DMatrix;
 use std::ops::Range;

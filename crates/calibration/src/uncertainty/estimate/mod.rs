@@ -26,7 +26,7 @@ use crate::error::CalibrationError;
 use crate::problem::parameter::{Parameter, Scale};
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::active_bounds::{AT, inner};
-use crate::uncertainty::tall::{along, go_on};
+use crate::uncertainty::row_blocks::{along, go_on};
 use autocorrelation::Dependence;
 use base::RunContext;
 use candidates::{AtPoint, MOST_SIMULATIONS};

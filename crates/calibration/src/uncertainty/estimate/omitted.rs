@@ -10,7 +10,7 @@ use super::unmodelled::{Changes, UnmodelledKind};
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
-use crate::uncertainty::tall::{along, beside, go_on, thin_svd};
+use crate::uncertainty::row_blocks::{along, beside, go_on, thin_svd};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};

@@ -6,7 +6,7 @@ use super::residual_check::ResidualCheck;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
-use crate::uncertainty::tall::{go_on, triangle};
+use crate::uncertainty::row_blocks::{go_on, triangle};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector, Dyn, StorageMut, Vector};
 use serde::{Deserialize, Serialize};

@@ -7,7 +7,7 @@ use crate::findings::finding::Finding;
 use crate::problem::prior::Prior;
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::active_bounds::{inner, outer};
-use crate::uncertainty::tall::{ThinSvd, thin_svd};
+use crate::uncertainty::row_blocks::{ThinSvd, thin_svd};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};

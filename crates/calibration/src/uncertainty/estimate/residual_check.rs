@@ -6,7 +6,7 @@ use super::unmodelled::Unmodelled;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
-use crate::uncertainty::tall::go_on;
+use crate::uncertainty::row_blocks::go_on;
 use base::RunContext;
 use serde::{Deserialize, Serialize};
 

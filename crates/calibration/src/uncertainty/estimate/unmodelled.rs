@@ -4,7 +4,7 @@
 use super::digits::digits;
 use crate::error::CalibrationError;
 use crate::problem::residual_layout::OutputResiduals;
-use crate::uncertainty::tall::go_on;
+use crate::uncertainty::row_blocks::go_on;
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};

@@ -3,7 +3,7 @@
 use super::model::{Interpolation, Quadratic};
 use super::state::{ModelSearch, Phase};
 use super::subproblem::{Region, minimize};
-use super::truncated;
+use super::truncated_cg;
 use crate::method::tolerances::{Extent, Tests};
 use crate::methods::shared::failures::{Plane, plane};
 use crate::outcome::termination::Termination;

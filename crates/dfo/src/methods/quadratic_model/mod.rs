@@ -41,12 +41,12 @@ mod hand_over;
 mod initial;
 mod inverse;
 mod iteration;
-mod many;
+mod many_parameters;
 mod model;
 mod options;
 mod state;
 mod subproblem;
-mod truncated;
+mod truncated_cg;
 
 pub use options::QuadraticModel;
 

@@ -1,4 +1,4 @@
-//! Clocks of model exchange and co-simulation: who ticks when, and what happens at a tick.
+//! Clocks (FMI 3.0) in simulations: `state` has them while it runs.
 
 mod plan;
 mod schedule;

@@ -1,5 +1,4 @@
-//! The functions of an FMI 3.0 library whose types are those of FMI 3.0 (FMI 3.0.x, chapters 2, 3 and 4),
-//! bound by name.
+//! The table of the functions of an FMI 3.0 library (FMI 3.0.x, chapters 2, 3 and 4), bound by name.
 
 use crate::error::Status;
 use crate::sys::callbacks::{Callbacks, fmi3_log};

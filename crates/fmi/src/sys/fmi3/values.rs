@@ -4,7 +4,7 @@
 use super::functions::Flag;
 use crate::error::Status;
 use crate::sys::function::{Answer, call};
-use crate::sys::packed;
+use crate::sys::packed_integers;
 use crate::sys::symbols::table;
 use crate::sys::types::Component;
 use crate::sys::version::{NO_SUCH_TYPE, Values};

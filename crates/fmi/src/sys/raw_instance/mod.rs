@@ -1,4 +1,4 @@
-//! One component of an FMU: the sole owner of its pointer, with every call checked before and after.
+//! The calls of an instance, by topic; `component` owns it.
 
 /// Runs one call: the component is alive, `$body` is evaluated with the library and the component, its answer
 /// checked. The thread is set up for it, and nothing of what it changes there is left.

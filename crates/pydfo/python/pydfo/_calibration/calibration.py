@@ -26,7 +26,7 @@ from .._optimize.fmin import Callback, check_callback, combine, listen
 from .._args.keywords import also_called, argument_names, explained, given_once
 from .._optimize.live import DELAY, LiveLine, is_watched
 from .parameter import Parameter
-from .point import Point
+from .evaluation import Evaluation
 from .._optimize.progress import Printer
 from .._optimize.result import OptimizeResult
 from .stages import Stage
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger("pydfo")
 
 
-class Calibration(Point):
+class Calibration(Evaluation):
     """A model, measurements and parameters to be fitted.
 
     The cost is the sum of the squared weighted residuals (simulated minus measured, times weight) over all outputs and

@@ -7,11 +7,11 @@
 use super::end::{ProcessEnd, in_words};
 use super::folder::{Folder, remove, worker_folder};
 use super::frame::Frame;
+use super::handshake::{ASKED, FOLDER, LEVEL, TEMPORARY, VERSION};
 use super::launcher::Launcher;
 use super::limits::WorkerLimits;
 use super::load::Load;
 use super::printed::Printed;
-use super::settings::{ASKED, FOLDER, LEVEL, TEMPORARY, VERSION};
 use crate::error::FmiError;
 use crate::sys::{PRELOAD, PRELOADED_BEFORE};
 use log::LevelFilter;

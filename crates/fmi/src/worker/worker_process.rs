@@ -1,11 +1,11 @@
 //! One worker process, as the process sees it that has started it.
 
 use super::end::{ProcessEnd, in_words};
+use super::fork_server::{Hello, Template, no_worker};
 use super::frame::{Frame, decode};
 use super::limits::WorkerLimits;
 use super::notes::Notes;
 use super::printed::Printed;
-use super::template::{Hello, Template, no_worker};
 use crate::description::Quirk;
 use crate::error::{EndKind, FmiError, WorkerEnd};
 use crate::sys::Page;

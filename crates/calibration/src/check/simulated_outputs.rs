@@ -1,6 +1,6 @@
 //! The outputs of a calibration as they were measured and simulated at some values of the parameters.
 
-use super::subject::Subject;
+use super::checked_experiment::Subject;
 use crate::cost::calibration::Calibration;
 use crate::cost::residual::PointResiduals;
 use crate::problem::residual_layout::OutputResiduals;

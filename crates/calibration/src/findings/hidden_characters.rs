@@ -11,7 +11,7 @@ fn is_hidden(c: char) -> bool {
 }
 
 /// The text with such characters as their numbers, `\u{1b}` for an escape: names in an FMU or in a recording
-/// are anybody's, and terminals obey them.
+/// may hold some, and terminals act on them.
 pub fn visible(text: &str) -> Cow<'_, str> {
     if !text.contains(is_hidden) {
         return Cow::Borrowed(text);

@@ -1,11 +1,11 @@
 //! The worker process itself: it limits itself, and answers until the other end of its socket is closed.
 
 use super::folder::{leave_for, remove};
+use super::fork_server::{DESCRIPTORS, Hello, Start};
 use super::frame::Frame;
 use super::limits::WorkerLimits;
 use super::notes::{Notes, take_lines};
-use super::service::Service;
-use super::template::{DESCRIPTORS, Hello, Start};
+use super::requests::Service;
 use crate::error::{Told, ToldKind};
 use crate::sys::{Page, tell_calls, tell_faults};
 use base::RunContext;

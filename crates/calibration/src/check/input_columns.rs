@@ -1,10 +1,10 @@
 //! Checks of the columns that drive inputs: all zero, frozen, with a value far off, missing for long, beyond
 //! the range of the model or in degC for K.
 
+use super::checked_experiment::Subject;
 use super::columns::{FEW_VALUES, frozen, longest_run, n_distinct, placeholder};
 use super::parameters::{Given, beside_the_model};
-use super::series::{range, rounded, rounded_time, size_of_difference};
-use super::subject::Subject;
+use super::simulated_outputs::{range, rounded, rounded_time, size_of_difference};
 use crate::data::sampling_interval;
 use crate::findings::finding::{Finding, Severity};
 use crate::problem::column_units::declared;

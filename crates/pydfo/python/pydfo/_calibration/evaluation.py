@@ -32,8 +32,8 @@ class Raced(NamedTuple):
     """"agrees", "differs", "given up", "not compared", or "failed: " and why."""
 
 
-class Point:
-    """The part of a `Calibration` that looks at one point."""
+class Evaluation:
+    """The part of a `Calibration` that evaluates single points."""
 
     _native: _core.Calibration
     _parameters: tuple[Parameter, ...]

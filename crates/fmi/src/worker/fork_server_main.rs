@@ -1,12 +1,12 @@
 //! The process that worker processes are copied from: it takes its orders until the other end is closed.
 
-use super::child::{self, Worker, respond};
 use super::folder::{enter, remove, worker_folder};
+use super::fork_server::{DESCRIPTORS, Order, Start};
 use super::frame::Frame;
+use super::handshake::{ASKED, FOLDER, LEVEL, VERSION};
 use super::notes::keep_lines;
-use super::service::Service;
-use super::settings::{ASKED, FOLDER, LEVEL, VERSION};
-use super::template::{DESCRIPTORS, Order, Start};
+use super::requests::Service;
+use super::worker_main::{self, Worker, respond};
 use crate::sys::{close_inherited, fork};
 use base::RunContext;
 use rustix::net::{RecvAncillaryBuffer, RecvAncillaryMessage, RecvFlags, recvmsg};
