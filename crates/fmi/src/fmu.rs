@@ -15,7 +15,7 @@ use crate::worker::{WorkerLimits, Workers};
 use crate::{platform, source};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
@@ -23,6 +23,9 @@ const KINDS: [InterfaceKind; 2] = [InterfaceKind::ModelExchange, InterfaceKind::
 
 const STALE_OUTPUTS: &str = "variables read at a new point are those of an earlier one until the derivatives are computed: they are \
                              computed before every reading";
+
+const OUTPUTS_OF_STEPS: &str = "variables read at a new point are those of an earlier one until a step is completed there: one is \
+                                completed at every row";
 
 /// An opened FMU. Clones share everything and are cheap.
 ///
@@ -48,6 +51,8 @@ struct Inner {
     real_references: OnceLock<Vec<(u32, usize)>>,
     /// Departures from the standard that showed in runs.
     quirks_seen: Mutex<Vec<Quirk>>,
+    /// Variables are those of a point once a step is completed there.
+    reads_at_steps: AtomicBool,
     /// Subjects of messages that simulations have logged; each is logged once.
     said: Mutex<Vec<&'static str>>,
     workers: Mutex<std::sync::Weak<Workers>>,
@@ -139,6 +144,7 @@ impl Fmu {
             turns: Arc::default(),
             real_references: OnceLock::new(),
             quirks_seen: Mutex::default(),
+            reads_at_steps: AtomicBool::new(false),
             said: Mutex::default(),
             workers: Mutex::default(),
             description,
@@ -312,6 +318,27 @@ impl Fmu {
     /// Notes that variables are computed with the derivatives only.
     pub(crate) fn note_stale_outputs(&self) {
         self.note_quirk(QuirkKind::Promise, STALE_OUTPUTS);
+    }
+
+    /// Notes that variables are computed when a step is completed only.
+    pub(crate) fn note_outputs_of_steps(&self) {
+        self.inner.reads_at_steps.store(true, Ordering::Relaxed);
+        self.note_quirk(QuirkKind::Promise, OUTPUTS_OF_STEPS);
+    }
+
+    /// True if a step is completed before every reading, because the FMU computes its variables only then.
+    pub(crate) fn reads_at_steps(&self) -> bool {
+        self.inner.reads_at_steps.load(Ordering::Relaxed)
+    }
+
+    /// Makes a simulation, and once more if it has found out that its rows were read too early
+    /// ([`FmiError::ReadBetweenSteps`]).
+    pub fn simulated<T, E>(&self, mut simulate: impl FnMut() -> Result<T, E>) -> Result<T, E> {
+        let known = self.reads_at_steps();
+        match simulate() {
+            Err(_) if self.reads_at_steps() != known => simulate(),
+            outcome => outcome,
+        }
     }
 
     /// Departures from the standard that showed when the FMU was run; those of its description are in

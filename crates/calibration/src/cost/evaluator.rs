@@ -105,6 +105,17 @@ impl Evaluator {
         stats: &mut Stats,
         mut lend: impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, NoCost>,
     ) -> Result<f64, NoCost> {
+        self.fmu.simulated(|| self.evaluate_once(x, rule, out, stats, &mut lend))
+    }
+
+    fn evaluate_once(
+        &self,
+        x: &[f64],
+        rule: CostRule<'_>,
+        out: &mut [f64],
+        stats: &mut Stats,
+        lend: &mut impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, NoCost>,
+    ) -> Result<f64, NoCost> {
         // The running sum is in the order of time, the cost in that of the residuals. The sums of n numbers above 0 in two orders
         // differ by less than 2 n units of rounding (Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 4.2).
         let running =

@@ -207,6 +207,10 @@ pub(crate) fn simulate_race(
         let ran = simulation.run(&mut simulator, &start, &schedule, &mut samples);
         match &ran {
             Ok(report) => *stats += report.stats,
+            // The next simulations are right.
+            Err(error) if error.is_read_between_steps() => {
+                return simulate_race(problem, task, context, stats);
+            }
             Err(FmiError::Simulation(error)) => *stats += error.stats,
             Err(_) => {}
         }

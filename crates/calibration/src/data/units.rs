@@ -254,7 +254,7 @@ impl fmt::Display for UnitConversion {
 
 /// A symbol, with a prefix or without, or a word.
 fn known(name: &str) -> Option<Unit> {
-    let (exponents, (numerator, denominator), offset) = symbols::find(name)?;
+    let (exponents, (numerator, denominator), offset) = unit_symbols::find(name)?;
     Some(Unit { exponents, numerator, denominator, offset })
 }
 
@@ -265,7 +265,7 @@ fn hint(name: &str) -> String {
         }
         "db" => "; decibels are no linear unit".to_owned(),
         _ => {
-            let nearest = symbols::nearest(name).map_or_else(String::new, |near| format!("; '{near}'?"));
+            let nearest = unit_symbols::nearest(name).map_or_else(String::new, |near| format!("; '{near}'?"));
             format!("{nearest} Units are written as 'mm', 'degC', 'rpm', 'kW/K', 'J/(kg.K)', 'm^3/h'")
         }
     }

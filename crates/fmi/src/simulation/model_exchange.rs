@@ -37,6 +37,9 @@ pub(crate) struct System {
     /// The derivatives were computed at the point last set.
     is_evaluated: bool,
     freshness: Freshness,
+    row_points: RowPoints,
+    /// The answers to steps completed at rows, for the end of the step.
+    row_actions: StepAction,
     /// Time of the last event as the model saw it: a rounding error later than the driver's at most, and
     /// never gone back behind.
     floor: f64,
@@ -48,6 +51,9 @@ pub(crate) struct System {
 /// something has changed since the sample before, to be trusted in the rest of the run.
 const GOOD_SAMPLES: u32 = 8;
 
+/// Ends of steps at which variables have to be the same before and after, while they change.
+const GOOD_STEPS: u32 = 3;
+
 /// Time at which the model computes its variables: when they are read, as the standard demands, or only
 /// together with the derivatives. In the latter case the derivatives are computed before (seen in FMUs of
 /// OpenModelica 1.12). Determined anew in every run, from its own first samples, which are right in any case:
@@ -58,6 +64,18 @@ enum Freshness {
     Open(u32),
     WhenRead,
     WithDerivatives,
+}
+
+/// Points at which variables can be read: anywhere, as the standard demands, or only where a step was
+/// completed (seen in FMUs of OpenModelica 1.12). In the latter case a step is completed at every row: the
+/// rows of a step are in the order of time, and before its end. A run that finds it out has rows that may be
+/// wrong, and ends.
+#[derive(Debug, Clone, Copy)]
+enum RowPoints {
+    /// So many ends of steps went well.
+    Open(u32),
+    Any,
+    CompletedSteps,
 }
 
 impl Default for Freshness {
@@ -82,6 +100,8 @@ impl System {
             set_states: None,
             is_evaluated: false,
             freshness: Freshness::default(),
+            row_points: RowPoints::Open(0),
+            row_actions: StepAction::default(),
             states: vec![0.0; n],
             last_time: plan.start,
             last_states: vec![0.0; n],
@@ -104,6 +124,11 @@ impl System {
         self.set_time = None;
         self.set_states = None;
         self.freshness = Freshness::default();
+        self.row_actions = StepAction::default();
+        self.row_points = match self.running.plan.fmu().reads_at_steps() {
+            true => RowPoints::CompletedSteps,
+            false => RowPoints::Open(0),
+        };
         self.announced = None;
         self.floor = f64::NEG_INFINITY;
         self.last_time = start;
@@ -261,6 +286,48 @@ impl System {
                 if good + 1 < GOOD_SAMPLES { Freshness::Open(good + 1) } else { Freshness::WhenRead };
         }
         Ok(())
+    }
+
+    /// Completes a step at the point last set, so that the variables there can be read.
+    fn complete_at_row(&mut self) -> CallResult<()> {
+        let action = self.completed()?;
+        self.row_actions.event |= action.event;
+        self.row_actions.terminate |= action.terminate;
+        Ok(())
+    }
+
+    /// Completes a step at the point last set. While it is open where variables can be read, they are read
+    /// before and after.
+    fn complete_step(&mut self) -> CallResult<StepAction> {
+        let RowPoints::Open(good) = self.row_points else { return self.completed() };
+        if !self.running.plan.outputs().needs_fmu() || self.states.is_empty() {
+            return self.completed();
+        }
+        if !self.is_evaluated {
+            self.evaluate()?;
+        }
+        self.running.buffers.keep();
+        self.running.read_outputs()?;
+        let has_changed = !self.running.buffers.are_as_kept();
+        self.running.buffers.keep();
+        let action = self.completed()?;
+        if action.event || action.terminate {
+            return Ok(action);
+        }
+        self.running.read_outputs()?;
+        if !self.running.buffers.are_as_kept() {
+            self.running.plan.fmu().note_outputs_of_steps();
+            return Err(CallError::failed(FmiError::ReadBetweenSteps));
+        }
+        if has_changed {
+            self.row_points = if good + 1 < GOOD_STEPS { RowPoints::Open(good + 1) } else { RowPoints::Any };
+        }
+        Ok(action)
+    }
+
+    fn completed(&mut self) -> CallResult<StepAction> {
+        let (event, terminate) = self.call(RawInstance::completed_integrator_step)?;
+        Ok(StepAction { event, terminate })
     }
 
     /// Compares the states that are recorded with the variables that they are by the description. Where these
@@ -597,6 +664,11 @@ impl HybridSystem for Integration<'_> {
     fn outputs(&mut self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
         if self.running.plan.outputs().needs_fmu() || self.running.buffers.reads_states {
             self.set_point(t, x)?;
+            if matches!(self.row_points, RowPoints::CompletedSteps)
+                && self.running.current.mode == Mode::Continuous
+            {
+                self.complete_at_row()?;
+            }
             self.read_outputs()?;
         }
         let Running { plan, buffers, .. } = &mut self.running;
@@ -612,8 +684,12 @@ impl HybridSystem for Integration<'_> {
             return Ok(StepAction::default());
         }
         self.set_point(t, x)?;
-        let (event, terminate) = self.call(RawInstance::completed_integrator_step)?;
-        Ok(StepAction { event, terminate })
+        let action = self.complete_step()?;
+        let at_rows = std::mem::take(&mut self.row_actions);
+        Ok(StepAction {
+            event: action.event | at_rows.event,
+            terminate: action.terminate | at_rows.terminate,
+        })
     }
 
     fn handle_event(&mut self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {

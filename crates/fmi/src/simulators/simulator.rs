@@ -136,12 +136,14 @@ impl Simulator {
         poll: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<Trajectory, FmiError> {
         let plan = Arc::clone(&self.plan);
-        let mut recorder = Recorder::new(&plan, poll)?;
-        let report = self.run(parameters, &mut recorder)?;
-        let running = self.engine.running();
-        let ticks = running.take_ticks();
-        let table = std::mem::take(&mut running.buffers.table);
-        Ok(recorder.finish(&plan, table, ticks, report))
+        plan.fmu().simulated(|| {
+            let mut recorder = Recorder::new(&plan, &mut *poll)?;
+            let report = self.run(parameters, &mut recorder)?;
+            let running = self.engine.running();
+            let ticks = running.take_ticks();
+            let table = std::mem::take(&mut running.buffers.table);
+            Ok(recorder.finish(&plan, table, ticks, report))
+        })
     }
 
     /// Value of a variable, or of an element of an array (`name[2,1]`), where the last run ended (after a

@@ -38,11 +38,12 @@ impl<B: Element> Values for ScalarValues<B> {
         let (list, n) = (refs.as_ptr(), refs.len());
         match kind {
             VariableKind::Integer | VariableKind::Enumeration => {
-                packed::get(words, |values| call!(self.get_integer, c, list, n, values))
+                packed_integers::get(words, |values| call!(self.get_integer, c, list, n, values))
             }
             VariableKind::Boolean => {
-                let answer = packed::get(words, |values| call!(self.get_boolean, c, list, n, values));
-                packed::normalize(words);
+                let answer =
+                    packed_integers::get(words, |values| call!(self.get_boolean, c, list, n, values));
+                packed_integers::normalize(words);
                 answer
             }
             _ => NO_SUCH_TYPE,
@@ -53,9 +54,11 @@ impl<B: Element> Values for ScalarValues<B> {
         let (list, n) = (refs.as_ptr(), refs.len());
         match kind {
             VariableKind::Integer | VariableKind::Enumeration => {
-                packed::set(words, |values| call!(self.set_integer, c, list, n, values))
+                packed_integers::set(words, |values| call!(self.set_integer, c, list, n, values))
             }
-            VariableKind::Boolean => packed::set(words, |values| call!(self.set_boolean, c, list, n, values)),
+            VariableKind::Boolean => {
+                packed_integers::set(words, |values| call!(self.set_boolean, c, list, n, values))
+            }
             _ => NO_SUCH_TYPE,
         }
     }

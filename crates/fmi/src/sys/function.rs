@@ -40,7 +40,7 @@ impl<F> Function<F> {
     /// Tells that it is called now.
     #[inline]
     pub(super) fn note_call(&self) {
-        last_call::note_call(self.number);
+        shared_page::note_call(self.number);
     }
 
     /// Without a function: missing, unless the version does not ask for the call.

@@ -79,7 +79,7 @@ impl Symbols<'_> {
         let find_prefixed = || find(&format!("{}_{name}", self.prefix?));
         let is_wanted = !self.is_unused && is_symbol(name);
         let pointer = if is_wanted { find_prefixed().or_else(|| find(name)) } else { None };
-        let number = if pointer.is_some() { last_call::number_of(name) } else { 0 };
+        let number = if pointer.is_some() { shared_page::number_of(name) } else { 0 };
         Ok(Function { name, pointer, number })
     }
 }

@@ -40,7 +40,7 @@ fn serve(mut service: Box<dyn Service + Send>) -> io::Result<()> {
     enter(&folder)?;
     close_inherited()?;
     let control = UnixStream::from(rustix::io::fcntl_dupfd_cloexec(rustix::stdio::stdin(), 3)?);
-    child::close_stdin()?;
+    worker_main::close_stdin()?;
     #[cfg(target_os = "linux")]
     rustix::process::set_child_subreaper(Some(rustix::process::getpid()))?;
     keep_lines(
@@ -52,7 +52,7 @@ fn serve(mut service: Box<dyn Service + Send>) -> io::Result<()> {
             Ok(None) => {}
             Ok(Some(worker)) => {
                 drop(control);
-                child::run(service, worker)
+                worker_main::run(service, worker)
             }
             // The other end is closed, or says what this version does not know.
             Err(_) => break,

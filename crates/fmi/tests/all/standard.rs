@@ -87,6 +87,24 @@ fn variables_computed_with_the_derivatives_only_are_right() {
 }
 
 #[test]
+fn variables_computed_with_completed_steps_only_are_right() {
+    let (late, plain) = (evil(&["OUTPUTS_OF_STEPS"]), evil(&[]));
+    let options = SimulateOptions::new().ncp(97).outputs(["y"]).relative_tolerance(1e-9);
+    for method in [ode::Method::Tsit5, ode::Method::Dop853, ode::Method::Radau5, ode::Method::Bdf] {
+        let fmu = late.open();
+        let first = fmu.simulate(&options.clone().method(method)).unwrap();
+        for (t, y) in first.time.iter().zip(first.get("y").unwrap()) {
+            assert!((y - (-t).exp()).abs() < 1e-7, "{method:?}: {y} at {t}");
+        }
+        let quirks = fmu.quirks_seen();
+        assert!(quirks.len() == 1 && quirks[0].message.contains("until a step is completed"), "{quirks:?}");
+        let right = plain.open().simulate(&options.clone().method(method)).unwrap();
+        assert_eq!(bits(&first), bits(&right), "{method:?}");
+        assert_eq!(bits(&fmu.simulate(&options.clone().method(method)).unwrap()), bits(&first));
+    }
+}
+
+#[test]
 fn rows_are_read_before_the_inputs_of_the_next_step_are_set() {
     // x' = u with u held over each step; nothing is integrated if anything is read between setting u and the step.
     let folder = slave(&["LATCHES"], "");

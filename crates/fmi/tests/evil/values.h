@@ -6,7 +6,7 @@ EXPORT fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference *vr, siz
     m->is_spoiled |= m->is_set;
 #endif
     for (i = 0; i < n; i++) {
-#ifdef STALE_OUTPUTS
+#if defined STALE_OUTPUTS || defined OUTPUTS_OF_STEPS
         if (vr[i] == 3) {
             value[i] = m->y;
             continue;

@@ -196,7 +196,7 @@ impl ModelSearch {
 
     fn step_within(&self, model: &Quadratic, region: Region<'_>) -> Vec<f64> {
         if self.has_many() {
-            truncated::minimize(|v| self.product(&model.hessian, v), &model.gradient, region)
+            truncated_cg::minimize(|v| self.product(&model.hessian, v), &model.gradient, region)
         } else {
             minimize(model, region)
         }

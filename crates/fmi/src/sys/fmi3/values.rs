@@ -81,18 +81,18 @@ impl Values for Fmi3Values {
             self, kind, get_float32 for Float32, get_int8 for Int8, get_uint8 for UInt8, get_int16 for Int16,
             get_uint16 for UInt16, get_int32 for Integer, get_uint32 for UInt32,
             get_int64 for Int64 | Enumeration, get_uint64 for UInt64, get_boolean for Boolean;
-            |function| packed::get(words, |values| call!(function, c, list, n, values, count)),
+            |function| packed_integers::get(words, |values| call!(function, c, list, n, values, count)),
             else match kind {
                 // One value for each clock: the FMU is not told how many there are.
                 VariableKind::Clock if n == count => {
-                    packed::get(words, |values| call!(self.get_clock, c, list, n, values))
+                    packed_integers::get(words, |values| call!(self.get_clock, c, list, n, values))
                 }
                 VariableKind::Clock => Answer { function: self.get_clock.name, status: Status::Error },
                 _ => NO_SUCH_TYPE,
             }
         );
         if matches!(kind, VariableKind::Boolean | VariableKind::Clock) {
-            packed::normalize(words);
+            packed_integers::normalize(words);
         }
         answer
     }
@@ -103,10 +103,10 @@ impl Values for Fmi3Values {
             self, kind, set_float32 for Float32, set_int8 for Int8, set_uint8 for UInt8, set_int16 for Int16,
             set_uint16 for UInt16, set_int32 for Integer, set_uint32 for UInt32,
             set_int64 for Int64 | Enumeration, set_uint64 for UInt64, set_boolean for Boolean;
-            |function| packed::set(words, |values| call!(function, c, list, n, values, count)),
+            |function| packed_integers::set(words, |values| call!(function, c, list, n, values, count)),
             else match kind {
                 VariableKind::Clock if n == count => {
-                    packed::set(words, |values| call!(self.set_clock, c, list, n, values))
+                    packed_integers::set(words, |values| call!(self.set_clock, c, list, n, values))
                 }
                 VariableKind::Clock => Answer { function: self.set_clock.name, status: Status::Error },
                 _ => NO_SUCH_TYPE,

@@ -167,7 +167,7 @@ impl RawInstance {
     #[inline]
     pub(super) fn set_time_told(&mut self, time: f64) {
         self.time = Some(time);
-        last_call::note_time(time);
+        shared_page::note_time(time);
     }
 
     /// Forgets the log.
