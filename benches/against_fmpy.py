@@ -329,7 +329,7 @@ def main() -> int:
 
     versions = [f"Python {platform.python_version()}", f"FMPy {importlib.metadata.version('fmpy')}"]
     if not arguments.peer_only:
-        versions.append(f"pydfo {importlib.metadata.version('fmufit-pydfo')}")
+        versions.append(f"pydfo {pydfo.__version__}")
     print(", ".join(versions), "on", platform.platform(), platform.machine())
 
     ratios = {}

@@ -126,15 +126,15 @@ def by_fmpy(clock, case: Case, path: Path, data: np.ndarray, rtol: float, target
 
 def by_pydfo(clock, case: Case, path: Path, data: np.ndarray, rtol: float, target: float, method: str):
     import numpy.ma  # noqa: F401  (NumPy loads it at its first use)
-    import pydfo
+    from pydfo import Calibration, Parameter
 
     columns = {f"y{i}": values for i, values in enumerate(data)}
     begin = clock()
-    calibration = pydfo.Calibration(
+    calibration = Calibration(
         path,
         data={"time": case.times(), **columns},
         outputs=dict(zip(case.outputs, columns)),
-        parameters=[pydfo.Parameter(name, start, nominal=size) for name, (_, start, size) in case.parameters.items()],
+        parameters=[Parameter(name, start, nominal=size) for name, (_, start, size) in case.parameters.items()],
         relative_tolerance=rtol,
     )
     fit = calibration.fit(method, target=target, x_tol=1e-6, f_tol=1e-9)

@@ -9,11 +9,11 @@
 //! the end of the interval of stability; else when the right-hand sides since the last trial are worth it.
 
 use crate::error::Undetermined;
-use crate::explicit_rk::{DOP853, ExplicitRk};
+use crate::explicit_rk::{Dop853, ExplicitRk};
 use crate::implicit::{Bdf, Radau5};
 use crate::stepper::{Attempt, Consistency, Equations, Properties, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
-use crate::tableau::TSIT5;
+use crate::tableau::Tsit5;
 
 /// Below this tolerance DOP853 is the explicit method, which takes fewer right-hand sides from there on
 /// (`benches/work_precision.md`).
@@ -66,8 +66,8 @@ enum Active {
 
 #[derive(Debug)]
 pub(crate) struct Auto {
-    tsit5: ExplicitRk<7>,
-    dop853: ExplicitRk<16>,
+    tsit5: ExplicitRk<7, Tsit5>,
+    dop853: ExplicitRk<16, Dop853>,
     radau5: Radau5,
     bdf: Bdf,
     /// The explicit one of them that the tolerance asks for.
@@ -124,8 +124,8 @@ impl Auto {
     pub(crate) fn new(rtol: f64) -> Self {
         let explicit = if rtol < TIGHT { Active::Dop853 } else { Active::Tsit5 };
         Self {
-            tsit5: ExplicitRk::new(&TSIT5),
-            dop853: ExplicitRk::new(&DOP853),
+            tsit5: ExplicitRk::new(),
+            dop853: ExplicitRk::new(),
             radau5: Radau5::default(),
             bdf: Bdf::new(false),
             explicit,

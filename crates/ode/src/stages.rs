@@ -55,9 +55,9 @@ impl<const S: usize> Stages<S> {
         terms: impl Iterator<Item = (usize, f64)> + Clone,
         finish: impl Fn(f64, f64) -> f64 + Copy,
     ) {
-        if self.per_stage == 1 {
-            // Known to the compiler: there is nothing to multiply in the places of the blocks.
-            return put(0, out, x, &total(&self.blocks, 1, 0, terms), finish);
+        if let (1, Some(blocks)) = (self.per_stage, self.blocks.first_chunk::<S>()) {
+            // Known to the compiler: there is nothing to multiply in the places of the blocks, nor to check.
+            return put(0, out, x, &total(blocks, 1, 0, terms), finish);
         }
         for block in 0..self.per_stage {
             put(block, out, x, &total(&self.blocks, self.per_stage, block, terms.clone()), finish);

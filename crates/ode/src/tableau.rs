@@ -22,6 +22,16 @@ pub(crate) struct Tableau<const S: usize> {
     pub(crate) dense: Dense<S>,
 }
 
+/// A method whose coefficients are known where the sums of its stages are compiled.
+pub(crate) trait Explicit<const S: usize> {
+    const TABLEAU: Tableau<S>;
+}
+
+/// The weights of a stage; of those that a method has not, none.
+pub(crate) const fn row<const S: usize, T: Explicit<S>>(stage: usize) -> Weights {
+    if stage < S { T::TABLEAU.a[stage] } else { &[] }
+}
+
 /// Form of the error estimate of a step.
 #[derive(Debug)]
 pub(crate) enum Estimate {
@@ -48,68 +58,83 @@ pub(crate) enum Dense<const S: usize> {
 /// Tsitouras 5(4): Ch. Tsitouras, Runge-Kutta pairs of order 5(4) satisfying only the first column
 /// simplifying assumption, Computers and Mathematics with Applications 62 (2011) 770-775, with its free
 /// interpolant of order 4.
+#[derive(Debug)]
+pub(crate) struct Tsit5;
+
 #[rustfmt::skip]
-pub(crate) static TSIT5: Tableau<7> = Tableau {
-    order: 5,
-    end: 6,
-    c: [0.0, 0.161, 0.327, 0.9, 0.980_025_540_904_509_7, 1.0, 1.0],
-    a: [
-        &[],
-        &[(0, 0.161)],
-        &[(0, -0.008_480_655_492_356_989), (1, 0.335_480_655_492_357)],
-        &[(0, 2.897_153_057_105_493_5), (1, -6.359_448_489_975_075), (2, 4.362_295_432_869_581_5)],
-        &[(0, 5.325_864_828_439_257), (1, -11.748_883_564_062_828), (2, 7.495_539_342_889_836_5), (3, -0.092_495_066_361_755_25)],
-        &[(0, 5.861_455_442_946_42), (1, -12.920_969_317_847_11), (2, 8.159_367_898_576_159), (3, -0.071_584_973_281_401), (4, -0.028_269_050_394_068_383)],
-        &[(0, 0.096_460_766_818_065_23), (1, 0.01), (2, 0.479_889_650_414_499_6), (3, 1.379_008_574_103_742), (4, -3.290_069_515_436_081), (5, 2.324_710_524_099_774)],
-    ],
-    error: Estimate::Embedded(&[
-        (0, -0.001_780_011_052_225_777), (1, -0.000_816_434_459_656_746_9), (2, 0.007_880_878_010_261_995), (3, -0.144_711_007_173_262_9),
-        (4, 0.582_357_165_452_555_2), (5, -0.458_082_105_929_186_97), (6, 1.0 / 66.0),
-    ]),
-    dense: Dense::Polynomials([
-        [1.0, -2.763_706_197_274_826, 2.913_255_461_821_912_6, -1.053_088_497_729_021_6],
-        [0.0, 0.131_7, -0.223_4, 0.101_7],
-        [0.0, 3.930_296_236_894_751_6, -5.941_033_872_131_505, 2.490_627_285_651_253],
-        [0.0, -12.411_077_166_933_676, 30.338_188_630_282_32, -16.548_102_889_244_902],
-        [0.0, 37.509_313_416_511_04, -88.178_904_894_766_4, 47.379_521_962_819_28],
-        [0.0, -27.896_526_289_197_286, 65.091_894_674_793_66, -34.870_657_861_496_61],
-        [0.0, 1.5, -4.0, 2.5],
-    ]),
-};
+impl Explicit<7> for Tsit5 {
+    const TABLEAU: Tableau<7> = Tableau {
+        order: 5,
+        end: 6,
+        c: [0.0, 0.161, 0.327, 0.9, 0.980_025_540_904_509_7, 1.0, 1.0],
+        a: [
+            &[],
+            &[(0, 0.161)],
+            &[(0, -0.008_480_655_492_356_989), (1, 0.335_480_655_492_357)],
+            &[(0, 2.897_153_057_105_493_5), (1, -6.359_448_489_975_075), (2, 4.362_295_432_869_581_5)],
+            &[(0, 5.325_864_828_439_257), (1, -11.748_883_564_062_828), (2, 7.495_539_342_889_836_5), (3, -0.092_495_066_361_755_25)],
+            &[(0, 5.861_455_442_946_42), (1, -12.920_969_317_847_11), (2, 8.159_367_898_576_159), (3, -0.071_584_973_281_401), (4, -0.028_269_050_394_068_383)],
+            &[(0, 0.096_460_766_818_065_23), (1, 0.01), (2, 0.479_889_650_414_499_6), (3, 1.379_008_574_103_742), (4, -3.290_069_515_436_081), (5, 2.324_710_524_099_774)],
+        ],
+        error: Estimate::Embedded(&[
+            (0, -0.001_780_011_052_225_777), (1, -0.000_816_434_459_656_746_9), (2, 0.007_880_878_010_261_995), (3, -0.144_711_007_173_262_9),
+            (4, 0.582_357_165_452_555_2), (5, -0.458_082_105_929_186_97), (6, 1.0 / 66.0),
+        ]),
+        dense: Dense::Polynomials([
+            [1.0, -2.763_706_197_274_826, 2.913_255_461_821_912_6, -1.053_088_497_729_021_6],
+            [0.0, 0.131_7, -0.223_4, 0.101_7],
+            [0.0, 3.930_296_236_894_751_6, -5.941_033_872_131_505, 2.490_627_285_651_253],
+            [0.0, -12.411_077_166_933_676, 30.338_188_630_282_32, -16.548_102_889_244_902],
+            [0.0, 37.509_313_416_511_04, -88.178_904_894_766_4, 47.379_521_962_819_28],
+            [0.0, -27.896_526_289_197_286, 65.091_894_674_793_66, -34.870_657_861_496_61],
+            [0.0, 1.5, -4.0, 2.5],
+        ]),
+    };
+}
 
 /// The classical method of order 4 (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, table
 /// II.1.2) with the cubic Hermite polynomial through both ends, written as weights of the stages.
+#[derive(Debug)]
+pub(crate) struct Rk4;
+
 #[rustfmt::skip]
-pub(crate) static RK4: Tableau<5> = Tableau {
-    order: 4,
-    end: 4,
-    c: [0.0, 0.5, 0.5, 1.0, 1.0],
-    a: [
-        &[],
-        &[(0, 0.5)],
-        &[(1, 0.5)],
-        &[(2, 1.0)],
-        &[(0, 1.0 / 6.0), (1, 1.0 / 3.0), (2, 1.0 / 3.0), (3, 1.0 / 6.0)],
-    ],
-    error: Estimate::None,
-    dense: Dense::Polynomials([
-        [1.0, -1.5, 2.0 / 3.0, 0.0],
-        [0.0, 1.0, -2.0 / 3.0, 0.0],
-        [0.0, 1.0, -2.0 / 3.0, 0.0],
-        [0.0, 0.5, -1.0 / 3.0, 0.0],
-        [0.0, -1.0, 1.0, 0.0],
-    ]),
-};
+impl Explicit<5> for Rk4 {
+    const TABLEAU: Tableau<5> = Tableau {
+        order: 4,
+        end: 4,
+        c: [0.0, 0.5, 0.5, 1.0, 1.0],
+        a: [
+            &[],
+            &[(0, 0.5)],
+            &[(1, 0.5)],
+            &[(2, 1.0)],
+            &[(0, 1.0 / 6.0), (1, 1.0 / 3.0), (2, 1.0 / 3.0), (3, 1.0 / 6.0)],
+        ],
+        error: Estimate::None,
+        dense: Dense::Polynomials([
+            [1.0, -1.5, 2.0 / 3.0, 0.0],
+            [0.0, 1.0, -2.0 / 3.0, 0.0],
+            [0.0, 1.0, -2.0 / 3.0, 0.0],
+            [0.0, 0.5, -1.0 / 3.0, 0.0],
+            [0.0, -1.0, 1.0, 0.0],
+        ]),
+    };
+}
 
 /// The explicit Euler method; between steps a straight line.
-pub(crate) static EULER: Tableau<2> = Tableau {
-    order: 1,
-    end: 1,
-    c: [0.0, 1.0],
-    a: [&[], &[(0, 1.0)]],
-    error: Estimate::None,
-    dense: Dense::Polynomials([[1.0, 0.0, 0.0, 0.0], [0.0; 4]]),
-};
+#[derive(Debug)]
+pub(crate) struct Euler;
+
+impl Explicit<2> for Euler {
+    const TABLEAU: Tableau<2> = Tableau {
+        order: 1,
+        end: 1,
+        c: [0.0, 1.0],
+        a: [&[], &[(0, 1.0)]],
+        error: Estimate::None,
+        dense: Dense::Polynomials([[1.0, 0.0, 0.0, 0.0], [0.0; 4]]),
+    };
+}
 
 /// The coefficients of polynomials per stage, power by power: the stages together are faster.
 pub(crate) fn by_power<const S: usize>(polynomials: &[[f64; 4]; S]) -> [[f64; S]; 4] {
@@ -188,17 +213,17 @@ mod tests {
 
     #[test]
     fn order_conditions_hold() {
-        check(&TSIT5, 4);
-        check(&RK4, 3);
-        check(&EULER, 1);
+        check(&Tsit5::TABLEAU, 4);
+        check(&Rk4::TABLEAU, 3);
+        check(&Euler::TABLEAU, 1);
     }
 
     #[test]
     fn the_embedded_method_has_order_four_and_not_five() {
-        let Estimate::Embedded(error) = TSIT5.error else { unreachable!() };
-        let (b, e): ([f64; 7], [f64; 7]) = (row(TSIT5.a[6]), row(error));
+        let Estimate::Embedded(error) = Tsit5::TABLEAU.error else { unreachable!() };
+        let (b, e): ([f64; 7], [f64; 7]) = (row(Tsit5::TABLEAU.a[6]), row(error));
         let hat: [f64; 7] = std::array::from_fn(|i| b[i] - e[i]);
-        assert!(defects(&TSIT5, hat, 1.0, 4) < 1e-13);
-        assert!(defects(&TSIT5, hat, 1.0, 5) > 1e-5);
+        assert!(defects(&Tsit5::TABLEAU, hat, 1.0, 4) < 1e-13);
+        assert!(defects(&Tsit5::TABLEAU, hat, 1.0, 5) > 1e-5);
     }
 }

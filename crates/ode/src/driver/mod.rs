@@ -2,14 +2,14 @@
 
 use crate::auto::Auto;
 use crate::error::{ErrorKind, Evaluated, NotFinite, Report, SimulationError, Termination};
-use crate::explicit_rk::{DOP853, ExplicitRk};
+use crate::explicit_rk::{Dop853, ExplicitRk};
 use crate::implicit::{Bdf, Radau5};
 use crate::observer::Observer;
 use crate::options::{AbsoluteTolerance, Method, Options, OptionsError};
 use crate::sampling::Sampler;
 use crate::stepper::Stepper;
 use crate::system::{CallError, CallResult, EventCause, EventOutcome, HybridSystem};
-use crate::tableau::{EULER, RK4, TSIT5};
+use crate::tableau::{Euler, Rk4, Tsit5};
 
 mod backward;
 mod event_handling;
@@ -84,12 +84,12 @@ pub struct Driver {
 #[derive(Debug)]
 enum MethodState {
     Auto(Box<Auto>),
-    Tsit5(ExplicitRk<7>),
+    Tsit5(ExplicitRk<7, Tsit5>),
     Radau5(Box<Radau5>),
-    Dop853(Box<ExplicitRk<16>>),
+    Dop853(Box<ExplicitRk<16, Dop853>>),
     Bdf(Box<Bdf>),
-    Rk4(ExplicitRk<5>),
-    Euler(ExplicitRk<2>),
+    Rk4(ExplicitRk<5, Rk4>),
+    Euler(ExplicitRk<2, Euler>),
 }
 
 impl Driver {
@@ -101,12 +101,12 @@ impl Driver {
         options.check()?;
         let method = match options.method {
             Method::Auto => MethodState::Auto(Box::new(Auto::new(options.rtol_or_like()))),
-            Method::Tsit5 => MethodState::Tsit5(ExplicitRk::new(&TSIT5)),
+            Method::Tsit5 => MethodState::Tsit5(ExplicitRk::new()),
             Method::Radau5 => MethodState::Radau5(Box::default()),
-            Method::Dop853 => MethodState::Dop853(Box::new(ExplicitRk::new(&DOP853))),
+            Method::Dop853 => MethodState::Dop853(Box::new(ExplicitRk::new())),
             Method::Bdf => MethodState::Bdf(Box::new(Bdf::new(options.exclude_algebraic))),
-            Method::Rk4 => MethodState::Rk4(ExplicitRk::new(&RK4)),
-            Method::Euler => MethodState::Euler(ExplicitRk::new(&EULER)),
+            Method::Rk4 => MethodState::Rk4(ExplicitRk::new()),
+            Method::Euler => MethodState::Euler(ExplicitRk::new()),
         };
         let (turned_times, turned_slopes) = (Vec::new(), Vec::new());
         Ok(Self {

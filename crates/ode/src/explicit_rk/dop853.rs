@@ -5,18 +5,23 @@
 //! E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, second edition, section
 //! II.5 and II.6. The numbers are checked against the order conditions below.
 
-use crate::tableau::{Dense, Estimate, Tableau, Weights};
+use crate::tableau::{Dense, Estimate, Explicit, Tableau, Weights};
 
 const STAGES: usize = 16;
 
-pub(crate) static DOP853: Tableau<STAGES> = Tableau {
-    order: 8,
-    end: 12,
-    c: C,
-    a: A,
-    error: Estimate::Two(ERROR_5, ERROR_3),
-    dense: Dense::Terms(DENSE),
-};
+#[derive(Debug)]
+pub(crate) struct Dop853;
+
+impl Explicit<STAGES> for Dop853 {
+    const TABLEAU: Tableau<STAGES> = Tableau {
+        order: 8,
+        end: 12,
+        c: C,
+        a: A,
+        error: Estimate::Two(ERROR_5, ERROR_3),
+        dense: Dense::Terms(DENSE),
+    };
+}
 
 #[rustfmt::skip]
 const C: [f64; STAGES] = [0.0, 0.052_600_151_958_767_73, 0.078_900_227_938_151_6, 0.118_350_341_907_227_4, 0.281_649_658_092_772_6, 0.333_333_333_333_333_3, 0.25, 0.307_692_307_692_307_7, 0.651_282_051_282_051_3, 0.6, 0.857_142_857_142_857_1, 1.0, 1.0, 0.1, 0.2, 0.777_777_777_777_777_8];
@@ -118,7 +123,7 @@ mod tests {
             k.begin(1);
             dense.begin(1);
             k.get_mut(stage)[0] = 1.0;
-            dense_terms(&DOP853, &DENSE, &k, 1.0, &mut dense);
+            dense_terms(&Dop853::TABLEAU, &DENSE, &k, 1.0, &mut dense);
             factors(theta).iter().enumerate().map(|(term, f)| dense.get(term)[0] * f).sum()
         })
     }

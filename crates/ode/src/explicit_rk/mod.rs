@@ -4,18 +4,19 @@ use crate::control::{Controller, Weights};
 use crate::stages::Stages;
 use crate::stepper::{Attempt, Equations, Properties, StepWithEvent, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
-use crate::tableau::{Dense, Estimate, Tableau, by_power, polynomial_weights};
+use crate::tableau::{Dense, Estimate, Explicit, by_power, polynomial_weights, row};
 use continuous::{TERMS, dense_terms, factors};
+use std::marker::PhantomData;
 
 mod continuous;
 mod dop853;
 
-pub(crate) use dop853::DOP853;
+pub(crate) use dop853::Dop853;
 
 /// An explicit method and its stages `k_i = f(t + c_i h, ...)`.
 #[derive(Debug)]
-pub(crate) struct ExplicitRk<const S: usize> {
-    tableau: &'static Tableau<S>,
+pub(crate) struct ExplicitRk<const S: usize, T> {
+    tableau: PhantomData<T>,
     /// The coefficients of the continuous extension, where it is one of polynomials.
     polynomials: Option<[[f64; S]; 4]>,
     k: Stages<S>,
@@ -27,11 +28,11 @@ pub(crate) struct ExplicitRk<const S: usize> {
     controller: Controller,
 }
 
-impl<const S: usize> ExplicitRk<S> {
-    pub(crate) fn new(tableau: &'static Tableau<S>) -> Self {
+impl<const S: usize, T: Explicit<S>> ExplicitRk<S, T> {
+    pub(crate) fn new() -> Self {
         Self {
-            tableau,
-            polynomials: match &tableau.dense {
+            tableau: PhantomData,
+            polynomials: match &T::TABLEAU.dense {
                 Dense::Polynomials(polynomials) => Some(by_power(polynomials)),
                 Dense::Terms(_) => None,
             },
@@ -40,7 +41,7 @@ impl<const S: usize> ExplicitRk<S> {
             error: Vec::new(),
             error_norm: 0.0,
             dense: Stages::default(),
-            controller: Controller::new(tableau.order),
+            controller: Controller::new(T::TABLEAU.order),
         }
     }
 
@@ -48,7 +49,7 @@ impl<const S: usize> ExplicitRk<S> {
     /// the last two stages, which lie at the end of the step both. For methods whose last but one abscissa is
     /// 1.
     pub(crate) fn response(&self, x: &[f64], x_new: &[f64], weights: &Weights) -> f64 {
-        let end = self.tableau.end;
+        let end = T::TABLEAU.end;
         weights.ratio(x, [self.k.get(end), self.k.get(end - 1)], [x_new, &self.stage])
     }
 
@@ -59,7 +60,24 @@ impl<const S: usize> ExplicitRk<S> {
     }
 
     fn has_stages_behind_end(&self) -> bool {
-        self.tableau.end + 1 < S
+        T::TABLEAU.end + 1 < S
+    }
+
+    /// The state at which a stage is evaluated.
+    #[inline]
+    fn sum(k: &Stages<S>, s: usize, h: f64, x: &[f64], out: &mut [f64]) {
+        macro_rules! of_stage {
+            ($($row:literal)+) => {
+                match s {
+                    $($row => {
+                        let weights = const { row::<S, T>($row) };
+                        k.combine(out, x, weights.iter().copied(), |sum, x| x + h * sum);
+                    })+
+                    _ => {}
+                }
+            };
+        }
+        of_stage!(1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
     }
 
     /// Evaluates a stage that is not the solution.
@@ -69,14 +87,15 @@ impl<const S: usize> ExplicitRk<S> {
         s: usize,
         Trial { t, end, h, x }: Trial<'_>,
     ) -> CallResult<()> {
-        self.k.combine(&mut self.stage, x, self.tableau.a[s].iter().copied(), |sum, x| x + h * sum);
+        Self::sum(&self.k, s, h, x, &mut self.stage);
         // The end of the step is met exactly: an input that jumps there must be asked at that very time.
-        let c = self.tableau.c[s];
+        let c = T::TABLEAU.c[s];
         let time = if c == 1.0 { end } else { t + c * h };
         equations.derivatives(time, &self.stage, self.k.get_mut(s))
     }
 
     /// The norm of the error by these weights.
+    #[inline(always)]
     fn error_by(
         &mut self,
         weights: &Weights,
@@ -89,12 +108,12 @@ impl<const S: usize> ExplicitRk<S> {
     }
 }
 
-impl<const S: usize> Stepper for ExplicitRk<S> {
+impl<const S: usize, T: Explicit<S>> Stepper for ExplicitRk<S, T> {
     fn properties(&self) -> Properties {
         let own_stages = self.has_stages_behind_end();
         Properties {
-            order: self.tableau.order,
-            has_error_estimate: !matches!(self.tableau.error, Estimate::None),
+            order: T::TABLEAU.order,
+            has_error_estimate: !matches!(T::TABLEAU.error, Estimate::None),
             interior_samples: if own_stages { 3 } else { 1 },
             step_with_event: if own_stages {
                 StepWithEvent::RepeatedToBefore
@@ -145,17 +164,17 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
         if x.is_empty() {
             return Ok(Attempt::Good);
         }
-        let tableau = self.tableau;
-        for s in 1..tableau.end {
+        let last = T::TABLEAU.end;
+        for s in 1..last {
             self.stage(equations, s, trial)?;
         }
-        self.k.combine(x_new, x, tableau.a[tableau.end].iter().copied(), |sum, x| x + h * sum);
+        Self::sum(&self.k, last, h, x, x_new);
         // An estimate without the stage at the end spares its evaluation where the step is rejected.
-        let spares_end = matches!(tableau.error, Estimate::Two(..));
+        let spares_end = matches!(T::TABLEAU.error, Estimate::Two(..));
         if !spares_end {
-            equations.derivatives(end, x_new, self.k.get_mut(tableau.end))?;
+            equations.derivatives(end, x_new, self.k.get_mut(last))?;
         }
-        self.error_norm = match tableau.error {
+        self.error_norm = match T::TABLEAU.error {
             Estimate::Embedded(error) => self.error_by(equations.weights, trial, x_new, error),
             Estimate::Two(fifth, third) => {
                 let third = self.error_by(equations.weights, trial, x_new, third);
@@ -174,7 +193,7 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
             return Ok(Attempt::TooInexact { h: h * self.controller.rejected(self.error_norm) });
         }
         if spares_end {
-            let f = self.k.get_mut(tableau.end);
+            let f = self.k.get_mut(last);
             equations.derivatives(end, x_new, f)?;
             if !f.iter().sum::<f64>().is_finite() {
                 return Err(CallError::Discard);
@@ -197,14 +216,14 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
         trial: Trial<'_>,
         _: &[f64],
     ) -> CallResult<()> {
-        let Dense::Terms(highest) = &self.tableau.dense else { return Ok(()) };
+        let Dense::Terms(highest) = &T::TABLEAU.dense else { return Ok(()) };
         if trial.x.is_empty() {
             return Ok(());
         }
-        for s in self.tableau.end + 1..S {
+        for s in T::TABLEAU.end + 1..S {
             self.stage(equations, s, trial)?;
         }
-        dense_terms(self.tableau, highest, &self.k, trial.h, &mut self.dense);
+        dense_terms(&T::TABLEAU, highest, &self.k, trial.h, &mut self.dense);
         Ok(())
     }
 
@@ -220,7 +239,7 @@ impl<const S: usize> Stepper for ExplicitRk<S> {
 
     fn accept(&mut self, h: f64, theta: f64) -> f64 {
         if theta == 1.0 {
-            self.k.copy(self.tableau.end, 0);
+            self.k.copy(T::TABLEAU.end, 0);
         }
         h * self.controller.accepted(self.error_norm)
     }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import functools
 import inspect
 import warnings
@@ -85,6 +84,8 @@ def _hint(name: str, arguments: Collection[str], among_options: bool = False) ->
             return f"; here it is {ours}"
     if name in _ABSENT:
         return f"; {_ABSENT[name]}"
+    import difflib
+
     near = difflib.get_close_matches(name, {*arguments, *options}, 1)
     if not near:
         return f"; there are: {', '.join(arguments)}"

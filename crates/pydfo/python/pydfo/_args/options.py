@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core
-from . import identity as _identity, keywords as _keywords
+from . import keywords as _keywords
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -82,7 +82,9 @@ def record(
         asked["checkpoint"] = path("checkpoint", checkpoint)
         # A problem with a name is the user's word for what is minimised.
         if function and asked.get("problem") is None:
-            text, is_hash = _identity.of_code(*function)
+            from . import identity
+
+            text, is_hash = identity.of_code(*function)
             asked["code"] = {"hash" if is_hash else "unknown": text}
     return asked
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core
-from . import check as _check, engine as _engine, stages as _stages, worker as _worker, uncertainty as _uncertainty
+from . import check as _check, stages as _stages, worker as _worker, uncertainty as _uncertainty
 from .._args import options as _options
 from .._optimize import evaluate as _evaluate, objective as _objective
 from .._errors import CalibrationWarning
@@ -401,7 +401,11 @@ class Calibration(Evaluation):
                 raise ValueError(f"options: {name} of a fit is that of its parameters")
         given: Any = workers
         executor = _evaluate.executor_of(given)
-        engine = None if executor is None else _engine.Simulations(self, executor)
+        engine = None
+        if executor is not None:
+            from .engine import Simulations
+
+            engine = Simulations(self, executor)
         count = engine.width if engine else _options.worker_count("workers", given, None)
         own = _options.with_plan(own, count)
         cost = _objective.built(objective, self)

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 import importlib
-import importlib.util
 import io
 import math
 import os
-import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -94,6 +91,8 @@ def _reading(path: str, what: str) -> Iterator[None]:
 def parquet(path: str) -> Columns:
     """The columns of a Parquet file."""
     _core.check_regular(path)
+    import importlib.util
+
     if importlib.util.find_spec("pyarrow") is None and importlib.util.find_spec("polars") is not None:
         return _with_polars(path)
     module, arrow = _library(path, ["pyarrow.parquet"]), importlib.import_module("pyarrow")
@@ -135,6 +134,9 @@ def _with_polars(path: str) -> Columns:
 def workbook(path: str, needed: list[str], time: str | None) -> tuple[bytes, list[str]]:
     """The columns of the first sheet of an Excel workbook that are needed as the text of a CSV file, and the names of the others."""
     _core.check_regular(path)
+    import csv
+    import zipfile
+
     module = _library(path, ["openpyxl"])
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

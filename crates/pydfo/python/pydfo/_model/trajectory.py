@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import difflib
 import os
 from collections.abc import Iterable, Iterator, KeysView, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -207,6 +206,8 @@ class SimulationResult(Mapping[str, Column]):
                 yield name, variable, self[name]
 
     def _missing(self, name: object) -> str:
+        import difflib
+
         nearest = difflib.get_close_matches(str(name), self._columns, n=3)
         hint = f"; did you mean {', '.join(nearest)}?" if nearest else "."
         names = list(self._columns)
