@@ -68,6 +68,15 @@ impl Averaging {
     }
 }
 
+/// Where a search stood that has gone on by less than the tolerances since then.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Halt {
+    pub(super) z: Vec<f64>,
+    pub(super) cost: f64,
+    /// Rounds of trial points since then.
+    pub(super) n_rounds: usize,
+}
+
 fn is_length(length: f64) -> bool {
     length > 0.0 && length.is_finite()
 }
@@ -159,6 +168,9 @@ pub struct LeastSquaresState {
     pub(super) improving: Option<usize>,
     /// The point around which directions that the model lacks were asked for last, and how often.
     pub(super) completed: (usize, u32),
+    /// Where the search stands still.
+    #[serde(default)]
+    pub(super) halt: Option<Halt>,
 }
 
 impl LeastSquaresState {
@@ -197,6 +209,7 @@ impl LeastSquaresState {
             curvature: None,
             improving: None,
             completed: (0, 0),
+            halt: None,
         };
         for coordinate in std::iter::once(None).chain((0..n).map(Some)) {
             let z = state.neighbour(coordinate, 0);
@@ -248,6 +261,7 @@ impl LeastSquaresState {
             && self.set.len() <= n + 1
             && self.model.as_ref().is_none_or(|model| model.is_sound(n, m) && model.base < self.set.len())
             && self.asked.iter().all(|k| *k < self.round.len())
+            && self.halt.as_ref().is_none_or(|halt| halt.z.len() == n)
             && (self.set.is_empty() == matches!(self.phase, Phase::Starting | Phase::NoStart))
             && match &self.phase {
                 Phase::Averaging(averaging) => averaging.is_sound(n),
