@@ -128,8 +128,8 @@ impl Claim {
     /// let in while this one holds.
     ///
     /// # Errors
-    /// [`io::ErrorKind::ResourceBusy`] with the number of the process that has a claim on it, or with the word
-    /// that it is this one; those of the system.
+    /// [`io::ErrorKind::ResourceBusy`] with the number of the process that has a claim on it, or with the
+    /// word that it is this one; those of the system.
     pub fn new(path: &Path, is_shared: bool) -> io::Result<Self> {
         let target = followed(path);
         if fs::metadata(&target).is_ok_and(|there| !there.is_file()) {

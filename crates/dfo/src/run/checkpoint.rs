@@ -78,8 +78,8 @@ pub struct Checkpoint {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Code {
-    /// A hash; behind it, each after a semicolon, may stand `name = checksum` for its parts, so that a message
-    /// can name those that are others.
+    /// A hash; behind it, each after a semicolon, may stand `name = checksum` for its parts, so that a
+    /// message can name those that are others.
     Hash(String),
     /// It cannot be told from other code, for this reason.
     Unknown(String),
@@ -340,8 +340,8 @@ fn parts(code: &str) -> impl Iterator<Item = &str> {
     code.split("; ")
 }
 
-/// The names of those parts of code that are not the same, or only on one side; none where what has no name is
-/// not the same either.
+/// The names of those parts of code that are not the same, or only on one side; none where what has no name
+/// is not the same either.
 fn changed(stored: &str, given: &str) -> Vec<String> {
     let only_in = |one: &str, other: &str| -> Vec<String> {
         let names = parts(one).filter(|part| parts(other).all(|o| o != *part));

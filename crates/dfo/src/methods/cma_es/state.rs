@@ -209,17 +209,18 @@ impl CmaRules {
         }
     }
 
-    /// True if a run is stuck: with equal costs after the generations of the test for equal function values of
-    /// Hansen (2009), else of its stagnation test, where their best and median costs do not fall either. Those
-    /// do long before a point is better than a start near the minimum, where the first step is far too long.
+    /// True if a run is stuck: with equal costs after the generations of the test for equal function values
+    /// of Hansen (2009), else of its stagnation test, where their best and median costs do not fall either.
+    /// Those do long before a point is better than a start near the minimum, where the first step is far too
+    /// long.
     fn is_stuck(&self, n: usize, members: usize, is_flat: bool) -> bool {
         let rate = (30 * n).div_ceil(members);
         let most = (120 + rate + self.n_generations / 5).min(MOST_RECENT - 1);
         if is_flat { self.idle > 10 + rate } else { self.recent.len() > most && !self.falls(most) }
     }
 
-    /// True if the median of the last three tenths of so many generations is below that of the first, of their
-    /// best or of their median costs.
+    /// True if the median of the last three tenths of so many generations is below that of the first, of
+    /// their best or of their median costs.
     fn falls(&self, generations: usize) -> bool {
         let (first, share) = (self.recent.len() - generations, generations * 3 / 10);
         let median = |first: usize, which: usize| {

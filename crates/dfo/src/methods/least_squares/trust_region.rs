@@ -21,8 +21,9 @@ const ZERO: f64 = 1e-20;
 const MOST_TURNS: usize = 200;
 /// Number of times that a direction that the set lacks is requested around one point.
 const MOST_TRIES: u32 = 8;
-/// Rounds of trial points, so many times n + 1, in which a search that has come below the x test's limit goes on
-/// by less than the tolerances: residuals that change on a finer scale than that keep the f test from passing.
+/// Rounds of trial points, so many times n + 1, in which a search that has come below the x test's limit goes
+/// on by less than the tolerances: residuals that change on a finer scale than that keep the f test from
+/// passing.
 const MOST_HALTED: usize = 10;
 /// A radius that failures have made smaller than this is not made smaller any more: a simplex goes on.
 const STUCK: f64 = 1e-4;

@@ -85,8 +85,8 @@ impl Core {
         clusters::are_probably_all(self.minima.len(), n_trials)
     }
 
-    /// True if the search that ended at the best minimum has converged: where the cost is zero the x test need
-    /// not pass.
+    /// True if the search that ended at the best minimum has converged: where the cost is zero the x test
+    /// need not pass.
     fn has_converged(&self) -> bool {
         self.end == Some(Termination::Converged) || self.tests.is_some_and(|tests| tests.passed)
     }
