@@ -10,6 +10,9 @@ use tempfile::{NamedTempFile, TempPath};
 /// the process.
 const WRITING: &str = ".writing-";
 
+/// End of the number of the process in the file of a claim that is shared.
+const SHARED: &str = " shared";
+
 /// So many bytes of a name are repeated in that of its temporary file: names have at most 255.
 const LONGEST: usize = 180;
 
@@ -111,22 +114,23 @@ pub fn folder_of(path: &Path) -> &Path {
     }
 }
 
-/// A claim on a file that one process at a time writes again and again: a locked file beside it, which is
-/// removed with the claim. The lock goes with its process, however that ends.
+/// A claim on a file that one run at a time writes again and again: a locked file beside it, which is removed
+/// with the claim. The lock goes with its process, however that ends.
 #[derive(Debug)]
 pub struct Claim {
-    /// `None`: this process has a claim on it already, or it is no file that is replaced.
+    /// `None`: this process has a claim on it already that is shared, or it is no file that is replaced.
     locked: Option<File>,
     path: PathBuf,
 }
 
 impl Claim {
-    /// Claims the file at this place, which need not be there.
+    /// Claims the file at this place, which need not be there. `is_shared`: other claims of this process are
+    /// let in while this one holds.
     ///
     /// # Errors
-    /// [`io::ErrorKind::ResourceBusy`] with the number of the process that has a claim on it; those of the
-    /// system.
-    pub fn new(path: &Path) -> io::Result<Self> {
+    /// [`io::ErrorKind::ResourceBusy`] with the number of the process that has a claim on it, or with the
+    /// word that it is this one; those of the system.
+    pub fn new(path: &Path, is_shared: bool) -> io::Result<Self> {
         let target = followed(path);
         if fs::metadata(&target).is_ok_and(|there| !there.is_file()) {
             return Ok(Self { locked: None, path: target });
@@ -134,6 +138,7 @@ impl Claim {
         let mut name = target.file_name().unwrap_or_default().to_owned();
         name.push(".lock");
         let place = target.with_file_name(name);
+        let own = std::process::id().to_string();
         loop {
             let mut options = OpenOptions::new();
             options.read(true).write(true).create(true).truncate(false);
@@ -146,16 +151,20 @@ impl Claim {
                 Ok(()) if !is_at(&file, &place)? => {}
                 Ok(()) => {
                     file.set_len(0)?;
-                    file.write_all(std::process::id().to_string().as_bytes())?;
+                    file.write_all(own.as_bytes())?;
+                    file.write_all(if is_shared { SHARED.as_bytes() } else { b"" })?;
                     return Ok(Self { locked: Some(file), path: place });
                 }
                 Err(fs::TryLockError::WouldBlock) => {
                     let mut owner = String::new();
                     let _ = file.read_to_string(&mut owner);
-                    if owner == std::process::id().to_string() {
-                        return Ok(Self { locked: None, path: place });
-                    }
-                    let message = format!("process {owner} is writing to it");
+                    let (process, is_shared) =
+                        owner.strip_suffix(SHARED).map_or((&*owner, false), |process| (process, true));
+                    let message = match process == own {
+                        true if is_shared => return Ok(Self { locked: None, path: place }),
+                        true => "another run of this process is writing to it".to_owned(),
+                        false => format!("process {process} is writing to it"),
+                    };
                     return Err(io::Error::new(io::ErrorKind::ResourceBusy, message));
                 }
                 // Some file systems have no locks.
@@ -360,25 +369,32 @@ mod tests {
     }
 
     #[test]
-    fn a_file_is_claimed_by_one_process_at_a_time() {
+    fn a_file_is_claimed_once_at_a_time() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run");
-        let claim = Claim::new(&path).unwrap();
-        // This process may go on with it.
-        drop(Claim::new(&path).unwrap());
+        let claim = Claim::new(&path, true).unwrap();
+        // This process may go on with one that is shared, and with no other.
+        drop(Claim::new(&path, false).unwrap());
         assert_eq!(names(folder.path()), ["run.lock"]);
+        drop(claim);
+        let claim = Claim::new(&path, false).unwrap();
+        for is_shared in [false, true] {
+            let error = Claim::new(&path, is_shared).unwrap_err();
+            assert_eq!(error.kind(), io::ErrorKind::ResourceBusy);
+            assert_eq!(error.to_string(), "another run of this process is writing to it");
+        }
         drop(claim);
         assert_eq!(names(folder.path()), Vec::<String>::new());
         // What another process has left behind is no claim; what it holds is one.
         let lock = folder.path().join("run.lock");
         fs::write(&lock, "4711").unwrap();
-        drop(Claim::new(&path).unwrap());
+        drop(Claim::new(&path, false).unwrap());
         fs::write(&lock, "4711").unwrap();
         let held = File::open(&lock).unwrap();
         held.lock().unwrap();
-        let error = Claim::new(&path).unwrap_err();
+        let error = Claim::new(&path, false).unwrap_err();
         assert_eq!((error.kind(), error.to_string().contains("4711")), (io::ErrorKind::ResourceBusy, true));
-        Claim::new(Path::new("/dev/null")).unwrap();
+        Claim::new(Path::new("/dev/null"), false).unwrap();
     }
 
     #[test]

@@ -9,6 +9,8 @@ import os
 import random
 import shutil
 import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -223,6 +225,113 @@ def test_a_file_belongs_to_the_code_of_its_function(tmp_path, monkeypatch):
         run(scaled)
     run(scaled, options={"problem": "a word of the user's"}, resume="never")
     run(lambda x: 0.0, options={"problem": "a word of the user's"})
+
+
+COUNTED, SEEN, SHIFT = 0, [], 0.5
+
+
+def test_the_message_about_other_code_names_what_is_another(tmp_path, monkeypatch):
+    path = tmp_path / "run.ckpt"
+
+    def counted(x):
+        global COUNTED
+        COUNTED += 1
+        return float((x[0] - SHIFT) ** 2)
+
+    def logged(x):
+        SEEN.append(x)
+        return float((x[0] - SHIFT) ** 2)
+
+    class Model:
+        def __init__(self):
+            self.history, self.shift = [], 0.5
+
+        def cost(self, x):
+            self.history.append(x)
+            return float((x[0] - self.shift) ** 2)
+
+        def __call__(self, x):
+            return self.cost(x)
+
+    def helped(x):
+        return counted(x)
+
+    model = Model()
+    cases = [(counted, "COUNTED"), (logged, "SEEN"), (helped, "COUNTED"), (model, "Model.history"), (model.cost, "Model.history")]
+    for fun, name in cases:
+        minimize(fun, [1.0], checkpoint=path, resume="never")
+        with pytest.raises(pydfo.CheckpointError, match="other code: '") as caught:
+            minimize(fun, [1.0], checkpoint=path)
+        said = str(caught.value)
+        assert name in said and said.count("'") == 2, said
+        assert 'options={"problem": ...}' in said and 'give resume="require" to continue it' in said
+        assert "continued from" in minimize(fun, [1.0], checkpoint=path, resume="require").message
+
+    def further(x, more):
+        return float((x[0] - SHIFT) ** 2) + more[0]
+
+    minimize(further, [1.0], args=([1.0],), checkpoint=path, resume="never")
+    monkeypatch.setitem(globals(), "SHIFT", 0.25)
+    with pytest.raises(pydfo.CheckpointError, match="other code: 'SHIFT' is not"):
+        minimize(further, [1.0], args=([1.0],), checkpoint=path)
+    monkeypatch.undo()
+    with pytest.raises(pydfo.CheckpointError, match="other code: 'args' is not"):
+        minimize(further, [1.0], args=([2.0],), checkpoint=path)
+
+
+def test_another_run_of_this_process_is_kept_from_the_file(tmp_path):
+    path = tmp_path / "run.ckpt"
+    started, go_on = threading.Event(), threading.Event()
+
+    def waits(x):
+        started.set()
+        go_on.wait(60.0)
+        return float(x @ x)
+
+    with concurrent.futures.ThreadPoolExecutor(1) as pool:
+        first = pool.submit(minimize, waits, [1.0], checkpoint=path, max_evaluations=5)
+        started.wait(60.0)
+        with pytest.raises(pydfo.CheckpointError, match="another run of this process is writing to it: wait for its end"):
+            minimize(lambda x: float(x @ x), [1.0], checkpoint=path)
+        go_on.set()
+        assert first.result().nfev == 5
+
+
+FULL = """
+import logging, pydfo, resource, sys, time
+said, calls = [], [0]
+class Keep(logging.Handler):
+    def emit(self, record):
+        said.append((calls[0], record.getMessage()))
+logging.getLogger("pydfo").addHandler(Keep())
+def cost(x):
+    calls[0] += 1
+    time.sleep(0.002)
+    return float(x @ x)
+resource.setrlimit(resource.RLIMIT_FSIZE, (200, 200))
+result = pydfo.minimize(cost, [1.0, 2.0], workers=int(sys.argv[2]), checkpoint=sys.argv[1], max_evaluations=40, options={"checkpoint_interval": 0})
+print(len(said), said[0][0] < 20, said[0][1], "|", result.status, result.message)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits of file sizes")
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_checkpoint_that_cannot_be_written_is_said_at_once(tmp_path, workers):
+    run = subprocess.run([sys.executable, "-c", FULL, tmp_path / "run.ckpt", str(workers)], capture_output=True, text=True, check=True)
+    warned, _, ended = run.stdout.partition(" | ")
+    assert warned.startswith("1 True the run goes on without a checkpoint"), run.stdout + run.stderr
+    assert "could not be saved" in ended
+
+
+def test_what_is_lost_of_a_file_is_said(tmp_path, caplog):
+    path = tmp_path / "run.ckpt"
+    run = functools.partial(minimize, rosenbrock, [-1.2, 1.0], method="nelder-mead", checkpoint=path)
+    whole = run(options={"checkpoint_interval": 0})
+    os.truncate(path, path.stat().st_size - 100)
+    with caplog.at_level("WARNING", "pydfo"):
+        again = run(options={"checkpoint_interval": 0})
+    assert timeless(again) == timeless(whole)
+    assert "bytes are no whole state; it goes on from the state before" in caplog.text
 
 
 def test_code_that_cannot_be_told_is_not_resumed_by_itself(tmp_path):

@@ -78,7 +78,8 @@ pub struct Checkpoint {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Code {
-    /// A hash.
+    /// A hash; behind it, each after a semicolon, may stand `name = checksum` for its parts, so that a
+    /// message can name those that are others.
     Hash(String),
     /// It cannot be told from other code, for this reason.
     Unknown(String),
@@ -329,6 +330,34 @@ pub(crate) fn words(name: &str) -> &str {
     }
 }
 
+/// Of the text of code its hash.
+fn hash(code: &str) -> &str {
+    parts(code).next().unwrap_or_default()
+}
+
+/// The same, and its parts.
+fn parts(code: &str) -> impl Iterator<Item = &str> {
+    code.split("; ")
+}
+
+/// The names of those parts of code that are not the same, or only on one side; none where what has no name
+/// is not the same either.
+fn changed(stored: &str, given: &str) -> Vec<String> {
+    let only_in = |one: &str, other: &str| -> Vec<String> {
+        let names = parts(one).filter(|part| parts(other).all(|o| o != *part));
+        names.filter_map(|part| Some(part.split_once(" = ")?.0.to_owned())).collect()
+    };
+    let mut names = only_in(stored, given);
+    names.extend(only_in(given, stored));
+    names.sort();
+    names.dedup();
+    if names.iter().any(String::is_empty) {
+        Vec::new()
+    } else {
+        names.iter().map(|n| format!("'{n}'")).collect()
+    }
+}
+
 /// Reads the checkpoint that a run is to continue from, if it is to.
 pub(crate) fn read(
     options: &Checkpoint,
@@ -346,11 +375,18 @@ pub(crate) fn read(
     };
     let of_code = |all: &[(String, String)]| all.iter().find(|(n, _)| n == CODE).map(|(_, v)| v.clone());
     let (stored, given) = (of_code(&snapshot.fingerprint), of_code(fingerprint));
-    let is_other = stored != given || matches!(options.code, Some(Code::Unknown(_)));
+    let is_other = stored.as_deref().map(hash) != given.as_deref().map(hash)
+        || matches!(options.code, Some(Code::Unknown(_)));
     if is_other && options.resume == Resume::Auto {
+        let changed = changed(stored.as_deref().unwrap_or_default(), given.as_deref().unwrap_or_default());
         let what = match &options.code {
             Some(Code::Unknown(why)) => format!("whether it belongs to this function cannot be told: {why}"),
-            _ => "it belongs to a function with other code".to_owned(),
+            _ if changed.is_empty() => "it belongs to a function with other code".to_owned(),
+            _ => format!(
+                "it belongs to a function with other code: {} is not what it was when that run began (a function that \
+                 only counts, logs or keeps costs there is better known by a name: options={{\"problem\": ...}})",
+                changed.join(", ")
+            ),
         };
         let what = format!(
             "{what}; give resume=\"require\" to continue it all the same, or resume=\"never\" to begin anew"
@@ -466,17 +502,22 @@ pub(crate) struct Writer {
     spent: Duration,
     /// What this process has written so far, where the next block goes on.
     written: Option<Blocks>,
-    /// No other process writes to the file.
+    /// No other run writes to the file.
     _claim: Claim,
 }
 
 impl Writer {
-    /// Checks that there is a place to write to, before anything is computed.
-    pub(crate) fn new(options: Checkpoint, fingerprint: Vec<(String, String)>) -> Result<Self, Error> {
+    /// Checks that there is a place to write to, before anything is computed. `by_hand`: of a run that stands
+    /// still where nobody asks it, so that another one of this process may go on with its file.
+    pub(crate) fn new(
+        options: Checkpoint,
+        fingerprint: Vec<(String, String)>,
+        by_hand: bool,
+    ) -> Result<Self, Error> {
         let path = &options.path;
         base::files::remove_unfinished(path);
         Unfinished::new(path).map_err(|e| file_failed(path, &e))?;
-        let claim = Claim::new(path).map_err(|e| match e.kind() {
+        let claim = Claim::new(path, by_hand).map_err(|e| match e.kind() {
             ErrorKind::ResourceBusy => failed(path, format!("{e}: wait for its end, or give another path")),
             _ => file_failed(path, &e),
         })?;

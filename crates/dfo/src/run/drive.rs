@@ -79,8 +79,8 @@ impl<M: Method> Drive<M> {
     pub(crate) fn new(started: StartedRun<M>, by_hand: bool) -> Self {
         let StartedRun { method, round, limits, workers, writer, observed, first_recent, before, .. } =
             started;
-        // A run that was resumed may be over already.
-        let over = observed.and_then(|_| reached(&method, &round, &limits));
+        // A run that was resumed may be over already, for whatever reason it ended.
+        let over = started.resumed.as_ref().and_then(|_| end(&method, &round, &limits, None, false));
         Self {
             method,
             round,
@@ -96,7 +96,7 @@ impl<M: Method> Drive<M> {
             options: started.options,
             resumed: started.resumed,
             unsaved: None,
-            stage: over.map_or(Stage::Ask, |termination| Stage::Over(Some(termination))),
+            stage: over.map_or(Stage::Ask, Stage::Over),
             batch: Batch::new(),
             answers: Vec::new(),
             n_missing: 0,
@@ -545,7 +545,7 @@ fn too_many_failed(round: &Round, limits: &Limits) -> bool {
 }
 
 /// Limits that hold between two batches, besides those of the gateway.
-pub(crate) fn reached<M: Method + ?Sized>(method: &M, round: &Round, limits: &Limits) -> Option<Termination> {
+fn reached<M: Method + ?Sized>(method: &M, round: &Round, limits: &Limits) -> Option<Termination> {
     if round.target_reached(limits) {
         return Some(Termination::Target);
     }

@@ -464,7 +464,7 @@ impl<M: MethodOptions> Minimize<'_, M> {
             Source::Objective(objective) => (objective.has_residuals(), objective.has_residuals()),
             Source::Batches(_) | Source::Evaluator(_) => (has_residuals, true),
         };
-        let started = self.description.begin(has_residuals, loss)?;
+        let started = self.description.begin(has_residuals, loss, false)?;
         if started.needs_residuals && !may_have_some {
             return Err(Error::NeedsResiduals { method: started.method.name() });
         }
@@ -504,7 +504,7 @@ where
     /// # Errors
     /// Options that cannot be used.
     pub fn optimizer(self) -> Result<Optimizer, Error> {
-        Optimizer::start(self.description.begin(false, RobustLoss::default())?)
+        Optimizer::start(self.description.begin(false, RobustLoss::default(), true)?)
     }
 }
 

@@ -94,8 +94,13 @@ impl<M: MethodOptions> Description<M> {
     }
 
     /// Checks everything, and starts or continues. `residuals`: whether the objective is known to give them,
-    /// which have gone through this loss.
-    pub(crate) fn begin(mut self, residuals: bool, loss: RobustLoss) -> Result<StartedRun<M::Method>, Error> {
+    /// which have gone through this loss. `by_hand`: whether answers only come from outside.
+    pub(crate) fn begin(
+        mut self,
+        residuals: bool,
+        loss: RobustLoss,
+        by_hand: bool,
+    ) -> Result<StartedRun<M::Method>, Error> {
         self.choose(residuals)?;
         let Self { options, x0, bounds, transforms, sizes, kinds } = self;
         let (method, mut limits) = (&options.method, options.limits);
@@ -182,7 +187,7 @@ impl<M: MethodOptions> Description<M> {
             let n_evaluations = started.round.ledger.n_evaluations + n_known;
             started.resumed = Some(Resumed { path: place.path.clone(), n_evaluations });
         }
-        started.writer = Some(Writer::new(place, fingerprint)?);
+        started.writer = Some(Writer::new(place, fingerprint, by_hand)?);
         Ok(started)
     }
 }

@@ -175,7 +175,7 @@ fn sizes_that_no_memory_holds_are_refused() {
     for size in [0, 51, usize::MAX] {
         let (e, _) =
             error(run().method(Genetic::default().selection(dfo::Selection::Tournament(size))).run());
-        assert!(matches!(e, Error::Option { name: "tournament", .. }), "{e}");
+        assert!(matches!(e, Error::Option { name: "selection", .. }), "{e}");
     }
     let wide = minimize(sum).start(&[1.0]).bounds(&[0.0], &[1e20]).unwrap().kinds(&[Kind::Integer]);
     let (_, text) = error(wide.method(Genetic::default()).run());

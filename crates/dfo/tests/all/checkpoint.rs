@@ -12,15 +12,15 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-struct Folder(PathBuf);
+pub(crate) struct Folder(PathBuf);
 
 impl Folder {
-    fn new(name: &str) -> Self {
+    pub(crate) fn new(name: &str) -> Self {
         let folder = std::env::temp_dir().join(format!("dfo-checkpoint-{}-{name}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         Self(folder)
     }
-    fn file(&self) -> PathBuf {
+    pub(crate) fn file(&self) -> PathBuf {
         self.0.join("run.checkpoint")
     }
 }
@@ -31,7 +31,7 @@ impl Drop for Folder {
     }
 }
 
-fn methods() -> Vec<AnyMethod> {
+pub(crate) fn methods() -> Vec<AnyMethod> {
     let mut all: Vec<AnyMethod> = methods_for_costs();
     all.push(NelderMead::default().batch(Lookahead::Points(20)).into());
     all.push(CmaEs::default().lag(20).into());
@@ -51,7 +51,7 @@ fn at(path: &Path) -> Checkpoint {
     Checkpoint::new(path).interval(Duration::ZERO)
 }
 
-fn same(a: &Report, b: &Report, what: &str) {
+pub(crate) fn same(a: &Report, b: &Report, what: &str) {
     assert_eq!(timeless(&a.trace), timeless(&b.trace), "{what}");
     assert_eq!(
         (&a.x, a.fun, &a.termination, &a.message),

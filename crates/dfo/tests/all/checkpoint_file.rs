@@ -2,7 +2,7 @@
 #![cfg(unix)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use dfo::{Checkpoint, Resume, minimize};
+use dfo::{Checkpoint, Outcome, Resume, by_hand, minimize};
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::Path;
 use std::time::Duration;
@@ -37,6 +37,33 @@ fn what_a_killed_process_left_is_swept() {
     left.extend([alive, "run"]);
     left.sort_unstable();
     assert_eq!(names(folder.path()), left);
+}
+
+#[test]
+fn a_file_is_written_by_one_run_at_a_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = || Checkpoint::new(folder.path().join("run"));
+    let square = |x: &[f64]| x[0] * x[0];
+    let refused = std::sync::Mutex::new(Vec::new());
+    let outer = |x: &[f64]| {
+        let inner = std::thread::scope(|scope| {
+            let run = || minimize(square).start(&[1.0]).checkpoint(file()).run();
+            scope.spawn(run).join().unwrap()
+        });
+        refused.lock().unwrap().push(inner.unwrap_err().to_string());
+        square(x)
+    };
+    minimize(outer).start(&[1.0]).max_evaluations(3).checkpoint(file()).run().unwrap();
+    let messages = refused.into_inner().unwrap();
+    let message = "another run of this process is writing to it: wait for its end, or give another path";
+    assert!(messages.len() == 3 && messages.iter().all(|text| text.ends_with(message)), "{messages:?}");
+    // One that is driven by hand may be left lying about.
+    let left = by_hand().start(&[1.0]).checkpoint(file().resume(Resume::Never)).optimizer().unwrap();
+    let mut next = by_hand().start(&[1.0]).checkpoint(file().resume(Resume::Never)).optimizer().unwrap();
+    let point = next.ask(1).remove(0);
+    next.tell(point.id, Outcome::Value(1.0)).unwrap();
+    next.save().unwrap();
+    assert_eq!(left.n_pending(), 0);
 }
 
 #[test]

@@ -130,6 +130,21 @@ fn starts_at_zero_find_the_sizes_of_parameters() {
     }
 }
 
+/// No individual is better than a start near the minimum until a first step that is far too long has become short.
+#[test]
+fn a_good_start_does_not_end_the_search_before_it_has_begun() {
+    for n in [40, 50] {
+        let sphere = |x: &[f64]| x.iter().map(|x| (x - 1.0).powi(2)).sum::<f64>();
+        let run = minimize(sphere).start(&vec![1.0 + 1e-5; n]).method(CmaEs::default()).seed(1);
+        let report = run.run().unwrap();
+        assert!(report.is_success() && report.fun < 1e-4 * n as f64 * 1e-10, "{n}: {report}");
+        let run = minimize(rosenbrock).start(&vec![0.0; n]).scales(&vec![1.0; n]);
+        let run = run.method(CmaEs::default().sigma(0.6)).seed(2).max_evaluations(15_000);
+        let report = run.run().unwrap();
+        assert!(report.n_evaluations == 15_000 && report.fun < 0.97 * (n - 1) as f64, "{n}: {report}");
+    }
+}
+
 /// The default first step is too long for a hundred parameters: the step size from the path needs 12 719 evaluations.
 #[test]
 fn many_parameters_shorten_the_first_step_soon() {

@@ -548,3 +548,17 @@ fn rounded_residuals_are_no_success_where_the_rounding_decides() {
         assert!(!report.is_success() || off(0.0).max(off(20.0)) < 0.01, "{k}: {report}");
     }
 }
+
+/// A sine of a ten-thousandth of a unit in one of three residuals: the model there promises more than ten times
+/// the tolerance for ever, and each step gains a little.
+#[test]
+fn fine_noise_does_not_take_the_whole_budget() {
+    let fine = |x: &[f64], out: &mut Vec<f64>| {
+        out.extend([x[0] - 3.3, x[1] + 1.7, 0.5 + 0.3 * (1e5 * x[0] + 3e5 * x[1]).sin()]);
+    };
+    for start in [[0.0, 0.0], [1.0, 1.0], [3.0, -2.0]] {
+        let report = minimize(residuals(fine)).start(&start).method(LeastSquares::default()).run().unwrap();
+        assert!(report.termination == Termination::Noise && report.is_success(), "{report}");
+        assert!(report.n_evaluations < 1000 && report.fun < 0.25, "{report}");
+    }
+}

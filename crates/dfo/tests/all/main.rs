@@ -33,6 +33,7 @@ mod plans;
 mod quadratic_model;
 mod regressions;
 mod residuals;
+mod resumed;
 mod simplex_quality;
 mod speculation;
 mod target;

@@ -55,6 +55,17 @@ fn all_minima_are_found_and_counted_once() {
     assert!(by_cost >= 76 && by_residuals >= 76);
 }
 
+/// Local searches end at residuals of exactly zero before their radius passes the x test.
+#[test]
+fn a_cost_of_zero_is_a_success() {
+    for start in [1.5, 3.0, 4.5] {
+        let line = |x: &[f64], out: &mut Vec<f64>| out.push(1.0 - x[0]);
+        let run = minimize(residuals(line)).start(&[start]).bounds(&[0.0], &[5.0]).unwrap();
+        let report = run.method(Multistart::default().polish(Polish::LeastSquares)).seed(5).run().unwrap();
+        assert!(report.termination == Termination::Converged && report.fun == 0.0, "{report}");
+    }
+}
+
 /// The start that was given is searched from first, so that what a local search solves is solved here.
 #[test]
 fn the_start_is_the_first_to_be_searched_from() {

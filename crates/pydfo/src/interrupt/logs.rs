@@ -1,7 +1,7 @@
 //! Log lines of the libraries (warnings about models, mostly) go to Python's `logging`, logger "pydfo".
 //!
-//! Lines are kept until the next return to Python: the threads that simulate must not wait for the
-//! interpreter lock.
+//! Lines are kept until the calling thread next looks for signals, or returns: the threads that simulate must
+//! not wait for the interpreter lock.
 
 use crate::interrupt::threads::lock;
 use calibration::SETUP_LOG_TARGET;
@@ -9,7 +9,7 @@ use log::{Level, LevelFilter, Log, Metadata, Record};
 use pyo3::prelude::*;
 use std::sync::Mutex;
 
-/// More lines than this between two returns to Python are not kept.
+/// More lines than this meanwhile are not kept.
 const MOST_LINES: usize = 1000;
 
 struct Keeper {

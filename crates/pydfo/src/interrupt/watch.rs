@@ -6,6 +6,7 @@
 //! to end; from the second one on KeyboardInterrupt is raised, as always. A handler of the user's is left in
 //! place. Work that runs inside of other work (a simulation inside of an objective) stops with it.
 
+use crate::interrupt::logs;
 use crate::interrupt::threads::{self, lock};
 use calibration::RunContext;
 use pyo3::exceptions::PyKeyboardInterrupt;
@@ -132,9 +133,10 @@ impl EndRequest {
         self.asked.fetch_add(1, Ordering::Relaxed)
     }
 
-    /// Lets Python handle its signals. True: the user has interrupted it twice.
+    /// Passes on what was logged meanwhile, and lets Python handle its signals. True: the user has
+    /// interrupted it twice.
     fn look(&self, py: Python<'_>) -> bool {
-        let Err(e) = py.check_signals() else {
+        let Err(e) = logs::pass_on(py).and_then(|()| py.check_signals()) else {
             self.is_asked();
             return false;
         };
@@ -150,7 +152,7 @@ impl EndRequest {
         self.is_asked()
     }
 
-    /// The exception with which a signal handler of the user's ended the work.
+    /// The exception with which a signal handler of the user's, or a handler of log lines, ended the work.
     pub(crate) fn take_raised(&self) -> Option<PyErr> {
         lock(&self.raised).take()
     }

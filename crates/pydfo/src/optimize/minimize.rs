@@ -4,6 +4,7 @@
 use crate::convert::error;
 use crate::convert::record::PyRecord;
 use crate::convert::report::{self, LastProgress, Listener, ResultKind, Snapshot};
+use crate::interrupt::logs;
 use crate::interrupt::watch::{EndRequest, Watch};
 use crate::optimize::futures;
 use crate::optimize::objective::PyObjective;
@@ -100,10 +101,11 @@ pub(crate) fn minimize<'py>(
         let run = match batches {
             true if function.hasattr("submit")? => {
                 let evaluator = futures::of_function(&function, &objective, Arc::clone(&stop))?;
-                dfo::minimize_by(evaluator).loss(loss.unwrap_or_default())
+                dfo::minimize_by(evaluator).with_residuals(loss.is_some()).loss(loss.unwrap_or_default())
             }
             true => dfo::minimize_batches(|batch| objective.evaluate_batch(py, batch))
                 .gives_up(objective.gives_up())
+                .with_residuals(loss.is_some())
                 .loss(loss.unwrap_or_default()),
             false => dfo::minimize(ByRef(&*objective)),
         };
@@ -122,6 +124,7 @@ pub(crate) fn minimize<'py>(
             None => return Err(error::interrupted(py, last_progress.result(py)?.as_ref(), None)),
         }
     };
+    logs::pass_on(py)?;
     let raised = objective.take_raised(&outcome).or_else(|| listener.and_then(|l| l.take_raised()));
     conclude(py, &stop, raised, outcome, kind)
 }

@@ -3,6 +3,7 @@
 use crate::convert::error;
 use crate::convert::record::PyRecord;
 use crate::convert::report::{self, ResultKind};
+use crate::interrupt::logs;
 use crate::interrupt::threads::lock;
 use crate::interrupt::watch::Watch;
 use crate::optimize::minimize::RunSetup;
@@ -40,6 +41,7 @@ impl PyOptimizer {
         let of_residuals = asked.options.method.needs_residuals();
         let setup = RunSetup::new(x0, lower, upper, asked);
         let optimizer = py.detach(|| setup.describe(dfo::by_hand()).and_then(|run| run.optimizer()));
+        logs::pass_on(py)?;
         let inner = Mutex::new(optimizer.map_err(|e| error::optimiser(py, &e))?);
         Ok(Self { inner, n, of_residuals })
     }
@@ -83,6 +85,7 @@ impl PyOptimizer {
         // It may write the checkpoint, and another thread that waits for us may hold the interpreter lock.
         let watch = Watch::without_handler(py);
         let told = watch.run_here(|context| lock(&self.inner).tell_unless(id, answer, context));
+        logs::pass_on(py)?;
         told.map_err(|e| error::optimiser(py, &e))?;
         if watch.stop().is_asked() { Err(watch.interrupted()) } else { Ok(()) }
     }

@@ -18,6 +18,9 @@ use std::collections::VecDeque;
 /// So many generations in a row without any cost end a run.
 const MOST_BARREN: usize = 50;
 
+/// Generations that the stagnation test looks back on at most (Hansen 2009).
+const MOST_RECENT: usize = 20_000;
+
 /// State of CMA-ES besides its population, which is the last generation.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct CmaRules {
@@ -47,6 +50,9 @@ pub struct CmaRules {
     n_generations: usize,
     idle: usize,
     barren: usize,
+    /// The best and the median cost of each generation since the best point changed, the last ones.
+    #[serde(default)]
+    recent: VecDeque<[f64; 2]>,
     /// True if the distribution has no extent any more that floating-point numbers could resolve.
     degenerate: bool,
     schedule: Schedule,
@@ -99,6 +105,7 @@ impl CmaRules {
             n_generations: 0,
             idle: 0,
             barren: 0,
+            recent: VecDeque::new(),
             degenerate: false,
             schedule: Schedule::new(options, members),
         };
@@ -166,11 +173,17 @@ impl CmaRules {
         let n = space.n_free();
         self.n_generations += 1;
         self.idle += 1;
+        if self.recent.len() >= MOST_RECENT {
+            self.recent.pop_front();
+        }
+        let cost = |rank: usize| generation.cost(generation.order()[rank]).value().unwrap_or(f64::INFINITY);
+        self.recent.push_back([cost(0), cost(generation.len() / 2)]);
         if let Some(cost) = generation.cost(generation.best()).value() {
             if cost < self.best_cost {
                 self.best_cost = cost;
                 self.best.copy_from_slice(generation.u(generation.best()));
                 self.idle = 0;
+                self.recent.clear();
             }
             self.barren = 0;
         } else {
@@ -196,11 +209,26 @@ impl CmaRules {
         }
     }
 
-    /// Generations without a better point after which a run is stuck: those of the stagnation test of Hansen
-    /// (2009), with equal costs those of its test for equal function values.
-    fn most_idle(&self, n: usize, members: usize, is_flat: bool) -> usize {
+    /// True if a run is stuck: with equal costs after the generations of the test for equal function values
+    /// of Hansen (2009), else of its stagnation test, where their best and median costs do not fall either.
+    /// Those do long before a point is better than a start near the minimum, where the first step is far too
+    /// long.
+    fn is_stuck(&self, n: usize, members: usize, is_flat: bool) -> bool {
         let rate = (30 * n).div_ceil(members);
-        if is_flat { 10 + rate } else { 120 + rate + self.n_generations / 5 }
+        let most = (120 + rate + self.n_generations / 5).min(MOST_RECENT - 1);
+        if is_flat { self.idle > 10 + rate } else { self.recent.len() > most && !self.falls(most) }
+    }
+
+    /// True if the median of the last three tenths of so many generations is below that of the first, of
+    /// their best or of their median costs.
+    fn falls(&self, generations: usize) -> bool {
+        let (first, share) = (self.recent.len() - generations, generations * 3 / 10);
+        let median = |first: usize, which: usize| {
+            let mut costs: Vec<f64> = self.recent.range(first..first + share).map(|of| of[which]).collect();
+            costs.select_nth_unstable_by(share / 2, f64::total_cmp);
+            costs[share / 2]
+        };
+        (0..2).any(|which| median(self.recent.len() - share, which) < median(first, which))
     }
 }
 
@@ -269,8 +297,7 @@ impl GenerationRules for CmaRules {
             Some(Termination::Collapsed)
         } else if self.barren >= MOST_BARREN {
             Some(Termination::AllFailed)
-        } else if self.idle > self.most_idle(n, members, is_flat)
-            || self.schedule.is_over(n, members, self.n_generations)
+        } else if self.is_stuck(n, members, is_flat) || self.schedule.is_over(n, members, self.n_generations)
         {
             Some(Termination::Stalled)
         } else {
@@ -291,6 +318,7 @@ impl GenerationRules for CmaRules {
         self.ahead.clear();
         self.best_cost = f64::INFINITY;
         (self.n_generations, self.idle, self.barren, self.degenerate) = (0, 0, 0, false);
+        self.recent.clear();
         true
     }
 

@@ -173,7 +173,7 @@ impl Genetic {
             ("population", size, (2..=MAX_MEMBERS).contains(&members), "from 2 to a million"),
             ("elite", self.elite as f64, self.elite < members, "below the number of members"),
             (
-                "tournament",
+                "selection",
                 tournament as f64,
                 (1..=members).contains(&tournament),
                 "from 1 to the number of members",

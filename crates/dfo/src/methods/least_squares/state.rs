@@ -68,6 +68,15 @@ impl Averaging {
     }
 }
 
+/// Where a search stood that has gone on by less than the tolerances since then.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Halt {
+    pub(super) z: Vec<f64>,
+    pub(super) cost: f64,
+    /// Rounds of trial points since then.
+    pub(super) n_rounds: usize,
+}
+
 fn is_length(length: f64) -> bool {
     length > 0.0 && length.is_finite()
 }
@@ -159,6 +168,9 @@ pub struct LeastSquaresState {
     pub(super) improving: Option<usize>,
     /// The point around which directions that the model lacks were asked for last, and how often.
     pub(super) completed: (usize, u32),
+    /// Where the search stands still.
+    #[serde(default)]
+    pub(super) halt: Option<Halt>,
 }
 
 impl LeastSquaresState {
@@ -197,6 +209,7 @@ impl LeastSquaresState {
             curvature: None,
             improving: None,
             completed: (0, 0),
+            halt: None,
         };
         for coordinate in std::iter::once(None).chain((0..n).map(Some)) {
             let z = state.neighbour(coordinate, 0);
@@ -248,10 +261,12 @@ impl LeastSquaresState {
             && self.set.len() <= n + 1
             && self.model.as_ref().is_none_or(|model| model.is_sound(n, m) && model.base < self.set.len())
             && self.asked.iter().all(|k| *k < self.round.len())
+            && self.halt.as_ref().is_none_or(|halt| halt.z.len() == n)
             && (self.set.is_empty() == matches!(self.phase, Phase::Starting | Phase::NoStart))
             && match &self.phase {
                 Phase::Averaging(averaging) => averaging.is_sound(n),
-                Phase::Simplex(simplex) => simplex.is_sound(&simplex_method(), setup),
+                // It has begun with the sizes that were found on the way.
+                Phase::Simplex(simplex) => simplex.is_sound(&simplex_method(), &self.setup),
                 _ => true,
             }
     }
@@ -394,10 +409,19 @@ impl LeastSquaresState {
                 continue;
             };
             let new = &self.points[new];
-            let change = distance(&new.residuals, &start.residuals) / (new.z[*k] - start.z[*k]).abs();
+            let way = (new.z[*k] - start.z[*k]).abs();
+            if !self.setup.space.size_is_unknown(*k) || way == 0.0 {
+                continue;
+            }
+            let change = distance(&new.residuals, &start.residuals) / way;
             let factor = (start.cost.sqrt() / change).clamp(1e-6, 1e6);
-            if self.setup.space.size_is_unknown(*k) && !(0.2..=5.0).contains(&factor) {
-                found.push((*k, if change == 0.0 { 1e3 } else { factor }));
+            let factor = if change == 0.0 { 1e3 } else { factor };
+            // No step is longer than the box is wide.
+            let (lower, upper) = self.setup.space.working_bounds(*k);
+            let before = self.setup.space.size(*k);
+            let size = (before * factor).clamp(1e-150, 1e150).min(upper - lower);
+            if !(0.2..=5.0).contains(&factor) && size != before {
+                found.push((*k, size));
             }
         }
         self.n_resized += 1;
@@ -405,10 +429,7 @@ impl LeastSquaresState {
             // Their places are in other units now.
             self.failed.clear();
         }
-        for (k, factor) in &found {
-            let size = (self.setup.space.size(*k) * factor).clamp(1e-150, 1e150);
-            self.setup.space.set_unit(*k, size);
-        }
+        found.iter().for_each(|(k, size)| self.setup.space.set_unit(*k, *size));
         let mut u = vec![0.0; self.n()];
         for point in 0..self.points.len() {
             self.setup.space.to_working(&self.points[point].x, &mut u);

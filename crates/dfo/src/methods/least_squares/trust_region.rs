@@ -3,7 +3,7 @@
 
 use super::interpolation::{Interpolation, NewPoint, Place, combine};
 use super::points::{Evaluated, Selection, difference, distance, dot, norm, sum};
-use super::state::{Candidate, Known, LeastSquaresState, Phase, Role};
+use super::state::{Candidate, Halt, Known, LeastSquaresState, Phase, Role};
 use super::subproblem::{Cancelled, Linear, Subproblem, longest, smallest_singular_value};
 use crate::method::interface::Operation;
 use crate::method::tolerances::Tests;
@@ -21,6 +21,10 @@ const ZERO: f64 = 1e-20;
 const MOST_TURNS: usize = 200;
 /// Number of times that a direction that the set lacks is requested around one point.
 const MOST_TRIES: u32 = 8;
+/// Rounds of trial points, so many times n + 1, in which a search that has come below the x test's limit goes
+/// on by less than the tolerances: residuals that change on a finer scale than that keep the f test from
+/// passing.
+const MOST_HALTED: usize = 10;
 /// A radius that failures have made smaller than this is not made smaller any more: a simplex goes on.
 const STUCK: f64 = 1e-4;
 /// Points that failed keep steps away so far from them, in units of the trust region's radius.
@@ -182,6 +186,8 @@ impl LeastSquaresState {
                 self.phase = Phase::Ended(Termination::Converged);
             } else if is_kept_off || is_plateau || (self.n_failed > 0 && self.delta < STUCK) {
                 self.begin_simplex();
+            } else if tests.x_passed && self.is_halted() {
+                self.phase = Phase::Ended(Termination::Noise);
             } else if self.rho < SMALLEST {
                 self.phase = Phase::Ended(Termination::Collapsed);
             } else if length < 0.5 * self.rho || predicted <= nothing {
@@ -519,6 +525,7 @@ impl LeastSquaresState {
         if round.len() > 1 || self.set.len() <= self.n() {
             self.choose_set_from(round);
         }
+        self.look_for_progress();
         if let Some((misfit, size)) = self.failure.filter(|_| self.n_noisy >= MOST_NOISY) {
             self.probe(misfit, size);
         } else if ratio < 0.1 {
@@ -539,6 +546,22 @@ impl LeastSquaresState {
                 }
             }
         }
+    }
+
+    /// Notes whether the search goes on by more than the tolerances.
+    fn look_for_progress(&mut self) {
+        let Evaluated { z, cost, .. } = &self.points[self.base()];
+        let (limit, cost) = (self.judge(0.0, 0.0, *cost).f_limit, *cost);
+        self.halt = match self.halt.take() {
+            Some(halt) if distance(&halt.z, z) <= self.x_limit() && halt.cost - cost <= limit => {
+                Some(Halt { n_rounds: halt.n_rounds + 1, ..halt })
+            }
+            _ => Some(Halt { z: z.clone(), cost, n_rounds: 0 }),
+        };
+    }
+
+    fn is_halted(&self) -> bool {
+        self.halt.as_ref().is_some_and(|halt| halt.n_rounds > MOST_HALTED * (self.n() + 1))
     }
 
     /// Asks for a point next to the base, so near that smooth residuals hardly change.

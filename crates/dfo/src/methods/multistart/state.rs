@@ -66,7 +66,9 @@ struct Core {
     n_elsewhere: usize,
     minima: Vec<Optimum>,
     best: Best,
-    /// The tests and the derivatives of the search that ended at the best minimum.
+    /// The end, the tests and the derivatives of the search that ended at the best minimum.
+    #[serde(default)]
+    end: Option<Termination>,
     tests: Option<Tests>,
     model: Option<LinearModel>,
     n_batches: u64,
@@ -81,6 +83,12 @@ impl Core {
         let n_looked_at = clusters::n_looked_at(self.sample.len());
         let n_trials = if self.clusters_are_split { self.n_starts } else { n_looked_at };
         clusters::are_probably_all(self.minima.len(), n_trials)
+    }
+
+    /// True if the search that ended at the best minimum has converged: where the cost is zero the x test
+    /// need not pass.
+    fn has_converged(&self) -> bool {
+        self.end == Some(Termination::Converged) || self.tests.is_some_and(|tests| tests.passed)
     }
 }
 
@@ -141,6 +149,7 @@ impl MultistartState {
             n_elsewhere: 0,
             minima: Vec::new(),
             best: Best::default(),
+            end: None,
             tests: None,
             model: None,
             n_batches: 0,
@@ -294,8 +303,11 @@ impl MultistartState {
         } else if is_last && self.test_clusters(most_starts) {
             return self.next();
         } else if is_last {
-            let passed = self.core.tests.is_some_and(|tests| tests.passed);
-            let end = if passed { Termination::Converged } else { Termination::Stalled };
+            let end = match &self.core.end {
+                Some(Termination::Noise) => Termination::Noise,
+                _ if self.core.has_converged() => Termination::Converged,
+                _ => Termination::Stalled,
+            };
             self.core.phase = Phase::Ended(end);
         } else {
             self.core.phase = Phase::Sampling;
@@ -405,6 +417,10 @@ impl MultistartState {
             let status = search.method.status();
             if let Some((x, cost)) = search.method.best().filter(|_| status != Status::Running) {
                 if core.minima.first().is_none_or(|best| cost < best.cost) {
+                    core.end = match &status {
+                        Status::Ended(end) => Some(end.clone()),
+                        Status::Running | Status::NoStart => None,
+                    };
                     (core.tests, core.model) =
                         (search.method.details().tests, search.method.linear_model(&RunContext::new()));
                 }
@@ -658,7 +674,8 @@ impl Method for MultistartState {
             // Several minima leave it open whether the best one is among them, until no other is expected; an exploration
             // has looked for that.
             settled: (core.n_planned > 0 || core.minima.len() < 2 || core.has_all_minima())
-                && core.tests.is_some_and(|tests| tests.passed && is_best(&tests)),
+                && core.has_converged()
+                && core.tests.as_ref().is_some_and(is_best),
             plan: "sample, then searches side by side",
             seed: Some(core.seed),
             population: exploring.or_else(|| Some(core.sample.view())),

@@ -10,6 +10,7 @@ import struct
 import sys
 import sysconfig
 import types
+import zlib
 from collections.abc import Iterable
 from typing import Any
 
@@ -23,34 +24,46 @@ class _Unknown(Exception):
     """A value that cannot be told from others."""
 
 
-def of_code(*parts: Any) -> tuple[str, bool]:
+def of_code(function: Any, *args: Any) -> tuple[str, bool]:
     """The hash of a function and of what it is called with, and True; or why there is none, and False.
 
     Code is what the interpreter runs, constants and names included; closures, defaults, global variables that it names and functions that
-    it calls belong to it, but for those of installed modules, which are known by their names.
+    it calls belong to it, but for those of installed modules, which are known by their names. Behind the hash stand checksums of what has
+    a name, so that a message can say which of them is another.
     """
     walk = _Walk()
     try:
-        for part in parts:
-            walk.value(part)
+        walk.value(function)
+        for values in args:
+            walk.part("args", values)
+        walk.close("")
     except _Unknown as e:
         return f"it refers to {e}", False
     except RecursionError:
         return "it refers to values nested too deeply", False
-    return walk.hash.hexdigest(), True
+    return "; ".join([walk.hash.hexdigest(), *(f"{name} = {checksum:x}" for name, checksum in walk.parts.items())]), True
 
 
 class _Walk:
     def __init__(self) -> None:
         self.hash = hashlib.sha256()
+        # By name; what a part refers to by another name is a part of its own.
+        self.parts: dict[str, int] = {}
+        self._checksum = 0
         self._seen: dict[int, int] = {}
         # What has been seen stays alive, so that no other object gets its number.
         self._kept: list[Any] = []
 
     def mark(self, kind: str, data: bytes | str = b"") -> None:
         data = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
-        self.hash.update(f"{kind} {len(data)}:".encode())
-        self.hash.update(data)
+        for text in (f"{kind} {len(data)}:".encode(), data):
+            self.hash.update(text)
+            self._checksum = zlib.crc32(text, self._checksum)
+
+    def close(self, name: str) -> None:
+        """What came since the last part is one of this name, or the rest of it."""
+        self.parts[name] = zlib.crc32(self._checksum.to_bytes(4, "big"), self.parts.get(name, 0))
+        self._checksum = 0
 
     def all(self, kind: str, values: Iterable[Any]) -> None:
         values = list(values)
@@ -69,7 +82,10 @@ class _Walk:
         elif isinstance(value, types.CodeType):
             self._code(value)
         elif (place := self._seen.get(id(value))) is not None:
+            # Where it was seen depends on all that came before, which a part says nothing of.
+            checksum = self._checksum
             self.mark("seen", str(place))
+            self._checksum = zlib.crc32(b"seen", checksum)
         else:
             self._seen[id(value)] = len(self._seen)
             self._kept.append(value)
@@ -137,12 +153,31 @@ class _Walk:
                     if attribute in vars(value):
                         self._named(f"{name}.{attribute}", vars(value)[attribute])
 
-    def _named(self, name: str, value: Any) -> None:
+    def _named(self, name: str, value: Any, of: str = "") -> None:
         self.mark("name", name)
         try:
-            self.value(value)
+            self.part(of + name, value)
         except _Unknown as e:
             raise _Unknown(str(e) if " " in str(e) else f"'{name}', an object of type {e}") from None
+
+    def part(self, name: str, value: Any) -> None:
+        """A value that has a checksum of its own."""
+        around, self._checksum = self._checksum, 0
+        self.value(value)
+        self.close(name)
+        self._checksum = around
+
+    def _attributes(self, kind: type, state: dict[str, Any]) -> None:
+        """The attributes of an object, each a part; a dictionary that has been seen already is one part."""
+        if id(state) in self._seen:
+            self.value(state)
+            return
+        self._seen[id(state)] = len(self._seen)
+        self._kept.append(state)
+        self.mark("dict", str(2 * len(state)))
+        for name, value in state.items():
+            self.value(name)
+            self.part(f"{kind.__qualname__}.{name}", value)
 
     def _class(self, kind: type) -> None:
         self.mark("class", f"{kind.__module__}.{kind.__qualname__}")
@@ -152,13 +187,13 @@ class _Walk:
         for name, value in vars(kind).items():
             if isinstance(value, (types.FunctionType, staticmethod, classmethod, property, int, float, str, tuple)):
                 if name not in ("__module__", "__qualname__", "__doc__", "__firstlineno__"):
-                    self._named(name, value)
+                    self._named(name, value, f"{kind.__qualname__}.")
 
     def _instance(self, value: Any) -> None:
         self._class(type(value))
         state = getattr(value, "__dict__", None)
         if not _is_installed(type(value)) and isinstance(state, dict):
-            self.value(state)
+            self._attributes(type(value), state)
             return
         try:
             self.mark("state", pickle.dumps(value, 4))

@@ -300,6 +300,8 @@ def worker_count(name: str, value: SupportsIndex | None, default: int | None) ->
         return all_cores()
     if count < 1:
         raise ValueError(f"{name} = {count} must be at least 1, or -1 for all cores")
+    if count > sys.maxsize:
+        raise ValueError(f"{name} = {count} are more than any machine has")
     return count
 
 
