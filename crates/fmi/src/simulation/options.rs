@@ -101,7 +101,7 @@ macro_rules! names {
 
 #[cfg(feature = "schema")]
 names! {
-    kinds = ["auto", "ME", "CS", "me", "cs", "ModelExchange", "CoSimulation"];
+    kinds = ["auto", "ME", "CS", "me", "cs", "ModelExchange", "CoSimulation", "model-exchange", "co-simulation"];
     solvers = Method::ALL.map(Method::name);
     policies = ChatteringPolicy::NAMES;
 }

@@ -2,6 +2,7 @@
 
 use super::external_simulations::Engine;
 use super::noise::NoiseRule;
+use crate::fit::live::LiveFit;
 use crate::fit::phase::CurrentPhase;
 use crate::problem::objective::CostKind;
 use crate::uncertainty::estimate::{Estimator, UncertaintyOptions};
@@ -67,6 +68,8 @@ pub struct FitOptions<'a> {
     pub engine: Option<Rc<RefCell<dyn Engine>>>,
     /// Where the fit says what it does.
     pub phase: Arc<CurrentPhase>,
+    /// Where the search keeps what others see of it while it runs; default: nowhere.
+    pub live: Option<Arc<LiveFit>>,
 }
 
 impl FitOptions<'_> {
@@ -164,6 +167,7 @@ impl Default for FitOptions<'_> {
             context: RunContext::new(),
             engine: None,
             phase: Arc::default(),
+            live: None,
         }
     }
 }
