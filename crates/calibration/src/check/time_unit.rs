@@ -174,7 +174,7 @@ fn far_from_default_experiment(subject: &Subject<'_>) -> Option<(Finding, f64)> 
     }
     let near = UNITS.into_iter().find(|(factor, _)| (ratio / factor).ln().abs() < ABOUT.ln());
     let likely = near.map_or("in another unit than s".to_owned(), |(_, unit)| format!("in {unit}"));
-    let example = near.map_or("min", |(_, unit)| unit);
+    let example = near.map_or(if ratio > 1.0 { "ms" } else { "min" }, |(_, unit)| unit);
     let finding = Finding::warning(
         format!("{}{}", subject.prefix, subject.experiment.data.source()),
         format!(

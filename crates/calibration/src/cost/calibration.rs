@@ -2,7 +2,7 @@
 
 use crate::cost::evaluator::Evaluator;
 use crate::cost::failure::{NoCost, PointFailure};
-use crate::cost::process::{Asked, Evaluation, Job};
+use crate::cost::process::{Asked, Evaluation, Job, Remote};
 use crate::cost::residual::CostRule;
 use crate::cost::solver::{AtStart, Choice, Solver};
 use crate::error::CalibrationError;
@@ -118,7 +118,7 @@ impl Calibration {
     /// As [`CalibrationBuilder::build`]; [`CalibrationError::OtherModel`]: the model has another content.
     pub fn from_problem(fmu: Fmu, problem: Problem) -> Result<Self, CalibrationError> {
         problem.model.check(&fmu)?;
-        let evaluator = Evaluator::new(fmu, problem)?;
+        let evaluator = Evaluator::new(fmu, problem, None)?;
         for warning in &evaluator.warnings {
             let level = if warning.severity() == Severity::Note { Level::Info } else { Level::Warn };
             log::log!(target: SETUP_LOG_TARGET, level, "{warning}");
@@ -130,7 +130,16 @@ impl Calibration {
     /// A calibration of another problem with the same model, with the solver of this one if it is known.
     /// Warnings of the problem are not logged again.
     pub(crate) fn derived(&self, problem: Problem) -> Result<Self, CalibrationError> {
-        let evaluator = Evaluator::new(self.fmu().clone(), problem)?;
+        self.derived_in(problem, None)
+    }
+
+    /// The same for a few simulations while this one makes none: in its processes.
+    pub(crate) fn derived_beside(&self, problem: Problem) -> Result<Self, CalibrationError> {
+        self.derived_in(problem, self.evaluator.remote.as_ref().ok())
+    }
+
+    fn derived_in(&self, problem: Problem, lender: Option<&Remote>) -> Result<Self, CalibrationError> {
+        let evaluator = Evaluator::new(self.fmu().clone(), problem, lender)?;
         let identity = identity(&evaluator.problem, &evaluator.parameters)?;
         let derived = Self { evaluator, choice: Choice::default(), identity };
         self.known_solver().map_or(Ok(()), |solver| derived.set_solver(solver.clone()))?;

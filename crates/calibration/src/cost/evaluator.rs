@@ -43,8 +43,13 @@ pub(crate) struct Evaluator {
 }
 
 impl Evaluator {
-    /// Looks everything up and checks it; loads the model, but simulates nothing yet.
-    pub(crate) fn new(fmu: Fmu, mut problem: Problem) -> Result<Self, CalibrationError> {
+    /// Looks everything up and checks it; loads the model, but simulates nothing yet. `lender`: of the
+    /// processes.
+    pub(crate) fn new(
+        fmu: Fmu,
+        mut problem: Problem,
+        lender: Option<&Remote>,
+    ) -> Result<Self, CalibrationError> {
         let mut warnings = problem.check(fmu.description())?;
         warnings.extend(convert_columns(&mut problem, fmu.description())?);
         let elements = problem.elements()?;
@@ -69,7 +74,7 @@ impl Evaluator {
         let n_residuals = layout.n_residuals();
         let tied = tied_values(&problem, &elements)?;
         let parameters = elements.into_iter().map(|element| element.parameter).collect();
-        let remote = Remote::of(&fmu, &problem);
+        let remote = Remote::of(&fmu, &problem, lender);
         Ok(Self {
             remote,
             fmu,

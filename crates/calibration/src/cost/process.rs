@@ -123,10 +123,11 @@ struct Processes {
 
 impl Processes {
     /// Nothing is loaded yet.
-    fn new(fmu: &Fmu, limits: WorkerLimits, load: Job) -> Result<Self, FmiError> {
+    fn new(fmu: &Fmu, limits: WorkerLimits, load: Job, lender: Option<&Load>) -> Result<Self, FmiError> {
         let workers =
             fmu.workers(limits).ok_or_else(|| FmiError::NoWorker { reason: NO_LAUNCHER.to_owned() })?;
         let load = Load::new(move || Frame::of(&load));
+        let load = lender.into_iter().fold(load, Load::in_processes_of);
         workers.prepare(&load);
         Ok(Self {
             fmu: fmu.clone(),
@@ -263,8 +264,9 @@ pub(crate) struct Remote {
 }
 
 impl Remote {
-    /// The processes for a problem, or why its model runs in this one; `None`: that was asked for.
-    pub(crate) fn of(fmu: &Fmu, problem: &Problem) -> Result<Self, Option<String>> {
+    /// The processes for a problem, those of another one where they are lent; or why its model runs in this
+    /// one; `None`: that was asked for.
+    pub(crate) fn of(fmu: &Fmu, problem: &Problem, lender: Option<&Self>) -> Result<Self, Option<String>> {
         let settings = &problem.settings;
         if settings.isolation == Isolation::None || fmu.is_absent() {
             return Err(None);
@@ -280,7 +282,8 @@ impl Remote {
         let problem = Problem { model, settings, ..problem.clone() };
         let run_limit = problem.settings.run.timeout;
         let load = Job::Load(Box::new(Loaded { problem, options: fmu.options().clone() }));
-        let processes = Processes::new(fmu, limits, load).map_err(|error| match error {
+        let lender = lender.map(|lender| &lender.processes.load);
+        let processes = Processes::new(fmu, limits, load, lender).map_err(|error| match error {
             FmiError::NoWorker { reason } => Some(reason),
             error => Some(error.to_string()),
         })?;
@@ -402,7 +405,7 @@ impl ModelProcess {
     /// processes for it.
     pub fn new(fmu: &Fmu, limits: WorkerLimits) -> Result<Self, FmiError> {
         let open = Job::Open(ModelFile::of(fmu)?, Box::new(fmu.options().clone()));
-        Ok(Self { processes: Processes::new(fmu, limits, open)? })
+        Ok(Self { processes: Processes::new(fmu, limits, open, None)? })
     }
 
     /// As [`Fmu::simulate_with`], with the same bits. The context ends it. The second simulation is also made

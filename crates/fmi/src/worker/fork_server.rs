@@ -10,7 +10,7 @@ use super::frame::Frame;
 use super::handshake::{ASKED, FOLDER, LEVEL, TEMPORARY, VERSION};
 use super::launcher::Launcher;
 use super::limits::WorkerLimits;
-use super::load::Load;
+use super::load::{Load, LoadId};
 use super::printed::Printed;
 use crate::error::FmiError;
 use crate::sys::{PRELOAD, PRELOADED_BEFORE};
@@ -95,7 +95,7 @@ struct Orders {
     answer: Frame,
     n_started: u32,
     /// The load that was sent.
-    load: Option<u64>,
+    load: Option<LoadId>,
 }
 
 /// A template that was started before there is a problem to load. It ends with this, unless it was taken.
@@ -206,7 +206,7 @@ impl Template {
         limits: &WorkerLimits,
         is_prepared: bool,
         descriptors: [BorrowedFd<'_>; DESCRIPTORS],
-    ) -> Result<(u32, Option<u64>), FmiError> {
+    ) -> Result<(u32, Option<LoadId>), FmiError> {
         let mut orders = self.orders();
         orders.n_started += 1;
         let level = log::max_level();

@@ -7,8 +7,15 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Data that a worker needs before its first request.
 pub struct Load {
-    pub(super) id: u64,
+    pub(super) id: LoadId,
     frame: Box<dyn Fn() -> io::Result<Frame> + Send + Sync>,
+}
+
+/// Number of a load, and of the one in whose processes it is asked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct LoadId {
+    pub(super) number: u64,
+    pub(super) owner: u64,
 }
 
 /// Numbers of the [`Load`]s of this process.
@@ -18,7 +25,15 @@ impl Load {
     /// A load from the frame that a worker receives before its first request; it is made whenever it is
     /// needed, and not kept.
     pub fn new(frame: impl Fn() -> io::Result<Frame> + Send + Sync + 'static) -> Self {
-        Self { id: NEXT_ID.fetch_add(1, Ordering::Relaxed), frame: Box::new(frame) }
+        let number = NEXT_ID.fetch_add(1, Ordering::Relaxed);
+        Self { id: LoadId { number, owner: number }, frame: Box::new(frame) }
+    }
+
+    /// The same, of the same model: where processes that have loaded `owner` are idle, they are asked.
+    #[must_use]
+    pub fn in_processes_of(mut self, owner: &Self) -> Self {
+        self.id.owner = owner.id.owner;
+        self
     }
 
     pub(super) fn frame(&self) -> io::Result<Frame> {
@@ -28,6 +43,6 @@ impl Load {
 
 impl fmt::Debug for Load {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Load").field("id", &self.id).finish_non_exhaustive()
+        f.debug_struct("Load").field("id", &self.id.number).finish_non_exhaustive()
     }
 }

@@ -4,6 +4,7 @@ use super::end::{ProcessEnd, in_words};
 use super::fork_server::{Hello, Template, no_worker};
 use super::frame::{Frame, decode};
 use super::limits::WorkerLimits;
+use super::load::LoadId;
 use super::notes::Notes;
 use super::printed::Printed;
 use crate::description::Quirk;
@@ -67,7 +68,7 @@ pub(super) struct Process {
     owner: u32,
     has_ended: bool,
     /// The problem that it has loaded.
-    pub(super) loaded: Option<u64>,
+    pub(super) loaded: Option<LoadId>,
     /// Quirks of the model that nobody has been told of.
     pub(super) quirks: Vec<Quirk>,
     pub(super) n_calls: u64,

@@ -5,7 +5,7 @@ use super::fork_server::Template;
 use super::frame::Frame;
 use super::launcher::Launcher;
 use super::limits::{Ask, WorkerLimits};
-use super::load::Load;
+use super::load::{Load, LoadId};
 use super::worker_process::{NoAnswer, Process};
 use crate::description::Quirk;
 use crate::error::{EndKind, FmiError, Told, ToldKind, WorkerEnd};
@@ -52,9 +52,10 @@ struct Idle {
 }
 
 impl Idle {
-    /// Those that have loaded this.
-    fn of(&self, load: &Load) -> impl Iterator<Item = &Process> {
-        self.processes.iter().map(|(process, _)| process).filter(|process| process.loaded == Some(load.id))
+    /// What those have loaded that may be asked for this.
+    fn lent_to(&self, load: &Load) -> impl Iterator<Item = LoadId> {
+        let loaded = self.processes.iter().filter_map(|(process, _)| process.loaded);
+        loaded.filter(|loaded| loaded.owner == load.id.owner)
     }
 }
 
@@ -73,16 +74,19 @@ impl Workers {
     /// Starts the program of the workers, has it load this, and the first worker copied from it, in the
     /// background: that takes longer than a short evaluation.
     pub fn prepare(&self, load: &Load) {
-        // Who needs a worker meets the same error.
-        let begun = self.begin(load, false).ok();
-        self.idle().begun = begun;
+        self.prepare_one_of(1, load, false);
     }
 
     /// Has a second worker started in the background, and its model loaded: it will be needed soon.
     pub fn prepare_second(&self, load: &Load) {
-        let has_two = |idle: &Idle| idle.begun.is_some() || idle.of(load).count() > 1;
-        if !has_two(&self.idle()) {
-            let begun = self.begin(load, true).ok();
+        self.prepare_one_of(2, load, true);
+    }
+
+    fn prepare_one_of(&self, n: usize, load: &Load, is_prepared: bool) {
+        let are_there = |idle: &Idle| idle.begun.is_some() || idle.lent_to(load).count() >= n;
+        if !are_there(&self.idle()) {
+            // Who needs a worker meets the same error.
+            let begun = self.begin(load, is_prepared).ok();
             self.idle().begun = begun;
         }
     }
@@ -221,23 +225,31 @@ impl Workers {
 
     /// Number of idle workers that have loaded this.
     pub fn n_idle(&self, load: &Load) -> usize {
-        self.idle().of(load).count()
+        self.idle().lent_to(load).filter(|loaded| *loaded == load.id).count()
     }
 
-    /// Ends the idle workers that have loaded this: nobody asks them any more.
+    /// Ends the idle workers of this: nobody asks them any more.
     pub fn forget(&self, load: &Load) {
-        let is_of_load = |(process, _): &mut (Process, Instant)| process.loaded == Some(load.id);
+        let is_of_load = |(process, _): &mut (Process, Instant)| {
+            process.loaded.is_some_and(|loaded| loaded.owner == load.id.number)
+        };
         let ended: Vec<_> = self.idle().processes.extract_if(.., is_of_load).collect();
         drop(ended);
     }
 
-    /// One of those that have loaded this, and no other: what ran before in a process may show in its
-    /// answers.
+    /// One of those that have loaded this, else one that is [lent](Load::in_processes_of), and no other: what
+    /// ran before in a process may show in its answers.
     fn idle_process(&self, load: &Load, whom: Ask) -> Option<Process> {
         let mut idle = self.idle();
         let is_of_load = |(process, _): &(Process, Instant)| process.loaded == Some(load.id);
         let place = match whom {
-            Ask::Any => idle.processes.iter().rposition(is_of_load),
+            Ask::Any => {
+                let is_lent = |(process, _): &(Process, Instant)| {
+                    process.loaded.is_some_and(|loaded| loaded.owner == load.id.owner)
+                };
+                let own = idle.processes.iter().rposition(is_of_load);
+                own.or_else(|| idle.processes.iter().rposition(is_lent))
+            }
             Ask::LongestIdle => idle.processes.iter().position(is_of_load),
             Ask::Fresh | Ask::FreshOnce => None,
         };

@@ -60,6 +60,16 @@ fn init_says_what_it_did_not_find() {
 }
 
 #[test]
+fn a_variable_that_is_named_is_matched_no_second_time() {
+    let folder = Folder::with_model("furuta");
+    folder.write("run.csv", "time,PHI,armJoint.phi\n0,0,1\n1,0.1,2\n2,0.2,1\n");
+    folder.run("init model.fmu run.csv --output armJoint.phi=PHI --parameter armFriction").good();
+    let text = folder.read("problem.toml");
+    assert!(text.contains("outputs = { \"armJoint.phi\" = \"PHI\" }"), "{text}");
+    assert!(text.contains("# Column 'armJoint.phi'"), "{text}");
+}
+
+#[test]
 fn parameters_without_an_effect_are_comments() {
     let folder = Folder::with_model("bouncing_ball");
     // Before the first bounce at 0.45 s only gravity moves the ball.

@@ -183,7 +183,7 @@ impl Calibration {
         }
         let AtPoint { x, residuals, variances } = *at;
         let problem = self.problem_with(candidates);
-        let derived = problem.elements().and_then(|elements| Ok((elements, self.derived(problem)?)));
+        let derived = problem.elements().and_then(|elements| Ok((elements, self.derived_beside(problem)?)));
         let Ok((elements, derived)) = derived else { return Ok(None) };
         let n_parameters = self.problem().parameters.len();
         // Those that a parameter holds are no new ones.

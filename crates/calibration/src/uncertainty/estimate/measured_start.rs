@@ -45,7 +45,7 @@ impl Calibration {
                     moved.push(k);
                 }
             }
-            let Ok(derived) = self.derived(problem) else { continue };
+            let Ok(derived) = self.derived_beside(problem) else { continue };
             let (workers, context) = (simulations.workers, simulations.context);
             let mut own = Simulations::new(&derived, RobustLoss::default(), workers, &context)?;
             let found = own.residuals(&[Point::new(x.to_vec())])?.swap_remove(0);

@@ -28,13 +28,15 @@ impl Columns {
         inputs: Vec<Pair>,
     ) -> Result<Self, Error> {
         let description = fmu.description();
+        let mut given: Vec<&str> = Vec::new();
         for (variable, column) in outputs.iter().chain(&inputs) {
             if description.variable(variable).is_none() {
                 let nearest = description.nearest_names(variable, 3).into_iter().map(str::to_owned).collect();
                 return Err(Error::input(fmi::FmiError::UnknownVariable { name: variable.clone(), nearest }));
             }
-            find_column(data.names(), column)
+            let position = find_column(data.names(), column)
                 .map_err(|message| Error::input(format!("{}: {message}", data.source())))?;
+            given.extend(data.names().nth(position));
         }
         let mut columns = Self {
             outputs: outputs.to_vec(),
@@ -44,11 +46,13 @@ impl Columns {
         };
         for name in data.names() {
             let column = stem(name, data);
-            let is_given = |(_, given): &Pair| given == name || *given == column;
-            if outputs.iter().chain(&inputs).any(is_given) {
+            if given.contains(&name) {
                 continue;
             }
-            match candidates(&column, &description.variables)[..] {
+            let mut candidates = candidates(&column, &description.variables);
+            candidates
+                .retain(|variable| !outputs.iter().chain(&inputs).any(|(name, _)| *name == variable.name));
+            match candidates[..] {
                 [one] if one.causality == Causality::Input => columns.inputs.push((one.name.clone(), column)),
                 [one] => columns.outputs.push((one.name.clone(), column)),
                 ref several => {
