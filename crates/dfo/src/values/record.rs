@@ -436,7 +436,7 @@ impl<'de> Deserializer<'de> for &'de Value {
     /// Not of a list: its fields would have no names.
     fn deserialize_map<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, RecordError> {
         match self {
-            Value::List(_) => Err(de::Error::invalid_type(found(self), &visitor)),
+            Value::List(_) => Err(de::Error::invalid_type(found(self), &"a table of names and values")),
             _ => self.deserialize_any(visitor),
         }
     }

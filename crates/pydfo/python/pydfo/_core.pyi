@@ -24,6 +24,7 @@ __all__ = [
     "Fit",
     "Fmu",
     "Instance",
+    "LivePage",
     "Model",
     "Optimizer",
     "SavedState",

@@ -108,7 +108,8 @@ impl FitOptions<'_> {
             ..Self::default()
         };
         if let Some(name) = own.objective {
-            options.objective = CostKind::of_name(&name).ok_or_else(|| {
+            let asked = name.to_ascii_lowercase().replace('_', "-");
+            options.objective = CostKind::of_name(&asked).ok_or_else(|| {
                 let known: Vec<CostKind> = CostKind::named().collect();
                 let known: Vec<&str> = known.iter().map(CostKind::name).collect();
                 RecordError::unknown("objective", &name, &known)
