@@ -24,6 +24,7 @@ LAYERS = {
         fit
         intervals validation
         report export
+        watch
     """,
     "dfo": """
         values

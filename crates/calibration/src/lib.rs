@@ -10,7 +10,8 @@
 //! settings, the fingerprint); `cost` (simulations, residuals and cost, worker processes, the choice of the
 //! solver); `check` (mistakes in a set-up), `uncertainty` (covariance, residual tests, active bounds, the
 //! same before a fit); `fit` (one stage, several stages); `intervals` (profiles, bands), `validation`;
-//! `report` (pages and figures), `export` (files, tables, other programs).
+//! `report` (pages and figures), `export` (files, tables, other programs); `watch` (the page of a running
+//! fit).
 #![forbid(unsafe_code)]
 
 mod check;
@@ -25,6 +26,7 @@ mod problem;
 mod report;
 mod uncertainty;
 mod validation;
+mod watch;
 
 pub use base::RunContext;
 pub use check::{Check, CheckOptions};
@@ -45,6 +47,7 @@ pub use error::CalibrationError;
 pub use export::{FitDocument, FmuExport, SavedFit, Table};
 pub use findings::finding::{Finding, Severity};
 pub use findings::visible::visible;
+pub use fit::live::LiveFit;
 pub use fit::output_fit::OutputFit;
 pub use fit::phase::{CurrentPhase, FitPhase, PhaseCost};
 #[cfg(feature = "schema")]
@@ -77,3 +80,4 @@ pub use uncertainty::estimate::{
 pub use uncertainty::preflight::{ParameterCheck, Preflight, PreflightOptions};
 pub use validation::cross_validation::{CrossValidation, CrossValidationOptions, Fold};
 pub use validation::held_out::{ValidatedOutput, Validation, ValidationSet};
+pub use watch::LivePage;

@@ -19,7 +19,7 @@ use std::path::PathBuf;
         0    all went well\n  \
         1    the work was done, and did not succeed\n  \
         2    arguments, files or values that cannot be used\n  \
-        130  Ctrl-C; of a fit the best point is printed and saved"
+        130  Ctrl-C, SIGTERM or the button of --watch; of a fit the best point is printed and saved"
 )]
 pub(crate) struct CommandLine {
     /// Print results and errors only
@@ -277,6 +277,10 @@ pub(crate) struct Fit {
     /// Write a page with tables and figures (.html), or what `fmufit report` writes
     #[arg(short, long, value_name = "FILE.html")]
     pub(crate) report: Option<PathBuf>,
+    /// Show the fit while it runs on a page of this machine, whose address is printed, with a button that
+    /// ends it; afterwards its report, on a terminal until Ctrl-C
+    #[arg(long)]
+    pub(crate) watch: bool,
     /// The result as a JSON document
     #[arg(long)]
     pub(crate) json: bool,

@@ -27,6 +27,8 @@ mod core_module {
     #[pymodule_export]
     use super::calibration::fit::PyFit;
     #[pymodule_export]
+    use super::calibration::live_page::PyLivePage;
+    #[pymodule_export]
     use super::calibration::native::PyCalibration;
     #[pymodule_export]
     use super::calibration::profile::profile;

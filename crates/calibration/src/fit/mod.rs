@@ -1,5 +1,6 @@
 //! The fit of one stage, several stages, phases and results.
 
+pub(crate) mod live;
 pub(crate) mod output_fit;
 pub(crate) mod phase;
 #[cfg(feature = "schema")]

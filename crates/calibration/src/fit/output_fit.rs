@@ -35,7 +35,7 @@ pub struct OutputFit {
 
 /// Residuals that the run of a fit has computed, as they counted: at its start, and at the point of the
 /// lowest cost.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct KeptResiduals {
     start: Vec<f64>,
     at_start: Option<Vec<f64>>,
@@ -68,6 +68,11 @@ impl KeptResiduals {
     /// Those at the start.
     pub(crate) fn at_start(&self) -> Option<&[f64]> {
         self.at_start.as_deref()
+    }
+
+    /// Those at the point of the lowest cost, or else at the start.
+    pub(crate) fn at_best(&self) -> Option<&[f64]> {
+        self.best.as_ref().map(|best| best.residuals.as_slice()).or(self.at_start())
     }
 
     /// Those at `x`, if they are known: at the point of the lowest cost, and at the start.

@@ -352,6 +352,7 @@ impl Calibration {
                 context: job.context,
                 engine: job.engine.clone(),
                 phase: job.phases.borrow().told(),
+                live: job.live.clone(),
             };
             let (fit, kept) = match windowed[k].as_ref().unwrap_or(self).fit_and_keep(options, Some(within)) {
                 Ok(fitted) => fitted,

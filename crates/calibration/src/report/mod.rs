@@ -2,6 +2,7 @@
 
 mod curves;
 mod figure;
+pub(crate) mod live;
 mod number;
 mod page;
 mod summary;
@@ -53,8 +54,19 @@ impl Calibration {
         let failed = |source| CalibrationError::ReportFile { path: path.to_owned(), source };
         // Before the simulations, which may take long.
         let unfinished = Unfinished::new(path).map_err(failed)?;
-        let page = page::page(self, fit, context)?;
+        let page = self.report_page(fit, context)?;
         unfinished.file().write_all(page.as_bytes()).and_then(|()| unfinished.finish()).map_err(failed)
+    }
+}
+
+impl Calibration {
+    /// The page that [`report`](Self::report) writes.
+    pub(crate) fn report_page(
+        &self,
+        fit: &Fit,
+        context: &RunContext<'_>,
+    ) -> Result<String, CalibrationError> {
+        page::page(self, fit, context)
     }
 }
 

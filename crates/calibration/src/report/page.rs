@@ -29,7 +29,7 @@ struct Page {
 }
 
 #[derive(Serialize)]
-struct Figure {
+pub(super) struct Figure {
     title: String,
     caption: String,
     svg: Option<String>,
@@ -77,7 +77,7 @@ pub(super) fn page(
 }
 
 /// Per output: measured, at the start, fitted; below, the residuals.
-fn output_figures(experiments: &[ExperimentCurves]) -> Vec<Figure> {
+pub(super) fn output_figures(experiments: &[ExperimentCurves]) -> Vec<Figure> {
     let figure = |experiment: &ExperimentCurves, output: &OutputCurves| {
         let OutputCurves { measured, residuals, start, fitted } = output;
         let unit = measured.unit.as_ref().map_or_else(String::new, |unit| format!(" in {unit}"));
@@ -122,32 +122,35 @@ fn cost_panel(is_logarithm: bool, series: Vec<Series>) -> Panel {
     Panel { height: TALL, y_label: "cost".to_owned(), series, is_logarithm, has_zero: false }
 }
 
-/// The costs of all evaluations, and the best so far.
 fn convergence(fit: &Fit) -> Option<Figure> {
     let trace = &fit.report.trace;
     let first = trace.n_dropped() + 1;
-    let costs =
-        || trace.iter().enumerate().filter_map(|(k, e)| Some(((first + k) as f64, e.outcome.value()?)));
+    let costs = trace.iter().enumerate().filter_map(|(k, e)| Some(((first + k) as f64, e.outcome.value()?)));
+    (!trace.is_empty()).then(|| cost_figure(costs.collect(), first + trace.len() - 1, fit.report.n_failed))
+}
+
+/// The costs of evaluations by their numbers, up to the last one, and the best so far.
+pub(super) fn cost_figure(costs: Vec<Point>, last: usize, n_failed: usize) -> Figure {
     let mut best = f64::INFINITY;
     let mut steps: Vec<Point> = Vec::new();
-    for (k, cost) in costs() {
-        if cost < best {
-            steps.extend(steps.last().map(|(_, before)| (k, *before)));
-            best = cost;
-            steps.push((k, cost));
+    for (k, cost) in &costs {
+        if *cost < best {
+            steps.extend(steps.last().map(|(_, before)| (*k, *before)));
+            best = *cost;
+            steps.push((*k, *cost));
         }
     }
-    steps.extend(steps.last().map(|(_, last)| ((first + trace.len() - 1) as f64, *last)));
-    let is_logarithm = costs().all(|(_, cost)| cost >= 0.0);
-    let evaluated = drawn(is_logarithm, costs().collect());
+    steps.extend(steps.last().map(|(_, cost)| (last as f64, *cost)));
+    let is_logarithm = costs.iter().all(|(_, cost)| *cost >= 0.0);
+    let evaluated = drawn(is_logarithm, costs);
     let series = vec![Series::Measured(evaluated), Series::Fitted(drawn(is_logarithm, steps))];
     let svg = figure::draw(&[cost_panel(is_logarithm, series)], "evaluation");
-    let failed = match fit.report.n_failed {
+    let failed = match n_failed {
         0 => String::new(),
         n => format!(" {n} evaluations failed."),
     };
     let caption = format!("Cost of each evaluation (dots) and of the best point so far (line).{failed}");
-    (!trace.is_empty()).then(|| Figure { title: "Convergence".to_owned(), caption, svg })
+    Figure { title: "Convergence".to_owned(), caption, svg }
 }
 
 /// The costs that the searches from several starts ended at, sorted.

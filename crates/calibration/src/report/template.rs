@@ -17,14 +17,28 @@ pub(super) fn page(summary: &Summary, page: impl Serialize) -> String {
     render("page.html", context! { summary => Serde(summary), page => Serde(&page) })
 }
 
+/// The page of a fit that runs; `nonce`: that of its script.
+pub(super) fn live(title: &str, nonce: &str, state: &str) -> String {
+    render("live.html", context! { title, nonce, state })
+}
+
+/// The part of it that changes.
+pub(super) fn live_state(state: impl Serialize) -> String {
+    render("live_state.html", context! { state => Serde(&state) })
+}
+
 /// The templates are part of the program: an error is one of theirs, which the tests would see.
 fn render(name: &str, values: Value) -> String {
     let mut environment = Environment::new();
     let templates = [
         ("figure.html", include_str!("templates/figure.html")),
+        ("legend.html", include_str!("templates/legend.html")),
+        ("live.html", include_str!("templates/live.html")),
+        ("live_state.html", include_str!("templates/live_state.html")),
         ("tables.html", include_str!("templates/tables.html")),
         ("notebook.html", include_str!("templates/notebook.html")),
         ("page.html", include_str!("templates/page.html")),
+        ("style.html", include_str!("templates/style.html")),
     ];
     let rendered = templates
         .into_iter()

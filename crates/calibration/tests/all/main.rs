@@ -9,6 +9,7 @@ mod check;
 mod co_simulation;
 mod coverage;
 mod initial_states;
+mod live_page;
 mod mistakes;
 mod noise;
 mod objective;

@@ -7,13 +7,13 @@ use crate::error::{Error, Exit};
 use crate::interrupt::Interrupt;
 use crate::problem::{self, short_form};
 use crate::written::check_written;
-use calibration::{Calibration, CurrentPhase, FitOptions, FitPhase, RunContext, Stage};
+use calibration::{Calibration, CurrentPhase, FitOptions, FitPhase, LivePage, RunContext, Stage};
 use dfo::{Checkpoint, Progress, Resume, Termination};
 use ode::Number;
 use std::cell::RefCell;
 use std::ops::ControlFlow;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Where a fit with a checkpoint begins.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,7 +49,8 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
             ));
         }
     }
-    let fit = searched(&calibration, options, &stages, &interrupt, console)?;
+    let watch = arguments.watch.then(|| watch(&calibration, console)).transpose()?;
+    let fit = searched(&calibration, options, &stages, (&interrupt, watch.as_ref()), console)?;
     // First of all: what follows may take long, or fail.
     match arguments.json {
         true => console.data(&(fit.to_json(&calibration).map_err(Error::of_work)? + "\n")),
@@ -59,30 +60,68 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
         fit.save(&calibration, path).map_err(Error::of_input)?;
         console.note(&format!("saved {}", path.display()));
     }
-    let is_interrupted = fit.report.termination == Termination::Interrupted;
     if let Some(path) = &arguments.report {
-        if is_interrupted {
+        if interrupt.is_asked() {
             console.note("no report after Ctrl-C: fmufit report writes that of a saved fit");
         } else {
             report::write(&fit, &calibration, path, &RunContext::new().asking(&is_asked))?;
             console.note(&format!("wrote {}", path.display()));
         }
     }
+    if let Some(watch) = &watch {
+        show_report(watch, &fit, &calibration, &interrupt, console);
+    }
     Ok(match fit.is_success() {
-        _ if is_interrupted => Exit::Interrupted,
+        _ if fit.report.termination == Termination::Interrupted => Exit::Interrupted,
         true => Exit::Success,
         false => Exit::NoSuccess,
     })
 }
 
-/// Fits, and shows how far it is.
+/// Serves a page that will show the fit, and prints where.
+fn watch(calibration: &Calibration, console: &Console) -> Result<LivePage, Error> {
+    let watch = LivePage::start(calibration)
+        .map_err(|error| Error::work(format!("--watch: the page cannot be served: {error}")))?;
+    // Said in any case: without the address there is no page.
+    console.say(&format!("watch it at {}", watch.url()));
+    Ok(watch)
+}
+
+/// Shows the report of a fit on its page, until the reader closes it or presses Ctrl-C. Where no terminal is,
+/// nobody could do the latter: the page ends with the program.
+fn show_report(
+    watch: &LivePage,
+    fit: &calibration::Fit,
+    calibration: &Calibration,
+    interrupt: &Interrupt,
+    console: &Console,
+) {
+    let is_asked = || interrupt.is_asked();
+    if interrupt.is_asked() || !console.is_terminal() {
+        return;
+    }
+    match watch.show_report(calibration, fit, &RunContext::new().asking(&is_asked)) {
+        Ok(()) => {
+            console.say(&format!("the report is at {} until Ctrl-C", watch.url()));
+            while !(interrupt.is_asked() || watch.is_closed()) {
+                std::thread::sleep(Duration::from_millis(50));
+            }
+        }
+        // It is a way to look at a fit that there is.
+        Err(error) => console.say(&format!("the page cannot show the report: {error}")),
+    }
+}
+
+/// Fits, and shows how far it is. The fit ends when one of the two says so.
 fn searched(
     calibration: &Calibration,
     options: FitOptions<'_>,
     stages: &[Stage],
-    interrupt: &Interrupt,
+    (interrupt, watch): (&Interrupt, Option<&LivePage>),
     console: &Console,
 ) -> Result<calibration::Fit, Error> {
+    let mut options = options;
+    watch.iter().for_each(|watch| watch.attach(&mut options));
     let shown = Shown {
         line: console.live_line(),
         phase: Arc::clone(&options.phase),
@@ -90,11 +129,12 @@ fn searched(
         state: RefCell::default(),
     };
     let poll = || {
-        match interrupt.is_asked() {
+        let is_asked = interrupt.is_asked();
+        match is_asked {
             true => shown.line.end(),
             false => shown.show(),
         }
-        interrupt.is_asked()
+        is_asked || watch.is_some_and(LivePage::is_stop_asked)
     };
     let observer = |progress: &Progress<'_>| {
         shown.note(calibration, progress);

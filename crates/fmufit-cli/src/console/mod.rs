@@ -64,6 +64,16 @@ impl Console {
         }
     }
 
+    /// Prints what is asked for and no result, even if the console is quiet.
+    pub(crate) fn say(&self, text: &str) {
+        messages::print(text);
+    }
+
+    /// True if somebody at a terminal reads what is said.
+    pub(crate) fn is_terminal(&self) -> bool {
+        io::stderr().is_terminal()
+    }
+
     /// Prints an error.
     pub(crate) fn error(&self, error: &Error) {
         messages::print(&format!("error: {error}"));

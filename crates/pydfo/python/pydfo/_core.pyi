@@ -24,6 +24,7 @@ __all__ = [
     "Fit",
     "Fmu",
     "Instance",
+    "LivePage",
     "Model",
     "Optimizer",
     "SavedState",
@@ -189,7 +190,12 @@ class Calibration:
         self, x: Sequence[float], covariance: str, held: Sequence[int], workers: int | None
     ) -> Uncertainty: ...
     def preflight(self, x: Sequence[float], workers: int | None) -> dict[str, Any]: ...
+    def live_page(self) -> LivePage: ...
     def fit(self, asked: Record, objects: dict[str, Any]) -> OptimizeResult: ...
+@final
+class LivePage:
+    @property
+    def url(self) -> str: ...
 @final
 class Fit:
     def fields(self) -> dict[str, Any]: ...

@@ -4,6 +4,7 @@ pub(crate) mod cost;
 pub(crate) mod data;
 pub(crate) mod experiment;
 pub(crate) mod fit;
+pub(crate) mod live_page;
 pub(crate) mod native;
 pub(crate) mod profile;
 pub(crate) mod recordings;

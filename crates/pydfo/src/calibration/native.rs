@@ -4,6 +4,7 @@
 use crate::calibration::cost::{self, CostFields};
 use crate::calibration::experiment::{ExperimentFields, PyParameter, SignalFunctions};
 use crate::calibration::fit;
+use crate::calibration::live_page::PyLivePage;
 use crate::calibration::shared::Shared;
 use crate::calibration::uncertainty::{self, PyUncertainty};
 use crate::convert::error;
@@ -21,8 +22,8 @@ use crate::model::trajectory;
 use crate::optimize::futures::{PyEngine, state};
 use calibration::RunContext;
 use calibration::{
-    CalibrationError, CurrentPhase, Engine, Entry, Experiment, FitOptions, PreflightOptions, Problem,
-    Severity, Solver, UncertaintyOptions, Verdict,
+    CalibrationError, Engine, Entry, Experiment, FitOptions, LivePage, PreflightOptions, Problem, Severity,
+    Solver, UncertaintyOptions, Verdict,
 };
 use dfo::{Progress, Query, RobustLoss, Termination, Want};
 use fmi::OpenOptions;
@@ -69,6 +70,8 @@ struct FitFields {
     objective: Option<CostFields>,
     /// A `_engine.Simulations`.
     engine: Option<Py<PyAny>>,
+    /// The page that shows it.
+    page: Option<Py<PyLivePage>>,
 }
 
 /// The model: as it was opened, or where it is.
@@ -378,8 +381,13 @@ impl PyCalibration {
         uncertainty::preflight(py, &found)
     }
 
+    /// A page for the fit that is about to begin.
+    fn live_page(&self) -> PyResult<PyLivePage> {
+        Ok(PyLivePage { inner: Arc::new(LivePage::start(self.inner())?) })
+    }
+
     fn fit<'py>(&self, py: Python<'py>, asked: PyRecord, objects: FitFields) -> PyResult<Bound<'py, PyAny>> {
-        let FitFields { start, observer, stages, objective, engine } = objects;
+        let FitFields { start, observer, stages, objective, engine, page } = objects;
         let n_parameters = self.inner().parameters().len();
         let stage = |asked: PyRecord| {
             calibration::Stage::asked(asked.values.clone(), n_parameters).map_err(|e| asked.error(py, &e))
@@ -401,13 +409,18 @@ impl PyCalibration {
         let (inner, asked) = (Arc::clone(&self.shared.inner), Arc::clone(&stop));
         let (seen, notified) = (Arc::clone(&last_progress), listener.clone());
         let callbacks = self.shared.callbacks.clone();
-        let phase = Arc::<CurrentPhase>::default();
+        let page = page.map(|page| Arc::clone(&page.get().inner));
+        let mut shown = FitOptions::default();
+        page.iter().for_each(|page| page.attach(&mut shown));
+        let FitOptions { phase, live, .. } = shown;
         let told = Arc::clone(&phase);
         let outcome = watch.run_with_ticks(
             move |caller| {
-                let (flag, ask) = (asked.flag(), || asked.is_asked() || callbacks.has_raised());
+                let is_stop_asked = || page.as_ref().is_some_and(|page| page.is_stop_asked());
+                let (flag, ask) =
+                    (asked.flag(), || asked.is_asked() || callbacks.has_raised() || is_stop_asked());
                 let context = RunContext::new().flagged(&flag);
-                let is_asked = asked.has_parent() || !callbacks.is_empty();
+                let is_asked = asked.has_parent() || !callbacks.is_empty() || page.is_some();
                 let context = if is_asked { context.asking(&ask) } else { context };
                 let options = FitOptions {
                     run,
@@ -418,6 +431,7 @@ impl PyCalibration {
                     preflight,
                     uncertainty,
                     phase: told,
+                    live,
                     engine: engine.map(|engine| Rc::new(RefCell::new(engine)) as Rc<RefCell<dyn Engine>>),
                     observer: Some(Box::new(|progress: &Progress<'_>| {
                         seen.pass_on(progress, caller, notified.as_ref())
@@ -425,10 +439,18 @@ impl PyCalibration {
                     context,
                     ..FitOptions::default()
                 };
-                match stages {
+                let fit = match stages {
                     Some(stages) => inner.fit_stages(&stages, options),
                     None => inner.fit(options),
+                };
+                if let (Ok(fit), Some(page)) = (&fit, &page)
+                    && !asked.is_asked()
+                {
+                    // It is a way to look at a fit that there is.
+                    page.show_report(&inner, fit, &RunContext::new().flagged(&flag))
+                        .unwrap_or_else(|error| log::warn!("the page cannot show the report: {error}"));
                 }
+                fit
             },
             |py| match &tick {
                 Some(tick) => tick.call1(py, (phase.get().name(),)).map(|_| ()),

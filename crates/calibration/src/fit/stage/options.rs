@@ -2,6 +2,7 @@
 
 use super::engine::Engine;
 use super::noise::NoiseRule;
+use crate::fit::live::LiveFit;
 use crate::fit::phase::CurrentPhase;
 use crate::problem::objective::CostKind;
 use crate::uncertainty::estimate::{Estimator, UncertaintyOptions};
@@ -67,6 +68,8 @@ pub struct FitOptions<'a> {
     pub engine: Option<Rc<RefCell<dyn Engine>>>,
     /// Where the fit says what it does.
     pub phase: Arc<CurrentPhase>,
+    /// Where the search keeps what others see of it while it runs; default: nowhere.
+    pub live: Option<Arc<LiveFit>>,
 }
 
 impl FitOptions<'_> {
@@ -105,7 +108,8 @@ impl FitOptions<'_> {
             ..Self::default()
         };
         if let Some(name) = own.objective {
-            options.objective = CostKind::of_name(&name).ok_or_else(|| {
+            let asked = name.to_ascii_lowercase().replace('_', "-");
+            options.objective = CostKind::of_name(&asked).ok_or_else(|| {
                 let known: Vec<CostKind> = CostKind::named().collect();
                 let known: Vec<&str> = known.iter().map(CostKind::name).collect();
                 RecordError::unknown("objective", &name, &known)
@@ -164,6 +168,7 @@ impl Default for FitOptions<'_> {
             context: RunContext::new(),
             engine: None,
             phase: Arc::default(),
+            live: None,
         }
     }
 }

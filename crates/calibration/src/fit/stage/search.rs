@@ -8,6 +8,7 @@ use crate::cost::residual::sum_of_squares;
 use crate::cost::solver::{AtStart, Solver};
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
+use crate::fit::live::{LiveFit, lock};
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::{FitPhase, Phases};
 use crate::problem::objective::CostKind;
@@ -24,8 +25,9 @@ use dfo::{
 use ode::{Number, Stats};
 use std::cell::RefCell;
 use std::collections::{HashMap, VecDeque};
+use std::ops::ControlFlow;
 use std::rc::Rc;
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 use std::thread::available_parallelism;
 
 /// The objective of one fit, which adds up what its simulations take.
@@ -37,7 +39,9 @@ struct Counted<'a> {
     start: &'a [f64],
     /// The residuals there, as they count, where they are known already.
     at_start: Option<Vec<f64>>,
-    stats: Mutex<(Stats, KeptResiduals)>,
+    stats: Mutex<Stats>,
+    kept: Arc<Mutex<KeptResiduals>>,
+    live: Option<&'a LiveFit>,
 }
 
 impl Counted<'_> {
@@ -60,8 +64,7 @@ impl Counted<'_> {
     }
 
     fn count(&self, stats: Stats) {
-        // A poisoned lock is no reason to fail: the counts are whole at every instant.
-        self.stats.lock().unwrap_or_else(|e| e.into_inner()).0 += stats;
+        *lock(&self.stats) += stats;
     }
 
     /// Makes of the residuals at a point what is minimised.
@@ -72,8 +75,7 @@ impl Counted<'_> {
             let layout = self.calibration.residual_layout();
             answer.outcome = self.kind.outcome(layout, sum, &answer.residuals, &mut own);
             if let Some(cost) = answer.outcome.value() {
-                let mut known = self.stats.lock().unwrap_or_else(|e| e.into_inner());
-                known.1.note(x, cost, &answer.residuals);
+                lock(&self.kept).note(x, cost, &answer.residuals);
             }
             if !self.kind.is_sum_of_squares() {
                 answer.residuals = own;
@@ -88,6 +90,7 @@ impl Counted<'_> {
 impl Objective for Counted<'_> {
     fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
         if !self.know(x, answer) {
+            let _running = self.live.map(|live| live.running(query.id, x));
             let mut stats = Stats::default();
             self.calibration.evaluate_counted(x, &self.asked(query), self.loss, answer, &mut stats);
             self.count(stats);
@@ -126,6 +129,7 @@ impl Evaluator for OnEngine<'_, '_> {
             return;
         }
         self.under_way.insert(query.id, (x.to_vec(), query.want));
+        self.counted.live.iter().for_each(|live| live.add(query.id, x));
         self.engine.submit(x, self.counted.asked(&query));
     }
 
@@ -139,12 +143,14 @@ impl Evaluator for OnEngine<'_, '_> {
         if let Polled::Answered(id) = polled
             && let Some((x, want)) = self.under_way.remove(&id)
         {
+            self.counted.live.iter().for_each(|live| live.remove(id));
             self.counted.finish(&x, want, answer);
         }
         polled
     }
 
     fn cancel(&mut self, id: u64) {
+        self.counted.live.iter().for_each(|live| live.remove(id));
         self.engine.cancel(id);
     }
 
@@ -199,6 +205,7 @@ pub(crate) struct Job<'a> {
     pub(crate) observer: RefCell<Option<Box<FitObserver<'a>>>>,
     pub(crate) engine: Option<Rc<RefCell<dyn Engine>>>,
     pub(crate) phases: RefCell<Phases>,
+    pub(crate) live: Option<Arc<LiveFit>>,
     /// Who may end it, and its time.
     pub(crate) context: RunContext<'a>,
     /// True if it is a part of a fit, which has chosen the tolerance.
@@ -252,6 +259,7 @@ impl<'a> Job<'a> {
             observer: RefCell::new(options.observer),
             engine: options.engine,
             phases: RefCell::new(Phases::new(options.phase)),
+            live: options.live,
             context,
             is_part,
             spent: Spent::default(),
@@ -403,14 +411,19 @@ impl Calibration {
         // What is held can have any value, and does not choose the method.
         held.iter().for_each(|&i| kinds[i] = Kind::Continuous);
         let sizes: Vec<Option<f64>> = parameters.iter().map(|p| self.given_size(p)).collect();
+        let kept = Arc::new(Mutex::new(KeptResiduals::new(start, at_start.clone())));
+        let live = job.live.as_deref();
+        live.iter().for_each(|live| live.begin(self.residual_layout(), *loss, &kept));
         let counted = Counted {
             calibration: self,
             cutoffs: job.cutoffs,
             kind: objective,
             loss: *loss,
             start,
-            at_start: at_start.clone(),
-            stats: Mutex::new((Stats::default(), KeptResiduals::new(start, at_start))),
+            at_start,
+            stats: Mutex::default(),
+            kept: Arc::clone(&kept),
+            live,
         };
         let mut observer = job.observer.borrow_mut();
         let mut engine = job.engine.as_ref().map(|engine| engine.borrow_mut());
@@ -432,8 +445,13 @@ impl Calibration {
             .known_scales(&sizes)
             .spent(context.elapsed())
             .options(run.clone());
-        if let Some(observer) = &mut *observer {
-            search = search.observer(|progress| observer(&job.spent.before(progress)));
+        if observer.is_some() || live.is_some() {
+            search = search.observer(|progress| {
+                live.iter().for_each(|live| live.note(progress));
+                observer
+                    .as_mut()
+                    .map_or(ControlFlow::Continue(()), |observer| observer(&job.spent.before(progress)))
+            });
         }
         let outcome = search.context(*context).run().map_err(|error| match error {
             dfo::Error::NeedsResiduals { method } => CalibrationError::Setup(format!(
@@ -443,8 +461,12 @@ impl Calibration {
             )),
             error => self.name_parameter(error),
         });
-        let (taken, residuals) = counted.stats.into_inner().unwrap_or_else(|e| e.into_inner());
-        *stats += taken;
+        *stats += *lock(&counted.stats);
+        // Whoever looks at the fit still sees them.
+        let residuals = match live {
+            Some(_) => lock(&kept).clone(),
+            None => std::mem::take(&mut *lock(&kept)),
+        };
         Ok((outcome?, residuals))
     }
 

@@ -279,6 +279,7 @@ class Calibration(Point):
         covariance: Literal["sandwich", "pooled"] | None = "sandwich",
         preflight: bool = False,
         noise: Literal["auto", "stated", "estimated"] = "auto",
+        watch: bool = False,
     ) -> Fit:
         """Fits the parameters, without the interpreter lock.
 
@@ -365,6 +366,11 @@ class Calibration(Point):
             each from where the last one ended. Limits and ``nfev`` are those of all together, the trace is that of the last, and a
             checkpoint has a file for each (``fit.ckpt``, ``fit.ckpt.round2`` and so on). ``fit.noise`` has the estimates; ``fit.cost``,
             ``fit.uncertainty``, profiles and bands are those with weights over them, ``fit.rms`` that with the weights as given.
+        watch : bool
+            Serve a page for a browser of this machine that shows the fit while it runs: measured against simulated, the costs, the
+            parameters, what is under way, what failed, with a button that ends the fit with the best point. Its address, without
+            which nobody gets at it, is printed to standard error. Afterwards it shows the report, until the page is closed,
+            the `Fit` that is returned is gone, or the program ends.
 
         Returns
         -------
@@ -435,6 +441,10 @@ class Calibration(Point):
         printer = Printer(self.names)
         shown = disp if disp is None else _options.flag("disp", disp)
         live: LiveLine | None = None
+        page: _core.LivePage | None = None
+        if _options.flag("watch", watch):
+            page = self._native.live_page()
+            print(f"watch the fit at {page.url}", file=sys.stderr, flush=True)
         listeners: list[Callback] = []
         if shown is not False and is_watched():
             live = LiveLine(self.names, DELAY if shown is None else 0.0, max_evaluations, max_iterations, max_time)
@@ -449,7 +459,7 @@ class Calibration(Point):
             setattr(observer, "tick", live.tick)
         try:
             with closing(live) if live else nullcontext():
-                objects = {"start": begin, "observer": observer, "stages": of_stages, "objective": cost, "engine": engine}
+                objects = {"start": begin, "observer": observer, "stages": of_stages, "objective": cost, "engine": engine, "page": page}
                 result = self._native.fit(asked, objects)
         except BaseException as e:
             # What the native code attached becomes a fit, too.
@@ -459,6 +469,8 @@ class Calibration(Point):
                     setattr(e, name, self._fit(attached, begin))
             raise
         fit = self._fit(result, begin)
+        # It is served as long as there is the fit.
+        fit._page = page
         _log.info("fit: %s; cost %r after %d evaluations", fit.message, fit.cost, fit.nfev)
         if disp and fit.preflight is not None:
             print(fit.preflight)

@@ -181,6 +181,8 @@ class Fit(OptimizeResult):
     at_bound: dict[str, str]
     without_effect: list[str]
     n_checks: int
+    # The page that shows it, see `Calibration.fit`.
+    _page: _core.LivePage | None = None
 
     def __init__(self, calibration: Calibration, result: OptimizeResult, start: FloatArray, solver: str | None) -> None:
         vars(self).update(vars(result))

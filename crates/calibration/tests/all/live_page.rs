@@ -1,0 +1,256 @@
+//! The page of a fit that runs, by its requests: who gets it, what it shows, how it ends the fit, and what clients cannot do to it.
+
+use calibration::{
+    Calibration, Data, Experiment, Fit, FitOptions, LivePage, Parameter, RunContext, SimulationSettings,
+};
+use dfo::{DifferentialEvolution, Limits, RunOptions, Termination, Tolerances};
+use ode::Method;
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::ops::ControlFlow;
+
+fn decay() -> Calibration {
+    decay_by(SimulationSettings::default())
+}
+
+/// With simulations that take so long that a fit does not end by itself meanwhile.
+fn slow_decay() -> Calibration {
+    decay_by(SimulationSettings {
+        method: Method::Rk4,
+        step_size: Some(1e-5),
+        ..SimulationSettings::default()
+    })
+}
+
+fn decay_by(settings: SimulationSettings) -> Calibration {
+    let t: Vec<f64> = (0..51).map(|i| 0.1 * f64::from(i)).collect();
+    let x = t.iter().map(|t| (-2.0 * t).exp()).collect();
+    let fmu = fmi::Fmu::open(example_models::example_fmu("dahlquist").unwrap()).unwrap();
+    Calibration::builder(fmu)
+        .experiment(Experiment::new(Data::from_columns(t, [("x".to_owned(), x)]).unwrap()).output("x", "x"))
+        .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0).display_name("rate <of> decay"))
+        .settings(settings)
+        .build()
+        .unwrap()
+}
+
+/// Options of a fit that ends when it is told to.
+fn endless<'a>() -> FitOptions<'a> {
+    let tolerances = Tolerances { x_tol: 0.0, f_tol: 0.0, ..FitOptions::default_run().tolerances };
+    let limits = Limits { max_evaluations: Some(1_000_000_000), ..Limits::default() };
+    let method = DifferentialEvolution::default().into();
+    RunOptions { method, tolerances, limits, seed: Some(1), workers: Some(2), ..FitOptions::default_run() }
+        .into()
+}
+
+/// The address of a page: of its server, and its path.
+fn place(page: &LivePage) -> (String, String) {
+    let url = page.url();
+    let (host, path) = url.strip_prefix("http://").unwrap().split_once('/').unwrap();
+    (host.to_owned(), format!("/{path}"))
+}
+
+/// Status line and whole text of the answer to these bytes.
+fn sent(host: &str, bytes: &[u8]) -> (String, String) {
+    let mut stream = TcpStream::connect(host).unwrap();
+    // A server that has read enough answers and closes.
+    let _ = stream.write_all(bytes);
+    let mut answer = Vec::new();
+    let _ = stream.read_to_end(&mut answer);
+    let answer = String::from_utf8(answer).unwrap();
+    (answer.lines().next().unwrap_or_default().to_owned(), answer)
+}
+
+fn asked(host: &str, method: &str, path: &str, headers: &str) -> (String, String) {
+    sent(host, format!("{method} {path} HTTP/1.1\r\n{headers}\r\n").as_bytes())
+}
+
+#[test]
+fn only_who_knows_the_address_gets_anything() {
+    let page = LivePage::start(&decay()).unwrap();
+    let (host, path) = place(&page);
+    assert!(host.starts_with("127.0.0.1:") && path.len() > 32, "{}", page.url());
+    let port = host.rsplit_once(':').unwrap().1;
+    let own = format!("Host: {host}\r\n");
+    let good = asked(&host, "GET", &path, &own);
+    assert!(good.0 == "HTTP/1.1 200 OK" && good.1.contains("rate &lt;of&gt; decay"), "{}", good.1);
+    assert!(good.1.contains("Content-Security-Policy: default-src 'none'"), "{}", good.1);
+    // Nothing on it is to come from elsewhere.
+    let elsewhere = good.1.replace("http://www.w3.org/2000/svg", "");
+    assert!(
+        !["http:", "https:", "//", "@import", "url("].iter().any(|text| elsewhere.contains(text)),
+        "{elsewhere}"
+    );
+    let other_token = "0".repeat(32);
+    let from = |origin: &str| format!("{own}Origin: {origin}\r\n");
+    for (method, path, headers, status) in [
+        ("GET", path.as_str(), format!("host: LOCALHOST:{port}\r\n"), "200"),
+        ("GET", &format!("{path}state"), own.clone(), "200"),
+        // Wrong or missing tokens, other paths.
+        ("GET", "/", own.clone(), "404"),
+        ("GET", &format!("/{other_token}/"), own.clone(), "404"),
+        ("POST", &format!("/{other_token}/stop"), own.clone(), "404"),
+        ("GET", &path[..path.len() - 1], own.clone(), "404"),
+        ("GET", &format!("{path}../"), own.clone(), "404"),
+        ("GET", &format!("{path}state?x"), own.clone(), "404"),
+        ("GET", &format!("http://{host}{path}"), own.clone(), "404"),
+        // Sites whose names lead to this address.
+        ("GET", &path, format!("Host: rebound.example:{port}\r\n"), "403"),
+        ("GET", &path, "Host: 127.0.0.1\r\n".to_owned(), "403"),
+        ("GET", &path, String::new(), "403"),
+        ("GET", &path, format!("{own}{own}"), "403"),
+        ("POST", &format!("{path}stop"), from("http://rebound.example"), "403"),
+        ("POST", &format!("{path}stop"), from("null"), "403"),
+        // Methods.
+        ("GET", &format!("{path}stop"), own.clone(), "405"),
+        ("GET", &format!("{path}close"), own.clone(), "405"),
+        ("POST", &path, own.clone(), "405"),
+        ("DELETE", &format!("{path}state"), own.clone(), "405"),
+        // Sizes.
+        ("GET", &path, format!("{own}A: {}\r\n", "a".repeat(100_000)), "413"),
+        ("GET", &format!("{path}{}", "a".repeat(100_000)), own.clone(), "413"),
+        ("POST", &format!("{path}stop"), format!("{own}Content-Length: 99999999999\r\n"), "413"),
+        ("POST", &format!("{path}stop"), format!("{own}Content-Length: minus\r\n"), "400"),
+        ("POST", &format!("{path}stop"), format!("{own}Transfer-Encoding: chunked\r\n"), "413"),
+    ] {
+        let (line, text) = asked(&host, method, path, &headers);
+        let shown = format!("{method} {path:.80} {headers:.80}: {line}");
+        assert!(line.starts_with(&format!("HTTP/1.1 {status} ")), "{shown}");
+        assert!(status == "200" || !text.contains("decay"), "{shown}");
+    }
+    assert!(sent(&host, b"\x16\x03\x01 no HTTP\r\n\r\n").0.contains(" 400 "));
+    let (line, text) = asked(&host, "HEAD", &path, &own);
+    assert!(line.contains(" 200 ") && text.ends_with("\r\n\r\n"), "{text}");
+    assert!(!page.is_stop_asked() && !page.is_closed());
+    // Before there is a report nobody closes it.
+    assert!(asked(&host, "POST", &format!("{path}close"), &own).0.contains(" 303 ") && !page.is_closed());
+    drop(page);
+    assert!(TcpStream::connect(&host).is_err());
+}
+
+#[test]
+fn the_button_ends_the_fit_with_the_best_point_whatever_other_clients_do() {
+    let calibration = slow_decay();
+    let page = LivePage::start(&calibration).unwrap();
+    let (host, path) = place(&page);
+    let own = format!("Host: {host}\r\n");
+    let state = || asked(&host, "GET", &format!("{path}state"), &own).1;
+    // They send nothing, a part of a request, or take no answer.
+    let hanging: Vec<TcpStream> = (0..12)
+        .map(|k| {
+            let mut stream = TcpStream::connect(&host).unwrap();
+            let part = format!("GET {path} HTTP/1.1\r\n{own}\r\n");
+            stream.write_all(&part.as_bytes()[..[0, 10, part.len()][k % 3]]).unwrap();
+            stream
+        })
+        .collect();
+    let fit = std::thread::scope(|scope| {
+        let run = scope.spawn(|| {
+            let is_asked = || page.is_stop_asked();
+            let mut options = FitOptions { context: RunContext::new().asking(&is_asked), ..endless() };
+            page.attach(&mut options);
+            calibration.fit(options).unwrap()
+        });
+        let mut seen = state();
+        while !(seen.contains("Convergence") && seen.matches("<svg viewBox=\"0 0 34").count() == 4) {
+            assert!(!run.is_finished(), "{seen}");
+            seen = state();
+        }
+        assert!(seen.contains("now searching: iteration ") && seen.contains("0.1 to 10"), "{seen}");
+        // Measured and simulated below each other with the residuals, and the costs.
+        assert!(seen.matches("role=\"img\"").count() == 2 && seen.contains("residual"), "{seen}");
+        let (line, text) =
+            asked(&host, "POST", &format!("{path}stop"), &format!("{own}Content-Length: 0\r\n"));
+        assert!(line.contains(" 303 ") && text.contains("Location: ./\r\n"), "{text}");
+        run.join().unwrap()
+    });
+    assert_eq!(fit.report.termination, Termination::Interrupted);
+    let costs = fit.report.trace.iter().filter_map(|entry| Some((entry.outcome.value()?, entry.x)));
+    let best = costs.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
+    assert_eq!((fit.cost, fit.x.as_slice()), best);
+    // It is its report from now on.
+    page.show_report(&calibration, &fit, &RunContext::new()).unwrap();
+    assert!(state().starts_with("HTTP/1.1 205 "));
+    let report = asked(&host, "GET", &path, &own).1;
+    assert!(report.contains("The fit was interrupted") && report.contains("action=\"close\""), "{report}");
+    let (line, text) = asked(&host, "POST", &format!("{path}close"), &own);
+    assert!(line.contains(" 200 ") && text.contains("The page is closed"), "{text}");
+    while !page.is_closed() {
+        std::thread::yield_now();
+    }
+    drop((page, hanging));
+}
+
+#[test]
+fn more_clients_than_a_browser_has_are_refused() {
+    let page = LivePage::start(&decay()).unwrap();
+    let (host, path) = place(&page);
+    let own = format!("Host: {host}\r\n");
+    let mut hanging: Vec<TcpStream> = (0..32).map(|_| TcpStream::connect(&host).unwrap()).collect();
+    assert!(asked(&host, "GET", &path, &own).0.contains(" 503 "));
+    // Others are served once some have gone.
+    hanging.truncate(16);
+    while !asked(&host, "GET", &path, &own).0.contains(" 200 ") {
+        std::thread::yield_now();
+    }
+}
+
+/// Costs, path and simulations of a fit that is looked at are those of one that is not.
+#[test]
+fn a_fit_that_is_looked_at_has_the_same_bits_and_simulations() {
+    let fitted = |page: Option<(&LivePage, &str, &str)>| -> (Fit, usize) {
+        let calibration = decay();
+        let mut n_seen = 0;
+        let mut options = FitOptions {
+            observer: Some(Box::new(|_| {
+                if let Some((_, host, path)) = page {
+                    let (line, _) = asked(host, "GET", &format!("{path}state"), &format!("Host: {host}\r\n"));
+                    n_seen += usize::from(line.contains(" 200 "));
+                }
+                ControlFlow::Continue(())
+            })),
+            ..endless()
+        };
+        options.run.workers = Some(1);
+        options.run.limits.max_evaluations = Some(200);
+        page.iter().for_each(|(page, ..)| page.attach(&mut options));
+        let fit = calibration.fit(options).unwrap();
+        (fit, n_seen)
+    };
+    let page = LivePage::start(&decay()).unwrap();
+    let (host, path) = place(&page);
+    let ((plain, _), (watched, n_seen)) = (fitted(None), fitted(Some((&page, &host, &path))));
+    assert!(n_seen > 2, "{n_seen}");
+    assert_eq!((&plain.x, plain.cost, plain.stats.runs), (&watched.x, watched.cost, watched.stats.runs));
+    let points =
+        |fit: &Fit| fit.report.trace.iter().map(|e| (e.x.to_vec(), e.outcome.value())).collect::<Vec<_>>();
+    assert_eq!(points(&plain), points(&watched));
+    let phases = |fit: &Fit| fit.phases.iter().map(|p| (p.phase, p.taken.simulations)).collect::<Vec<_>>();
+    assert_eq!(phases(&plain), phases(&watched));
+}
+
+#[test]
+fn failed_points_are_shown_with_their_reasons() {
+    let fmu = fmi::Fmu::open(example_models::example_fmu("dahlquist").unwrap()).unwrap();
+    let t: Vec<f64> = (0..11).map(f64::from).collect();
+    let x = t.iter().map(|t| (-2.0 * t).exp()).collect();
+    let calibration = Calibration::builder(fmu)
+        .experiment(Experiment::new(Data::from_columns(t, [("x".to_owned(), x)]).unwrap()).output("x", "x"))
+        // Below zero it grows: e^1000 is no number.
+        .parameter(Parameter::new("k", 1.0).bounds(-100.0, 100.0))
+        .build()
+        .unwrap();
+    let page = LivePage::start(&calibration).unwrap();
+    let mut options = endless();
+    options.run.limits.max_evaluations = Some(100);
+    page.attach(&mut options);
+    let fit = calibration.fit(options).unwrap();
+    let n = fit.report.n_failed;
+    let (host, path) = place(&page);
+    let text = asked(&host, "GET", &format!("{path}state"), &format!("Host: {host}\r\n")).1;
+    assert!(n > 0 && text.contains(&format!("Failed evaluations: {n}")), "{n}: {text}");
+    let escaped = |reason: &str| reason.replace('\'', "&#x27;").replace('"', "&quot;").replace('/', "&#x2f;");
+    for (reason, _) in fit.report.failures.iter().take(3) {
+        assert!(text.contains(&escaped(reason)), "{reason}: {text}");
+    }
+}

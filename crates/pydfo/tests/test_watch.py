@@ -1,0 +1,76 @@
+"""The page of a fit that runs."""
+
+import copy
+import http.client
+import pickle
+import re
+import threading
+import urllib.parse
+
+import numpy as np
+import pytest
+
+from pydfo import Calibration, Parameter, example_fmu
+
+TIME = np.linspace(0.0, 3.0, 31)
+
+
+def decay(**settings):
+    return Calibration(example_fmu("dahlquist"), {"time": TIME, "x": np.exp(-2.0 * TIME)}, ["x"], Parameter("k", 1.0, 0.1, 10.0), **settings)
+
+
+def asked(url, method="GET", path=""):
+    parts = urllib.parse.urlsplit(url)
+    connection = http.client.HTTPConnection(parts.hostname, parts.port, timeout=30)
+    try:
+        connection.request(method, parts.path + path)
+        response = connection.getresponse()
+        return response.status, response.read().decode()
+    finally:
+        connection.close()
+
+
+def address(capsys):
+    [url] = re.findall(r"^watch the fit at (http://127\.0\.0\.1:\d+/[0-9a-f]{32}/)$", capsys.readouterr().err, re.M)
+    return url
+
+
+def test_the_report_is_there_as_long_as_the_fit(capsys):
+    plain = decay().fit(workers=1, rng=1)
+    fit = decay().fit(workers=1, rng=1, watch=True)
+    assert (fit.x == plain.x).all() and fit.cost == plain.cost and fit.nfev == plain.nfev
+    url = address(capsys)
+    status, report = asked(url)
+    assert status == 200 and "The fit converged" in report and "</svg>" in report
+    assert asked(url, path="state")[0] == 205
+    assert asked(url.replace(url[-33:-1], "0" * 32))[0] == 404
+    # What is made of the fit has no page.
+    for other in (copy.deepcopy(fit), pickle.loads(pickle.dumps(fit))):
+        assert (other.x == fit.x).all() and other._page is None
+    del fit
+    with pytest.raises(ConnectionError):
+        asked(url)
+
+
+def test_the_button_ends_the_fit_which_returns(capsys):
+    seen = []
+
+    def press(progress):
+        # On the calling thread: another one looks.
+        if not seen:
+            seen.append(address(capsys))
+            threading.Thread(target=lambda: seen.append(asked(seen[0], "POST", "stop"))).start()
+
+    fit = decay(solver="rk4", step_size=1e-5).fit("de", x_tol=0, f_tol=0, max_evaluations=10**9, workers=2, callback=press, watch=True)
+    assert seen[1][0] == 303
+    assert not fit.success and fit.termination == "interrupted" and fit.cost <= fit.start_cost
+    status, report = asked(seen[0])
+    assert status == 200 and "interrupted" in report
+    status, text = asked(seen[0], "POST", "close")
+    assert status == 200 and "closed" in text
+
+
+def test_no_fit_is_watched_that_nobody_asked_to_be(capsys):
+    assert decay().fit()._page is None and capsys.readouterr().err == ""
+    with pytest.raises((TypeError, ValueError), match="watch"):
+        decay().fit(watch="yes")
