@@ -520,6 +520,7 @@ impl Fmu {
             Err(FmiError::NoBinary { .. }) => {}
             Err(error) => return Err(error),
         }
+        self.warn_of_unusable(archive.unpack_part(Part::Running, cancel)?.as_ref(), interface);
         let root = archive.unpack_part(Part::Sources, cancel)?;
         // A folder may have been edited since it was opened: the library belongs to what is there now.
         let hash = archive.present_hash()?;
@@ -542,6 +543,18 @@ impl Fmu {
                 .map(|found| found.path)
                 .map_err(|no_binary| self.no_library(no_binary, &reason)),
             outcome => outcome,
+        }
+    }
+
+    /// Says that the library for this platform is not what runs.
+    fn warn_of_unusable(&self, root: &Path, interface: &Interface) {
+        let names = self.description().fmi_version.folder_names();
+        if let Some(file) = platform::unusable_binary(root, &interface.model_identifier, names) {
+            let file = file.strip_prefix(root).unwrap_or(&file).display().to_string();
+            log::warn!(
+                "{}: {file} is no library for this platform: the sources are compiled instead, if there are any",
+                self.path().display()
+            );
         }
     }
 

@@ -103,7 +103,11 @@ impl Error {
     /// The same of what arguments name, in their words.
     pub(crate) fn of_arguments(error: CalibrationError) -> Self {
         let Self { exit, message } = Self::of_input(error);
-        Self { exit, message: message.replace("time=\"...\"", "--time COLUMN") }
+        let message = message.replace("time=\"...\"", "--time COLUMN").replace(
+            "there is no parameter to fit",
+            "there is no parameter to fit: give --parameter NAME=START:LOWER:UPPER",
+        );
+        Self { exit, message }
     }
 
     /// An error of what was read or built: an interrupt, if it is none of its own.

@@ -5,6 +5,7 @@ use crate::problem::objective::CostKind;
 use crate::problem::parameter_record::ParameterRecord;
 use fmi::worker::Isolation;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 macro_rules! untagged {
@@ -24,12 +25,27 @@ untagged! {
     Pairs<T> { ByName(BTreeMap<String, T>), InOrder(Vec<(String, T)>), Alike(Vec<String>) }
     /// A number or something else.
     NumberOr<T> { Number(f64), Other(T) }
+    /// The weight of an output: a number or a column.
+    OutputWeight { Number(Positive), Column(String) }
     /// Weights of outputs.
-    Weights { Scale(OutputScale), Each(Pairs<NumberOr<String>>) }
+    Weights { Scale(OutputScale), Each(Pairs<OutputWeight>) }
     /// A value of a variable of the model.
     ModelValue { Truth(bool), Number(f64), Text(String), Array(Vec<ModelValue>) }
     /// Initial value of a state that is no number.
     InitialStateRecord { Word(Measured), Fitted(ParameterRecord) }
+}
+
+/// A positive number.
+pub(crate) struct Positive;
+
+impl JsonSchema for Positive {
+    fn schema_name() -> Cow<'static, str> {
+        "Positive".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "type": "number", "exclusiveMinimum": 0 })
+    }
 }
 
 /// The first measurement.
@@ -41,7 +57,7 @@ pub(crate) enum Measured {
 }
 
 pub(crate) fn interface(_: &mut SchemaGenerator) -> Schema {
-    json_schema!({ "enum": ["auto", "ME", "CS", "me", "cs", "ModelExchange", "CoSimulation"] })
+    json_schema!({ "enum": ["auto", "ME", "CS", "me", "cs", "ModelExchange", "CoSimulation", "model-exchange", "co-simulation"] })
 }
 
 pub(crate) fn solver(_: &mut SchemaGenerator) -> Schema {

@@ -431,6 +431,14 @@ impl<'de> Deserializer<'de> for &'de Value {
         }
     }
 
+    /// Not of a list: its fields would have no names.
+    fn deserialize_map<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, RecordError> {
+        match self {
+            Value::List(_) => Err(de::Error::invalid_type(found(self), &"a table of names and values")),
+            _ => self.deserialize_any(visitor),
+        }
+    }
+
     fn deserialize_newtype_struct<V: Visitor<'de>>(
         self,
         _: &'static str,
@@ -450,7 +458,7 @@ impl<'de> Deserializer<'de> for &'de Value {
 
     forward_to_deserialize_any! {
         i8 i16 i32 i64 u8 u16 f32 f64 char str string bytes byte_buf unit unit_struct seq tuple
-        tuple_struct map struct identifier ignored_any
+        tuple_struct struct identifier ignored_any
     }
 }
 

@@ -47,6 +47,14 @@ pub fn find_binary(root: &Path, model_identifier: &str, names: FolderNames) -> R
     })
 }
 
+/// The library of a model at its place for this platform, where it is none that runs here.
+pub(crate) fn unusable_binary(root: &Path, model_identifier: &str, names: FolderNames) -> Option<PathBuf> {
+    let file = format!("{model_identifier}.{LIBRARY_EXTENSION}");
+    let places =
+        binary_folders(names).into_iter().map(|folder| root.join("binaries").join(folder).join(&file));
+    places.into_iter().find(|place| place.is_file() && !runs_here(place))
+}
+
 fn runs_here(path: &Path) -> bool {
     matches!(BinaryHeader::read(path), Ok(Some(header)) if header.runs_here())
 }

@@ -10,6 +10,7 @@ mod whole_file;
 
 pub(crate) use binary::check_length;
 pub use binary::{BinaryFormat, BinaryHeader, Machine};
+pub(crate) use find_binary::unusable_binary;
 pub use find_binary::{FoundBinary, find_binary};
 pub use system::*;
 pub(crate) use unloading::may_be_unloaded;

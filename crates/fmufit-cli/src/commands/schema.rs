@@ -7,7 +7,7 @@ use crate::error::{Error, ErrorDocument, Exit};
 use crate::problem::ProblemRecord;
 use calibration::FitDocument;
 use schemars::generate::SchemaSettings;
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 
 pub(crate) fn run(arguments: &SchemaOf, console: &Console) -> Result<Exit, Error> {
     // What editors for TOML know.
@@ -20,11 +20,53 @@ pub(crate) fn run(arguments: &SchemaOf, console: &Console) -> Result<Exit, Error
         Document::Fit => generator.into_root_schema_for::<FitDocument>(),
         Document::Error => generator.into_root_schema_for::<ErrorDocument>(),
     };
-    if arguments.of != Document::Problem {
-        schema.as_object_mut().into_iter().flat_map(Map::values_mut).for_each(allow_null);
-    }
+    let adapt = if arguments.of == Document::Problem { take_spellings } else { allow_null };
+    schema.as_object_mut().into_iter().flat_map(Map::values_mut).for_each(adapt);
     console.json(schema.as_value())?;
     Ok(Exit::Success)
+}
+
+/// In problems words are read in any case, with - and _ alike, and 0 and 1 as false and true. The words stand
+/// there as they are, too: editors offer them.
+fn take_spellings(schema: &mut Value) {
+    match schema {
+        Value::Object(fields) => {
+            // The names of fields are read as they are.
+            let all = fields.iter_mut().filter(|(keyword, _)| *keyword != "propertyNames");
+            all.for_each(|(_, value)| take_spellings(value));
+            let kind = fields.get("type");
+            if kind.is_some_and(|kind| *kind == "boolean" || *kind == json!(["boolean", "null"])) {
+                fields.remove("type");
+                fields.insert("enum".to_owned(), json!([true, false, 0, 1]));
+            }
+            for keyword in ["enum", "const"] {
+                let words: Vec<&str> = match fields.get(keyword) {
+                    Some(Value::Array(words)) => words.iter().filter_map(Value::as_str).collect(),
+                    word => word.and_then(Value::as_str).into_iter().collect(),
+                };
+                if !words.is_empty() {
+                    let pattern = words.iter().map(|word| spellings(word)).collect::<Vec<_>>().join("|");
+                    let words = fields.remove(keyword);
+                    let spelt = json!({ "type": "string", "pattern": format!("^({pattern})$") });
+                    fields.insert("anyOf".to_owned(), json!([{ keyword: words }, spelt]));
+                }
+            }
+        }
+        Value::Array(items) => items.iter_mut().for_each(take_spellings),
+        _ => {}
+    }
+}
+
+/// The regular expression of the spellings of a word.
+fn spellings(word: &str) -> String {
+    let letter = |letter: char| match letter {
+        '-' | '_' => "[-_]".to_owned(),
+        letter if letter.is_ascii_alphabetic() => {
+            format!("[{}{}]", letter.to_ascii_lowercase(), letter.to_ascii_uppercase())
+        }
+        other => other.to_string(),
+    };
+    word.chars().map(letter).collect()
 }
 
 /// In results null stands for numbers that are not finite.

@@ -19,12 +19,18 @@ pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error
     let output = arguments.output.as_ref().filter(|path| !is_stream(path));
     let read: Vec<PathBuf> = arguments.input.iter().chain([&arguments.model]).cloned().collect();
     check_written(output.into_iter().chain(&arguments.plot), &read)?;
+    if let Some(path) = arguments.plot.as_ref().filter(|path| !is_drawing(path)) {
+        let path = path.display();
+        return Err(Error::input(format!(
+            "--plot {path}: a plot is an SVG drawing: give a name that ends in .svg"
+        )));
+    }
     let fmu = Fmu::open(&arguments.model).map_err(Error::input)?;
     let options = options(arguments, &fmu)?;
     let kind = fmu.check_runnable_as(options.kind).map_err(Error::input)?;
     options.without_effect(kind).iter().for_each(|sentence| console.note(&format!("warning: {sentence}")));
     // What is wrong with the options shows before the model is loaded.
-    SimulationPlan::new(&fmu, &options).map_err(Error::input)?;
+    SimulationPlan::new(&fmu, &options).map_err(|error| Error::input(in_arguments(&error.to_string())))?;
     let trajectory = simulated(&fmu, &options, arguments.in_process, console).map_err(Error::of_work)?;
     let table = table(&trajectory)?;
     let write =
@@ -51,6 +57,22 @@ pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error
         console.note(&format!("wrote {}", path.display()));
     }
     Ok(Exit::Success)
+}
+
+fn is_drawing(path: &Path) -> bool {
+    path.extension().is_some_and(|suffix| suffix.eq_ignore_ascii_case("svg"))
+}
+
+/// A message about options of a simulation, in the words of the arguments.
+fn in_arguments(message: &str) -> String {
+    let names = [
+        ("start_time", "--start-time"),
+        ("final_time", "--final-time"),
+        ("output_interval", "--interval"),
+        ("relative_tolerance", "--tolerance"),
+        ("step_size", "--step-size"),
+    ];
+    names.iter().fold(message.to_owned(), |message, (name, argument)| message.replace(name, argument))
 }
 
 /// Simulates in a process of its own, where this program can start one; Ctrl-C ends it.

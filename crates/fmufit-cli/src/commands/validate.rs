@@ -6,7 +6,7 @@ use crate::console::Console;
 use crate::error::{Error, Exit};
 use calibration::CalibrationError;
 use dfo::Value;
-use fmi::{FmiError, Fmu, SimulateOptions, Trajectory};
+use fmi::{Fmu, SimulateOptions, Trajectory};
 use ode::{Number, Termination};
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -33,11 +33,7 @@ pub(super) struct Document<'v> {
 }
 
 pub(crate) fn run(arguments: &Validate, console: &Console) -> Result<Exit, Error> {
-    let opened = Fmu::open(&arguments.model);
-    let fmu = opened.map_err(|error| match error {
-        FmiError::Io { .. } => Error::input(error),
-        error => Error::work(error),
-    })?;
+    let fmu = Fmu::open(&arguments.model).map_err(Error::input)?;
     let timeout = Value::Number(arguments.timeout).read_time("--timeout").map_err(Error::input)?;
     let experiment = &fmu.description().default_experiment;
     let mut options = SimulateOptions { timeout, ..SimulateOptions::default() };

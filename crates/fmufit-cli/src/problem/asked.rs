@@ -13,6 +13,12 @@ use std::path::Path;
 /// The problem that arguments describe.
 pub(crate) fn asked(arguments: &Problem, console: &Console) -> Result<ProblemFile, Error> {
     let Problem { problem, data, output, input, parameter, time, setting } = arguments;
+    if problem.is_dir() && !problem.join("modelDescription.xml").is_file() {
+        return Err(Error::input(format!(
+            "{} is a folder without a modelDescription.xml, so no model: give a problem file, or a model and a recording",
+            problem.display()
+        )));
+    }
     let is_model =
         problem.is_dir() || problem.extension().is_some_and(|suffix| suffix.eq_ignore_ascii_case("fmu"));
     let mut file = match data {

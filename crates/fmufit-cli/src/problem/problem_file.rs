@@ -26,10 +26,10 @@ pub(crate) struct ProblemRecord {
     #[schemars(with = "PathBuf")]
     model: Value,
     /// Recordings, and how the model is to reproduce them.
-    #[schemars(with = "Vec<ExperimentRecord>")]
+    #[schemars(with = "Vec<ExperimentRecord>", length(min = 1))]
     experiments: Value,
     /// What is fitted.
-    #[schemars(with = "Vec<ParameterRecord>")]
+    #[schemars(schema_with = "parameters_schema")]
     parameters: Value,
     /// Settings of the simulations.
     #[schemars(with = "Option<SimulationSettings>")]
@@ -44,6 +44,16 @@ pub(crate) struct ProblemRecord {
     stages: Value,
 }
 
+/// One at least, each with a name, and a start unless it is tied to another one.
+fn parameters_schema(generator: &mut SchemaGenerator) -> Schema {
+    let has_value = json_schema!({
+        "required": ["name"],
+        "anyOf": [{ "required": ["start"] }, { "required": ["tied_to"] }],
+    });
+    let all = [generator.subschema_for::<ParameterRecord>(), has_value];
+    json_schema!({ "type": "array", "items": { "allOf": all }, "minItems": 1 })
+}
+
 fn stages_schema(generator: &mut SchemaGenerator) -> Schema {
     json_schema!({ "type": "array", "items": stage_schema(generator) })
 }
@@ -56,6 +66,8 @@ pub(crate) struct ProblemFile {
     folder: PathBuf,
     record: Value,
     lines: Lines,
+    /// Paths of options that arguments have set.
+    set: Vec<String>,
 }
 
 impl ProblemFile {
@@ -78,14 +90,21 @@ impl ProblemFile {
         let Document { record, lines } = Document::parse(text)
             .map_err(|(line, message)| Error::input(format!("{}, line {line}: {message}", path.display())))?;
         let folder = path.parent().unwrap_or(Path::new("")).to_owned();
-        let file = Self { path: Some(path.to_owned()), folder, record: Value::Record(record), lines };
+        let file = Self {
+            path: Some(path.to_owned()),
+            folder,
+            record: Value::Record(record),
+            lines,
+            set: Vec::new(),
+        };
         file.checked()
     }
 
     /// A problem without a file; relative paths begin in the working folder.
     pub(crate) fn without_file(record: Record) -> Result<Self, Error> {
         let record = Value::Record(record);
-        Self { path: None, folder: PathBuf::new(), record, lines: Lines::default() }.checked()
+        Self { path: None, folder: PathBuf::new(), record, lines: Lines::default(), set: Vec::new() }
+            .checked()
     }
 
     fn checked(self) -> Result<Self, Error> {
@@ -100,14 +119,21 @@ impl ProblemFile {
     /// Sets options of a table, in place of what the file says.
     pub(crate) fn set(&mut self, table: &str, options: impl IntoIterator<Item = (String, Value)>) {
         let Value::Record(record) = &mut self.record else { return };
-        let table = record.entry(table.to_owned()).or_insert_with(|| Value::Record(Record::new()));
-        if let Value::Record(fields) = table {
-            fields.extend(options);
+        let own = record.entry(table.to_owned()).or_insert_with(|| Value::Record(Record::new()));
+        if let Value::Record(fields) = own {
+            for (name, value) in options {
+                self.set.push(field(table, &name));
+                fields.insert(name, value);
+            }
         }
     }
 
     /// An error at a path in the file.
     fn error(&self, path: &str, message: impl Display) -> Error {
+        if let Some((table, name)) = path.split_once('.').filter(|_| self.set.iter().any(|set| set == path)) {
+            let argument = if table == "settings" { "--setting" } else { "--option" };
+            return Error::input(format!("{argument} {name}: {message}"));
+        }
         match (&self.path, self.lines.of(path)) {
             (Some(file), Some(line)) => Error::input(format!("{}, line {line}: {message}", file.display())),
             (Some(file), None) => Error::input(format!("{}: {message}", file.display())),

@@ -174,7 +174,17 @@ fn mistakes_in_a_file_are_named_with_their_lines() {
         ("run.csv", "run.csv, line 1"),
         ("model.fmu run.csv --parameter k=a", "start 'a' is no number"),
         ("model.fmu run.csv --parameter k=1:2:3:4", "must be name=start:lower:upper"),
-        ("model.fmu run.csv --output x", "there is no parameter to fit"),
+        (
+            "model.fmu run.csv --output x",
+            "there is no parameter to fit: give --parameter NAME=START:LOWER:UPPER",
+        ),
+        (".", ". is a folder without a modelDescription.xml, so no model"),
+        (
+            "problem.toml --option max_time=-1",
+            "--option max_time: max_time = -1 must be a positive number of seconds",
+        ),
+        ("problem.toml -O max_tiem=1", "--option max_tiem: there is no option of a fit 'max_tiem'"),
+        ("problem.toml -S solver=rk5", "--setting solver: unknown solver 'rk5'"),
         ("problem.toml --setting solver", "must be name=value"),
         ("problem.toml --setting solvr=1", "did you mean 'solver'?"),
     ] {

@@ -47,6 +47,7 @@ impl Schema {
                     name => is_of(name, document),
                 },
                 "enum" => items(rule).contains(document),
+                "pattern" => document.as_str().is_none_or(|text| matches(rule.as_str().unwrap(), text)),
                 "const" => rule == document,
                 "anyOf" => n_valid() > 0,
                 "oneOf" => n_valid() == 1,
@@ -107,6 +108,23 @@ impl Schema {
     }
 }
 
+/// Whether a text matches an expression `^(...|...)$` of single characters and sets of them.
+fn matches(pattern: &str, text: &str) -> bool {
+    let pattern = pattern.strip_prefix("^(").and_then(|rest| rest.strip_suffix(")$")).unwrap();
+    pattern.split('|').any(|word| {
+        let mut rest = word;
+        let is_next = |letter: char| {
+            let (set, after) = match rest.strip_prefix('[') {
+                Some(set) => set.split_once(']').unwrap(),
+                None => rest.split_at(rest.chars().next().map_or(0, char::len_utf8)),
+            };
+            rest = after;
+            set.contains(letter)
+        };
+        text.chars().all(is_next) && rest.is_empty()
+    })
+}
+
 fn items(value: &Value) -> &[Value] {
     value.as_array().unwrap()
 }
@@ -131,6 +149,7 @@ fn the_validation_refuses_what_a_schema_does_not_allow() {
         "properties": {
             "n": { "type": "integer", "minimum": 1, "maximum": 3 },
             "pair": { "type": "array", "items": [{ "type": "number" }, { "$ref": "#/definitions/word" }], "minItems": 2 },
+            "word": { "pattern": "^([aA]b|[-_])$" },
             "one": { "oneOf": [{ "const": 1 }, { "type": "number", "exclusiveMinimum": 2 }] },
         },
         "required": ["n"],
@@ -150,6 +169,10 @@ fn the_validation_refuses_what_a_schema_does_not_allow() {
         (r#"{"n": 1, "pair": [1]}"#, 1),
         (r#"{"n": 1, "pair": ["a", "c"]}"#, 2),
         (r#"{"n": 1, "one": 2}"#, 1),
+        (r#"{"n": 1, "word": "Ab"}"#, 0),
+        (r#"{"n": 1, "word": "_"}"#, 0),
+        (r#"{"n": 1, "word": "Abb"}"#, 1),
+        (r#"{"n": 1, "word": "A"}"#, 1),
         (r#"{"n": 1, "one": 1, "pair": [1, "a"]}"#, 1),
         ("[]", 1),
     ] {

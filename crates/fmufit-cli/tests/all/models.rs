@@ -46,10 +46,9 @@ fn validate_runs_a_model_and_says_what_it_departs_in() {
     );
     let document = json(&folder.run("validate model.fmu --json").good());
     assert_eq!((&document["is_simulated"], &document["quirks"]), (&true.into(), &serde_json::json!([])));
-    // A file that is no FMU is an answer; one that is not there is none.
+    // What is no FMU cannot be validated.
     folder.write("broken.fmu", "not an archive");
-    let ran = folder.run("validate broken.fmu");
-    assert!(ran.code == 1 && ran.err.contains("broken.fmu"), "{ran:?}");
+    assert!(folder.run("validate broken.fmu").wrong_input().contains("broken.fmu"));
     assert!(folder.run("validate none.fmu").wrong_input().contains("none.fmu"));
 }
 
@@ -113,6 +112,39 @@ fn what_simulate_cannot_use_is_named() {
         "simulate model.fmu --final-time 1e9 --interval 1e8 --solver rk4 --step-size 1e-4 --timeout 0.05",
     );
     assert!(ran.code == 1 && ran.out.is_empty() && ran.err.contains("0.05"), "{ran:?}");
+}
+
+#[test]
+fn a_library_that_is_none_is_named_where_the_sources_take_its_place() {
+    let folder = Folder::with_model("dahlquist");
+    let file = std::fs::File::open(folder.path("model.fmu")).unwrap();
+    zip::ZipArchive::new(file).unwrap().extract(folder.path("decay")).unwrap();
+    let place = std::fs::read_dir(folder.path("decay/binaries")).unwrap().next().unwrap().unwrap().path();
+    let library = std::fs::read_dir(&place).unwrap().next().unwrap().unwrap().path();
+    std::fs::write(&library, "no library").unwrap();
+    let ran = folder.run("simulate decay --final-time 1 --interval 1");
+    let named = library.strip_prefix(folder.path("decay")).unwrap().display().to_string();
+    assert!(
+        ran.code == 0 && ran.err.contains(&format!("{named} is no library for this platform")),
+        "{ran:?}"
+    );
+    // One that is left out is none that could be wrong.
+    std::fs::remove_dir_all(place).unwrap();
+    assert_eq!(folder.run("simulate decay --final-time 1 --interval 1").err, "");
+}
+
+#[test]
+fn what_simulate_cannot_do_is_said_in_the_words_of_its_arguments() {
+    let folder = Folder::with_model("dahlquist");
+    for (arguments, expected) in [
+        ("--plot x.png", "--plot x.png: a plot is an SVG drawing: give a name that ends in .svg"),
+        ("--start-time 20", "10 is the model's own end, --final-time another one"),
+        ("--interval 1e-300", "--interval = 1e-300"),
+    ] {
+        let message = folder.run(&format!("simulate model.fmu {arguments}")).wrong_input();
+        assert!(message.contains(expected), "{message}");
+    }
+    assert!(holds_only(&folder.path(""), &["model.fmu"]));
 }
 
 #[test]

@@ -43,6 +43,29 @@ fn problem_files_follow_their_schema() {
 }
 
 #[test]
+fn words_and_flags_are_spelt_as_the_program_takes_them() {
+    let folder = Folder::with_model("dahlquist");
+    let schema = schema(&folder);
+    folder.record_decay();
+    for more in [
+        "fixed = 0\nlocal = 1",
+        "fixed = false\nkind = \"Continuous\"\nscale = \"LOG\"",
+        "prior = { log-normal = { median = 2.0, sigma = 0.5 } }",
+        "[settings]\nsolver = \"Radau5\"\nkind = \"ME\"\nisolation = \"Process\"\nsandbox = 0",
+        "[settings]\nkind = \"Model-Exchange\"\nchattering = \"WARN\"\ninput_derivatives = 1",
+        "[fit]\nmethod = \"Nelder-Mead\"\nstop = \"ANY\"\npreflight = 1",
+        "[fit]\nmethod = \"nelder_mead\"\ntolerances = \"Absolute\"",
+        "[fit]\nobjective = \"Sum_Of-Squares\"\nnoise = \"Stated\"\nloss = \"Soft-L1\"",
+    ] {
+        let text = PROBLEM.to_owned() + more;
+        folder.write("spelt.toml", &text);
+        let ran = folder.run("check spelt.toml --no-run");
+        let errors = schema.errors(&document(&text));
+        assert!(ran.code != 2 && errors.is_empty(), "{more}: {ran:?} {errors:?}");
+    }
+}
+
+#[test]
 fn results_follow_their_schemas() {
     let folder = Folder::with_model("dahlquist");
     folder.record_decay();
@@ -92,6 +115,15 @@ fn what_one_refuses_the_other_refuses() {
         ("upper = 10", "upper = 10\n[fit]\nobjective = \"rms\""),
         ("upper = 10", "upper = 10\n[[stages]]\nparametres = [\"k\"]"),
         ("outputs = { x = \"x\" }", "outputs = { x = 1 }"),
+        ("outputs = { x = \"x\" }", "outputs = { x = \"x\" }\nweights = { x = -1 }"),
+        ("outputs = { x = \"x\" }", "outputs = { x = \"x\" }\nweights = { x = 0 }"),
+        ("[[experiments]]\ndata = \"run.csv\"\noutputs = { x = \"x\" }\n", "experiments = []\n"),
+        ("start = 1.0\n", ""),
+        ("name = \"k\"\n", ""),
+        ("[[parameters]]\nname = \"k\"\nstart = 1.0\nlower = 0.1\nupper = 10\n", "[fit]\n"),
+        ("upper = 10", "upper = 10\nfixed = 2"),
+        ("upper = 10", "upper = 10\nprior = { normal = [1.0, 1.0] }"),
+        ("upper = 10", "upper = 10\n[fit]\nmethod = \"DE\"\ninitial_simplex = [0.1]"),
     ] {
         let text = PROBLEM.replacen(from, to, 1);
         assert_ne!(text, PROBLEM, "{from}");
