@@ -78,15 +78,14 @@ impl PyObjective {
                     Err(e) => self.abort(x, e),
                 }
             }
-            Ok(value) if let Some(loss) = self.loss => match residuals(&value, out) {
-                Ok(()) => loss.cost(out, f64::INFINITY),
-                Err(e) => self.abort(x, e),
-            },
-            Ok(value) => match number(&value, "the objective") {
-                Ok(cost) => Outcome::Value(cost),
+            Ok(value) => {
+                let outcome = match self.loss {
+                    Some(loss) => residuals(&value, out).map(|()| loss.cost(out, f64::INFINITY)),
+                    None => number(&value, "the objective").map(Outcome::Value),
+                };
                 // Always an error in the program, never one of the model.
-                Err(e) => self.abort(x, e),
-            },
+                outcome.unwrap_or_else(|e| self.abort(x, e))
+            }
             // SystemExit, KeyboardInterrupt and their like always end the run.
             Err(e) if self.tolerant && e.is_instance_of::<PyException>(py) => Outcome::failed(e.to_string()),
             Err(e) if e.is_instance_of::<PyException>(py) => self.abort(x, e),
