@@ -22,7 +22,7 @@ const ASKED: usize = 160;
 const ANSWER: usize = 8 * 2 * ROWS + 160;
 
 fn main() {
-    calibration::serve_if_asked();
+    calibration::serve_if_worker();
     if std::env::args().any(|argument| argument == "--echo") {
         return echo();
     }

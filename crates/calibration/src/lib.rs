@@ -36,7 +36,7 @@ pub use cost::process::ModelProcess;
 pub use cost::race::{Entry, Race, RaceOutcome, RaceTask, Verdict, race};
 pub use cost::residual::quad_err;
 pub use cost::solver::Solver;
-pub use cost::worker::serve_if_asked;
+pub use cost::worker::serve_if_worker;
 pub use data::{
     ClockChange, CsvRequest, Data, DateError, PairUnit, Series, TimeColumn, Unit, UnitConversion, UnitError,
     clock_change, date_seconds, find_column,

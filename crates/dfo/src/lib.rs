@@ -81,7 +81,6 @@ pub use problem::objective::{
     with_query,
 };
 pub use problem::space::{Bounds, Space, typical_size};
-pub use run::asked::AskedRun;
 pub use run::checkpoint::{Checkpoint, Code, Resume};
 pub use run::minimize::{
     ByHand, Driven, Minimize, by_hand, least_squares, minimize, minimize_batches, minimize_by,
@@ -90,6 +89,7 @@ pub use run::optimizer::{Optimizer, Point};
 pub use run::options::{Known, RunOptions};
 pub use run::progress::Progress;
 pub use run::report::{Report, Resumed};
+pub use run::requested::RequestedRun;
 pub use values::choices::{BoundsHandling, Kind, Measure, Search, Stop, Transform};
 pub use values::fields::{field_names, read_known, read_part, read_record};
 pub use values::record::{Record, RecordError, Value};

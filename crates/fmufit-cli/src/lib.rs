@@ -1,7 +1,7 @@
 //! The command line `fmufit`: FMUs are looked at, simulated and fitted to recordings, without a line of code.
 //!
 //! [`main`] takes the arguments and returns the exit code, so that any program can offer the command line. A
-//! program that calls [`calibration::serve_if_asked`] first, or names another one that does, has FMUs run in
+//! program that calls [`calibration::serve_if_worker`] first, or names another one that does, has FMUs run in
 //! processes of their own.
 //!
 //! Folders, from the lowest: `error`; `written` (which files may be); `console` (what is printed, and where),

@@ -193,7 +193,7 @@ pub(crate) fn probe_step(weights: &Weights, x: &[f64], dx: &[f64], span: f64) ->
 }
 
 /// The step size from two right-hand sides `probe` apart: HNW I, II.4, steps d) to f).
-pub(crate) fn initial_step(
+pub(crate) fn first_step(
     weights: &Weights,
     order: u32,
     x: &[f64],

@@ -177,7 +177,7 @@ pub struct Options {
     /// apart is an [error](crate::ErrorKind::StepBelowRounding) of the run.
     pub max_step: Option<f64>,
     /// First step of the adaptive methods; default: estimated. Made larger where it would not advance time.
-    pub initial_step: Option<f64>,
+    pub first_step: Option<f64>,
     /// Also sample both sides of every event.
     pub record_events: bool,
     /// Points inside each step at which the event indicators are looked at too, so that a crossing and its
@@ -215,7 +215,7 @@ impl Default for Options {
             step_size: None,
             halve_steps: false,
             max_step: None,
-            initial_step: None,
+            first_step: None,
             record_events: false,
             interior_samples: None,
             loose_jump_indicators: false,
@@ -271,7 +271,7 @@ impl Options {
         }
         positive("step_size", self.step_size)?;
         positive("max_step", self.max_step)?;
-        positive("initial_step", self.initial_step)
+        positive("first_step", self.first_step)
     }
 }
 

@@ -428,7 +428,7 @@ impl ModelProcess {
     }
 }
 
-const NO_LAUNCHER: &str = "this program cannot start processes for it (worker::serve_if_asked)";
+const NO_LAUNCHER: &str = "this program cannot start processes for it (worker::serve_if_worker)";
 
 fn unsaid(error: std::io::Error) -> FmiError {
     FmiError::BadSetting(error.to_string())

@@ -24,8 +24,8 @@ use std::ops::ControlFlow;
 /// Belongs at the begin of `main`, before any other thread is started. A program that does not call it, and
 /// does not name another one that does (see [`Launcher`](fmi::worker::Launcher)), runs FMUs in its own
 /// process.
-pub fn serve_if_asked() {
-    fmi::worker::serve_if_asked(|| Box::new(Server::default()));
+pub fn serve_if_worker() {
+    fmi::worker::serve_if_worker(|| Box::new(Server::default()));
 }
 
 #[derive(Default)]

@@ -2,7 +2,7 @@
 
 use crate::fit::stage::FitRecord;
 use crate::fit::stages::StageRecord;
-use dfo::AskedRun;
+use dfo::RequestedRun;
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde_json::Value as Json;
 
@@ -17,7 +17,7 @@ pub fn stage_schema(generator: &mut SchemaGenerator) -> Schema {
 }
 
 fn with_run(own: Schema, generator: &mut SchemaGenerator) -> Schema {
-    let mut schema = AskedRun::json_schema(generator);
+    let mut schema = RequestedRun::json_schema(generator);
     let own = own.get("properties").and_then(Json::as_object).cloned().unwrap_or_default();
     for rule in schema.get_mut("allOf").and_then(Json::as_array_mut).into_iter().flatten() {
         if let Some(names) = rule.pointer_mut("/then/propertyNames/enum").and_then(Json::as_array_mut) {

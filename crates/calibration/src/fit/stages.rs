@@ -12,8 +12,8 @@ use crate::fit::stage::{
 use crate::uncertainty::active_bounds::StuckParameters;
 use base::RunContext;
 use dfo::{
-    AnyMethod, AskedRun, Limits, Progress, Record, Report, RunOptions, Termination, Tolerances, field_names,
-    read_part,
+    AnyMethod, Limits, Progress, Record, Report, RequestedRun, RunOptions, Termination, Tolerances,
+    field_names, read_part,
 };
 use ode::Stats;
 use serde::{Deserialize, Serialize};
@@ -87,9 +87,9 @@ impl Stage {
     ///
     /// # Errors
     /// An option that there is not, or a value that it cannot have.
-    pub fn asked(record: Record, n: usize) -> Result<Self, dfo::Error> {
+    pub fn from_record(record: Record, n: usize) -> Result<Self, dfo::Error> {
         let (own, of_run) = read_part::<StageRecord>(record, "option of a stage")?;
-        let run = AskedRun::new(FitOptions::default_run(), &of_run, n)?.options;
+        let run = RequestedRun::new(FitOptions::default_run(), &of_run, n)?.options;
         let (method, tolerances) = (Some(run.method), Some(run.tolerances));
         let StageRecord { parameters, windows } = own;
         Ok(Self { parameters, windows, method, limits: run.limits, tolerances, method_reason: None })
@@ -100,7 +100,7 @@ impl Stage {
     /// # Errors
     /// The options of a method cannot be serialised.
     pub fn option_names() -> Result<BTreeSet<String>, dfo::Error> {
-        let mut names = AskedRun::option_names()?;
+        let mut names = RequestedRun::option_names()?;
         names.extend(field_names::<StageRecord>()?);
         Ok(names)
     }

@@ -13,7 +13,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
 
-/// An experiment as it is described by name, see [`Experiment::asked`].
+/// An experiment as it is described by name, see [`Experiment::from_record`].
 #[derive(Debug, Default, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
@@ -74,7 +74,11 @@ impl Experiment {
     ///
     /// # Errors
     /// A field that there is not, or a value that it cannot have; as [`Data::read_csv`].
-    pub fn asked(record: &Record, folder: &Path, context: &RunContext<'_>) -> Result<Self, CalibrationError> {
+    pub fn from_record(
+        record: &Record,
+        folder: &Path,
+        context: &RunContext<'_>,
+    ) -> Result<Self, CalibrationError> {
         let record: ExperimentRecord = read_record(record, "field of an experiment")?;
         let outputs: Vec<(String, String)> = read_pairs(&record.outputs, "outputs")?;
         let inputs = pairs(&record.inputs, "inputs")?
@@ -184,7 +188,7 @@ fn initial_state(value: &Value, state: &str) -> Result<InitialState, Calibration
             let mut fields = fields.clone();
             // It plays no part.
             fields.entry("name".to_owned()).or_insert_with(|| Value::Text(state.to_owned()));
-            Parameter::asked(&fields).map(InitialState::from)
+            Parameter::from_record(&fields).map(InitialState::from)
         }
         value => value.read(state).map(InitialState::Value).map_err(|_| {
             let message = format!(

@@ -6,7 +6,7 @@ use crate::problem::prior::Prior;
 use dfo::{Kind, Record, Value, read_record};
 use serde::{Deserialize, Serialize};
 
-/// A parameter as it is described by name, see [`Parameter::asked`].
+/// A parameter as it is described by name, see [`Parameter::from_record`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
@@ -84,7 +84,7 @@ impl Parameter {
     ///
     /// # Errors
     /// Values that such a field cannot have; numbers that do not fit together, as [`check`](Self::check).
-    pub fn asked(record: &Record) -> Result<Self, CalibrationError> {
+    pub fn from_record(record: &Record) -> Result<Self, CalibrationError> {
         let asked: ParameterRecord = read_record(record, "field of a parameter")?;
         let name = asked.name;
         let bad = |message: &str| {

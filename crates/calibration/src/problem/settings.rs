@@ -41,7 +41,7 @@ impl SimulationSettings {
     ///
     /// # Errors
     /// A setting that there is not, or a value that it cannot have.
-    pub fn asked(record: &Record) -> Result<Self, RecordError> {
+    pub fn from_record(record: &Record) -> Result<Self, RecordError> {
         let mut record = record.clone();
         for (name, value) in &mut record {
             // Names are those that the choices have for users, times are in s.

@@ -43,13 +43,13 @@ impl Default for CrossValidationOptions {
 
 impl CrossValidationOptions {
     /// A cross-validation of fits of `n` parameters as a record asks for it: `folds`, and what
-    /// [`FitOptions::asked`] reads.
+    /// [`FitOptions::from_record`] reads.
     ///
     /// # Errors
     /// An option that there is not, or a value that it cannot have.
-    pub fn asked(mut record: Record, n: usize) -> Result<Self, dfo::Error> {
+    pub fn from_record(mut record: Record, n: usize) -> Result<Self, dfo::Error> {
         let folds = record.remove("folds").map_or(Ok(None), |folds| folds.read_limit("folds", 0))?;
-        let FitOptions { run, loss, objective, noise, .. } = FitOptions::asked(record, n)?;
+        let FitOptions { run, loss, objective, noise, .. } = FitOptions::from_record(record, n)?;
         Ok(Self { folds, run, loss, objective, noise })
     }
 }

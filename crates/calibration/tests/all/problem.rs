@@ -237,7 +237,7 @@ fn an_experiment_of_a_record_is_the_one_that_its_methods_make() {
     let rows: String =
         (0..5).map(|i| format!("{i},{},{},{},1\n", 2 * i, i * i, if i < 4 { 1 } else { 0 })).collect();
     std::fs::write(folder.path().join("run.csv"), format!("t,a,b,valid,u\n{rows}")).unwrap();
-    let asked = |json: &str| Experiment::asked(&record(json), folder.path(), &RunContext::new());
+    let asked = |json: &str| Experiment::from_record(&record(json), folder.path(), &RunContext::new());
     let given = asked(
         r#"{"name": "cold", "data": "run.csv", "time": "t", "outputs": [["y", "b"], ["x", "a"]], "weights": {"x": 2},
             "inputs": {"u": "u", "v": 3}, "start_values": {"n": 3, "on": true}, "windows": [[0, 1], [2, 4]], "warm_up": 0.5,

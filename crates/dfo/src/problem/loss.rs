@@ -78,7 +78,7 @@ impl RobustLoss {
     ///
     /// # Errors
     /// A value that such an option cannot have.
-    pub fn asked(record: &mut Record) -> Result<Option<Self>, Error> {
+    pub fn from_record(record: &mut Record) -> Result<Option<Self>, Error> {
         let scale = record.remove("f_scale").map(|scale| scale.read("f_scale")).transpose()?;
         match record.remove("loss") {
             Some(loss) => Self::named(Some(loss.read("loss")?), scale),

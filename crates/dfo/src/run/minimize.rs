@@ -13,13 +13,13 @@ use crate::outcome::trace::{Trace, TraceEntry};
 use crate::problem::loss::RobustLoss;
 use crate::problem::objective::{Objective, ResidualFunction, residuals};
 use crate::problem::space::Bounds;
-use crate::run::asked::AskedRun;
 use crate::run::checkpoint::Checkpoint;
 use crate::run::drive::{Around, Drive, Observer};
 use crate::run::optimizer::Optimizer;
 use crate::run::options::{Known, RunOptions};
 use crate::run::progress::Progress;
 use crate::run::report::Report;
+use crate::run::requested::RequestedRun;
 use crate::run::start::Description;
 use crate::values::choices::{Kind, Measure, Search, Stop, Transform};
 use base::RunContext;
@@ -217,9 +217,9 @@ impl<'a, M, D> Minimize<'a, M, D> {
         Minimize { description: Description { options, x0, bounds, transforms, sizes, kinds }, driver, life }
     }
 
-    /// All that was asked for by name.
-    pub fn asked(self, asked: AskedRun) -> Minimize<'a, AnyMethod, D> {
-        let AskedRun { options, scale, nominal, kinds } = asked;
+    /// All that was requested by name.
+    pub fn requested(self, requested: RequestedRun) -> Minimize<'a, AnyMethod, D> {
+        let RequestedRun { options, scale, nominal, kinds } = requested;
         self.options(options).transforms(&scale).known_scales(&nominal).kinds(&kinds)
     }
 

@@ -1,6 +1,5 @@
 //! Runs: minimisation, ask and tell, options, report, checkpoint.
 
-pub(crate) mod asked;
 pub(crate) mod checkpoint;
 pub(crate) mod drive;
 pub(crate) mod minimize;
@@ -8,6 +7,7 @@ pub(crate) mod optimizer;
 pub(crate) mod options;
 pub(crate) mod progress;
 pub(crate) mod report;
+pub(crate) mod requested;
 #[cfg(feature = "schema")]
 mod schema;
 pub(crate) mod start;

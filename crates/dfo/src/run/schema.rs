@@ -2,12 +2,12 @@
 //! method that is named may have its own.
 
 use crate::methods::AnyMethod;
-use crate::run::asked::{AskedRun, RunRecord};
+use crate::run::requested::{RequestedRun, RunRecord};
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde_json::{Map, Value as Json, json};
 use std::borrow::Cow;
 
-impl JsonSchema for AskedRun {
+impl JsonSchema for RequestedRun {
     fn schema_name() -> Cow<'static, str> {
         "Run".into()
     }

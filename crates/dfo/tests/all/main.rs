@@ -7,7 +7,6 @@ mod common;
 mod problems;
 
 mod any_problem;
-mod asked;
 mod bad_input;
 mod barrier;
 mod budgets;
@@ -32,6 +31,7 @@ mod pattern_search;
 mod plans;
 mod quadratic_model;
 mod regressions;
+mod requested_runs;
 mod residuals;
 mod resumed;
 mod simplex_quality;

@@ -63,7 +63,7 @@ impl Workers {
 }
 
 /// Returns at once.
-pub fn serve_if_asked(_: impl FnOnce() -> Box<dyn Service + Send>) {}
+pub fn serve_if_worker(_: impl FnOnce() -> Box<dyn Service + Send>) {}
 
 /// Nothing can be started.
 #[derive(Debug)]

@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 
 /// Serves until nobody needs it any more, if this process was started for that; then the process ends, and
 /// this does not return. Belongs at the begin of `main`, before any other thread is started.
-pub fn serve_if_asked(service: impl FnOnce() -> Box<dyn Service + Send>) {
+pub fn serve_if_worker(service: impl FnOnce() -> Box<dyn Service + Send>) {
     super::launcher::know_this_program();
     let Some(version) = std::env::var_os(ASKED) else { return };
     let served = match version == VERSION {

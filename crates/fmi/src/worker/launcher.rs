@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
 /// A program that serves as a worker when it is started with these arguments: it calls
-/// [`serve_if_asked`](super::serve_if_asked).
+/// [`serve_if_worker`](super::serve_if_worker).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Launcher {
     /// The program.

@@ -1,7 +1,7 @@
 //! Processes in which FMUs run: what an FMU does to its process, this one does not notice.
 //!
 //! An FMU is foreign machine code: it crashes, hangs, leaks, calls `exit`, keeps values in statics. Whatever
-//! evaluates a model more than once asks [`Workers`] to do it. A program that calls [`serve_if_asked`] first
+//! evaluates a model more than once asks [`Workers`] to do it. A program that calls [`serve_if_worker`] first
 //! in its `main` is started once, as a template: it loads what is to be evaluated, and copies itself whenever
 //! a worker is needed. A worker has a socket pair (see [`Frame`] for what is said), a folder of its own as
 //! working folder and for temporary files, and limits that it sets on itself. It runs one FMU in one thread.
@@ -35,11 +35,11 @@ mod worker_process;
 mod workers;
 
 #[cfg(not(unix))]
-pub use absent::{StartedAhead, Workers, serve_if_asked, start_ahead};
+pub use absent::{StartedAhead, Workers, serve_if_worker, start_ahead};
 #[cfg(unix)]
 pub use fork_server::{StartedAhead, start_ahead};
 #[cfg(unix)]
-pub use fork_server_main::serve_if_asked;
+pub use fork_server_main::serve_if_worker;
 pub use frame::Frame;
 pub use handshake::is_asked;
 pub use launcher::Launcher;

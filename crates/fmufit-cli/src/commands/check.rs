@@ -22,7 +22,7 @@ pub(super) struct Document<'c> {
 }
 
 pub(crate) fn run(arguments: &Check, console: &Console) -> Result<Exit, Error> {
-    let file = problem::asked(&arguments.problem, console)?;
+    let file = problem::of_arguments(&arguments.problem, console)?;
     let interrupt = Interrupt::watch()?;
     let is_asked = || interrupt.is_asked();
     let calibration = file.calibration(&RunContext::new().asking(&is_asked))?;

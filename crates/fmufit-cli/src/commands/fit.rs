@@ -25,7 +25,7 @@ pub(crate) enum Begin {
 }
 
 pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Exit, Error> {
-    let mut file = problem::asked(&arguments.problem, console)?;
+    let mut file = problem::of_arguments(&arguments.problem, console)?;
     file.set("fit", short_form::options(&arguments.option)?);
     let written = [&arguments.checkpoint, &arguments.save, &arguments.report];
     check_written(written.into_iter().flatten(), &file.files())?;

@@ -6,5 +6,5 @@ mod of_arguments;
 mod problem_file;
 pub(crate) mod short_form;
 
-pub(crate) use of_arguments::asked;
+pub(crate) use of_arguments::of_arguments;
 pub(crate) use problem_file::{ProblemFile, ProblemRecord};

@@ -11,7 +11,7 @@ use fmi::description::Causality;
 use std::path::Path;
 
 /// The problem that arguments describe.
-pub(crate) fn asked(arguments: &Problem, console: &Console) -> Result<ProblemFile, Error> {
+pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<ProblemFile, Error> {
     let Problem { problem, data, output, input, parameter, time, setting } = arguments;
     if problem.is_dir() && !problem.join("modelDescription.xml").is_file() {
         return Err(Error::input(format!(

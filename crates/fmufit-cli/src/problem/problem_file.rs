@@ -227,14 +227,14 @@ impl ProblemFile {
     /// The calibration: the recordings are read, unless the context is over.
     pub(crate) fn calibration(&self, context: &RunContext<'_>) -> Result<Calibration, Error> {
         let mut builder = Calibration::builder(self.model()?);
-        let settings = SimulationSettings::asked(&self.fields("settings")?);
+        let settings = SimulationSettings::from_record(&self.fields("settings")?);
         builder = builder.settings(settings.map_err(|error| self.located("settings", error.into()))?);
         for (path, fields) in self.tables("parameters")? {
-            let parameter = Parameter::asked(&fields).map_err(|error| self.located(&path, error))?;
+            let parameter = Parameter::from_record(&fields).map_err(|error| self.located(&path, error))?;
             builder = builder.parameter(parameter);
         }
         for (path, fields) in self.tables("experiments")? {
-            let experiment = Experiment::asked(&fields, &self.folder, context);
+            let experiment = Experiment::from_record(&fields, &self.folder, context);
             builder = builder.experiment(experiment.map_err(|error| self.located(&path, error))?);
         }
         builder.build().map_err(|error| self.located("", error))
@@ -245,7 +245,7 @@ impl ProblemFile {
         let at = |error: dfo::Error| self.located("fit", error.into());
         let fields = self.fields("fit")?;
         self.check_names("fit", &fields, FitOptions::option_names().map_err(at)?)?;
-        let mut options = FitOptions::asked(fields, n_parameters).map_err(at)?;
+        let mut options = FitOptions::from_record(fields, n_parameters).map_err(at)?;
         if let Some(checkpoint) = &mut options.run.checkpoint {
             checkpoint.path = self.folder.join(&checkpoint.path);
         }
@@ -257,7 +257,7 @@ impl ProblemFile {
         let stage = |(path, fields): (String, Record)| {
             let at = |error: dfo::Error| self.located(&path, error.into());
             self.check_names(&path, &fields, Stage::option_names().map_err(at)?)?;
-            Stage::asked(fields, n_parameters).map_err(at)
+            Stage::from_record(fields, n_parameters).map_err(at)
         };
         self.tables("stages")?.into_iter().map(stage).collect()
     }

@@ -2,7 +2,7 @@
 
 use super::run::{Run, Space, Step, finish, no_retreat, read_indicators};
 use super::sliding::ChatteringGuard;
-use crate::control::{initial_step, probe_step};
+use crate::control::{first_step, probe_step};
 use crate::error::{ErrorKind, Termination};
 use crate::observer::{EventRecord, Observer};
 use crate::options::ChatteringPolicy;
@@ -285,7 +285,7 @@ where
         self.stats.right_hand_sides += 1;
         self.h = match self.system.derivatives(self.t + probe, &space.x_mid, &mut space.x_new) {
             Ok(()) => {
-                let h = initial_step(
+                let h = first_step(
                     &space.weights,
                     self.stepper.properties().order,
                     &space.x,

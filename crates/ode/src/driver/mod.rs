@@ -288,7 +288,7 @@ where
         self.evaluate_here(false)?;
         // Events announced for the very start belong to it: samples there see them done.
         self.more_events_here(true)?;
-        match self.options.initial_step {
+        match self.options.first_step {
             Some(h) => self.h = h,
             None => self.estimate_step()?,
         }

@@ -46,8 +46,8 @@ fn steps_too_small_to_see_are_refused_or_made_larger() {
             let ErrorKind::StepBelowRounding { step, least } = error.kind else { panic!("{error}") };
             assert!(step == max_step && least > 4e-14 && least < 1e-12, "{error}");
         }
-        for initial_step in [1e-300, 1e-17] {
-            let options = Options { method, initial_step: Some(initial_step), limits, ..Options::default() };
+        for first_step in [1e-300, 1e-17] {
+            let options = Options { method, first_step: Some(first_step), limits, ..Options::default() };
             let report =
                 Driver::new(options).unwrap().run(&mut oscillator(), 1.0, 2.0, &[], &mut Ignore).unwrap();
             assert!(report.stats.accepted_steps < 100, "{}: {report:?}", method.name());
@@ -130,7 +130,7 @@ fn messages_show_numbers_with_exponents() {
     assert!(message(0.0, 1e-12, &[2e-12]).starts_with("requested time 2e-12 at position 0"));
     assert!(message(1e300, -1e-300, &[]).starts_with("cannot simulate from 1e300 to -1e-300"));
     let limits = Limits { max_steps: Some(1), ..Limits::default() };
-    let options = Options { limits, initial_step: Some(2.5e-13), ..Options::default() };
+    let options = Options { limits, first_step: Some(2.5e-13), ..Options::default() };
     let error =
         Driver::new(options).unwrap().run(&mut oscillator(), 0.0, 1e-12, &[], &mut Ignore).unwrap_err();
     assert_eq!(error.to_string(), "the limit of 1 steps was reached at t = 2.5e-13");

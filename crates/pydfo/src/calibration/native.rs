@@ -390,11 +390,12 @@ impl PyCalibration {
         let FitFields { start, observer, stages, objective, engine, page } = objects;
         let n_parameters = self.inner().parameters().len();
         let stage = |asked: PyRecord| {
-            calibration::Stage::asked(asked.values.clone(), n_parameters).map_err(|e| asked.error(py, &e))
+            calibration::Stage::from_record(asked.values.clone(), n_parameters)
+                .map_err(|e| asked.error(py, &e))
         };
         let stages: Option<Vec<calibration::Stage>> =
             stages.map(|stages| stages.into_iter().map(stage).collect()).transpose()?;
-        let options = FitOptions::asked(asked.values.clone(), n_parameters);
+        let options = FitOptions::from_record(asked.values.clone(), n_parameters);
         let FitOptions { run, loss, noise, preflight, uncertainty, .. } =
             options.map_err(|e| asked.error(py, &e))?;
         let watch = Watch::new(py)?;

@@ -81,7 +81,7 @@ pub(crate) fn cross_validate<'py>(
     asked: PyRecord,
 ) -> PyResult<Bound<'py, PyDict>> {
     let n_parameters = calibration.inner().parameters().len();
-    let options = CrossValidationOptions::asked(asked.values.clone(), n_parameters);
+    let options = CrossValidationOptions::from_record(asked.values.clone(), n_parameters);
     let options = options.map_err(|e| asked.error(py, &e))?;
     let found = calibration.shared.compute(py, move |c, context| c.cross_validate(&options, context))?;
     let of_fold = |fold: &Fold| {

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 // Without the start of an interpreter, where the file of this module can be loaded ahead of one.
-fmi::serve_before_main!(calibration::serve_if_asked);
+fmi::serve_before_main!(calibration::serve_if_worker);
 
 /// Sets how worker processes are started: a program with arguments that ends up in `serve_worker`. `library`:
 /// the file of this module.
@@ -31,5 +31,5 @@ pub(crate) fn start_worker_ahead(py: Python<'_>) -> StartedAhead {
 /// Serves as a template of worker processes until nobody needs it any more.
 #[pyfunction]
 pub(crate) fn serve_worker(py: Python<'_>) {
-    py.detach(calibration::serve_if_asked);
+    py.detach(calibration::serve_if_worker);
 }

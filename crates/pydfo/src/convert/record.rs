@@ -3,7 +3,7 @@
 
 use crate::convert::error;
 use calibration::{CalibrationError, Parameter, SimulationSettings};
-use dfo::{AnyMethod, AskedRun, RecordError, RunOptions, Value};
+use dfo::{AnyMethod, RecordError, RequestedRun, RunOptions, Value};
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyMapping, PyString};
 use serde::de::DeserializeOwned;
@@ -34,18 +34,18 @@ impl PyRecord {
         py: Python<'_>,
         default: RunOptions<AnyMethod>,
         n_parameters: usize,
-    ) -> PyResult<AskedRun> {
-        AskedRun::new(default, &self.values, n_parameters).map_err(|e| self.error(py, &e))
+    ) -> PyResult<RequestedRun> {
+        RequestedRun::new(default, &self.values, n_parameters).map_err(|e| self.error(py, &e))
     }
 
     /// The settings of simulations.
     pub(crate) fn settings(&self, py: Python<'_>) -> PyResult<SimulationSettings> {
-        SimulationSettings::asked(&self.values).map_err(|e| self.refused(py, &e))
+        SimulationSettings::from_record(&self.values).map_err(|e| self.refused(py, &e))
     }
 
     /// The parameter of the record.
     pub(crate) fn parameter(&self, py: Python<'_>) -> PyResult<Parameter> {
-        Parameter::asked(&self.values).map_err(|e| match &e {
+        Parameter::from_record(&self.values).map_err(|e| match &e {
             CalibrationError::Record(e) => self.refused(py, e),
             _ => error::calibration(py, &e),
         })

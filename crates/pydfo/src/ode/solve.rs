@@ -93,7 +93,7 @@ impl Problem<'_> {
             absolute_tolerance,
             step_size: self.step,
             max_step: self.max_step,
-            initial_step: self.first_step,
+            first_step: self.first_step,
             interior_samples: self.interior_samples,
             chattering: self.chattering.parse().map_err(bad)?,
             exclude_algebraic: self.exclude_algebraic,
@@ -250,7 +250,6 @@ fn in_words_of_solve(error: OptionsError) -> OptionsError {
             let name = match name {
                 "relative_tolerance" => "rtol",
                 "absolute_tolerance" => "atol",
-                "initial_step" => "first_step",
                 "step_size" => "step",
                 other => other,
             };

@@ -9,7 +9,9 @@ use crate::interrupt::watch::{EndRequest, Watch};
 use crate::optimize::futures;
 use crate::optimize::objective::PyObjective;
 use calibration::RunContext;
-use dfo::{AskedRun, ByRef, MethodOptions, Minimize, NelderMead, Progress, Report, RobustLoss, RunOptions};
+use dfo::{
+    ByRef, MethodOptions, Minimize, NelderMead, Progress, Report, RequestedRun, RobustLoss, RunOptions,
+};
 use pyo3::prelude::*;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -21,11 +23,11 @@ pub(crate) struct RunSetup {
     x0: Option<Vec<f64>>,
     lower: Vec<f64>,
     upper: Vec<f64>,
-    asked: AskedRun,
+    asked: RequestedRun,
 }
 
 impl RunSetup {
-    pub(crate) fn new(x0: Option<Vec<f64>>, lower: Vec<f64>, upper: Vec<f64>, asked: AskedRun) -> Self {
+    pub(crate) fn new(x0: Option<Vec<f64>>, lower: Vec<f64>, upper: Vec<f64>, asked: RequestedRun) -> Self {
         Self { x0, lower, upper, asked }
     }
 
@@ -38,7 +40,7 @@ impl RunSetup {
             Some(x0) => run.start(x0),
             None => run,
         };
-        Ok(run.bounds(&self.lower, &self.upper)?.asked(self.asked))
+        Ok(run.bounds(&self.lower, &self.upper)?.requested(self.asked))
     }
 
     fn run(
@@ -79,7 +81,7 @@ pub(crate) fn minimize<'py>(
     batches: bool,
     cutoffs: bool,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let loss = RobustLoss::asked(&mut options.values).map_err(|e| options.error(py, &e))?;
+    let loss = RobustLoss::from_record(&mut options.values).map_err(|e| options.error(py, &e))?;
     let asked = options.run(py, RunOptions::default(), lower.len())?;
     if loss.is_none() && asked.options.method.needs_residuals() {
         return Err(error::optimiser(py, &dfo::Error::NeedsResiduals { method: "least-squares" }));

@@ -8,8 +8,8 @@ use crate::problem::objective::CostKind;
 use crate::uncertainty::estimate::{Estimator, UncertaintyOptions};
 use base::RunContext;
 use dfo::{
-    AnyMethod, AskedRun, Loss, Measure, Progress, Record, RecordError, RobustLoss, RunOptions, Search, Stop,
-    Tolerances, field_names, read_part,
+    AnyMethod, Loss, Measure, Progress, Record, RecordError, RequestedRun, RobustLoss, RunOptions, Search,
+    Stop, Tolerances, field_names, read_part,
 };
 use serde::{Deserialize, Deserializer, Serialize};
 use std::cell::RefCell;
@@ -89,7 +89,7 @@ impl FitOptions<'_> {
     /// # Errors
     /// The options of a method cannot be serialised.
     pub fn option_names() -> Result<BTreeSet<String>, dfo::Error> {
-        let mut names = AskedRun::option_names()?;
+        let mut names = RequestedRun::option_names()?;
         names.extend(field_names::<FitRecord>()?);
         Ok(names)
     }
@@ -99,7 +99,7 @@ impl FitOptions<'_> {
     ///
     /// # Errors
     /// An option that there is not, or a value that it cannot have.
-    pub fn asked(record: Record, n: usize) -> Result<Self, dfo::Error> {
+    pub fn from_record(record: Record, n: usize) -> Result<Self, dfo::Error> {
         let (own, of_run) = read_part::<FitRecord>(record, "option of a fit")?;
         let mut options = Self {
             loss: RobustLoss::named(own.loss, own.f_scale)?.unwrap_or_default(),
@@ -119,7 +119,7 @@ impl FitOptions<'_> {
             options.uncertainty =
                 covariance.map(|estimator| UncertaintyOptions { estimator, ..UncertaintyOptions::default() });
         }
-        options.run = AskedRun::new(options.run, &of_run, n)?.options;
+        options.run = RequestedRun::new(options.run, &of_run, n)?.options;
         Ok(options)
     }
 }

@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use dfo::{
-    AnyMethod, AskedRun, Coefficients, Error, Kind, Lookahead, Measure, MethodOptions, NelderMead,
-    ProblemClass, QuadraticModel, Record, RunOptions, Search, Selection, Stop, Transform, Value, Weight,
+    AnyMethod, Coefficients, Error, Kind, Lookahead, Measure, MethodOptions, NelderMead, ProblemClass,
+    QuadraticModel, Record, RequestedRun, RunOptions, Search, Selection, Stop, Transform, Value, Weight,
 };
 use std::time::Duration;
 
@@ -14,8 +14,8 @@ fn record(json: serde_json::Value) -> Record {
     }
 }
 
-fn asked(json: serde_json::Value) -> Result<AskedRun, Error> {
-    AskedRun::new(RunOptions::default(), &record(json), 2)
+fn asked(json: serde_json::Value) -> Result<RequestedRun, Error> {
+    RequestedRun::new(RunOptions::default(), &record(json), 2)
 }
 
 /// The method that is chosen for costs in a box of two parameters.
@@ -74,7 +74,7 @@ fn infinite_limits_are_none() {
         ("max_time".to_owned(), Value::Number(f64::INFINITY)),
         ("target".to_owned(), Value::Number(f64::NEG_INFINITY)),
     ]);
-    let limits = AskedRun::new(RunOptions::default(), &limits, 1).unwrap().options.limits;
+    let limits = RequestedRun::new(RunOptions::default(), &limits, 1).unwrap().options.limits;
     assert_eq!((limits.max_evaluations, limits.max_time), (None, None));
     assert_eq!(limits.target, Some(f64::NEG_INFINITY));
 }

@@ -102,7 +102,7 @@ enum PerParameter<T> {
 
 /// A run and what is said of its parameters, as users ask for them by name.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct AskedRun {
+pub struct RequestedRun {
     /// The run.
     pub options: RunOptions<AnyMethod>,
     /// The scale of each parameter; empty: all are linear.
@@ -113,7 +113,7 @@ pub struct AskedRun {
     pub kinds: Vec<Kind>,
 }
 
-impl AskedRun {
+impl RequestedRun {
     /// The names of all options that a record of a run may have, with those of any method.
     ///
     /// # Errors
@@ -253,7 +253,7 @@ mod tests {
 
     #[test]
     fn options_of_runs_and_of_methods_are_known_by_name() {
-        let names = AskedRun::option_names().unwrap();
+        let names = RequestedRun::option_names().unwrap();
         assert!(["max_time", "x_tol", "initial_simplex"].iter().all(|name| names.contains(*name)));
         let of_run = field_names::<RunRecord>().unwrap();
         assert!(crate::methods::by_name::COMMON.iter().all(|name| of_run.contains(*name)));
