@@ -60,8 +60,8 @@ LAYERS = {
     "ode": """
         number sparsity stats stages stopwatch tableau
         system options error
-        control event lu observer
-        sampling stepper
+        error_norm event lu observer
+        sampling step_size stepper
         explicit_rk jacobian
         implicit
         auto

@@ -260,7 +260,7 @@ fn all_finite(values: &[f64]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::Weights;
+    use crate::error_norm::ErrorWeights;
     use crate::options::Options;
     use crate::stats::Stats;
     use crate::system::EventOutcome;
@@ -343,7 +343,7 @@ mod tests {
     }
 
     fn evaluated(chain: &mut Chain, x: &[f64]) -> (CallResult<()>, f64, Stats) {
-        let mut weights = Weights::default();
+        let mut weights = ErrorWeights::default();
         weights.set(&Options::default(), &vec![1.0; chain.n], |_| false);
         let mut f = vec![0.0; chain.n];
         chain.derivatives(0.0, x, &mut f).unwrap();

@@ -15,9 +15,9 @@
 #![forbid(unsafe_code)]
 
 mod auto;
-mod control;
 mod driver;
 mod error;
+mod error_norm;
 mod event;
 mod explicit_rk;
 mod implicit;
@@ -31,6 +31,7 @@ mod solve;
 mod sparsity;
 mod stages;
 mod stats;
+mod step_size;
 mod stepper;
 mod stopwatch;
 mod system;

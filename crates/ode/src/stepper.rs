@@ -1,7 +1,7 @@
 //! Interface of a method to the driver: try a step, look inside it, go on from its end, or start anew.
 
-use crate::control::Weights;
 use crate::error::Undetermined;
+use crate::error_norm::ErrorWeights;
 use crate::stats::Stats;
 use crate::system::{CallResult, HybridSystem};
 
@@ -9,7 +9,7 @@ use crate::system::{CallResult, HybridSystem};
 #[derive(Debug)]
 pub(crate) struct Equations<'a, S: ?Sized> {
     pub(crate) system: &'a mut S,
-    pub(crate) weights: &'a Weights,
+    pub(crate) weights: &'a ErrorWeights,
     pub(crate) stats: &'a mut Stats,
 }
 

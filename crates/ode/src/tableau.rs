@@ -2,7 +2,7 @@
 //! source.
 
 /// The weights that are not zero, with the stages they belong to.
-pub(crate) type Weights = &'static [(usize, f64)];
+pub(crate) type StageWeights = &'static [(usize, f64)];
 
 /// An explicit Runge-Kutta method with `S` stages, of which stage `end` is the right-hand side at the end of
 /// the step (first same as last), so that the next step gets its first stage for nothing.
@@ -15,7 +15,7 @@ pub(crate) struct Tableau<const S: usize> {
     /// Abscissae.
     pub(crate) c: [f64; S],
     /// Stage weights; each row uses stages before it. Row `end` is the solution itself.
-    pub(crate) a: [Weights; S],
+    pub(crate) a: [StageWeights; S],
     /// Error estimate for the step-size controller.
     pub(crate) error: Estimate,
     /// The solution inside a step.
@@ -28,7 +28,7 @@ pub(crate) trait Explicit<const S: usize> {
 }
 
 /// The weights of a stage; of those that a method has not, none.
-pub(crate) const fn row<const S: usize, T: Explicit<S>>(stage: usize) -> Weights {
+pub(crate) const fn row<const S: usize, T: Explicit<S>>(stage: usize) -> StageWeights {
     if stage < S { T::TABLEAU.a[stage] } else { &[] }
 }
 
@@ -38,10 +38,10 @@ pub(crate) enum Estimate {
     /// It is not: the step size is fixed.
     None,
     /// Solution minus embedded solution.
-    Embedded(Weights),
+    Embedded(StageWeights),
     /// Solution minus embedded solutions of order 5 and of order 3: the first, made smaller where the second
     /// is larger still (Hairer, Norsett, Wanner I, section II.10).
-    Two(Weights, Weights),
+    Two(StageWeights, StageWeights),
 }
 
 /// The continuous extension.
@@ -52,7 +52,7 @@ pub(crate) enum Dense<const S: usize> {
     Polynomials([[f64; 4]; S]),
     /// Weights of the four highest of the seven terms of dop853.f, on stages behind the end that are
     /// evaluated for steps in which samples or events lie.
-    Terms([Weights; 4]),
+    Terms([StageWeights; 4]),
 }
 
 /// Tsitouras 5(4): Ch. Tsitouras, Runge-Kutta pairs of order 5(4) satisfying only the first column
@@ -187,7 +187,7 @@ mod tests {
             .fold(0.0, f64::max)
     }
 
-    fn row<const S: usize>(weights: Weights) -> [f64; S] {
+    fn row<const S: usize>(weights: StageWeights) -> [f64; S] {
         let mut row = [0.0; S];
         weights.iter().for_each(|(j, w)| row[*j] = *w);
         row

@@ -2,10 +2,10 @@
 
 use super::run::{Run, Space, Step, finish, no_retreat, read_indicators};
 use super::sliding::ChatteringGuard;
-use crate::control::{first_step, probe_step};
 use crate::error::{ErrorKind, Termination};
 use crate::observer::{EventRecord, Observer};
 use crate::options::ChatteringPolicy;
+use crate::step_size::{first_step, probe_step};
 use crate::stepper::{Consistency, Equations, Stepper, Trial};
 use crate::system::{CallError, CallResult, EventCause, EventOutcome, EventVisit, HybridSystem};
 

@@ -2,8 +2,8 @@
 
 use super::sliding::Sliding;
 use super::watched::{Stopped, Watch};
-use crate::control::Weights;
 use crate::error::{ErrorKind, NotFinite, Termination, TooLargeForDense, Undetermined};
+use crate::error_norm::ErrorWeights;
 use crate::event::Domains;
 use crate::options::Options;
 use crate::sampling::Sampler;
@@ -22,7 +22,7 @@ pub(super) struct Space {
     pub(super) x_mid: Vec<f64>,
     pub(super) slope: Vec<f64>,
     pub(super) nominals: Vec<f64>,
-    pub(super) weights: Weights,
+    pub(super) weights: ErrorWeights,
     pub(super) domains: Domains,
     pub(super) sampler: Sampler,
 }

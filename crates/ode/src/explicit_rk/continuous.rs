@@ -2,14 +2,14 @@
 //! `x + theta (d_0 + (1 - theta) (d_1 + theta (d_2 + ...)))`.
 
 use crate::stages::Stages;
-use crate::tableau::{Tableau, Weights};
+use crate::tableau::{StageWeights, Tableau};
 
 pub(super) const TERMS: usize = 7;
 
 /// The terms of the continuous extension of a step of size `h`.
 pub(super) fn dense_terms<const S: usize>(
     tableau: &Tableau<S>,
-    highest: &[Weights; 4],
+    highest: &[StageWeights; 4],
     k: &Stages<S>,
     h: f64,
     dense: &mut Stages<TERMS>,

@@ -1,7 +1,8 @@
 //! Explicit Runge-Kutta methods: one implementation for every tableau, with or without an error estimate.
 
-use crate::control::{Controller, Weights};
+use crate::error_norm::ErrorWeights;
 use crate::stages::Stages;
+use crate::step_size::StepController;
 use crate::stepper::{Attempt, Equations, Properties, StepWithEvent, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 use crate::tableau::{Dense, Estimate, Explicit, by_power, polynomial_weights, row};
@@ -25,7 +26,7 @@ pub(crate) struct ExplicitRk<const S: usize, T> {
     error_norm: f64,
     /// The terms of a continuous extension that has stages of its own.
     dense: Stages<TERMS>,
-    controller: Controller,
+    controller: StepController,
 }
 
 impl<const S: usize, T: Explicit<S>> ExplicitRk<S, T> {
@@ -41,14 +42,14 @@ impl<const S: usize, T: Explicit<S>> ExplicitRk<S, T> {
             error: Vec::new(),
             error_norm: 0.0,
             dense: Stages::default(),
-            controller: Controller::new(T::TABLEAU.order),
+            controller: StepController::new(T::TABLEAU.order),
         }
     }
 
     /// Estimate of the largest eigenvalue: the change of the right-hand side per change of the state between
     /// the last two stages, which lie at the end of the step both. For methods whose last but one abscissa is
     /// 1.
-    pub(crate) fn response(&self, x: &[f64], x_new: &[f64], weights: &Weights) -> f64 {
+    pub(crate) fn response(&self, x: &[f64], x_new: &[f64], weights: &ErrorWeights) -> f64 {
         let end = T::TABLEAU.end;
         weights.ratio(x, [self.k.get(end), self.k.get(end - 1)], [x_new, &self.stage])
     }
@@ -98,7 +99,7 @@ impl<const S: usize, T: Explicit<S>> ExplicitRk<S, T> {
     #[inline(always)]
     fn error_by(
         &mut self,
-        weights: &Weights,
+        weights: &ErrorWeights,
         Trial { h, x, .. }: Trial<'_>,
         x_new: &[f64],
         of_error: &[(usize, f64)],

@@ -8,8 +8,8 @@
 //! Differential-Algebraic Equations, 1996, section 5.3.4; damped as in P. Deuflhard, Newton Methods for
 //! Nonlinear Problems, 2004, section 3.3).
 
-use crate::control::Weights;
 use crate::error::Undetermined;
+use crate::error_norm::ErrorWeights;
 use crate::jacobian::Jacobian;
 use crate::lu::Lu;
 use crate::stepper::{Consistency, Equations, Point, PointMut};
@@ -351,7 +351,7 @@ impl Algebraic {
 }
 
 /// Fills in the sizes of the states, for what a change of them may mean.
-pub(super) fn sizes(weights: &Weights, x: &[f64], sizes: &mut [f64]) {
+pub(super) fn sizes(weights: &ErrorWeights, x: &[f64], sizes: &mut [f64]) {
     sizes.iter_mut().enumerate().for_each(|(i, size)| *size = x[i].abs().max(weights.scale(i)));
 }
 

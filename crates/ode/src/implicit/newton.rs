@@ -114,7 +114,7 @@ impl Convergence {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::Weights;
+    use crate::error_norm::ErrorWeights;
     use crate::stats::Stats;
     use crate::system::EventOutcome;
 
@@ -148,7 +148,7 @@ mod tests {
     }
 
     fn iterate(convergence: &mut Convergence, rate: f64, tolerance: f64, change: f64) -> Newton {
-        let (weights, mut stats) = (Weights::default(), Stats::default());
+        let (weights, mut stats) = (ErrorWeights::default(), Stats::default());
         let mut equations = Equations { system: &mut Nothing, weights: &weights, stats: &mut stats };
         let mut iteration = Geometric { norm: 1.0, rate };
         convergence.iterate(&mut equations, &mut iteration, tolerance, change).unwrap()

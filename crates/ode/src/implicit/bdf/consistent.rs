@@ -6,7 +6,7 @@
 
 use super::fixed::{AtSlopes, Kind};
 use super::left_side::{LeftSide, NOISE};
-use crate::control::Weights;
+use crate::error_norm::ErrorWeights;
 use crate::implicit::algebraic::{Algebraic, sizes};
 use crate::implicit::jacobian_update::Freshness;
 use crate::lu::make_room;
@@ -307,7 +307,7 @@ impl LeftSide {
     /// not hold within the tolerances of the states.
     fn unmet(
         &mut self,
-        weights: &Weights,
+        weights: &ErrorWeights,
         x: &[f64],
         defect: &[f64],
         freshness: &mut Freshness,

@@ -1,7 +1,7 @@
 //! The equation of the corrector.
 
 use super::left_side::LeftSide;
-use crate::control::scaled_norm;
+use crate::error_norm::scaled_norm;
 use crate::implicit::newton::Iteration;
 use crate::lu::Lu;
 use crate::stepper::{Equations, Point};

@@ -5,8 +5,8 @@
 //! where one evaluation along a vector shows that it has changed.
 
 use super::fixed::{AtSlopes, AtState, Kind};
-use crate::control::Weights;
 use crate::error::Undetermined;
+use crate::error_norm::ErrorWeights;
 use crate::implicit::algebraic::Algebraic;
 use crate::implicit::jacobian_update::Freshness;
 use crate::jacobian::Jacobian;
@@ -45,7 +45,7 @@ pub(super) struct LeftSide {
     exclude: bool,
     /// True for states that `M` has a part in.
     pub(super) has_slope: Vec<bool>,
-    weights: Weights,
+    weights: ErrorWeights,
     nominals: Vec<f64>,
     direction: Vec<f64>,
     pub(super) point: Vec<f64>,

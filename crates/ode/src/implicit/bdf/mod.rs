@@ -16,8 +16,8 @@
 
 use super::jacobian_update::{Freshness, Matrix, Rules};
 use super::newton::{Convergence, Newton};
-use crate::control::scaled_norm;
 use crate::error::Undetermined;
+use crate::error_norm::scaled_norm;
 use crate::jacobian::Jacobian;
 use crate::lu::Lu;
 use crate::stats::Stats;

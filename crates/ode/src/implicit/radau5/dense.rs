@@ -17,7 +17,7 @@
 //! The bend measures how far the two orders differ, and so how far the inside of the step can be trusted.
 
 use super::coefficients::{C1, C2};
-use crate::control::scaled_norm;
+use crate::error_norm::scaled_norm;
 
 /// The largest value of `|theta M(theta)|` within a step.
 const LARGEST_BEND: f64 = 0.018_25;

@@ -9,8 +9,8 @@
 use super::algebraic::Algebraic;
 use super::jacobian_update::{Freshness, Matrix, Rules};
 use super::newton::{Convergence, Newton};
-use crate::control::scaled_norm;
 use crate::error::Undetermined;
+use crate::error_norm::scaled_norm;
 use crate::stepper::{
     Attempt, Consistency, Equations, Point, PointMut, Properties, StepWithEvent, Stepper, Trial,
 };

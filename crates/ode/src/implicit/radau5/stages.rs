@@ -4,7 +4,7 @@
 use super::super::newton::Iteration;
 use super::coefficients::{ALPHA, BETA, C1, C2, GAMMA, T, T_INVERSE};
 use super::dense::Collocation;
-use crate::control::scaled_norm;
+use crate::error_norm::scaled_norm;
 use crate::jacobian::Jacobian;
 use crate::lu::Lu;
 use crate::stats::Stats;
