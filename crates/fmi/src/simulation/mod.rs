@@ -13,6 +13,7 @@ mod options;
 mod outputs;
 mod outside;
 pub(crate) mod plan;
+mod reader;
 pub(crate) mod running;
 pub(crate) mod trajectory;
 pub(crate) mod variable_elements;

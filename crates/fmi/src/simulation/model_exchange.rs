@@ -6,6 +6,7 @@ use crate::instance::Core;
 use crate::simulation::inputs::{InputPlan, InputState};
 use crate::simulation::outside::Outside;
 use crate::simulation::plan::SimulationPlan;
+use crate::simulation::reader::Reader;
 use crate::simulation::running::{Mode, Running};
 use crate::simulation::variable_elements::RunInput;
 use crate::sys::{Direction, Fault, RawInstance};
@@ -30,58 +31,14 @@ pub(crate) struct System {
     /// The point last committed: what `get` refers to after a run.
     last_time: f64,
     last_states: Vec<f64>,
-    /// Derivatives that nobody asked for.
-    unused: Vec<f64>,
     /// The time event that the model announced.
     announced: Option<f64>,
-    /// The derivatives were computed at the point last set.
-    is_evaluated: bool,
-    freshness: Freshness,
-    row_points: RowPoints,
-    /// The answers to steps completed at rows, for the end of the step.
-    row_actions: StepAction,
+    reader: Reader,
     /// Time of the last event as the model saw it: a rounding error later than the driver's at most, and
     /// never gone back behind.
     floor: f64,
     /// There are states and no continuous inputs: time and states are all of a point.
     is_point_of_states: bool,
-}
-
-/// Samples at which a model has to answer the same with and without the derivatives computed before, while
-/// something has changed since the sample before, to be trusted in the rest of the run.
-const GOOD_SAMPLES: u32 = 8;
-
-/// Ends of steps at which variables have to be the same before and after, while they change.
-const GOOD_STEPS: u32 = 3;
-
-/// Time at which the model computes its variables: when they are read, as the standard demands, or only
-/// together with the derivatives. In the latter case the derivatives are computed before (seen in FMUs of
-/// OpenModelica 1.12). Determined anew in every run, from its own first samples, which are right in any case:
-/// so a run does not depend on those before it.
-#[derive(Debug, Clone, Copy)]
-enum Freshness {
-    /// So many samples went well.
-    Open(u32),
-    WhenRead,
-    WithDerivatives,
-}
-
-/// Points at which variables can be read: anywhere, as the standard demands, or only where a step was
-/// completed (seen in FMUs of OpenModelica 1.12). In the latter case a step is completed at every row: the
-/// rows of a step are in the order of time, and before its end. A run that finds it out has rows that may be
-/// wrong, and ends.
-#[derive(Debug, Clone, Copy)]
-enum RowPoints {
-    /// So many ends of steps went well.
-    Open(u32),
-    Any,
-    CompletedSteps,
-}
-
-impl Default for Freshness {
-    fn default() -> Self {
-        Freshness::Open(0)
-    }
 }
 
 const NOT_THE_STATE: &str = "has another value than the continuous state that it is by the description";
@@ -98,14 +55,10 @@ impl System {
             sent: Vec::with_capacity(plan.inputs.continuous.start().len()),
             set_time: None,
             set_states: None,
-            is_evaluated: false,
-            freshness: Freshness::default(),
-            row_points: RowPoints::Open(0),
-            row_actions: StepAction::default(),
+            reader: Reader::new(n),
             states: vec![0.0; n],
             last_time: plan.start,
             last_states: vec![0.0; n],
-            unused: vec![0.0; n],
             announced: None,
             floor: f64::NEG_INFINITY,
             is_point_of_states: false,
@@ -123,12 +76,7 @@ impl System {
         self.running.current.core = Some(core);
         self.set_time = None;
         self.set_states = None;
-        self.freshness = Freshness::default();
-        self.row_actions = StepAction::default();
-        self.row_points = match self.running.plan.fmu().reads_at_steps() {
-            true => RowPoints::CompletedSteps,
-            false => RowPoints::Open(0),
-        };
+        self.reader.begin(&self.running);
         self.announced = None;
         self.floor = f64::NEG_INFINITY;
         self.last_time = start;
@@ -141,8 +89,8 @@ impl System {
         let (time, states) = (self.last_time, self.last_states.clone());
         match self.set_point(time, &states) {
             // The model may compute its variables with the derivatives only.
-            Ok(()) if self.running.current.mode == Mode::Continuous && !self.is_evaluated => {
-                self.evaluate().or_else(|error| match error {
+            Ok(()) if self.running.current.mode == Mode::Continuous && !self.reader.is_evaluated => {
+                self.reader.evaluate(&mut self.running).or_else(|error| match error {
                     CallError::Failed(error) => Err(unbox(error)),
                     CallError::Discard => Ok(()),
                 })?;
@@ -165,7 +113,7 @@ impl System {
     fn set_point(&mut self, t: f64, x: &[f64]) -> CallResult<()> {
         let t = t.max(self.floor);
         if !self.set_time.is_some_and(|set| same_bits(set, t)) {
-            self.is_evaluated = false;
+            self.reader.is_evaluated = false;
             self.set_time = None;
             self.call(|raw| raw.set_time(t))?;
             self.set_inputs(t)?;
@@ -176,7 +124,7 @@ impl System {
         }
         let same = self.set_states.is_some() && self.states.iter().zip(x).all(|(a, b)| same_bits(*a, *b));
         if !same {
-            self.is_evaluated = false;
+            self.reader.is_evaluated = false;
             self.set_states = None;
             self.call(|raw| raw.set_continuous_states(x))?;
             self.states.copy_from_slice(x);
@@ -199,7 +147,7 @@ impl System {
         if is_set || !self.is_point_of_states {
             return Ok(false);
         }
-        self.is_evaluated = false;
+        self.reader.is_evaluated = false;
         let outcome = self.call(|raw| call(raw, time));
         (self.set_time, self.set_states) = match outcome {
             Ok(()) => (Some(time), Some(())),
@@ -223,7 +171,7 @@ impl System {
             self.set_point(t, x)?;
         }
         if is_new {
-            self.is_evaluated = false;
+            self.reader.is_evaluated = false;
             self.set_states = None;
         }
         self.call(|raw| call(raw, is_new.then_some(x)))?;
@@ -251,83 +199,6 @@ impl System {
         current.call(|raw| plan.inputs.continuous.send(raw, &inputs.continuous))?;
         sent.extend_from_slice(&inputs.continuous);
         Ok(())
-    }
-
-    /// Reads the outputs at the point last set.
-    fn read_outputs(&mut self) -> CallResult<()> {
-        let is_continuous = self.running.current.mode == Mode::Continuous;
-        let must_compare = match self.freshness {
-            _ if self.is_evaluated || !is_continuous || self.states.is_empty() => false,
-            Freshness::WhenRead => false,
-            Freshness::WithDerivatives => {
-                self.evaluate()?;
-                false
-            }
-            Freshness::Open(_) => true,
-        };
-        if must_compare { self.compare_outputs() } else { self.running.read_outputs() }
-    }
-
-    /// Reads the outputs, computes the derivatives and reads them again.
-    fn compare_outputs(&mut self) -> CallResult<()> {
-        self.running.buffers.keep();
-        self.running.read_outputs()?;
-        let has_changed = !self.running.buffers.are_as_kept();
-        self.running.buffers.keep();
-        self.evaluate()?;
-        self.running.read_outputs()?;
-        if !self.running.buffers.are_as_kept() {
-            self.freshness = Freshness::WithDerivatives;
-            self.running.plan.fmu().note_stale_outputs();
-        } else if let Freshness::Open(good) = self.freshness
-            && has_changed
-        {
-            self.freshness =
-                if good + 1 < GOOD_SAMPLES { Freshness::Open(good + 1) } else { Freshness::WhenRead };
-        }
-        Ok(())
-    }
-
-    /// Completes a step at the point last set, so that the variables there can be read.
-    fn complete_at_row(&mut self) -> CallResult<()> {
-        let action = self.completed()?;
-        self.row_actions.event |= action.event;
-        self.row_actions.terminate |= action.terminate;
-        Ok(())
-    }
-
-    /// Completes a step at the point last set. While it is open where variables can be read, they are read
-    /// before and after.
-    fn complete_step(&mut self) -> CallResult<StepAction> {
-        let RowPoints::Open(good) = self.row_points else { return self.completed() };
-        if !self.running.plan.outputs().needs_fmu() || self.states.is_empty() {
-            return self.completed();
-        }
-        if !self.is_evaluated {
-            self.evaluate()?;
-        }
-        self.running.buffers.keep();
-        self.running.read_outputs()?;
-        let has_changed = !self.running.buffers.are_as_kept();
-        self.running.buffers.keep();
-        let action = self.completed()?;
-        if action.event || action.terminate {
-            return Ok(action);
-        }
-        self.running.read_outputs()?;
-        if !self.running.buffers.are_as_kept() {
-            self.running.plan.fmu().note_outputs_of_steps();
-            return Err(CallError::failed(FmiError::ReadBetweenSteps));
-        }
-        if has_changed {
-            self.row_points = if good + 1 < GOOD_STEPS { RowPoints::Open(good + 1) } else { RowPoints::Any };
-        }
-        Ok(action)
-    }
-
-    fn completed(&mut self) -> CallResult<StepAction> {
-        let (event, terminate) = self.call(RawInstance::completed_integrator_step)?;
-        Ok(StepAction { event, terminate })
     }
 
     /// Compares the states that are recorded with the variables that they are by the description. Where these
@@ -385,9 +256,9 @@ impl System {
         let x = self.last_states.clone();
         self.set_point(self.last_time, &x)?;
         let mut found = self.contradicted_state(&x)?;
-        if found.is_some() && !self.is_evaluated && self.running.current.mode == Mode::Continuous {
+        if found.is_some() && !self.reader.is_evaluated && self.running.current.mode == Mode::Continuous {
             // The model may compute its variables with the derivatives only.
-            self.evaluate()?;
+            self.reader.evaluate(&mut self.running)?;
             found = self.contradicted_state(&x)?;
         }
         let Some((column, value)) = found else { return Ok(()) };
@@ -401,19 +272,6 @@ impl System {
             format!("at the end of a simulation {name} {NOT_THE_STATE}: the state is recorded"),
         );
         Ok(())
-    }
-
-    /// Computes the derivatives at the point last set, for what the model computes along with them. A point
-    /// without derivatives is none to compare at.
-    fn evaluate(&mut self) -> CallResult<()> {
-        let Self { running, unused, .. } = self;
-        match running.current.call(|raw| raw.get_derivatives(unused)) {
-            Ok(()) | Err(CallError::Discard) => {
-                self.is_evaluated = true;
-                Ok(())
-            }
-            Err(error) => Err(error),
-        }
     }
 
     fn note_outcome(&mut self, outcome: &EventOutcome) {
@@ -608,7 +466,7 @@ impl HybridSystem for Integration<'_> {
         if !self.at_new_point(t, x, |raw, time| raw.right_hand_side(time, x, dx))? {
             self.at_set_time(t, x, |raw, states| raw.derivatives_with(states, dx))?;
         }
-        self.is_evaluated = true;
+        self.reader.is_evaluated = true;
         all_finite(dx)?;
         self.running.note(dx);
         Ok(())
@@ -640,7 +498,7 @@ impl HybridSystem for Integration<'_> {
             }
         })?;
         // What it has computed on the way may belong to other points.
-        self.is_evaluated = false;
+        self.reader.is_evaluated = false;
         if !is_there {
             return Ok(false);
         }
@@ -664,12 +522,8 @@ impl HybridSystem for Integration<'_> {
     fn outputs(&mut self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
         if self.running.plan.outputs().needs_fmu() || self.running.buffers.reads_states {
             self.set_point(t, x)?;
-            if matches!(self.row_points, RowPoints::CompletedSteps)
-                && self.running.current.mode == Mode::Continuous
-            {
-                self.complete_at_row()?;
-            }
-            self.read_outputs()?;
+            let System { reader, running, .. } = &mut *self.system;
+            reader.read(running)?;
         }
         let Running { plan, buffers, .. } = &mut self.running;
         buffers.row(plan.outputs(), t, plan.time_tolerance, x, y);
@@ -684,12 +538,8 @@ impl HybridSystem for Integration<'_> {
             return Ok(StepAction::default());
         }
         self.set_point(t, x)?;
-        let action = self.complete_step()?;
-        let at_rows = std::mem::take(&mut self.row_actions);
-        Ok(StepAction {
-            event: action.event | at_rows.event,
-            terminate: action.terminate | at_rows.terminate,
-        })
+        let System { reader, running, .. } = &mut *self.system;
+        reader.complete_step(running)
     }
 
     fn handle_event(&mut self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {

@@ -1,0 +1,174 @@
+//! Reading of the recorded variables in model exchange: when an FMU computes them, and what makes them those
+//! of the point.
+
+use crate::error::FmiError;
+use crate::simulation::running::{Mode, Running};
+use crate::sys::RawInstance;
+use ode::{CallError, CallResult, StepAction};
+
+/// Samples at which a model has to answer the same with and without the derivatives computed before, while
+/// something has changed since the sample before, to be trusted in the rest of the run.
+const GOOD_SAMPLES: u32 = 8;
+
+/// Ends of steps at which variables have to be the same before and after, while they change.
+const GOOD_STEPS: u32 = 3;
+
+/// Time at which the model computes its variables: when they are read, as the standard demands, or only
+/// together with the derivatives. In the latter case the derivatives are computed before (seen in FMUs of
+/// OpenModelica 1.12). Determined anew in every run, from its own first samples, which are right in any case:
+/// so a run does not depend on those before it.
+#[derive(Debug, Clone, Copy)]
+enum Freshness {
+    /// So many samples went well.
+    Open(u32),
+    WhenRead,
+    WithDerivatives,
+}
+
+/// Points at which variables can be read: anywhere, as the standard demands, or only where a step was
+/// completed (seen in FMUs of OpenModelica 1.12). In the latter case a step is completed at every row: the
+/// rows of a step are in the order of time, and before its end. A run that finds it out has rows that may be
+/// wrong, and ends.
+#[derive(Debug, Clone, Copy)]
+enum RowPoints {
+    /// So many ends of steps went well.
+    Open(u32),
+    Any,
+    CompletedSteps,
+}
+
+impl Default for Freshness {
+    fn default() -> Self {
+        Freshness::Open(0)
+    }
+}
+
+/// Reads the variables that are recorded, at the point last set.
+#[derive(Debug)]
+pub(crate) struct Reader {
+    freshness: Freshness,
+    row_points: RowPoints,
+    /// The answers to steps completed at rows, for the end of the step.
+    row_actions: StepAction,
+    /// The derivatives were computed at the point last set.
+    pub(crate) is_evaluated: bool,
+    /// Derivatives that nobody asked for.
+    unused: Vec<f64>,
+}
+
+impl Reader {
+    pub(crate) fn new(n_states: usize) -> Self {
+        Self {
+            freshness: Freshness::default(),
+            row_points: RowPoints::Open(0),
+            row_actions: StepAction::default(),
+            is_evaluated: false,
+            unused: vec![0.0; n_states],
+        }
+    }
+
+    /// A run begins.
+    pub(crate) fn begin(&mut self, running: &Running) {
+        self.freshness = Freshness::default();
+        self.row_actions = StepAction::default();
+        self.row_points = match running.plan.fmu().reads_at_steps() {
+            true => RowPoints::CompletedSteps,
+            false => RowPoints::Open(0),
+        };
+    }
+
+    /// Computes the derivatives, for what the model computes along with them. A point without derivatives is
+    /// none to compare at.
+    pub(crate) fn evaluate(&mut self, running: &mut Running) -> CallResult<()> {
+        let unused = &mut self.unused;
+        match running.current.call(|raw| raw.get_derivatives(unused)) {
+            Ok(()) | Err(CallError::Discard) => {
+                self.is_evaluated = true;
+                Ok(())
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Reads the outputs.
+    pub(crate) fn read(&mut self, running: &mut Running) -> CallResult<()> {
+        if running.current.mode != Mode::Continuous || self.unused.is_empty() {
+            return running.read_outputs();
+        }
+        if matches!(self.row_points, RowPoints::CompletedSteps) {
+            let action = completed(running)?;
+            self.row_actions.event |= action.event;
+            self.row_actions.terminate |= action.terminate;
+        }
+        match self.freshness {
+            _ if self.is_evaluated => running.read_outputs(),
+            Freshness::WhenRead => running.read_outputs(),
+            Freshness::WithDerivatives => {
+                self.evaluate(running)?;
+                running.read_outputs()
+            }
+            Freshness::Open(good) => self.compare(running, good),
+        }
+    }
+
+    /// Reads the outputs, computes the derivatives and reads them again.
+    fn compare(&mut self, running: &mut Running, good: u32) -> CallResult<()> {
+        let has_changed = reads_other(running)?;
+        self.evaluate(running)?;
+        if reads_other(running)? {
+            self.freshness = Freshness::WithDerivatives;
+            running.plan.fmu().note_stale_outputs();
+        } else if has_changed {
+            self.freshness =
+                if good + 1 < GOOD_SAMPLES { Freshness::Open(good + 1) } else { Freshness::WhenRead };
+        }
+        Ok(())
+    }
+
+    /// Completes a step. While it is open where variables can be read, they are read before and after.
+    pub(crate) fn complete_step(&mut self, running: &mut Running) -> CallResult<StepAction> {
+        let at_rows = std::mem::take(&mut self.row_actions);
+        let action = match self.row_points {
+            RowPoints::Open(good) if running.plan.outputs().needs_fmu() && !self.unused.is_empty() => {
+                self.complete_and_compare(running, good)?
+            }
+            _ => completed(running)?,
+        };
+        Ok(StepAction {
+            event: action.event | at_rows.event,
+            terminate: action.terminate | at_rows.terminate,
+        })
+    }
+
+    fn complete_and_compare(&mut self, running: &mut Running, good: u32) -> CallResult<StepAction> {
+        if !self.is_evaluated {
+            self.evaluate(running)?;
+        }
+        let has_changed = reads_other(running)?;
+        let action = completed(running)?;
+        if action.event || action.terminate {
+            return Ok(action);
+        }
+        if reads_other(running)? {
+            running.plan.fmu().note_outputs_of_steps();
+            return Err(CallError::failed(FmiError::ReadBetweenSteps));
+        }
+        if has_changed {
+            self.row_points = if good + 1 < GOOD_STEPS { RowPoints::Open(good + 1) } else { RowPoints::Any };
+        }
+        Ok(action)
+    }
+}
+
+/// Reads the outputs; true if they are not what was read before.
+fn reads_other(running: &mut Running) -> CallResult<bool> {
+    running.buffers.keep();
+    running.read_outputs()?;
+    Ok(!running.buffers.are_as_kept())
+}
+
+/// Tells the model that a step is completed.
+fn completed(running: &mut Running) -> CallResult<StepAction> {
+    let (event, terminate) = running.current.call(RawInstance::completed_integrator_step)?;
+    Ok(StepAction { event, terminate })
+}
