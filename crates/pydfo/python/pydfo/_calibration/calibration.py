@@ -478,7 +478,8 @@ class Calibration(Evaluation):
             raise
         fit = self._fit(result, begin)
         # It is served as long as there is the fit.
-        fit._page = page
+        if page is not None:
+            fit._page = page
         _log.info("fit: %s; cost %r after %d evaluations", fit.message, fit.cost, fit.nfev)
         if disp and fit.preflight is not None:
             print(fit.preflight)
