@@ -5,10 +5,10 @@ use crate::problem::schema;
 use dfo::{Record, RecordError, Value, read_known, read_part};
 use fmi::RunSettings;
 use fmi::worker::{Isolation, WorkerLimits};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 
 /// Settings of the simulations of a fit.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(deny_unknown_fields))]
 #[serde(default)]
 pub struct SimulationSettings {
@@ -76,6 +76,26 @@ impl SimulationSettings {
             run.relative_tolerance = Some(LOOSEST);
         }
         run
+    }
+}
+
+/// As one record, with the number of its fields: files are to have one form, and a flattened field does not
+/// tell how many it has.
+impl Serialize for SimulationSettings {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        let Self { run, isolation, memory_limit, sandbox } = self;
+        let Ok(Value::Record(mut fields)) = Value::of(run) else {
+            return Err(serde::ser::Error::custom("the settings of a run are no record"));
+        };
+        let own = [
+            ("isolation", Value::of(isolation)),
+            ("memory_limit", Value::of(memory_limit)),
+            ("sandbox", Value::of(sandbox)),
+        ];
+        for (name, value) in own {
+            fields.insert(name.to_owned(), value.map_err(serde::ser::Error::custom)?);
+        }
+        fields.serialize(to)
     }
 }
 

@@ -126,9 +126,7 @@ fn files_that_are_no_fits_are_refused() {
         assert!(error.starts_with("a.fit: "), "{error}");
         error
     };
-    // Written again it is a fit still, though not with the same bytes: the lengths of all maps stand in it now.
-    let bytes = changed(&bytes, |_| ());
-    SavedFit::from_bytes(&bytes, "a.fit").unwrap();
+    assert_eq!(changed(&bytes, |_| ()), bytes);
     let other = refusal(&changed(&bytes, |items| *field(&mut items[0], "format_version") = 99.into()));
     assert!(other.contains("format 99") && other.contains("reads format 4"), "{other}");
     let kind = refusal(&changed(&bytes, |items| *field(&mut items[0], "format") = "something".into()));
