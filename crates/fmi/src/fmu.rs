@@ -53,6 +53,8 @@ struct Inner {
     quirks_seen: Mutex<Vec<Quirk>>,
     /// Variables are those of a point once a step is completed there.
     reads_at_steps: AtomicBool,
+    /// A run has come to its end in this process, so that it is known where variables can be read.
+    has_run: AtomicBool,
     /// Subjects of messages that simulations have logged; each is logged once.
     said: Mutex<Vec<&'static str>>,
     workers: Mutex<std::sync::Weak<Workers>>,
@@ -145,6 +147,7 @@ impl Fmu {
             real_references: OnceLock::new(),
             quirks_seen: Mutex::default(),
             reads_at_steps: AtomicBool::new(false),
+            has_run: AtomicBool::new(false),
             said: Mutex::default(),
             workers: Mutex::default(),
             description,
@@ -329,6 +332,17 @@ impl Fmu {
     /// True if a step is completed before every reading, because the FMU computes its variables only then.
     pub(crate) fn reads_at_steps(&self) -> bool {
         self.inner.reads_at_steps.load(Ordering::Relaxed)
+    }
+
+    /// Notes that a run has come to its end.
+    pub(crate) fn note_whole_run(&self) {
+        self.inner.has_run.store(true, Ordering::Relaxed);
+    }
+
+    /// True if a run has come to its end in this process. One that was ended before may not have found out
+    /// that its rows were read too early.
+    pub fn has_run(&self) -> bool {
+        self.inner.has_run.load(Ordering::Relaxed)
     }
 
     /// Makes a simulation, and once more if it has found out that its rows were read too early

@@ -144,16 +144,17 @@ impl Reader {
         if !self.is_evaluated {
             self.evaluate(running)?;
         }
-        let has_changed = reads_other(running)?;
+        let has_changed = compared(reads_other(running))?;
         let action = completed(running)?;
-        if action.event || action.terminate {
+        if action.event || action.terminate || has_changed.is_none() {
             return Ok(action);
         }
-        if reads_other(running)? {
+        let Some(is_other) = compared(reads_other(running))? else { return Ok(action) };
+        if is_other {
             running.plan.fmu().note_outputs_of_steps();
             return Err(CallError::failed(FmiError::ReadBetweenSteps));
         }
-        if has_changed {
+        if has_changed == Some(true) {
             self.row_points = if good + 1 < GOOD_STEPS { RowPoints::Open(good + 1) } else { RowPoints::Any };
         }
         Ok(action)
@@ -165,6 +166,15 @@ fn reads_other(running: &mut Running) -> CallResult<bool> {
     running.buffers.keep();
     running.read_outputs()?;
     Ok(!running.buffers.are_as_kept())
+}
+
+/// What was read for comparison alone; nothing where the model has no values.
+fn compared(read: CallResult<bool>) -> CallResult<Option<bool>> {
+    match read {
+        Ok(other) => Ok(Some(other)),
+        Err(CallError::Discard) => Ok(None),
+        Err(error) => Err(error),
+    }
 }
 
 /// Tells the model that a step is completed.

@@ -61,6 +61,9 @@ enum Finding {
 impl Simulator {
     /// Begins to note what the coming run answers, where it is not known yet how instances are brought back.
     pub(super) fn begin_first(&mut self, parameters: &[f64], wants_steps: bool) -> Option<Box<FirstRun>> {
+        // A run whose rows were read in another way is none to compare with.
+        let reads_at_steps = self.plan.fmu().reads_at_steps();
+        self.first = self.first.take().filter(|first| first.reads_at_steps == reads_at_steps);
         if self.first.is_some() || self.reuse().is_some() {
             return None;
         }
@@ -77,6 +80,9 @@ impl Simulator {
             return Ok(Checks::default());
         }
         let Some(mut first) = self.first.take() else { return Ok(Checks::default()) };
+        if first.reads_at_steps != self.plan.fmu().reads_at_steps() {
+            return Ok(Checks::default());
+        }
         let plan = Arc::clone(&self.plan);
         self.use_plan(&first.plan);
         let watch = Watch { observer, wants_steps: first.wants_steps, is_stopped: false };

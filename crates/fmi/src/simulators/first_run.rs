@@ -23,6 +23,8 @@ pub(super) struct FirstRun {
     pub(super) parameters: Vec<f64>,
     pub(super) wants_steps: bool,
     pub(super) digest: Digest,
+    /// Its rows were read as those of later runs are.
+    pub(super) reads_at_steps: bool,
     n_steps: u64,
     /// Seconds of its start, and of all of it.
     starting: f64,
@@ -39,6 +41,7 @@ impl FirstRun {
             parameters: parameters.to_vec(),
             wants_steps,
             digest: Digest::default(),
+            reads_at_steps: plan.fmu().reads_at_steps(),
             n_steps: 0,
             starting: 0.0,
             took: 0.0,

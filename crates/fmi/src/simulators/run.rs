@@ -6,7 +6,9 @@ use crate::description::{Causality, QuirkKind};
 use crate::error::FmiError;
 use crate::libraries::Reuse;
 use crate::sys::{Inside, is_worker};
-use ode::{Checks, ErrorKind, Ignore, Limits, Number, Observer, Report, Seconds, SimulationError, Stats};
+use ode::{
+    Checks, ErrorKind, Ignore, Limits, Number, Observer, Report, Seconds, SimulationError, Stats, Termination,
+};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -116,6 +118,11 @@ impl Simulator {
         let mut first = self.begin_first(parameters, observer.wants_steps());
         let limits = (checks.runs > 0).then(|| self.limits_after(checks));
         let mut outcome = self.engine.run(&self.plan, limits, observer);
+        if let Ok(report) = &outcome
+            && report.termination != Termination::StoppedByObserver
+        {
+            self.plan.fmu().note_whole_run();
+        }
         let input_functions = self.engine.running().seconds_in_input_functions();
         self.engine.running().pass_log_on();
         if is_worker() {

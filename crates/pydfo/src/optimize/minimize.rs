@@ -126,8 +126,10 @@ pub(crate) fn minimize<'py>(
             None => return Err(error::interrupted(py, last_progress.result(py)?.as_ref(), None)),
         }
     };
-    logs::pass_on(py)?;
-    let raised = objective.take_raised(&outcome).or_else(|| listener.and_then(|l| l.take_raised()));
+    // What a handler of the log raises costs no result.
+    let by_log = logs::pass_on(py).err();
+    let raised =
+        objective.take_raised(&outcome).or_else(|| listener.and_then(|l| l.take_raised())).or(by_log);
     conclude(py, &stop, raised, outcome, kind)
 }
 

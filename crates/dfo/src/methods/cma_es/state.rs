@@ -71,6 +71,9 @@ fn unbend(point: &mut [f64], space: &Space, handling: CmaBounds) {
     }
 }
 
+/// With fewer individuals the two of the step size would leave too few for other directions.
+const LEAST_FOR_TWO_POINTS: usize = 4;
+
 /// By how many of the ranks of a generation its first individual is better than its second; equal costs have
 /// one rank.
 fn lead(generation: &RankedPoints) -> f64 {
@@ -196,7 +199,8 @@ impl CmaRules {
         let step_of =
             |&slot: &usize| Some((self.steps.get(slot * n..(slot + 1) * n)?, *self.squared.get(slot)?));
         let ranked = generation.order()[..generation.n_finite()].iter().filter_map(step_of);
-        let lead = (self.lag == 0 && n >= TWO_POINTS_FROM).then(|| lead(generation));
+        let lead = (self.lag == 0 && n >= TWO_POINTS_FROM && generation.len() >= LEAST_FOR_TWO_POINTS)
+            .then(|| lead(generation));
         self.distribution.update(&self.weights, ranked, self.n_earlier == 0, lead, |k| space.size(k));
         // Wider than the box along every parameter it would be as good as uniform.
         let excess = |k: usize| match space.width(k) {
