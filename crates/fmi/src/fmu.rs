@@ -347,7 +347,7 @@ impl Fmu {
 
     /// Makes a simulation, and once more if it has found out that its rows were read too early
     /// ([`FmiError::ReadBetweenSteps`]).
-    pub fn simulated<T, E>(&self, mut simulate: impl FnMut() -> Result<T, E>) -> Result<T, E> {
+    pub fn repeat_if_read_early<T, E>(&self, mut simulate: impl FnMut() -> Result<T, E>) -> Result<T, E> {
         let known = self.reads_at_steps();
         match simulate() {
             Err(_) if self.reads_at_steps() != known => simulate(),

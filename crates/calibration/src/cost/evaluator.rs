@@ -111,14 +111,14 @@ impl Evaluator {
         mut lend: impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, NoCost>,
     ) -> Result<f64, NoCost> {
         let has_run = self.fmu.has_run();
-        let outcome = self.fmu.simulated(|| self.evaluate_once(x, rule, out, stats, &mut lend));
+        let outcome = self.fmu.repeat_if_read_early(|| self.evaluate_once(x, rule, out, stats, &mut lend));
         if has_run || self.fmu.has_run() || !matches!(outcome, Err(NoCost::Above)) {
             return outcome;
         }
         // The first run in this process was cut off: a model whose variables are computed late shows that at the end of a
         // step only.
         let whole = CostRule { cutoff: f64::INFINITY, ..rule };
-        let reread = self.fmu.simulated(|| self.evaluate_once(x, whole, out, stats, &mut lend));
+        let reread = self.fmu.repeat_if_read_early(|| self.evaluate_once(x, whole, out, stats, &mut lend));
         match reread {
             Ok(cost) if cost <= rule.cutoff => Ok(cost),
             Err(NoCost::Cancelled) => Err(NoCost::Cancelled),

@@ -166,13 +166,18 @@ impl LiveState {
         self.failed.push_front((x.to_vec(), reason.to_owned()));
     }
 
-    /// The residuals of the search that runs; `None` before any simulation has succeeded.
+    /// The residuals of the search that runs; `None` before any simulation has succeeded, and while the best
+    /// point is one of before.
     pub(crate) fn residuals(&self) -> Option<LiveResiduals> {
         let LiveSearch { layout, loss, kept } = self.search.as_ref()?;
         // As short as can be: the search waits for this lock.
         let (at_start, at_best) = {
             let kept = lock(kept);
-            (kept.at_start().map(<[f64]>::to_vec), kept.at_best()?.to_vec())
+            let at_best = match &self.best {
+                Some((_, cost)) => kept.at_best_within(*cost),
+                None => kept.at_best(),
+            };
+            (kept.at_start().map(<[f64]>::to_vec), at_best?.to_vec())
         };
         let plain = |residuals: Vec<f64>| {
             let weights = layout.outputs.iter().flat_map(|output| output.weights.iter());

@@ -75,6 +75,12 @@ impl KeptResiduals {
         self.best.as_ref().map(|best| best.residuals.as_slice()).or(self.at_start())
     }
 
+    /// Those at the point of the lowest cost; nothing while a lower one than that is known from before, as in
+    /// a search that was resumed.
+    pub(crate) fn at_best_within(&self, cost: f64) -> Option<&[f64]> {
+        self.best.as_ref().filter(|_| self.cost <= cost).map(|best| best.residuals.as_slice())
+    }
+
     /// Those at `x`, if they are known: at the point of the lowest cost, and at the start.
     pub(crate) fn at(&self, x: &[f64]) -> Option<&[f64]> {
         let best = self.best.as_ref().filter(|best| best.x == x).map(|best| best.residuals.as_slice());
@@ -182,6 +188,8 @@ mod tests {
             kept.note(&[x], cost, &[residual]);
         }
         assert_eq!([1.0, 0.5, 0.7].map(|x| kept.at(&[x])), [Some([3.0].as_slice()), Some(&[-1.0]), None]);
+        // Of a search that was resumed with a cost of 0.5 they are not those of the best point.
+        assert_eq!([1.0, 0.5].map(|cost| kept.at_best_within(cost)), [Some([-1.0].as_slice()), None]);
     }
 
     #[test]

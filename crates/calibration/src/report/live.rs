@@ -131,7 +131,7 @@ impl LiveSubject {
                 true => Vec::new(),
                 false => vec![cost_figure(state.costs, state.n_evaluations, state.n_failed)],
             },
-            outputs: output_figures(&found.map(|found| self.curves(&found)).unwrap_or_default()),
+            outputs: output_figures(&found.map(|found| self.curves(&found)).unwrap_or_default(), ""),
             more_outputs: n_outputs.saturating_sub(MOST_OUTPUTS),
             running: listed.collect(),
             n_failed: state.n_failed,

@@ -66,7 +66,7 @@ pub(super) fn page(
     context: &RunContext<'_>,
 ) -> Result<String, CalibrationError> {
     let page = Page {
-        outputs: output_figures(&calibration.curves(fit, context)?),
+        outputs: output_figures(&calibration.curves(fit, context)?, "The simulation at the start failed. "),
         search: [convergence(fit), waterfall(fit)].into_iter().flatten().collect(),
         correlation: correlation(fit),
         residual_checks: residual_checks(fit),
@@ -78,8 +78,9 @@ pub(super) fn page(
     Ok(template::page(&Summary::new(fit), &page))
 }
 
-/// Per output: measured, at the start, fitted; below, the residuals.
-pub(super) fn output_figures(experiments: &[ExperimentCurves]) -> Vec<Figure> {
+/// Per output: measured, at the start, fitted; below, the residuals. `without_start` is said where there is
+/// no simulation at the start.
+pub(super) fn output_figures(experiments: &[ExperimentCurves], without_start: &str) -> Vec<Figure> {
     let figure = |experiment: &ExperimentCurves, output: &OutputCurves| {
         let OutputCurves { measured, residuals, start, fitted } = output;
         let unit = measured.unit.as_ref().map_or_else(String::new, |unit| format!(" in {unit}"));
@@ -106,8 +107,8 @@ pub(super) fn output_figures(experiments: &[ExperimentCurves]) -> Vec<Figure> {
             1 => measured.variable.clone(),
             _ => format!("{}: {}", experiment.name, measured.variable),
         };
-        let failed = if start.is_none() { "The simulation at the start failed. " } else { "" };
-        let caption = format!("{failed}{}", figure::note(measured.times.len()));
+        let remark = if start.is_none() { without_start } else { "" };
+        let caption = format!("{remark}{}", figure::note(measured.times.len()));
         Figure { title, caption, svg: figure::draw(&panels, "time in s") }
     };
     experiments.iter().flat_map(|e| e.outputs.iter().map(move |output| figure(e, output))).collect()

@@ -4,9 +4,9 @@ use crate::description::{QuirkKind, Variable};
 use crate::error::{FmiError, Result};
 use crate::instance::Core;
 use crate::simulation::inputs::{InputPlan, InputState};
+use crate::simulation::output_reader::OutputReader;
 use crate::simulation::outside::Outside;
 use crate::simulation::plan::SimulationPlan;
-use crate::simulation::reader::Reader;
 use crate::simulation::running::{Mode, Running};
 use crate::simulation::variable_elements::RunInput;
 use crate::sys::{Direction, Fault, RawInstance};
@@ -33,7 +33,7 @@ pub(crate) struct System {
     last_states: Vec<f64>,
     /// The time event that the model announced.
     announced: Option<f64>,
-    reader: Reader,
+    reader: OutputReader,
     /// Time of the last event as the model saw it: a rounding error later than the driver's at most, and
     /// never gone back behind.
     floor: f64,
@@ -55,7 +55,7 @@ impl System {
             sent: Vec::with_capacity(plan.inputs.continuous.start().len()),
             set_time: None,
             set_states: None,
-            reader: Reader::new(n),
+            reader: OutputReader::new(n),
             states: vec![0.0; n],
             last_time: plan.start,
             last_states: vec![0.0; n],

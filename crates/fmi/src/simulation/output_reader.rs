@@ -45,7 +45,7 @@ impl Default for Freshness {
 
 /// Reads the variables that are recorded, at the point last set.
 #[derive(Debug)]
-pub(crate) struct Reader {
+pub(crate) struct OutputReader {
     freshness: Freshness,
     row_points: RowPoints,
     /// The answers to steps completed at rows, for the end of the step.
@@ -56,7 +56,7 @@ pub(crate) struct Reader {
     unused: Vec<f64>,
 }
 
-impl Reader {
+impl OutputReader {
     pub(crate) fn new(n_states: usize) -> Self {
         Self {
             freshness: Freshness::default(),
