@@ -1,7 +1,7 @@
 //! Calibrates a diesel exhaust pipe as Gedda, Andersson, Åkesson and Diehl (2012), section 6.2: first the right gas volume, then
 //! the left.
 //!
-//! A stiff model with five recorded inputs, its solver found by a race. The first 500 s of the recording are for the calibration,
+//! A stiff model with five recorded inputs, its solver found by comparison. The first 500 s of the recording are for the calibration,
 //! the rest for the validation. Then all four parameters are fitted at once: the fit says itself that the data does not tell
 //! them apart. Run with `cargo run --release --example exhaust`.
 
@@ -52,7 +52,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     for (stage, volume) in fit.stages.iter().zip(["right volume", "then left"]) {
         show(volume, stage, &validated(stage)?, nominal);
     }
-    for entry in fit.solver.race.iter().flat_map(|race| &race.entries) {
+    for entry in fit.solver.comparison.iter().flat_map(|comparison| &comparison.entries) {
         println!("{}: {:?} right-hand sides' work, {:?}", entry.method.name(), entry.work, entry.verdict);
     }
 

@@ -20,6 +20,7 @@ LAYERS = {
         data
         problem
         cost
+        loaded_problem
         check uncertainty
         fit
         intervals validation
@@ -39,7 +40,7 @@ LAYERS = {
         macros
         value
         error
-        cancel gate log platform
+        cancel_request gate log platform
         archive
         description
         sys

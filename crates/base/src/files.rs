@@ -208,14 +208,14 @@ pub fn is_at(file: &File, place: &Path) -> io::Result<bool> {
 /// Links are followed, the permissions of the file that was there are kept, and one that is read-only is
 /// refused. A device or a named pipe is not replaced: it gets the content at the end.
 #[derive(Debug)]
-pub struct Unfinished {
+pub struct AtomicFile {
     file: NamedTempFile,
     target: PathBuf,
     /// The device or pipe at the place.
     stream: Option<File>,
 }
 
-impl Unfinished {
+impl AtomicFile {
     /// Begins a file for this place.
     ///
     /// # Errors
@@ -315,9 +315,9 @@ impl Unfinished {
 /// Writes a file in one step.
 ///
 /// # Errors
-/// As [`Unfinished::new`] and [`Unfinished::finish`].
-pub fn write_whole(path: &Path, content: &[u8]) -> io::Result<()> {
-    let unfinished = Unfinished::new(path)?;
+/// As [`AtomicFile::new`] and [`AtomicFile::finish`].
+pub fn write_atomically(path: &Path, content: &[u8]) -> io::Result<()> {
+    let unfinished = AtomicFile::new(path)?;
     io::Write::write_all(&mut unfinished.file(), content)?;
     unfinished.finish()
 }
@@ -404,12 +404,12 @@ mod tests {
         fs::write(&file, "old").unwrap();
         fs::set_permissions(&file, fs::Permissions::from_mode(0o600)).unwrap();
         symlink("a.csv", &link).unwrap();
-        write_whole(&link, b"new").unwrap();
+        write_atomically(&link, b"new").unwrap();
         assert_eq!(fs::read(&file).unwrap(), b"new");
         assert_eq!(fs::metadata(&file).unwrap().permissions().mode() & 0o777, 0o600);
         assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
         fs::set_permissions(&file, fs::Permissions::from_mode(0o400)).unwrap();
-        let error = write_whole(&file, b"newer").unwrap_err();
+        let error = write_atomically(&file, b"newer").unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::PermissionDenied);
         assert_eq!(fs::read(&file).unwrap(), b"new");
         assert_eq!(names(folder.path()), ["a.csv", "link"]);
@@ -417,15 +417,15 @@ mod tests {
 
     #[test]
     fn devices_and_pipes_get_the_content() {
-        write_whole(Path::new("/dev/null"), b"anything").unwrap();
+        write_atomically(Path::new("/dev/null"), b"anything").unwrap();
         assert!(fs::metadata("/dev/null").unwrap().file_type().is_char_device());
         let folder = tempfile::tempdir().unwrap();
         let pipe = folder.path().join("pipe");
         assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
         // Nobody reads.
-        assert!(write_whole(&pipe, b"x").is_err());
+        assert!(write_atomically(&pipe, b"x").is_err());
         let reader = without_waiting(OpenOptions::new().read(true), 0).open(&pipe).unwrap();
-        write_whole(&pipe, b"through").unwrap();
+        write_atomically(&pipe, b"through").unwrap();
         let mut content = Vec::new();
         (&reader).read_to_end(&mut content).unwrap();
         assert_eq!(content, b"through");
@@ -457,9 +457,9 @@ mod tests {
     fn what_fails_leaves_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("a");
-        drop(Unfinished::new(&file).unwrap());
-        assert!(write_whole(folder.path(), b"x").is_err());
-        let message = write_whole(&folder.path().join("none/a"), b"x").unwrap_err().to_string();
+        drop(AtomicFile::new(&file).unwrap());
+        assert!(write_atomically(folder.path(), b"x").is_err());
+        let message = write_atomically(&folder.path().join("none/a"), b"x").unwrap_err().to_string();
         assert!(message.starts_with("there is no folder '"), "{message}");
         // Of a process that is gone.
         fs::write(folder.path().join(".a.writing-999999999-Xy"), "").unwrap();
@@ -472,7 +472,7 @@ mod tests {
     fn long_names_are_written() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("\u{e4}".repeat(127));
-        write_whole(&file, b"x").unwrap();
+        write_atomically(&file, b"x").unwrap();
         assert_eq!(fs::read(file).unwrap(), b"x");
     }
 }

@@ -7,11 +7,11 @@
 //! with its model loaded: [`Calibration::cost`], [`Calibration::residuals`] and [`Calibration::fit`].
 //!
 //! Folders, from the lowest: `data` (recordings, units, dates); `problem` (parameters, experiments, priors,
-//! settings, the fingerprint); `cost` (simulations, residuals and cost, worker processes, the choice of the
-//! solver); `check` (mistakes in a set-up), `uncertainty` (covariance, residual tests, active bounds, the
-//! same before a fit); `fit` (one stage, several stages); `intervals` (profiles, bands), `validation`;
-//! `report` (pages and figures), `export` (files, tables, other programs); `watch` (the page of a running
-//! fit).
+//! settings, the fingerprint); `cost` (residuals and cost of simulations, worker processes, the choice of the
+//! solver); `loaded_problem` ([`Calibration`], simulations around a point); `check` (mistakes in a set-up),
+//! `uncertainty` (covariance, residual tests, active bounds, the same before a fit); `fit` (one stage,
+//! several stages); `intervals` (profiles, bands), `validation`; `report` (pages and figures), `export`
+//! (files, tables, other programs); `watch` (the page of a running fit).
 #![forbid(unsafe_code)]
 
 mod check;
@@ -22,6 +22,7 @@ mod export;
 mod findings;
 mod fit;
 mod intervals;
+mod loaded_problem;
 mod problem;
 mod report;
 mod uncertainty;
@@ -30,13 +31,12 @@ mod watch;
 
 pub use base::RunContext;
 pub use check::{Check, CheckOptions};
-pub use cost::batch::Taken;
-pub use cost::calibration::{Calibration, CalibrationBuilder};
 pub use cost::process::ModelProcess;
-pub use cost::race::{Entry, Race, RaceOutcome, RaceTask, Verdict, race};
 pub use cost::residual::quad_err;
 pub use cost::solver::Solver;
-pub use cost::worker::serve_if_worker;
+pub use cost::solver_comparison::{
+    ComparedSolver, ComparisonOutcome, ComparisonTask, SolverComparison, Verdict, compare_solvers,
+};
 pub use data::{
     ClockChange, CsvRequest, Data, DateError, PairUnit, Series, TimeColumn, Unit, UnitConversion, UnitError,
     clock_change, date_seconds, find_column,
@@ -48,18 +48,21 @@ pub use export::{FitDocument, FmuExport, SavedFit, Table};
 pub use findings::finding::{Finding, Severity};
 pub use findings::hidden_characters::visible;
 pub use fit::live::LiveFit;
+pub use fit::one_stage::{
+    ChosenTolerance, Engine, EstimatedNoise, Fit, FitNoise, FitObserver, FitOptions, FitRecord, NoiseRule,
+    OutputNoise,
+};
 pub use fit::output_fit::OutputFit;
 pub use fit::phase::{CurrentPhase, FitPhase, PhaseCost};
 #[cfg(feature = "schema")]
 pub use fit::schema::{fit_schema, stage_schema};
-pub use fit::stage::{
-    ChosenTolerance, Engine, EstimatedNoise, Fit, FitNoise, FitObserver, FitOptions, FitRecord, NoiseRule,
-    OutputNoise,
-};
-pub use fit::stages::{Stage, StageRecord};
+pub use fit::several_stages::{Stage, StageRecord};
 pub use fmi;
 pub use intervals::bands::{BandOptions, PredictionBand};
 pub use intervals::profile::{ParameterProfile, Profile, ProfileEnd, ProfileOptions, ProfilePoint};
+pub use loaded_problem::calibration::{Calibration, CalibrationBuilder};
+pub use loaded_problem::simulations::Effort;
+pub use loaded_problem::worker::serve_if_worker;
 pub use problem::column_units::{InputColumn, recorded_inputs};
 pub use problem::definition::{ModelFile, Problem};
 pub use problem::experiment::{Experiment, InitialState, OutputScale, Weight};
@@ -73,11 +76,13 @@ pub use problem::settings::SimulationSettings;
 pub use problem::warning::{SETUP_LOG_TARGET, SetupWarning};
 pub use report::{ExperimentCurves, OutputCurves, Signal, plot};
 pub use uncertainty::active_bounds::BoundSide;
-pub use uncertainty::estimate::{
-    Effect, Estimator, Omitted, PartConflict, Parts, PriorConflict, ResidualCheck, Uncertainty,
-    UncertaintyOptions, Unmodelled, UnmodelledKind,
-};
+pub use uncertainty::diagnostics::omitted::{Effect, Omitted};
+pub use uncertainty::diagnostics::parameter_constancy::{DataSplit, PartConflict};
+pub use uncertainty::diagnostics::prior_check::PriorConflict;
+pub use uncertainty::diagnostics::residual_check::ResidualCheck;
+pub use uncertainty::diagnostics::unmodelled::{Unmodelled, UnmodelledKind};
 pub use uncertainty::preflight::{ParameterCheck, Preflight, PreflightOptions};
+pub use uncertainty::result::{Estimator, Uncertainty, UncertaintyOptions};
 pub use validation::cross_validation::{CrossValidation, CrossValidationOptions, Fold};
 pub use validation::held_out::{ValidatedOutput, Validation, ValidationSet};
 pub use watch::LivePage;

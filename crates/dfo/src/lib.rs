@@ -26,6 +26,9 @@
 //! [`AnyMethod`] has them by name; [`Optimizer`] (ask/tell) leaves the evaluations to the caller, an
 //! [`Evaluator`] of one's own ([`minimize_by`]) to a cluster, for example.
 //!
+//! The *path* of a run is the sequence of the points whose outcomes its decisions depend on: those that a run
+//! with one worker would evaluate. What other workers evaluate ahead of need is *speculative*.
+//!
 //! Properties of every method:
 //!
 //! - **The same bits for any number of workers.** Outcomes are taken in request order, random numbers come
@@ -57,14 +60,14 @@ mod values;
 
 pub use base::RunContext;
 pub use error::{Error, NothingFound};
-pub use evaluation::{BatchView, Evaluator, GivesUp, Polled, Wait};
+pub use evaluation::{BatchView, CutoffUse, Evaluator, Polled, Wait};
 pub use method::interface::{
-    AnswersSoFar, BarrierStage, Batch, Details, Lookahead, Method, MethodOptions, Operation, Optimum,
+    AnswersSoFar, BarrierStage, Batch, Lookahead, Method, MethodDetails, MethodOptions, Operation, Optimum,
     ProblemClass, Roughness, Setup, Simplex, SimplexView, Status,
 };
 pub use method::linear_model::{Covariance, LinearModel};
 pub use method::sampling::Sampling;
-pub use method::tolerances::{Extent, Limits, Tests, Tolerances};
+pub use method::tolerances::{Limits, TestedSet, ToleranceTests, Tolerances};
 pub use methods::{
     Adaptive, AnyMethod, Auto, Barrier, BarrierState, BoxedMethod, CmaBounds, CmaEs, CmaEsState,
     Coefficients, Crossover, DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState,
@@ -83,13 +86,13 @@ pub use problem::objective::{
 pub use problem::space::{Bounds, Space, typical_size};
 pub use run::checkpoint::{Checkpoint, Code, Resume};
 pub use run::minimize::{
-    ByHand, Driven, Minimize, by_hand, least_squares, minimize, minimize_batches, minimize_by,
+    ByHand, ByRun, Minimize, by_hand, least_squares, minimize, minimize_batches, minimize_by,
 };
 pub use run::optimizer::{Optimizer, Point};
-pub use run::options::{Known, RunOptions};
+pub use run::options::{KnownPoint, RunOptions};
 pub use run::progress::Progress;
 pub use run::report::{Report, Resumed};
 pub use run::requested::RequestedRun;
-pub use values::choices::{BoundsHandling, Kind, Measure, Search, Stop, Transform};
+pub use values::choices::{BoundsHandling, Kind, Search, StopRule, ToleranceMeasure, Transform};
 pub use values::fields::{field_names, read_known, read_part, read_record};
 pub use values::record::{Record, RecordError, Value};

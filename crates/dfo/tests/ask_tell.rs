@@ -5,8 +5,8 @@ mod common;
 
 use common::{PLANS, Problem, plan, probe, problems, rosenbrock};
 use dfo::{
-    Answers, Batch, Bounds, Details, Error, LeastSquares, Lookahead, Method, MethodOptions, NelderMeadState,
-    Outcome, Setup, Space, Status, Termination, minimize,
+    Answers, Batch, Bounds, Error, LeastSquares, Lookahead, Method, MethodDetails, MethodOptions,
+    NelderMeadState, Outcome, Setup, Space, Status, Termination, minimize,
 };
 
 fn search(problem: &Problem, p: Lookahead) -> NelderMeadState {
@@ -211,8 +211,8 @@ fn own_methods_can_be_driven() {
         fn status(&self) -> Status {
             if self.0 < 20 { Status::Running } else { Status::Ended(dfo::Termination::Converged) }
         }
-        fn details(&self) -> Details<'_> {
-            Details { n_iterations: self.0 as usize, plan: "serial", ..Details::default() }
+        fn details(&self) -> MethodDetails<'_> {
+            MethodDetails { n_iterations: self.0 as usize, plan: "serial", ..MethodDetails::default() }
         }
         fn best(&self) -> Option<(&[f64], f64)> {
             self.1.map(|v| (&self.2[..], v))

@@ -1,7 +1,7 @@
 //! An opened FMU: its file, its description, its library.
 
 use crate::archive::{Archive, Part};
-use crate::cancel::Cancel;
+use crate::cancel_request::CancelRequest;
 use crate::description::{
     Interface, ModelDescription, Quirk, QuirkKind, TERMINALS, Terminal, Variable, VariableKind, terminals,
 };
@@ -151,7 +151,7 @@ impl Fmu {
             said: Mutex::default(),
             workers: Mutex::default(),
             description,
-            options: OpenOptions { cancel: Cancel::default(), ..options.clone() },
+            options: OpenOptions { cancel: CancelRequest::default(), ..options.clone() },
             archive: Arc::new(archive),
         };
         Ok(Fmu { inner: Arc::new(inner), path: path.into() })
@@ -179,7 +179,7 @@ impl Fmu {
     /// # Errors
     /// The file cannot be read any more.
     pub fn description_file(&self) -> Result<Vec<u8>> {
-        self.inner.archive.description(self.inner.options.description.bytes, &Cancel::default())
+        self.inner.archive.description(self.inner.options.description.bytes, &CancelRequest::default())
     }
 
     /// The same FMU, opened by another path.
@@ -229,7 +229,7 @@ impl Fmu {
     pub fn terminals(&self) -> Result<Vec<Terminal>> {
         let limits = &self.inner.options.description;
         let name = format!("terminalsAndIcons/{TERMINALS}");
-        let bytes = self.inner.archive.read(&name, limits.bytes, &Cancel::default())?;
+        let bytes = self.inner.archive.read(&name, limits.bytes, &CancelRequest::default())?;
         bytes.map_or(Ok(Vec::new()), |bytes| terminals(&bytes, limits))
     }
 
@@ -244,7 +244,7 @@ impl Fmu {
     /// The folder that holds what the library may look for when it runs; unpacked now if it was not before,
     /// or if somebody has removed it.
     pub(crate) fn running_root(&self) -> Result<PathBuf> {
-        self.inner.archive.unpack_part(Part::Running, &Cancel::default())
+        self.inner.archive.unpack_part(Part::Running, &CancelRequest::default())
     }
 
     /// SHA-256 of its content, in hexadecimal; computed when it is first asked for.
@@ -396,9 +396,9 @@ impl Fmu {
     pub fn unpack_for_copies(&self) -> Result<()> {
         let archive = self.archive();
         if archive.serves_copies() {
-            let root = archive.unpack_part(Part::Running, &Cancel::default())?;
+            let root = archive.unpack_part(Part::Running, &CancelRequest::default())?;
             if self.interfaces().any(|(_, interface)| self.find_binary(&root, interface).is_err()) {
-                archive.unpack_part(Part::Sources, &Cancel::default())?;
+                archive.unpack_part(Part::Sources, &CancelRequest::default())?;
             }
         }
         Ok(())
@@ -411,7 +411,7 @@ impl Fmu {
     /// There is none, and it cannot be built.
     pub fn provide_libraries(&self) -> Result<()> {
         let (archive, loader) = (self.archive(), self.inner.options.loader);
-        let cancel = Cancel::default();
+        let cancel = CancelRequest::default();
         for (kind, interface) in self.interfaces() {
             let find = || self.library_file(interface, &cancel);
             self.inner.libraries.source(kind, archive, loader, &find)?;
@@ -424,7 +424,7 @@ impl Fmu {
     ///
     /// # Errors
     /// The FMU cannot be run here (see [`FmiError`]); [`FmiError::Cancelled`].
-    pub fn prepare(&self, kind: Kind, cancel: &Cancel) -> Result<()> {
+    pub fn prepare(&self, kind: Kind, cancel: &CancelRequest) -> Result<()> {
         self.library(self.choose(kind)?, Some(&[]), cancel, &mut || !cancel.is_asked()).map(|_| ())
     }
 
@@ -439,7 +439,7 @@ impl Fmu {
         &self,
         kind: InterfaceKind,
         settings: Option<&[Setting]>,
-        cancel: &Cancel,
+        cancel: &CancelRequest,
         wait: &mut dyn FnMut() -> bool,
     ) -> Result<Arc<LoadedLibrary>> {
         let interface = self.check_interface(kind)?;
@@ -457,7 +457,7 @@ impl Fmu {
     }
 
     /// The file of the library for this platform, as the FMU had it when it was opened.
-    fn library_file(&self, interface: &Interface, cancel: &Cancel) -> Result<LibraryFile> {
+    fn library_file(&self, interface: &Interface, cancel: &CancelRequest) -> Result<LibraryFile> {
         let library = self.binary(interface, cancel)?;
         let archive = self.archive();
         if let Some(file) = archive.changed_library() {
@@ -548,7 +548,7 @@ impl Fmu {
     }
 
     /// The file of the library for this platform: unpacked, or built from the sources.
-    pub(crate) fn binary(&self, interface: &Interface, cancel: &Cancel) -> Result<PathBuf> {
+    pub(crate) fn binary(&self, interface: &Interface, cancel: &CancelRequest) -> Result<PathBuf> {
         let (archive, description) = (&self.inner.archive, self.description());
         let find = |part| self.find_binary(&archive.unpack_part(part, cancel)?, interface);
         match find(Part::Running) {

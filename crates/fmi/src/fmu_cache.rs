@@ -1,7 +1,7 @@
 //! A cache of opened FMUs, by file and by content.
 
 use crate::archive::Archive;
-use crate::cancel::Cancel;
+use crate::cancel_request::CancelRequest;
 use crate::error::{FmiError, Result};
 use crate::fmu::Fmu;
 use crate::open_options::OpenOptions;
@@ -78,7 +78,7 @@ impl FmuCache {
             if entries.len() >= self.capacity {
                 dropped.push(entries.remove(0));
             }
-            let options = OpenOptions { cancel: Cancel::default(), ..options.clone() };
+            let options = OpenOptions { cancel: CancelRequest::default(), ..options.clone() };
             entries.push(Entry { key, options, fmu: fmu.clone() });
             dropped
         };

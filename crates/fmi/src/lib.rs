@@ -34,7 +34,7 @@
 #![deny(unsafe_code)]
 
 pub mod archive;
-mod cancel;
+mod cancel_request;
 pub mod description;
 pub mod error;
 mod fmu;
@@ -57,7 +57,7 @@ mod write_start_values;
 
 pub use self::log::LogFilter;
 pub use archive::{Archive, ArchiveLimits};
-pub use cancel::Cancel;
+pub use cancel_request::CancelRequest;
 pub use description::{DescriptionLimits, ModelDescription, Variable};
 pub use error::{CallFailure, EntryProblem, FmiError, LogLine, Result, Status};
 pub use fmu::{Fmu, Kind};

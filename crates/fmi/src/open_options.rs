@@ -1,7 +1,7 @@
 //! Options for opening an FMU.
 
 use crate::archive::ArchiveLimits;
-use crate::cancel::Cancel;
+use crate::cancel_request::CancelRequest;
 use crate::description::DescriptionLimits;
 use crate::log::LogFilter;
 use crate::source::COMPILE_TIME;
@@ -33,7 +33,7 @@ pub struct OpenOptions {
     pub compile_time: Duration,
     /// Ends the opening early. It is not looked at any more when the FMU is open.
     #[serde(skip)]
-    pub cancel: Cancel,
+    pub cancel: CancelRequest,
 }
 
 impl Default for OpenOptions {
@@ -45,7 +45,7 @@ impl Default for OpenOptions {
             tool_is_present: false,
             logging: LogOptions::default(),
             compile_time: COMPILE_TIME,
-            cancel: Cancel::default(),
+            cancel: CancelRequest::default(),
         }
     }
 }

@@ -7,7 +7,7 @@ mod promises;
 mod zip_bytes;
 
 use fmi::description::QuirkKind;
-use fmi::{Archive, ArchiveLimits, Cancel, EntryProblem, FmiError, Fmu};
+use fmi::{Archive, ArchiveLimits, CancelRequest, EntryProblem, FmiError, Fmu};
 use proptest::prelude::*;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -27,7 +27,7 @@ fn open(bytes: &[u8]) -> Result<Archive, FmiError> {
 }
 
 fn open_with(bytes: &[u8], limits: &ArchiveLimits) -> Result<Archive, FmiError> {
-    let archive = Archive::open_with(file(bytes).path(), limits, &Cancel::default())?;
+    let archive = Archive::open_with(file(bytes).path(), limits, &CancelRequest::default())?;
     archive.unpack()?;
     Ok(archive)
 }

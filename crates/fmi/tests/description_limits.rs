@@ -4,7 +4,7 @@
 mod zip_bytes;
 
 use fmi::{
-    Archive, Cancel, DescriptionLimits, FmiError, Fmu, ModelDescription, OpenOptions, SimulateOptions,
+    Archive, CancelRequest, DescriptionLimits, FmiError, Fmu, ModelDescription, OpenOptions, SimulateOptions,
 };
 use std::fs;
 use std::sync::Arc;
@@ -243,7 +243,7 @@ fn no_document_takes_more_than_eight_times_the_limit() {
         let archive = Archive::open(&path).unwrap();
         let mut outcome = None;
         let used = allocation_counter::measure(|| {
-            outcome = Some(ModelDescription::read_with(&archive, &limits, &Cancel::default()));
+            outcome = Some(ModelDescription::read_with(&archive, &limits, &CancelRequest::default()));
         });
         // What inflating takes stands in no relation to the size.
         let most = 8 * LIMIT as u64 + (512 << 10);
@@ -266,10 +266,11 @@ fn an_ordinary_document_of_the_limit_is_read() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("modelDescription.xml"), fmi2("", &variables, "")).unwrap();
     let archive = Archive::open(folder.path()).unwrap();
-    let model = ModelDescription::read_with(&archive, &limits, &Cancel::default()).unwrap();
+    let model = ModelDescription::read_with(&archive, &limits, &CancelRequest::default()).unwrap();
     assert!(model.variables.len() > 2500);
     let small = DescriptionLimits { bytes: LIMIT as u64 / 2, ..limits };
-    let message = ModelDescription::read_with(&archive, &small, &Cancel::default()).unwrap_err().to_string();
+    let message =
+        ModelDescription::read_with(&archive, &small, &CancelRequest::default()).unwrap_err().to_string();
     assert!(message.contains(&format!("limit of {}", LIMIT / 2)), "{message}");
 }
 
@@ -358,7 +359,7 @@ fn folders_are_counted() {
 #[test]
 fn opening_ends_soon_after_it_is_cancelled() {
     let flag = Arc::new(AtomicBool::new(true));
-    let options = OpenOptions { cancel: Cancel::when(Arc::clone(&flag)), ..OpenOptions::default() };
+    let options = OpenOptions { cancel: CancelRequest::when(Arc::clone(&flag)), ..OpenOptions::default() };
     let folder = folder_of(&fmi3("", "", ""));
     assert!(matches!(Fmu::open_with(folder.path(), &options), Err(FmiError::Cancelled)));
     flag.store(false, std::sync::atomic::Ordering::Relaxed);

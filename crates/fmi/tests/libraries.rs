@@ -193,7 +193,7 @@ fn dropping_waits_for_nobody() {
 fn waiting_ends_when_the_simulation_is_cancelled_or_its_time_is_up() {
     let folder = evil_with(&["ONE_SET"], driven);
     let fmu = folder.open();
-    fmu.prepare(Kind::Auto, &fmi::Cancel::default()).unwrap();
+    fmu.prepare(Kind::Auto, &fmi::CancelRequest::default()).unwrap();
     with_a_simulation_inside(&fmu, || {
         // What sets the same variables is in the same library.
         let inputs = Inputs::new().table(vec![0.0, 1.0], [("u", vec![0.0, 0.0])]);

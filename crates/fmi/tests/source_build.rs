@@ -275,7 +275,7 @@ fn ends_the_compiler() {
     let started = PathBuf::from(std::env::var("CC").unwrap() + ".started");
     let root = tempfile::tempdir().unwrap();
     bundled(root.path());
-    let run = |seconds: u64, cancel: &fmi::Cancel| {
+    let run = |seconds: u64, cancel: &fmi::CancelRequest| {
         let compile_time = Duration::from_secs(seconds);
         let options = fmi::OpenOptions { compile_time, ..fmi::OpenOptions::default() };
         let fmu = fmi::Fmu::open_with(root.path(), &options).unwrap();
@@ -291,7 +291,7 @@ fn ends_the_compiler() {
         assert!(is_gone, "{child}");
         (error, ended)
     };
-    let message = run(1, &fmi::Cancel::default()).0.to_string();
+    let message = run(1, &fmi::CancelRequest::default()).0.to_string();
     assert!(
         message.contains("ended after 1 s") && message.contains("OpenOptions::compile_time"),
         "{message}"
@@ -305,7 +305,7 @@ fn ends_the_compiler() {
             Instant::now()
         }
     });
-    let (error, ended) = run(60, &fmi::Cancel::when(flag));
+    let (error, ended) = run(60, &fmi::CancelRequest::when(flag));
     assert!(matches!(error, FmiError::Cancelled), "{error}");
     let late = ended.saturating_duration_since(raised.join().unwrap());
     assert!(late < Duration::from_secs(5), "{late:?}");

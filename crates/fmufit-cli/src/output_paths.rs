@@ -25,7 +25,7 @@ pub(crate) fn check_written<'p>(
         }
         // Found now, not after hours of work. A pipe is opened once.
         if !std::fs::metadata(path).is_ok_and(|there| !there.is_file() && !there.is_dir()) {
-            drop(base::files::Unfinished::new(path).map_err(Error::write(path))?);
+            drop(base::files::AtomicFile::new(path).map_err(Error::write(path))?);
         }
         earlier.push(own);
     }

@@ -37,7 +37,7 @@ mod stopwatch;
 mod system;
 mod tableau;
 
-pub use driver::{Driver, Stopped, Watch};
+pub use driver::{Driver, EndConditions, Stopped};
 pub use error::{ErrorKind, Evaluated, NotFinite, Report, SimulationError, Termination, Undetermined};
 pub use number::Number;
 pub use observer::{EventRecord, Ignore, Observer, Sample, Side, StepView};

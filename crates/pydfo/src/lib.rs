@@ -19,6 +19,8 @@ mod core_module {
     use pyo3::prelude::*;
 
     #[pymodule_export]
+    use super::calibration::calibration_class::PyCalibration;
+    #[pymodule_export]
     use super::calibration::data::{
         PyTable, check_regular, clock_change, date_seconds, find_column, find_time,
     };
@@ -28,8 +30,6 @@ mod core_module {
     use super::calibration::fit::PyFit;
     #[pymodule_export]
     use super::calibration::live_page::PyLivePage;
-    #[pymodule_export]
-    use super::calibration::native::PyCalibration;
     #[pymodule_export]
     use super::calibration::profile::profile;
     #[pymodule_export]
@@ -53,7 +53,7 @@ mod core_module {
     #[pymodule_export]
     use super::model::instance::{PyInstance, PySavedState};
     #[pymodule_export]
-    use super::model::native::Model;
+    use super::model::model_class::Model;
     #[pymodule_export]
     use super::ode::solve::solve;
     #[pymodule_export]

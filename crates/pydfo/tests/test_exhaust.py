@@ -127,7 +127,7 @@ def test_the_cost_is_smooth_across_the_kinks_of_the_inputs(solver, rtol, record)
         assert abs(calibration.cost(moved) / cost - 1) < smooth
 
 
-def test_the_solver_of_a_stiff_fit_is_raced_once_and_reported():
+def test_the_solver_of_a_stiff_fit_is_compared_once_and_reported():
     time = np.arange(121.0)
     load = 0.5 - 0.4 * np.cos(0.05 * time)
     inputs = {
@@ -151,18 +151,18 @@ def test_the_solver_of_a_stiff_fit_is_raced_once_and_reported():
         )
 
     calibration = calibrate("auto")
-    assert calibration.race is None
+    assert calibration.solver_comparison is None
     fit = calibration.fit(max_evaluations=5)
     assert fit.solver == calibration.solver
-    assert [entry.solver for entry in fit.race] == ["auto", "bdf", "radau5"]
-    winner = next(entry for entry in fit.race if entry.solver == fit.solver)
+    assert [entry.solver for entry in fit.solver_comparison] == ["auto", "bdf", "radau5"]
+    winner = next(entry for entry in fit.solver_comparison if entry.solver == fit.solver)
     assert winner.verdict == "agrees" and winner.deviation <= 5
     # The least work at equal error, which goes with the sixth root of the error.
-    price = {entry.solver: entry.work * entry.deviation ** (1 / 6) for entry in fit.race if entry.verdict == "agrees"}
-    assert min(price, key=price.get) == fit.solver, fit.race
+    price = {entry.solver: entry.work * entry.deviation ** (1 / 6) for entry in fit.solver_comparison if entry.verdict == "agrees"}
+    assert min(price, key=price.get) == fit.solver, fit.solver_comparison
     assert calibrate(fit.solver).cost(fit.x) == fit.cost == calibration.cost(fit.x)
     named = calibrate("radau5").fit(max_evaluations=3)
-    assert (named.solver, named.race) == ("radau5", None)
+    assert (named.solver, named.solver_comparison) == ("radau5", None)
 
 
 @pytest.mark.parametrize("which", AT_HAND)
@@ -192,7 +192,7 @@ def test_both_stages_are_fitted_as_well_as_with_an_accurate_method(which):
         return found
 
     for fit, accurate in zip(stages("auto", None), stages("radau5", 1e-8)):
-        assert all(entry.deviation <= 5 for entry in fit.race if entry.solver == fit.solver)
+        assert all(entry.deviation <= 5 for entry in fit.solver_comparison if entry.solver == fit.solver)
         assert fit.success and fit.cost == pytest.approx(accurate.cost, rel=1e-4)
         # Least squares needs so few that one more round of a stencil is a large share.
         assert fit.nfev <= max(1.25 * accurate.nfev, accurate.nfev + 3)

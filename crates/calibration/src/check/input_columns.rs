@@ -3,7 +3,7 @@
 
 use super::checked_experiment::Subject;
 use super::columns::{FEW_VALUES, frozen, longest_run, n_distinct, placeholder};
-use super::parameters::{Given, beside_the_model};
+use super::parameters::{GivenRange, beside_the_model};
 use super::simulated_outputs::{range, rounded, rounded_time, size_of_difference};
 use crate::data::sampling_interval;
 use crate::findings::finding::{Finding, Severity};
@@ -77,7 +77,7 @@ pub(super) fn findings(subject: &Subject<'_>) -> Vec<Finding> {
         let given = rows.extent().filter(|_| spike.is_none());
         let beside = given.and_then(|(lowest, highest)| {
             let noise = NOISE * (highest - lowest);
-            let given = Given { lowest: lowest + noise, highest: highest - noise, is_constant: false };
+            let given = GivenRange { lowest: lowest + noise, highest: highest - noise, is_constant: false };
             beside_the_model(variable, given)
         });
         if let Some(beside) = beside {

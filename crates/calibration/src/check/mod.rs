@@ -21,10 +21,10 @@ pub(crate) use model::unstated_noise;
 pub use options::CheckOptions;
 pub use result::Check;
 
-use crate::cost::calibration::Calibration;
 use crate::cost::residual::PointResiduals;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
+use crate::loaded_problem::calibration::Calibration;
 use base::RunContext;
 use checked_experiment::Subject;
 use ode::Stats;

@@ -136,7 +136,7 @@ pub(super) fn far_from_own_start(
 
 /// Values that are given for a variable.
 #[derive(Clone, Copy)]
-pub(super) struct Given {
+pub(super) struct GivenRange {
     pub(super) lowest: f64,
     pub(super) highest: f64,
     /// True for one value, which is compared with the model's own: a signal may start anywhere.
@@ -144,8 +144,8 @@ pub(super) struct Given {
 }
 
 /// What the model states that values do not go with: its range, its own start value; `None` if they do.
-pub(super) fn beside_the_model(variable: &Variable, given: Given) -> Option<String> {
-    let Given { lowest, highest, is_constant } = given;
+pub(super) fn beside_the_model(variable: &Variable, given: GivenRange) -> Option<String> {
+    let GivenRange { lowest, highest, is_constant } = given;
     let is_below = variable.min.is_some_and(|min| lowest < min);
     let is_above = variable.max.is_some_and(|max| highest > max);
     if is_below || is_above {
@@ -177,7 +177,8 @@ pub(super) fn given_values(subject: &Subject<'_>, parameters: &[Parameter]) -> V
     let of = |(name, what, value): (&String, &str, f64)| {
         let variable = declared(description, name)?;
         let unit = variable.unit.as_deref().unwrap_or_default();
-        let beside = beside_the_model(variable, Given { lowest: value, highest: value, is_constant: true })?;
+        let beside =
+            beside_the_model(variable, GivenRange { lowest: value, highest: value, is_constant: true })?;
         let in_unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
         Some(Finding::warning(
             format!("{prefix}{what} of '{name}'"),

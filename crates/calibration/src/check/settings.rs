@@ -2,10 +2,10 @@
 
 use super::simulated_outputs::{Evaluations, Place, all_series, rounded, size, size_of_difference};
 use crate::cost::accuracy::Accuracy;
-use crate::cost::calibration::Calibration;
 use crate::cost::residual::PointResiduals;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
+use crate::loaded_problem::calibration::Calibration;
 use dfo::RobustLoss;
 use ode::Number;
 

@@ -2,11 +2,11 @@
 
 use super::checked_experiment::Subject;
 use super::simulated_outputs::{Evaluations, Outputs, all_series, rounded, rounded_time, unexplained};
-use crate::cost::calibration::Calibration;
-use crate::cost::failure::NoCost;
+use crate::cost::failure::CostFailure;
 use crate::cost::residual::CostRule;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
+use crate::loaded_problem::calibration::Calibration;
 use dfo::RobustLoss;
 use ode::Number;
 use std::time::{Duration, Instant};
@@ -205,7 +205,7 @@ fn left_by(
     let rule = CostRule::whole(RobustLoss::default(), &context);
     match calibration.evaluate_into(&calibration.start(), rule, &mut residuals, &mut evaluations.stats) {
         Ok(_) => Ok(Some(unexplained(&all_series(calibration, &residuals)))),
-        Err(NoCost::Cancelled) if evaluations.context.is_over() => Err(CalibrationError::Cancelled),
+        Err(CostFailure::Cancelled) if evaluations.context.is_over() => Err(CalibrationError::Cancelled),
         Err(_) => Ok(None),
     }
 }

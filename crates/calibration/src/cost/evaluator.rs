@@ -1,8 +1,8 @@
 //! A problem with its model loaded: residuals and cost at any point.
 
-use crate::cost::failure::NoCost;
+use crate::cost::failure::CostFailure;
 use crate::cost::process::Remote;
-use crate::cost::residual::{Accumulator, CostRule, Stop, sum_of_squares};
+use crate::cost::residual::{Accumulator, CostRule, StopReason, sum_of_squares};
 use crate::cost::simulation::Simulation;
 use crate::error::CalibrationError;
 use crate::problem::assignment::{Affine, Assignments, tied_values};
@@ -12,7 +12,7 @@ use crate::problem::parameter::Parameter;
 use crate::problem::residual_layout::{PriorResidual, ResidualLayout};
 use crate::problem::warning::SetupWarning;
 use dfo::FailureKind;
-use fmi::error::Told;
+use fmi::error::ReportedError;
 use fmi::{FmiError, Fmu, Simulator};
 use ode::{Number, Report, Stats};
 use std::sync::OnceLock;
@@ -37,7 +37,7 @@ pub(crate) struct Evaluator {
     /// Processes in which the model runs, or why it runs in this one (`None`: that was asked for).
     pub(crate) remote: Result<Remote, Option<String>>,
     /// The error after which no simulation can be made any more.
-    pub(crate) over: OnceLock<Told>,
+    pub(crate) over: OnceLock<ReportedError>,
     /// Time that the longest of the evaluations that were ended had taken, in us.
     pub(crate) longest_ended: AtomicU64,
 }
@@ -108,11 +108,11 @@ impl Evaluator {
         rule: CostRule<'_>,
         out: &mut [f64],
         stats: &mut Stats,
-        mut lend: impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, NoCost>,
-    ) -> Result<f64, NoCost> {
+        mut lend: impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, CostFailure>,
+    ) -> Result<f64, CostFailure> {
         let has_run = self.fmu.has_run();
         let outcome = self.fmu.repeat_if_read_early(|| self.evaluate_once(x, rule, out, stats, &mut lend));
-        if has_run || self.fmu.has_run() || !matches!(outcome, Err(NoCost::Above)) {
+        if has_run || self.fmu.has_run() || !matches!(outcome, Err(CostFailure::Above)) {
             return outcome;
         }
         // The first run in this process was cut off: a model whose variables are computed late shows that at the end of a
@@ -121,7 +121,7 @@ impl Evaluator {
         let reread = self.fmu.repeat_if_read_early(|| self.evaluate_once(x, whole, out, stats, &mut lend));
         match reread {
             Ok(cost) if cost <= rule.cutoff => Ok(cost),
-            Err(NoCost::Cancelled) => Err(NoCost::Cancelled),
+            Err(CostFailure::Cancelled) => Err(CostFailure::Cancelled),
             _ => outcome,
         }
     }
@@ -132,8 +132,8 @@ impl Evaluator {
         rule: CostRule<'_>,
         out: &mut [f64],
         stats: &mut Stats,
-        lend: &mut impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, NoCost>,
-    ) -> Result<f64, NoCost> {
+        lend: &mut impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, CostFailure>,
+    ) -> Result<f64, CostFailure> {
         // The running sum is in the order of time, the cost in that of the residuals. The sums of n numbers above 0 in two orders
         // differ by less than 2 n units of rounding (Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 4.2).
         let running =
@@ -141,7 +141,7 @@ impl Evaluator {
         let (mut rest, priors) = out.split_at_mut(self.layout.n_measurements());
         let mut sum = self.prior_residuals(x, rule, priors)?;
         if sum > running.cutoff {
-            return Err(NoCost::Above);
+            return Err(CostFailure::Above);
         }
         for (k, simulation) in self.simulations.iter().enumerate() {
             let (part, others) = rest.split_at_mut(simulation.comparison.n_residuals());
@@ -161,7 +161,7 @@ impl Evaluator {
             })?;
         }
         let cost = sum_of_squares(out);
-        if cost > rule.cutoff { Err(NoCost::Above) } else { Ok(cost) }
+        if cost > rule.cutoff { Err(CostFailure::Above) } else { Ok(cost) }
     }
 
     /// The residuals of the priors, and the sum of their squares.
@@ -170,13 +170,13 @@ impl Evaluator {
         x: &[f64],
         rule: CostRule<'_>,
         out: &mut [f64],
-    ) -> Result<f64, NoCost> {
+    ) -> Result<f64, CostFailure> {
         for (PriorResidual { parameter, prior, .. }, out) in self.layout.priors.iter().zip(&mut *out) {
             *out = rule.loss.transform(prior.residual(x[*parameter]));
             if !out.is_finite() {
                 let (name, value) = (self.parameters[*parameter].name(), Number(x[*parameter]));
                 let reason = format!("the prior of '{name}' is not defined at {value}");
-                return Err(NoCost::failed(FailureKind::NotFinite, reason));
+                return Err(CostFailure::failed(FailureKind::NotFinite, reason));
             }
         }
         Ok(sum_of_squares(out))
@@ -188,16 +188,21 @@ impl Evaluator {
         k: usize,
         accumulator: &Accumulator<'_>,
         ran: Result<Report, FmiError>,
-    ) -> Result<f64, NoCost> {
+    ) -> Result<f64, CostFailure> {
         match accumulator.stop {
-            Some(Stop::AboveCutoff) => return Err(NoCost::Above),
-            Some(Stop::Cancelled) => return Err(NoCost::Cancelled),
-            Some(Stop::NotFinite(output)) => {
+            Some(StopReason::AboveCutoff) => return Err(CostFailure::Above),
+            Some(StopReason::Cancelled) => return Err(CostFailure::Cancelled),
+            Some(StopReason::NotFinite(output)) => {
                 let name = &self.problem.experiments[k].outputs[output].variable;
                 let reason = format!("the residual of '{name}' is not finite");
                 let time = accumulator.last_time(output).unwrap_or(f64::NAN);
                 let message = format!("{reason} at t = {}", Number(time));
-                return Err(NoCost::Failed { kind: FailureKind::NotFinite, reason, message, source: None });
+                return Err(CostFailure::Failed {
+                    kind: FailureKind::NotFinite,
+                    reason,
+                    message,
+                    source: None,
+                });
             }
             None => {}
         }
@@ -206,7 +211,7 @@ impl Evaluator {
             return Ok(accumulator.sum);
         }
         let reason = format!("the model ended the simulation before the last measurement, at t = {end}");
-        Err(NoCost::failed(FailureKind::Error, reason))
+        Err(CostFailure::failed(FailureKind::Error, reason))
     }
 }
 

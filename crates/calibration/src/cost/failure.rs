@@ -3,13 +3,13 @@
 use crate::error::CalibrationError;
 use dfo::FailureKind;
 use fmi::FmiError;
-use fmi::error::{EndKind, Told};
+use fmi::error::{EndKind, ReportedError};
 use fmi::platform::without_private_folders;
 use ode::{ErrorKind, NotFinite};
 use serde::{Deserialize, Serialize};
 
 /// Why there is no cost at a point.
-pub(crate) enum NoCost {
+pub(crate) enum CostFailure {
     /// The cost is strictly above the cutoff.
     Above,
     /// The run is being ended.
@@ -21,7 +21,7 @@ pub(crate) enum NoCost {
     Failed { kind: FailureKind, reason: String, message: String, source: Option<Box<FmiError>> },
 }
 
-impl NoCost {
+impl CostFailure {
     /// A failure that is not one of the model.
     pub(crate) fn failed(kind: FailureKind, reason: String) -> Self {
         Self::Failed { kind, message: reason.clone(), reason, source: None }
@@ -66,47 +66,47 @@ pub(crate) struct PointFailure {
     pub(crate) source: Option<Box<FmiError>>,
 }
 
-/// A [`NoCost`] on its way from a worker process.
+/// A [`CostFailure`] on its way from a worker process.
 #[derive(Debug, Serialize, Deserialize)]
-pub(crate) enum ToldNoCost {
+pub(crate) enum ReportedCostFailure {
     Above,
     Cancelled,
-    Over(Told),
-    Failed { kind: FailureKind, reason: String, message: String, source: Option<Told> },
+    Over(ReportedError),
+    Failed { kind: FailureKind, reason: String, message: String, source: Option<ReportedError> },
 }
 
-impl ToldNoCost {
+impl ReportedCostFailure {
     /// True if it concerns the process or its files rather than the point.
     pub(crate) fn is_of_process(&self) -> bool {
         match self {
             Self::Over(told) => told.is_of_process(),
-            Self::Failed { source, .. } => source.as_ref().is_some_and(Told::is_of_process),
+            Self::Failed { source, .. } => source.as_ref().is_some_and(ReportedError::is_of_process),
             Self::Above | Self::Cancelled => false,
         }
     }
 }
 
-impl From<NoCost> for ToldNoCost {
-    fn from(no_cost: NoCost) -> Self {
+impl From<CostFailure> for ReportedCostFailure {
+    fn from(no_cost: CostFailure) -> Self {
         match no_cost {
-            NoCost::Above => Self::Above,
-            NoCost::Cancelled => Self::Cancelled,
-            NoCost::Over(error) => Self::Over(error.told()),
-            NoCost::Failed { kind, reason, message, source } => {
+            CostFailure::Above => Self::Above,
+            CostFailure::Cancelled => Self::Cancelled,
+            CostFailure::Over(error) => Self::Over(error.told()),
+            CostFailure::Failed { kind, reason, message, source } => {
                 Self::Failed { kind, reason, message, source: source.map(|source| source.told()) }
             }
         }
     }
 }
 
-impl From<ToldNoCost> for NoCost {
-    fn from(told: ToldNoCost) -> Self {
-        let error = |told: Told| Box::new(FmiError::Told(Box::new(told)));
+impl From<ReportedCostFailure> for CostFailure {
+    fn from(told: ReportedCostFailure) -> Self {
+        let error = |told: ReportedError| Box::new(FmiError::ReportedError(Box::new(told)));
         match told {
-            ToldNoCost::Above => Self::Above,
-            ToldNoCost::Cancelled => Self::Cancelled,
-            ToldNoCost::Over(told) => Self::Over(error(told)),
-            ToldNoCost::Failed { kind, reason, message, source } => {
+            ReportedCostFailure::Above => Self::Above,
+            ReportedCostFailure::Cancelled => Self::Cancelled,
+            ReportedCostFailure::Over(told) => Self::Over(error(told)),
+            ReportedCostFailure::Failed { kind, reason, message, source } => {
                 Self::Failed { kind, reason, message, source: source.map(error) }
             }
         }
@@ -114,7 +114,7 @@ impl From<ToldNoCost> for NoCost {
 }
 
 /// Sorts a failed simulation: its kind, and a reason that is the same for all failures of that sort.
-impl From<FmiError> for NoCost {
+impl From<FmiError> for CostFailure {
     fn from(error: FmiError) -> Self {
         match error {
             FmiError::LoadFailed { .. }
@@ -122,8 +122,8 @@ impl From<FmiError> for NoCost {
             | FmiError::NoBinary { .. }
             | FmiError::NoSources { .. }
             | FmiError::NoCompiler { .. }
-            | FmiError::CompileFailed { .. } => return NoCost::Over(Box::new(error)),
-            FmiError::Cancelled => return NoCost::Cancelled,
+            | FmiError::CompileFailed { .. } => return CostFailure::Over(Box::new(error)),
+            FmiError::Cancelled => return CostFailure::Cancelled,
             _ => {}
         }
         let mut kind = FailureKind::Error;
@@ -135,7 +135,7 @@ impl From<FmiError> for NoCost {
                 end.reason()
             }
             FmiError::Simulation(e) => match &e.kind {
-                ErrorKind::Cancelled => return NoCost::Cancelled,
+                ErrorKind::Cancelled => return CostFailure::Cancelled,
                 ErrorKind::Model(inner) => {
                     let inner_error = inner.downcast_ref();
                     if matches!(inner_error, Some(FmiError::StateNotFinite { .. })) {
@@ -159,7 +159,7 @@ impl From<FmiError> for NoCost {
             other => call_reason(other),
         };
         let reason = without_private_folders(&reason);
-        NoCost::Failed { kind, reason, message: error.to_string(), source: Some(Box::new(error)) }
+        CostFailure::Failed { kind, reason, message: error.to_string(), source: Some(Box::new(error)) }
     }
 }
 
@@ -193,8 +193,8 @@ mod tests {
             refusal: None,
             stats: Stats::default(),
         };
-        let NoCost::Failed { kind, reason, message, .. } =
-            NoCost::from(FmiError::Simulation(Box::new(error)))
+        let CostFailure::Failed { kind, reason, message, .. } =
+            CostFailure::from(FmiError::Simulation(Box::new(error)))
         else {
             panic!("a failure")
         };

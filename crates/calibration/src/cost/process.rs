@@ -1,10 +1,10 @@
 //! Simulations in worker processes: what a worker is asked for, and its answers.
 
 use crate::cost::accuracy::Accuracy;
-use crate::cost::failure::{NoCost, ToldNoCost};
+use crate::cost::failure::{CostFailure, ReportedCostFailure};
 use crate::cost::parallel::beside;
-use crate::cost::race::{RaceOutcome, RaceRun, RaceTask};
 use crate::cost::residual::CostRule;
+use crate::cost::solver_comparison::{ComparisonOutcome, ComparisonRun, ComparisonTask};
 use crate::error::CalibrationError;
 use crate::problem::definition::{ModelFile, Problem};
 use crate::problem::settings::SimulationSettings;
@@ -43,8 +43,8 @@ pub(crate) enum Job {
         /// Where it is not that of the problem.
         accuracy: Option<Accuracy>,
     },
-    /// A simulation of a race between methods.
-    Race(RaceTask),
+    /// A simulation of a comparison of methods.
+    SolverComparison(ComparisonTask),
     /// The compared outputs of an experiment.
     Experiment { experiment: usize, x: Vec<f64>, method: Method, times: Option<Vec<f64>> },
     /// Variables of the model in an experiment.
@@ -60,15 +60,15 @@ pub(crate) enum Job {
 /// An evaluation; its residuals are the numbers of the frame.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Evaluated {
-    pub(crate) cost: Result<f64, ToldNoCost>,
+    pub(crate) cost: Result<f64, ReportedCostFailure>,
     pub(crate) stats: Stats,
 }
 
-/// A simulation of a race; its samples and then its residuals are the numbers of the frame.
+/// A simulation of a comparison; its samples and then its residuals are the numbers of the frame.
 #[derive(Debug, Serialize, Deserialize)]
-pub(crate) struct Raced {
+pub(crate) struct Compared {
     /// Without its samples.
-    pub(crate) outcome: RaceOutcome,
+    pub(crate) outcome: ComparisonOutcome,
     /// Statistics of all its simulations.
     pub(crate) stats: Stats,
     /// Number of residuals, and the seconds that they took.
@@ -81,12 +81,12 @@ pub(crate) struct Evaluation {
     pub(crate) method: Method,
     /// Where it is not that of the problem.
     pub(crate) accuracy: Option<Accuracy>,
-    pub(crate) process: Asked,
+    pub(crate) process: ProcessChoice,
 }
 
 /// Process that answers a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Asked {
+pub(crate) enum ProcessChoice {
     /// Any that has loaded the problem.
     Any,
     /// The same, but the second question of this kind is asked in a new process, too, and the first one again
@@ -144,7 +144,7 @@ impl Processes {
     fn ask<T>(
         &self,
         job: &Job,
-        process: Asked,
+        process: ProcessChoice,
         limit: Option<Duration>,
         context: &RunContext<'_>,
         use_answer: impl FnOnce(&mut Frame) -> std::io::Result<T>,
@@ -154,10 +154,10 @@ impl Processes {
         asked.set_head(job).map_err(unsaid)?;
         let whom = match process {
             _ if self.fmu.has_hidden_state() => Some(Ask::FreshOnce),
-            Asked::LongestIdle => Some(Ask::LongestIdle),
-            Asked::Fresh => Some(Ask::Fresh),
-            Asked::Checked if !self.is_checked.load(Ordering::Relaxed) => None,
-            Asked::Any | Asked::Checked => Some(Ask::Any),
+            ProcessChoice::LongestIdle => Some(Ask::LongestIdle),
+            ProcessChoice::Fresh => Some(Ask::Fresh),
+            ProcessChoice::Checked if !self.is_checked.load(Ordering::Relaxed) => None,
+            ProcessChoice::Any | ProcessChoice::Checked => Some(Ask::Any),
         };
         match whom {
             Some(whom) => self.call(&asked, &mut answer, whom, limit, context)?,
@@ -308,7 +308,7 @@ impl Remote {
     fn ask<T>(
         &self,
         job: &Job,
-        process: Asked,
+        process: ProcessChoice,
         context: &RunContext<'_>,
         use_answer: impl FnOnce(&mut Frame) -> std::io::Result<T>,
     ) -> Result<T, FmiError> {
@@ -324,7 +324,7 @@ impl Remote {
         rule: CostRule<'_>,
         out: &mut [f64],
         stats: &mut Stats,
-    ) -> Result<f64, NoCost> {
+    ) -> Result<f64, CostFailure> {
         let CostRule { loss, cutoff, context } = rule;
         let Evaluation { method, accuracy, process } = evaluation;
         let job = Job::Evaluate { x: x.to_vec(), method, loss, cutoff, accuracy };
@@ -340,38 +340,42 @@ impl Remote {
             Ok((cost, stats))
         };
         let mut evaluated = self.ask(&job, process, &context, &mut use_answer);
-        if process != Asked::Fresh && matches!(&evaluated, Ok((Err(told), _)) if told.is_of_process()) {
+        if process != ProcessChoice::Fresh && matches!(&evaluated, Ok((Err(told), _)) if told.is_of_process())
+        {
             // A process that was used before may have lost what it needs.
-            if let Ok((Ok(cost), stats)) = self.ask(&job, Asked::Fresh, &context, &mut use_answer) {
+            if let Ok((Ok(cost), stats)) = self.ask(&job, ProcessChoice::Fresh, &context, &mut use_answer) {
                 evaluated = Ok((Ok(cost), stats));
             }
         }
-        let (cost, taken) = evaluated.map_err(NoCost::of_worker)?;
+        let (cost, taken) = evaluated.map_err(CostFailure::of_worker)?;
         *stats += taken;
-        cost.map_err(NoCost::from)
+        cost.map_err(CostFailure::from)
     }
 
-    /// A simulation of a race, and the residuals at the start with the seconds that they took.
-    pub(crate) fn race(
+    /// A simulation of a comparison, and the residuals at the start with the seconds that they took.
+    pub(crate) fn compare(
         &self,
-        task: RaceTask,
+        task: ComparisonTask,
         context: &RunContext<'_>,
         stats: &mut Stats,
-    ) -> Result<RaceRun, CalibrationError> {
-        let raced = self.ask(&Job::Race(task), Asked::Any, context, |answer| {
-            let raced: Raced = answer.head()?;
-            Ok((raced, std::mem::take(&mut answer.numbers)))
+    ) -> Result<ComparisonRun, CalibrationError> {
+        let compared = self.ask(&Job::SolverComparison(task), ProcessChoice::Any, context, |answer| {
+            let compared: Compared = answer.head()?;
+            Ok((compared, std::mem::take(&mut answer.numbers)))
         });
-        let (Raced { mut outcome, stats: taken, at_start }, mut numbers) = match raced {
-            Ok(raced) => raced,
+        let (Compared { mut outcome, stats: taken, at_start }, mut numbers) = match compared {
+            Ok(compared) => compared,
             Err(error) => {
-                return Ok((RaceOutcome::Failed(NoCost::of_worker(error).of_point()?.reason), None));
+                return Ok((
+                    ComparisonOutcome::Failed(CostFailure::of_worker(error).of_point()?.reason),
+                    None,
+                ));
             }
         };
         *stats += taken;
         let at_start =
             at_start.map(|(n, seconds)| (numbers.split_off(numbers.len().saturating_sub(n)), seconds));
-        if let RaceOutcome::Finished { samples, .. } = &mut outcome {
+        if let ComparisonOutcome::Finished { samples, .. } = &mut outcome {
             *samples = numbers;
         }
         Ok((outcome, at_start))
@@ -383,7 +387,7 @@ impl Remote {
         job: &Job,
         context: &RunContext<'_>,
     ) -> Result<Trajectory, CalibrationError> {
-        let trajectory = self.ask(job, Asked::Checked, context, trajectory_of);
+        let trajectory = self.ask(job, ProcessChoice::Checked, context, trajectory_of);
         trajectory.map_err(|error| match error {
             FmiError::Cancelled => CalibrationError::Cancelled,
             error => error.into(),
@@ -424,7 +428,7 @@ impl ModelProcess {
             return Err(FmiError::BadSetting(problem));
         }
         let job = Job::Simulate(Box::new(options.clone()));
-        self.processes.ask(&job, Asked::Checked, options.run.timeout, context, trajectory_of)
+        self.processes.ask(&job, ProcessChoice::Checked, options.run.timeout, context, trajectory_of)
     }
 }
 

@@ -161,12 +161,12 @@ pub(crate) struct Accumulator<'a> {
     next: Vec<usize>,
     /// Where the residuals go.
     out: &'a mut [f64],
-    pub(crate) stop: Option<Stop>,
+    pub(crate) stop: Option<StopReason>,
 }
 
 /// Why the accumulator ended the simulation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Stop {
+pub(crate) enum StopReason {
     /// The partial sum is strictly above the cutoff.
     AboveCutoff,
     /// A simulated value, or the sum, is not finite; the output counted from 0.
@@ -198,7 +198,7 @@ impl<'a> Accumulator<'a> {
         self.comparison.outputs[output].times.get(self.next[output].checked_sub(1)?).copied()
     }
 
-    fn end(&mut self, why: Stop) -> ControlFlow<()> {
+    fn end(&mut self, why: StopReason) -> ControlFlow<()> {
         self.stop = Some(why);
         ControlFlow::Break(())
     }
@@ -219,17 +219,21 @@ impl Observer for Accumulator<'_> {
                 row += 1;
                 if !self.sum.is_finite() {
                     *next = row;
-                    return self.end(Stop::NotFinite(k));
+                    return self.end(StopReason::NotFinite(k));
                 }
             }
             *next = row;
         }
         self.seen = index + 1;
-        if self.sum > self.rule.cutoff { self.end(Stop::AboveCutoff) } else { ControlFlow::Continue(()) }
+        if self.sum > self.rule.cutoff {
+            self.end(StopReason::AboveCutoff)
+        } else {
+            ControlFlow::Continue(())
+        }
     }
 
     fn poll(&mut self) -> ControlFlow<()> {
-        if self.rule.context.is_over() { self.end(Stop::Cancelled) } else { ControlFlow::Continue(()) }
+        if self.rule.context.is_over() { self.end(StopReason::Cancelled) } else { ControlFlow::Continue(()) }
     }
 }
 
@@ -359,10 +363,10 @@ mod tests {
         let mut a = Accumulator::new(&c, &schedule, &[0.0], rule, 0.0, &mut first);
         assert!(a.sample(&sample(0, &[2.0])).is_continue());
         assert!(a.sample(&sample(1, &[1e-3])).is_break());
-        assert_eq!(a.stop, Some(Stop::AboveCutoff));
+        assert_eq!(a.stop, Some(StopReason::AboveCutoff));
         let mut a = Accumulator::new(&c, &schedule, &[0.0], rule, 0.0, &mut second);
         assert!(a.sample(&sample(0, &[f64::NAN])).is_break());
-        assert_eq!(a.stop, Some(Stop::NotFinite(0)));
+        assert_eq!(a.stop, Some(StopReason::NotFinite(0)));
         assert!(!a.is_complete());
     }
 

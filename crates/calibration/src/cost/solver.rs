@@ -2,9 +2,11 @@
 //! of a comparison.
 
 use crate::cost::evaluator::Evaluator;
-use crate::cost::failure::NoCost;
-use crate::cost::race::{Race, RaceOutcome, RaceRun, RaceTask, race};
+use crate::cost::failure::CostFailure;
 use crate::cost::residual::{Accumulator, CostRule};
+use crate::cost::solver_comparison::{
+    ComparisonOutcome, ComparisonRun, ComparisonTask, SolverComparison, compare_solvers,
+};
 use crate::error::CalibrationError;
 use base::RunContext;
 use dfo::RobustLoss;
@@ -24,16 +26,16 @@ const ABSOLUTE_SHARE: f64 = 0.01;
 pub struct Solver {
     /// The method.
     pub method: Method,
-    /// The race that it won; `None`: it was named, or taken from a checkpoint, or the model integrates
+    /// The comparison that it won; `None`: it was named, or taken from a checkpoint, or the model integrates
     /// itself.
-    pub race: Option<Race>,
+    pub comparison: Option<SolverComparison>,
 }
 
 /// A choice that is made once.
 #[derive(Debug, Default)]
 pub(crate) struct Choice {
     made: OnceLock<Chosen>,
-    racing: Mutex<()>,
+    turn: Mutex<()>,
 }
 
 #[derive(Debug)]
@@ -67,7 +69,7 @@ impl Observer for Samples<'_> {
         if sample.index.is_some() {
             self.values.extend_from_slice(&sample.outputs[..self.named]);
         }
-        // A residual that is not finite ends no race.
+        // A residual that is not finite ends no comparison.
         if self.compared.stop.is_none() {
             let _ = self.compared.sample(sample);
         }
@@ -92,10 +94,10 @@ impl Choice {
         problem: &'a Evaluator,
         experiment: usize,
         context: &RunContext<'_>,
-    ) -> Result<&'a Pool, NoCost> {
+    ) -> Result<&'a Pool, CostFailure> {
         let chosen = self.chosen(problem, context, &mut Stats::default()).map_err(|error| match error {
             CalibrationError::Model(error) => error.into(),
-            _ => NoCost::Cancelled,
+            _ => CostFailure::Cancelled,
         })?;
         let chosen = chosen.0;
         Ok(chosen.pools.get(experiment).unwrap_or(&problem.simulations[experiment].pool))
@@ -112,17 +114,17 @@ impl Choice {
         if let Some(chosen) = self.made.get() {
             return Ok((chosen, None));
         }
-        let _turn = self.racing.lock().unwrap_or_else(PoisonError::into_inner);
+        let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(chosen) = self.made.get() {
             return Ok((chosen, None));
         }
         let method = problem.problem.settings.run.method;
         let integrates = problem.simulations[0].pool.plan().kind() == InterfaceKind::ModelExchange;
         let (solver, at_start) = if method == Method::Auto && integrates {
-            let (race, at_start) = run_race(problem, context, stats)?;
-            (Solver { method: race.method, race: Some(race) }, at_start)
+            let (comparison, at_start) = compare_on_problem(problem, context, stats)?;
+            (Solver { method: comparison.method, comparison: Some(comparison) }, at_start)
         } else {
-            (Solver { method, race: None }, None)
+            (Solver { method, comparison: None }, None)
         };
         Ok((self.choose(problem, solver)?, at_start))
     }
@@ -141,13 +143,13 @@ impl Choice {
     }
 }
 
-/// Races the methods on the simulations of a problem, at the start values of its parameters; with the
+/// Compares the methods on the simulations of a problem, at the start values of its parameters; with the
 /// evaluation there by the winner.
-fn run_race(
+fn compare_on_problem(
     problem: &Evaluator,
     context: &RunContext<'_>,
     stats: &mut Stats,
-) -> Result<(Race, Option<AtStart>), CalibrationError> {
+) -> Result<(SolverComparison, Option<AtStart>), CalibrationError> {
     let plan = problem.simulations[0].pool.plan();
     let (relative, n) = (plan.relative_tolerance(), plan.n_states());
     let variables = &problem.fmu.description().variables;
@@ -162,27 +164,27 @@ fn run_race(
         })
         .collect();
     let mut evaluated: Vec<(Method, AtStart)> = Vec::new();
-    let raced = race(relative, &absolute, n, |task| {
+    let compared = compare_solvers(relative, &absolute, n, |task| {
         let (outcome, at_start) = match &problem.remote {
-            Ok(remote) => remote.race(*task, context, stats)?,
-            Err(_) => simulate_race(problem, task, context, stats)?,
+            Ok(remote) => remote.compare(*task, context, stats)?,
+            Err(_) => simulate_compared(problem, task, context, stats)?,
         };
         let at_start = at_start.map(|(residuals, seconds)| (task.method, AtStart { residuals, seconds }));
         evaluated.extend(at_start);
         Ok::<_, CalibrationError>(outcome)
     })?;
-    let of_winner = evaluated.into_iter().find(|(method, _)| *method == raced.method);
-    Ok((raced, of_winner.map(|(_, at_start)| at_start)))
+    let of_winner = evaluated.into_iter().find(|(method, _)| *method == compared.method);
+    Ok((compared, of_winner.map(|(_, at_start)| at_start)))
 }
 
-/// A simulation of a race; with the residuals and the seconds that they took where they are those of an
+/// A simulation of a comparison; with the residuals and the seconds that they took where they are those of an
 /// evaluation.
-pub(crate) fn simulate_race(
+pub(crate) fn simulate_compared(
     problem: &Evaluator,
-    task: &RaceTask,
+    task: &ComparisonTask,
     context: &RunContext<'_>,
     stats: &mut Stats,
-) -> Result<RaceRun, CalibrationError> {
+) -> Result<ComparisonRun, CalibrationError> {
     let plan = problem.simulations[0].pool.plan();
     let (relative, n) = (plan.relative_tolerance(), plan.n_states());
     let start = problem.start();
@@ -209,7 +211,7 @@ pub(crate) fn simulate_race(
             Ok(report) => *stats += report.stats,
             // The next simulations are right.
             Err(error) if error.is_read_between_steps() => {
-                return simulate_race(problem, task, context, stats);
+                return simulate_compared(problem, task, context, stats);
             }
             Err(FmiError::Simulation(error)) => *stats += error.stats,
             Err(_) => {}
@@ -222,12 +224,14 @@ pub(crate) fn simulate_race(
         match ran {
             Ok(report) => total += report.stats,
             Err(FmiError::Simulation(e)) if matches!(e.kind, ErrorKind::TooMuchWork(_)) => {
-                return Ok((RaceOutcome::GivenUp, None));
+                return Ok((ComparisonOutcome::GivenUp, None));
             }
-            Err(error) => return Ok((RaceOutcome::Failed(NoCost::from(error).of_point()?.reason), None)),
+            Err(error) => {
+                return Ok((ComparisonOutcome::Failed(CostFailure::from(error).of_point()?.reason), None));
+            }
         }
     }
     let is_evaluation = is_whole && task.relative_tolerance == relative;
     let at_start = is_evaluation.then(|| (residuals, total.seconds.get()));
-    Ok((RaceOutcome::Finished { samples: all, stats: total }, at_start))
+    Ok((ComparisonOutcome::Finished { samples: all, stats: total }, at_start))
 }

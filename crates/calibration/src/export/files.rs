@@ -1,11 +1,11 @@
 //! Functions of all files that a fit is exported to: the check that it belongs to the calibration, and the
 //! writing.
 
-use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
-use crate::fit::stage::Fit;
+use crate::fit::one_stage::Fit;
+use crate::loaded_problem::calibration::Calibration;
 use fmi::FmiError;
-use fmi::platform::write_whole;
+use fmi::platform::fill_atomically;
 use std::io::Write;
 use std::path::Path;
 
@@ -26,7 +26,7 @@ pub(super) fn write(path: &Path, calibration: &Calibration, bytes: &[u8]) -> Res
     let fill = |mut file: &std::fs::File, _: &Path| {
         Ok(file.write_all(bytes).map_err(FmiError::io("write", path))?)
     };
-    write_whole(path, fill)
+    fill_atomically(path, fill)
 }
 
 /// Refuses to write over the model.

@@ -1,12 +1,12 @@
 //! A copy of the FMU that starts with the fitted values.
 
 use super::files::{check_belongs, check_path, check_suffix};
-use crate::cost::calibration::Calibration;
 use crate::cost::process::ModelProcess;
 use crate::error::CalibrationError;
-use crate::fit::stage::Fit;
+use crate::fit::one_stage::Fit;
+use crate::loaded_problem::calibration::Calibration;
 use base::RunContext;
-use fmi::platform::write_whole;
+use fmi::platform::fill_atomically;
 use fmi::{FmiError, Fmu, Trajectory};
 use ode::{Number, Termination};
 use std::fs::File;
@@ -94,7 +94,7 @@ impl Fit {
             }
             Ok(())
         };
-        let written = match write_whole(path, fill) {
+        let written = match fill_atomically(path, fill) {
             Ok(()) => true,
             Err(Unwritten::Failed(error)) => return Err(error),
             Err(Unwritten::Ignored(difference)) => {

@@ -1,8 +1,8 @@
 //! Checks of the lengths of the parts of a fit that comes from a file against each other.
 
-use crate::fit::stage::Fit;
-use crate::uncertainty::estimate::Uncertainty;
+use crate::fit::one_stage::Fit;
 use crate::uncertainty::preflight::Preflight;
+use crate::uncertainty::result::Uncertainty;
 
 /// Refuses a fit of which parts have other lengths than its parameters and residuals ask for; the message
 /// names the first one.

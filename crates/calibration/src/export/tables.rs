@@ -1,9 +1,9 @@
 //! A fit as tables: comma-separated values (RFC 4180) for spreadsheets and other programs.
 
 use super::files::{check_belongs, write};
-use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
-use crate::fit::stage::Fit;
+use crate::fit::one_stage::Fit;
+use crate::loaded_problem::calibration::Calibration;
 use crate::problem::assignment::Affine;
 use crate::problem::parameter::Parameter;
 use base::RunContext;
@@ -86,7 +86,7 @@ impl Fit {
             let uncertainty = self.uncertainty.as_ref();
             let error = uncertainty.map(|uncertainty| uncertainty.standard_errors[k]);
             let uncorrected = uncertainty
-                .and_then(crate::uncertainty::estimate::Uncertainty::uncorrected_errors)
+                .and_then(crate::uncertainty::result::Uncertainty::uncorrected_errors)
                 .map(|errors| errors[k]);
             let side = self.at_bound.iter().find(|(index, _)| *index == k).map(|(_, side)| side.name());
             vec![

@@ -1,9 +1,9 @@
 //! The fit of one stage, several stages, phases and results.
 
 pub(crate) mod live;
+pub(crate) mod one_stage;
 pub(crate) mod output_fit;
 pub(crate) mod phase;
 #[cfg(feature = "schema")]
 pub(crate) mod schema;
-pub(crate) mod stage;
-pub(crate) mod stages;
+pub(crate) mod several_stages;

@@ -1,6 +1,6 @@
 //! The phases of a fit, and what each takes.
 
-use crate::cost::batch::Taken;
+use crate::loaded_problem::simulations::Effort;
 use ode::{Seconds, Stats};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -80,29 +80,29 @@ pub struct PhaseCost {
     /// The phase.
     pub phase: FitPhase,
     /// What it took.
-    pub taken: Taken,
+    pub taken: Effort,
 }
 
 /// The phases of a fit one after the other, with what they take.
 #[derive(Debug)]
 pub(crate) struct Phases {
     told: Arc<CurrentPhase>,
-    taken: [Taken; FitPhase::ALL.len()],
+    taken: [Effort; FitPhase::ALL.len()],
     /// The phase that lasts, from when on, and what was taken before.
-    now: (FitPhase, Instant, Taken),
+    now: (FitPhase, Instant, Effort),
 }
 
 impl Phases {
     /// It is to be told the phase.
     pub(crate) fn new(told: Arc<CurrentPhase>) -> Self {
-        let now = (told.get(), Instant::now(), Taken::default());
+        let now = (told.get(), Instant::now(), Effort::default());
         Self { told, taken: Default::default(), now }
     }
 
     /// Ends a phase and begins this one. `stats`: of all simulations of the fit so far.
     pub(crate) fn enter(&mut self, phase: FitPhase, stats: &Stats) {
         let (last, since, before) = self.now;
-        let mut own = Taken::of(stats, since.elapsed());
+        let mut own = Effort::of(stats, since.elapsed());
         own.simulations = own.simulations.saturating_sub(before.simulations);
         own.right_hand_sides = own.right_hand_sides.saturating_sub(before.right_hand_sides);
         self.taken[last as usize] += own;
@@ -111,7 +111,7 @@ impl Phases {
 
     /// Begins a phase where what was before counts elsewhere.
     pub(crate) fn begin(&mut self, phase: FitPhase, stats: &Stats) {
-        self.now = (phase, Instant::now(), Taken::of(stats, Duration::ZERO));
+        self.now = (phase, Instant::now(), Effort::of(stats, Duration::ZERO));
         // That lasts while others do.
         if phase != FitPhase::FreshProcess {
             self.told.set(phase);
@@ -124,7 +124,7 @@ impl Phases {
     }
 
     /// Adds what a part of a phase took to another one.
-    pub(crate) fn move_part(&mut self, part: Taken, from: FitPhase, to: FitPhase) {
+    pub(crate) fn move_part(&mut self, part: Effort, from: FitPhase, to: FitPhase) {
         self.taken[to as usize] += part;
         let whole = &mut self.taken[from as usize];
         whole.simulations -= part.simulations.min(whole.simulations);
@@ -141,7 +141,7 @@ impl Phases {
     pub(crate) fn costs(&mut self, stats: &Stats) -> Vec<PhaseCost> {
         self.enter(self.now.0, stats);
         let all = FitPhase::ALL.iter().zip(self.taken);
-        let was = |taken: &Taken| taken.simulations > 0 || taken.seconds.get() > 0.0;
+        let was = |taken: &Effort| taken.simulations > 0 || taken.seconds.get() > 0.0;
         all.filter(|(_, taken)| was(taken))
             .map(|((phase, ..), taken)| PhaseCost { phase: *phase, taken })
             .collect()

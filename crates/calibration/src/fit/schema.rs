@@ -1,7 +1,7 @@
 //! JSON schemas of the options of a fit and of a stage: their own, and those of the run.
 
-use crate::fit::stage::FitRecord;
-use crate::fit::stages::StageRecord;
+use crate::fit::one_stage::FitRecord;
+use crate::fit::several_stages::StageRecord;
 use dfo::RequestedRun;
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde_json::Value as Json;

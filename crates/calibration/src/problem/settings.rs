@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize, Serializer};
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(deny_unknown_fields))]
 #[serde(default)]
 pub struct SimulationSettings {
-    /// How the model is run. `method` [`Auto`](ode::Method::Auto) is here the winner of a race between the
+    /// How the model is run. `method` [`Auto`](ode::Method::Auto) is here the winner of a comparison of the
     /// methods, see [`Calibration::solver`](crate::Calibration::solver); a `relative_tolerance` that is not
     /// given is that of the model, but at most 1e-6: a fit says where it is smaller than the model's. A
     /// simulation that reaches the `timeout`, or whose events let time hardly advance, counts as failed.

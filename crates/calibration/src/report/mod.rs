@@ -11,11 +11,11 @@ mod text;
 
 pub use curves::{ExperimentCurves, OutputCurves, Signal, plot};
 
-use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
-use crate::fit::stage::Fit;
+use crate::fit::one_stage::Fit;
+use crate::loaded_problem::calibration::Calibration;
 use base::RunContext;
-use base::files::Unfinished;
+use base::files::AtomicFile;
 use std::io::Write;
 use std::path::Path;
 
@@ -53,7 +53,7 @@ impl Calibration {
         }
         let failed = |source| CalibrationError::ReportFile { path: path.to_owned(), source };
         // Before the simulations, which may take long.
-        let unfinished = Unfinished::new(path).map_err(failed)?;
+        let unfinished = AtomicFile::new(path).map_err(failed)?;
         let page = self.report_page(fit, context)?;
         unfinished.file().write_all(page.as_bytes()).and_then(|()| unfinished.finish()).map_err(failed)
     }

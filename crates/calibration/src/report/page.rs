@@ -5,9 +5,9 @@ use super::figure::{self, Panel, Point, Series};
 use super::number::rounded;
 use super::summary::{Fact, Summary, fact};
 use super::template;
-use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
-use crate::fit::stage::Fit;
+use crate::fit::one_stage::Fit;
+use crate::loaded_problem::calibration::Calibration;
 use base::RunContext;
 use dfo::{Record, Value};
 use fmi::RunSettings;
@@ -190,7 +190,7 @@ fn correlation(fit: &Fit) -> Option<Correlation> {
 fn residual_checks(fit: &Fit) -> Vec<[String; 8]> {
     let checks = fit.uncertainty.iter().flat_map(|uncertainty| &uncertainty.residual_checks);
     let number = |value: f64| if value.is_nan() { "\u{2013}".to_owned() } else { rounded(value, 3) };
-    let row = |check: &crate::uncertainty::estimate::ResidualCheck| {
+    let row = |check: &crate::uncertainty::diagnostics::residual_check::ResidualCheck| {
         let numbers = [check.mean, check.deviation, check.autocorrelation, check.runs];
         let [mean, deviation, lag, runs] = numbers.map(number);
         let [n, outliers] = [check.n, check.n_outliers].map(|n| n.to_string());
@@ -212,7 +212,7 @@ fn settings(calibration: &Calibration, fit: &Fit) -> Vec<Fact> {
     facts.push(("loss", report.loss.to_string()));
     facts.extend(report.seed.map(|seed| ("seed", seed.to_string())));
     facts.push(("workers, batch plan", format!("{}, {}", report.workers, report.batch)));
-    let chosen = if fit.solver.race.is_some() { " (chosen by a race)" } else { "" };
+    let chosen = if fit.solver.comparison.is_some() { " (chosen by comparison)" } else { "" };
     facts.push(("solver", format!("{}{chosen}", fit.solver.method.name())));
     let chosen = fit.tolerance.map(|chosen| chosen.used);
     let used = chosen.or_else(|| plan.map(|plan| plan.relative_tolerance()));

@@ -2,10 +2,10 @@
 
 use super::number::{rounded, with_error};
 use crate::findings::finding::{Finding, counts};
+use crate::fit::one_stage::Fit;
 use crate::fit::phase::PhaseCost;
-use crate::fit::stage::Fit;
 use crate::uncertainty::active_bounds::BoundSide;
-use crate::uncertainty::estimate::Uncertainty;
+use crate::uncertainty::result::Uncertainty;
 use dfo::Termination;
 use ode::Number;
 use serde::Serialize;

@@ -3,7 +3,7 @@
 use super::summary::{OutputRow, ParameterRow, Summary};
 use crate::findings::finding::table;
 use crate::findings::hidden_characters::visible;
-use crate::fit::stage::Fit;
+use crate::fit::one_stage::Fit;
 use std::fmt::{self, Write};
 
 /// Longer names are cut in their middle, so that a line stays one.

@@ -1,12 +1,12 @@
 //! Checks after a fit: parameters that ended at a bound, and parameters that did not change the cost.
 
-use crate::cost::calibration::Calibration;
-use crate::cost::failure::NoCost;
+use crate::cost::failure::CostFailure;
 use crate::cost::residual::CostRule;
+use crate::loaded_problem::calibration::Calibration;
 use crate::problem::objective::CostKind;
 use crate::problem::parameter::{Parameter, Scale};
 use base::RunContext;
-use dfo::{FailureKind, Kind, Measure, Outcome, Report, Termination, Tolerances};
+use dfo::{FailureKind, Kind, Outcome, Report, Termination, ToleranceMeasure, Tolerances};
 use ode::Stats;
 use serde::{Deserialize, Serialize};
 
@@ -124,7 +124,9 @@ impl Calibration {
             let rule = CostRule::whole(report.loss, context);
             let sum = self.evaluate_into(&x, rule, &mut residuals, stats)?;
             let outcome = kind.outcome(self.residual_layout(), sum, &residuals, &mut Vec::new());
-            outcome.value().ok_or_else(|| NoCost::failed(FailureKind::Error, "there is no cost".to_owned()))
+            outcome
+                .value()
+                .ok_or_else(|| CostFailure::failed(FailureKind::Error, "there is no cost".to_owned()))
         };
         // The budget of the search is no budget for these, but what an evaluation has shown need not cost another one.
         let is_spent = report.termination == Termination::MaxEvaluations;
@@ -133,7 +135,7 @@ impl Calibration {
                 let parameter = &self.parameters()[index];
                 match cost_with(index, side.of(parameter)) {
                     Ok(cost) => cost <= report.fun || self.is_equal_cost(kind, report.fun, cost),
-                    Err(NoCost::Cancelled) => break,
+                    Err(CostFailure::Cancelled) => break,
                     Err(_) => false,
                 }
             };
@@ -148,7 +150,7 @@ impl Calibration {
         for (index, _) in checked.at_bound.iter().filter(|_| is_told).copied().collect::<Vec<_>>() {
             match cost_with(index, self.moved(&self.parameters()[index], report.x[index], HALF)) {
                 Ok(cost) if cost - report.fun < report.fun / degrees as f64 => loose.push(index),
-                Err(NoCost::Cancelled) => break,
+                Err(CostFailure::Cancelled) => break,
                 _ => {}
             }
         }
@@ -159,7 +161,7 @@ impl Calibration {
             }
             match cost_with(index, self.moved(&self.parameters()[index], report.x[index], MOVE)) {
                 Ok(cost) if self.is_equal_cost(kind, report.fun, cost) => checked.without_effect.push(index),
-                Err(NoCost::Cancelled) => break,
+                Err(CostFailure::Cancelled) => break,
                 _ => {}
             }
         }
@@ -189,8 +191,8 @@ impl Calibration {
             let (low, high) = of.fold((x, x), |(low, high), v| (low.min(v), high.max(v)));
             let size = self.size_of(p, report.x[index]);
             let resolved = match tolerances.measure {
-                Measure::Relative => tolerances.x_tol * size,
-                Measure::Absolute => tolerances.x_tol,
+                ToleranceMeasure::Relative => tolerances.x_tol * size,
+                ToleranceMeasure::Absolute => tolerances.x_tol,
             };
             let is_sure = distance <= AT * size;
             let is_likely = is_sure || distance <= (high - low).min(NEAR * size);

@@ -1,6 +1,13 @@
 //! Uncertainty of the parameters: covariance, residual tests, active bounds, the same before a fit.
 
 pub(crate) mod active_bounds;
+pub(crate) mod chance;
+pub(crate) mod covariance;
+pub(crate) mod diagnostics;
+pub(crate) mod differences;
+pub(crate) mod digits;
 pub(crate) mod estimate;
 pub(crate) mod preflight;
+pub(crate) mod result;
 pub(crate) mod row_blocks;
+pub(crate) mod scores;

@@ -2,14 +2,14 @@
 //! accurately.
 
 use crate::cost::accuracy::Accuracy;
-use crate::cost::batch::{Point, Simulations};
-use crate::cost::calibration::Calibration;
 use crate::cost::residual::sum_of_squares;
 use crate::cost::solver::AtStart;
 use crate::error::CalibrationError;
+use crate::loaded_problem::calibration::Calibration;
+use crate::loaded_problem::simulations::{Point, Simulations};
 use crate::problem::parameter::Parameter;
 use crate::uncertainty::active_bounds::{inner, outer};
-use crate::uncertainty::estimate::digits;
+use crate::uncertainty::digits::digits;
 use base::RunContext;
 use dfo::{Kind, RobustLoss};
 use nalgebra::DMatrix;

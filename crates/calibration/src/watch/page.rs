@@ -2,9 +2,9 @@
 
 use super::request::Request;
 use super::response::{Response, Status};
-use crate::cost::calibration::Calibration;
 use crate::fit::live::{LiveFit, lock};
 use crate::fit::phase::CurrentPhase;
+use crate::loaded_problem::calibration::Calibration;
 use crate::report::live::LiveSubject;
 use std::io;
 use std::net::SocketAddr;

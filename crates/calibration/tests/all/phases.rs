@@ -47,7 +47,7 @@ fn every_simulation_is_counted_and_none_is_made_twice() {
     assert!(uncertainty.n_simulations <= 1 + 2 * 2 * 2, "{}", uncertainty.n_simulations);
 }
 
-/// The race is part of the fit that chose the solver, and its simulation of the start is the first evaluation.
+/// The comparison is part of the fit that chose the solver, and its simulation of the start is the first evaluation.
 #[test]
 fn the_choice_of_a_solver_counts_once() {
     let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Auto, None);

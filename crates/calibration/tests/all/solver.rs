@@ -1,9 +1,11 @@
-//! The integration method of a calibration is found by a race at its start, kept, reported, stored, and can be named.
+//! The integration method of a calibration is found by a comparison at its start, kept, reported, stored, and can be named.
 
 #![allow(clippy::unwrap_used)]
 
 use calibration::RunContext;
-use calibration::{Calibration, CalibrationError, Data, Entry, Experiment, FitOptions, Parameter, Verdict};
+use calibration::{
+    Calibration, CalibrationError, ComparedSolver, Data, Experiment, FitOptions, Parameter, Verdict,
+};
 use dfo::{Checkpoint, Limits, Resume, RunOptions};
 use example_models::example_fmu;
 use fmi::RunSettings;
@@ -57,52 +59,52 @@ fn few(n: usize) -> FitOptions<'static> {
 }
 
 #[test]
-fn a_stiff_model_is_raced_once_and_the_winner_is_used_everywhere() {
-    let raced = calibration(Method::Auto);
-    assert_eq!(raced.known_solver(), None);
+fn a_stiff_model_is_compared_once_and_the_winner_is_used_everywhere() {
+    let compared = calibration(Method::Auto);
+    assert_eq!(compared.known_solver(), None);
     let x = [2600.0, 9100.0];
-    let cost = raced.cost(&x, &RunContext::new()).unwrap();
-    let solver = raced.solver(&RunContext::new()).unwrap().clone();
-    let race = solver.race.as_ref().unwrap();
-    let methods: Vec<_> = race.entries.iter().map(|e| e.method).collect();
+    let cost = compared.cost(&x, &RunContext::new()).unwrap();
+    let solver = compared.solver(&RunContext::new()).unwrap().clone();
+    let comparison = solver.comparison.as_ref().unwrap();
+    let methods: Vec<_> = comparison.entries.iter().map(|e| e.method).collect();
     assert_eq!(methods, [Method::Auto, Method::Bdf, Method::Radau5]);
-    let winner = race.entries.iter().find(|e| e.method == solver.method).unwrap();
-    assert!(matches!(winner.verdict, Verdict::Agrees(d) if d <= 5.0), "{race:?}");
+    let winner = comparison.entries.iter().find(|e| e.method == solver.method).unwrap();
+    assert!(matches!(winner.verdict, Verdict::Agrees(d) if d <= 5.0), "{comparison:?}");
     // At equal error no method that agrees takes less work.
-    let at_equal_error = |entry: &Entry| match entry.verdict {
+    let at_equal_error = |entry: &ComparedSolver| match entry.verdict {
         Verdict::Agrees(distance) => entry.work.unwrap() * distance.max(0.1).powf(1.0 / 6.0),
         _ => f64::INFINITY,
     };
-    for entry in &race.entries {
-        assert!(at_equal_error(winner) <= at_equal_error(entry), "{race:?}");
+    for entry in &comparison.entries {
+        assert!(at_equal_error(winner) <= at_equal_error(entry), "{comparison:?}");
     }
-    let fit = raced.fit(few(5)).unwrap();
+    let fit = compared.fit(few(5)).unwrap();
     assert_eq!(fit.solver, solver);
     assert!(fit.to_string().contains(&format!("solver {}", solver.method.name())), "{fit}");
     // A cost is the same function before, in and after a fit, and with the winner named.
-    assert_eq!(raced.cost(&x, &RunContext::new()).unwrap().to_bits(), cost.to_bits());
-    assert_eq!(raced.cost(&fit.x, &RunContext::new()).unwrap().to_bits(), fit.cost.to_bits());
+    assert_eq!(compared.cost(&x, &RunContext::new()).unwrap().to_bits(), cost.to_bits());
+    assert_eq!(compared.cost(&fit.x, &RunContext::new()).unwrap().to_bits(), fit.cost.to_bits());
     let named = calibration(solver.method);
     assert_eq!(named.cost(&x, &RunContext::new()).unwrap().to_bits(), cost.to_bits());
-    assert_eq!(named.solver(&RunContext::new()).unwrap().race, None);
-    let trajectory = &raced.simulate(&x, None, &RunContext::new()).unwrap()[0];
+    assert_eq!(named.solver(&RunContext::new()).unwrap().comparison, None);
+    let trajectory = &compared.simulate(&x, None, &RunContext::new()).unwrap()[0];
     let rows = trajectory.get("T_out").unwrap().iter().zip(exhaust().column("T_out").unwrap().to_vec());
     let sum: f64 = rows.map(|(simulated, measured)| (simulated - measured).powi(2)).sum();
     assert_eq!(sum.to_bits(), cost.to_bits());
 }
 
 #[test]
-fn the_race_has_the_same_winner_and_numbers_again() {
+fn the_comparison_has_the_same_winner_and_numbers_again() {
     let [one, two] = [0, 1].map(|_| calibration(Method::Auto));
     assert_eq!(one.solver(&RunContext::new()).unwrap(), two.solver(&RunContext::new()).unwrap());
 }
 
 #[test]
-fn a_named_method_is_used_and_nothing_is_raced() {
+fn a_named_method_is_used_and_nothing_is_compared() {
     for method in [Method::Radau5, Method::Bdf] {
         let named = calibration(method);
         let fit = named.fit(few(3)).unwrap();
-        assert_eq!((fit.solver.method, fit.solver.race), (method, None));
+        assert_eq!((fit.solver.method, fit.solver.comparison), (method, None));
     }
 }
 
@@ -117,9 +119,9 @@ fn a_model_that_is_not_stiff_keeps_auto() {
         .unwrap();
     let fit = calibration.fit(FitOptions::default()).unwrap();
     assert_eq!(fit.solver.method, Method::Auto);
-    let race = fit.solver.race.unwrap();
-    assert_eq!(race.entries.len(), 1);
-    assert_eq!(race.entries[0].verdict, Verdict::NotCompared);
+    let comparison = fit.solver.comparison.unwrap();
+    assert_eq!(comparison.entries.len(), 1);
+    assert_eq!(comparison.entries[0].verdict, Verdict::NotCompared);
 }
 
 #[test]
@@ -133,10 +135,10 @@ fn a_resumed_fit_takes_the_solver_from_its_checkpoint() {
     };
     let first = calibration(Method::Auto);
     let begun = first.fit(with(Resume::Auto, 5)).unwrap();
-    assert!(begun.solver.race.is_some());
+    assert!(begun.solver.comparison.is_some());
     let second = calibration(Method::Auto);
     let resumed = second.fit(with(Resume::Require, 8)).unwrap();
-    assert_eq!((resumed.solver.method, &resumed.solver.race), (begun.solver.method, &None));
+    assert_eq!((resumed.solver.method, &resumed.solver.comparison), (begun.solver.method, &None));
     let whole = calibration(Method::Auto).fit(few(8)).unwrap();
     assert_eq!((&resumed.x, resumed.cost.to_bits()), (&whole.x, whole.cost.to_bits()));
     // A file of another calibration binds nobody: the difference is named, as ever.
@@ -146,11 +148,11 @@ fn a_resumed_fit_takes_the_solver_from_its_checkpoint() {
 }
 
 #[test]
-fn a_fit_can_be_interrupted_in_the_race() {
+fn a_fit_can_be_interrupted_in_the_comparison() {
     let slow = calibration(Method::Auto);
     let options = FitOptions { context: RunContext::new().asking(&|| true), ..few(5) };
     let ended = slow.fit(options);
-    // Either the race was over before the first look, or nothing was found.
+    // Either the comparison was over before the first look, or nothing was found.
     match ended {
         Err(CalibrationError::Cancelled) => assert_eq!(slow.known_solver(), None),
         Err(CalibrationError::Optimiser(_)) | Ok(_) => assert!(slow.known_solver().is_some()),
@@ -166,7 +168,7 @@ fn table() {
     println!("{:?}", calibration(Method::Auto).solver(&RunContext::new()).unwrap());
     for method in [Method::Auto, Method::Bdf, Method::Radau5] {
         let fit = calibration(method).fit(few(400)).unwrap();
-        let method = if method == Method::Auto { "race" } else { method.name() };
+        let method = if method == Method::Auto { "comparison" } else { method.name() };
         println!(
             "{method}: cost {:e} at {:?} after {} evaluations",
             fit.cost, fit.x, fit.report.n_evaluations

@@ -1,6 +1,6 @@
 //! A function of the user's that evaluates whole batches on the calling thread.
 
-use super::evaluator::{Evaluator, GivesUp, Polled, Wait, panicked};
+use super::evaluator::{CutoffUse, Evaluator, Polled, Wait, panicked};
 use crate::outcome::answer::{Answer, Failure, Outcome};
 use crate::problem::objective::{CancelSignals, Query};
 use std::cell::{Cell, RefCell};
@@ -15,12 +15,12 @@ pub struct BatchView<'a> {
     points: &'a [f64],
     queries: &'a [Query<'static>],
     signals: CancelSignals<'a>,
-    details: &'a [Details],
+    details: &'a [PointDetails],
 }
 
 /// Values that the function gives for a point besides its outcome.
 #[derive(Debug, Default)]
-struct Details {
+struct PointDetails {
     seconds: Cell<Option<f64>>,
     work: Cell<u64>,
     residuals: RefCell<Vec<f64>>,
@@ -86,7 +86,7 @@ const LEAST_GAIN: f64 = 1.5;
 pub(crate) struct Batches<'a> {
     function: &'a mut BatchFunction<'a>,
     workers: usize,
-    gives_up: GivesUp,
+    cutoff_use: CutoffUse,
     /// Speed-up of the points of the last calls together against one by one, as reported by the function.
     gain: Option<f64>,
     points: Vec<f64>,
@@ -102,11 +102,11 @@ pub(crate) struct Batches<'a> {
 
 impl<'a> Batches<'a> {
     /// `workers`: how many points a batch should have where the path needs fewer.
-    pub(crate) fn new(function: &'a mut BatchFunction<'a>, workers: usize, gives_up: GivesUp) -> Self {
+    pub(crate) fn new(function: &'a mut BatchFunction<'a>, workers: usize, cutoff_use: CutoffUse) -> Self {
         Self {
             function,
             workers,
-            gives_up,
+            cutoff_use,
             gain: None,
             points: Vec::new(),
             queries: Vec::new(),
@@ -120,7 +120,7 @@ impl<'a> Batches<'a> {
     /// One call. `Err`: it panicked.
     fn call(&mut self, places: Range<usize>, signals: CancelSignals<'_>) -> Result<(), Failure> {
         let (len, n) = (places.len(), self.points.len() / self.queries.len().max(1));
-        let details: Vec<Details> = std::iter::repeat_with(Details::default).take(len).collect();
+        let details: Vec<PointDetails> = std::iter::repeat_with(PointDetails::default).take(len).collect();
         let points = &self.points[places.start * n..places.end * n];
         let view =
             BatchView { n, points, queries: &self.queries[places.clone()], signals, details: &details };
@@ -219,8 +219,8 @@ impl Evaluator for Batches<'_> {
         plan
     }
 
-    fn gives_up(&self) -> GivesUp {
-        self.gives_up
+    fn cutoff_use(&self) -> CutoffUse {
+        self.cutoff_use
     }
 
     fn is_ready(&self) -> bool {

@@ -1,6 +1,6 @@
 //! One point after the other on the calling thread, each when it is polled.
 
-use super::evaluator::{Evaluator, GivesUp, Polled, Wait, call, gives_up};
+use super::evaluator::{CutoffUse, Evaluator, Polled, Wait, call, cutoff_use};
 use crate::outcome::answer::Answer;
 use crate::problem::objective::{Objective, Query};
 use std::collections::VecDeque;
@@ -53,7 +53,7 @@ impl Evaluator for CallingThread<'_> {
         1
     }
 
-    fn gives_up(&self) -> GivesUp {
-        gives_up(self.objective)
+    fn cutoff_use(&self) -> CutoffUse {
+        cutoff_use(self.objective)
     }
 }

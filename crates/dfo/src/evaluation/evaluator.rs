@@ -77,8 +77,8 @@ pub trait Evaluator {
     }
 
     /// Use of the cutoff: whether evaluations are given up above it.
-    fn gives_up(&self) -> GivesUp {
-        GivesUp::Unknown
+    fn cutoff_use(&self) -> CutoffUse {
+        CutoffUse::Unknown
     }
 
     /// The run is over: whether what is under way can be left to itself. Else its end is waited for.
@@ -109,8 +109,8 @@ impl<E: Evaluator + ?Sized> Evaluator for Box<E> {
     fn is_ready(&self) -> bool {
         (**self).is_ready()
     }
-    fn gives_up(&self) -> GivesUp {
-        (**self).gives_up()
+    fn cutoff_use(&self) -> CutoffUse {
+        (**self).cutoff_use()
     }
     fn leave(&mut self) -> bool {
         (**self).leave()
@@ -120,7 +120,7 @@ impl<E: Evaluator + ?Sized> Evaluator for Box<E> {
 /// Use of cutoffs: whether evaluations are given up above them. If so, every outcome but a cost below
 /// the cutoff depends on it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum GivesUp {
+pub enum CutoffUse {
     /// They are.
     Yes,
     /// The cost does not depend on the cutoff.
@@ -174,8 +174,8 @@ pub(super) fn call(objective: &dyn Objective, x: &[f64], query: &Query<'_>, answ
 }
 
 /// Use of the cutoff by the objective.
-pub(super) fn gives_up(objective: &dyn Objective) -> GivesUp {
-    if objective.uses_cutoff() { GivesUp::Yes } else { GivesUp::No }
+pub(super) fn cutoff_use(objective: &dyn Objective) -> CutoffUse {
+    if objective.uses_cutoff() { CutoffUse::Yes } else { CutoffUse::No }
 }
 
 pub(super) fn panicked(payload: &(dyn Any + Send)) -> Failure {

@@ -1,7 +1,7 @@
 //! Evaluations ahead of need that are under way: they fill the workers that the path leaves free, never hold
 //! it up, and are given up when it has gone elsewhere.
 
-use super::evaluator::{Evaluator, GivesUp};
+use super::evaluator::{CutoffUse, Evaluator};
 use super::round::{Round, UnderWay};
 use super::store::FIRST_ID;
 use crate::method::interface::{Batch, Lookahead, Method};
@@ -170,7 +170,7 @@ impl Guesses {
         id: u64,
         answer: Answer,
         round: &mut Round,
-        gives_up: GivesUp,
+        cutoff_use: CutoffUse,
     ) -> Option<Reached> {
         let place = self.under_way.iter().position(|guess| guess.query.id == id)?;
         let guess = self.under_way.swap_remove(place);
@@ -186,7 +186,7 @@ impl Guesses {
             round.keep_early(entry);
             return Some(Reached::Kept);
         };
-        Some(match entry.answer_to(&round.work.query(k), gives_up) {
+        Some(match entry.answer_to(&round.work.query(k), cutoff_use) {
             Some(answer) => {
                 round.ledger.n_adopted += 1;
                 Reached::Answer(k, answer)

@@ -1,6 +1,6 @@
 //! Sorts a batch into what must be evaluated and what is known, and puts the answers together again.
 
-use super::evaluator::GivesUp;
+use super::evaluator::CutoffUse;
 use super::ledger::{Ledger, Source};
 use super::store::{Early, Store};
 use crate::error::Error;
@@ -25,7 +25,7 @@ pub(crate) struct Round {
     pub(crate) stale: usize,
     /// Points of the batch that are to be evaluated.
     pub(crate) work: Batch,
-    pub(crate) gives_up: GivesUp,
+    pub(crate) cutoff_use: CutoffUse,
     /// The place of the batch that each point of `work` has.
     work_places: Vec<usize>,
     sources: Vec<Source>,
@@ -56,7 +56,7 @@ impl Round {
             store,
             stale: 0,
             work: Batch::new(),
-            gives_up: GivesUp::Unknown,
+            cutoff_use: CutoffUse::Unknown,
             work_places: Vec::new(),
             sources: Vec::new(),
             answers: Vec::new(),
@@ -142,7 +142,7 @@ impl Round {
 
     /// The outcome of a point that was evaluated before the run was resumed, or ahead of need.
     fn evaluated_before(&mut self, batch: &Batch, k: usize) -> Option<Answer> {
-        match self.store.take(batch.point(k), &batch.query(k), self.gives_up)? {
+        match self.store.take(batch.point(k), &batch.query(k), self.cutoff_use)? {
             Ok((known, is_of_path)) => {
                 self.ledger.n_reached += usize::from(!is_of_path);
                 Some(known)
@@ -376,7 +376,7 @@ impl AnswersSoFar for UnderWay<'_> {
     }
 
     fn ahead(&self, x: &[f64], query: &Query<'_>) -> Option<Answer> {
-        self.round.store.look_up(x, query, self.round.gives_up)
+        self.round.store.look_up(x, query, self.round.cutoff_use)
     }
 }
 

@@ -2,7 +2,7 @@
 //! oldest go first), and early ones, made ahead of need or before the run was resumed, which count when the
 //! path comes to them.
 
-use super::evaluator::GivesUp;
+use super::evaluator::CutoffUse;
 use crate::outcome::answer::{Answer, Outcome, Want};
 use crate::outcome::trace::SpeculativeEntry;
 use crate::problem::objective::Query;
@@ -205,7 +205,7 @@ impl Store {
         &mut self,
         x: &[f64],
         query: &Query<'_>,
-        gives_up: GivesUp,
+        cutoff_use: CutoffUse,
     ) -> Option<Result<(Answer, bool), Early>> {
         if self.places.is_empty() {
             return None;
@@ -213,21 +213,21 @@ impl Store {
         self.key(x);
         let number = *self.places.get(&self.key[..])?.front()?;
         let early = self.remove(number)?;
-        Some(match early.entry.answer_to(query, gives_up) {
+        Some(match early.entry.answer_to(query, cutoff_use) {
             Some(answer) => Ok((answer, early.is_of_path)),
             None => Err(early),
         })
     }
 
     /// What is known of a point where it answers this query, early evaluations included.
-    pub(crate) fn look_up(&self, x: &[f64], query: &Query<'_>, gives_up: GivesUp) -> Option<Answer> {
+    pub(crate) fn look_up(&self, x: &[f64], query: &Query<'_>, cutoff_use: CutoffUse) -> Option<Answer> {
         let key = bits(x);
         if let Some(known) = self.known.get(&key) {
             let is_below = matches!(known.outcome, Outcome::Above(c) if c < query.cutoff);
             return (known.answers(query.want) && !is_below).then(|| known.only(query.want));
         }
         let early = self.early.get(self.places.get(&key)?.front()?)?;
-        early.entry.answer_to(query, gives_up)
+        early.entry.answer_to(query, cutoff_use)
     }
 
     /// Takes out all that are early.
@@ -276,11 +276,11 @@ impl SpeculativeEntry {
     }
 
     /// Answer that the objective would have given to this query, as far as that is known.
-    pub(crate) fn answer_to(&self, query: &Query<'_>, gives_up: GivesUp) -> Option<Answer> {
+    pub(crate) fn answer_to(&self, query: &Query<'_>, cutoff_use: CutoffUse) -> Option<Answer> {
         let cutoff = query.cutoff;
         let above = || Some(Answer { outcome: Outcome::Above(cutoff), ..self.answer.only(Want::Cost) });
         match &self.answer.outcome {
-            Outcome::Value(value) if *value > cutoff && gives_up == GivesUp::Yes => above(),
+            Outcome::Value(value) if *value > cutoff && cutoff_use == CutoffUse::Yes => above(),
             Outcome::Value(_) => self.answer.answers(query.want).then(|| self.answer.only(query.want)),
             Outcome::Above(c) => {
                 if *c >= cutoff {
@@ -291,7 +291,7 @@ impl SpeculativeEntry {
             }
             // With a lower cutoff it might have been given up before.
             Outcome::Failed(_) | Outcome::Abort(_) => {
-                let same = self.cutoff == cutoff || gives_up == GivesUp::No;
+                let same = self.cutoff == cutoff || cutoff_use == CutoffUse::No;
                 same.then(|| self.answer.clone())
             }
             Outcome::Skipped => None,

@@ -1,6 +1,6 @@
 //! Threads of a run: as many as it has use for, up to the number of its workers, with one queue.
 
-use super::evaluator::{Evaluator, GivesUp, Polled, Wait, call, gives_up};
+use super::evaluator::{CutoffUse, Evaluator, Polled, Wait, call, cutoff_use};
 use super::timing::Timing;
 use crate::outcome::answer::Answer;
 use crate::problem::objective::{CancelSignals, Objective, Query};
@@ -316,8 +316,8 @@ impl Evaluator for Threads<'_, '_> {
         self.shared.workers > 1 && self.timing.is_long() == Some(true)
     }
 
-    fn gives_up(&self) -> GivesUp {
-        gives_up(self.shared.objective)
+    fn cutoff_use(&self) -> CutoffUse {
+        cutoff_use(self.shared.objective)
     }
 }
 

@@ -3,7 +3,7 @@
 
 use crate::error::Error;
 use crate::method::linear_model::LinearModel;
-use crate::method::tolerances::{Tests, Tolerances};
+use crate::method::tolerances::{ToleranceTests, Tolerances};
 use crate::outcome::answer::{Answer, Answers, Want};
 use crate::outcome::termination::Termination;
 use crate::problem::loss::RobustLoss;
@@ -311,7 +311,8 @@ pub struct Setup {
     pub space: Space,
     /// When to stop.
     pub tolerances: Tolerances,
-    /// Seed of what is random; `None`: a method that needs one draws it and says it ([`Details::seed`]).
+    /// Seed of what is random; `None`: a method that needs one draws it and says it
+    /// ([`MethodDetails::seed`]).
     pub seed: Option<u64>,
     /// The budget, for methods that plan ahead with it.
     pub max_evaluations: Option<usize>,
@@ -497,7 +498,7 @@ pub trait Method {
     fn best(&self) -> Option<(&[f64], f64)>;
 
     /// Where the method stands in detail, and what only some methods have.
-    fn details(&self) -> Details<'_>;
+    fn details(&self) -> MethodDetails<'_>;
 
     /// The derivatives of the residuals at the best point, for methods that have them (see [`Space`] for its
     /// scales). Called once, at the end of a run. `None` where it would take long and the context is over.
@@ -540,13 +541,13 @@ impl fmt::Display for Roughness {
 /// Where a method stands, besides its status and its best point. A method gives what it has; all else has a
 /// default.
 #[derive(Debug, Clone, Default)]
-pub struct Details<'a> {
+pub struct MethodDetails<'a> {
     /// Number of complete iterations.
     pub n_iterations: usize,
     /// Operation of the last complete iteration; `None` before the starting points are known.
     pub operation: Option<Operation>,
     /// The tolerance tests after the last complete iteration.
-    pub tests: Option<Tests>,
+    pub tests: Option<ToleranceTests>,
     /// True if these have passed, and the method goes on all the same for what may lie beside: an end by a
     /// limit is a success.
     pub settled: bool,

@@ -1,7 +1,7 @@
 //! Limits of a run from outside, and the tolerance tests that all methods share.
 
 use crate::error::Error;
-use crate::values::choices::{Measure, Stop};
+use crate::values::choices::{StopRule, ToleranceMeasure};
 use crate::values::number::Number;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -53,9 +53,10 @@ const ZERO_COST: f64 = 1.490_116_119_384_765_6e-8;
 /// Tolerances of the two tests that end a run.
 ///
 /// - x test: `max |x_i - x_best,i| <= x_tol * size_i` over all vertices and parameters (a logarithmic
-///   parameter is compared by its logarithm); with [`Measure::Absolute`]: `<= x_tol` in the user's units.
-/// - f test: `f_worst - f_best <= f_tol * |f_best|`; with [`Measure::Absolute`]: `<= f_tol`. It never passes
-///   while a vertex has failed.
+///   parameter is compared by its logarithm); with [`ToleranceMeasure::Absolute`]: `<= x_tol` in the user's
+///   units.
+/// - f test: `f_worst - f_best <= f_tol * |f_best|`; with [`ToleranceMeasure::Absolute`]: `<= f_tol`. It
+///   never passes while a vertex has failed.
 ///
 /// A cost that goes to zero would never pass a relative f test, because the spread goes to zero with it.
 /// So |f_best| counts at least as `1.5e-8 * f_0` (the root of the machine precision), `f_0` being the
@@ -70,15 +71,15 @@ pub struct Tolerances {
     pub x_tol: f64,
     /// Tolerance of the f test; default 1e-6.
     pub f_tol: f64,
-    /// Default [`Measure::Relative`].
-    pub measure: Measure,
-    /// Default [`Stop::All`].
-    pub stop: Stop,
+    /// Default [`ToleranceMeasure::Relative`].
+    pub measure: ToleranceMeasure,
+    /// Default [`StopRule::All`].
+    pub stop: StopRule,
 }
 
 impl Default for Tolerances {
     fn default() -> Self {
-        Self { x_tol: 1e-6, f_tol: 1e-6, measure: Measure::Relative, stop: Stop::All }
+        Self { x_tol: 1e-6, f_tol: 1e-6, measure: ToleranceMeasure::Relative, stop: StopRule::All }
     }
 }
 
@@ -94,20 +95,20 @@ impl Tolerances {
 
     /// Applies both tests. `f_spread` is `None` while a vertex has failed; `f_0` is described at
     /// [`Tolerances`].
-    pub(crate) fn judge(&self, x_size: f64, f_spread: Option<f64>, f_best: f64, f_0: f64) -> Tests {
+    pub(crate) fn judge(&self, x_size: f64, f_spread: Option<f64>, f_best: f64, f_0: f64) -> ToleranceTests {
         let f_limit = match self.measure {
-            Measure::Absolute => self.f_tol,
-            Measure::Relative => self.f_tol * f_best.abs().max(ZERO_COST * f_0),
+            ToleranceMeasure::Absolute => self.f_tol,
+            ToleranceMeasure::Relative => self.f_tol * f_best.abs().max(ZERO_COST * f_0),
         };
         let x_passed = x_size <= self.x_tol;
         let f_passed = f_spread.is_some_and(|s| s <= f_limit);
         let passed = match self.stop {
             // Without a spread the points that have a cost may have nothing to compare with.
-            Stop::Any => f_spread.is_some() && (x_passed || f_passed),
-            Stop::All => x_passed && f_passed,
+            StopRule::Any => f_spread.is_some() && (x_passed || f_passed),
+            StopRule::All => x_passed && f_passed,
         };
-        Tests {
-            extent: Extent::Simplex,
+        ToleranceTests {
+            extent: TestedSet::Simplex,
             x_size,
             f_spread,
             f_limit,
@@ -130,7 +131,7 @@ pub(crate) fn typical(costs: &[Option<f64>]) -> f64 {
 /// Of what the tests measure the size and the spread.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[non_exhaustive]
-pub enum Extent {
+pub enum TestedSet {
     /// Of a simplex.
     #[default]
     Simplex,
@@ -149,7 +150,7 @@ pub enum Extent {
     Plateau,
 }
 
-impl Extent {
+impl TestedSet {
     fn name(self) -> &'static str {
         match self {
             Self::Simplex => "simplex",
@@ -165,9 +166,9 @@ impl Extent {
 
 /// The last values of the tolerance tests.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Tests {
+pub struct ToleranceTests {
     /// Set of points, or region, that the tests measure.
-    pub extent: Extent,
+    pub extent: TestedSet,
     /// Size of the simplex (or population) as the x test measures it.
     pub x_size: f64,
     /// Largest minus smallest cost; `None` while a vertex has failed.
@@ -186,14 +187,14 @@ pub struct Tests {
     pub tolerances: Tolerances,
 }
 
-impl fmt::Display for Tests {
+impl fmt::Display for ToleranceTests {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Tolerances { x_tol, f_tol, measure, .. } = self.tolerances;
         let relation = |passed| if passed { "<=" } else { ">" };
         let verb = |passed| if passed { "passed" } else { "not passed" };
         let unit = match measure {
-            Measure::Relative => " (in units of the parameters' sizes)",
-            Measure::Absolute => "",
+            ToleranceMeasure::Relative => " (in units of the parameters' sizes)",
+            ToleranceMeasure::Absolute => "",
         };
         let x = relation(self.x_passed);
         write!(
@@ -201,11 +202,11 @@ impl fmt::Display for Tests {
             "x test {}: {}{} {:.4} {x} x_tol {}{unit}",
             verb(self.x_passed),
             self.extent.name(),
-            if self.extent == Extent::Model { "" } else { " size" },
+            if self.extent == TestedSet::Model { "" } else { " size" },
             Number(self.x_size),
             Number(x_tol)
         )?;
-        let spread_name = if self.extent == Extent::Model { "predicted decrease" } else { "spread" };
+        let spread_name = if self.extent == TestedSet::Model { "predicted decrease" } else { "spread" };
         match self.f_spread {
             None => write!(f, "; f test not passed: a vertex has failed"),
             Some(spread) => {
@@ -218,14 +219,14 @@ impl fmt::Display for Tests {
                     Number(self.f_limit)
                 )?;
                 match measure {
-                    Measure::Relative if self.f_limit > f_tol * self.f_best.abs() => {
+                    ToleranceMeasure::Relative if self.f_limit > f_tol * self.f_best.abs() => {
                         let zero = Number(ZERO_COST);
                         write!(f, " (f_tol {} of {zero:.2} times the initial cost)", Number(f_tol))
                     }
-                    Measure::Relative => {
+                    ToleranceMeasure::Relative => {
                         write!(f, " (f_tol {} of f_best {:.7})", Number(f_tol), Number(self.f_best))
                     }
-                    Measure::Absolute => write!(f, " (f_tol)"),
+                    ToleranceMeasure::Absolute => write!(f, " (f_tol)"),
                 }
             }
         }
@@ -238,7 +239,7 @@ mod tests {
 
     #[test]
     fn tests_are_nan_proof() {
-        let tolerances = Tolerances { stop: Stop::Any, ..Tolerances::default() };
+        let tolerances = Tolerances { stop: StopRule::Any, ..Tolerances::default() };
         for (x, spread) in [(f64::NAN, Some(f64::NAN)), (f64::INFINITY, Some(f64::INFINITY)), (1.0, None)] {
             assert!(!tolerances.judge(x, spread, 1.0, 1.0).passed);
         }
@@ -255,8 +256,9 @@ mod tests {
 
     #[test]
     fn either_or_both() {
-        let any = Tolerances { stop: Stop::Any, measure: Measure::Absolute, ..Tolerances::default() };
-        let all = Tolerances { stop: Stop::All, ..any };
+        let any =
+            Tolerances { stop: StopRule::Any, measure: ToleranceMeasure::Absolute, ..Tolerances::default() };
+        let all = Tolerances { stop: StopRule::All, ..any };
         for (x, f, either, both) in
             [(1e-7, 1.0, true, false), (1.0, 1e-7, true, false), (1e-7, 1e-7, true, true)]
         {

@@ -11,8 +11,8 @@
 
 use crate::error::Error;
 use crate::method::interface::{
-    AnswersSoFar, BarrierStage, Batch, Details, Lookahead, Method, MethodOptions, Operation, Setup, Status,
-    restored, saved,
+    AnswersSoFar, BarrierStage, Batch, Lookahead, Method, MethodDetails, MethodOptions, Operation, Setup,
+    Status, restored, saved,
 };
 use crate::method::tolerances::Tolerances;
 use crate::methods::nelder_mead::{Coefficients, NelderMead, NelderMeadState};
@@ -21,7 +21,7 @@ use crate::outcome::termination::Termination;
 use crate::problem::option_texts;
 use crate::problem::space::Bounds;
 use crate::problem::space::Space;
-use crate::values::choices::Measure;
+use crate::values::choices::ToleranceMeasure;
 use serde::{Deserialize, Serialize};
 
 /// Least distance from a bound, in units of the width of the box (else of the size of the parameter).
@@ -189,10 +189,10 @@ fn inner_setup(setup: &Setup, start: &[f64], stage: usize) -> Setup {
     let loose = 0.1f64.powi(stage.min(300) as i32 + 1);
     let Tolerances { x_tol, f_tol, measure, .. } = setup.tolerances;
     let tolerances = match measure {
-        Measure::Relative => {
+        ToleranceMeasure::Relative => {
             Tolerances { x_tol: x_tol.max(0.1 * loose), f_tol: f_tol.max(0.1 * loose), ..setup.tolerances }
         }
-        Measure::Absolute => setup.tolerances,
+        ToleranceMeasure::Absolute => setup.tolerances,
     };
     let inner = Bounds::new(&lower, &upper).and_then(|b| Space::new(start, b, &transforms, &sizes));
     // The bounds contain the start by construction; should rounding say otherwise, the user's own do.
@@ -315,13 +315,13 @@ impl BarrierState {
         space.to_working(&x, &mut self.working);
         for (k, &i) in space.free().iter().enumerate() {
             moved = moved.max(match measure {
-                Measure::Relative => (self.working[k] - start[k]).abs() / space.size(k),
-                Measure::Absolute => (x[i] - self.stage_start[i]).abs(),
+                ToleranceMeasure::Relative => (self.working[k] - start[k]).abs() / space.size(k),
+                ToleranceMeasure::Absolute => (x[i] - self.stage_start[i]).abs(),
             });
         }
         let limit = match measure {
-            Measure::Relative => f_tol * cost.abs().max(self.f_0),
-            Measure::Absolute => f_tol,
+            ToleranceMeasure::Relative => f_tol * cost.abs().max(self.f_0),
+            ToleranceMeasure::Absolute => f_tol,
         };
         let tight = inner_setup(&self.setup, &x, stage - 1).tolerances == self.setup.tolerances;
         let settled = stage > 1 && moved <= x_tol && mu * barrier <= limit;
@@ -432,7 +432,7 @@ impl Method for BarrierState {
         }
     }
 
-    fn details(&self) -> Details<'_> {
+    fn details(&self) -> MethodDetails<'_> {
         let inner = self.inner.details();
         // The inner method of the last stage was counted when it ended.
         let is_counted = self.ended.is_some() && self.schedule.is_empty();
@@ -440,7 +440,7 @@ impl Method for BarrierState {
             None if !self.schedule.is_empty() => Some(Operation::Initial),
             operation => operation,
         };
-        Details {
+        MethodDetails {
             n_iterations: self.n_iterations + if is_counted { 0 } else { inner.n_iterations },
             operation,
             schedule: &self.schedule,

@@ -28,7 +28,7 @@ pub use quadratic_model::{QuadraticModel, QuadraticModelState};
 
 use crate::error::Error;
 use crate::method::interface::{
-    AnswersSoFar, Batch, Details, Method, MethodOptions, ProblemClass, Setup, Status,
+    AnswersSoFar, Batch, Method, MethodDetails, MethodOptions, ProblemClass, Setup, Status,
 };
 use crate::method::linear_model::LinearModel;
 use crate::outcome::answer::Answers;
@@ -632,7 +632,7 @@ impl Method for BoxedMethod {
     fn status(&self) -> Status {
         self.0.status()
     }
-    fn details(&self) -> Details<'_> {
+    fn details(&self) -> MethodDetails<'_> {
         self.0.details()
     }
     fn best(&self) -> Option<(&[f64], f64)> {

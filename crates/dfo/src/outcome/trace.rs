@@ -25,7 +25,7 @@ pub struct Trace {
 
 /// Length of a trace at some time: evaluations of the path and beside it, those dropped included.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
-pub(crate) struct Extent {
+pub(crate) struct TraceLength {
     pub(crate) path: usize,
     speculative: usize,
 }
@@ -232,11 +232,11 @@ impl Trace {
     pub(crate) fn keep_last(&mut self, limit: usize) {
         let before = |end: usize| end.saturating_sub(limit);
         let end = self.extent();
-        self.drop_before(Extent { path: before(end.path), speculative: before(end.speculative) });
+        self.drop_before(TraceLength { path: before(end.path), speculative: before(end.speculative) });
     }
 
     /// Drops what came before it had this length.
-    pub(crate) fn drop_before(&mut self, first: Extent) {
+    pub(crate) fn drop_before(&mut self, first: TraceLength) {
         let surplus = first.path.saturating_sub(self.dropped).min(self.records.len());
         self.records.drain(..surplus);
         self.points.drain(..surplus * self.n);
@@ -247,17 +247,17 @@ impl Trace {
     }
 
     /// Its length.
-    pub(crate) fn extent(&self) -> Extent {
-        Extent { path: self.end(), speculative: self.dropped_speculative + self.speculative.len() }
+    pub(crate) fn extent(&self) -> TraceLength {
+        TraceLength { path: self.end(), speculative: self.dropped_speculative + self.speculative.len() }
     }
 
     /// Length of what was dropped of it.
-    pub(crate) fn dropped_extent(&self) -> Extent {
-        Extent { path: self.dropped, speculative: self.dropped_speculative }
+    pub(crate) fn dropped_extent(&self) -> TraceLength {
+        TraceLength { path: self.dropped, speculative: self.dropped_speculative }
     }
 
     /// What came after it had this length, as far as it is kept.
-    pub(crate) fn since(&self, extent: Extent) -> LaterPart<'_> {
+    pub(crate) fn since(&self, extent: TraceLength) -> LaterPart<'_> {
         let first = extent.path.saturating_sub(self.dropped).min(self.records.len());
         let early = extent.speculative.saturating_sub(self.dropped_speculative).min(self.speculative.len());
         LaterPart {

@@ -18,10 +18,10 @@ use crate::evaluation::ledger::Ledger;
 use crate::evaluation::round::Round;
 use crate::evaluation::store::{Early, Store};
 use crate::method::interface::{Method, Setup};
-use crate::outcome::trace::{Extent, LaterPart, Trace};
+use crate::outcome::trace::{LaterPart, Trace, TraceLength};
 use crate::problem::option_texts;
 use crate::values::encoding::{decode, encode};
-use base::files::{self, Claim, Unfinished};
+use base::files::{self, AtomicFile, Claim};
 use crc32fast::Hasher;
 use serde::{Deserialize, Serialize};
 use std::fs::{File, Metadata};
@@ -158,7 +158,7 @@ pub(crate) struct Snapshot {
     pub(crate) ledger: Ledger,
     trace: Trace,
     /// Length of what the run has dropped of its trace.
-    dropped: Extent,
+    dropped: TraceLength,
     pub(crate) store: Store,
     pub(crate) stale: usize,
     /// Evaluations so far of the batch that the method waits for.
@@ -184,7 +184,7 @@ struct SnapshotRef<'a> {
     method: &'a [u8],
     ledger: &'a Ledger,
     trace: LaterPart<'a>,
-    dropped: Extent,
+    dropped: TraceLength,
     store: &'a Store,
     stale: usize,
     known: &'a [Early],
@@ -471,7 +471,7 @@ struct Blocks {
     n_state: u64,
     n_states: u64,
     /// Length of the trace that is in it.
-    extent: Extent,
+    extent: TraceLength,
 }
 
 impl Blocks {
@@ -516,7 +516,7 @@ impl Writer {
     ) -> Result<Self, Error> {
         let path = &options.path;
         base::files::remove_unfinished(path);
-        Unfinished::new(path).map_err(|e| file_failed(path, &e))?;
+        AtomicFile::new(path).map_err(|e| file_failed(path, &e))?;
         let claim = Claim::new(path, by_hand).map_err(|e| match e.kind() {
             ErrorKind::ResourceBusy => failed(path, format!("{e}: wait for its end, or give another path")),
             _ => file_failed(path, &e),
@@ -548,7 +548,7 @@ impl Writer {
         let state = method.save().ok_or_else(|| failed(path, "this method cannot be continued"))?;
         let trace = &round.ledger.trace;
         let before = self.written.take().filter(|blocks| !blocks.is_wasteful(trace) && blocks.is_at(path));
-        let extent = before.as_ref().map_or(Extent::default(), |blocks| blocks.extent);
+        let extent = before.as_ref().map_or(TraceLength::default(), |blocks| blocks.extent);
         let snapshot = SnapshotRef {
             version: VERSION,
             fingerprint: &self.fingerprint,
@@ -568,7 +568,7 @@ impl Writer {
             Some(blocks) => write_block(&blocks.file, &snapshot)
                 .inspect_err(|_| _ = blocks.file.set_len(blocks.n_bytes))
                 .map(|n| (n, Some(blocks.file), blocks.n_states)),
-            None => Unfinished::new(path).and_then(|unfinished| {
+            None => AtomicFile::new(path).and_then(|unfinished| {
                 unfinished.file().write_all(&[&MARK[..], &[FORMAT]].concat())?;
                 let n = write_block(unfinished.file(), &snapshot)?;
                 Ok((n, unfinished.finish_open()?, 0))

@@ -5,8 +5,8 @@ use crate::error::Error;
 use crate::evaluation::ledger::Ledger;
 use crate::evaluation::round::{Round, reset};
 use crate::evaluation::store::{Early, FIRST_ID};
-use crate::evaluation::{Evaluator, GivesUp, Guesses, Polled, Reached, RunControl, StopCause};
-use crate::method::interface::{Batch, Details, Method, Status};
+use crate::evaluation::{ContextPoller, CutoffUse, Evaluator, Guesses, Polled, Reached, StopCause};
+use crate::method::interface::{Batch, Method, MethodDetails, Status};
 use crate::method::tolerances::Limits;
 use crate::outcome::answer::{Answer, Outcome, Want};
 use crate::outcome::termination::{Termination, UNBOUNDED};
@@ -24,7 +24,7 @@ pub(crate) type Observer<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
 /// Who takes part in a run besides its method.
 pub(crate) struct Around<'a, 'b, 'c> {
     pub(crate) evaluator: &'a mut dyn Evaluator,
-    pub(crate) control: &'a RunControl<'b>,
+    pub(crate) control: &'a ContextPoller<'b>,
     pub(crate) observer: Option<&'a mut Observer<'c>>,
 }
 
@@ -150,9 +150,9 @@ impl<M: Method> Drive<M> {
             match around.evaluator.poll(&wait, &mut answer) {
                 Polled::Answered(id) => {
                     let answer = std::mem::take(&mut answer);
-                    let gives_up = around.evaluator.gives_up();
+                    let cutoff_use = around.evaluator.cutoff_use();
                     if id >= FIRST_ID {
-                        self.guesses.answered(id, answer, &mut self.round, gives_up);
+                        self.guesses.answered(id, answer, &mut self.round, cutoff_use);
                     } else if let Some(k) = self.round.work.place_of(id) {
                         self.round.keep_unneeded(k, &answer);
                     }
@@ -248,7 +248,7 @@ impl<M: Method> Drive<M> {
     }
 
     /// The limit that forbids to start another evaluation, if one does.
-    fn exhausted(&self, control: &RunControl<'_>) -> Option<Termination> {
+    fn exhausted(&self, control: &ContextPoller<'_>) -> Option<Termination> {
         if self.round.store.has_replays() {
             // Evaluations made before the run was resumed are known already.
             return None;
@@ -262,7 +262,7 @@ impl<M: Method> Drive<M> {
     /// Hands in what the batch needs and is not under way, in request order, and what may be needed next.
     fn open(&mut self, around: &mut Around<'_, '_, '_>) {
         let Self { round, guesses, batch, answers, limits, .. } = self;
-        round.gives_up = around.evaluator.gives_up();
+        round.cutoff_use = around.evaluator.cutoff_use();
         round.open(batch, limits);
         let n_work = round.work.len();
         reset(answers, n_work);
@@ -343,8 +343,8 @@ impl<M: Method> Drive<M> {
     /// One answer, to a point of the path or to a guess.
     fn answered(&mut self, id: u64, answer: &mut Answer, evaluator: &mut dyn Evaluator) {
         if id >= FIRST_ID {
-            let gives_up = evaluator.gives_up();
-            let reached = self.guesses.answered(id, std::mem::take(answer), &mut self.round, gives_up);
+            let cutoff_use = evaluator.cutoff_use();
+            let reached = self.guesses.answered(id, std::mem::take(answer), &mut self.round, cutoff_use);
             match reached {
                 Some(Reached::Answer(k, answer)) => self.fill(k, answer, evaluator),
                 // Where the run is being ended nothing begins again.
@@ -360,7 +360,7 @@ impl<M: Method> Drive<M> {
                 answer.outcome = match std::mem::replace(&mut answer.outcome, Outcome::Skipped) {
                     // It might as well have been given up, as elsewhere.
                     Outcome::Value(v)
-                        if v > cutoff && v.is_finite() && self.round.gives_up == GivesUp::Yes =>
+                        if v > cutoff && v.is_finite() && self.round.cutoff_use == CutoffUse::Yes =>
                     {
                         Outcome::Above(cutoff)
                     }
@@ -411,7 +411,7 @@ impl<M: Method> Drive<M> {
     }
 
     /// Why the run must end after what the path needs was evaluated.
-    fn verdict(&self, control: &RunControl<'_>) -> Option<Termination> {
+    fn verdict(&self, control: &ContextPoller<'_>) -> Option<Termination> {
         let last = self.round.last(&self.answers);
         let stopped = self.round.stopped(last);
         if matches!(stopped, Some(Termination::Aborted(_))) {
@@ -561,7 +561,7 @@ fn reached<M: Method + ?Sized>(method: &M, round: &Round, limits: &Limits) -> Op
 
 /// Termination where a limit ends a run: the limit, unless the tests have passed for the best point already.
 pub(crate) fn limited<M: Method + ?Sized>(method: &M, round: &Round, limit: Termination) -> Termination {
-    let Details { settled, tests, .. } = method.details();
+    let MethodDetails { settled, tests, .. } = method.details();
     let best = round.ledger.best.cost();
     let tested = matches!((tests, best), (Some(tests), Some(best)) if best >= tests.f_best);
     if settled && tested { meaning(Termination::Converged, round) } else { limit }

@@ -2,7 +2,7 @@
 
 use crate::error::Error;
 use crate::evaluation::{
-    BatchFunction, BatchView, Batches, CallingThread, Evaluator, GivesUp, OnCallingThread, RunControl,
+    BatchFunction, BatchView, Batches, CallingThread, ContextPoller, CutoffUse, Evaluator, OnCallingThread,
     Shared, Threads,
 };
 use crate::method::interface::{Method, MethodOptions};
@@ -16,12 +16,12 @@ use crate::problem::space::Bounds;
 use crate::run::checkpoint::Checkpoint;
 use crate::run::drive::{Around, Drive, Observer};
 use crate::run::optimizer::Optimizer;
-use crate::run::options::{Known, RunOptions};
+use crate::run::options::{KnownPoint, RunOptions};
 use crate::run::progress::Progress;
 use crate::run::report::Report;
 use crate::run::requested::RequestedRun;
 use crate::run::start::Description;
-use crate::values::choices::{Kind, Measure, Search, Stop, Transform};
+use crate::values::choices::{Kind, Search, StopRule, ToleranceMeasure, Transform};
 use base::RunContext;
 use std::fmt;
 use std::marker::PhantomData;
@@ -46,7 +46,7 @@ use std::time::Duration;
 /// ```
 pub fn minimize<'a>(objective: impl Objective + 'a) -> Minimize<'a, NelderMead> {
     let loss = objective.residual_loss();
-    Minimize::new(Driven { loss, ..Driven::new(Source::Objective(Box::new(objective))) })
+    Minimize::new(ByRun { loss, ..ByRun::new(Source::Objective(Box::new(objective))) })
 }
 
 /// Minimises the sum of the squares of residuals:
@@ -88,14 +88,14 @@ pub fn least_squares<'a>(function: impl ResidualFunction + 'a) -> Minimize<'a, L
 pub fn minimize_batches<'a>(
     function: impl FnMut(&BatchView<'_>) -> Vec<Outcome> + 'a,
 ) -> Minimize<'a, NelderMead> {
-    Minimize::new(Driven::new(Source::Batches(Box::new(function))))
+    Minimize::new(ByRun::new(Source::Batches(Box::new(function))))
 }
 
 /// Minimises by an [`Evaluator`] of one's own, which takes points one by one and answers in any order: an
 /// executor, a cluster, a laboratory. Points that are needed go first; where its [`width`](Evaluator::width)
 /// leaves room, others follow that may be needed.
 pub fn minimize_by<'a>(evaluator: impl Evaluator + 'a) -> Minimize<'a, NelderMead> {
-    Minimize::new(Driven::new(Source::Evaluator(Box::new(evaluator))))
+    Minimize::new(ByRun::new(Source::Evaluator(Box::new(evaluator))))
 }
 
 /// A run that is driven by hand, point by point: described as [`minimize`] is, ended by
@@ -128,17 +128,17 @@ enum Source<'a> {
 }
 
 /// Of a [`Minimize`]: what it minimises is evaluated by the run.
-pub struct Driven<'a> {
+pub struct ByRun<'a> {
     source: Source<'a>,
     context: RunContext<'a>,
     observer: Option<Box<Observer<'a>>>,
     has_residuals: bool,
-    gives_up: GivesUp,
+    cutoff_use: CutoffUse,
     loss: RobustLoss,
     spent: Duration,
 }
 
-impl<'a> Driven<'a> {
+impl<'a> ByRun<'a> {
     fn new(source: Source<'a>) -> Self {
         let (loss, spent) = (RobustLoss::default(), Duration::ZERO);
         Self {
@@ -146,7 +146,7 @@ impl<'a> Driven<'a> {
             context: RunContext::new(),
             observer: None,
             has_residuals: false,
-            gives_up: GivesUp::Unknown,
+            cutoff_use: CutoffUse::Unknown,
             loss,
             spent,
         }
@@ -160,7 +160,7 @@ pub struct ByHand;
 /// A minimisation being described; made by [`minimize`], [`minimize_batches`], [`minimize_by`] or
 /// [`by_hand`], ended by [`run`](Self::run) or [`optimizer`](Self::optimizer).
 #[must_use = "nothing happens before run()"]
-pub struct Minimize<'a, M, D = Driven<'a>> {
+pub struct Minimize<'a, M, D = ByRun<'a>> {
     description: Description<M>,
     driver: D,
     life: PhantomData<&'a ()>,
@@ -299,13 +299,13 @@ impl<'a, M, D> Minimize<'a, M, D> {
     }
 
     /// Sets relative (default) or absolute tolerances.
-    pub fn measure(mut self, measure: Measure) -> Self {
+    pub fn measure(mut self, measure: ToleranceMeasure) -> Self {
         self.description.options.tolerances.measure = measure;
         self
     }
 
     /// Sets the number of tests that must pass: both (default) or either.
-    pub fn stop(mut self, stop: Stop) -> Self {
+    pub fn stop(mut self, stop: StopRule) -> Self {
         self.description.options.tolerances.stop = stop;
         self
     }
@@ -350,13 +350,13 @@ impl<'a, M, D> Minimize<'a, M, D> {
         let problem = trace.problem().map(str::to_owned);
         let known = |e: TraceEntry<'_>| {
             let (cost, residuals) = (e.outcome.value()?, e.residuals.to_vec());
-            Some(Known { x: e.x.to_vec(), cost, residuals, problem: problem.clone() })
+            Some(KnownPoint { x: e.x.to_vec(), cost, residuals, problem: problem.clone() })
         };
         self.known(trace.iter().filter_map(known))
     }
 
     /// The same with points that were kept otherwise; those whose costs are not finite are left out.
-    pub fn known(mut self, points: impl IntoIterator<Item = Known>) -> Self {
+    pub fn known(mut self, points: impl IntoIterator<Item = KnownPoint>) -> Self {
         self.description.options.known.extend(points);
         self
     }
@@ -418,8 +418,8 @@ impl<'a, M> Minimize<'a, M> {
 
     /// Says whether a function of [`minimize_batches`] gives up above cutoffs: then a cost above one counts
     /// as given up, whoever evaluates.
-    pub fn gives_up(mut self, gives_up: GivesUp) -> Self {
-        self.driver.gives_up = gives_up;
+    pub fn cutoff_use(mut self, cutoff_use: CutoffUse) -> Self {
+        self.driver.cutoff_use = cutoff_use;
         self
     }
 
@@ -452,7 +452,7 @@ impl<M: MethodOptions> Minimize<'_, M> {
     /// Options that cannot be used; an objective that failed at every starting point; a run that was ended
     /// before any point had a finite cost. Every other end is a [`Report`].
     pub fn run(mut self) -> Result<Report, Error> {
-        let Driven { mut source, context, mut observer, has_residuals, gives_up, loss, spent } = self.driver;
+        let ByRun { mut source, context, mut observer, has_residuals, cutoff_use, loss, spent } = self.driver;
         if let Source::Evaluator(evaluator) = &source {
             self.description.options.workers = Some(evaluator.width().max(1));
         }
@@ -473,7 +473,7 @@ impl<M: MethodOptions> Minimize<'_, M> {
         let context = context.within(left);
         let here =
             if context.function().is_some() { OnCallingThread::WhenShort } else { OnCallingThread::AtFirst };
-        let control = RunControl::new(context);
+        let control = ContextPoller::new(context);
         let (workers, signals) = (started.workers, control.signals());
         let drive = Drive::new(started, false);
         let go = |evaluator: &mut dyn Evaluator| {
@@ -486,7 +486,7 @@ impl<M: MethodOptions> Minimize<'_, M> {
                 let shared = Shared::new(&**objective, signals, workers);
                 std::thread::scope(|scope| go(&mut Threads::new(scope, &shared, here)))
             }
-            Source::Batches(function) => go(&mut Batches::new(function.as_mut(), workers, gives_up)),
+            Source::Batches(function) => go(&mut Batches::new(function.as_mut(), workers, cutoff_use)),
             Source::Evaluator(evaluator) => go(evaluator),
         }?;
         report.undo(loss);

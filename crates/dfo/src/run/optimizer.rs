@@ -2,7 +2,7 @@
 
 use crate::error::Error;
 use crate::evaluation::store::FIRST_ID;
-use crate::evaluation::{ByHand, RunControl};
+use crate::evaluation::{ByHand, ContextPoller};
 use crate::method::interface::Method;
 use crate::methods::BoxedMethod;
 use crate::outcome::answer::{Answer, Outcome, Want};
@@ -69,7 +69,7 @@ impl Optimizer {
         context: &RunContext<'_>,
         go_on: impl FnOnce(&mut Drive<BoxedMethod>, &mut Around<'_, '_, '_>) -> Result<(), Error>,
     ) -> Result<(), Error> {
-        let control = RunControl::new(context.until(self.deadline));
+        let control = ContextPoller::new(context.until(self.deadline));
         let mut around = Around { evaluator: &mut self.hand, control: &control, observer: None };
         go_on(&mut self.drive, &mut around)?;
         self.drive.unsaved.take().map_or(Ok(()), Err)

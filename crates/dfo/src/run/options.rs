@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 /// A point with its cost, and the problem that they belong to.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Known {
+pub struct KnownPoint {
     /// The point, in the user's units.
     pub x: Vec<f64>,
     /// Its cost.
@@ -56,7 +56,7 @@ pub struct RunOptions<M = NelderMead> {
     /// refused.
     pub problem: Option<String>,
     /// Points that are known from earlier runs.
-    pub known: Vec<Known>,
+    pub known: Vec<KnownPoint>,
 }
 
 impl<M> RunOptions<M> {

@@ -1,7 +1,7 @@
 //! Progress of a run: one report per iteration, on the calling thread. The callback may stop the run.
 
 use crate::method::interface::{Operation, SimplexView};
-use crate::method::tolerances::Tests;
+use crate::method::tolerances::ToleranceTests;
 use crate::outcome::trace::{Trace, TraceEntry};
 
 /// The state of a run after an iteration (number 0: the starting points).
@@ -26,7 +26,7 @@ pub struct Progress<'a> {
     /// The population, for methods that have one.
     pub population: Option<SimplexView<'a>>,
     /// The tolerance tests; `None` before the first iteration.
-    pub tests: Option<Tests>,
+    pub tests: Option<ToleranceTests>,
     /// Seconds since the start.
     pub seconds: f64,
     pub(crate) trace: &'a Trace,

@@ -4,7 +4,7 @@ use crate::error::{Error, NothingFound};
 use crate::evaluation::ledger::Ledger;
 use crate::method::interface::{BarrierStage, Lookahead, Method, Optimum, Simplex};
 use crate::method::linear_model::{Covariance, LinearModel};
-use crate::method::tolerances::{Limits, Tests};
+use crate::method::tolerances::{Limits, ToleranceTests};
 use crate::outcome::termination::{Termination, UNBOUNDED};
 use crate::outcome::trace::Trace;
 use crate::problem::loss::RobustLoss;
@@ -59,7 +59,7 @@ pub struct Report {
     /// The same in a sentence, with the test that fired and its values.
     pub message: String,
     /// The last values of the tolerance tests.
-    pub tests: Option<Tests>,
+    pub tests: Option<ToleranceTests>,
     /// Every evaluation, those of the path in request order.
     pub trace: Trace,
     /// The simplex at the end, for methods that have one.

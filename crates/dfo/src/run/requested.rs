@@ -4,8 +4,8 @@
 use crate::error::Error;
 use crate::methods::AnyMethod;
 use crate::run::checkpoint::{Checkpoint, Code, Resume};
-use crate::run::options::{Known, RunOptions};
-use crate::values::choices::{Kind, Measure, Search, Stop, Transform};
+use crate::run::options::{KnownPoint, RunOptions};
+use crate::values::choices::{Kind, Search, StopRule, ToleranceMeasure, Transform};
 use crate::values::fields::{field_names, read_part};
 use crate::values::record::{Record, RecordError, Value};
 use serde::de::DeserializeOwned;
@@ -28,9 +28,9 @@ pub(super) struct RunRecord {
     /// Tolerance of the cost.
     f_tol: Option<f64>,
     /// Number of the two tests that must pass.
-    stop: Option<Stop>,
+    stop: Option<StopRule>,
     /// Measure of the tolerances.
-    tolerances: Option<Measure>,
+    tolerances: Option<ToleranceMeasure>,
     /// Limit of evaluations.
     #[cfg_attr(feature = "schema", schemars(with = "Option<u64>", range(min = 1)))]
     max_evaluations: Value,
@@ -67,7 +67,7 @@ pub(super) struct RunRecord {
     /// Identity of the problem, see [`RunOptions::problem`].
     problem: Option<String>,
     /// Points that are known from earlier runs.
-    warm_start: Option<Vec<Known>>,
+    warm_start: Option<Vec<KnownPoint>>,
     /// File in which the state of the run is kept.
     checkpoint: Option<PathBuf>,
     /// Least time between two writes of that file, in s.

@@ -13,7 +13,7 @@ use crate::problem::option_texts;
 use crate::problem::space::Bounds;
 use crate::problem::space::Space;
 use crate::run::checkpoint::{self, Writer};
-use crate::run::options::{Known, RunOptions};
+use crate::run::options::{KnownPoint, RunOptions};
 use crate::run::report::Resumed;
 use crate::values::choices::{Kind, Search, Transform};
 
@@ -144,8 +144,8 @@ impl<M: MethodOptions> Description<M> {
         };
         let mut store = Store::new(capacity);
         // A cost of no problem in particular is a cost of none.
-        let belongs = |known: &&Known| options.problem.is_some() && known.problem == options.problem;
-        for Known { x, cost, residuals, .. } in prior.iter().copied().filter(belongs) {
+        let belongs = |known: &&KnownPoint| options.problem.is_some() && known.problem == options.problem;
+        for KnownPoint { x, cost, residuals, .. } in prior.iter().copied().filter(belongs) {
             store.pin(x, Answer { residuals: residuals.clone(), ..Outcome::Value(*cost).into() });
         }
         let mut started = StartedRun {
@@ -193,13 +193,13 @@ impl<M: MethodOptions> Description<M> {
 }
 
 /// The points of earlier runs that lie in this space, each once, the best first of its problem.
-fn usable<'a>(known: &'a [Known], space: &Space) -> Vec<&'a Known> {
+fn usable<'a>(known: &'a [KnownPoint], space: &Space) -> Vec<&'a KnownPoint> {
     let discrete: Vec<usize> =
         (0..space.n_free()).filter(|&k| space.kind(k) != Kind::Continuous).map(|k| space.free()[k]).collect();
-    let is_inside = |known: &&Known| {
+    let is_inside = |known: &&KnownPoint| {
         space.bounds().contains(&known.x) && discrete.iter().all(|&i| known.x[i] == known.x[i].round())
     };
-    let mut prior: Vec<&Known> =
+    let mut prior: Vec<&KnownPoint> =
         known.iter().filter(|known| known.cost.is_finite()).filter(is_inside).collect();
     prior.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     prior.dedup_by(|a, b| a.x == b.x && a.problem == b.problem);

@@ -76,7 +76,7 @@ pub enum Search {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
-pub enum Measure {
+pub enum ToleranceMeasure {
     /// `x_tol` in units of the parameter's size, `f_tol` as a fraction of |f_best|.
     #[default]
     Relative,
@@ -88,7 +88,7 @@ pub enum Measure {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
-pub enum Stop {
+pub enum StopRule {
     /// Either one ends the run.
     Any,
     /// Both must hold at once.

@@ -8,9 +8,9 @@ use crate::common;
 use common::timeless;
 use dfo::{
     Answer, AnyMethod, Barrier, BoundsHandling, Checkpoint, CmaBounds, CmaEs, Coefficients,
-    DifferentialEvolution, Error, Genetic, LeastSquares, Lookahead, Measure, MethodOptions, Multistart,
-    NelderMead, Objective, Outcome, PatternSearch, QuadraticModel, Query, Report, Restarts, Sampling,
-    Selection, Stop, Termination, Transform, minimize,
+    DifferentialEvolution, Error, Genetic, LeastSquares, Lookahead, MethodOptions, Multistart, NelderMead,
+    Objective, Outcome, PatternSearch, QuadraticModel, Query, Report, Restarts, Sampling, Selection,
+    StopRule, Termination, ToleranceMeasure, Transform, minimize,
 };
 use std::path::Path;
 use std::time::Duration;
@@ -44,8 +44,8 @@ struct Problem {
     offset: f64,
     failing: u64,
     flat: bool,
-    measure: Measure,
-    stop: Stop,
+    measure: ToleranceMeasure,
+    stop: StopRule,
     tolerance: f64,
     budget: usize,
 }
@@ -67,8 +67,8 @@ impl Problem {
             offset: dice.pick(&[0.0, 0.0, 1.0, -1e9, 1e300, -1e308]),
             failing: dice.pick(&[0, 0, 2, 5, 20]),
             flat: dice.below(8) == 0,
-            measure: dice.pick(&[Measure::Relative, Measure::Absolute]),
-            stop: dice.pick(&[Stop::All, Stop::Any]),
+            measure: dice.pick(&[ToleranceMeasure::Relative, ToleranceMeasure::Absolute]),
+            stop: dice.pick(&[StopRule::All, StopRule::Any]),
             tolerance: dice.pick(&[0.0, 1e-6, 1e-3, 1e3]),
             budget: 1 + dice.below(150) as usize,
         };

@@ -9,7 +9,7 @@ use crate::common;
 use clocked::{Clocked, Seen, hash, one_in, rosenbrock};
 use common::timeless;
 use dfo::{
-    Answer, AnyMethod, BatchView, Checkpoint, CmaEs, DifferentialEvolution, Evaluator, GivesUp, Lookahead,
+    Answer, AnyMethod, BatchView, Checkpoint, CmaEs, CutoffUse, DifferentialEvolution, Evaluator, Lookahead,
     Minimize, Multistart, NelderMead, Outcome, PatternSearch, Polish, Polled, Query, Report, Restarts,
     Resume, Termination, Wait, Want, by_hand, minimize, minimize_batches, minimize_by,
 };
@@ -92,11 +92,11 @@ fn flowing() -> Vec<(&'static str, AnyMethod)> {
 #[test]
 fn failures_and_cutoffs_flow_too() {
     for (name, method) in flowing() {
-        for gives_up in [GivesUp::No, GivesUp::Yes] {
+        for cutoff_use in [CutoffUse::No, CutoffUse::Yes] {
             let run = |width: usize| {
                 let (mut clocked, seen) = Clocked::new(width, one_in(10));
-                (clocked.answer, clocked.gives_up) = (answer_at, gives_up);
-                if gives_up == GivesUp::No {
+                (clocked.answer, clocked.cutoff_use) = (answer_at, cutoff_use);
+                if cutoff_use == CutoffUse::No {
                     clocked.answer =
                         |x, q| answer_at(x, &Query::new(q.id, q.batch, f64::INFINITY).want(q.want));
                 }
@@ -106,9 +106,9 @@ fn failures_and_cutoffs_flow_too() {
             let (serial, _) = run(1);
             for width in [2, 7, 64] {
                 let (report, seen) = run(width);
-                same(&report, &serial, &format!("{name} {gives_up:?} {width}"));
+                same(&report, &serial, &format!("{name} {cutoff_use:?} {width}"));
                 println!(
-                    "{name} {gives_up:?} {width}: {} of {} in vain",
+                    "{name} {cutoff_use:?} {width}: {} of {} in vain",
                     seen.begun.get() - report.n_evaluations,
                     seen.begun.get()
                 );
@@ -256,7 +256,7 @@ impl<L: Fn(&[f64]) -> f64> Evaluator for Dying<'_, L> {
     fn width(&self) -> usize {
         self.inner.width()
     }
-    fn gives_up(&self) -> GivesUp {
-        GivesUp::No
+    fn cutoff_use(&self) -> CutoffUse {
+        CutoffUse::No
     }
 }

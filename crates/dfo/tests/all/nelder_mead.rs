@@ -8,8 +8,8 @@ use common::{
     helical_valley, plan, powell_singular, probe, probe_fails, quiet_panics_on_purpose, rosenbrock,
 };
 use dfo::{
-    Answers, AnyMethod, Batch, Bounds, BoundsHandling, Lookahead, Measure, Method, MethodOptions, NelderMead,
-    Outcome, Search, Setup, Space, Stop, Termination, Transform, fallible, minimize, with_query,
+    Answers, AnyMethod, Batch, Bounds, BoundsHandling, Lookahead, Method, MethodOptions, NelderMead, Outcome,
+    Search, Setup, Space, StopRule, Termination, ToleranceMeasure, Transform, fallible, minimize, with_query,
 };
 use problems::rotated::{Random, piecewise_linear, smooth};
 
@@ -67,7 +67,7 @@ fn active_bounds_are_found() {
         .start(&[0.3, 3.0, 0.7])
         .bounds(&[0.0, 0.0, 0.0], &[1.0, f64::INFINITY, 1.0])
         .unwrap()
-        .measure(Measure::Absolute)
+        .measure(ToleranceMeasure::Absolute)
         .run()
         .unwrap();
     assert!(report.fun < 1e-5, "{report}");
@@ -239,7 +239,9 @@ fn a_cost_of_zero_stops() {
 fn one_finite_point_among_failures_is_no_success() {
     let lonely = |x: &[f64]| if x == [0.25, 0.5] { Ok(1.0) } else { Err("outside") };
     // The x test alone passes in the end: the simplex of failures shrinks to the one point.
-    for (stop, measure) in [(Stop::All, Measure::Relative), (Stop::Any, Measure::Absolute)] {
+    for (stop, measure) in
+        [(StopRule::All, ToleranceMeasure::Relative), (StopRule::Any, ToleranceMeasure::Absolute)]
+    {
         let run = minimize(fallible(lonely)).start(&[0.25, 0.5]).stop(stop).measure(measure);
         let report = run.run().unwrap();
         assert_eq!((&report.termination, &report.x[..]), (&Termination::OneFiniteVertex, &[0.25, 0.5][..]));
@@ -277,14 +279,14 @@ fn the_paper_stops_at_either_test_but_never_before_it_moved() {
     let run = |stop| {
         minimize(|x: &[f64]| 1e-8 * rosenbrock(x))
             .start(&[-1.2, 1.0])
-            .measure(Measure::Absolute)
+            .measure(ToleranceMeasure::Absolute)
             .stop(stop)
             .run()
             .unwrap()
     };
-    let any = run(Stop::Any);
+    let any = run(StopRule::Any);
     assert!(any.n_iterations >= 1 && any.message.contains("f test passed"), "{any}");
-    let all = run(Stop::All);
+    let all = run(StopRule::All);
     assert!(all.message.contains("x test passed") && all.message.contains("f test passed"), "{all}");
     let tests = all.tests.unwrap();
     assert!(tests.x_size <= 1e-6 && tests.f_spread.unwrap() <= 1e-6 && all.n_iterations > 20);
@@ -299,8 +301,8 @@ fn the_absolute_x_test_is_in_the_units_of_x() {
             .bounds(&[1e3, 0.1], &[1e5, 10.0])
             .unwrap()
             .transforms(&transforms)
-            .measure(Measure::Absolute)
-            .stop(Stop::Any)
+            .measure(ToleranceMeasure::Absolute)
+            .stop(StopRule::Any)
             .x_tol(1e-3)
             .f_tol(0.0)
             .run()

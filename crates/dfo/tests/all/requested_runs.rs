@@ -2,8 +2,9 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use dfo::{
-    AnyMethod, Coefficients, Error, Kind, Lookahead, Measure, MethodOptions, NelderMead, ProblemClass,
-    QuadraticModel, Record, RequestedRun, RunOptions, Search, Selection, Stop, Transform, Value, Weight,
+    AnyMethod, Coefficients, Error, Kind, Lookahead, MethodOptions, NelderMead, ProblemClass, QuadraticModel,
+    Record, RequestedRun, RunOptions, Search, Selection, StopRule, ToleranceMeasure, Transform, Value,
+    Weight,
 };
 use std::time::Duration;
 
@@ -42,8 +43,8 @@ fn names_find_their_places() {
     .unwrap();
     let options = &run.options;
     assert_eq!(options.tolerances.x_tol, 1e-3);
-    assert_eq!((options.tolerances.f_tol, options.tolerances.stop), (1e-6, Stop::Any));
-    assert_eq!(options.tolerances.measure, Measure::Absolute);
+    assert_eq!((options.tolerances.f_tol, options.tolerances.stop), (1e-6, StopRule::Any));
+    assert_eq!(options.tolerances.measure, ToleranceMeasure::Absolute);
     assert_eq!(options.limits.max_evaluations, Some(40));
     assert_eq!(options.limits.max_time, Some(Duration::from_secs(2)));
     assert_eq!(options.checkpoint.as_ref().unwrap().interval, Duration::from_secs(5));

@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use dfo::{
-    Answers, AnswersSoFar, Batch, BatchView, Checkpoint, Details, Error, Known, LeastSquares, Lookahead,
-    Method, MethodOptions, Minimize, Objective, Operation, Outcome, Setup, Status, Termination, Want,
+    Answers, AnswersSoFar, Batch, BatchView, Checkpoint, Error, KnownPoint, LeastSquares, Lookahead, Method,
+    MethodDetails, MethodOptions, Minimize, Objective, Operation, Outcome, Setup, Status, Termination, Want,
     by_hand, minimize, minimize_batches, residuals,
 };
 use serde::{Deserialize, Serialize};
@@ -115,13 +115,13 @@ impl Method for StencilsState {
     fn status(&self) -> Status {
         if self.round < ROUNDS { Status::Running } else { Status::Ended(Termination::Converged) }
     }
-    fn details(&self) -> Details<'_> {
-        Details {
+    fn details(&self) -> MethodDetails<'_> {
+        MethodDetails {
             n_iterations: self.round as usize,
             operation: Some(Operation::Generation),
             plan: "serial",
             lookahead: Lookahead::Workers,
-            ..Details::default()
+            ..MethodDetails::default()
         }
     }
     fn best(&self) -> Option<(&[f64], f64)> {
@@ -213,16 +213,16 @@ fn residuals_that_the_trace_has_kept_are_not_computed_again() {
     assert_eq!((kept.iter().filter(|m| **m == 9).count(), kept.iter().filter(|m| **m == 0).count()), (32, 4));
     let known = |e: dfo::TraceEntry<'_>| {
         let (cost, problem) = (e.outcome.value().unwrap(), Some("decay".to_owned()));
-        Known { x: e.x.to_vec(), cost, residuals: e.residuals.to_vec(), problem }
+        KnownPoint { x: e.x.to_vec(), cost, residuals: e.residuals.to_vec(), problem }
     };
     let wanted = || first.trace.iter().filter(|e| !e.residuals.is_empty()).map(known);
-    let again = |points: Vec<Known>| run().known(points).max_evaluations(20).run().unwrap();
+    let again = |points: Vec<KnownPoint>| run().known(points).max_evaluations(20).run().unwrap();
     // Where it starts the residuals are known; where only the cost is, they are asked for.
     assert_eq!(again(wanted().collect()).n_cached, 1);
-    let costs = again(wanted().map(|known| Known { residuals: Vec::new(), ..known }).collect());
+    let costs = again(wanted().map(|known| KnownPoint { residuals: Vec::new(), ..known }).collect());
     assert_eq!((costs.n_cached, costs.n_failed), (0, 0));
     // What cannot belong to the others is said.
-    let mut wrong: Vec<Known> = wanted().collect();
+    let mut wrong: Vec<KnownPoint> = wanted().collect();
     wrong.iter_mut().for_each(|known| known.residuals.truncate(5));
     let error = run().known(wrong).max_evaluations(20).run().unwrap_err();
     assert!(matches!(error, Error::ResidualCount { got: 9, expected: 5, .. }), "{error}");

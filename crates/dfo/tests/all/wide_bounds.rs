@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use dfo::{
-    AnyMethod, CmaEs, DifferentialEvolution, LeastSquares, Measure, NelderMead, PatternSearch,
-    QuadraticModel, Report, Stop, Tolerances, Transform, minimize, residuals, typical_size,
+    AnyMethod, CmaEs, DifferentialEvolution, LeastSquares, NelderMead, PatternSearch, QuadraticModel, Report,
+    StopRule, ToleranceMeasure, Tolerances, Transform, minimize, residuals, typical_size,
 };
 
 const UPPER: [f64; 11] = [2.002, 2.1, 3.0, 10.0, 99.0, 101.0, 1e3, 1e5, 1e7, 1e9, 1e12];
@@ -28,7 +28,8 @@ fn local() -> Vec<AnyMethod> {
 }
 
 fn run(method: AnyMethod, x0: &[f64], bounds: (&[f64], &[f64]), transforms: &[Transform]) -> Report {
-    let tolerances = Tolerances { x_tol: 1e-4, f_tol: 1e-4, measure: Measure::Relative, stop: Stop::All };
+    let tolerances =
+        Tolerances { x_tol: 1e-4, f_tol: 1e-4, measure: ToleranceMeasure::Relative, stop: StopRule::All };
     minimize(residuals(decay))
         .start(x0)
         .bounds(bounds.0, bounds.1)

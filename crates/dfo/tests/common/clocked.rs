@@ -1,6 +1,6 @@
 //! Workers on a clock of their own: evaluations take as long as one likes, and no time passes meanwhile.
 
-use dfo::{Answer, Evaluator, GivesUp, Outcome, Polled, Query, Wait};
+use dfo::{Answer, CutoffUse, Evaluator, Outcome, Polled, Query, Wait};
 use std::cell::Cell;
 use std::collections::VecDeque;
 use std::rc::Rc;
@@ -33,7 +33,7 @@ pub struct Clocked<L> {
     width: usize,
     length: L,
     pub answer: fn(&[f64], &Query<'_>) -> Answer,
-    pub gives_up: GivesUp,
+    pub cutoff_use: CutoffUse,
     waiting: VecDeque<(Query<'static>, Vec<f64>)>,
     /// When it ends, when it began, the point.
     running: Vec<(f64, f64, Query<'static>, Vec<f64>)>,
@@ -47,8 +47,8 @@ impl<L: Fn(&[f64]) -> f64> Clocked<L> {
         let own = Rc::clone(&seen);
         let (waiting, running, cancelled) = (VecDeque::new(), Vec::new(), Vec::new());
         let answer = |x: &[f64], _: &Query<'_>| Outcome::Value(rosenbrock(x)).into();
-        let gives_up = GivesUp::No;
-        (Self { width, length, answer, gives_up, waiting, running, cancelled, seen: own }, seen)
+        let cutoff_use = CutoffUse::No;
+        (Self { width, length, answer, cutoff_use, waiting, running, cancelled, seen: own }, seen)
     }
 
     fn begin(&mut self) {
@@ -99,7 +99,7 @@ impl<L: Fn(&[f64]) -> f64> Evaluator for Clocked<L> {
         self.width
     }
 
-    fn gives_up(&self) -> GivesUp {
-        self.gives_up
+    fn cutoff_use(&self) -> CutoffUse {
+        self.cutoff_use
     }
 }

@@ -3,7 +3,7 @@
 use super::directory::{Directory, Fields, Record};
 use super::limits::{ArchiveLimits, MODEL_DESCRIPTION};
 use super::names::{self, Names};
-use crate::cancel::Cancel;
+use crate::cancel_request::CancelRequest;
 use crate::error::{EntryProblem, FmiError, Result};
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
@@ -37,7 +37,7 @@ pub(super) struct Listed {
 }
 
 /// Bytes of the archive that belong to one entry: its local header and its data.
-struct Extent {
+struct ByteRange {
     start: u64,
     end: u64,
     position: usize,
@@ -48,7 +48,7 @@ pub(super) fn list(
     path: &Path,
     archive: impl Read + Seek,
     limits: &ArchiveLimits,
-    cancel: &Cancel,
+    cancel: &CancelRequest,
 ) -> Result<Vec<Listed>> {
     let mut archive = BufReader::with_capacity(DIRECTORY_BUFFER, archive);
     let unreadable = |error| unreadable_at(path, error);
@@ -210,7 +210,7 @@ fn check_local_headers(
     directory: Directory,
     records: &[Record],
     listed: &mut [Listed],
-    cancel: &Cancel,
+    cancel: &CancelRequest,
 ) -> Result<()> {
     let mut extents = Vec::with_capacity(records.len());
     for (position, record) in records.iter().enumerate() {
@@ -219,7 +219,7 @@ fn check_local_headers(
             check_local_header(archive, record).map_err(|problem| refused(path, &record.name, problem))?;
         listed[position].data_start = data_start;
         let end = data_start.saturating_add(record.compressed_size);
-        extents.push(Extent { start: record.header_start, end, position });
+        extents.push(ByteRange { start: record.header_start, end, position });
     }
     extents.sort_by_key(|extent| (extent.start, extent.end));
     match find_overlap(&extents, directory, records) {
@@ -269,11 +269,11 @@ fn check_local_size(what: &str, local: u32, declared: u64) -> Result<(), EntryPr
 
 /// Expects the extents in the order of their starts. Entries without data may not share headers either.
 fn find_overlap<'a>(
-    extents: &[Extent],
+    extents: &[ByteRange],
     directory: Directory,
     records: &'a [Record],
 ) -> Option<(&'a Record, EntryProblem)> {
-    let record = |extent: &Extent| &records[extent.position];
+    let record = |extent: &ByteRange| &records[extent.position];
     for pair in extents.windows(2) {
         let (start, end) = (pair[1].start, pair[0].end.min(pair[1].end));
         if pair[0].end > start {

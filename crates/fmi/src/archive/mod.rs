@@ -18,7 +18,7 @@ pub(crate) use limits::MODEL_DESCRIPTION;
 pub(crate) use packed::Part;
 pub(crate) use private::PrivateFolder;
 
-use crate::cancel::Cancel;
+use crate::cancel_request::CancelRequest;
 use crate::error::{EntryProblem, FmiError, Result};
 use crate::platform::{FileIdentity, LIBRARY_EXTENSION, file_identity};
 use base::files::open_regular;
@@ -89,7 +89,7 @@ impl Archive {
     /// # Errors
     /// As [`open_with`](Self::open_with).
     pub fn open(path: impl AsRef<Path>) -> Result<Archive> {
-        Archive::open_with(path, &ArchiveLimits::default(), &Cancel::default())
+        Archive::open_with(path, &ArchiveLimits::default(), &CancelRequest::default())
     }
 
     /// Opens a `.fmu` file or an unpacked folder.
@@ -98,7 +98,11 @@ impl Archive {
     /// [`FmiError::Io`] for what the system refuses; [`FmiError::BadArchive`], [`FmiError::BadEntry`]
     /// and [`FmiError::ArchiveLimit`] for archives that are damaged, contradict themselves or are too large;
     /// [`FmiError::NoModelDescription`] for other archives and folders; [`FmiError::Cancelled`].
-    pub fn open_with(path: impl AsRef<Path>, limits: &ArchiveLimits, cancel: &Cancel) -> Result<Archive> {
+    pub fn open_with(
+        path: impl AsRef<Path>,
+        limits: &ArchiveLimits,
+        cancel: &CancelRequest,
+    ) -> Result<Archive> {
         let path = path.as_ref();
         let metadata = path.metadata().map_err(FmiError::io("open", path))?;
         let content = match metadata.is_dir() {
@@ -134,7 +138,7 @@ impl Archive {
     /// [`FmiError::Io`]; [`FmiError::BadArchive`] if the file was written over since it was opened. Nothing
     /// is left behind.
     pub fn unpack(&self) -> Result<PathBuf> {
-        self.unpack_part(Part::All, &Cancel::default())
+        self.unpack_part(Part::All, &CancelRequest::default())
     }
 
     /// True if this process and copies of it can share what is unpacked: it is packed, and there are no
@@ -144,7 +148,7 @@ impl Archive {
     }
 
     /// Unpacks a part of it; what is there already stays, and what somebody has removed is unpacked again.
-    pub(crate) fn unpack_part(&self, part: Part, cancel: &Cancel) -> Result<PathBuf> {
+    pub(crate) fn unpack_part(&self, part: Part, cancel: &CancelRequest) -> Result<PathBuf> {
         match &self.content {
             Content::Packed(packed) => packed.unpack(part, cancel),
             Content::Folder(Folder { root, .. }) => {
@@ -156,7 +160,7 @@ impl Archive {
     }
 
     /// The bytes of `modelDescription.xml`.
-    pub(crate) fn description(&self, limit: u64, cancel: &Cancel) -> Result<Vec<u8>> {
+    pub(crate) fn description(&self, limit: u64, cancel: &CancelRequest) -> Result<Vec<u8>> {
         let path = || match &self.content {
             Content::Packed(packed) => packed.path(),
             Content::Folder(folder) => &folder.root,
@@ -168,7 +172,7 @@ impl Archive {
 
     /// The bytes of a file, no more than `limit` (of an unpacked folder: one more); `None` if there is none
     /// of this name.
-    pub(crate) fn read(&self, name: &str, limit: u64, cancel: &Cancel) -> Result<Option<Vec<u8>>> {
+    pub(crate) fn read(&self, name: &str, limit: u64, cancel: &CancelRequest) -> Result<Option<Vec<u8>>> {
         match &self.content {
             Content::Packed(packed) => packed.read(name, limit, cancel),
             Content::Absent(absent) => Ok((name == MODEL_DESCRIPTION).then(|| absent.description.clone())),

@@ -7,7 +7,7 @@ use super::limits::ArchiveLimits;
 use super::positioned::Positioned;
 use super::private::PrivateFolder;
 use super::unpack::Source;
-use crate::cancel::Cancel;
+use crate::cancel_request::CancelRequest;
 use crate::error::{EntryProblem, FmiError, Result};
 use crate::platform::{self, FileIdentity, FolderNames};
 use base::files::open_regular;
@@ -74,7 +74,7 @@ struct Unpacked {
 }
 
 impl Packed {
-    pub(super) fn open(path: &Path, limits: &ArchiveLimits, cancel: &Cancel) -> Result<Self> {
+    pub(super) fn open(path: &Path, limits: &ArchiveLimits, cancel: &CancelRequest) -> Result<Self> {
         let file = open_regular(path).map_err(FmiError::io("open", path))?;
         let identity = platform::file_identity(&file.metadata().map_err(FmiError::io("open", path))?);
         let entries = entries::list(path, Positioned::new(&file, 0), limits, cancel)?;
@@ -130,7 +130,7 @@ impl Packed {
     }
 
     /// The bytes of a file, if it is not larger than `limit`; `None` if there is none of this name.
-    pub(super) fn read(&self, name: &str, limit: u64, cancel: &Cancel) -> Result<Option<Vec<u8>>> {
+    pub(super) fn read(&self, name: &str, limit: u64, cancel: &CancelRequest) -> Result<Option<Vec<u8>>> {
         let is_meant = |entry: &&Listed| entry.name == name && !entry.is_folder;
         let Some(entry) = self.entries.iter().find(is_meant) else { return Ok(None) };
         if entry.size > limit {
@@ -141,7 +141,7 @@ impl Packed {
     }
 
     /// The folder to which `part` of the archive has been unpacked, now or before.
-    pub(super) fn unpack(&self, part: Part, cancel: &Cancel) -> Result<PathBuf> {
+    pub(super) fn unpack(&self, part: Part, cancel: &CancelRequest) -> Result<PathBuf> {
         let mut unpacked = self.unpacked.lock().unwrap_or_else(PoisonError::into_inner);
         let is_first = unpacked.folder.is_none();
         let outcome = self.complete(&mut unpacked, part, cancel);
@@ -152,7 +152,7 @@ impl Packed {
         outcome
     }
 
-    fn complete(&self, unpacked: &mut Unpacked, part: Part, cancel: &Cancel) -> Result<PathBuf> {
+    fn complete(&self, unpacked: &mut Unpacked, part: Part, cancel: &CancelRequest) -> Result<PathBuf> {
         let n_removed = unpacked.look_after(&self.entries)?;
         let folder = match &mut unpacked.folder {
             Some(folder) => folder,
@@ -196,7 +196,7 @@ impl Packed {
         Ok(root)
     }
 
-    fn source<'a>(&'a self, cancel: &'a Cancel) -> Source<'a> {
+    fn source<'a>(&'a self, cancel: &'a CancelRequest) -> Source<'a> {
         Source { path: &self.path, file: &self.file, cancel }
     }
 

@@ -3,7 +3,7 @@
 use super::entries::{Listed, refused};
 use super::hash::Hashing;
 use super::positioned::Positioned;
-use crate::cancel::Cancel;
+use crate::cancel_request::CancelRequest;
 use crate::error::{EntryProblem, FmiError, Result};
 use flate2::bufread::DeflateDecoder;
 use std::collections::HashMap;
@@ -19,7 +19,7 @@ const BUFFER: usize = 1 << 16;
 pub(super) struct Source<'a> {
     pub(super) path: &'a Path,
     pub(super) file: &'a File,
-    pub(super) cancel: &'a Cancel,
+    pub(super) cancel: &'a CancelRequest,
 }
 
 impl Source<'_> {

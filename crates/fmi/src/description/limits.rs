@@ -3,7 +3,7 @@
 use super::model::QuirkKind;
 use super::quirks::Quirks;
 use crate::archive::MODEL_DESCRIPTION;
-use crate::cancel::Cancel;
+use crate::cancel_request::CancelRequest;
 use crate::error::{FmiError, Result};
 use serde::{Deserialize, Serialize};
 use std::cell::{Cell, RefCell};
@@ -35,14 +35,14 @@ const TRANSIENT_PER_BYTE: u64 = 2;
 #[derive(Debug)]
 pub(super) struct Reading {
     pub(super) limits: DescriptionLimits,
-    pub(super) cancel: Cancel,
+    pub(super) cancel: CancelRequest,
     pub(super) quirks: RefCell<Quirks>,
     left: Cell<u64>,
     is_exceeded: Cell<bool>,
 }
 
 impl Reading {
-    pub(super) fn new(limits: &DescriptionLimits, cancel: &Cancel) -> Self {
+    pub(super) fn new(limits: &DescriptionLimits, cancel: &CancelRequest) -> Self {
         let left = limits.bytes.saturating_mul(MEMORY_PER_BYTE - TRANSIENT_PER_BYTE);
         Self {
             limits: limits.clone(),
@@ -106,7 +106,7 @@ impl Reading {
 
 impl Default for Reading {
     fn default() -> Self {
-        Self::new(&DescriptionLimits::default(), &Cancel::default())
+        Self::new(&DescriptionLimits::default(), &CancelRequest::default())
     }
 }
 

@@ -7,7 +7,7 @@ use super::parse::parse;
 use super::structure::Structure;
 use super::variable::Variable;
 use crate::archive::Archive;
-use crate::cancel::Cancel;
+use crate::cancel_request::CancelRequest;
 use crate::error::Result;
 
 impl ModelDescription {
@@ -21,7 +21,7 @@ impl ModelDescription {
     /// separators) or cannot be worked with; [`FmiError::UnknownVersion`](crate::FmiError::UnknownVersion)
     /// for versions other than 1, 2 and 3.
     pub fn parse(bytes: &[u8]) -> Result<ModelDescription> {
-        parse(bytes.into(), &DescriptionLimits::default(), &Cancel::default()).and_then(checks::finish)
+        parse(bytes.into(), &DescriptionLimits::default(), &CancelRequest::default()).and_then(checks::finish)
     }
 
     /// Reads and parses `modelDescription.xml` of an archive; nothing else of it is read.
@@ -29,7 +29,7 @@ impl ModelDescription {
     /// # Errors
     /// As [`parse`](Self::parse), and those of reading.
     pub fn read(archive: &Archive) -> Result<ModelDescription> {
-        Self::read_with(archive, &DescriptionLimits::default(), &Cancel::default())
+        Self::read_with(archive, &DescriptionLimits::default(), &CancelRequest::default())
     }
 
     /// The same with other limits; ends early when `cancel` asks for it.
@@ -39,7 +39,7 @@ impl ModelDescription {
     pub fn read_with(
         archive: &Archive,
         limits: &DescriptionLimits,
-        cancel: &Cancel,
+        cancel: &CancelRequest,
     ) -> Result<ModelDescription> {
         let bytes = archive.description(limits.bytes, cancel)?;
         parse(bytes.into(), limits, cancel).and_then(checks::finish)

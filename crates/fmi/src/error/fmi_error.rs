@@ -2,7 +2,7 @@
 
 use super::entry_problem::EntryProblem;
 use super::failure::CallFailure;
-use super::worker_failure::{Told, ToldKind, WorkerEnd};
+use super::worker_failure::{ReportedError, ReportedErrorKind, WorkerEnd};
 use crate::value::{Value, VariableKind};
 use ode::Number;
 use std::io;
@@ -31,7 +31,7 @@ pub enum FmiError {
     },
     /// An error in a worker process.
     #[error("{}", .0.message)]
-    Told(Box<Told>),
+    ReportedError(Box<ReportedError>),
     /// A worker process ended in the middle of what it was asked for.
     #[error("{0}")]
     WorkerEnded(Box<WorkerEnd>),
@@ -403,38 +403,40 @@ impl FmiError {
     }
 
     /// Form of this error for another process: its kind, and the data that are passed on.
-    pub fn told(&self) -> Told {
+    pub fn told(&self) -> ReportedError {
         let (kind, time) = match self {
-            FmiError::Told(told) => return (**told).clone(),
-            FmiError::Memory { .. } => (ToldKind::Memory, None),
+            FmiError::ReportedError(told) => return (**told).clone(),
+            FmiError::Memory { .. } => (ReportedErrorKind::Memory, None),
             FmiError::Io { source, .. } if source.kind() == io::ErrorKind::NotFound => {
-                (ToldKind::NoFile, None)
+                (ReportedErrorKind::NoFile, None)
             }
-            FmiError::Absent { .. } => (ToldKind::NoFile, None),
-            FmiError::Cancelled => (ToldKind::Cancelled, None),
-            FmiError::WorkerEnded(end) => (ToldKind::Simulation, end.time),
+            FmiError::Absent { .. } => (ReportedErrorKind::NoFile, None),
+            FmiError::Cancelled => (ReportedErrorKind::Cancelled, None),
+            FmiError::WorkerEnded(end) => (ReportedErrorKind::Simulation, end.time),
             FmiError::UnknownVariable { .. } | FmiError::NotInResult { .. } => {
-                (ToldKind::UnknownVariable, None)
+                (ReportedErrorKind::UnknownVariable, None)
             }
-            FmiError::WrongType { .. } => (ToldKind::WrongType, None),
+            FmiError::WrongType { .. } => (ReportedErrorKind::WrongType, None),
             FmiError::NotSettable { .. }
             | FmiError::OutOfRange { .. }
             | FmiError::NotFinite { .. }
             | FmiError::NotAnOutput { .. }
             | FmiError::BadInput { .. }
             | FmiError::BadSetting(_)
-            | FmiError::Options(_) => (ToldKind::Setting, None),
-            FmiError::Call(failure) if failure.call.contains("nstantiate") => (ToldKind::Model, failure.time),
-            FmiError::Call(failure) => (ToldKind::Simulation, failure.time),
-            FmiError::EventIteration { time, .. } => (ToldKind::Simulation, Some(*time)),
-            FmiError::Simulation(error) if matches!(error.kind, ode::ErrorKind::TooLargeForDense { .. }) => {
-                (ToldKind::Memory, None)
+            | FmiError::Options(_) => (ReportedErrorKind::Setting, None),
+            FmiError::Call(failure) if failure.call.contains("nstantiate") => {
+                (ReportedErrorKind::Model, failure.time)
             }
-            FmiError::Simulation(error) => (ToldKind::Simulation, Some(error.time)),
-            _ => (ToldKind::Model, None),
+            FmiError::Call(failure) => (ReportedErrorKind::Simulation, failure.time),
+            FmiError::EventIteration { time, .. } => (ReportedErrorKind::Simulation, Some(*time)),
+            FmiError::Simulation(error) if matches!(error.kind, ode::ErrorKind::TooLargeForDense { .. }) => {
+                (ReportedErrorKind::Memory, None)
+            }
+            FmiError::Simulation(error) => (ReportedErrorKind::Simulation, Some(error.time)),
+            _ => (ReportedErrorKind::Model, None),
         };
         let failure = self.call_failure();
-        Told {
+        ReportedError {
             message: self.to_string(),
             kind,
             time,

@@ -8,4 +8,4 @@ mod worker_failure;
 pub use entry_problem::EntryProblem;
 pub use failure::{CallFailure, LogLine, Status};
 pub use fmi_error::{FmiError, Result};
-pub use worker_failure::{EndKind, Told, ToldKind, WorkerEnd};
+pub use worker_failure::{EndKind, ReportedError, ReportedErrorKind, WorkerEnd};

@@ -7,7 +7,7 @@ use std::fmt;
 /// Kind of an error that a worker reported.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[non_exhaustive]
-pub enum ToldKind {
+pub enum ReportedErrorKind {
     /// A setting or a value that cannot be used.
     Setting,
     /// A name that the model does not have.
@@ -29,11 +29,11 @@ pub enum ToldKind {
 /// An error that a worker process has told.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
-pub struct Told {
+pub struct ReportedError {
     /// Its text.
     pub message: String,
     /// Its sort.
-    pub kind: ToldKind,
+    pub kind: ReportedErrorKind,
     /// Simulated time at which a simulation failed.
     pub time: Option<f64>,
     /// Status that the failed call returned.
@@ -42,10 +42,10 @@ pub struct Told {
     pub log: Vec<String>,
 }
 
-impl Told {
+impl ReportedError {
     /// True if it concerns the process or its files rather than a simulation.
     pub fn is_of_process(&self) -> bool {
-        matches!(self.kind, ToldKind::Model | ToldKind::NoFile | ToldKind::Memory)
+        matches!(self.kind, ReportedErrorKind::Model | ReportedErrorKind::NoFile | ReportedErrorKind::Memory)
     }
 }
 

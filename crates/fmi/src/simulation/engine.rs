@@ -4,9 +4,9 @@ use crate::description::{Value, Variable};
 use crate::error::{FmiError, Result};
 use crate::simulation::co_simulation::Stepping;
 use crate::simulation::model_exchange::{Integration, System};
-use crate::simulation::outside::Outside;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::Running;
+use crate::simulation::shared_observer::SharedObserver;
 use crate::simulation::variable_elements::RunInput;
 use crate::sys::{InterfaceKind, RawInstance, note_run};
 use ode::{Driver, ErrorKind, Ignore, Limits, Observer, Report};
@@ -52,7 +52,7 @@ impl Engine {
     pub(crate) fn run_initial_events(&mut self) -> Result<()> {
         let plan = Arc::clone(&self.running().plan);
         let mut nobody = Ignore;
-        let outside = Outside::new(&plan.options, &mut nobody);
+        let outside = SharedObserver::new(&plan.options, &mut nobody);
         match self {
             Engine::Integrated { system, .. } => Integration { system, outside: &outside }.initial_events(),
             Engine::Stepping(stepping) => stepping.run_initial_events(&outside).map(drop),
@@ -75,7 +75,7 @@ impl Engine {
         observer: &mut dyn Observer,
     ) -> Result<Report> {
         let limits_of_run = limits.unwrap_or(plan.options.limits);
-        let outside = Outside::new(&plan.options, observer);
+        let outside = SharedObserver::new(&plan.options, observer);
         match self {
             Engine::Integrated { driver, system } => {
                 let mut other;

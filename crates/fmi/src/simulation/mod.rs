@@ -12,9 +12,9 @@ mod model_exchange;
 mod options;
 mod output_reader;
 mod outputs;
-mod outside;
 pub(crate) mod plan;
 pub(crate) mod running;
+mod shared_observer;
 pub(crate) mod trajectory;
 pub(crate) mod variable_elements;
 

@@ -5,9 +5,9 @@ use crate::error::{FmiError, Result};
 use crate::instance::Core;
 use crate::simulation::inputs::{InputPlan, InputState};
 use crate::simulation::output_reader::OutputReader;
-use crate::simulation::outside::Outside;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::{Mode, Running};
+use crate::simulation::shared_observer::SharedObserver;
 use crate::simulation::variable_elements::RunInput;
 use crate::sys::{Direction, Fault, RawInstance};
 use ode::{
@@ -312,7 +312,7 @@ impl System {
         set.map_err(|error| current.fail(error))
     }
 
-    fn iterate_events(&mut self, t: f64, outside: &Outside<'_>) -> CallResult<EventOutcome> {
+    fn iterate_events(&mut self, t: f64, outside: &SharedObserver<'_>) -> CallResult<EventOutcome> {
         let Running { plan, current, clocks, buffers, .. } = &mut self.running;
         let recorded = &plan.outputs().clocks;
         let settled = current
@@ -387,7 +387,7 @@ pub(crate) fn unbox(error: Box<dyn std::error::Error + Send + Sync>) -> FmiError
 /// The system in a run that may be ended from outside.
 pub(crate) struct Integration<'a> {
     pub(crate) system: &'a mut System,
-    pub(crate) outside: &'a Outside<'a>,
+    pub(crate) outside: &'a SharedObserver<'a>,
 }
 
 impl Deref for Integration<'_> {

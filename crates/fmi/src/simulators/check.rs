@@ -85,7 +85,7 @@ impl Simulator {
         }
         let plan = Arc::clone(&self.plan);
         self.use_plan(&first.plan);
-        let watch = Watch { observer, wants_steps: first.wants_steps, is_stopped: false };
+        let watch = SilentObserver { observer, wants_steps: first.wants_steps, is_stopped: false };
         let (began, checks) = (Instant::now(), Checks::default());
         let mut check = Check { first: &first, watch, began, checks };
         let found = check.find(self);
@@ -127,7 +127,7 @@ impl Simulator {
 /// The runs of a check.
 struct Check<'a> {
     first: &'a FirstRun,
-    watch: Watch<'a>,
+    watch: SilentObserver<'a>,
     began: Instant,
     checks: Checks,
 }
@@ -243,13 +243,13 @@ impl Check<'_> {
 }
 
 /// Takes steps as the first run did, and hands no samples on.
-struct Watch<'a> {
+struct SilentObserver<'a> {
     observer: &'a mut dyn Observer,
     wants_steps: bool,
     is_stopped: bool,
 }
 
-impl Observer for Watch<'_> {
+impl Observer for SilentObserver<'_> {
     fn sample(&mut self, _: &Sample<'_>) -> ControlFlow<()> {
         ControlFlow::Continue(())
     }

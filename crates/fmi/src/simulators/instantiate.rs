@@ -1,6 +1,6 @@
 //! Instances of an FMU, made in its loaded library.
 
-use crate::cancel::Cancel;
+use crate::cancel_request::CancelRequest;
 use crate::description::QuirkKind;
 use crate::error::FmiError;
 use crate::fmu::Fmu;
@@ -70,7 +70,7 @@ impl Fmu {
         kind: InterfaceKind,
         options: &InstanceOptions,
     ) -> Result<(Core, Arc<LoadedLibrary>), FmiError> {
-        let mut library = self.library(kind, None, &Cancel::default(), &mut || true)?;
+        let mut library = self.library(kind, None, &CancelRequest::default(), &mut || true)?;
         let raw = self.instantiate_in(&mut library, kind, None, options)?;
         Ok((Core::new(raw, self.clone()), library))
     }
@@ -107,7 +107,7 @@ impl Fmu {
             outcome => return outcome,
         };
         self.give_up_library(library);
-        let Ok(other) = self.library(kind, settings, &Cancel::default(), &mut || true) else {
+        let Ok(other) = self.library(kind, settings, &CancelRequest::default(), &mut || true) else {
             return Err(refused);
         };
         // Where that fails, too, it is not because the library was used.

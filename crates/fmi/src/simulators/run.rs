@@ -1,7 +1,7 @@
 //! A run of a simulator: its turn in the library, the start of its instance, the run itself.
 
 use super::simulator::Simulator;
-use crate::cancel::Cancel;
+use crate::cancel_request::CancelRequest;
 use crate::description::{Causality, QuirkKind};
 use crate::error::FmiError;
 use crate::libraries::Reuse;
@@ -35,7 +35,7 @@ impl Simulator {
         }
         self.brought_back = None;
         drop(self.engine.running().retire());
-        let cancel = Cancel::from(self.plan.options.cancel.clone());
+        let cancel = CancelRequest::from(self.plan.options.cancel.clone());
         let library = self.plan.fmu().library(self.plan.kind, Some(&self.plan.settings), &cancel, wait);
         self.library = Some(library.map_err(|error| match error {
             FmiError::Cancelled => self.ended(ErrorKind::Cancelled),
@@ -49,7 +49,7 @@ impl Simulator {
     /// # Errors
     /// The library cannot be loaded; `observer`, the plan or the time limit has ended the simulation.
     fn enter(&mut self, observer: &mut dyn Observer) -> Result<Inside, FmiError> {
-        let cancel = Cancel::from(self.plan.options.cancel.clone());
+        let cancel = CancelRequest::from(self.plan.options.cancel.clone());
         let mut goes_on = || !cancel.is_asked() && observer.poll().is_continue();
         loop {
             self.ensure_library(&mut goes_on)?;

@@ -4,7 +4,7 @@
 use super::compiler::{Compiler, Patience};
 use super::{cache, headers};
 use crate::archive::{hash_of_texts, is_inside};
-use crate::cancel::Cancel;
+use crate::cancel_request::CancelRequest;
 use crate::description::{BUILD_DESCRIPTION, BuildSet, Interface, ModelDescription, build_sets};
 use crate::error::{FmiError, Result};
 use crate::platform::{self, BinaryHeader};
@@ -233,7 +233,7 @@ pub fn build_library(
     interface: &Interface,
     content_hash: &str,
 ) -> Result<PathBuf> {
-    let patience = Patience { cancel: &Cancel::default(), limit: COMPILE_TIME };
+    let patience = Patience { cancel: &CancelRequest::default(), limit: COMPILE_TIME };
     build_unchanged(root, description, interface, content_hash, &patience, || Ok(()))
 }
 

@@ -1,6 +1,6 @@
 //! The system's C compiler: which one, which version, how it is ended, and what it says when it fails.
 
-use crate::cancel::Cancel;
+use crate::cancel_request::CancelRequest;
 use crate::error::{FmiError, Result};
 use crate::platform;
 use crate::sys::limit_child;
@@ -23,7 +23,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(5);
 
 /// Conditions that end a running compiler: cancellation and a time limit.
 pub(crate) struct Patience<'a> {
-    pub(crate) cancel: &'a Cancel,
+    pub(crate) cancel: &'a CancelRequest,
     pub(crate) limit: Duration,
 }
 
@@ -215,7 +215,7 @@ mod tests {
 
     #[test]
     fn a_program_that_does_not_exist_is_no_compiler() {
-        let (cancel, limit) = (Cancel::default(), Duration::from_secs(20));
+        let (cancel, limit) = (CancelRequest::default(), Duration::from_secs(20));
         let ask =
             |command: &str, limit| Compiler::ask(command, &Patience { cancel: &cancel, limit }).unwrap();
         assert!(ask("no-such-compiler-anywhere", limit).is_none());

@@ -4,7 +4,7 @@ use super::build::{COMPILE_TIME, build_unchanged};
 use super::cache;
 use super::compiler::Patience;
 use crate::archive::{Archive, ArchiveLimits, MODEL_DESCRIPTION, check_names, files_below, hash_of_texts};
-use crate::cancel::Cancel;
+use crate::cancel_request::CancelRequest;
 use crate::description::{DescriptionLimits, Interface, ModelDescription};
 use crate::error::{FmiError, Result};
 use crate::platform;
@@ -24,13 +24,13 @@ use zip::write::{SimpleFileOptions, ZipWriter};
 /// Errors: [`FmiError::CannotPack`]; those of opening a folder, parsing its description, building its
 /// library.
 pub fn pack(folder: &Path, out: &Path) -> Result<()> {
-    pack_unless(folder, out, &Cancel::default())
+    pack_unless(folder, out, &CancelRequest::default())
 }
 
 /// As [`pack`], unless `cancel` asks for an early end: nothing is written then.
 ///
 /// Errors: those of [`pack`]; [`FmiError::Cancelled`].
-pub fn pack_unless(folder: &Path, out: &Path, cancel: &Cancel) -> Result<()> {
+pub fn pack_unless(folder: &Path, out: &Path, cancel: &CancelRequest) -> Result<()> {
     let source = Archive::open_with(folder, &ArchiveLimits::default(), cancel)?;
     let description = ModelDescription::read_with(&source, &DescriptionLimits::default(), cancel)?;
     let root = source.unpack()?;
@@ -47,7 +47,7 @@ pub fn pack_unless(folder: &Path, out: &Path, cancel: &Cancel) -> Result<()> {
         folder: folder.to_owned(),
         reason: format!("\"{}\" {problem}", entry.escape_debug()),
     })?;
-    platform::write_whole(out, |file, path| {
+    platform::fill_atomically(out, |file, path| {
         cancel.check()?;
         write_archive(file, "write", path, files, &[])?;
         check_result(path, &source, folder)

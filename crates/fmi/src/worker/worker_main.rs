@@ -6,7 +6,7 @@ use super::frame::Frame;
 use super::limits::WorkerLimits;
 use super::notes::{Notes, take_lines};
 use super::requests::Service;
-use crate::error::{Told, ToldKind};
+use crate::error::{ReportedError, ReportedErrorKind};
 use crate::sys::{Page, tell_calls, tell_faults};
 use base::RunContext;
 use rustix::event::{PollFd, PollFlags, poll};
@@ -125,7 +125,13 @@ pub(super) fn respond(
             let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
             let text = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
             let message = format!("panic in the worker process: {text}");
-            Some(Told { message, kind: ToldKind::Model, time: None, status: None, log: Vec::new() })
+            Some(ReportedError {
+                message,
+                kind: ReportedErrorKind::Model,
+                time: None,
+                status: None,
+                log: Vec::new(),
+            })
         }
     };
     if let Some(told) = told {

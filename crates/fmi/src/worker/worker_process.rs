@@ -193,24 +193,24 @@ impl Process {
             let is_out_of_grace = asked_to_end.is_some_and(|since| now > since + GRACE_OF_CANCELLED);
             let is_hung = limit.as_mut().is_some_and(|limit| limit.is_over(page.runs(), now));
             if is_out_of_grace {
-                why = Some(Stop::Cancelled);
+                why = Some(KillReason::Cancelled);
             } else if pid.and_then(size_of).is_some_and(|size| size > most_memory) {
                 // What it shares with others the system's limit does not count.
-                why = Some(Stop::Memory);
+                why = Some(KillReason::Memory);
             } else if is_hung || end.is_some_and(|end| now > end) {
-                why = Some(Stop::Hung);
+                why = Some(KillReason::Hung);
             }
             if why.is_some() { Err(ErrorKind::TimedOut.into()) } else { Ok(()) }
         };
         let received = answer.read(&mut self.socket, &mut self.buffer, &mut wait);
         let Err(error) = received else { return Ok(()) };
         Err(match (why, error.kind()) {
-            (Some(Stop::Cancelled), _) => {
+            (Some(KillReason::Cancelled), _) => {
                 self.kill();
                 NoAnswer::Cancelled
             }
-            (Some(Stop::Hung), _) => NoAnswer::Ended(self.ended(EndKind::Hung, "")),
-            (Some(Stop::Memory), _) => NoAnswer::Ended(self.ended(EndKind::Memory, "")),
+            (Some(KillReason::Hung), _) => NoAnswer::Ended(self.ended(EndKind::Hung, "")),
+            (Some(KillReason::Memory), _) => NoAnswer::Ended(self.ended(EndKind::Memory, "")),
             (None, ErrorKind::InvalidData) => {
                 NoAnswer::Ended(self.ended(EndKind::Garbage, &error.to_string()))
             }
@@ -307,7 +307,7 @@ impl Drop for Counted {
 }
 
 #[derive(Debug, Clone, Copy)]
-enum Stop {
+enum KillReason {
     Cancelled,
     Hung,
     Memory,

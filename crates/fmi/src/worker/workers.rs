@@ -8,7 +8,7 @@ use super::limits::{Ask, WorkerLimits};
 use super::load::{Load, LoadId};
 use super::worker_process::{NoAnswer, Process};
 use crate::description::Quirk;
-use crate::error::{EndKind, FmiError, Told, ToldKind, WorkerEnd};
+use crate::error::{EndKind, FmiError, ReportedError, ReportedErrorKind, WorkerEnd};
 use base::RunContext;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -132,7 +132,7 @@ impl Workers {
     /// same is asked once more in a fresh one, unless it was one.
     ///
     /// # Errors
-    /// [`FmiError::Told`]: what the worker says; [`FmiError::WorkerEnded`]: it ended twice, or once by the time limit; [`FmiError::NoWorker`]; [`FmiError::Cancelled`].
+    /// [`FmiError::ReportedError`]: what the worker says; [`FmiError::WorkerEnded`]: it ended twice, or once by the time limit; [`FmiError::NoWorker`]; [`FmiError::Cancelled`].
     pub fn call(
         self: &Arc<Self>,
         load: &Load,
@@ -164,7 +164,7 @@ impl Workers {
         let is_tried_again = match &error {
             FmiError::WorkerEnded(end) => end.kind != EndKind::Hung,
             // A process that was used before may have lost what it needs.
-            FmiError::Told(told) => was_used && told.is_of_process(),
+            FmiError::ReportedError(told) => was_used && told.is_of_process(),
             _ => false,
         };
         if is_fresh || !is_tried_again {
@@ -191,7 +191,7 @@ impl Workers {
         }
         let began = Instant::now();
         let told = ask(process, asked, answer, context, run_limit);
-        let is_of_process = matches!(&told, Err(FmiError::Told(told)) if told.is_of_process());
+        let is_of_process = matches!(&told, Err(FmiError::ReportedError(told)) if told.is_of_process());
         let can_go_on = !process.has_ended()
             && !is_of_process
             && !answer.is_last
@@ -328,9 +328,9 @@ fn ask(
     notes.pass_on();
     process.quirks.extend(notes.quirks);
     match answer.is_error {
-        true => Err(match answer.head::<Told>().map_err(garbage)? {
-            told if told.kind == ToldKind::Cancelled => FmiError::Cancelled,
-            told => FmiError::Told(Box::new(told)),
+        true => Err(match answer.head::<ReportedError>().map_err(garbage)? {
+            told if told.kind == ReportedErrorKind::Cancelled => FmiError::Cancelled,
+            told => FmiError::ReportedError(Box::new(told)),
         }),
         false => Ok(()),
     }

@@ -275,7 +275,7 @@ fn paths_that_are_not_there_are_named() {
     for outcome in [
         Fmu::open(&nowhere).map(|_| ()),
         FmuCache::new(0).open(&nowhere).map(|_| ()),
-        fmi::Archive::open_with(&nowhere, &limits, &fmi::Cancel::default()).map(|_| ()),
+        fmi::Archive::open_with(&nowhere, &limits, &fmi::CancelRequest::default()).map(|_| ()),
         fmi::Archive::open(folder.path())
             .and_then(|archive| fmi::ModelDescription::read(&archive))
             .map(|_| ()),

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, unreachable_pub, dead_code)]
 
 use fmi::description::QuirkKind;
-use fmi::{Archive, ArchiveLimits, Cancel, FmiError, ModelDescription};
+use fmi::{Archive, ArchiveLimits, CancelRequest, FmiError, ModelDescription};
 use std::fs;
 use std::path::Path;
 
@@ -20,7 +20,7 @@ pub const SMALL: ArchiveLimits = ArchiveLimits {
 /// Opens the archive at `path` under [`SMALL`] limits and unpacks it: an error that says something, or a folder within the
 /// limits with a model description in it and nothing but files and folders, gone with the archive.
 pub fn hold_for_archive(path: &Path) {
-    match Archive::open_with(path, &SMALL, &Cancel::default()) {
+    match Archive::open_with(path, &SMALL, &CancelRequest::default()) {
         Err(error) => assert_says_something(&error),
         Ok(archive) => {
             let root = archive.unpack();

@@ -4,7 +4,7 @@ use crate::arguments::Build;
 use crate::console::Console;
 use crate::error::{Error, Exit};
 use crate::interrupt::Interrupt;
-use fmi::{Cancel, FmiError};
+use fmi::{CancelRequest, FmiError};
 
 pub(crate) fn run(arguments: &Build, console: &Console) -> Result<Exit, Error> {
     let Build { model, output } = arguments;
@@ -24,7 +24,7 @@ pub(crate) fn run(arguments: &Build, console: &Console) -> Result<Exit, Error> {
         }
     };
     let interrupt = Interrupt::watch()?;
-    let built = fmi::pack_unless(model, &output, &Cancel::when(interrupt.flag()));
+    let built = fmi::pack_unless(model, &output, &CancelRequest::when(interrupt.flag()));
     match built {
         Ok(()) => {
             console.result(&format!("wrote {}", output.display()));

@@ -59,7 +59,7 @@ pub(super) fn write(
         "ssv" => fit.export_ssv(calibration, path, None),
         "json" => {
             let text = fit.to_json(calibration).map_err(Error::of_input)?;
-            return base::files::write_whole(path, text.as_bytes()).map_err(Error::write(path));
+            return base::files::write_atomically(path, text.as_bytes()).map_err(Error::write(path));
         }
         _ => calibration.report(fit, path, context),
     };

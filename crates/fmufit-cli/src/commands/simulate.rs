@@ -33,8 +33,9 @@ pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error
     SimulationPlan::new(&fmu, &options).map_err(|error| Error::input(in_arguments(&error.to_string())))?;
     let trajectory = simulated(&fmu, &options, arguments.in_process, console).map_err(Error::of_work)?;
     let table = table(&trajectory)?;
-    let write =
-        |path: &Path, text: &str| base::files::write_whole(path, text.as_bytes()).map_err(Error::write(path));
+    let write = |path: &Path, text: &str| {
+        base::files::write_atomically(path, text.as_bytes()).map_err(Error::write(path))
+    };
     match output {
         Some(path) => write(path, &table)?,
         None => console.data(&table),

@@ -27,7 +27,7 @@ use backward::{Backward, BackwardObserver, turned, turned_end};
 use run::{Exit, Run, Space, Step, Task, finish, no_retreat};
 use trial::{Found, Inside, Shrink, Tried};
 use watched::{CallWatch, Watched};
-pub use watched::{Stopped, Watch};
+pub use watched::{EndConditions, Stopped};
 
 /// An indicator is next to zero where its value says no more of the time of its event than this, in units of
 /// times that are one.
@@ -175,7 +175,7 @@ impl Driver {
         O: Observer + ?Sized,
     {
         let Self { options, method, space, stopwatch, .. } = self;
-        let watch = Watch::new(options);
+        let watch = EndConditions::new(options);
         let system = &mut Watched::new(system, watch, stopwatch);
         let task = Task { start, end, times, observer, watch };
         macro_rules! run {

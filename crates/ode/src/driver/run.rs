@@ -1,7 +1,7 @@
 //! A run: everything that changes between its start and its end, and how it is left.
 
 use super::sliding::Sliding;
-use super::watched::{Stopped, Watch};
+use super::watched::{EndConditions, Stopped};
 use crate::error::{ErrorKind, NotFinite, Termination, TooLargeForDense, Undetermined};
 use crate::error_norm::ErrorWeights;
 use crate::event::Domains;
@@ -69,7 +69,7 @@ pub(super) struct Task<'a, O: ?Sized> {
     pub(super) end: f64,
     pub(super) times: &'a [f64],
     pub(super) observer: &'a mut O,
-    pub(super) watch: Watch<'a>,
+    pub(super) watch: EndConditions<'a>,
 }
 
 /// One run: everything that changes between `start` and `end`.
@@ -100,7 +100,7 @@ pub(super) struct Run<'a, S: ?Sized, M, O: ?Sized> {
     pub(super) worst_state: Option<usize>,
     pub(super) last_event: Option<f64>,
     pub(super) stats: Stats,
-    pub(super) watch: Watch<'a>,
+    pub(super) watch: EndConditions<'a>,
 }
 
 impl<'a, S, M, O> Run<'a, S, M, O>

@@ -12,8 +12,8 @@ use crate::system::{
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Why a run was ended from outside of it. A system whose call takes long may look at a [`Watch`] meanwhile,
-/// and at whatever else, and end the run: `Err(CallError::failed(stopped))`.
+/// Why a run was ended from outside of it. A system whose call takes long may look at a [`EndConditions`]
+/// meanwhile, and at whatever else, and end the run: `Err(CallError::failed(stopped))`.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum Stopped {
     /// The flag of [`Options::cancel`] was set: the run ends with [`ErrorKind::Cancelled`](crate::ErrorKind).
@@ -29,13 +29,13 @@ pub enum Stopped {
 
 /// Limit of wall-clock time and flag that end a run from outside of it.
 #[derive(Debug, Clone, Copy)]
-pub struct Watch<'a> {
+pub struct EndConditions<'a> {
     cancel: Option<&'a AtomicBool>,
     /// The limit, and when the run began.
     timeout: Option<(Duration, Instant)>,
 }
 
-impl<'a> Watch<'a> {
+impl<'a> EndConditions<'a> {
     /// For a run with these options that begins now.
     pub fn new(options: &'a Options) -> Self {
         Self {
@@ -92,7 +92,7 @@ impl Call {
 /// A system under watch.
 pub(crate) struct Watched<'a, S: ?Sized> {
     system: &'a mut S,
-    watch: Watch<'a>,
+    watch: EndConditions<'a>,
     began: Instant,
     stopwatch: &'a mut CallWatch,
 }
@@ -102,7 +102,7 @@ pub(crate) type CallWatch = Stopwatch<{ Call::KINDS }>;
 
 impl<'a, S: ?Sized> Watched<'a, S> {
     /// For a run that begins now.
-    pub(crate) fn new(system: &'a mut S, watch: Watch<'a>, stopwatch: &'a mut CallWatch) -> Self {
+    pub(crate) fn new(system: &'a mut S, watch: EndConditions<'a>, stopwatch: &'a mut CallWatch) -> Self {
         stopwatch.reset();
         Self { system, watch, began: Instant::now(), stopwatch }
     }

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from ._model.model import FMUModel, load_fmu
     from ._optimize.optimizer import Above, Asked, Optimizer
     from ._calibration.parameter import LogNormal, Normal, Parameter
-    from ._calibration.evaluation import Raced
+    from ._calibration.evaluation import ComparedSolver
     from ._calibration.profile import Profile
     from ._optimize.progress import Progress
     from ._optimize.result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
@@ -73,7 +73,7 @@ _HOMES = {
     "_model.model": "FMUModel load_fmu",
     "_optimize.optimizer": "Above Asked Optimizer",
     "_calibration.parameter": "LogNormal Normal Parameter",
-    "_calibration.evaluation": "Raced",
+    "_calibration.evaluation": "ComparedSolver",
     "_calibration.profile": "Profile",
     "_optimize.progress": "Progress",
     "_optimize.result": "BarrierStage LeastSquaresResult OptimizeResult Trace",
@@ -124,7 +124,7 @@ __all__ = [
     "Profile",
     "Progress",
     "PydfoError",
-    "Raced",
+    "ComparedSolver",
     "ResidualCheck",
     "SimulationError",
     "SimulationResult",

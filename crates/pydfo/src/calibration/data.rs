@@ -2,7 +2,7 @@
 
 use crate::convert::error;
 use crate::convert::object;
-use crate::interrupt::watch::Watch;
+use crate::interrupt::interrupt_guard::InterruptGuard;
 use calibration::RunContext;
 use calibration::{CalibrationError, ClockChange, CsvRequest, Data, DateError, PairUnit, Series, TimeColumn};
 use numpy::{PyArray1, PyReadonlyArray1};
@@ -38,7 +38,7 @@ pub(crate) fn date_seconds<'py>(
     column: &str,
 ) -> PyResult<(Bound<'py, PyArray1<f64>>, Option<Change>)> {
     let pair = PairUnit::of_column(column);
-    let watch = Watch::without_handler(py);
+    let watch = InterruptGuard::without_handler(py);
     match watch.run_here(|context| calibration::date_seconds(&texts, pair, context)) {
         Ok((seconds, change)) => Ok((PyArray1::from_vec(py, seconds), change.map(fields))),
         Err(DateError::Cell(row, message)) => Err(at_row(row, &message)),
@@ -115,7 +115,7 @@ impl PyTable {
         needed: Vec<String>,
         left_out: Vec<String>,
     ) -> PyResult<Self> {
-        let watch = Watch::without_handler(py);
+        let watch = InterruptGuard::without_handler(py);
         let read = |context: &RunContext<'_>| {
             Data::read_csv_text(text, source, CsvRequest { time, columns: Some(&needed), context: *context })
         };

@@ -1,11 +1,11 @@
 //! Calibrations, fits, and what follows from them.
 
+pub(crate) mod calibration_class;
 pub(crate) mod cost;
 pub(crate) mod data;
 pub(crate) mod experiment;
 pub(crate) mod fit;
 pub(crate) mod live_page;
-pub(crate) mod native;
 pub(crate) mod profile;
 pub(crate) mod recordings;
 pub(crate) mod saved_fit;

@@ -1,7 +1,7 @@
 //! Recordings of a calibration, and the check of model, recordings and parameters.
 
+use crate::calibration::calibration_class::PyCalibration;
 use crate::calibration::data::PyTable;
-use crate::calibration::native::PyCalibration;
 use crate::convert::error;
 use crate::convert::object;
 use crate::convert::record::time_limit;

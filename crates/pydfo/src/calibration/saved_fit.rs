@@ -1,8 +1,8 @@
 //! Fits that are read back from files.
 
+use crate::calibration::calibration_class::{PyCalibration, give_functions};
 use crate::calibration::experiment::SignalFunctions;
 use crate::calibration::fit;
-use crate::calibration::native::{PyCalibration, give_functions};
 use crate::calibration::shared::Shared;
 use crate::convert::error;
 use crate::model::description::Fmu;

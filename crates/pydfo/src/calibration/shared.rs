@@ -1,8 +1,8 @@
 //! A calibration that several Python objects share, and how it is computed with without the interpreter lock.
 
 use crate::convert::error;
+use crate::interrupt::interrupt_guard::{InterruptGuard, fits_here};
 use crate::interrupt::logs;
-use crate::interrupt::watch::{Watch, fits_here};
 use crate::model::inputs::Callbacks;
 use calibration::{Calibration, CalibrationError, RunContext};
 use pyo3::prelude::*;
@@ -54,10 +54,10 @@ impl Shared {
         };
         let watch;
         let result = if fits_here(last) {
-            watch = Watch::without_handler(py);
+            watch = InterruptGuard::without_handler(py);
             Some(watch.run_here(timed))
         } else {
-            watch = Watch::new(py)?;
+            watch = InterruptGuard::new(py)?;
             let flag = watch.stop().flag();
             watch.run_briefly(move || timed(&RunContext::new().flagged(&flag)))?
         };
@@ -75,7 +75,7 @@ impl Shared {
         py: Python<'_>,
         work: impl FnOnce(&Calibration, &RunContext<'_>) -> Result<T, CalibrationError> + Send + 'static,
     ) -> PyResult<(T, bool)> {
-        let (watch, inner) = (Watch::new(py)?, Arc::clone(&self.inner));
+        let (watch, inner) = (InterruptGuard::new(py)?, Arc::clone(&self.inner));
         let flag = watch.stop().flag();
         let result = watch.run(move |_| work(&inner, &RunContext::new().flagged(&flag)))?;
         self.raise_of(py, &watch)?;
@@ -87,7 +87,7 @@ impl Shared {
     }
 
     /// Raises what a signal handler or a function of time has raised during the work.
-    fn raise_of(&self, py: Python<'_>, watch: &Watch<'_>) -> PyResult<()> {
+    fn raise_of(&self, py: Python<'_>, watch: &InterruptGuard<'_>) -> PyResult<()> {
         logs::pass_on(py)?;
         watch.stop().take_raised().or_else(|| self.callbacks.take_raised()).map_or(Ok(()), Err)
     }

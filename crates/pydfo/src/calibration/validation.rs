@@ -1,13 +1,13 @@
 //! Validations, cross-validations and prediction bands of fits, as dicts of what their Python classes hold.
 
+use crate::calibration::calibration_class::PyCalibration;
 use crate::calibration::experiment::ExperimentFields;
 use crate::calibration::fit::PyFit;
-use crate::calibration::native::PyCalibration;
 use crate::convert::dict::dict;
 use crate::convert::error;
 use crate::convert::object;
 use crate::convert::record::PyRecord;
-use crate::interrupt::watch::Watch;
+use crate::interrupt::interrupt_guard::InterruptGuard;
 use crate::model::inputs::Callbacks;
 use crate::model::trajectory::Counts;
 use calibration::{
@@ -29,7 +29,7 @@ fn experiments(
     let made = |(k, mut fields): (usize, ExperimentFields)| {
         let name = fields.name.clone().unwrap_or_else(|| Experiment::default_name(k));
         let resolved = fields.resolve(py, fmu, parameters, callbacks)?;
-        let watch = Watch::without_handler(py);
+        let watch = InterruptGuard::without_handler(py);
         let made = watch.run_here(|context| fields.experiment(resolved, context));
         if let Err(CalibrationError::Cancelled) = made {
             return Err(watch.interrupted());

@@ -3,7 +3,7 @@
 
 use crate::convert::dict::dict;
 use crate::convert::fmu_error;
-use crate::interrupt::watch::EndRequest;
+use crate::interrupt::interrupt_guard::EndRequest;
 use pyo3::exceptions::{
     PyKeyError, PyKeyboardInterrupt, PyMemoryError, PyOSError, PyTypeError, PyUserWarning, PyValueError,
 };

@@ -4,7 +4,7 @@
 use crate::convert::dict::dict;
 use calibration::visible;
 use fmi::FmiError;
-use fmi::error::{Told, ToldKind};
+use fmi::error::{ReportedError, ReportedErrorKind};
 use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::{PyFileNotFoundError, PyKeyboardInterrupt, PyMemoryError, PyOSError};
 use pyo3::prelude::*;
@@ -26,13 +26,13 @@ pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
     }
     let told = error.told();
     match told.kind {
-        ToldKind::Cancelled => PyKeyboardInterrupt::new_err(()),
-        ToldKind::Memory => PyMemoryError::new_err(message),
-        ToldKind::NoFile => PyFileNotFoundError::new_err(message),
-        ToldKind::UnknownVariable => UnknownVariableError::new_err(message),
-        ToldKind::WrongType => ModelTypeError::new_err(message),
-        ToldKind::Setting => BadModelValueError::new_err(message),
-        ToldKind::Simulation => simulation(py, told, message),
+        ReportedErrorKind::Cancelled => PyKeyboardInterrupt::new_err(()),
+        ReportedErrorKind::Memory => PyMemoryError::new_err(message),
+        ReportedErrorKind::NoFile => PyFileNotFoundError::new_err(message),
+        ReportedErrorKind::UnknownVariable => UnknownVariableError::new_err(message),
+        ReportedErrorKind::WrongType => ModelTypeError::new_err(message),
+        ReportedErrorKind::Setting => BadModelValueError::new_err(message),
+        ReportedErrorKind::Simulation => simulation(py, told, message),
         // A call that failed, without a simulation.
         _ if told.status.is_some() => simulation(py, told, message),
         _ => FmuError::new_err(message),
@@ -65,7 +65,7 @@ fn os_error(py: Python<'_>, path: &Path, source: &io::Error, message: String) ->
     make().unwrap_or_else(|e| e)
 }
 
-fn simulation(py: Python<'_>, told: Told, message: String) -> PyErr {
+fn simulation(py: Python<'_>, told: ReportedError, message: String) -> PyErr {
     let attributes = || Ok(dict!(py; told => status, time, log));
     with_attributes(py, SimulationError::new_err(message), attributes())
 }

@@ -2,10 +2,10 @@
 
 use crate::convert::dict::dict;
 use crate::convert::object;
+use crate::interrupt::interrupt_guard::CallingThread;
 use crate::interrupt::threads::lock;
-use crate::interrupt::watch::CallingThread;
 use base::RunContext;
-use dfo::{Outcome, Progress, Report, Simplex, Termination, Tests, Trace, TraceEntry};
+use dfo::{Outcome, Progress, Report, Simplex, Termination, ToleranceTests, Trace, TraceEntry};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::PyStopIteration;
 use pyo3::prelude::*;
@@ -26,7 +26,7 @@ pub(crate) struct Snapshot {
     fun: f64,
     operation: String,
     seconds: f64,
-    tests: Option<Tests>,
+    tests: Option<ToleranceTests>,
     final_simplex: Option<Simplex>,
     final_population: Option<Simplex>,
     /// The evaluations of the iteration, if wanted: the point, what became of it, and whether it was used.

@@ -1,5 +1,5 @@
 //! Work on other threads, Ctrl-C, logs.
 
+pub(crate) mod interrupt_guard;
 pub(crate) mod logs;
 pub(crate) mod threads;
-pub(crate) mod watch;

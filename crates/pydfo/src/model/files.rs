@@ -1,10 +1,10 @@
 //! Opening FMUs, each file once as long as it does not change; packing folders; the bundled examples.
 
 use crate::convert::fmu_error;
+use crate::interrupt::interrupt_guard::InterruptGuard;
 use crate::interrupt::logs;
-use crate::interrupt::watch::Watch;
 use example_models::ExampleKind;
-use fmi::{Cancel, FmiError, FmuCache, OpenOptions};
+use fmi::{CancelRequest, FmiError, FmuCache, OpenOptions};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -31,7 +31,8 @@ pub(crate) fn try_open(
     path: PathBuf,
     options: &OpenOptions,
 ) -> PyResult<Result<fmi::Fmu, FmiError>> {
-    let try_here = || OPEN.open_with(&path, &OpenOptions { cancel: Cancel::after(SHORT), ..options.clone() });
+    let try_here =
+        || OPEN.open_with(&path, &OpenOptions { cancel: CancelRequest::after(SHORT), ..options.clone() });
     let opened = match py.detach(try_here) {
         Err(FmiError::Cancelled) => {
             let options = options.clone();
@@ -46,10 +47,10 @@ pub(crate) fn try_open(
 /// Does work of some seconds while this thread looks for signals: one that asks for an early end ends it.
 pub(crate) fn watched<T: Send + 'static>(
     py: Python<'_>,
-    work: impl FnOnce(Cancel) -> T + Send + 'static,
+    work: impl FnOnce(CancelRequest) -> T + Send + 'static,
 ) -> PyResult<T> {
-    let watch = Watch::new(py)?;
-    let cancel = Cancel::when(watch.stop().flag());
+    let watch = InterruptGuard::new(py)?;
+    let cancel = CancelRequest::when(watch.stop().flag());
     watch.run_briefly(move || work(cancel))?.ok_or_else(|| watch.interrupted())
 }
 

@@ -3,9 +3,9 @@
 use crate::convert::dict::dict;
 use crate::convert::fmu_error;
 use crate::convert::values;
+use crate::interrupt::interrupt_guard::{CallingThread, InterruptGuard};
 use crate::interrupt::logs;
 use crate::interrupt::threads::lock;
-use crate::interrupt::watch::{CallingThread, Watch};
 use crate::model::description::Fmu;
 use fmi::{
     CoSimulation, ContinuousTime, EventMode, FmiError, Initialization, InstanceOptions, Instantiated,
@@ -375,7 +375,7 @@ impl PyInstance {
         step_size: Option<f64>,
     ) -> PyResult<(f64, bool)> {
         let method = solver.parse().map_err(|e: ode::OptionsError| fmu_error::raise(py, &e.into()))?;
-        let watch = Watch::new(py)?;
+        let watch = InterruptGuard::new(py)?;
         let options = ode::Options {
             method,
             relative_tolerance: tolerance,

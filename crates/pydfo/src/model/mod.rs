@@ -4,5 +4,5 @@ pub(crate) mod description;
 pub(crate) mod files;
 pub(crate) mod inputs;
 pub(crate) mod instance;
-pub(crate) mod native;
+pub(crate) mod model_class;
 pub(crate) mod trajectory;

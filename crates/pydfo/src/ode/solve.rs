@@ -3,7 +3,7 @@
 use crate::convert::dict::dict;
 use crate::convert::error;
 use crate::convert::record::time_limit;
-use crate::interrupt::watch::{EndRequest, Watch};
+use crate::interrupt::interrupt_guard::{EndRequest, InterruptGuard};
 use crate::model::trajectory::Counts;
 use crate::ode::system::{
     Event, JacobianSource, PySystem, SparseJacobian, is_sparse, matrix, sparse_entries,
@@ -206,7 +206,7 @@ impl<'py> Problem<'py> {
 /// Integrates a system written in Python, on the calling thread.
 #[pyfunction]
 pub(crate) fn solve<'py>(py: Python<'py>, problem: Problem<'py>) -> PyResult<Bound<'py, PyAny>> {
-    let watch = Watch::new(py)?;
+    let watch = InterruptGuard::new(py)?;
     let stop = watch.stop();
     let mut driver = problem.driver(stop)?;
     problem.warn_of_what_is_ignored(py)?;

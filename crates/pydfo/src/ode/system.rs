@@ -1,7 +1,7 @@
 //! A hybrid system written in Python: right-hand side, events, Jacobian as functions. Called on the thread
 //! that holds the interpreter lock.
 
-use crate::interrupt::watch::{EndRequest, Inside};
+use crate::interrupt::interrupt_guard::{EndRequest, Inside};
 use crate::optimize::objective::number;
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use ode::{

@@ -2,10 +2,10 @@
 //! the simulations of a fit.
 
 use crate::convert::object::to_bytes;
-use crate::interrupt::watch::{EndRequest, Inside};
+use crate::interrupt::interrupt_guard::{EndRequest, Inside};
 use crate::optimize::objective::PyObjective;
 use calibration::{Calibration, Engine};
-use dfo::{Answer, Evaluator, GivesUp, Outcome, Polled, Query, RobustLoss, Wait};
+use dfo::{Answer, CutoffUse, Evaluator, Outcome, Polled, Query, RobustLoss, Wait};
 use numpy::PyArray1;
 use ode::Stats;
 use pyo3::prelude::*;
@@ -23,7 +23,7 @@ pub(crate) fn state(calibration: &Calibration) -> PyResult<Vec<u8>> {
 type Ended = (u64, f64, Py<PyAny>, String);
 
 /// Result of polling.
-enum Taken {
+enum PolledAnswer {
     Value {
         id: u64,
         x: Vec<f64>,
@@ -73,12 +73,12 @@ impl Futures {
         }
     }
 
-    fn poll(&mut self, wait: &Wait<'_>) -> Taken {
+    fn poll(&mut self, wait: &Wait<'_>) -> PolledAnswer {
         if let Some((id, why)) = self.refused.pop_front() {
-            return Taken::Broken { id, x: self.under_way.remove(&id).unwrap_or_default(), why };
+            return PolledAnswer::Broken { id, x: self.under_way.remove(&id).unwrap_or_default(), why };
         }
         if self.under_way.is_empty() {
-            return Taken::Idle;
+            return PolledAnswer::Idle;
         }
         let _inside = Inside::new(&self.stop);
         let polled = Python::attach(|py| {
@@ -90,18 +90,18 @@ impl Futures {
             let why = |value: Py<PyAny>| PyErr::from_value(value.into_bound(py));
             let x = self.under_way.remove(&id).unwrap_or_default();
             Ok::<_, PyErr>(Some(match &fault[..] {
-                "lost" => Taken::Lost { id, why: why(value) },
-                "broken" => Taken::Broken { id, x, why: why(value) },
-                _ => Taken::Value { id, x, seconds, value },
+                "lost" => PolledAnswer::Lost { id, why: why(value) },
+                "broken" => PolledAnswer::Broken { id, x, why: why(value) },
+                _ => PolledAnswer::Value { id, x, seconds, value },
             }))
         });
         match polled {
-            Ok(taken) => taken.unwrap_or(Taken::Waiting),
+            Ok(taken) => taken.unwrap_or(PolledAnswer::Waiting),
             // Ctrl-C for the second time, for example.
             Err(e) => {
                 self.stop.end_with(e);
                 self.under_way.clear();
-                Taken::Idle
+                PolledAnswer::Idle
             }
         }
     }
@@ -121,9 +121,9 @@ pub(crate) trait Answers {
     /// The outcome where the executor does not evaluate any point.
     fn broken(&mut self, x: &[f64], why: PyErr) -> Outcome;
 
-    /// As [`Evaluator::gives_up`].
-    fn gives_up(&self) -> GivesUp {
-        GivesUp::Unknown
+    /// As [`Evaluator::cutoff_use`].
+    fn cutoff_use(&self) -> CutoffUse {
+        CutoffUse::Unknown
     }
 }
 
@@ -141,23 +141,23 @@ impl<A: Answers> Evaluator for OnExecutor<A> {
     fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
         answer.clear();
         match self.futures.poll(wait) {
-            Taken::Value { id, x, seconds, value } => {
+            PolledAnswer::Value { id, x, seconds, value } => {
                 if !Python::attach(|py| value.is(py.Ellipsis())) {
                     self.answers.read(&x, value, answer);
                 }
                 answer.seconds = seconds;
                 Polled::Answered(id)
             }
-            Taken::Lost { id, why } => {
+            PolledAnswer::Lost { id, why } => {
                 answer.outcome = Outcome::failed(format!("the executor lost it: {why}"));
                 Polled::Answered(id)
             }
-            Taken::Broken { id, x, why } => {
+            PolledAnswer::Broken { id, x, why } => {
                 answer.outcome = self.answers.broken(&x, why);
                 Polled::Answered(id)
             }
-            Taken::Waiting => Polled::Waiting,
-            Taken::Idle => Polled::Idle,
+            PolledAnswer::Waiting => Polled::Waiting,
+            PolledAnswer::Idle => Polled::Idle,
         }
     }
 
@@ -169,8 +169,8 @@ impl<A: Answers> Evaluator for OnExecutor<A> {
         self.futures.width
     }
 
-    fn gives_up(&self) -> GivesUp {
-        self.answers.gives_up()
+    fn cutoff_use(&self) -> CutoffUse {
+        self.answers.cutoff_use()
     }
 
     /// Always true: an executor finishes without this evaluator what it has begun.
@@ -189,8 +189,8 @@ impl Answers for &PyObjective {
         self.abort(x, why)
     }
 
-    fn gives_up(&self) -> GivesUp {
-        PyObjective::gives_up(self)
+    fn cutoff_use(&self) -> CutoffUse {
+        PyObjective::cutoff_use(self)
     }
 }
 

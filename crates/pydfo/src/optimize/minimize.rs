@@ -4,8 +4,8 @@
 use crate::convert::error;
 use crate::convert::record::PyRecord;
 use crate::convert::report::{self, LastProgress, Listener, ResultKind, Snapshot};
+use crate::interrupt::interrupt_guard::{EndRequest, InterruptGuard};
 use crate::interrupt::logs;
-use crate::interrupt::watch::{EndRequest, Watch};
 use crate::optimize::futures;
 use crate::optimize::objective::PyObjective;
 use calibration::RunContext;
@@ -89,7 +89,7 @@ pub(crate) fn minimize<'py>(
     let kind = ResultKind::of(loss.is_some());
     let alone = asked.options.workers.is_none_or(|workers| workers == 1);
     let setup = RunSetup::new(x0, lower, upper, asked);
-    let watch = Watch::new(py)?;
+    let watch = InterruptGuard::new(py)?;
     let stop = Arc::clone(watch.stop());
     let objective = Arc::new(PyObjective::new(func, tolerant, cutoffs, loss, Arc::clone(&stop)));
     let listener = observer.map(|function| Arc::new(Listener::new(function, detail)));
@@ -106,7 +106,7 @@ pub(crate) fn minimize<'py>(
                 dfo::minimize_by(evaluator).with_residuals(loss.is_some()).loss(loss.unwrap_or_default())
             }
             true => dfo::minimize_batches(|batch| objective.evaluate_batch(py, batch))
-                .gives_up(objective.gives_up())
+                .cutoff_use(objective.cutoff_use())
                 .with_residuals(loss.is_some())
                 .loss(loss.unwrap_or_default()),
             false => dfo::minimize(ByRef(&*objective)),

@@ -1,9 +1,9 @@
 //! A Python function as an objective: called with the lock held only inside of it, from whatever thread
 //! evaluates.
 
+use crate::interrupt::interrupt_guard::{EndRequest, Inside};
 use crate::interrupt::threads::lock;
-use crate::interrupt::watch::{EndRequest, Inside};
-use dfo::{Answer, BatchView, GivesUp, Objective, Outcome, Query, Report, RobustLoss};
+use dfo::{Answer, BatchView, CutoffUse, Objective, Outcome, Query, Report, RobustLoss};
 use numpy::{PyArray1, PyArrayMethods, PyUntypedArray};
 use pyo3::exceptions::{PyBaseException, PyException, PyKeyboardInterrupt, PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -37,9 +37,9 @@ impl PyObjective {
         Self { function, tolerant, takes_cutoff, loss, stop, raised: Mutex::default() }
     }
 
-    /// `GivesUp::Yes` if costs above the cutoff count as given up.
-    pub(crate) fn gives_up(&self) -> GivesUp {
-        if self.takes_cutoff { GivesUp::Yes } else { GivesUp::No }
+    /// `CutoffUse::Yes` if costs above the cutoff count as given up.
+    pub(crate) fn cutoff_use(&self) -> CutoffUse {
+        if self.takes_cutoff { CutoffUse::Yes } else { CutoffUse::No }
     }
 
     /// The function, or what hands points to it.

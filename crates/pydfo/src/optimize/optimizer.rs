@@ -3,9 +3,9 @@
 use crate::convert::error;
 use crate::convert::record::PyRecord;
 use crate::convert::report::{self, ResultKind};
+use crate::interrupt::interrupt_guard::InterruptGuard;
 use crate::interrupt::logs;
 use crate::interrupt::threads::lock;
-use crate::interrupt::watch::Watch;
 use crate::optimize::minimize::RunSetup;
 use crate::optimize::objective;
 use dfo::{Answer, MethodOptions, Outcome, RobustLoss, RunOptions};
@@ -24,7 +24,7 @@ pub(crate) struct PyOptimizer {
 }
 
 /// Numbers, points (k, n), cutoffs.
-type Asked<'py> = (Bound<'py, PyArray1<u64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>);
+type AskedBatch<'py> = (Bound<'py, PyArray1<u64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>);
 
 #[pymethods]
 impl PyOptimizer {
@@ -46,8 +46,8 @@ impl PyOptimizer {
         Ok(Self { inner, n, of_residuals })
     }
 
-    fn ask<'py>(&self, py: Python<'py>, at_most: Option<usize>) -> PyResult<Asked<'py>> {
-        let watch = Watch::without_handler(py);
+    fn ask<'py>(&self, py: Python<'py>, at_most: Option<usize>) -> PyResult<AskedBatch<'py>> {
+        let watch = InterruptGuard::without_handler(py);
         let at_most = at_most.unwrap_or(usize::MAX);
         let points = watch.run_here(|context| lock(&self.inner).ask_unless(at_most, context));
         if points.is_empty() && watch.stop().is_asked() {
@@ -83,7 +83,7 @@ impl PyOptimizer {
             Outcome::Value(objective::number(value, "the objective")?)
         };
         // It may write the checkpoint, and another thread that waits for us may hold the interpreter lock.
-        let watch = Watch::without_handler(py);
+        let watch = InterruptGuard::without_handler(py);
         let told = watch.run_here(|context| lock(&self.inner).tell_unless(id, answer, context));
         logs::pass_on(py)?;
         told.map_err(|e| error::optimiser(py, &e))?;

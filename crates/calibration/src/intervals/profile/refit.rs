@@ -1,7 +1,7 @@
 //! Fits of the other parameters, one parameter held.
 
-use crate::cost::calibration::Calibration;
 use crate::error::CalibrationError;
+use crate::loaded_problem::calibration::Calibration;
 use crate::problem::parameter::{Parameter, Scale};
 use base::RunContext;
 use dfo::{

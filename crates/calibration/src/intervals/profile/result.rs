@@ -1,7 +1,7 @@
 //! The numbers of a profile likelihood, and how they are printed.
 
 use crate::uncertainty::active_bounds::BoundSide;
-use crate::uncertainty::estimate::digits;
+use crate::uncertainty::digits::digits;
 use ode::{Number, Stats};
 use serde::{Deserialize, Serialize};
 use std::fmt;

@@ -4,7 +4,7 @@ use super::result::{ProfileEnd, ProfilePoint};
 use crate::error::CalibrationError;
 use crate::uncertainty::active_bounds::BoundSide;
 use fmi::FmiError;
-use fmi::platform::write_whole;
+use fmi::platform::fill_atomically;
 use serde::{Deserialize, Serialize};
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
@@ -92,6 +92,8 @@ impl SavedSides {
     fn write(&self) -> Result<(), CalibrationError> {
         let Some(path) = &self.path else { return Ok(()) };
         let bytes = serde_json::to_vec(self).map_err(|e| CalibrationError::Setup(e.to_string()))?;
-        write_whole(path, |mut file, _| Ok(file.write_all(&bytes).map_err(FmiError::io("write", path))?))
+        fill_atomically(path, |mut file, _| {
+            Ok(file.write_all(&bytes).map_err(FmiError::io("write", path))?)
+        })
     }
 }

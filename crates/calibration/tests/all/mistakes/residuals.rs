@@ -3,8 +3,8 @@
 use super::{calibration, decay, fitted, k, noise, open, recording, sound, times, warnings, warns};
 use calibration::dfo::{Limits, Loss, RobustLoss, RunOptions};
 use calibration::{
-    Calibration, Compared, CostKind, CustomCost, Data, Effect, Experiment, Fit, FitOptions, Parameter, Parts,
-    SimulationSettings, UncertaintyOptions, UnmodelledKind, Weight,
+    Calibration, Compared, CostKind, CustomCost, Data, DataSplit, Effect, Experiment, Fit, FitOptions,
+    Parameter, SimulationSettings, UncertaintyOptions, UnmodelledKind, Weight,
 };
 
 fn fitted_as(experiment: Experiment, options: FitOptions<'_>) -> Fit {
@@ -195,7 +195,7 @@ fn recordings_that_ask_for_other_values_are_named() {
     let (index, [(first, _), (second, _)]) = conflict.differs_most.unwrap();
     let is_near = (first - 2.0).abs() < 0.06 && (second - 2.2).abs() < 0.06;
     assert!(index == 0 && is_near && conflict.chance < 1e-3, "{conflict:?}");
-    assert!(matches!(conflict.parts, Parts::Experiment(_)), "{conflict:?}");
+    assert!(matches!(conflict.parts, DataSplit::Experiment(_)), "{conflict:?}");
     assert!(
         warns(&other.findings(), "ask for different values of the parameters (apart, k about"),
         "{other}"

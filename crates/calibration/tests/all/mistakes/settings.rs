@@ -1,7 +1,7 @@
 //! Mistakes in parameters, priors, weights and solvers.
 
 use super::{calibration, decay, fitted, k, noise, open, recording, sound, times, warnings, warns};
-use calibration::dfo::{Limits, Measure, RunOptions, Stop, Tolerances};
+use calibration::dfo::{Limits, RunOptions, StopRule, ToleranceMeasure, Tolerances};
 use calibration::{
     Calibration, CheckOptions, Data, Experiment, FitOptions, NoiseRule, Parameter, Prior, RunContext, Scale,
     SimulationSettings, Stage, Weight,
@@ -100,13 +100,15 @@ fn weights_of_sigma_for_one_over_sigma_are_named() {
 fn tolerances_that_mean_nothing_are_named() {
     let calibration = calibration(vec![sound(1e-3)], k(), SimulationSettings::default());
     for (x_tol, f_tol, is_loose) in [(0.5, 1e-4, true), (1e-4, 0.1, true), (1e-2, 1e-2, false)] {
-        let tolerances = Tolerances { x_tol, f_tol, measure: Measure::Relative, stop: Stop::All };
+        let tolerances =
+            Tolerances { x_tol, f_tol, measure: ToleranceMeasure::Relative, stop: StopRule::All };
         let run = RunOptions { tolerances, ..FitOptions::default_run() };
         let fit = calibration.fit(run).unwrap();
         assert_eq!(warns(&fit.findings(), "the search may end far from the minimum"), is_loose, "{fit}");
     }
     for (x_tol, is_loose) in [(1e-3, false), (2.0, true)] {
-        let tolerances = Tolerances { x_tol, f_tol: 1e-3, measure: Measure::Absolute, stop: Stop::All };
+        let tolerances =
+            Tolerances { x_tol, f_tol: 1e-3, measure: ToleranceMeasure::Absolute, stop: StopRule::All };
         let fit = calibration.fit(RunOptions { tolerances, ..FitOptions::default_run() }).unwrap();
         assert_eq!(warns(&fit.findings(), "x_tol 2 is absolute, k has the size"), is_loose, "{fit}");
     }
@@ -230,7 +232,8 @@ fn a_search_that_ended_before_the_minimum_is_named_and_not_taken_for_weights() {
     assert_eq!(fit.uncertainty.as_ref().unwrap().left_to_gain, 0.0, "{fit}");
     assert!(fit.is_success(), "{fit}");
     // A search that is satisfied too early is no success, whatever its own tests say.
-    let tolerances = Tolerances { x_tol: 0.5, f_tol: 1e-4, measure: Measure::Relative, stop: Stop::Any };
+    let tolerances =
+        Tolerances { x_tol: 0.5, f_tol: 1e-4, measure: ToleranceMeasure::Relative, stop: StopRule::Any };
     let method = calibration::dfo::NelderMead::default().into();
     let run = RunOptions { tolerances, method, ..FitOptions::default_run() };
     let fit = calibration.fit(run).unwrap();

@@ -6,7 +6,7 @@ use super::options::{Genetic, Selection};
 use crate::error::Error;
 use crate::method::interface::Setup;
 use crate::method::rng::{Purpose, Stream};
-use crate::method::tolerances::{Extent, Tests};
+use crate::method::tolerances::{TestedSet, ToleranceTests};
 use crate::methods::shared::generations::{GenerationRules, Generations, Populations};
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::outcome::termination::Termination;
@@ -171,17 +171,17 @@ impl GenerationRules for GeneticRules {
     }
 
     /// Mutation keeps some members away from the best however long the search goes on.
-    fn extent(&self) -> Extent {
-        Extent::BestEighth
+    fn extent(&self) -> TestedSet {
+        TestedSet::BestEighth
     }
 
     /// The population itself says little: copies of one point take it over long before the minimum is found,
     /// and later most children differ from their parents in a bit that matters. Of whole numbers there may be
     /// too few to compare.
-    fn judge_best_seen(&self, setup: &Setup, f_0: f64) -> Option<Tests> {
+    fn judge_best_seen(&self, setup: &Setup, f_0: f64) -> Option<ToleranceTests> {
         let space = &setup.space;
         let continuous = (0..space.n_free()).all(|k| space.kind(k) == Kind::Continuous);
-        continuous.then(|| self.best_seen.judge(Extent::BestSeen, space, &setup.tolerances, f_0))
+        continuous.then(|| self.best_seen.judge(TestedSet::BestSeen, space, &setup.tolerances, f_0))
     }
 
     fn is_sound(&self, pool: &Populations) -> bool {

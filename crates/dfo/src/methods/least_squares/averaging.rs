@@ -3,7 +3,7 @@
 
 use super::model::Regression;
 use super::points::{difference, distance, norm, sum};
-use super::state::{Averaging, Candidate, Known, LeastSquaresState, Phase, Role};
+use super::state::{Averaging, Candidate, LeastSquaresState, Phase, PointStatus, Role};
 use crate::method::interface::Operation;
 use crate::outcome::termination::Termination;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
@@ -134,7 +134,7 @@ impl LeastSquaresState {
     pub(super) fn averaged(&mut self, round: &[Candidate]) {
         self.n_iterations += 1;
         self.operation = Some(Operation::TrustRegionStep);
-        let failed = round.iter().any(|candidate| candidate.known == Known::Failed);
+        let failed = round.iter().any(|candidate| candidate.known == PointStatus::Failed);
         let best = self.best_of(0..self.points.len()).map(|k| self.points[k].z.clone());
         if let (Phase::Averaging(averaging), true, Some(best)) = (&mut self.phase, failed, best) {
             averaging.radius *= 0.5;

@@ -4,7 +4,7 @@ use super::points::{Evaluated, distance};
 use super::state::{LeastSquaresState, Phase, simplex_method};
 use crate::error::Error;
 use crate::method::interface::{Method, Status};
-use crate::method::tolerances::{Extent, Tests};
+use crate::method::tolerances::{TestedSet, ToleranceTests};
 use crate::methods::nelder_mead::SimplexSearch;
 use crate::outcome::answer::Answers;
 use crate::outcome::termination::Termination;
@@ -101,12 +101,12 @@ impl LeastSquaresState {
     /// The tests where a simplex has come to lie on points with one and the same cost: how small it is says
     /// nothing of the minimum, which is known as well as the extent of the points with the same residuals
     /// tells (rounded ones, for example).
-    fn of_plateau(&self) -> Option<Tests> {
+    fn of_plateau(&self) -> Option<ToleranceTests> {
         let best = &self.points[self.base()];
         let spread = self.tests?.f_spread?;
         let far = |point: &Evaluated| distance(&point.z, &best.z);
         let equal = self.points.iter().filter(|point| point.residuals == best.residuals);
         let tests = self.judge(equal.map(far).fold(0.0, f64::max), spread, best.cost);
-        (spread == 0.0 && best.cost > 0.0).then_some(Tests { extent: Extent::Plateau, ..tests })
+        (spread == 0.0 && best.cost > 0.0).then_some(ToleranceTests { extent: TestedSet::Plateau, ..tests })
     }
 }

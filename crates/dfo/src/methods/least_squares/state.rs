@@ -6,15 +6,15 @@ use super::interpolation::Interpolation;
 use super::options::LeastSquares;
 use super::points::{Evaluated, distance};
 use crate::error::Error;
-use crate::method::interface::{Batch, Details, Lookahead, Method, Operation, Setup, Status, saved};
+use crate::method::interface::{Batch, Lookahead, Method, MethodDetails, Operation, Setup, Status, saved};
 use crate::method::linear_model::LinearModel;
-use crate::method::tolerances::{Extent, Tests};
+use crate::method::tolerances::{TestedSet, ToleranceTests};
 use crate::methods::nelder_mead::{NelderMead, SimplexSearch};
 use crate::outcome::answer::{Answers, Best, Want};
 use crate::outcome::termination::Termination;
 use crate::problem::memory;
 use crate::problem::space::clamp;
-use crate::values::choices::Measure;
+use crate::values::choices::ToleranceMeasure;
 use base::RunContext;
 use serde::{Deserialize, Serialize};
 
@@ -70,7 +70,7 @@ impl Averaging {
 
 /// Where a search stood that has gone on by less than the tolerances since then.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(super) struct Halt {
+pub(super) struct Stagnation {
     pub(super) z: Vec<f64>,
     pub(super) cost: f64,
     /// Rounds of trial points since then.
@@ -100,7 +100,7 @@ pub(super) enum Role {
 /// Result for a point that was requested.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub(super) enum Known {
+pub(super) enum PointStatus {
     Pending,
     Failed,
     /// The index of the point.
@@ -114,7 +114,7 @@ pub(super) struct Candidate {
     pub(super) z: Vec<f64>,
     pub(super) x: Vec<f64>,
     pub(super) retries: u32,
-    pub(super) known: Known,
+    pub(super) known: PointStatus,
 }
 
 /// A running least-squares search; made by [`LeastSquares`].
@@ -145,7 +145,7 @@ pub struct LeastSquaresState {
     pub(super) n_points: u64,
     pub(super) n_iterations: usize,
     pub(super) operation: Option<Operation>,
-    pub(super) tests: Option<Tests>,
+    pub(super) tests: Option<ToleranceTests>,
     /// Number of searches so far for unknown sizes of parameters.
     n_resized: u32,
     /// The cost of the start.
@@ -170,7 +170,7 @@ pub struct LeastSquaresState {
     pub(super) completed: (usize, u32),
     /// Where the search stands still.
     #[serde(default)]
-    pub(super) halt: Option<Halt>,
+    pub(super) halt: Option<Stagnation>,
 }
 
 impl LeastSquaresState {
@@ -234,7 +234,7 @@ impl LeastSquaresState {
         };
         let is_candidate = |c: &Candidate| {
             is_place(&c.z, &c.x)
-                && !matches!(c.known, Known::Point(k) if k >= len)
+                && !matches!(c.known, PointStatus::Point(k) if k >= len)
                 && match c.role {
                     Role::Start(coordinate) => coordinate.is_none_or(|k| k < n),
                     Role::Geometry { instead } => instead < len,
@@ -292,7 +292,7 @@ impl LeastSquaresState {
     /// Adds a point to the round; the box and the rounding of the user's units shift it a little.
     pub(super) fn ask_for(&mut self, z: Vec<f64>, role: Role) {
         let (z, x) = self.placed(&z);
-        self.round.push(Candidate { role, z, x, retries: 0, known: Known::Pending });
+        self.round.push(Candidate { role, z, x, retries: 0, known: PointStatus::Pending });
     }
 
     fn placed(&self, z: &[f64]) -> (Vec<f64>, Vec<f64>) {
@@ -319,8 +319,8 @@ impl LeastSquaresState {
     fn x_unit(&self) -> f64 {
         let space = &self.setup.space;
         match self.setup.tolerances.measure {
-            Measure::Relative => 1.0,
-            Measure::Absolute => (0..space.n_free()).map(|k| space.size(k)).fold(0.0, f64::max),
+            ToleranceMeasure::Relative => 1.0,
+            ToleranceMeasure::Absolute => (0..space.n_free()).map(|k| space.size(k)).fold(0.0, f64::max),
         }
     }
 
@@ -330,9 +330,9 @@ impl LeastSquaresState {
     }
 
     /// The tolerance tests, for a distance in units of the sizes and a decrease.
-    pub(super) fn judge(&self, distance: f64, decrease: f64, f: f64) -> Tests {
+    pub(super) fn judge(&self, distance: f64, decrease: f64, f: f64) -> ToleranceTests {
         let tests = self.setup.tolerances.judge(distance * self.x_unit(), Some(decrease), f, self.f_0);
-        Tests { extent: Extent::Model, ..tests }
+        ToleranceTests { extent: TestedSet::Model, ..tests }
     }
 
     /// Bounds on a step from a point along each coordinate, below and above.
@@ -369,7 +369,7 @@ impl LeastSquaresState {
                 self.best_seen.offer(x, cost);
                 let (z, x) = (z.clone(), x.clone());
                 self.points.push(Evaluated { z, x, cost, residuals });
-                Known::Point(self.points.len() - 1)
+                PointStatus::Point(self.points.len() - 1)
             }
             (None, Role::Start(Some(coordinate))) if *retries < MOST_RETRIES && !self.points.is_empty() => {
                 let retries = retries + 1;
@@ -377,7 +377,7 @@ impl LeastSquaresState {
                 self.round[place] = Candidate { z, x, retries, ..self.round[place].clone() };
                 return;
             }
-            (None, _) => Known::Failed,
+            (None, _) => PointStatus::Failed,
         };
         self.round[place].known = known;
     }
@@ -405,7 +405,7 @@ impl LeastSquaresState {
         let Some(start) = self.points.first().filter(|_| self.n_resized < MOST_RESIZED) else { return false };
         let mut found = Vec::new();
         for candidate in round {
-            let (Role::Start(Some(k)), Known::Point(new)) = (&candidate.role, candidate.known) else {
+            let (Role::Start(Some(k)), PointStatus::Point(new)) = (&candidate.role, candidate.known) else {
                 continue;
             };
             let new = &self.points[new];
@@ -517,10 +517,10 @@ impl Method for LeastSquaresState {
             self.waiting = !batch.is_empty();
             return;
         }
-        let is_first = |c: &Candidate| c.role == Role::Start(None) && c.known == Known::Pending;
+        let is_first = |c: &Candidate| c.role == Role::Start(None) && c.known == PointStatus::Pending;
         let is_first = self.n() >= LARGE && self.round.first().is_some_and(is_first);
         let at_once = if is_first { 1 } else { self.round.len() };
-        let pending = self.round.iter().enumerate().filter(|(_, c)| c.known == Known::Pending);
+        let pending = self.round.iter().enumerate().filter(|(_, c)| c.known == PointStatus::Pending);
         for (k, candidate) in pending.take(at_once) {
             batch.push(&candidate.x, f64::INFINITY);
             self.asked.push(k);
@@ -561,7 +561,7 @@ impl Method for LeastSquaresState {
             }
         }
         self.asked.clear();
-        if self.round.iter().all(|candidate| candidate.known != Known::Pending) {
+        if self.round.iter().all(|candidate| candidate.known != PointStatus::Pending) {
             self.conclude();
         }
         Ok(())
@@ -575,16 +575,16 @@ impl Method for LeastSquaresState {
         }
     }
 
-    fn details(&self) -> Details<'_> {
-        let details = Details {
+    fn details(&self) -> MethodDetails<'_> {
+        let details = MethodDetails {
             n_iterations: self.n_iterations,
             operation: self.operation,
             tests: self.tests,
             plan: if self.options.batch.width(self.n()) > 1 { "rounds" } else { "serial" },
-            ..Details::default()
+            ..MethodDetails::default()
         };
         match &self.phase {
-            Phase::Simplex(simplex) => Details { simplex: None, ..simplex.details(details) },
+            Phase::Simplex(simplex) => MethodDetails { simplex: None, ..simplex.details(details) },
             _ => details,
         }
     }

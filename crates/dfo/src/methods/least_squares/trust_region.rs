@@ -3,10 +3,10 @@
 
 use super::interpolation::{Interpolation, NewPoint, Place, combine};
 use super::points::{Evaluated, Selection, difference, distance, dot, norm, sum};
-use super::state::{Candidate, Halt, Known, LeastSquaresState, Phase, Role};
+use super::state::{Candidate, LeastSquaresState, Phase, PointStatus, Role, Stagnation};
 use super::subproblem::{Cancelled, Linear, Subproblem, longest, smallest_singular_value};
 use crate::method::interface::Operation;
-use crate::method::tolerances::Tests;
+use crate::method::tolerances::ToleranceTests;
 use crate::methods::shared::failures::{Plane, plane};
 use crate::outcome::termination::Termination;
 use base::RunContext;
@@ -53,7 +53,7 @@ const NEIGHBOUR: f64 = 0.1;
 
 /// A point as the tests see it.
 struct Judged {
-    tests: Tests,
+    tests: ToleranceTests,
     /// Failed points keep the search from a decrease.
     is_kept_off: bool,
     /// The minimum lies at infinity.
@@ -110,7 +110,7 @@ impl LeastSquaresState {
     /// The same around the best point of the set and of a round.
     fn choose_set_from(&mut self, round: &[Candidate]) {
         let new = round.iter().filter_map(|candidate| match candidate.known {
-            Known::Point(k) => Some(k),
+            PointStatus::Point(k) => Some(k),
             _ => None,
         });
         if let Some(best) = self.best_of(self.set.iter().copied().chain(new)) {
@@ -422,7 +422,7 @@ impl LeastSquaresState {
     /// Updates the state after a round.
     pub(super) fn descended(&mut self, round: &[Candidate]) {
         match (&round[0].role, round[0].known) {
-            (Role::Geometry { instead }, Known::Point(new)) => {
+            (Role::Geometry { instead }, PointStatus::Point(new)) => {
                 if let Some(place) = self.set.iter().position(|k| *k == *instead) {
                     let model = self.model.take().filter(|_| self.set.len() == self.n() + 1);
                     self.model = model.and_then(|mut model| {
@@ -445,7 +445,7 @@ impl LeastSquaresState {
                 }
             }
             (Role::Trial { .. }, _) => self.tried(round),
-            (Role::Probe { misfit }, Known::Point(new)) => {
+            (Role::Probe { misfit }, PointStatus::Point(new)) => {
                 let base = self.base();
                 let jump = distance(&self.points[new].residuals, &self.points[base].residuals);
                 (self.n_noisy, self.failure) = (0, None);
@@ -465,7 +465,7 @@ impl LeastSquaresState {
         let base = self.base();
         let (f, z) = (self.points[base].cost, self.points[base].z.clone());
         let mut trials = round.iter().filter_map(|candidate| match (&candidate.role, candidate.known) {
-            (Role::Trial { predicted, radius }, Known::Point(k)) => Some((k, *predicted, *radius)),
+            (Role::Trial { predicted, radius }, PointStatus::Point(k)) => Some((k, *predicted, *radius)),
             _ => None,
         });
         let first = trials.next();
@@ -554,9 +554,9 @@ impl LeastSquaresState {
         let (limit, cost) = (self.judge(0.0, 0.0, *cost).f_limit, *cost);
         self.halt = match self.halt.take() {
             Some(halt) if distance(&halt.z, z) <= self.x_limit() && halt.cost - cost <= limit => {
-                Some(Halt { n_rounds: halt.n_rounds + 1, ..halt })
+                Some(Stagnation { n_rounds: halt.n_rounds + 1, ..halt })
             }
-            _ => Some(Halt { z: z.clone(), cost, n_rounds: 0 }),
+            _ => Some(Stagnation { z: z.clone(), cost, n_rounds: 0 }),
         };
     }
 

@@ -5,13 +5,13 @@ use super::clusters;
 use super::options::Multistart;
 use crate::error::Error;
 use crate::method::interface::{
-    AnswersSoFar, Batch, Details, Lookahead, Method, MethodOptions, Operation, Optimum, Setup, Status,
+    AnswersSoFar, Batch, Lookahead, Method, MethodDetails, MethodOptions, Operation, Optimum, Setup, Status,
     restored, saved,
 };
 use crate::method::linear_model::LinearModel;
 use crate::method::rng::draw_seed;
 use crate::method::sampling::Sampling;
-use crate::method::tolerances::Tests;
+use crate::method::tolerances::ToleranceTests;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::population::MAX_MEMBERS;
 use crate::methods::shared::ranked_points::RankedPoints;
@@ -69,7 +69,7 @@ struct Core {
     /// The end, the tests and the derivatives of the search that ended at the best minimum.
     #[serde(default)]
     end: Option<Termination>,
-    tests: Option<Tests>,
+    tests: Option<ToleranceTests>,
     model: Option<LinearModel>,
     n_batches: u64,
     n_points: u64,
@@ -663,11 +663,11 @@ impl Method for MultistartState {
         }
     }
 
-    fn details(&self) -> Details<'_> {
+    fn details(&self) -> MethodDetails<'_> {
         let core = &self.core;
         let exploring = self.exploration.as_ref().and_then(|method| method.details().population);
-        let is_best = |tests: &Tests| core.best.cost().is_some_and(|best| best >= tests.f_best);
-        Details {
+        let is_best = |tests: &ToleranceTests| core.best.cost().is_some_and(|best| best >= tests.f_best);
+        MethodDetails {
             n_iterations: core.n_iterations,
             operation: core.operation,
             tests: core.tests,
@@ -681,7 +681,7 @@ impl Method for MultistartState {
             population: exploring.or_else(|| Some(core.sample.view())),
             lookahead: Lookahead::Measured,
             optima: &core.minima,
-            ..Details::default()
+            ..MethodDetails::default()
         }
     }
 

@@ -4,7 +4,7 @@ use super::options::InitialSimplex;
 use crate::error::Error;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
-use crate::methods::shared::sizes::{Found, SizeSearch};
+use crate::methods::shared::sizes::{SizeFound, SizeSearch};
 use crate::problem::space::Space;
 use crate::values::choices::Transform;
 
@@ -104,7 +104,7 @@ pub(super) fn around(space: &mut Space, search: &SizeSearch) -> RankedPoints {
     simplex.rewrite(space);
     simplex.set_cost(0, Cost::Value(cost));
     let (mut u, mut x) = (vec![0.0; space.n_free()], base.to_vec());
-    for Found { k, vertex, .. } in found {
+    for SizeFound { k, vertex, .. } in found {
         let Some((value, cost)) = vertex else { continue };
         let i = space.free()[k];
         x[i] = value;

@@ -6,7 +6,7 @@ use super::restart;
 use super::state::{NelderMeadState, Phase, Role};
 use super::trial::{Frame, Seen, Trial};
 use crate::method::interface::{Batch, Operation};
-use crate::method::tolerances::Tests;
+use crate::method::tolerances::ToleranceTests;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::sizes::SizeSearch;
 use crate::outcome::termination::Termination;
@@ -147,7 +147,7 @@ impl NelderMeadState {
     /// The side of the simplex that is to be built anew although the tests passed, in units of the sizes: the
     /// old one lies on a kink, or is flat, not because of a bound; and the last restart, if there was one,
     /// lowered the cost by more than the f test allows.
-    fn side_of_restart(&mut self, tests: &Tests) -> Option<f64> {
+    fn side_of_restart(&mut self, tests: &ToleranceTests) -> Option<f64> {
         let useless = self.f_restart.is_some_and(|f| f - tests.f_best <= tests.f_limit);
         let space = &self.setup.space;
         let is_on_bound = || restart::free_coordinates(&self.simplex, space).count() < space.n_free();

@@ -1,7 +1,7 @@
 //! When a simplex says nothing of the cost around it, and the one that takes its place.
 
 use super::initial::stepped;
-use crate::method::tolerances::Tests;
+use crate::method::tolerances::ToleranceTests;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::problem::space::Space;
 use serde::{Deserialize, Serialize};
@@ -42,7 +42,7 @@ pub(super) struct Spreads {
 impl Spreads {
     /// Enters a simplex that is ten times as small as the one before, as long as its spread can be told from
     /// rounding.
-    pub(super) fn enter(&mut self, tests: &Tests) {
+    pub(super) fn enter(&mut self, tests: &ToleranceTests) {
         let (size, Some(spread)) = (tests.x_size, tests.f_spread) else { return };
         let is_smaller = self.since_start.last().is_none_or(|last| size <= 0.1 * last.size);
         if is_smaller && spread > VISIBLE * tests.f_best.abs() {

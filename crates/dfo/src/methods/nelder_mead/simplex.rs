@@ -3,7 +3,7 @@
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::problem::space::Space;
-use crate::values::choices::Measure;
+use crate::values::choices::ToleranceMeasure;
 
 impl RankedPoints {
     /// The same vertices in the working coordinates of another space.
@@ -88,7 +88,7 @@ impl RankedPoints {
     }
 
     /// Largest distance of a vertex from the best along any coordinate, as the x test measures it.
-    pub(super) fn x_size(&self, space: &Space, measure: Measure) -> f64 {
+    pub(super) fn x_size(&self, space: &Space, measure: ToleranceMeasure) -> f64 {
         let extent = |(k, &i): (usize, &usize)| {
             let pair = |slot: usize| (self.u(slot)[k], self.x(slot)[i]);
             space.extent(k, pair(self.best()), self.order[1..].iter().map(|s| pair(*s)), measure)

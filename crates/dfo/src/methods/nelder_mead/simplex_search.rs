@@ -2,7 +2,7 @@
 
 use super::{NelderMead, NelderMeadState};
 use crate::error::Error;
-use crate::method::interface::{Batch, Details, Method, MethodOptions, Setup};
+use crate::method::interface::{Batch, Method, MethodDetails, MethodOptions, Setup};
 use serde::{Deserialize, Serialize};
 
 /// The simplex search that has taken over.
@@ -42,9 +42,9 @@ impl SimplexSearch {
     }
 
     /// Where the simplex stands; what it does not know of itself yet comes from the search before.
-    pub(crate) fn details(&self, before: Details<'static>) -> Details<'_> {
+    pub(crate) fn details(&self, before: MethodDetails<'static>) -> MethodDetails<'_> {
         let own = self.state.details();
-        Details {
+        MethodDetails {
             n_iterations: before.n_iterations + own.n_iterations,
             operation: own.operation.or(before.operation),
             tests: own.tests.or(before.tests),

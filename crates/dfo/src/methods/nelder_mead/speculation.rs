@@ -41,11 +41,11 @@ pub(super) struct Problem<'a> {
     pub(super) numbers: &'a CoefficientValues,
     pub(super) simplex: &'a RankedPoints,
     pub(super) prediction: &'a Prediction,
-    pub(super) known: &'a dyn Fn(&[f64]) -> Known,
+    pub(super) known: &'a dyn Fn(&[f64]) -> KnownCost,
 }
 
 /// What is known about a point that the path has not come to.
-pub(super) enum Known {
+pub(super) enum KnownCost {
     Nothing,
     /// It needs no evaluation any more; infinite where its cost is only known to be high.
     Cost(f64),
@@ -143,10 +143,10 @@ impl Speculation {
             let TrialPoint { u, x, .. } = &self.points[number];
             let known = (problem.known)(x);
             self.estimates[number] = match known {
-                Known::Cost(cost) => Some(Estimate::exact(cost)),
-                Known::Nothing | Known::Hidden => problem.prediction.at(u),
+                KnownCost::Cost(cost) => Some(Estimate::exact(cost)),
+                KnownCost::Nothing | KnownCost::Hidden => problem.prediction.at(u),
             };
-            if matches!(known, Known::Nothing) && self.points[..number].iter().all(|p| p.x != *x) {
+            if matches!(known, KnownCost::Nothing) && self.points[..number].iter().all(|p| p.x != *x) {
                 found(x, guess.node == 0 && guess.trial == Trial::Expansion);
                 n_found += 1;
             }

@@ -6,13 +6,13 @@
 use super::options::CoefficientValues;
 use super::prediction::Prediction;
 use super::restart::Spreads;
-use super::speculation::{Known, Problem, Speculation};
+use super::speculation::{KnownCost, Problem, Speculation};
 use super::trial::{Seen, Trial, TrialPoint};
 use crate::error::Error;
 use crate::method::interface::{
-    AnswersSoFar, Batch, Details, Lookahead, Method, Operation, Setup, Status, saved,
+    AnswersSoFar, Batch, Lookahead, Method, MethodDetails, Operation, Setup, Status, saved,
 };
-use crate::method::tolerances::Tests;
+use crate::method::tolerances::ToleranceTests;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::methods::shared::sizes::SizeSearch;
@@ -103,7 +103,7 @@ pub struct NelderMeadState {
     pub(super) n_points: u64,
     pub(super) n_iterations: usize,
     pub(super) operation: Option<Operation>,
-    pub(super) tests: Option<Tests>,
+    pub(super) tests: Option<ToleranceTests>,
     pub(super) f_0: f64,
 }
 
@@ -284,9 +284,9 @@ impl Method for NelderMeadState {
         let Self { speculation, prediction, simplex, setup, trials, numbers, handling, .. } = self;
         prediction.update(simplex);
         let known = |x: &[f64]| match known.ahead(x, &Query::new(0, 0, cutoff)) {
-            Some(answer) => Known::Cost(answer.outcome.value().unwrap_or(f64::INFINITY)),
-            None if known.contains(x) => Known::Hidden,
-            None => Known::Nothing,
+            Some(answer) => KnownCost::Cost(answer.outcome.value().unwrap_or(f64::INFINITY)),
+            None if known.contains(x) => KnownCost::Hidden,
+            None => KnownCost::Nothing,
         };
         let space = &setup.space;
         let problem = Problem { space, handling: *handling, numbers, simplex, prediction, known: &known };
@@ -303,10 +303,10 @@ impl Method for NelderMeadState {
         }
     }
 
-    fn details(&self) -> Details<'_> {
+    fn details(&self) -> MethodDetails<'_> {
         let space = &self.setup.space;
         let unmoved = |search: &SizeSearch| search.without_effect(space).collect();
-        Details {
+        MethodDetails {
             without_effect: self.sizes.as_ref().map_or_else(Vec::new, unmoved),
             n_iterations: self.n_iterations,
             operation: self.operation,
@@ -314,7 +314,7 @@ impl Method for NelderMeadState {
             plan: self.batch.name(),
             lookahead: self.batch,
             simplex: Some(self.simplex.view()),
-            ..Details::default()
+            ..MethodDetails::default()
         }
     }
 

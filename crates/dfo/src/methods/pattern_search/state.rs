@@ -5,14 +5,14 @@ use super::options::PatternSearch;
 use super::poll::Poll;
 use crate::error::Error;
 use crate::method::interface::{
-    AnswersSoFar, Batch, Details, Lookahead, Method, Operation, Setup, Status, saved,
+    AnswersSoFar, Batch, Lookahead, Method, MethodDetails, Operation, Setup, Status, saved,
 };
-use crate::method::tolerances::{Extent, Tests};
+use crate::method::tolerances::{TestedSet, ToleranceTests};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::outcome::answer::Answers;
 use crate::outcome::termination::Termination;
-use crate::values::choices::{BoundsHandling, Measure, Transform};
+use crate::values::choices::{BoundsHandling, ToleranceMeasure, Transform};
 use serde::{Deserialize, Serialize};
 
 /// The f test measures what so many frames have gained.
@@ -68,7 +68,7 @@ pub struct Polling {
     n_idle: usize,
     f_begin: f64,
     /// The tests that had passed where no way down was found; they hold while no better point is known.
-    passed: Option<Tests>,
+    passed: Option<ToleranceTests>,
     /// The search for a way down.
     #[serde(default)]
     pub(super) descent: Option<Descent>,
@@ -76,7 +76,7 @@ pub struct Polling {
     n_points: u64,
     n_iterations: usize,
     operation: Option<Operation>,
-    tests: Option<Tests>,
+    tests: Option<ToleranceTests>,
     f_0: f64,
 }
 
@@ -275,7 +275,7 @@ impl Polling {
         let known = (self.gains.len() == FRAMES && operation == Operation::Refinement).then(|| self.gains[0]);
         let (f, size) = (self.best_cost(), self.frame_size());
         let tests = self.setup.tolerances.judge(size, known.map(|earlier| earlier - f), f, self.f_0);
-        self.tests = Some(Tests { extent: Extent::Frame, ..tests });
+        self.tests = Some(ToleranceTests { extent: TestedSet::Frame, ..tests });
     }
 
     /// Size of the frame as the x test measures it.
@@ -286,8 +286,8 @@ impl Polling {
             Transform::Log => self.best.x(0)[i] * (frame * space.size(k)).exp_m1(),
         };
         match self.setup.tolerances.measure {
-            Measure::Relative => frame,
-            Measure::Absolute => space.free().iter().enumerate().map(size).fold(0.0, f64::max),
+            ToleranceMeasure::Relative => frame,
+            ToleranceMeasure::Absolute => space.free().iter().enumerate().map(size).fold(0.0, f64::max),
         }
     }
 
@@ -430,10 +430,10 @@ impl Method for Polling {
         Some((self.best.x(0), self.best.cost(0).value()?))
     }
 
-    fn details(&self) -> Details<'_> {
+    fn details(&self) -> MethodDetails<'_> {
         let passed = self.passed.filter(|passed| self.best_cost() >= passed.f_best);
         let tests = passed.or(self.tests);
-        Details {
+        MethodDetails {
             n_iterations: self.n_iterations,
             operation: self.operation,
             tests,
@@ -441,7 +441,7 @@ impl Method for Polling {
             plan: self.batch.name(),
             lookahead: self.batch,
             population: Some(self.best.view()),
-            ..Details::default()
+            ..MethodDetails::default()
         }
     }
 

@@ -4,10 +4,10 @@ use super::model::{Interpolation, Quadratic};
 use super::state::{ModelSearch, Phase};
 use super::subproblem::{Region, minimize};
 use super::truncated_cg;
-use crate::method::tolerances::{Extent, Tests};
+use crate::method::tolerances::{TestedSet, ToleranceTests};
 use crate::methods::shared::failures::{Plane, plane};
 use crate::outcome::termination::Termination;
-use crate::values::choices::Measure;
+use crate::values::choices::ToleranceMeasure;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 /// A resolution below this cannot be seen.
@@ -202,13 +202,13 @@ impl ModelSearch {
         }
     }
 
-    fn judge(&self, predicted: f64) -> Tests {
+    fn judge(&self, predicted: f64) -> ToleranceTests {
         let space = &self.setup.space;
         let tolerances = &self.setup.tolerances;
         let base = self.base();
         let size = match tolerances.measure {
-            Measure::Relative => self.rho,
-            Measure::Absolute => {
+            ToleranceMeasure::Relative => self.rho,
+            ToleranceMeasure::Absolute => {
                 let (u, x) = (self.points.u(base), self.points.x(base));
                 let moved: Vec<f64> = (0..u.len()).map(|k| u[k] + self.rho * space.size(k)).collect();
                 let mut there = x.to_vec();
@@ -217,7 +217,7 @@ impl ModelSearch {
             }
         };
         let tests = tolerances.judge(size, Some(predicted.max(0.0)), self.cost(base), self.f_0);
-        Tests { extent: Extent::Model, ..tests }
+        ToleranceTests { extent: TestedSet::Model, ..tests }
     }
 
     /// Sets the trust region, not smaller than the resolution.
@@ -489,8 +489,8 @@ impl ModelSearch {
             return;
         }
         let tolerance = match self.setup.tolerances.measure {
-            Measure::Relative => self.setup.tolerances.x_tol,
-            Measure::Absolute => 0.0,
+            ToleranceMeasure::Relative => self.setup.tolerances.x_tol,
+            ToleranceMeasure::Absolute => 0.0,
         };
         self.delta = 0.5 * self.rho;
         // Powell's reductions: by ten, and at the end to the last resolution by two steps or by one.

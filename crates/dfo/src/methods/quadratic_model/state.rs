@@ -6,9 +6,9 @@ use super::model::{Interpolation, Quadratic};
 use super::options::QuadraticModel;
 use crate::error::Error;
 use crate::method::interface::{
-    AnswersSoFar, Batch, Details, Method, Operation, Roughness, Setup, Status, saved,
+    AnswersSoFar, Batch, Method, MethodDetails, Operation, Roughness, Setup, Status, saved,
 };
-use crate::method::tolerances::Tests;
+use crate::method::tolerances::ToleranceTests;
 use crate::methods::nelder_mead::{NelderMead, SimplexSearch};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
@@ -80,7 +80,7 @@ pub struct ModelSearch {
     pub(super) f_restart: f64,
     pub(super) n_iterations: usize,
     pub(super) operation: Option<Operation>,
-    pub(super) tests: Option<Tests>,
+    pub(super) tests: Option<ToleranceTests>,
     pub(super) f_0: f64,
     /// True if a simplex search may take over; and the one that has.
     #[serde(default)]
@@ -302,18 +302,18 @@ impl Method for ModelSearch {
         }
     }
 
-    fn details(&self) -> Details<'_> {
-        let details = Details {
+    fn details(&self) -> MethodDetails<'_> {
+        let details = MethodDetails {
             n_iterations: self.n_iterations,
             operation: self.operation,
             tests: self.tests,
             plan: "serial",
             roughness: self.roughness,
-            ..Details::default()
+            ..MethodDetails::default()
         };
         match &self.simplex {
             Some(simplex) => simplex.details(details),
-            None => Details { population: Some(self.points.view()), ..details },
+            None => MethodDetails { population: Some(self.points.view()), ..details },
         }
     }
 

@@ -3,10 +3,10 @@
 
 use crate::error::Error;
 use crate::method::interface::{
-    AnswersSoFar, Batch, Details, Lookahead, Method, Operation, Setup, Status, restored, saved,
+    AnswersSoFar, Batch, Lookahead, Method, MethodDetails, Operation, Setup, Status, restored, saved,
 };
 use crate::method::sampling::Sampling;
-use crate::method::tolerances::{Extent, Tests};
+use crate::method::tolerances::{TestedSet, ToleranceTests};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::methods::shared::rounds::Rounds;
@@ -57,13 +57,13 @@ pub trait GenerationRules: Serialize + DeserializeOwned {
     fn ended(&mut self, pool: &Populations, best: f64) -> Option<Termination>;
 
     /// Part of the population that the tolerance tests measure.
-    fn extent(&self) -> Extent {
-        Extent::Population
+    fn extent(&self) -> TestedSet {
+        TestedSet::Population
     }
 
     /// The tolerance tests over the best points of all generations, where the population says nothing about
     /// convergence.
-    fn judge_best_seen(&self, setup: &Setup, f_0: f64) -> Option<Tests> {
+    fn judge_best_seen(&self, setup: &Setup, f_0: f64) -> Option<ToleranceTests> {
         let _ = (setup, f_0);
         None
     }
@@ -115,11 +115,11 @@ pub struct Generations<B> {
     phase: Phase,
     rounds: Rounds,
     n_iterations: usize,
-    tests: Option<Tests>,
+    tests: Option<ToleranceTests>,
     f_0: f64,
     /// The tests that passed before the last restart; they hold while no better point is known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    passed: Option<Tests>,
+    passed: Option<ToleranceTests>,
 }
 
 impl<B: GenerationRules> Generations<B> {
@@ -269,13 +269,13 @@ impl<B: GenerationRules> Method for Generations<B> {
         }
     }
 
-    fn details(&self) -> Details<'_> {
+    fn details(&self) -> MethodDetails<'_> {
         let operation = match (&self.phase, self.n_iterations) {
             (Phase::Starting | Phase::NoStart, _) => None,
             (_, 0) => Some(Operation::Initial),
             _ => Some(Operation::Generation),
         };
-        Details {
+        MethodDetails {
             n_iterations: self.n_iterations,
             operation,
             tests: self.tests,
@@ -284,7 +284,7 @@ impl<B: GenerationRules> Method for Generations<B> {
             lookahead: self.rules.lookahead(),
             seed: Some(self.pool.seed),
             population: Some(self.pool.population.view()),
-            ..Details::default()
+            ..MethodDetails::default()
         }
     }
 

@@ -2,12 +2,12 @@
 //! replaced.
 
 use crate::method::interface::Setup;
-use crate::method::tolerances::{Extent, Tests, Tolerances, typical};
+use crate::method::tolerances::{TestedSet, ToleranceTests, Tolerances, typical};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::problem::space::Space;
 use crate::values::choices::Kind;
-use crate::values::choices::Measure;
+use crate::values::choices::ToleranceMeasure;
 use std::cmp::Ordering;
 
 /// More members than this are a mistake, not a wish.
@@ -108,10 +108,16 @@ impl RankedPoints {
 
     /// The tolerance tests over so much of the population, the best first: largest distance of a member from
     /// the best, largest minus smallest cost.
-    pub(crate) fn judge(&self, extent: Extent, space: &Space, tolerances: &Tolerances, f_0: f64) -> Tests {
+    pub(crate) fn judge(
+        &self,
+        extent: TestedSet,
+        space: &Space,
+        tolerances: &Tolerances,
+        f_0: f64,
+    ) -> ToleranceTests {
         let counted = match extent {
             // One member alone has nothing to be compared with.
-            Extent::BestEighth => &self.order[..self.len().div_ceil(8).max(2).min(self.len())],
+            TestedSet::BestEighth => &self.order[..self.len().div_ceil(8).max(2).min(self.len())],
             _ => &self.order[..],
         };
         let best = self.best();
@@ -119,17 +125,17 @@ impl RankedPoints {
         for &slot in counted {
             for (k, &i) in space.free().iter().enumerate() {
                 size = size.max(match tolerances.measure {
-                    Measure::Absolute => (self.x(slot)[i] - self.x(best)[i]).abs(),
-                    Measure::Relative if space.kind(k) == Kind::Continuous => {
+                    ToleranceMeasure::Absolute => (self.x(slot)[i] - self.x(best)[i]).abs(),
+                    ToleranceMeasure::Relative if space.kind(k) == Kind::Continuous => {
                         (self.u(slot)[k] - self.u(best)[k]).abs() / space.size(k)
                     }
                     // What members that stand for one whole number differ by means nothing.
-                    Measure::Relative => (self.x(slot)[i] - self.x(best)[i]).abs() / space.size(k),
+                    ToleranceMeasure::Relative => (self.x(slot)[i] - self.x(best)[i]).abs() / space.size(k),
                 });
             }
         }
         let f_best = self.costs[best].value().unwrap_or(f64::NAN);
-        Tests { extent, ..tolerances.judge(size, self.f_spread(counted), f_best, f_0) }
+        ToleranceTests { extent, ..tolerances.judge(size, self.f_spread(counted), f_best, f_0) }
     }
 
     /// Typical size of the costs.
@@ -191,9 +197,9 @@ mod tests {
         use Cost::{Failed, Value};
         let tolerances = Tolerances::default();
         let (space, p) = population(&[Value(1.0), Failed]);
-        assert_eq!(p.judge(Extent::Population, &space, &tolerances, 1.0).f_spread, None);
+        assert_eq!(p.judge(TestedSet::Population, &space, &tolerances, 1.0).f_spread, None);
         let (space, p) = population(&[Value(1.0), Value(1.5), Value(4.0)]);
-        let tests = p.judge(Extent::Population, &space, &tolerances, 1.0);
+        let tests = p.judge(TestedSet::Population, &space, &tolerances, 1.0);
         assert_eq!((tests.f_spread, tests.x_size, tests.f_best), (Some(3.0), 0.2, 1.0));
         assert!(
             !p.is_collapsed(&space) && tests.to_string().starts_with("x test not passed: population size")

@@ -1,9 +1,9 @@
 //! A search that begins with a look for the sizes that nothing tells (`sizes.rs`), for methods that start
 //! from a point.
 
-use super::sizes::{Found, SizeSearch};
+use super::sizes::{SizeFound, SizeSearch};
 use crate::error::Error;
-use crate::method::interface::{AnswersSoFar, Batch, Details, Method, Setup, Status, restored, saved};
+use crate::method::interface::{AnswersSoFar, Batch, Method, MethodDetails, Setup, Status, restored, saved};
 use crate::outcome::answer::{Answers, Best};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -100,7 +100,7 @@ impl<O: NeedsSizes> WithSizes<O> {
         let mut begun = self.setup.clone();
         if let Some(sizes) = &self.sizes {
             begun.space = begun.space.starting_at(sizes.best().map_or(sizes.base().0, |(x, _)| x));
-            for Found { k, size, .. } in sizes.found(&self.setup.space) {
+            for SizeFound { k, size, .. } in sizes.found(&self.setup.space) {
                 begun.space.set_unit(k, size);
             }
         }
@@ -176,10 +176,10 @@ impl<O: NeedsSizes> Method for WithSizes<O> {
         self.search().map_or(Status::Running, Method::status)
     }
 
-    fn details(&self) -> Details<'_> {
-        let details = self.search().map_or_else(Details::default, Method::details);
+    fn details(&self) -> MethodDetails<'_> {
+        let details = self.search().map_or_else(MethodDetails::default, Method::details);
         let unmoved = |sizes: &SizeSearch| sizes.without_effect(&self.setup.space).collect();
-        Details { without_effect: self.sizes.as_ref().map_or_else(Vec::new, unmoved), ..details }
+        MethodDetails { without_effect: self.sizes.as_ref().map_or_else(Vec::new, unmoved), ..details }
     }
 
     fn best(&self) -> Option<(&[f64], f64)> {

@@ -73,7 +73,7 @@ pub(crate) struct SizeSearch {
 }
 
 /// Result of a search along one parameter.
-pub(crate) struct Found {
+pub(crate) struct SizeFound {
     pub(crate) k: usize,
     pub(crate) size: f64,
     /// The parameter's value there and the cost, if that step has one.
@@ -194,13 +194,13 @@ impl SizeSearch {
         }
     }
 
-    pub(crate) fn found(&self, space: &Space) -> Vec<Found> {
+    pub(crate) fn found(&self, space: &Space) -> Vec<SizeFound> {
         let found = |line: &Line| {
             let base = self.base[space.free()[line.k]];
             let vertex = |step: Step| (line.value(base, step.exponent, step.side), step.cost);
             let step = line.best.or(line.moderate);
             let exponent = step.map_or_else(|| line.last_with_effect(), |step| step.exponent);
-            Found { k: line.k, size: line.length(exponent), vertex: step.map(vertex) }
+            SizeFound { k: line.k, size: line.length(exponent), vertex: step.map(vertex) }
         };
         self.lines.iter().filter(|line| line.has_effect).map(found).collect()
     }

@@ -96,7 +96,7 @@ mod tests {
     use super::*;
     use crate::error::Error;
     use crate::problem::space::Bounds;
-    use crate::values::choices::Measure;
+    use crate::values::choices::ToleranceMeasure;
     use crate::values::choices::Transform;
 
     const INF: f64 = f64::INFINITY;
@@ -130,7 +130,8 @@ mod tests {
                 (v, x[k])
             };
             let others = [at(from), at(to)].into_iter();
-            [Measure::Absolute, Measure::Relative].map(|m| space.extent(k, at(from), others.clone(), m))
+            [ToleranceMeasure::Absolute, ToleranceMeasure::Relative]
+                .map(|m| space.extent(k, at(from), others.clone(), m))
         };
         // Sizes are 4, 2 and 1. From 2 over the upper bound to 2 again; over both; over the lower one.
         for (k, from, to, expected) in [

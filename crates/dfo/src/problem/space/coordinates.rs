@@ -3,7 +3,7 @@
 use super::bounds::{Bounds, clamp, fold};
 use crate::error::Error;
 use crate::problem::option_texts;
-use crate::values::choices::{BoundsHandling, Kind, Measure, Transform};
+use crate::values::choices::{BoundsHandling, Kind, ToleranceMeasure, Transform};
 use serde::{Deserialize, Serialize};
 
 /// A checked start point with its box, scales and sizes.
@@ -461,11 +461,11 @@ impl Space {
     /// The largest distance from `centre` that coordinate `k` has on the way to any of the `others`, all of
     /// them pairs of a working coordinate and the user's: over angles the way may lead to a bound and back,
     /// and one place has many angles.
-    pub(crate) fn extent<I>(&self, k: usize, centre: (f64, f64), others: I, measure: Measure) -> f64
+    pub(crate) fn extent<I>(&self, k: usize, centre: (f64, f64), others: I, measure: ToleranceMeasure) -> f64
     where
         I: Iterator<Item = (f64, f64)> + Clone,
     {
-        let logarithmic = measure == Measure::Relative && self.transforms[k] == Transform::Log;
+        let logarithmic = measure == ToleranceMeasure::Relative && self.transforms[k] == Transform::Log;
         let bent = self.sine && self.limits_of(k) != (f64::NEG_INFINITY, f64::INFINITY) && {
             let wider = |(low, high): (f64, f64), (u, _): (f64, f64)| (low.min(u), high.max(u));
             let range = others.clone().fold((centre.0, centre.0), wider);
@@ -483,9 +483,9 @@ impl Space {
             others.fold(0.0, |size: f64, (_, x)| size.max((x - centre.1).abs()))
         };
         match (measure, self.sine) {
-            (Measure::Absolute, _) => size,
-            (Measure::Relative, true) => size / self.units[k],
-            (Measure::Relative, false) => size / self.sizes[k],
+            (ToleranceMeasure::Absolute, _) => size,
+            (ToleranceMeasure::Relative, true) => size / self.units[k],
+            (ToleranceMeasure::Relative, false) => size / self.sizes[k],
         }
     }
 

@@ -17,7 +17,7 @@ use super::limits::{DescriptionLimits, Reading, check_size};
 use super::model::ModelDescription;
 use super::version::FmiVersion;
 use crate::archive::MODEL_DESCRIPTION;
-use crate::cancel::Cancel;
+use crate::cancel_request::CancelRequest;
 use crate::error::{FmiError, Result};
 use attributes::Attributes;
 use std::borrow::Cow;
@@ -29,7 +29,11 @@ pub(super) use encoding::encoding_of;
 pub(crate) use terminals::{TERMINALS, terminals};
 
 /// Parses a document.
-pub(super) fn parse(bytes: Cow<'_, [u8]>, limits: &DescriptionLimits, cancel: &Cancel) -> Result<Draft> {
+pub(super) fn parse(
+    bytes: Cow<'_, [u8]>,
+    limits: &DescriptionLimits,
+    cancel: &CancelRequest,
+) -> Result<Draft> {
     let reading = Rc::new(Reading::new(limits, cancel));
     check_size(&bytes, MODEL_DESCRIPTION, limits)?;
     let text = encoding::decode(bytes, &mut reading.quirks.borrow_mut());

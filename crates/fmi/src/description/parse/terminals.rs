@@ -4,7 +4,7 @@
 use super::attributes::Attributes;
 use super::encoding;
 use super::xml::{Element, Xml};
-use crate::cancel::Cancel;
+use crate::cancel_request::CancelRequest;
 use crate::description::limits::{DescriptionLimits, Reading, check_size};
 use crate::description::quirks::Quirks;
 use crate::description::terminals::{StreamMember, Terminal, TerminalIcon, TerminalMember};
@@ -18,7 +18,7 @@ pub(crate) const TERMINALS: &str = "terminalsAndIcons.xml";
 pub(crate) fn terminals(bytes: &[u8], limits: &DescriptionLimits) -> Result<Vec<Terminal>> {
     check_size(bytes, TERMINALS, limits)?;
     let text = encoding::decode(bytes.into(), &mut Quirks::default());
-    let reading = Rc::new(Reading::new(limits, &Cancel::default()));
+    let reading = Rc::new(Reading::new(limits, &CancelRequest::default()));
     let mut xml = Xml::new(&text, TERMINALS, reading)?;
     let root = xml.root_named("fmiTerminalsAndIcons")?;
     let mut found = Vec::new();

@@ -11,7 +11,7 @@ use crate::description::{ClockKind, Interval, VariableKind};
 use crate::error::{FmiError, Result};
 use crate::instance::{Core, MAX_EVENT_ITERATIONS};
 use crate::simulation::outputs::OutputBuffers;
-use crate::simulation::outside::Outside;
+use crate::simulation::shared_observer::SharedObserver;
 use crate::sys::Qualifier;
 use ode::EventOutcome;
 use serde::{Deserialize, Serialize};
@@ -124,7 +124,7 @@ impl ClockState {
         core: &mut Core,
         t: f64,
         outputs: (&[u32], &mut OutputBuffers),
-        outside: &Outside<'_>,
+        outside: &SharedObserver<'_>,
     ) -> Result<(EventOutcome, Option<f64>)> {
         let first = self.ticks.len();
         let mut total = EventOutcome::default();

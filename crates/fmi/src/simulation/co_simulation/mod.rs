@@ -13,8 +13,8 @@ mod stepping;
 pub(crate) use stepping::Stepping;
 
 use crate::error::{FmiError, Result};
-use crate::simulation::outside::Outside;
 use crate::simulation::running::no_instance;
+use crate::simulation::shared_observer::SharedObserver;
 use ode::{ErrorKind, Report, Seconds, SimulationError, Stats};
 use run::{Exit, Run};
 use std::sync::Arc;
@@ -26,7 +26,7 @@ impl Stepping {
     /// # Errors
     /// [`FmiError::Simulation`] says why, where and with which numbers; samples delivered before it stay
     /// valid.
-    pub(crate) fn run(&mut self, max_steps: Option<u64>, outside: &Outside<'_>) -> Result<Report> {
+    pub(crate) fn run(&mut self, max_steps: Option<u64>, outside: &SharedObserver<'_>) -> Result<Report> {
         let began = Instant::now();
         let plan = Arc::clone(&self.running.plan);
         let Some(communication) = &plan.communication else { return Err(no_instance()) };

@@ -4,9 +4,9 @@ use super::stepping::{Call, Stepping};
 use crate::description::QuirkKind;
 use crate::error::FmiError;
 use crate::instance::StepOutcome;
-use crate::simulation::outside::Outside;
 use crate::simulation::plan::{Communication, SimulationPlan};
 use crate::simulation::running::Running;
+use crate::simulation::shared_observer::SharedObserver;
 use crate::sys::{Fault, RawInstance};
 use ode::{ErrorKind, EventCause, EventOutcome, EventRecord, Number, Observer, Stats, Stopped, Termination};
 
@@ -55,7 +55,7 @@ pub(super) struct Run<'a, 'o> {
     pub(super) plan: &'a SimulationPlan,
     pub(super) communication: &'a Communication,
     pub(super) max_steps: Option<u64>,
-    pub(super) outside: &'a Outside<'o>,
+    pub(super) outside: &'a SharedObserver<'o>,
     pub(super) t: f64,
     /// Where the regular points count from: the start, or where a model that takes steps of one length only
     /// returned early.

@@ -4,9 +4,9 @@
 use crate::description::Variable;
 use crate::error::Result;
 use crate::instance::Core;
-use crate::simulation::outside::Outside;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::{Current, Mode, Running};
+use crate::simulation::shared_observer::SharedObserver;
 use crate::simulation::variable_elements::RunInput;
 use crate::sys::RawInstance;
 use ode::{EventOutcome, Stopwatch};
@@ -51,14 +51,14 @@ impl Stepping {
     }
 
     /// Lets the initial events happen, where there is an event mode.
-    pub(crate) fn run_initial_events(&mut self, outside: &Outside<'_>) -> Result<EventOutcome> {
+    pub(crate) fn run_initial_events(&mut self, outside: &SharedObserver<'_>) -> Result<EventOutcome> {
         let start = self.running.plan.start;
         let has_event_mode = self.running.current.core()?.raw.has_event_mode();
         if has_event_mode { self.run_event_mode(start, outside) } else { Ok(EventOutcome::default()) }
     }
 
     /// The events of an instant, in event mode, and back to step mode.
-    pub(super) fn run_event_mode(&mut self, time: f64, outside: &Outside<'_>) -> Result<EventOutcome> {
+    pub(super) fn run_event_mode(&mut self, time: f64, outside: &SharedObserver<'_>) -> Result<EventOutcome> {
         let Running { plan, current, clocks, buffers, .. } = &mut self.running;
         let events = |core: &mut Core, time| {
             let recorded = (&*plan.outputs().clocks, buffers);

@@ -10,7 +10,7 @@ pub(crate) use communication::Communication;
 pub(crate) use read_back::ReadBackBuffers;
 pub(crate) use run_values::RunValues;
 
-use crate::cancel::Cancel;
+use crate::cancel_request::CancelRequest;
 use crate::description::{ModelDescription, QuirkKind, Structure};
 use crate::error::{FmiError, Result};
 use crate::fmu::Fmu;
@@ -74,7 +74,7 @@ impl SimulationPlan {
         let description = fmu.description();
         // What cannot run at all is said before what is missing.
         let grid = options.grid(&description.default_experiment).map_err(|error| {
-            match fmu.binary(interface, &Cancel::default()) {
+            match fmu.binary(interface, &CancelRequest::default()) {
                 Err(no_binary @ FmiError::NoBinary { .. }) => no_binary,
                 _ => error,
             }

@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Where the value given to a variable is found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Given {
+enum GivenValue {
     /// Among the start values of its type.
     Start(usize),
     /// Among the parameters of the run.
@@ -34,7 +34,7 @@ pub(crate) struct ReadBack {
 struct Group {
     kind: VariableKind,
     references: Vec<u32>,
-    given: Vec<Given>,
+    given: Vec<GivenValue>,
 }
 
 /// A variable that does not have the value that it was given.
@@ -70,12 +70,17 @@ impl Group {
     }
 
     /// The value given to a floating-point variable.
-    fn number(&self, given: Given, start_values: &Assignments, parameter: &impl Fn(usize) -> f64) -> f64 {
+    fn number(
+        &self,
+        given: GivenValue,
+        start_values: &Assignments,
+        parameter: &impl Fn(usize) -> f64,
+    ) -> f64 {
         match given {
-            Given::Start(place) if self.kind == VariableKind::Real => start_values.reals.1[place],
-            Given::Start(place) => integer_codec::number(self.kind, self.word(place, start_values)),
-            Given::Parameter(place) if self.kind == VariableKind::Real => parameter(place),
-            Given::Parameter(place) => f64::from(parameter(place) as f32),
+            GivenValue::Start(place) if self.kind == VariableKind::Real => start_values.reals.1[place],
+            GivenValue::Start(place) => integer_codec::number(self.kind, self.word(place, start_values)),
+            GivenValue::Parameter(place) if self.kind == VariableKind::Real => parameter(place),
+            GivenValue::Parameter(place) => f64::from(parameter(place) as f32),
         }
     }
 
@@ -87,7 +92,7 @@ impl Group {
 
     /// Of several values given to one variable the last counts.
     fn finish(&mut self) {
-        let last: HashMap<u32, Given> =
+        let last: HashMap<u32, GivenValue> =
             self.references.iter().copied().zip(self.given.iter().copied()).collect();
         self.references.sort_unstable();
         self.references.dedup();
@@ -110,17 +115,17 @@ impl ReadBack {
                 None => return,
             },
         };
-        self.push(variable, Given::Start(n_values - 1));
+        self.push(variable, GivenValue::Start(n_values - 1));
     }
 
     /// Notes a parameter of the runs, by its place among them. They are set after the start values.
     pub(crate) fn add_parameter(&mut self, variable: &Variable, place: usize) {
         if variable.causality == Causality::Parameter || variable.initial == Some(Initial::Exact) {
-            self.push(variable, Given::Parameter(place));
+            self.push(variable, GivenValue::Parameter(place));
         }
     }
 
-    fn push(&mut self, variable: &Variable, given: Given) {
+    fn push(&mut self, variable: &Variable, given: GivenValue) {
         let (kind, reference) = (variable.kind, variable.value_reference);
         match self.groups.iter_mut().find(|group| group.kind == kind) {
             Some(group) => {
@@ -153,12 +158,13 @@ impl ReadBack {
             group.read(core, buffers)?;
             // Not by bits: a model may lose the sign of a zero.
             let mut numbers = group.given.iter().zip(&buffers.reals);
-            let is_number =
-                |(given, found): (&Given, &f64)| group.number(*given, start_values, &parameter) == *found;
+            let is_number = |(given, found): (&GivenValue, &f64)| {
+                group.number(*given, start_values, &parameter) == *found
+            };
             let mut words = group.given.iter().zip(&buffers.words);
-            let is_word = |(given, found): (&Given, &i64)| match given {
-                Given::Start(place) => group.word(*place, start_values) == *found,
-                Given::Parameter(_) => true,
+            let is_word = |(given, found): (&GivenValue, &i64)| match given {
+                GivenValue::Start(place) => group.word(*place, start_values) == *found,
+                GivenValue::Parameter(_) => true,
             };
             if !(if group.kind.is_float() { numbers.all(is_number) } else { words.all(is_word) }) {
                 return Ok(false);

@@ -47,7 +47,7 @@ pub(crate) fn run(arguments: &Init, console: &Console) -> Result<Exit, Error> {
     let text = text(&proposed);
     // What was written must be read.
     ProblemFile::parse(&text, problem)?;
-    base::files::write_whole(problem, text.as_bytes()).map_err(Error::write(problem))?;
+    base::files::write_atomically(problem, text.as_bytes()).map_err(Error::write(problem))?;
     console.result(&format!("wrote {}: {}", problem.display(), columns.summary(&proposed)));
     why_not.iter().for_each(|reason| console.note(reason));
     let path = problem.display();

@@ -18,8 +18,8 @@ from .._model.trajectory import SimulationResult
 FloatArray = npt.NDArray[np.float64]
 
 
-class Raced(NamedTuple):
-    """A method in the race by which a `Calibration` chooses its solver."""
+class ComparedSolver(NamedTuple):
+    """A method in the comparison by which a `Calibration` chooses its solver."""
 
     solver: str
     """Name of the method."""
@@ -98,20 +98,20 @@ class Evaluation:
     def solver(self) -> str:
         """The integration method of all simulations, in fits and outside of them.
 
-        The one that was named; or, with "auto", the winner of a race at the parameters' start values, which is held at the
+        The one that was named; or, with "auto", the winner of a comparison at the parameters' start values, which is held at the
         first use and counts work, never time: if the model is not stiff there, "auto" stays (an explicit method, which gives
         way to an implicit one where the model becomes stiff); else BDF, Radau5 and "auto" are compared, and the one with the
         least work for the same error is taken of those whose samples are within 5 tolerances of a simulation with a tenth
         of the tolerance. A fit that is
-        resumed from a checkpoint takes the method from there. See `race` for the numbers.
+        resumed from a checkpoint takes the method from there. See `solver_comparison` for the numbers.
         """
         return self._native.solver()
 
     @property
-    def race(self) -> list[Raced] | None:
-        """The methods that were compared when the solver was chosen; None: there was no race, or not yet."""
-        entries = self._native.race()
-        return None if entries is None else [Raced(*entry) for entry in entries]
+    def solver_comparison(self) -> list[ComparedSolver] | None:
+        """The methods that were compared when the solver was chosen; None: there was no comparison, or not yet."""
+        entries = self._native.solver_comparison()
+        return None if entries is None else [ComparedSolver(*entry) for entry in entries]
 
     def _values(self, x: npt.ArrayLike | Mapping[str, float] | None, argument: str = "x") -> list[float]:
         if x is None or isinstance(x, Mapping):

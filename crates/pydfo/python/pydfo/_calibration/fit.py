@@ -132,8 +132,8 @@ class Fit(OptimizeResult):
         Where the fit started.
     solver : str or None
         The integration method of all simulations; see `Calibration.solver`. (None: interrupted before it was chosen.)
-    race : list of Raced or None
-        The methods that were compared, if there was a race.
+    solver_comparison : list of ComparedSolver or None
+        The methods that were compared, if there was a comparison.
     start_cost, start_rms : float or None
         The same as `cost` and `rms` at the start; None if the simulation failed there.
     at_bound : dict of str to {"lower", "upper"}
@@ -206,7 +206,7 @@ class Fit(OptimizeResult):
         self.cov_message = "" if self.uncertainty is None else self.uncertainty.message
         self.start = start
         self.solver = solver
-        self.race = calibration.race
+        self.solver_comparison = calibration.solver_comparison
 
     @property
     def stderr(self) -> FloatArray | None:

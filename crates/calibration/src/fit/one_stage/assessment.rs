@@ -1,0 +1,344 @@
+//! Judgement of the result of a search: findings, the quality of fit of each output, and the uncertainty.
+
+use super::noise::{self, FitNoise};
+use super::result::Fit;
+use super::rounds::{Made, is_at_end};
+use super::search::{Job, Searched};
+use crate::cost::residual::{CostRule, sum_of_squares};
+use crate::findings::finding::{Finding, Severity};
+use crate::fit::output_fit::{EndResiduals, KeptResiduals};
+use crate::fit::phase::FitPhase;
+use crate::loaded_problem::calibration::Calibration;
+use crate::loaded_problem::simulations::Simulations;
+use crate::problem::objective::{CostKind, NamedCost};
+use crate::problem::parameter::Parameter;
+use crate::problem::residual_layout::ResidualLayout;
+use crate::uncertainty::active_bounds::is_over;
+use crate::uncertainty::covariance::identifiability::SEARCH;
+use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
+use crate::uncertainty::digits::digits;
+use crate::uncertainty::estimate::KnownPoint;
+use crate::uncertainty::result::{Uncertainty, UncertaintyOptions};
+use base::RunContext;
+use dfo::{Report, RobustLoss, Termination, ToleranceMeasure, Tolerances};
+use ode::{Number, Stats};
+use std::sync::atomic::Ordering;
+
+/// With a relative tolerance of this size or more a search ends anywhere.
+const LOOSE: f64 = 0.1;
+
+/// A simulation that has run so many times as long as all others may have no end.
+const ENDLESS: f64 = 10.0;
+
+/// The search has so many evaluations for each simulation of the [score test](Uncertainty::omitted), which
+/// makes these at least: one number moved, with a better step where the first one was none.
+const EVALUATIONS_PER_QUESTION: usize = 5;
+const FEWEST_QUESTIONS: usize = 3;
+
+impl Calibration {
+    /// The fit of which the searches are made, with the residuals that they have computed, by the weights of
+    /// this calibration. `own`: that with the weights and the tolerance of the fit; `stats`: what the
+    /// searches took.
+    pub(crate) fn judged(
+        &self,
+        own: &Self,
+        job: &Job<'_>,
+        made: Made,
+        mut stats: Stats,
+    ) -> (Fit, KeptResiduals) {
+        let Searched { report, residuals, start_cost, .. } = &made.searched;
+        let Job { start, objective, loss, context, .. } = job;
+        job.enter(FitPhase::Checks, &stats);
+        let ends = own.end_residuals(&report.x, residuals, *loss, context, &mut stats);
+        let mut findings = own.findings_of_search(job, &made, &ends, &mut stats);
+        let outputs =
+            ends.end.as_ref().map_or_else(Vec::new, |end| own.output_fits(end, ends.start.as_ref()));
+        job.enter(FitPhase::Uncertainty, &stats);
+        let uncertainty = own.uncertainty_of_fit(job, &made.searched, &ends, &mut stats);
+        if uncertainty.is_none() {
+            findings.extend(own.findings_without_uncertainty(job, &made.searched, &ends, &mut stats));
+        }
+        let is_estimated = made.noise.as_ref().is_some_and(|noise| noise.estimated().is_some());
+        let mut rms = |x: &[f64], cost: f64| match residuals.at(x) {
+            _ if objective.is_sum_of_squares() && !is_estimated => Some(self.rms(x, cost, *loss)),
+            // Of another cost, or by other weights, the residuals have to be known.
+            Some(known) => Some(self.rms_of(known, own.residual_layout())),
+            None => {
+                let found = own.cost_and_residuals(x, objective, *loss, context, &mut stats);
+                found.map(|(_, residuals)| self.rms_of(&residuals, own.residual_layout()))
+            }
+        };
+        let (rms, start_rms) = (rms(&report.x, report.fun), start_cost.and_then(|cost| rms(start, cost)));
+        let parameters = self.parameters();
+        let names: Vec<String> = parameters.iter().map(|p| p.name().to_owned()).collect();
+        let shown_names: Vec<String> = parameters.iter().map(|p| p.shown_name().to_owned()).collect();
+        let description = self.fmu().description();
+        let unit = |p: &Parameter| p.unit(description).map(str::to_owned);
+        let kept_by = own.residual_layout().clone();
+        let Searched { report, stuck, residuals, start_cost, preflight, solver, .. } = made.searched;
+        job.enter(FitPhase::FreshProcess, &stats);
+        if let Some(uncertainty) = &uncertainty {
+            let (from, to) = (FitPhase::Uncertainty, FitPhase::ScoreTest);
+            job.phases.borrow_mut().move_part(uncertainty.score_test, from, to);
+        }
+        let fit = Fit {
+            units: parameters.iter().map(unit).collect(),
+            bounds: parameters.iter().map(|p| (p.lower(), p.upper())).collect(),
+            model: description.model_name.clone(),
+            n_measurements: self.n_measurements(),
+            in_this_process: self.isolation().1.map(str::to_owned),
+            noise: made.noise,
+            tolerance: made.tolerance,
+            x: report.x.clone(),
+            shown_names: if shown_names == names { Vec::new() } else { shown_names },
+            names,
+            outputs,
+            preflight,
+            setup_findings: findings,
+            cost: report.fun,
+            rms: rms.unwrap_or(f64::NAN),
+            tied: self.tied_values(&report.x),
+            start_cost,
+            start_rms,
+            objective: objective.name().to_owned(),
+            start: start.clone(),
+            stages: Vec::new(),
+            phases: Vec::new(),
+            uncertainty,
+            at_bound: stuck.at_bound,
+            without_effect: stuck.without_effect,
+            n_checks: stuck.n_checks,
+            stats,
+            solver,
+            report,
+        };
+        (fit, residuals.reweighed(&kept_by, self.residual_layout()))
+    }
+
+    /// Findings of the search and of the problem at its result; each is listed once.
+    fn findings_of_search(
+        &self,
+        job: &Job<'_>,
+        made: &Made,
+        ends: &EndResiduals,
+        stats: &mut Stats,
+    ) -> Vec<Finding> {
+        let Searched { report, tolerances, raised, stuck, .. } = &made.searched;
+        let mut found = raised.clone();
+        found.extend(stuck.loose.iter().map(|index| {
+            let name = self.parameters()[*index].name();
+            let sentence = format!(
+                "the data hardly determine {name}: moved off its bound by half its size it changes the cost by less than the noise"
+            );
+            Finding::new(Severity::Warning, name, sentence, "fix it, or record what it acts on")
+        }));
+        found.extend(self.endless(report));
+        found.extend(self.unstated_noise(job, made.noise.as_ref()));
+        if let Some(reason) = self.runs_here_by_its_inputs() {
+            let sentence = format!("the FMU ran in this process: {reason}");
+            found.push(Finding::new(Severity::Note, "isolation", sentence, ""));
+        }
+        found.extend(self.loose(tolerances, &report.x));
+        if job.is_checked() {
+            match &ends.end {
+                Some(end) if is_over(&report.termination) => {
+                    found.extend(self.check_after_fit(
+                        ends.start.as_ref(),
+                        end,
+                        !job.objective.is_likelihood(),
+                        &job.context,
+                        stats,
+                    ));
+                    if self.is_co_simulation() {
+                        found.extend(self.large_step_after_fit(end, &job.context, stats));
+                    }
+                }
+                _ if report.termination == Termination::MaxTime => {
+                    found.extend(self.check_of_setup(&report.x));
+                }
+                _ => {}
+            }
+        }
+        if let Some(end) = &ends.end {
+            found.extend(self.contradictions_of_stated_noise(job, made, &end.residuals));
+        }
+        let mut once: Vec<Finding> = Vec::with_capacity(found.len());
+        found.into_iter().for_each(|finding| {
+            if !once.contains(&finding) {
+                once.push(finding);
+            }
+        });
+        once
+    }
+
+    /// A search whose time was up while a simulation had been running for long.
+    fn endless(&self, report: &Report) -> Option<Finding> {
+        let ended = self.evaluator().longest_ended.swap(0, Ordering::Relaxed) as f64 * 1e-6;
+        let finished = report.trace.iter().filter(|entry| entry.outcome.value().is_some());
+        let most = finished.fold(0.0, |most: f64, entry| most.max(entry.seconds));
+        let is_endless = report.termination == Termination::MaxTime
+            && self.problem().settings.run.timeout.is_none()
+            && ended > ENDLESS * most;
+        is_endless.then(|| {
+            let (ended, most) = (digits(ended), digits(most));
+            let others = match report.trace.iter().next() {
+                Some(_) => format!(", all others took at most {most} s"),
+                None => String::new(),
+            };
+            let sentence = format!(
+                "a simulation had run for {ended} s when the time was up{others}: it may have no end"
+            );
+            Finding::new(Severity::Warning, "max_time", sentence, "timeout ends a single simulation")
+        })
+    }
+
+    /// Residuals that contradict the noise that the weights state: that priors are weighed with, and that a
+    /// sum of squares is compared with where it has come to its end.
+    fn contradictions_of_stated_noise(&self, job: &Job<'_>, made: &Made, residuals: &[f64]) -> Vec<Finding> {
+        if made.noise == Some(FitNoise::Stated) {
+            return noise::contradictions_of_stated(self, residuals);
+        }
+        let is_compared = job.objective.is_sum_of_squares()
+            && job.loss.is_linear()
+            && made.noise.is_none()
+            && job.is_whole
+            && is_at_end(&made.searched.report.termination)
+            && !self.is_within_tolerance(sum_of_squares(residuals));
+        let is_free = |(i, p): (usize, &Parameter)| p.lower() < p.upper() && !job.held.contains(&i);
+        let n_free = self.parameters().iter().enumerate().filter(|(i, p)| is_free((*i, p))).count();
+        if is_compared { noise::unlike_stated(self, residuals, n_free) } else { Vec::new() }
+    }
+
+    /// Findings where there is no uncertainty: why, if it was requested, and those that need none.
+    fn findings_without_uncertainty(
+        &self,
+        job: &Job<'_>,
+        searched: &Searched,
+        ends: &EndResiduals,
+        stats: &mut Stats,
+    ) -> Vec<Finding> {
+        let mut found = Vec::new();
+        let is_requested = job.uncertainty.is_some() && job.objective.has_uncertainty();
+        if is_requested && is_over(&searched.report.termination) && job.context.is_late() {
+            let sentence = "the time was up before the standard errors were known";
+            found.push(Finding::new(Severity::Warning, "max_time", sentence, ""));
+        }
+        if let Some(end) = ends.end.as_ref().filter(|_| self.has_fixed_step() && job.is_checked()) {
+            found.extend(self.large_step_after_fit(end, &job.context, stats));
+        }
+        // Of a search that was ended the residuals show something that other values take away.
+        let at_end = ends.end.as_ref().filter(|_| job.is_whole && is_at_end(&searched.report.termination));
+        if let Some(end) = at_end.filter(|end| !self.is_within_tolerance(sum_of_squares(&end.residuals))) {
+            let names = self.problem().experiment_names();
+            let checks =
+                ResidualCheck::all(self.residual_layout(), &names, &end.residuals, None, &job.context);
+            // A search whose time is up has no findings.
+            let checks = checks.unwrap_or_default();
+            let has_loss = !job.loss.is_linear() || matches!(job.objective, CostKind::Named(NamedCost::Mae));
+            found.extend(ResidualCheck::all_findings(&checks, has_loss, false));
+        }
+        found
+    }
+
+    /// Tolerances of the search that mean nothing. An absolute `f_tol` may be above the cost, which is 0
+    /// where there is no noise.
+    fn loose(&self, tolerances: &Tolerances, x: &[f64]) -> Option<Finding> {
+        let Tolerances { x_tol, f_tol, measure, .. } = *tolerances;
+        let said: Vec<String> = match measure {
+            ToleranceMeasure::Relative => {
+                let given =
+                    [("x_tol", x_tol, "of the size of each parameter"), ("f_tol", f_tol, "of the cost")];
+                let loose = given.into_iter().filter(|(_, tolerance, _)| *tolerance >= LOOSE);
+                loose
+                    .map(|(name, tolerance, of)| format!("{name} {} is a part {of}", Number(tolerance)))
+                    .collect()
+            }
+            ToleranceMeasure::Absolute => {
+                let free = self.parameters().iter().zip(x).filter(|(p, _)| p.lower() < p.upper());
+                let sizes = free.map(|(p, x)| (p.name(), self.size_of(p, *x)));
+                let loose = sizes.filter(|(_, size)| x_tol >= LOOSE * size);
+                let said = |(name, size)| {
+                    format!("x_tol {} is absolute, {name} has the size {}", Number(x_tol), digits(size))
+                };
+                loose.map(said).collect()
+            }
+        };
+        (!said.is_empty()).then(|| {
+            let sentence = format!("{}: the search may end far from the minimum", said.join(", "));
+            Finding::new(Severity::Warning, "tolerances", sentence, "leave them out, or give 1e-4, relative")
+        })
+    }
+
+    /// The root of the mean squared residual of the measurements by the weights of this calibration, as they
+    /// count, from residuals by other weights.
+    pub(crate) fn rms_of(&self, residuals: &[f64], weights: &ResidualLayout) -> f64 {
+        let own = self.residual_layout().reweighed(residuals, weights);
+        let n = self.n_measurements();
+        (sum_of_squares(&own[..n]) / n as f64).sqrt()
+    }
+
+    /// The cost at `x` and the residuals there, as they count; `None` where the simulation fails.
+    pub(crate) fn cost_and_residuals(
+        &self,
+        x: &[f64],
+        kind: &CostKind,
+        loss: RobustLoss,
+        context: &RunContext<'_>,
+        stats: &mut Stats,
+    ) -> Option<(f64, Vec<f64>)> {
+        let mut residuals = vec![0.0; self.n_residuals()];
+        let sum = self.evaluate_into(x, CostRule::whole(loss, context), &mut residuals, stats).ok()?;
+        let outcome = kind.outcome(self.residual_layout(), sum, &residuals, &mut Vec::new());
+        Some((outcome.value()?, residuals))
+    }
+
+    /// Uncertainty of the result of a search; `None` where it cannot be estimated, or is not requested.
+    fn uncertainty_of_fit(
+        &self,
+        job: &Job<'_>,
+        searched: &Searched,
+        ends: &EndResiduals,
+        stats: &mut Stats,
+    ) -> Option<Uncertainty> {
+        let Searched { report, stuck, tolerances, .. } = searched;
+        let options = job.uncertainty.as_ref().filter(|_| job.objective.has_uncertainty())?;
+        if !is_over(&report.termination) || job.context.is_over() {
+            return None;
+        }
+        let workers = options.workers.or(job.run.workers).unwrap_or(1);
+        let mut simulations = Simulations::new(self, RobustLoss::default(), workers, &job.context).ok()?;
+        let is_likelihood = job.objective.is_likelihood();
+        let criterion = UncertaintyOptions { loss: job.loss, is_likelihood, ..options.clone() }.criterion();
+        let at_bound = stuck.at_bound.iter().map(|(index, _)| *index);
+        let held = at_bound.filter(|index| !stuck.without_effect.contains(index));
+        // Those of a stage with a window of its own are others.
+        let of_report = report.residuals.as_deref().filter(|r| r.len() == self.n_residuals());
+        let known = KnownPoint {
+            residuals: of_report.or(ends.end.as_ref().map(|end| end.residuals.as_slice())),
+            jacobian: report.jacobian.as_deref(),
+            held: options.held.iter().chain(&job.held).copied().chain(held).collect(),
+            inert: &stuck.without_effect,
+            f_tol: match tolerances.measure {
+                ToleranceMeasure::Relative => tolerances.f_tol,
+                ToleranceMeasure::Absolute => tolerances.f_tol / report.fun.abs(),
+            },
+            criterion,
+            most_of_score_test: (report.n_evaluations / EVALUATIONS_PER_QUESTION).max(FEWEST_QUESTIONS),
+        };
+        let uncertainty = self.uncertainty_of(&report.x, options.estimator, &known, &mut simulations);
+        *stats += simulations.stats;
+        match uncertainty {
+            Ok(mut uncertainty) => {
+                // Whoever gives a target wants no minimum.
+                if report.termination == Termination::Target {
+                    uncertainty.findings.retain(|finding| finding.subject != SEARCH);
+                }
+                Some(uncertainty)
+            }
+            Err(error) => {
+                log::info!("the uncertainty of the fit could not be found: {error}");
+                None
+            }
+        }
+    }
+}

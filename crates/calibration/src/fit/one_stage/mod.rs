@@ -1,0 +1,101 @@
+//! The fit: what is asked for, the search, and the uncertainty of its result; parameters with names come out.
+
+mod assessment;
+mod external_simulations;
+mod noise;
+mod options;
+mod reproducibility;
+mod result;
+mod rounds;
+mod search;
+mod tolerance;
+
+pub use external_simulations::Engine;
+pub use noise::{EstimatedNoise, FitNoise, NoiseRule, OutputNoise};
+pub use options::{FitObserver, FitOptions, FitRecord};
+pub use result::Fit;
+pub(crate) use rounds::{add_earlier, checkpoint_of, ended_by};
+pub use tolerance::ChosenTolerance;
+
+use crate::cost::process::HIDDEN_STATE;
+use crate::error::CalibrationError;
+use crate::findings::finding::Finding;
+use crate::fit::output_fit::KeptResiduals;
+use crate::fit::phase::FitPhase;
+use crate::loaded_problem::calibration::Calibration;
+use base::RunContext;
+use ode::Stats;
+use reproducibility::Reproducibility;
+pub(crate) use rounds::Made;
+pub(crate) use search::{Job, Searched, Spent};
+
+/// Finding about an FMU whose results depend on more than what is set.
+const NOT_REPRODUCED: &str =
+    "two evaluations of the best point in fresh processes differ: no cost can be reproduced";
+
+/// The same, where there was no time for a fit without that.
+const NOT_ANEW: &str = "a cost depends on what ran before it in the same process (a state that the model keeps and no variable shows): the costs \
+                        of this fit may be wrong, and its time was over before it could begin anew";
+
+fn finding_about_fmu(sentence: &str) -> Finding {
+    Finding::warning("FMU", sentence, "")
+}
+
+impl Calibration {
+    /// Fits the parameters.
+    ///
+    /// Simulations run on threads of their own where they are long enough for that; the calling thread
+    /// observes and polls. Evaluations that can no longer matter are given up early (see
+    /// [`dfo::Outcome::Above`]); this changes no decision.
+    ///
+    /// # Errors
+    /// Options that cannot be used, simulations that fail at every starting point, a run ended before any
+    /// point had a cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
+    pub fn fit<'a>(&self, options: impl Into<FitOptions<'a>>) -> Result<Fit, CalibrationError> {
+        self.fit_and_keep(options.into(), None).map(|(fit, _)| fit)
+    }
+
+    /// The same, with the residuals that the run has computed, by the weights of this calibration; within a
+    /// time that has begun already, or begins now.
+    pub(crate) fn fit_and_keep(
+        &self,
+        options: FitOptions<'_>,
+        within: Option<RunContext<'_>>,
+    ) -> Result<(Fit, KeptResiduals), CalibrationError> {
+        let mut job = Job::new(self, options, within)?;
+        self.choose_method(&mut job.run, &job.held, &job.objective)?;
+        let (run, wants_preflight) = (job.run.clone(), job.wants_preflight);
+        let mut stats = Stats::default();
+        loop {
+            let is_apart = self.is_apart();
+            let mut made = match self.made(&mut job, &mut stats) {
+                Err(error) if !job.context.is_cancelled() => Made::of(self.start_alone(&job, error)?),
+                made => made?,
+            };
+            made.searched.raised.extend(is_apart.then(|| finding_about_fmu(HIDDEN_STATE)));
+            job.enter(FitPhase::FreshProcess, &stats);
+            let (own, best) = (made.own.take(), made.best());
+            let own = own.as_ref().unwrap_or(self);
+            let ((mut fit, kept), again, checks) =
+                own.beside_fresh_process(&best, job.loss, &job.context, || {
+                    self.judged(own, &job, made, stats)
+                });
+            fit.stats.add_checks(checks);
+            fit.phases = job.phases.borrow_mut().costs(&fit.stats);
+            // A worker may have found it out by itself.
+            let is_found_out = !is_apart && self.is_apart();
+            let doubt = match again {
+                Reproducibility::Random => Some(NOT_REPRODUCED),
+                _ if is_found_out && job.context.is_over() => Some(NOT_ANEW),
+                _ => None,
+            };
+            if doubt.is_some() || !is_found_out {
+                fit.setup_findings.extend(doubt.map(finding_about_fmu));
+                return Ok((fit, kept));
+            }
+            stats = fit.stats;
+            log::warn!("{}: {HIDDEN_STATE}: the fit begins anew", self.fmu().description().model_name);
+            job.begin_anew(run.clone(), wants_preflight);
+        }
+    }
+}

@@ -1,0 +1,507 @@
+//! Noise of the measurements: stated by their weights, or estimated with the parameters.
+//!
+//! A prior counts in units of its own standard deviation, so the measurements have to count in units of
+//! theirs. Where their weights do not say so, fits take turns with estimates of the noise.
+
+use crate::error::CalibrationError;
+use crate::findings::finding::{Finding, Severity};
+use crate::loaded_problem::calibration::Calibration;
+use crate::problem::definition::Problem;
+use crate::problem::experiment::Weight;
+use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
+use crate::uncertainty::chance::{MEDIAN_DEVIATION, median};
+use crate::uncertainty::diagnostics::residual_check::autocorrelation;
+use crate::uncertainty::digits::digits;
+use crate::uncertainty::row_blocks::{ThinSvd, thin_svd};
+use base::RunContext;
+use nalgebra::DMatrix;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// Where the noise of the measurements is taken from, see [`FitOptions::noise`](crate::FitOptions::noise).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum NoiseRule {
+    /// As [`Estimated`](Self::Estimated) for outputs whose weights state no noise (1, or the inverse of a
+    /// scale), in a fit of the sum of squares with priors and without a robust loss; else as
+    /// [`Stated`](Self::Stated).
+    #[default]
+    Auto,
+    /// Weights are 1 over the standard deviation of the noise, also a weight of 1.
+    Stated,
+    /// Estimated for all outputs. Weights are relative: the standard deviation of a measurement is that of
+    /// its output over its weight. The fit minimises the sum of squares without a robust loss, with priors or
+    /// without.
+    Estimated,
+}
+
+/// Where a fit has the noise of the measurements from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum FitNoise {
+    /// The weights: 1 over its standard deviation.
+    Stated,
+    /// It was estimated. The fit's own weights are then those over the estimates, and its cost, residuals,
+    /// derivatives and covariance are those with its own weights.
+    Estimated(EstimatedNoise),
+}
+
+impl FitNoise {
+    /// The estimates, where there are such.
+    pub fn estimated(&self) -> Option<&EstimatedNoise> {
+        match self {
+            Self::Stated => None,
+            Self::Estimated(estimated) => Some(estimated),
+        }
+    }
+}
+
+/// In words: where it is from, and how large it is.
+impl fmt::Display for FitNoise {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self::Estimated(EstimatedNoise { outputs, n_rounds, .. }) = self else {
+            return f.write_str("stated by the weights (1 over its standard deviation)");
+        };
+        let rounds = if *n_rounds == 1 { "round" } else { "rounds" };
+        write!(f, "estimated with the parameters in {n_rounds} {rounds}, standard deviation ")?;
+        for (k, OutputNoise { variable, sd, .. }) in outputs.iter().enumerate() {
+            write!(f, "{}{variable} {}", if k == 0 { "" } else { ", " }, digits(*sd))?;
+        }
+        Ok(())
+    }
+}
+
+/// The noise of the measurements, estimated with the parameters of a fit.
+///
+/// The first estimate is that of the differences between neighbouring measurements: the median size of `y_i`
+/// less the line through its two neighbours, or the cubic through four, whichever leaves less of the signal
+/// (pseudo-residuals: Gasser, Sroka and Jennen-Steinmetz, Biometrika 73, 1986). Each fit then has the weights
+/// over the last estimate, and its residuals give the next one: with N of an output, the mean of their
+/// squares is `s^2 (N - h)`, h being the sum of the diagonal of `J (J'J)^-1 J'` over them, where J has the
+/// rows of the priors, too (the equation of the evidence: MacKay, Neural Computation 4, 1992, page 426). It
+/// ends when no estimate changes by more than 1 %.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[non_exhaustive]
+pub struct EstimatedNoise {
+    /// Per variable of the model, over all of its recordings, in the order of the residual vector.
+    pub outputs: Vec<OutputNoise>,
+    /// Fits that were made.
+    pub n_rounds: usize,
+    /// True if the residuals of the last fit confirm its noise to 1 %.
+    pub is_settled: bool,
+    /// True if the noise of all outputs is estimated; else of those whose weights state none.
+    pub is_of_all: bool,
+}
+
+/// The noise of one variable of the model.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[non_exhaustive]
+pub struct OutputNoise {
+    /// The variable.
+    pub variable: String,
+    /// The standard deviation of a measurement, in the unit of the variable; where its weights state
+    /// something, times the weight.
+    pub sd: f64,
+    /// True if the noise is that of the residuals; else it is that of the differences between neighbouring
+    /// measurements: there are too few residuals, or the search was ended.
+    pub is_of_residuals: bool,
+}
+
+/// Estimates that differ by less than this part of them are the same.
+const SETTLED: f64 = 0.01;
+
+/// So many fits are made at most: of a prior that counts as much as the measurements about five are needed.
+pub(super) const MOST_ROUNDS: usize = 10;
+
+/// With fewer degrees of freedom residuals say too little of the noise.
+const FEWEST: f64 = 2.0;
+
+impl EstimatedNoise {
+    /// The first estimate, from the differences between neighbouring measurements; `None`: there is nothing
+    /// to estimate.
+    pub(super) fn first(calibration: &Calibration, rule: NoiseRule) -> Option<Self> {
+        let mut own = Self {
+            outputs: Vec::new(),
+            n_rounds: 0,
+            is_settled: false,
+            is_of_all: rule == NoiseRule::Estimated,
+        };
+        let (problem, layout) = (calibration.problem(), calibration.residual_layout());
+        for output in &layout.outputs {
+            let is_known = own.outputs.iter().any(|known| known.variable == output.variable);
+            if is_known || !own.is_of(problem, output) {
+                continue;
+            }
+            let same = || layout.outputs.iter().filter(|o| o.variable == output.variable);
+            let same = || same().filter(|o| own.is_of(problem, o));
+            let weighted = |o: &OutputResiduals| -> Vec<f64> {
+                o.measured.iter().enumerate().map(|(k, y)| y * base(problem, o, k)).collect()
+            };
+            let distances = |n| same().flat_map(|o| pseudo_residuals(problem, o, n)).collect::<Vec<f64>>();
+            let size = root_mean_square(&same().flat_map(weighted).collect::<Vec<f64>>());
+            let spread = root_mean_square(&same().flat_map(|o| centered(&weighted(o))).collect::<Vec<f64>>());
+            let whole = root_mean_square(&distances(1));
+            // What is left of the signal makes it larger, of the line or of the cubic.
+            let of = |n| median(&mut distances(n)) / MEDIAN_DEVIATION;
+            let found = of(1).min(of(2));
+            let least = calibration.relative_tolerance() * size;
+            // Of a signal that is constant but for jumps the median is zero; of one value nothing is known.
+            let sd = [found, whole, spread, size].into_iter().find(|sd| *sd > least && sd.is_finite());
+            let sd = sd.unwrap_or(if least > 0.0 { least } else { 1.0 });
+            own.outputs.push(OutputNoise { variable: output.variable.clone(), sd, is_of_residuals: false });
+        }
+        (!own.outputs.is_empty()).then_some(own)
+    }
+
+    /// The next estimate, from the residuals of a fit with this one, and how much each of them is fitted (see
+    /// [`leverages`]).
+    pub(super) fn next(&self, calibration: &Calibration, residuals: &[f64], leverages: &[f64]) -> Self {
+        let (problem, layout) = (calibration.problem(), calibration.residual_layout());
+        let mut next = self.clone();
+        for noise in &mut next.outputs {
+            let (mut squares, mut degrees, mut weighted) = (0.0, 0.0, Vec::new());
+            let same = layout.outputs.iter().filter(|o| o.variable == noise.variable);
+            for output in same.filter(|o| self.is_of(problem, o)) {
+                for (k, i) in output.range.clone().enumerate() {
+                    squares += residuals[i] * residuals[i];
+                    degrees += 1.0 - leverages[i];
+                    weighted.push(output.measured[k] * base(problem, output, k));
+                }
+            }
+            noise.is_of_residuals = degrees > FEWEST && squares.is_finite();
+            if noise.is_of_residuals {
+                let least = calibration.relative_tolerance() * root_mean_square(&weighted);
+                let found = (noise.sd * (squares / degrees).sqrt()).max(least);
+                noise.sd = if found > 0.0 { found } else { noise.sd };
+            }
+        }
+        next
+    }
+
+    /// True if this differs from another estimate of the same outputs by no more than the tolerance that ends
+    /// the rounds.
+    pub(super) fn is_close(&self, other: &Self) -> bool {
+        let mut pairs = self.outputs.iter().zip(&other.outputs);
+        pairs.all(|(a, b)| (a.sd / b.sd).ln().abs() <= SETTLED)
+    }
+
+    /// True if the estimate applies to an output.
+    fn is_of(&self, problem: &Problem, output: &OutputResiduals) -> bool {
+        self.is_of_all || !weight(problem, output).states_noise()
+    }
+
+    /// The standard deviation by which the weights of a variable are divided, unless they state the noise.
+    fn sd(&self, variable: &str, weight: &Weight) -> Option<f64> {
+        let known = self.outputs.iter().find(|known| known.variable == variable);
+        known.filter(|_| self.is_of_all || !weight.states_noise()).map(|known| known.sd)
+    }
+
+    /// The standard deviation that it gives residuals of an output, by the weights of the problem.
+    pub(super) fn of_weighted(&self, problem: &Problem, output: &OutputResiduals) -> f64 {
+        let sd = self.sd(&output.variable, weight(problem, output)).unwrap_or(0.0);
+        sd * output.weights[0] / base(problem, output, 0)
+    }
+
+    /// The standard deviation of the measurements of an output where all of them have the same.
+    pub(crate) fn of_measurements(&self, problem: &Problem, output: &OutputResiduals) -> Option<f64> {
+        let sd = self.sd(&output.variable, weight(problem, output))?;
+        let first = base(problem, output, 0);
+        (0..output.weights.len()).all(|k| base(problem, output, k) == first).then(|| sd / first)
+    }
+
+    /// A problem with the weights of the fit.
+    ///
+    /// # Errors
+    /// A column of weights that there is not.
+    pub(super) fn weigh(&self, problem: &mut Problem) -> Result<(), CalibrationError> {
+        for experiment in &mut problem.experiments {
+            for output in &mut experiment.outputs {
+                let Some(sd) = self.sd(&output.variable, &output.weight) else { continue };
+                let divided = |weights: &[f64]| Weight::Rows(weights.iter().map(|w| w / sd).collect());
+                output.weight = match &output.weight {
+                    Weight::Constant(weight) => Weight::Constant(weight / sd),
+                    Weight::Inverse(_) => Weight::Constant(1.0 / sd),
+                    Weight::Column(column) => divided(experiment.data.series(column)?),
+                    Weight::Rows(weights) => divided(weights),
+                };
+            }
+        }
+        Ok(())
+    }
+
+    /// The layout of a problem with the weights of the fit.
+    pub(super) fn weigh_layout(&self, problem: &Problem, layout: &mut ResidualLayout) {
+        for output in &mut layout.outputs {
+            if let Some(sd) = self.sd(&output.variable, weight(problem, output)) {
+                output.weights = (0..output.weights.len()).map(|k| base(problem, output, k) / sd).collect();
+            }
+        }
+    }
+
+    /// Findings about the estimate, beyond the numbers.
+    pub(super) fn findings(&self) -> Vec<Finding> {
+        let open = self.outputs.iter().filter(|noise| !noise.is_of_residuals);
+        let mut found: Vec<Finding> = open
+            .map(|OutputNoise { variable, sd, .. }| {
+                Finding::warning(
+                    format!("noise of {variable}"),
+                    format!(
+                        "its standard deviation {} is that of the differences between neighbouring measurements: residuals that say more of \
+                         it there are not, for they are too few beside the parameters, or the search was ended",
+                        digits(*sd)
+                    ),
+                    "state it: weights of 1 over the standard deviation",
+                )
+            })
+            .collect();
+        if !self.is_settled && self.n_rounds >= MOST_ROUNDS {
+            found.push(Finding::warning(
+                "noise",
+                format!("its estimates had not settled to 1 % after {MOST_ROUNDS} fits"),
+                "state it: weights of 1 over the standard deviation",
+            ));
+        }
+        found
+    }
+}
+
+/// Residuals this many times as large or as small as the stated noise contradict it, of so many or more.
+const CONTRADICTS_STATED: (f64, usize) = (2.0, 10);
+
+/// Contradictions of the residuals of a fit to the noise that its weights state, on which the weight of the
+/// priors depends.
+pub(super) fn contradictions_of_stated(calibration: &Calibration, residuals: &[f64]) -> Vec<Finding> {
+    let (problem, layout) = (calibration.problem(), calibration.residual_layout());
+    let (factor, fewest) = CONTRADICTS_STATED;
+    let of = |output: &OutputResiduals| {
+        let ratio = root_mean_square(&residuals[output.range.clone()]);
+        let is_known = weight(problem, output).states_noise() && output.measured.len() >= fewest;
+        if !is_known || (1.0 / factor..=factor).contains(&ratio) {
+            return None;
+        }
+        let (meaning, remedy) = match ratio > 1.0 {
+            true => (
+                "a prior or the model keeps it off its measurements, or the noise is larger than stated, and priors count too little",
+                "are the priors and the weights (1/sigma) right? noise 'estimated' takes the noise from the residuals",
+            ),
+            false => (
+                "the noise is smaller than stated, and priors count too much",
+                "are the weights 1/sigma, not sigma? noise 'estimated' takes the noise from the residuals",
+            ),
+        };
+        let sentence =
+            format!("its residuals are {} times the noise that its weights state: {meaning}", digits(ratio));
+        Some(Finding::warning(format!("noise of {}", output.variable), sentence, remedy))
+    };
+    layout.outputs.iter().filter_map(of).collect()
+}
+
+/// Residuals that are more, or less, than the stated noise by so many times its standard deviation, and by
+/// so many standard deviations of a chi-squared number, are no chance. Where those of all outputs are beyond
+/// the last factor the weights state something else.
+const LIKE_STATED: (f64, f64) = (0.5, 1.1);
+const BY_CHANCE: f64 = 4.0;
+const OTHER_UNIT: f64 = 10.0;
+
+/// Outputs whose residuals are not of the size that their weights state, where all weights state the noise:
+/// the sum of their squares is compared with its degrees of freedom. `n_free`: the fitted parameters.
+pub(super) fn unlike_stated(calibration: &Calibration, residuals: &[f64], n_free: usize) -> Vec<Finding> {
+    let (problem, layout) = (calibration.problem(), calibration.residual_layout());
+    let counts = |output: &OutputResiduals| output.weights.iter().filter(|weight| **weight != 0.0).count();
+    // Weights of 0 and 1 choose measurements.
+    let is_stated = |output: &OutputResiduals| {
+        weight(problem, output).states_noise() && output.weights.iter().any(|w| *w != 0.0 && *w != 1.0)
+    };
+    if !layout.outputs.iter().all(is_stated) {
+        return Vec::new();
+    }
+    let n: usize = layout.outputs.iter().map(counts).sum();
+    let compared = |output: &OutputResiduals| {
+        let own = &residuals[output.range.clone()];
+        let degrees = counts(output) as f64 * (1.0 - n_free as f64 / n as f64);
+        let chi_squared = own.iter().map(|r| r * r).sum::<f64>();
+        StatedNoise { chi_squared, degrees, effective: effective_degrees(degrees, autocorrelation(own)) }
+    };
+    let outputs: Vec<StatedNoise> = layout.outputs.iter().map(compared).collect();
+    let severity = match outputs.iter().all(|output| output.ratio() > OTHER_UNIT) {
+        true => Severity::Note,
+        false => Severity::Warning,
+    };
+    let names = layout.outputs.iter().map(|output| &output.variable);
+    let single: Vec<Finding> =
+        outputs.iter().zip(names).filter_map(|(output, name)| output.finding(name, severity)).collect();
+    if !single.is_empty() || outputs.len() < 2 {
+        return single;
+    }
+    // What is chance in each output may be none in all of them.
+    let all = outputs.into_iter().fold(StatedNoise::default(), StatedNoise::with);
+    all.finding("all outputs", severity).into_iter().collect()
+}
+
+/// The sum of squared residuals over the stated noise, its degrees of freedom, and the number of independent
+/// residuals that would tell as much.
+#[derive(Debug, Clone, Copy, Default)]
+struct StatedNoise {
+    chi_squared: f64,
+    degrees: f64,
+    effective: f64,
+}
+
+impl StatedNoise {
+    fn with(self, other: Self) -> Self {
+        Self {
+            chi_squared: self.chi_squared + other.chi_squared,
+            degrees: self.degrees + other.degrees,
+            effective: self.effective + other.effective,
+        }
+    }
+
+    /// The deviation of the residuals over the stated one.
+    fn ratio(self) -> f64 {
+        (self.chi_squared / self.degrees).sqrt()
+    }
+
+    /// `larger`: severity of residuals that are larger than stated.
+    fn finding(self, name: &str, larger: Severity) -> Option<Finding> {
+        let (Self { chi_squared, degrees, effective }, ratio) = (self, self.ratio());
+        let deviations = deviations_of_chi_squared(chi_squared / degrees, effective);
+        let (severity, meaning) = if ratio > LIKE_STATED.1 && deviations > BY_CHANCE {
+            (larger, "the model leaves out something, or the noise is larger than stated")
+        } else if ratio < LIKE_STATED.0 && deviations < -BY_CHANCE {
+            (Severity::Note, "the noise is smaller than stated")
+        } else {
+            return None;
+        };
+        let sentence = format!(
+            "the residuals of {name} are {} times the noise that the weights state (chi-squared {} with {} degrees of freedom): {meaning}",
+            digits(ratio),
+            digits(chi_squared),
+            digits(degrees),
+        );
+        let remedy =
+            "are the weights 1/sigma? Standard errors are those of the residuals, whatever is stated";
+        Some(Finding::new(severity, format!("noise of {name}"), sentence, remedy))
+    }
+}
+
+/// Squares of autoregressive residuals of first order have the autocorrelation `rho^2`: they count as fewer.
+fn effective_degrees(degrees: f64, autocorrelation: f64) -> f64 {
+    let square = autocorrelation * autocorrelation;
+    degrees * if square < 1.0 { (1.0 - square) / (1.0 + square) } else { 1.0 }
+}
+
+/// By how many standard deviations a chi-squared number over its degrees of freedom is off one, by the cube
+/// root of Wilson and Hilferty (Proc. Natl. Acad. Sci. 17, 1931).
+fn deviations_of_chi_squared(over_degrees: f64, effective: f64) -> f64 {
+    let variance = 2.0 / (9.0 * effective);
+    (over_degrees.cbrt() - (1.0 - variance)) / variance.sqrt()
+}
+
+/// Leverage of each residual: the diagonal of the projection onto the changes that the parameters make, from
+/// the m x n Jacobian of all residuals.
+pub(super) fn leverages(
+    jacobian: &[f64],
+    n: usize,
+    context: &RunContext<'_>,
+) -> Result<Vec<f64>, CalibrationError> {
+    if jacobian.is_empty() {
+        return Ok(Vec::new());
+    }
+    let m = jacobian.len() / n;
+    let mut columns = DMatrix::from_row_slice(m, n, jacobian);
+    for mut column in columns.column_iter_mut() {
+        // Without regard to units.
+        let length = column.norm();
+        column.iter_mut().for_each(|c| *c = if length > 0.0 { *c / length } else { 0.0 });
+    }
+    let Some(ThinSvd { u, values, .. }) = thin_svd(&columns, context)? else { return Ok(vec![0.0; m]) };
+    let least = f64::EPSILON * m.max(n) as f64 * values.iter().copied().fold(0.0, f64::max);
+    let kept: Vec<usize> = (0..values.len()).filter(|k| values[*k] > least).collect();
+    let mut leverages = vec![0.0; m];
+    for &k in &kept {
+        leverages.iter_mut().zip(u.column(k).iter()).for_each(|(sum, u)| *sum += u * u);
+    }
+    Ok(leverages.into_iter().map(|leverage: f64| leverage.min(1.0)).collect())
+}
+
+fn weight<'a>(problem: &'a Problem, output: &OutputResiduals) -> &'a Weight {
+    &problem.experiments[output.experiment].outputs[output.output].weight
+}
+
+/// The weight of a measurement as far as it states something of the noise.
+fn base(problem: &Problem, output: &OutputResiduals, k: usize) -> f64 {
+    match weight(problem, output) {
+        Weight::Inverse(_) => 1.0,
+        _ => output.weights[k],
+    }
+}
+
+/// The size of each measurement less the polynomial through so many neighbours on each side of it, over the
+/// standard deviation that noise of `1 / base` leaves of that.
+fn pseudo_residuals(problem: &Problem, output: &OutputResiduals, on_side: usize) -> Vec<f64> {
+    let (times, y) = (&output.times, &output.measured);
+    let variance = |k: usize| base(problem, output, k).powi(-2);
+    let of_middle = |i: usize| {
+        let neighbours = || (i - on_side..=i + on_side).filter(|k| *k != i);
+        // Lagrange's polynomials at the middle.
+        let part = |k: usize| {
+            let others = neighbours().filter(|j| *j != k);
+            others.map(|j| (times[i] - times[j]) / (times[k] - times[j])).product::<f64>()
+        };
+        let sums = neighbours().map(|k| (part(k), k)).fold((y[i], variance(i)), |(left, all), (part, k)| {
+            (left - part * y[k], all + part * part * variance(k))
+        });
+        sums.0.abs() / sums.1.sqrt()
+    };
+    (on_side..y.len().saturating_sub(on_side)).map(of_middle).collect()
+}
+
+fn root_mean_square(values: &[f64]) -> f64 {
+    (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
+}
+
+fn centered(values: &[f64]) -> Vec<f64> {
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    values.iter().map(|v| v - mean).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn leverages_of(jacobian: &[f64], n: usize) -> Vec<f64> {
+        leverages(jacobian, n, &RunContext::new()).unwrap()
+    }
+
+    #[test]
+    fn outputs_tell_together_what_each_alone_does_not() {
+        // Twice the stated noise: 1e-4 by chance in each of two outputs, 4e-7 in both.
+        let one = StatedNoise { chi_squared: 44.0, degrees: 11.0, effective: 6.0 };
+        assert!(one.finding("y", Severity::Warning).is_none());
+        let both = one.with(one).finding("all outputs", Severity::Warning).unwrap();
+        assert!(both.sentence.contains("2 times the noise"), "{both:?}");
+        // As stated, none.
+        let right = StatedNoise { chi_squared: 250.0, degrees: 240.0, effective: 240.0 };
+        assert!(right.finding("y", Severity::Warning).is_none());
+    }
+
+    #[test]
+    fn leverages_are_the_diagonal_of_the_projection() {
+        // A line at t = 0, 1, 2, 3 with its slope in another unit: 0.7, 0.3, 0.3, 0.7.
+        let line = [1.0, 0.0, 1.0, 1e6, 1.0, 2e6, 1.0, 3e6];
+        for (got, expected) in leverages_of(&line, 2).iter().zip([0.7, 0.3, 0.3, 0.7]) {
+            assert!((got - expected).abs() < 1e-12, "{got}");
+        }
+        // The same column twice counts once, and a parameter without effect does not; fewer residuals than parameters are all fitted.
+        let twice = [1.0, 1.0, 0.0, 1.0, 1.0, 0.0];
+        assert!(leverages_of(&twice, 3).iter().all(|h| (h - 0.5).abs() < 1e-12));
+        assert!((leverages_of(&[1.0, 2.0], 2)[0] - 1.0).abs() < 1e-12);
+        assert!(leverages_of(&[], 0).is_empty());
+    }
+}

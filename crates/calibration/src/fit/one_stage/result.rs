@@ -1,0 +1,190 @@
+//! Result of a fit.
+
+use super::noise::FitNoise;
+use super::tolerance::ChosenTolerance;
+use crate::cost::solver::Solver;
+use crate::findings::finding::Finding;
+use crate::fit::output_fit::OutputFit;
+use crate::fit::phase::PhaseCost;
+use crate::loaded_problem::calibration::Calibration;
+use crate::problem::residual_layout::ResidualLayout;
+use crate::uncertainty::active_bounds::BoundSide;
+use crate::uncertainty::preflight::Preflight;
+use crate::uncertainty::result::Uncertainty;
+use dfo::Report;
+use ode::{Number, Stats};
+use serde::{Deserialize, Serialize};
+
+/// The result of a fit. `Display` prints a summary.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct Fit {
+    /// Fitted values, one per parameter, user's order and units; fixed ones included.
+    pub x: Vec<f64>,
+    /// Names of the parameters, in the same order.
+    pub names: Vec<String>,
+    /// Names of the parameters in reports and figures, in the same order (see
+    /// [`Parameter::display_name`](crate::Parameter::display_name)); empty: the same as `names`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub shown_names: Vec<String>,
+    /// Values of the parameters that are tied to others, by name.
+    pub tied: Vec<(String, f64)>,
+    /// Where the fit started.
+    pub start: Vec<f64>,
+    /// Units of the parameters, where they are known, in the same order.
+    pub units: Vec<Option<String>>,
+    /// Lower and upper bounds of the parameters, in the same order; both the same where one is fixed.
+    pub bounds: Vec<(f64, f64)>,
+    /// Name of the model.
+    pub model: String,
+    /// Why the FMU ran in this process, where one of its own was asked for (see
+    /// [`Calibration::isolation`](crate::Calibration::isolation)).
+    #[serde(default)]
+    pub in_this_process: Option<String>,
+    /// Number of measurements that count.
+    pub n_measurements: usize,
+    /// Cost there: the sum of the squared weighted residuals, by the weights of the [noise](Self::noise)
+    /// where that was estimated; with a loss, of what they count.
+    pub cost: f64,
+    /// Root of the mean squared weighted residual of the measurements there, by the weights of the
+    /// calibration; with a loss, of what they count.
+    pub rms: f64,
+    /// Name of the cost, see [`CostKind::name`](crate::CostKind::name).
+    pub objective: String,
+    /// Where the noise of the measurements was taken from, beside which priors count; `None`: nothing
+    /// depended on it (no priors, or a cost that is no sum of squares), or there was no time for a search.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub noise: Option<FitNoise>,
+    /// The relative tolerance that was chosen for the simulations; `None`: it was given, or that of the
+    /// calibration.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tolerance: Option<ChosenTolerance>,
+    /// Cost at the start, if the simulation did not fail there.
+    pub start_cost: Option<f64>,
+    /// RMS at the start, if the simulation did not fail there.
+    pub start_rms: Option<f64>,
+    /// The fit of each stage, see [`Calibration::fit_stages`](crate::Calibration::fit_stages); empty if there
+    /// were none.
+    pub stages: Vec<Fit>,
+    /// Parameters that ended at a bound, by number: the best values may lie beyond.
+    pub at_bound: Vec<(usize, BoundSide)>,
+    /// Parameters that did not change the cost (by more than the relative tolerance of the simulations), by
+    /// number: their values say nothing.
+    pub without_effect: Vec<usize>,
+    /// Simulations made after the run to find out about both: at the bound, for each parameter that ended as
+    /// near to it as `x_tol`; with the parameter moved, for each that no evaluation has shown to change the
+    /// cost (those of a first simplex show it, because they differ in one parameter alone). They are none of
+    /// the run's evaluations, which its budget counts, are not made after an interrupt or when the time is
+    /// up, and are part of `stats`.
+    pub n_checks: usize,
+    /// Quality of fit of each output, in the order of the residual vector; empty where the run was ended from
+    /// outside.
+    pub outputs: Vec<OutputFit>,
+    /// Result of the preflight, where it was requested.
+    pub preflight: Option<Preflight>,
+    /// Findings of a [check](crate::Calibration::check) of the problem beyond notes, evaluated again with the
+    /// fitted values (only where the uncertainty is requested), and findings about the run. [`Fit::findings`]
+    /// has all.
+    pub setup_findings: Vec<Finding>,
+    /// Uncertainty of the fit; `None` where it was not requested, or the run was ended from outside.
+    pub uncertainty: Option<Uncertainty>,
+    /// Statistics of all simulations of the fit: right-hand sides, steps, events, seconds (added up over all
+    /// workers), from the choice of a solver, where this fit made it, to the standard errors. Those that
+    /// failed or were given up count, those of a resumed fit from before do not. The best point evaluated
+    /// again, in a fresh process and in those used, is among the [checks](Stats::checks).
+    pub stats: Stats,
+    /// What its phases took: the simulations that `stats` counts, and wall-clock time.
+    #[serde(default)]
+    pub phases: Vec<PhaseCost>,
+    /// The integration method of all simulations, and how it was found.
+    pub solver: Solver,
+    /// Report of the optimiser: counts, reason to end, trace.
+    pub report: Report,
+}
+
+impl Fit {
+    /// True if the search was a success (see [`Report::is_success`](dfo::Report::is_success)) and no step
+    /// from its result gains more, as the uncertainty has found out.
+    pub fn is_success(&self) -> bool {
+        self.report.is_success() && !self.is_before_minimum()
+    }
+
+    /// True if a step of least squares from the result gains more than noise. Stages hold parameters that
+    /// others have freed, and do not end at a minimum in all of them.
+    pub(crate) fn is_before_minimum(&self) -> bool {
+        let gains = self.uncertainty.as_ref().is_some_and(|uncertainty| uncertainty.left_to_gain > 0.0);
+        gains && self.stages.is_empty()
+    }
+
+    /// Meaning of each entry of the residual vector of this fit, with the weights that the fit had: those of
+    /// the calibration, or those over the [noise](Fit::noise) that was estimated.
+    pub fn residual_layout(&self, calibration: &Calibration) -> ResidualLayout {
+        let mut layout = calibration.residual_layout().clone();
+        if let Some(noise) = self.noise.as_ref().and_then(FitNoise::estimated) {
+            noise.weigh_layout(calibration.problem(), &mut layout);
+        }
+        layout
+    }
+
+    /// Names of the parameters in reports and figures.
+    pub fn shown_names(&self) -> &[String] {
+        if self.shown_names.is_empty() { &self.names } else { &self.shown_names }
+    }
+
+    /// Findings about the fit, the most severe first: parameters at a bound or without effect, findings of a
+    /// check, parameters that the data do not determine, properties of the residuals.
+    pub fn findings(&self) -> Vec<Finding> {
+        self.findings_with(&self.names)
+    }
+
+    /// The same with other names of the parameters.
+    pub(crate) fn findings_with(&self, names: &[String]) -> Vec<Finding> {
+        let at_bound = |(i, side): &(usize, BoundSide)| {
+            let bound = match side {
+                BoundSide::Lower => self.bounds[*i].0,
+                BoundSide::Upper => self.bounds[*i].1,
+            };
+            let sentence = format!(
+                "{} is at its {} bound {}: the best value may lie beyond",
+                names[*i],
+                side.name(),
+                Number(bound)
+            );
+            Finding::warning(&names[*i], sentence, "")
+        };
+        let without_effect = |i: &usize| {
+            let sentence = format!("{} did not change the cost: its value says nothing", names[*i]);
+            Finding::warning(&names[*i], sentence, "")
+        };
+        let is_said = |i: &&usize| {
+            !self.uncertainty.as_ref().is_some_and(|uncertainty| uncertainty.undetermined.contains(i))
+        };
+        let mut all: Vec<Finding> = self.at_bound.iter().map(at_bound).collect();
+        all.extend(self.without_effect.iter().filter(is_said).map(without_effect));
+        all.extend(self.setup_findings.iter().cloned());
+        all.extend(self.open_minima());
+        all.extend(self.uncertainty.iter().flat_map(|uncertainty| uncertainty.findings_with(names)));
+        all.sort_by_key(|finding| finding.severity);
+        all
+    }
+
+    /// Minima of a search from several starts that has ended before it could say that these are all.
+    fn open_minima(&self) -> Option<Finding> {
+        let optima = &self.report.optima;
+        let best = optima.first().filter(|_| optima.len() > 1 && !self.report.is_success())?;
+        let n_searches: usize = optima.iter().map(|optimum| optimum.n_starts).sum();
+        let sentence = format!(
+            "{n_searches} local searches have ended at {} minima, {} of them at the best: by these numbers there are more, and one may be lower",
+            optima.len(),
+            best.n_starts,
+        );
+        let remedy = "compare the minima (optima); a larger max_evaluations lets more searches start";
+        Some(Finding::note("search", sentence, remedy))
+    }
+
+    /// The RMS over that at the start, on the same measurements; `None` if the simulation failed at the
+    /// start.
+    pub fn scaled_rms(&self) -> Option<f64> {
+        self.start_rms.map(|start| self.rms / start)
+    }
+}

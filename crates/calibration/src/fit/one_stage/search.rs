@@ -1,0 +1,581 @@
+//! The search for the best point, with what comes before it.
+
+use super::external_simulations::Engine;
+use super::noise::NoiseRule;
+use super::options::{FitObserver, FitOptions};
+use crate::cost::residual::sum_of_squares;
+use crate::cost::solver::{AtStart, Solver};
+use crate::error::CalibrationError;
+use crate::findings::finding::Finding;
+use crate::fit::live::{LiveFit, lock};
+use crate::fit::output_fit::KeptResiduals;
+use crate::fit::phase::{FitPhase, Phases};
+use crate::loaded_problem::calibration::Calibration;
+use crate::problem::objective::CostKind;
+use crate::problem::parameter::{Parameter, Scale};
+use crate::uncertainty::active_bounds::{EndedRun, StuckParameters};
+use crate::uncertainty::digits::digits;
+use crate::uncertainty::preflight::{Preflight, PreflightOptions};
+use crate::uncertainty::result::UncertaintyOptions;
+use base::RunContext;
+use dfo::{
+    Answer, AnyMethod, ByRef, CutoffUse, Evaluator, Kind, NothingFound, Objective, Outcome, Polled,
+    ProblemClass, Progress, Query, Report, Resume, RobustLoss, RunOptions, Search, Termination,
+    ToleranceMeasure, Tolerances, Trace, Wait, Want,
+};
+use ode::{Number, Stats};
+use std::cell::RefCell;
+use std::collections::{HashMap, VecDeque};
+use std::ops::ControlFlow;
+use std::rc::Rc;
+use std::sync::{Arc, Mutex};
+use std::thread::available_parallelism;
+
+/// The objective of one fit, which adds up what its simulations take.
+struct Counted<'a> {
+    calibration: &'a Calibration,
+    cutoffs: bool,
+    kind: &'a CostKind,
+    loss: RobustLoss,
+    start: &'a [f64],
+    /// The residuals there, as they count, where they are known already.
+    at_start: Option<Vec<f64>>,
+    stats: Mutex<Stats>,
+    kept: Arc<Mutex<KeptResiduals>>,
+    live: Option<&'a LiveFit>,
+}
+
+impl Counted<'_> {
+    /// The query to the simulations: they always give residuals.
+    fn asked<'q>(&self, query: &Query<'q>) -> Query<'q> {
+        let mut query = *query;
+        query.want = Want::Residuals;
+        if !self.cutoffs {
+            query.cutoff = f64::INFINITY;
+        }
+        query
+    }
+
+    /// The answer at the start, where it is known; whether it is.
+    fn know(&self, x: &[f64], answer: &mut Answer) -> bool {
+        let Some(residuals) = self.at_start.as_ref().filter(|_| x == self.start) else { return false };
+        answer.residuals.clone_from(residuals);
+        answer.outcome = Outcome::Value(sum_of_squares(residuals));
+        true
+    }
+
+    fn count(&self, stats: Stats) {
+        *lock(&self.stats) += stats;
+    }
+
+    /// Makes of the residuals at a point what is minimised.
+    fn finish(&self, x: &[f64], wanted: Want, answer: &mut Answer) {
+        let mut own = Vec::new();
+        if let Some(sum) = answer.outcome.value() {
+            // A function of the user's may take its time.
+            let layout = self.calibration.residual_layout();
+            answer.outcome = self.kind.outcome(layout, sum, &answer.residuals, &mut own);
+            if let Some(cost) = answer.outcome.value() {
+                lock(&self.kept).note(x, cost, &answer.residuals);
+            }
+            if !self.kind.is_sum_of_squares() {
+                answer.residuals = own;
+            }
+        }
+        if wanted == Want::Cost {
+            answer.residuals.clear();
+        }
+    }
+}
+
+impl Objective for Counted<'_> {
+    fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
+        if !self.know(x, answer) {
+            let _running = self.live.map(|live| live.running(query.id, x));
+            let mut stats = Stats::default();
+            self.calibration.evaluate_counted(x, &self.asked(query), self.loss, answer, &mut stats);
+            self.count(stats);
+        }
+        self.finish(x, query.want, answer);
+    }
+
+    fn uses_cutoff(&self) -> bool {
+        self.cutoffs
+    }
+
+    fn has_residuals(&self) -> bool {
+        self.kind.has_residuals()
+    }
+
+    fn residual_loss(&self) -> RobustLoss {
+        self.loss
+    }
+}
+
+/// A fit's simulations on an engine.
+struct OnEngine<'a, 'e> {
+    counted: &'a Counted<'a>,
+    engine: &'a mut (dyn Engine + 'e),
+    under_way: HashMap<u64, (Vec<f64>, Want)>,
+    /// Points whose answer is known.
+    known: VecDeque<(u64, Answer)>,
+}
+
+impl Evaluator for OnEngine<'_, '_> {
+    fn submit(&mut self, x: &[f64], query: Query<'static>) {
+        let mut answer = Answer::default();
+        if self.counted.know(x, &mut answer) {
+            self.counted.finish(x, query.want, &mut answer);
+            self.known.push_back((query.id, answer));
+            return;
+        }
+        self.under_way.insert(query.id, (x.to_vec(), query.want));
+        self.counted.live.iter().for_each(|live| live.add(query.id, x));
+        self.engine.submit(x, self.counted.asked(&query));
+    }
+
+    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
+        if let Some((id, known)) = self.known.pop_front() {
+            *answer = known;
+            return Polled::Answered(id);
+        }
+        let polled = self.engine.poll(wait, answer);
+        self.counted.count(self.engine.take_stats());
+        if let Polled::Answered(id) = polled
+            && let Some((x, want)) = self.under_way.remove(&id)
+        {
+            self.counted.live.iter().for_each(|live| live.remove(id));
+            self.counted.finish(&x, want, answer);
+        }
+        polled
+    }
+
+    fn cancel(&mut self, id: u64) {
+        self.counted.live.iter().for_each(|live| live.remove(id));
+        self.engine.cancel(id);
+    }
+
+    fn width(&self) -> usize {
+        self.engine.width()
+    }
+
+    fn cutoff_use(&self) -> CutoffUse {
+        if self.counted.cutoffs { CutoffUse::Yes } else { CutoffUse::No }
+    }
+
+    fn leave(&mut self) -> bool {
+        self.engine.leave()
+    }
+}
+
+/// Part of the limits that earlier searches have used.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Spent {
+    pub(crate) n_evaluations: usize,
+    pub(crate) n_iterations: usize,
+    pub(crate) seconds: f64,
+}
+
+impl Spent {
+    pub(crate) fn of(report: &Report) -> Self {
+        let Report { n_evaluations, n_iterations, seconds, .. } = *report;
+        Self { n_evaluations, n_iterations, seconds }
+    }
+
+    /// The progress of a fit, of which a later search is this far.
+    pub(crate) fn before<'p>(&self, progress: &Progress<'p>) -> Progress<'p> {
+        let mut whole = *progress;
+        whole.n_evaluations += self.n_evaluations;
+        whole.n_iterations += self.n_iterations;
+        whole.seconds += self.seconds;
+        whole
+    }
+}
+
+/// Options of a fit, checked, with its clock.
+pub(crate) struct Job<'a> {
+    pub(crate) run: RunOptions<AnyMethod>,
+    pub(crate) start: Vec<f64>,
+    pub(crate) held: Vec<usize>,
+    pub(crate) cutoffs: bool,
+    pub(crate) objective: CostKind,
+    pub(crate) loss: RobustLoss,
+    pub(crate) noise: NoiseRule,
+    pub(crate) wants_preflight: bool,
+    pub(crate) uncertainty: Option<UncertaintyOptions>,
+    pub(crate) observer: RefCell<Option<Box<FitObserver<'a>>>>,
+    pub(crate) engine: Option<Rc<RefCell<dyn Engine>>>,
+    pub(crate) phases: RefCell<Phases>,
+    pub(crate) live: Option<Arc<LiveFit>>,
+    /// Who may end it, and its time.
+    pub(crate) context: RunContext<'a>,
+    /// True if it is a part of a fit, which has chosen the tolerance.
+    pub(crate) is_part: bool,
+    /// True if nothing is held but what no stage frees, so that the problem can be judged by its result.
+    pub(crate) is_whole: bool,
+    /// Of the limits, by searches before.
+    pub(crate) spent: Spent,
+    /// The residuals at the start, as they count, where they were known before the search.
+    pub(crate) at_start: RefCell<Option<Vec<f64>>>,
+}
+
+impl<'a> Job<'a> {
+    pub(crate) fn new(
+        calibration: &Calibration,
+        options: FitOptions<'a>,
+        within: Option<RunContext<'a>>,
+    ) -> Result<Self, CalibrationError> {
+        let is_part = within.is_some();
+        let context = within.unwrap_or_else(|| options.context.within(options.run.limits.max_time));
+        let mut run = options.run;
+        options.objective.check(calibration.residual_layout(), !options.loss.is_linear())?;
+        if options.noise == NoiseRule::Estimated
+            && !(options.objective.is_sum_of_squares() && options.loss.is_linear())
+        {
+            return Err(CalibrationError::Setup(
+                "noise 'estimated' belongs to the sum of squares without a robust loss; the objective 'likelihood' estimates the noise by itself"
+                    .to_owned(),
+            ));
+        }
+        run.workers.get_or_insert_with(|| available_parallelism().map_or(1, usize::from));
+        let start = options.start.unwrap_or_else(|| calibration.start());
+        calibration.check_start(&start)?;
+        if let Some(index) = options.held.iter().find(|&&i| i >= start.len()) {
+            let n = start.len();
+            return Err(CalibrationError::Setup(format!(
+                "parameter {index} is held, but there are only {n}"
+            )));
+        }
+        Ok(Self {
+            run,
+            start,
+            is_whole: options.held.is_empty(),
+            held: options.held,
+            cutoffs: options.cutoffs && options.objective.is_sum_of_squares(),
+            objective: options.objective,
+            loss: options.loss,
+            noise: options.noise,
+            wants_preflight: options.preflight,
+            uncertainty: options.uncertainty,
+            observer: RefCell::new(options.observer),
+            engine: options.engine,
+            phases: RefCell::new(Phases::new(options.phase)),
+            live: options.live,
+            context,
+            is_part,
+            spent: Spent::default(),
+            at_start: RefCell::default(),
+        })
+    }
+}
+
+impl Job<'_> {
+    /// Makes it one that has not begun, where each evaluation has a process of its own. What was stored, here
+    /// or by an earlier fit, may depend on what ran before.
+    pub(super) fn begin_anew(&mut self, run: RunOptions<AnyMethod>, wants_preflight: bool) {
+        (self.run, self.wants_preflight) = (run, wants_preflight);
+        self.run.checkpoint = self.run.checkpoint.take().map(|checkpoint| checkpoint.resume(Resume::Never));
+        self.run.known.iter_mut().for_each(|known| known.problem = None);
+        self.spent = Spent::default();
+    }
+
+    /// Begins a phase. `stats`: of all simulations of the fit so far.
+    pub(crate) fn enter(&self, phase: FitPhase, stats: &Stats) {
+        self.phases.borrow_mut().enter(phase, stats);
+    }
+
+    /// True if the problem is checked again at the result.
+    pub(super) fn is_checked(&self) -> bool {
+        self.is_whole && self.uncertainty.is_some()
+    }
+}
+
+/// Result of the search of a fit.
+pub(crate) struct Searched {
+    pub(crate) report: Report,
+    pub(crate) stuck: StuckParameters,
+    pub(crate) residuals: KeptResiduals,
+    /// The cost at the start, if an evaluation of the fit has found it.
+    pub(crate) start_cost: Option<f64>,
+    pub(crate) preflight: Option<Preflight>,
+    pub(crate) solver: Solver,
+    /// Those that held.
+    pub(crate) tolerances: Tolerances,
+    /// Findings of the search, about its tolerances and the noise.
+    pub(crate) raised: Vec<Finding>,
+}
+
+/// Raises the relative `f_tol` of a run to the noise of the simulations, where that is larger.
+fn raise_f_tol(tolerances: &mut Tolerances, preflight: &Preflight) -> Option<Finding> {
+    let is_larger = preflight.f_tol_above_noise(tolerances.f_tol) > tolerances.f_tol;
+    (tolerances.measure == ToleranceMeasure::Relative && is_larger).then(|| {
+        tolerances.f_tol = preflight.noise;
+        let noise = digits(preflight.noise);
+        let sentence = format!("f_tol was raised to the noise of the simulations, {noise}");
+        Finding::note("f_tol", sentence, "")
+    })
+}
+
+/// The start's own cost, if a run has found it.
+pub(super) fn start_cost_in(report: &Report, start: &[f64]) -> Option<f64> {
+    let of_trace = report.trace.iter().find(|e| e.x == start).and_then(|e| e.outcome.value());
+    of_trace.or_else(|| Some(report.fun).filter(|fun| report.trace.is_empty() && fun.is_finite()))
+}
+
+impl Calibration {
+    /// The search for the best point, with what comes before it. `at_start`: the residuals at the start, as
+    /// they count, where they are known.
+    pub(super) fn search(
+        &self,
+        job: &Job<'_>,
+        mut at_start: Option<AtStart>,
+        stats: &mut Stats,
+    ) -> Result<Searched, CalibrationError> {
+        let Job { start, context, .. } = job;
+        let solver = self.solver(context)?;
+        job.enter(FitPhase::ModelTest, stats);
+        self.prepare()?;
+        let mut run = self.run_of_search(job, solver);
+        let preflight = job.wants_preflight.then(|| {
+            job.enter(FitPhase::Preflight, stats);
+            let (workers, loss) = (run.workers, job.loss);
+            let options = PreflightOptions { start: Some(start.clone()), workers, loss };
+            self.preflight_counted(&options, &mut at_start, context, stats)
+        });
+        let preflight = preflight.transpose()?;
+        let raised: Vec<Finding> =
+            preflight.iter().filter_map(|found| raise_f_tol(&mut run.tolerances, found)).collect();
+        job.enter(FitPhase::Search, stats);
+        if let Ok(remote) = &self.evaluator().remote {
+            remote.set_checked();
+        }
+        let known = at_start.take().map(|known| known.residuals);
+        job.at_start.borrow_mut().clone_from(&known);
+        let (report, residuals) = self.run_once(job, &run, known, stats)?;
+        job.enter(FitPhase::Checks, stats);
+        let ended = EndedRun {
+            start,
+            held: &job.held,
+            report: &report,
+            kind: &job.objective,
+            tolerances: &run.tolerances,
+        };
+        let stuck = self.stuck_parameters(&ended, context, stats);
+        Ok(Searched {
+            start_cost: start_cost_in(&report, start),
+            report,
+            stuck,
+            residuals,
+            preflight,
+            solver: solver.clone(),
+            tolerances: run.tolerances,
+            raised,
+        })
+    }
+
+    /// The options of the optimiser for a search: with the identity of its problem, and what earlier searches
+    /// have left of the limits.
+    fn run_of_search(&self, job: &Job<'_>, solver: &Solver) -> RunOptions<AnyMethod> {
+        let mut run = job.run.clone();
+        let mut problem = self.problem_hash(solver);
+        if !job.loss.is_linear() {
+            problem += &format!(", loss {}", job.loss);
+        }
+        if !job.objective.is_sum_of_squares() {
+            problem += &format!(", objective {}", job.objective.name());
+        }
+        run.problem = Some(problem);
+        run.checkpoint = run.checkpoint.map(|checkpoint| self.tag(checkpoint, solver));
+        let left = |limit: Option<usize>, spent: usize| limit.map(|n| n.saturating_sub(spent));
+        run.limits.max_evaluations = left(run.limits.max_evaluations, job.spent.n_evaluations);
+        run.limits.max_iterations = left(run.limits.max_iterations, job.spent.n_iterations);
+        run
+    }
+
+    /// One run of the optimiser. `at_start`: the residuals at the start, as they count, where they are known.
+    fn run_once(
+        &self,
+        job: &Job<'_>,
+        run: &RunOptions<AnyMethod>,
+        at_start: Option<Vec<f64>>,
+        stats: &mut Stats,
+    ) -> Result<(Report, KeptResiduals), CalibrationError> {
+        let Job { start, held, objective, loss, context, .. } = job;
+        let parameters = self.parameters();
+        let bound = |side: fn(&Parameter) -> f64| {
+            let mut bounds: Vec<f64> = parameters.iter().map(side).collect();
+            held.iter().for_each(|&i| bounds[i] = start[i]);
+            bounds
+        };
+        let transforms: Vec<Scale> = parameters.iter().map(Parameter::scale_kind).collect();
+        let mut kinds: Vec<Kind> = parameters.iter().map(Parameter::value_kind).collect();
+        // What is held can have any value, and does not choose the method.
+        held.iter().for_each(|&i| kinds[i] = Kind::Continuous);
+        let sizes: Vec<Option<f64>> = parameters.iter().map(|p| self.given_size(p)).collect();
+        let kept = Arc::new(Mutex::new(KeptResiduals::new(start, at_start.clone())));
+        let live = job.live.as_deref();
+        live.iter().for_each(|live| live.begin(self.residual_layout(), *loss, &kept));
+        let counted = Counted {
+            calibration: self,
+            cutoffs: job.cutoffs,
+            kind: objective,
+            loss: *loss,
+            start,
+            at_start,
+            stats: Mutex::default(),
+            kept: Arc::clone(&kept),
+            live,
+        };
+        let mut observer = job.observer.borrow_mut();
+        let mut engine = job.engine.as_ref().map(|engine| engine.borrow_mut());
+        let search = match &mut engine {
+            Some(engine) => {
+                engine.begin(self, *loss);
+                let (under_way, known) = (HashMap::new(), VecDeque::new());
+                let on_engine = OnEngine { counted: &counted, engine: &mut **engine, under_way, known };
+                dfo::minimize_by(on_engine).with_residuals(counted.has_residuals()).loss(*loss)
+            }
+            None => dfo::minimize(ByRef(&counted)),
+        };
+        let mut search = search
+            .start(start)
+            .bounds(&bound(Parameter::lower), &bound(Parameter::upper))
+            .map_err(|e| self.name_parameter(e))?
+            .transforms(&transforms)
+            .kinds(&kinds)
+            .known_scales(&sizes)
+            .spent(context.elapsed())
+            .options(run.clone());
+        if observer.is_some() || live.is_some() {
+            search = search.observer(|progress| {
+                live.iter().for_each(|live| live.note(progress));
+                observer
+                    .as_mut()
+                    .map_or(ControlFlow::Continue(()), |observer| observer(&job.spent.before(progress)))
+            });
+        }
+        let outcome = search.context(*context).run().map_err(|error| match error {
+            dfo::Error::NeedsResiduals { method } => CalibrationError::Setup(format!(
+                "{method} minimises sums of squares, and the objective '{}' is none: leave the method to the fit \
+                 (method auto), or take nelder-mead",
+                objective.name()
+            )),
+            error => self.name_parameter(error),
+        });
+        *stats += *lock(&counted.stats);
+        // Whoever looks at the fit still sees them.
+        let residuals = match live {
+            Some(_) => lock(&kept).clone(),
+            None => std::mem::take(&mut *lock(&kept)),
+        };
+        Ok((outcome?, residuals))
+    }
+
+    /// The start as the result of a search that had no time for a single evaluation.
+    ///
+    /// # Errors
+    /// The error that ended the search, unless it is that.
+    pub(super) fn start_alone(
+        &self,
+        job: &Job<'_>,
+        error: CalibrationError,
+    ) -> Result<Searched, CalibrationError> {
+        let found = match error {
+            CalibrationError::Cancelled if job.context.is_late() => {
+                let trace = Trace::new(job.start.len());
+                NothingFound { n_evaluations: 0, failures: Vec::new(), x: None, trace }
+            }
+            CalibrationError::Optimiser(dfo::Error::EndedWithoutPoint {
+                termination: Termination::MaxTime,
+                found,
+            }) => *found,
+            error => return Err(self.over_or(error)),
+        };
+        let named = Solver { method: self.problem().settings.run.method, comparison: None };
+        let mut report = Report::without_cost(
+            &job.start,
+            job.run.method.name(),
+            found,
+            job.context.elapsed().as_secs_f64(),
+        );
+        let residuals = KeptResiduals::new(&job.start, job.at_start.take());
+        if let Some(known) = residuals.at_start() {
+            let (layout, sum) = (self.residual_layout(), sum_of_squares(known));
+            let outcome = job.objective.outcome(layout, sum, known, &mut Vec::new());
+            report.fun = outcome.value().unwrap_or(f64::NAN);
+        }
+        report.message = format!(
+            "stopped at the time limit of {} s before the search had found anything: the result is the start",
+            Number(job.run.limits.max_time.unwrap_or_default().as_secs_f64())
+        );
+        report.workers = job.run.workers.unwrap_or(1);
+        report.loss = job.loss;
+        Ok(Searched {
+            start_cost: start_cost_in(&report, &job.start),
+            report,
+            stuck: StuckParameters::default(),
+            residuals,
+            preflight: None,
+            solver: self.known_solver().cloned().unwrap_or(named),
+            tolerances: job.run.tolerances,
+            raised: Vec::new(),
+        })
+    }
+
+    /// Chooses the method of a run in which these entries of `x` are held, where the choice is open.
+    pub(crate) fn choose_method(
+        &self,
+        run: &mut RunOptions<AnyMethod>,
+        held: &[usize],
+        objective: &CostKind,
+    ) -> Result<(), CalibrationError> {
+        let is_free = |i: &usize| {
+            let parameter = &self.parameters()[*i];
+            !held.contains(i) && parameter.lower() < parameter.upper()
+        };
+        let all = 0..self.parameters().len();
+        let bound = |i: usize, side: fn(&Parameter) -> f64| {
+            if is_free(&i) { side(&self.parameters()[i]) } else { 0.0 }
+        };
+        let class = ProblemClass {
+            lower: &all.clone().map(|i| bound(i, Parameter::lower)).collect::<Vec<_>>(),
+            upper: &all.clone().map(|i| bound(i, Parameter::upper)).collect::<Vec<_>>(),
+            // What is held can have any value, and does not choose the method.
+            kinds: &all.filter(is_free).map(|i| self.parameters()[i].value_kind()).collect::<Vec<_>>(),
+            residuals: objective.has_residuals(),
+            search: Search::Local,
+        };
+        run.choose(&class).map_err(|error| self.name_parameter(error))
+    }
+
+    /// The optimiser knows parameters by number, the user by name.
+    fn name_parameter(&self, source: dfo::Error) -> CalibrationError {
+        match source.parameter() {
+            Some(index) => {
+                let name = self.parameters()[index].name().to_owned();
+                CalibrationError::OptimiserParameter { index, name, source: Box::new(source) }
+            }
+            None => source.into(),
+        }
+    }
+
+    /// Checks a start given for this fit as the parameters' own starts were checked.
+    fn check_start(&self, start: &[f64]) -> Result<(), CalibrationError> {
+        self.check_length(start)?;
+        for (parameter, value) in self.parameters().iter().zip(start) {
+            let (lower, upper) = (parameter.lower(), parameter.upper());
+            if !(lower..=upper).contains(value) {
+                let name = parameter.name().to_owned();
+                let is_fixed = lower == upper;
+                let [lower, upper, value] = [lower, upper, *value].map(Number);
+                let message = if is_fixed {
+                    format!("is fixed at {lower}, it cannot start at {value}")
+                } else {
+                    format!("start {value} is outside of the bounds {lower} and {upper}")
+                };
+                return Err(CalibrationError::Parameter { name, message });
+            }
+        }
+        Ok(())
+    }
+}

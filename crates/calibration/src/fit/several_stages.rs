@@ -1,0 +1,498 @@
+//! Fits in stages: each frees some of the parameters, holds the others, and starts from the result of the
+//! last.
+
+use crate::error::CalibrationError;
+use crate::findings::finding::Finding;
+use crate::fit::one_stage::{
+    Fit, FitObserver, FitOptions, Job, Made, Searched, Spent, add_earlier, checkpoint_of, ended_by,
+};
+use crate::fit::output_fit::KeptResiduals;
+use crate::fit::phase::FitPhase;
+use crate::loaded_problem::calibration::Calibration;
+use crate::uncertainty::active_bounds::StuckParameters;
+use base::RunContext;
+use dfo::{
+    AnyMethod, Limits, Progress, Record, Report, RequestedRun, RunOptions, Termination, Tolerances,
+    field_names, read_part,
+};
+use ode::Stats;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+/// One stage of a fit.
+///
+/// ```
+/// use calibration::Stage;
+/// use calibration::dfo::NelderMead;
+/// let walls = Stage::new(["C2", "G2"]).window(0.0, 600.0).method(NelderMead::default());
+/// assert_eq!(walls.parameters, ["C2", "G2"]);
+/// ```
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Stage {
+    /// The parameters that it frees, by name: all values of a [local](crate::Parameter::local) one (`T0`), or
+    /// one of them (`T0[run1]`). The others stay where they are.
+    pub parameters: Vec<String>,
+    /// Only measurements in these count in this stage, in all experiments, in s; none: those that count in
+    /// the calibration.
+    pub windows: Vec<(f64, f64)>,
+    /// The method; default: that of the fit.
+    pub method: Option<AnyMethod>,
+    /// Why it was chosen, where the user left it open.
+    pub method_reason: Option<String>,
+    /// Limits of this stage; those of the fit hold for all stages together.
+    pub limits: Limits,
+    /// When the tests of this stage pass; default: as in the fit.
+    pub tolerances: Option<Tolerances>,
+}
+
+impl Stage {
+    /// Frees these parameters.
+    pub fn new<S: Into<String>>(parameters: impl IntoIterator<Item = S>) -> Self {
+        Self { parameters: parameters.into_iter().map(Into::into).collect(), ..Self::default() }
+    }
+
+    /// Only measurements in `[from, to]`, and in other windows given so, count in this stage.
+    #[must_use]
+    pub fn window(mut self, from: f64, to: f64) -> Self {
+        self.windows.push((from, to));
+        self
+    }
+
+    /// A method of its own.
+    #[must_use]
+    pub fn method(mut self, method: impl Into<AnyMethod>) -> Self {
+        self.method = Some(method.into());
+        self
+    }
+
+    /// Limits of its own.
+    #[must_use]
+    pub fn limits(mut self, limits: Limits) -> Self {
+        self.limits = limits;
+        self
+    }
+
+    /// Tolerances of its own.
+    #[must_use]
+    pub fn tolerances(mut self, tolerances: Tolerances) -> Self {
+        self.tolerances = Some(tolerances);
+        self
+    }
+}
+
+impl Stage {
+    /// A stage of a fit of `n` parameters as a record asks for it: `parameters`, `windows`, and the options
+    /// of its run.
+    ///
+    /// # Errors
+    /// An option that there is not, or a value that it cannot have.
+    pub fn from_record(record: Record, n: usize) -> Result<Self, dfo::Error> {
+        let (own, of_run) = read_part::<StageRecord>(record, "option of a stage")?;
+        let run = RequestedRun::new(FitOptions::default_run(), &of_run, n)?.options;
+        let (method, tolerances) = (Some(run.method), Some(run.tolerances));
+        let StageRecord { parameters, windows } = own;
+        Ok(Self { parameters, windows, method, limits: run.limits, tolerances, method_reason: None })
+    }
+
+    /// The names of all options that a record of a stage may have.
+    ///
+    /// # Errors
+    /// The options of a method cannot be serialised.
+    pub fn option_names() -> Result<BTreeSet<String>, dfo::Error> {
+        let mut names = RequestedRun::option_names()?;
+        names.extend(field_names::<StageRecord>()?);
+        Ok(names)
+    }
+}
+
+/// The options of a stage by name, beside those of its run.
+#[derive(Debug, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(default, deny_unknown_fields)]
+pub struct StageRecord {
+    /// The parameters that it frees.
+    parameters: Vec<String>,
+    /// Only measurements in one of these windows count, each from and to, in s.
+    windows: Vec<(f64, f64)>,
+}
+
+/// The smaller of two limits.
+fn least<T: PartialOrd>(a: Option<T>, b: Option<T>) -> Option<T> {
+    match (a, b) {
+        (Some(a), Some(b)) => Some(if b < a { b } else { a }),
+        (a, b) => a.or(b),
+    }
+}
+
+/// Part of the limits of a fit that its first stages have left.
+#[derive(Debug, Clone, Copy)]
+struct Left {
+    spent: Spent,
+    limits: Limits,
+}
+
+impl Left {
+    fn after(fits: &[Fit], limits: &Limits, context: &RunContext<'_>) -> Self {
+        let spent = Spent {
+            n_evaluations: fits.iter().map(|fit| fit.report.n_evaluations).sum(),
+            n_iterations: fits.iter().map(|fit| fit.report.n_iterations).sum(),
+            seconds: context.elapsed().as_secs_f64(),
+        };
+        let limits = Limits {
+            max_evaluations: limits.max_evaluations.map(|n| n.saturating_sub(spent.n_evaluations)),
+            max_iterations: limits.max_iterations.map(|n| n.saturating_sub(spent.n_iterations)),
+            max_time: context.left(),
+            ..*limits
+        };
+        Self { spent, limits }
+    }
+
+    /// The limit of which nothing is left.
+    fn reached(&self) -> Option<Termination> {
+        match (self.limits.max_evaluations, self.limits.max_iterations, self.limits.max_time) {
+            (Some(0), ..) => Some(Termination::MaxEvaluations),
+            (_, Some(0), _) => Some(Termination::MaxIterations),
+            (.., Some(time)) if time.is_zero() => Some(Termination::MaxTime),
+            _ => None,
+        }
+    }
+
+    /// The run of a stage, and the stage's own limit of time where that is the shorter one.
+    fn run(&self, run: &RunOptions<AnyMethod>, stage: &Stage) -> (RunOptions<AnyMethod>, Option<Duration>) {
+        let mut own = run.clone();
+        // The limit that ends the stage is the one that its message names.
+        let of_stage =
+            stage.limits.max_time.filter(|limit| self.limits.max_time.is_none_or(|time| *limit < time));
+        if let Some(method) = &stage.method {
+            (own.method, own.method_reason) = (method.clone(), stage.method_reason.clone());
+        }
+        own.tolerances = stage.tolerances.unwrap_or(run.tolerances);
+        own.limits = Limits {
+            max_failed: own.limits.max_failed,
+            max_evaluations: least(stage.limits.max_evaluations, self.limits.max_evaluations),
+            max_iterations: least(stage.limits.max_iterations, self.limits.max_iterations),
+            max_time: of_stage.or(run.limits.max_time),
+            // What a target says of one window says nothing of another.
+            target: stage.limits.target.or(run.limits.target.filter(|_| stage.windows.is_empty())),
+        };
+        (own, of_stage)
+    }
+}
+
+/// Stages that were made.
+#[derive(Default)]
+struct Done {
+    fits: Vec<Fit>,
+    /// The residuals at the start of the first and at the end of the last one, as they counted.
+    at_start: Option<Vec<f64>>,
+    at_end: Option<Vec<f64>>,
+    /// Why the next stage was not made.
+    ended: Option<Termination>,
+}
+
+/// An error of a stage, by its number from 0.
+fn in_stage(k: usize) -> impl Fn(CalibrationError) -> CalibrationError {
+    move |source| CalibrationError::Stage { number: k + 1, source: Box::new(source) }
+}
+
+/// Parameters that ended at a bound or had no effect in the last stage that freed them.
+fn stuck_in_all(fits: &[Fit], freed: &[Vec<usize>]) -> StuckParameters {
+    let mut all = StuckParameters::default();
+    for (fit, freed) in fits.iter().zip(freed) {
+        all.at_bound.retain(|(i, _)| !freed.contains(i));
+        all.without_effect.retain(|i| !freed.contains(i));
+        all.at_bound.extend(&fit.at_bound);
+        all.without_effect.extend(&fit.without_effect);
+        all.n_checks += fit.n_checks;
+    }
+    all.at_bound.sort_by_key(|(i, _)| *i);
+    all.without_effect.sort_unstable();
+    all
+}
+
+/// The report of the last stage, with what all took; its trace is that of the last stages with one window.
+fn report_of_all(stages: &[Stage], fits: &[Fit], ended: Option<&Termination>) -> Report {
+    let (n, last) = (fits.len(), &fits[fits.len() - 1]);
+    let mut report = last.report.clone();
+    // Each takes what other stages hold as known.
+    (report.jacobian, report.active) = (None, Vec::new());
+    let of_stage = |k: usize, message: &str| format!("stage {} of {}: {message}", k + 1, stages.len());
+    report.message = of_stage(n - 1, &report.message);
+    for (k, Fit { report: before, .. }) in fits[..n - 1].iter().enumerate().rev() {
+        add_earlier(&mut report, before);
+        if report.is_success() {
+            report.termination.clone_from(&before.termination);
+            report.tests = before.tests;
+        }
+        report.message = format!("{}; {}", of_stage(k, &before.message), report.message);
+    }
+    let is_same = |k: usize| stages[k].windows == stages[n - 1].windows && fits[k].noise == last.noise;
+    let first = (0..n).rev().take_while(|k| is_same(*k)).last().unwrap_or(0);
+    let mut traces = fits[first..].iter().map(|fit| fit.report.trace.clone());
+    if let Some(mut trace) = traces.next() {
+        traces.for_each(|later| trace.append(later));
+        report.trace = trace;
+    }
+    if let Some(termination) = ended {
+        report.message += &format!("; the fit ended before stage {}: {termination}", n + 1);
+        report.termination = termination.clone();
+    }
+    report
+}
+
+impl Calibration {
+    /// Fits in stages. Each frees its parameters, from where the last stage left them, and holds the others;
+    /// those that no stage frees stay at the start.
+    ///
+    /// Limits of the fit (evaluations, iterations, time, target) hold for all stages together, and so do an
+    /// interrupt and an observer that ends the fit; a stage may have limits of its own, at which the next one
+    /// begins. The result is that of the last stage, with the evaluations, simulations and the trace of all;
+    /// it is a success if all stages were one, and [`Fit::stages`] has the fit of each. A stage with a window
+    /// of its own sees other costs: then those of the result are computed once more, on the measurements of
+    /// the calibration, and its trace is that of the last stages with one window. A checkpoint has one file
+    /// per stage: `fit.ckpt.stage1`, `fit.ckpt.stage2` and so on.
+    ///
+    /// The covariance of a method at the end of a stage ([`dfo::Report::covariance`]) is conditional: it
+    /// takes the held parameters as known, and so does the [uncertainty](Fit::uncertainty) of a stage. So the
+    /// result has no Jacobian in its report, only the stages have; its uncertainty is found with all
+    /// parameters that any stage freed.
+    ///
+    /// # Errors
+    /// As [`Calibration::fit`]; no stages, stages without parameters, names that are no parameters or those
+    /// of fixed ones.
+    pub fn fit_stages<'a>(
+        &self,
+        stages: &[Stage],
+        options: impl Into<FitOptions<'a>>,
+    ) -> Result<Fit, CalibrationError> {
+        let mut job = Job::new(self, options.into(), None)?;
+        if stages.is_empty() {
+            return Err(CalibrationError::Setup("stages: there are none".to_owned()));
+        }
+        let freed = (stages.iter().enumerate())
+            .map(|(k, stage)| self.checked(stage, &job).map_err(in_stage(k)))
+            .collect::<Result<Vec<_>, _>>()?;
+        if let Some(checkpoint) = &job.run.checkpoint {
+            self.adopt_solver(&checkpoint_of(checkpoint, ".stage1", true))?;
+        }
+        let mut stats = Stats::default();
+        // The stages have one solver and one tolerance. Where there is no time for that, the first one ends at its start.
+        job.enter(FitPhase::Solver, &stats);
+        let chosen = self
+            .solver_counted(&job.context, &mut stats)
+            .and_then(|_| self.choose_tolerance(&job, None, &mut stats));
+        let tolerance = match chosen {
+            Err(error) if !job.context.is_late() || job.context.is_cancelled() => return Err(error),
+            chosen => chosen.ok().flatten().map(|(tolerance, _)| tolerance),
+        };
+        let tolerant = self.with_tolerance(tolerance.as_ref())?;
+        let this = tolerant.as_ref().unwrap_or(self);
+        job.enter(FitPhase::Checks, &stats);
+        let done = this.in_turn(stages, &freed, &job)?;
+        job.phases.borrow_mut().begin(FitPhase::Checks, &stats);
+        let is_freed = |i: &usize| freed.iter().any(|freed| freed.contains(i));
+        job.held = (0..job.start.len()).filter(|i| !is_freed(i)).collect();
+        job.is_whole = true;
+        let mut made = this.all_in_one(stages, &freed, &done, &job, &mut stats)?;
+        made.searched.raised.extend(tolerance.and_then(|chosen| chosen.finding()));
+        made.tolerance = tolerance;
+        job.enter(FitPhase::Checks, &stats);
+        for fit in &done.fits {
+            stats += fit.stats;
+            job.phases.borrow_mut().add(&fit.phases);
+        }
+        job.phases.borrow_mut().begin(FitPhase::Checks, &stats);
+        let own = made.own.take();
+        let (mut fit, _) = this.judged(own.as_ref().unwrap_or(this), &job, made, stats);
+        fit.phases = job.phases.borrow_mut().costs(&fit.stats);
+        fit.stages = done.fits;
+        Ok(fit)
+    }
+
+    /// The stages one after the other, each from where the last one ended.
+    fn in_turn(
+        &self,
+        stages: &[Stage],
+        freed: &[Vec<usize>],
+        job: &Job<'_>,
+    ) -> Result<Done, CalibrationError> {
+        let mut done = Done::default();
+        let windowed = (stages.iter().enumerate())
+            .map(|(k, stage)| match stage.windows.is_empty() {
+                true => Ok(None),
+                false => self.windowed(&stage.windows).map(Some).map_err(in_stage(k)),
+            })
+            .collect::<Result<Vec<_>, _>>()?;
+        let mut observer = job.observer.borrow_mut();
+        for (k, stage) in stages.iter().enumerate() {
+            let left = Left::after(&done.fits, &job.run.limits, &job.context);
+            done.ended = left.reached().filter(|_| k > 0);
+            if done.ended.is_some() {
+                break;
+            }
+            let (mut run, of_stage) = left.run(&job.run, stage);
+            let part = format!(".stage{}", k + 1);
+            run.checkpoint = job.run.checkpoint.as_ref().map(|c| checkpoint_of(c, &part, k == 0));
+            let within = if of_stage.is_some() { job.context.within(of_stage) } else { job.context };
+            let options = FitOptions {
+                run,
+                start: Some(done.fits.last().map_or_else(|| job.start.clone(), |fit| fit.x.clone())),
+                held: (0..job.start.len()).filter(|i| !freed[k].contains(i)).collect(),
+                cutoffs: job.cutoffs,
+                objective: job.objective.clone(),
+                loss: job.loss,
+                noise: job.noise,
+                preflight: job.wants_preflight && k == 0,
+                uncertainty: job.uncertainty.clone(),
+                observer: observer.as_mut().map(|observer| {
+                    Box::new(move |progress: &Progress<'_>| observer(&left.spent.before(progress)))
+                        as Box<FitObserver<'_>>
+                }),
+                context: job.context,
+                engine: job.engine.clone(),
+                phase: job.phases.borrow().told(),
+                live: job.live.clone(),
+            };
+            let (fit, kept) = match windowed[k].as_ref().unwrap_or(self).fit_and_keep(options, Some(within)) {
+                Ok(fitted) => fitted,
+                // The results of the stages before are not lost.
+                Err(error) => match ended_by(&error).filter(|_| k > 0) {
+                    Some(termination) => {
+                        done.ended = Some(termination);
+                        break;
+                    }
+                    None => return Err(in_stage(k)(error)),
+                },
+            };
+            // It had no time for a single evaluation.
+            if k > 0 && fit.cost.is_nan() && job.context.is_late() {
+                done.ended = Some(fit.report.termination);
+                break;
+            }
+            let is_last = match &fit.report.termination {
+                Termination::Interrupted
+                | Termination::StoppedByObserver
+                | Termination::Aborted(_)
+                | Termination::NotSaved(_) => true,
+                Termination::Target => stage.limits.target.is_none(),
+                _ => false,
+            };
+            if k == 0 {
+                done.at_start = kept.at_start().map(<[f64]>::to_vec);
+            }
+            done.at_end = kept.at(&fit.x).map(<[f64]>::to_vec);
+            done.fits.push(fit);
+            if is_last {
+                break;
+            }
+        }
+        Ok(done)
+    }
+
+    /// The stages as one search, with the weights of the last one. The cost at the start and at the end is
+    /// computed again where the first or the last stage saw another one.
+    fn all_in_one(
+        &self,
+        stages: &[Stage],
+        freed: &[Vec<usize>],
+        done: &Done,
+        job: &Job<'_>,
+        stats: &mut Stats,
+    ) -> Result<Made, CalibrationError> {
+        let Done { fits, ended, .. } = done;
+        let (first, last) = (&fits[0], &fits[fits.len() - 1]);
+        let weighed = self.with_noise(last.noise.as_ref())?;
+        let own = weighed.as_ref().unwrap_or(self);
+        let (mut report, mut stuck) =
+            (report_of_all(stages, fits, ended.as_ref()), stuck_in_all(fits, freed));
+        let is_own = |k: usize| stages[k].windows.is_empty() && fits[k].noise == last.noise;
+        let mut evaluated = |x: &[f64]| {
+            stuck.n_checks += 1;
+            own.cost_and_residuals(x, &job.objective, job.loss, &job.context, stats)
+        };
+        let reweighed = |known: &Option<Vec<f64>>| {
+            known.as_deref().map(|r| own.residual_layout().reweighed(r, self.residual_layout()))
+        };
+        let at_end = match is_own(fits.len() - 1) {
+            true => reweighed(&done.at_end),
+            false => {
+                let (cost, at_end) = evaluated(&last.x).unzip();
+                (report.fun, report.residuals) = (cost.unwrap_or(f64::NAN), None);
+                at_end
+            }
+        };
+        let (start_cost, at_start) = match is_own(0) {
+            true => (first.start_cost, reweighed(&done.at_start)),
+            false => evaluated(&job.start).unzip(),
+        };
+        let held = job.held.iter().filter(|i| !self.parameters()[**i].is_fixed());
+        let names: Vec<&str> = held.map(|i| last.names[*i].as_str()).collect();
+        let mut raised = last.setup_findings.clone();
+        if !names.is_empty() {
+            let names = names.join(", ");
+            let sentence = format!("no stage frees {names}: at the start");
+            raised.push(Finding::note(names, sentence, ""));
+        }
+        let searched = Searched {
+            residuals: KeptResiduals::new(&job.start, at_start).with(&report.x, at_end.as_deref()),
+            report,
+            stuck,
+            start_cost,
+            preflight: first.preflight.clone(),
+            solver: last.solver.clone(),
+            tolerances: job.run.tolerances,
+            raised,
+        };
+        Ok(Made { own: weighed, searched, noise: last.noise.clone(), tolerance: None })
+    }
+
+    /// The entries of `x` that a stage frees, once it is sure that its method can fit them.
+    fn checked(&self, stage: &Stage, job: &Job<'_>) -> Result<Vec<usize>, CalibrationError> {
+        let freed = self.freed(stage, &job.held)?;
+        let held: Vec<usize> = (0..job.start.len()).filter(|i| !freed.contains(i)).collect();
+        let method = stage.method.clone().unwrap_or_else(|| job.run.method.clone());
+        let mut run = RunOptions { method, ..RunOptions::default() };
+        self.choose_method(&mut run, &held, &job.objective)?;
+        Ok(freed)
+    }
+
+    /// The entries of `x` that a stage frees.
+    fn freed(&self, stage: &Stage, held: &[usize]) -> Result<Vec<usize>, CalibrationError> {
+        let setup = |message: String| Err(CalibrationError::Setup(message));
+        if stage.parameters.is_empty() {
+            return setup("it frees no parameter".to_owned());
+        }
+        let mut freed: Vec<usize> = Vec::new();
+        for name in &stage.parameters {
+            let entries = self.entries_of(name);
+            if entries.is_empty() {
+                let names = self.parameters().iter().map(|p| p.name());
+                let names = names.collect::<Vec<_>>().join(", ");
+                return setup(format!("there is no parameter '{name}'; there are: {names}"));
+            }
+            if entries.iter().all(|&i| self.parameters()[i].is_fixed() || held.contains(&i)) {
+                return setup(format!("parameter '{name}' is fixed, a stage cannot free it"));
+            }
+            if entries.iter().any(|i| freed.contains(i)) {
+                return setup(format!("parameter '{name}' is named twice"));
+            }
+            freed.extend(entries.iter().filter(|i| !held.contains(i)));
+        }
+        Ok(freed)
+    }
+
+    /// The entries of `x` that a name stands for: one, or all of a local parameter.
+    pub(crate) fn entries_of(&self, name: &str) -> Vec<usize> {
+        let is_local = self.problem().parameters.iter().any(|p| p.is_local() && p.name() == name);
+        let is_it =
+            |own: &str| own == name || (is_local && own.strip_prefix(name).is_some_and(is_in_experiment));
+        let entries = self.parameters().iter().enumerate();
+        entries.filter(|(_, p)| is_it(p.name())).map(|(i, _)| i).collect()
+    }
+}
+
+/// True for the suffix of the name of a local parameter in an experiment.
+fn is_in_experiment(rest: &str) -> bool {
+    rest.starts_with('[') && rest.ends_with(']')
+}

@@ -1,0 +1,451 @@
+//! Findings about the uncertainty, in words: parameters that the data do not determine, alone, in pairs or in
+//! combinations of more.
+
+use crate::cost::accuracy::Accuracy;
+use crate::error::CalibrationError;
+use crate::findings::finding::{Finding, Severity};
+use crate::uncertainty::chance::BY_CHANCE;
+use crate::uncertainty::covariance::matrix::{Factors, Noise, compressed};
+use crate::uncertainty::diagnostics::residual_check::{CORRELATED, ResidualCheck};
+use crate::uncertainty::differences::Differences;
+use crate::uncertainty::digits::digits;
+use crate::uncertainty::result::{Uncertainty, errors_and_correlation};
+use crate::uncertainty::row_blocks::triangle;
+use base::RunContext;
+use nalgebra::DMatrix;
+use std::ops::Range;
+
+/// Parameters with a correlation of this size or more move the outputs the same way: less than a fifth of the
+/// variance of either is its own.
+const CONFOUNDED: f64 = 0.9;
+
+/// Condition index of the Jacobian with columns of length one from which on a dependency among its columns
+/// harms, and the share of a parameter's variance that makes it a part of that (Belsley, Kuh and Welsch,
+/// Regression Diagnostics, 1980, section 3.2).
+const CONDITION_INDEX: f64 = 10.0;
+const VARIANCE_SHARE: f64 = 0.5;
+
+/// A standard error above this part of its parameter says that the data hardly tell it.
+const RELATIVE_ERROR: f64 = 0.5;
+
+/// A smaller autocorrelation, above this, is told where its chance is less than that.
+const LASTING: (f64, f64) = (0.1, 1e-6);
+
+/// A parameter moves an output if it moves it by more than this part of what the strongest does, each moved
+/// by its size.
+const MOVES: f64 = 1e-8;
+
+/// The data do not move a parameter off its prior whose derivatives are below this part of that of the prior.
+const PRIOR_ALONE: f64 = 1e-3;
+
+/// Factors that differ by less are told as one.
+const SAME_FACTOR: f64 = 1.05;
+
+/// Errors of the simulations that move no parameter by more than this part of its standard error do not
+/// matter.
+const SHIFTED: f64 = 0.1;
+
+/// Subject of a finding that says that a search ended early.
+pub(crate) const SEARCH: &str = "search";
+
+impl Uncertainty {
+    fn n(&self) -> usize {
+        self.x.len()
+    }
+
+    /// Size of a parameter.
+    fn size(&self, i: usize) -> f64 {
+        self.sizes.get(i).copied().unwrap_or(self.x[i].abs())
+    }
+
+    /// The standard error relative to that.
+    fn relative_error(&self, i: usize) -> f64 {
+        self.standard_errors[i] / self.size(i)
+    }
+
+    /// Lengths of the columns of the Jacobian within these rows.
+    fn lengths(&self, rows: Range<usize>) -> Vec<f64> {
+        let n = self.n();
+        let mut squares = vec![0.0; n];
+        for row in self.jacobian[rows.start * n..rows.end * n].chunks_exact(n.max(1)) {
+            squares.iter_mut().zip(row).for_each(|(sum, entry)| *sum += entry * entry);
+        }
+        squares.into_iter().map(f64::sqrt).collect()
+    }
+
+    /// True if a parameter moves the rows in which the columns of the Jacobian have these lengths.
+    fn moves(&self, i: usize, lengths: &[f64]) -> bool {
+        // What is zero has no size: any effect counts.
+        let effect = |k: usize| lengths[k] * self.x[k].abs();
+        let most = (0..self.n()).map(effect).fold(0.0, f64::max);
+        let own = if self.x[i] == 0.0 { f64::INFINITY } else { effect(i) };
+        lengths[i] > 0.0 && own > MOVES * most
+    }
+
+    /// The rows of each output of each experiment.
+    fn rows(&self) -> Vec<Range<usize>> {
+        let ends = self.residual_checks.iter().scan(0, |end, check| {
+            *end += check.n;
+            Some(*end - check.n..*end)
+        });
+        ends.collect()
+    }
+
+    /// Parameters that have a prior and that the data do not move off it.
+    fn known_from_prior(&self) -> Vec<usize> {
+        let measured = 0..self.rows().last().map_or(0, |rows| rows.end);
+        let of_priors = self.lengths(measured.end..self.residuals.len());
+        if of_priors.iter().all(|length| *length == 0.0) {
+            return Vec::new();
+        }
+        let of_data = self.lengths(measured);
+        let is_prior_alone = |i: &usize| {
+            let (of_prior, own) = (of_priors[*i], of_data[*i]);
+            of_prior > 0.0 && (own <= PRIOR_ALONE * of_prior || !self.moves(*i, &of_data))
+        };
+        (0..self.n()).filter(|i| !self.held.contains(i)).filter(is_prior_alone).collect()
+    }
+
+    /// Finds which combinations of the parameters the data determine badly, and which parameters well.
+    /// `jacobian`: of the residuals, `differences`: of the working residuals, both by the coordinates of the
+    /// search.
+    pub(crate) fn find_combinations(
+        &mut self,
+        jacobian: &DMatrix<f64>,
+        differences: &Differences,
+        noise: &Noise,
+        free: &[usize],
+        sizes: &[f64],
+        context: &RunContext<'_>,
+    ) -> Result<(), CalibrationError> {
+        self.find_confounded();
+        self.find_weakest(&triangle(jacobian, std::slice::from_ref(&(0..jacobian.nrows())), context)?, free);
+        let weighted = differences.jacobian(context)?;
+        self.find_identifiable(&weighted, noise, differences.noise, free, sizes, context)
+    }
+
+    /// Pairs with a high correlation, of those that move an output both: that of independent residuals, for
+    /// how alike they move the outputs has nothing to do with the noise.
+    fn find_confounded(&mut self) {
+        let n = self.n();
+        let correlation = match &self.uncorrected_covariance {
+            Some(covariance) => errors_and_correlation(covariance, n).1,
+            None => self.correlation.clone(),
+        };
+        let outputs: Vec<Vec<f64>> = self.rows().into_iter().map(|rows| self.lengths(rows)).collect();
+        let share = |i, j| outputs.iter().any(|output| self.moves(i, output) && self.moves(j, output));
+        let pairs = (0..n).flat_map(|i| (i + 1..n).map(move |j| (i, j)));
+        let mut found: Vec<(usize, usize, f64)> = pairs
+            .map(|(i, j)| (i, j, correlation[i * n + j]))
+            .filter(|(i, j, correlation)| correlation.abs() >= CONFOUNDED && share(*i, *j))
+            .collect();
+        found.sort_by(|a, b| b.2.abs().total_cmp(&a.2.abs()));
+        self.confounded = found;
+    }
+
+    /// The combination of parameters that the data determine worst, by the singular values of the Jacobian
+    /// with columns of length one, of which the triangle is given.
+    fn find_weakest(&mut self, triangle: &DMatrix<f64>, free: &[usize]) {
+        let told: Vec<usize> = (0..free.len()).filter(|k| !self.undetermined.contains(&free[*k])).collect();
+        let p = told.len();
+        if p < 3 || triangle.nrows() < p {
+            return;
+        }
+        let mut columns = triangle.select_columns(&told);
+        columns.column_iter_mut().for_each(|mut column| {
+            column.try_normalize_mut(0.0);
+        });
+        let Some(svd) = columns.qr().r().try_svd(false, true, f64::EPSILON, 10_000) else { return };
+        let Some(v_t) = svd.v_t else { return };
+        let values = svd.singular_values;
+        if values[0] < CONDITION_INDEX * values[p - 1] {
+            return;
+        }
+        let part = |a: usize, k: usize| (v_t[(k, a)] / values[k]).powi(2);
+        let share = |a: usize| part(a, p - 1) / (0..p).map(|k| part(a, k)).sum::<f64>();
+        let weakest: Vec<usize> =
+            (0..p).filter(|a| share(*a) > VARIANCE_SHARE).map(|a| free[told[a]]).collect();
+        if weakest.len() > 2 {
+            self.weakest = weakest;
+        }
+    }
+
+    /// `jacobian`: in the coordinates of the search, m x p; `noise`: of the residuals, with the norm of the
+    /// changes that are noise.
+    fn find_identifiable(
+        &mut self,
+        jacobian: &DMatrix<f64>,
+        noise: &Noise,
+        of_changes: f64,
+        free: &[usize],
+        sizes: &[f64],
+        context: &RunContext<'_>,
+    ) -> Result<(), CalibrationError> {
+        if noise.degrees_of_freedom == 0 {
+            return Ok(());
+        }
+        let (mut scaled, variances) = compressed(jacobian, &noise.variances, context)?;
+        for (k, mut column) in scaled.column_iter_mut().enumerate() {
+            // Coordinates of the search are relative already where they are logarithms.
+            column *= match (self.is_log[free[k]], self.size(free[k])) {
+                (true, _) => 1.0,
+                (false, 0.0) => sizes[k],
+                (false, size) => size,
+            };
+        }
+        let mut chosen: Vec<usize> = Vec::new();
+        for k in pivots(scaled.clone()) {
+            chosen.push(k);
+            let p = chosen.len();
+            let changes = scaled.select_columns(&chosen);
+            let part = Differences { changes, steps: DMatrix::identity(p, p), noise: of_changes };
+            let factors = Factors::new(&part, context)?;
+            let covariance = factors.covariance(&variances, context)?;
+            let error = |a: usize| covariance[(a, a)].sqrt();
+            let correlation = |a: usize, b: usize| covariance[(a, b)] / (error(a) * error(b));
+            let is_told = (0..p)
+                .all(|a| error(a) < RELATIVE_ERROR && (0..a).all(|b| correlation(a, b).abs() < CONFOUNDED));
+            // A combination below the noise has no variance there.
+            let is_whole = !factors.is_undetermined.contains(&true);
+            if !(is_told && is_whole) {
+                chosen.pop();
+                break;
+            }
+        }
+        self.identifiable = chosen.iter().map(|k| free[*k]).collect();
+        self.identifiable.sort_unstable();
+        Ok(())
+    }
+
+    /// "C1, G1 and C2"
+    fn list(&self, parameters: &[usize]) -> String {
+        let names: Vec<&str> = parameters.iter().map(|i| self.names[*i].as_str()).collect();
+        match names.split_last() {
+            Some((last, [])) => (*last).to_owned(),
+            Some((last, others)) => format!("{} and {last}", others.join(", ")),
+            None => String::new(),
+        }
+    }
+
+    /// Parameters that the data do not determine.
+    pub(crate) fn undetermined_findings(&self) -> Vec<Finding> {
+        let mut said = Vec::new();
+        let mut find = |names: String, sentence: String, remedy: &str| {
+            said.push(Finding::warning(names, sentence, remedy));
+        };
+        if self.degrees_of_freedom == 0 && self.held.len() < self.n() {
+            let sentence = "there are no more residuals than parameters: nothing is known of their errors";
+            find("parameters".to_owned(), sentence.to_owned(), "");
+        }
+        let inert = &self.without_effect;
+        if !inert.is_empty() {
+            let moves = if inert.len() == 1 { "it moves" } else { "they move" };
+            let names = self.list(inert);
+            let sentence = format!("the data do not determine {names}: {moves} no output that was measured");
+            find(names, sentence, "");
+        }
+        let together: Vec<usize> = self.undetermined.iter().copied().filter(|i| !inert.contains(i)).collect();
+        let names = self.list(&together);
+        match together.len() {
+            0 => {}
+            1 => find(
+                names.clone(),
+                format!("the data do not determine {names}: other values fit as well"),
+                "",
+            ),
+            _ => find(
+                names.clone(),
+                format!("the data do not determine {names}: other values of them together fit as well"),
+                "fix all but one, or combine them",
+            ),
+        }
+        said
+    }
+
+    /// Pairs with a high correlation: which combination is known worse than each alone, which better.
+    fn confounded_findings(&self) -> impl Iterator<Item = Finding> {
+        self.confounded.iter().map(|(i, j, correlation)| {
+            let names = self.list(&[*i, *j]);
+            // Relative changes are those of logarithms, so that those of a product add up and those of a quotient cancel.
+            let relative = [*i, *j].map(|k| self.standard_errors[k] / self.x[k]);
+            let are_relative = relative.iter().all(|error| error.abs() < RELATIVE_ERROR);
+            let [a, b] = if are_relative { relative } else { [*i, *j].map(|k| self.standard_errors[k]) };
+            let error = |sign: f64| (a * a + b * b + sign * 2.0 * correlation * a * b).max(0.0).sqrt();
+            let (sum, difference) = (error(1.0), error(-1.0));
+            let [of_sum, of_difference] =
+                if are_relative { ["product", "quotient"] } else { ["sum", "difference"] };
+            let (worse, better) = match sum > difference {
+                true => (of_sum, of_difference),
+                false => (of_difference, of_sum),
+            };
+            let factor = digits(sum.max(difference) / sum.min(difference));
+            let sentence = format!(
+                "{names} move the outputs the same way: correlation {correlation:.2}. Their {worse} is known {factor} times worse than \
+                 their {better}; the standard errors of each take account of it"
+            );
+            let remedy = "where they are too large, fix one or fit in two stages";
+            Finding::note(names, sentence, remedy)
+        })
+    }
+
+    /// A cost that another accuracy of the simulations changes by more than counts, and with it the
+    /// parameters; not one that is all error of the simulations.
+    fn accuracy_finding(&self, f_tol: f64) -> Option<Finding> {
+        let accurate = self.accurate_cost?;
+        let difference = (accurate - self.cost).abs();
+        let size = self.cost.abs().max(accurate.abs());
+        let is_moved = self.shift_by_accuracy > SHIFTED;
+        (difference > f_tol * size && is_moved && !self.is_exact).then(|| {
+            let (subject, own, remedy) = match self.is_step_halved {
+                true => ("step", "the step", "give a smaller step_size, or a solver that chooses its steps"),
+                false => ("relative tolerance", "that", "give a smaller relative_tolerance"),
+            };
+            let sentence = format!(
+                "the cost is {} with {own} of the fit, and changes by {} with {}, relative to itself by {}: more than f_tol, {}; \
+                 a parameter moves by {} standard errors",
+                digits(self.cost),
+                digits(accurate - self.cost),
+                Accuracy::words(self.is_step_halved),
+                digits(difference / size),
+                digits(f_tol),
+                digits(self.shift_by_accuracy),
+            );
+            Finding::warning(subject, sentence, remedy)
+        })
+    }
+
+    /// A search that ended before its minimum.
+    fn not_at_minimum(&self) -> Option<Finding> {
+        let percent = digits(100.0 * self.left_to_gain);
+        let (sentence, remedy) = match self.is_at_failures {
+            _ if self.left_to_gain == 0.0 => return None,
+            true => (
+                format!(
+                    "the cost falls towards values that cannot be simulated (one more step of least squares would take away {percent} % of it): the search ended beside them, before the minimum"
+                ),
+                "look at why the simulations fail (failures), and give bounds that exclude these values if they mean nothing",
+            ),
+            false => (
+                format!(
+                    "one more step of least squares takes away {percent} % of the cost: the search ended before the minimum"
+                ),
+                "give smaller x_tol and f_tol, or larger limits, and start from the result",
+            ),
+        };
+        Some(Finding::warning(SEARCH, sentence, remedy))
+    }
+
+    /// Standard errors that were corrected for autocorrelation, and by how much.
+    fn correction(&self) -> Option<Finding> {
+        let uncorrected = self.uncorrected_errors()?;
+        let factors = self.standard_errors.iter().zip(uncorrected).map(|(own, without)| own / without);
+        let (low, high) = factors
+            .filter(|factor| factor.is_finite())
+            .fold((f64::INFINITY, 0.0_f64), |(low, high), factor| (low.min(factor), high.max(factor)));
+        let largest = self.autocorrelations.iter().copied().fold(0.0, f64::max);
+        let times = match high / low < SAME_FACTOR {
+            true => digits(high).to_string(),
+            false => format!("{} to {}", digits(low), digits(high)),
+        };
+        // Residuals of few rows show less of it than there is.
+        let is_told = self.residual_checks.iter().any(ResidualCheck::is_autocorrelated);
+        let (severity, what) = match self.chance_of_autocorrelation < BY_CHANCE
+            && (largest > CORRELATED || largest > LASTING.0 && self.chance_of_autocorrelation < LASTING.1)
+            && !is_told
+        {
+            true => (Severity::Warning, ": the model leaves out something that lasts, or the noise lasts"),
+            false => (Severity::Note, ""),
+        };
+        (high > 0.0).then(|| {
+            let sentence = format!(
+                "the standard errors are {times} times those of independent residuals: corrected for autocorrelation ({largest:.2} at lag one){what}"
+            );
+            Finding::new(severity, "standard errors", sentence, "")
+        })
+    }
+
+    /// All of them.
+    pub(crate) fn all_findings(&self, f_tol: f64) -> Vec<Finding> {
+        let mut said = self.undetermined_findings();
+        let mut note = |subject: String, sentence: String| {
+            said.push(Finding::note(subject, sentence, ""));
+        };
+        for i in self.known_from_prior() {
+            let name = &self.names[i];
+            let sentence = format!("{name} is known from its prior alone: the data do not move it");
+            note(name.clone(), sentence);
+        }
+        if !self.weakest.is_empty() {
+            let names = self.list(&self.weakest);
+            let sentence = format!("{names} together can be moved with little change of the outputs");
+            note(names, sentence);
+        }
+        said.extend(self.confounded_findings());
+        for i in (0..self.n()).filter(|i| self.standard_errors[*i].is_finite() && self.size(*i) != 0.0) {
+            let error = self.relative_error(i);
+            if error > RELATIVE_ERROR {
+                let (name, percent) = (&self.names[i], digits((100.0 * error).round()));
+                let of = if self.size(i) == self.x[i].abs() { "value" } else { "size" };
+                let sentence = format!("the standard error of {name} is {percent} % of its {of}");
+                said.push(Finding::warning(name, sentence, ""));
+            }
+        }
+        let n_free = self.n() - self.held.len();
+        if self.identifiable.len() < n_free && self.degrees_of_freedom > 0 {
+            let (severity, sentence) = match self.identifiable.is_empty() {
+                true => {
+                    let sentence = "the data tell none of the parameters to half of its value";
+                    (Severity::Warning, sentence.to_owned())
+                }
+                false => (
+                    Severity::Note,
+                    format!(
+                        "with the others held the data tell {} (standard errors below half of their values, no correlation of 0.9)",
+                        self.list(&self.identifiable)
+                    ),
+                ),
+            };
+            said.push(Finding::new(severity, "", sentence, ""));
+        }
+        if self.is_exact {
+            let sentence = "the measurements are reproduced to the accuracy of the simulations: standard errors say little";
+            said.push(Finding::note("measurements", sentence, ""));
+        }
+        if !self.is_exact {
+            said.extend(ResidualCheck::all_findings(&self.residual_checks, self.has_loss, true));
+            said.extend(self.correction());
+        }
+        said.extend(self.accuracy_finding(f_tol));
+        said.extend(self.not_at_minimum());
+        said.extend(self.omitted.iter().map(|omitted| omitted.finding(&self.names)));
+        said.extend(self.part_conflict.iter().map(|conflict| conflict.finding(&self.names)));
+        said.extend(self.prior_conflicts.iter().map(|c| c.finding(&self.names[c.parameter])));
+        said
+    }
+}
+
+/// The order in which the columns are most independent of those before (QR with column pivoting).
+fn pivots(mut columns: DMatrix<f64>) -> Vec<usize> {
+    let p = columns.ncols();
+    let mut order: Vec<usize> = Vec::with_capacity(p);
+    while order.len() < p {
+        let left = (0..p).filter(|k| !order.contains(k));
+        let longest = left.map(|k| (k, columns.column(k).norm())).fold(
+            None,
+            |best: Option<(usize, f64)>, (k, norm)| match best {
+                Some((_, longest)) if longest >= norm => best,
+                _ => Some((k, norm)),
+            },
+        );
+        let Some((k, norm)) = longest else { break };
+        order.push(k);
+        if norm > 0.0 {
+            let direction = columns.column(k) / norm;
+            for other in (0..p).filter(|other| !order.contains(other)) {
+                let along = direction.dot(&columns.column(other));
+                columns.column_mut(other).axpy(-along, &direction, 1.0);
+            }
+        }
+    }
+    order
+}

@@ -1,0 +1,92 @@
+//! Priors that the measurements contradict.
+
+use crate::error::CalibrationError;
+use crate::findings::finding::Finding;
+use crate::problem::prior::Prior;
+use crate::problem::residual_layout::ResidualLayout;
+use crate::uncertainty::active_bounds::{inner, outer};
+use crate::uncertainty::differences::Center;
+use crate::uncertainty::digits::digits;
+use crate::uncertainty::row_blocks::{ThinSvd, thin_svd};
+use base::RunContext;
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+
+/// Estimates that are farther apart than this many standard deviations are not those of one value.
+const CONTRADICTS: f64 = 4.0;
+
+/// A prior, and what the measurements alone say of its parameter.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[non_exhaustive]
+pub struct PriorConflict {
+    /// The parameter, by number.
+    pub parameter: usize,
+    /// Prior of the parameter.
+    pub prior: Prior,
+    /// The value that the measurements alone give, by one step of least squares from the result.
+    pub without_prior: f64,
+    /// Distance of this value from the prior in standard deviations: those of both, added as independent
+    /// ones.
+    pub deviations: f64,
+}
+
+impl PriorConflict {
+    /// The priors that are contradicted, by the derivatives (m x p, in the coordinates of the search) of the
+    /// residuals (m), of which those of the priors are the last. `slopes`: of the free parameters by these
+    /// coordinates.
+    pub(crate) fn all(
+        at: &Center<'_>,
+        layout: &ResidualLayout,
+        slopes: &[f64],
+        jacobian: &DMatrix<f64>,
+        context: &RunContext<'_>,
+    ) -> Result<Vec<Self>, CalibrationError> {
+        let Center { parameters, x, free, residuals, .. } = *at;
+        let (n, p) = (layout.n_measurements(), free.len());
+        if layout.priors.is_empty() || n <= p {
+            return Ok(Vec::new());
+        }
+        let mut j = jacobian.rows(0, n).into_owned();
+        let lengths: Vec<f64> = j.column_iter().map(|column| column.norm()).collect();
+        // What the measurements do not move has an infinite standard error, and contradicts nothing.
+        for (mut column, length) in j.column_iter_mut().zip(&lengths).filter(|(_, length)| **length > 0.0) {
+            column /= *length;
+        }
+        let r = DVector::from_column_slice(&residuals[..n]);
+        let Some(ThinSvd { u, values, v_t }) = thin_svd(&j, context)? else { return Ok(Vec::new()) };
+        let along = u.tr_mul(&r);
+        let step = |k: usize| -> f64 { (0..p).map(|i| -v_t[(i, k)] * along[i] / values[i]).sum() };
+        let left = (r.norm_squared() - along.norm_squared()).max(0.0) / (n - p) as f64;
+        let variance =
+            |k: usize| -> f64 { (0..p).map(|i| (v_t[(i, k)] / values[i]).powi(2)).sum::<f64>() * left };
+        let conflict = |k: usize| {
+            let (i, length) = (free[k], lengths[k]);
+            let prior = layout.priors.iter().find(|prior| prior.parameter == i)?.prior;
+            let parameter = &parameters[i];
+            let (step, error) = (step(k) / length, variance(k).sqrt() / length);
+            let without_prior = outer(parameter, inner(parameter, x[i]) + step);
+            let slope = prior.slope(x[i]) * slopes[k];
+            let from_prior = prior.residual(x[i]) + slope * step;
+            let deviations = from_prior.abs() / (1.0 + (slope * error).powi(2)).sqrt();
+            (deviations > CONTRADICTS).then_some(Self { parameter: i, prior, without_prior, deviations })
+        };
+        Ok((0..p).filter(|k| lengths[*k] > 0.0).filter_map(conflict).collect())
+    }
+
+    pub(crate) fn finding(&self, name: &str) -> Finding {
+        let known = match self.prior {
+            Prior::Normal { mean, sd } => format!("mean {}, sd {}", digits(mean), digits(sd)),
+            Prior::LogNormal { median, sigma } => {
+                format!("median {}, sigma {}", digits(median), digits(sigma))
+            }
+        };
+        let sentence = format!(
+            "the prior of {name} ({known}) contradicts the measurements: these alone give about {}, {} standard deviations away",
+            digits(self.without_prior),
+            digits(self.deviations)
+        );
+        let remedy = "are its value and its unit right? The result follows whichever counts more: widen the prior, or leave it out";
+        Finding::warning(format!("prior of {name}"), sentence, remedy)
+    }
+}

@@ -1,0 +1,351 @@
+//! Changes of the residuals over steps of about one standard error along the principal axes of the
+//! covariance: the Jacobian, and what of it is noise.
+//!
+//! Differences over steps that are short against the standard error hold the noise of the simulations
+//! (rounding, step control, event location) as if it were information. Over one standard error along a
+//! principal axis the residuals change by the standard deviation of a residual, whichever the axis, so the
+//! ratio of signal to noise is the same for all.
+
+use crate::error::CalibrationError;
+use crate::loaded_problem::simulations::{Point, PointResiduals, Simulations};
+use crate::problem::parameter::Parameter;
+use crate::uncertainty::active_bounds::{inner, outer};
+use crate::uncertainty::row_blocks::{go_on, product, triangle};
+use base::RunContext;
+use nalgebra::{DMatrix, DVector};
+
+/// Steps are no longer than this part of a parameter (of its size, where it is zero; on a log scale: of its
+/// factor)...
+const USUAL: f64 = 0.01;
+
+/// ... except where the residuals change by less than noise: then up to this part.
+const LONGEST: f64 = 0.1;
+
+/// No shorter than this part of the usual step, however small the standard errors are.
+const SHORTEST: f64 = 1e-4;
+
+/// Steps of the first differences, where nothing is known of the Jacobian.
+const FIRST: f64 = 1e-3;
+
+/// The change over a step shall be so many times the noise.
+const ABOVE_NOISE: f64 = 10.0;
+
+/// A change is as it was predicted within this factor.
+const AS_PREDICTED: f64 = 4.0;
+
+/// Rounds of differences along the principal axes at most: each chooses its steps by what the last one found.
+const ROUNDS: usize = 3;
+
+/// A side of a parameter that leaves less than this part of a step is left out.
+const TOO_NARROW: f64 = 0.25;
+
+/// Rounding of a simulated value relative to what was measured.
+const ROUNDING: f64 = 1e-13;
+
+/// The point around which the parameters that are not held are moved.
+pub(crate) struct Center<'a> {
+    pub(crate) parameters: &'a [Parameter],
+    pub(crate) x: &'a [f64],
+    /// Numbers of the parameters that are moved.
+    pub(crate) free: &'a [usize],
+    /// Their typical sizes in the coordinates of the search.
+    pub(crate) sizes: &'a [f64],
+    /// The residuals there, as they count.
+    pub(crate) residuals: &'a [f64],
+    /// Norm of the measurements, times their weights.
+    pub(crate) measured: f64,
+    /// Norm of the difference from accurate simulations; 0 where there is none.
+    pub(crate) simulation_error: f64,
+}
+
+/// Differences around a point: over the step `B z` in the coordinates of the search the residuals change by
+/// `E z`.
+pub(crate) struct Differences {
+    /// E, m x p.
+    pub(crate) changes: DMatrix<f64>,
+    /// B, p x p: a step per column.
+    pub(crate) steps: DMatrix<f64>,
+    /// A combination of the changes whose norm is below this is noise.
+    pub(crate) noise: f64,
+}
+
+/// A step along an axis, in the coordinates of the search.
+struct Step {
+    direction: DVector<f64>,
+    length: f64,
+}
+
+impl Center<'_> {
+    fn bounds(&self, k: usize) -> (f64, f64) {
+        let p = &self.parameters[self.free[k]];
+        (inner(p, p.lower()), inner(p, p.upper()))
+    }
+
+    fn coordinate(&self, k: usize) -> f64 {
+        inner(&self.parameters[self.free[k]], self.x[self.free[k]])
+    }
+
+    fn is_log(&self, k: usize) -> bool {
+        self.parameters[self.free[k]].scale_kind() == crate::problem::parameter::Scale::Log
+    }
+
+    /// Sizes that steps are relative to: the parameter itself, on a log scale a factor e; not less than a
+    /// step by which the residuals change by `deviation`, as far as the typical size goes.
+    fn references(&self, jacobian: &DMatrix<f64>, deviation: f64) -> DVector<f64> {
+        DVector::from_fn(self.free.len(), |k, _| {
+            if self.is_log(k) {
+                return 1.0;
+            }
+            let telling = deviation / jacobian.column(k).norm() / USUAL;
+            let size = self.sizes[k];
+            self.coordinate(k).abs().max(if telling.is_nan() { size } else { telling.min(size) })
+        })
+    }
+
+    fn moved(&self, step: &Step, by: f64) -> Vec<f64> {
+        let mut x = self.x.to_vec();
+        for (k, &i) in self.free.iter().enumerate() {
+            let part = step.direction[k] * by;
+            if part != 0.0 {
+                let p = &self.parameters[i];
+                x[i] = outer(p, self.coordinate(k) + part).clamp(p.lower(), p.upper());
+            }
+        }
+        x
+    }
+
+    /// Longest steps that the bounds allow in a direction, backward and forward.
+    fn room(&self, step: &Step) -> (f64, f64) {
+        let (mut backward, mut forward) = (f64::INFINITY, f64::INFINITY);
+        for (k, d) in step.direction.iter().enumerate().filter(|(_, d)| **d != 0.0) {
+            let ((lower, upper), u) = (self.bounds(k), self.coordinate(k));
+            let (down, up) = ((u - lower) / d.abs(), (upper - u) / d.abs());
+            let (against, along) = if *d > 0.0 { (down, up) } else { (up, down) };
+            (backward, forward) = (backward.min(against), forward.min(along));
+        }
+        (backward, forward)
+    }
+
+    /// From where to where a step goes, as multiples of its direction: to both sides as far, to one side
+    /// where the other has no room. `None`: there is none on either side.
+    fn span(&self, step: &Step) -> Option<(f64, f64)> {
+        let ((backward, forward), t) = (self.room(step), step.length);
+        let least = TOO_NARROW * t;
+        if backward.min(forward) >= least {
+            let t = t.min(backward).min(forward);
+            Some((-t, t))
+        } else if forward.max(backward) < least {
+            None
+        } else if forward >= backward {
+            Some((0.0, t.min(forward)))
+        } else {
+            Some((-t.min(backward), 0.0))
+        }
+    }
+
+    fn axes(&self, lengths: impl Fn(usize) -> f64) -> Vec<Step> {
+        let p = self.free.len();
+        let axis = |k: usize| {
+            let direction = DVector::from_fn(p, |i, _| f64::from(u8::from(i == k)));
+            Step { direction, length: lengths(k) }
+        };
+        (0..p).map(axis).collect()
+    }
+}
+
+impl Differences {
+    /// `jacobian`: m x p, a first guess, by the coordinates of the search; by [`FIRST`] differences where
+    /// there is none.
+    ///
+    /// # Errors
+    /// Cancelled, or no simulation can be made any more; `Ok(Err(..))`: simulations fail on both sides of the
+    /// point.
+    pub(crate) fn around(
+        center: &Center<'_>,
+        jacobian: Option<DMatrix<f64>>,
+        simulations: &mut Simulations<'_>,
+    ) -> Result<Result<Self, String>, CalibrationError> {
+        let (m, p) = (center.residuals.len(), center.free.len());
+        let deviation = center.residuals.iter().map(|r| r * r).sum::<f64>().sqrt()
+            / (m.saturating_sub(p).max(1) as f64).sqrt();
+        let noise = center.simulation_error.max(ROUNDING * center.measured);
+        if p == 0 {
+            return Ok(Ok(Self { changes: DMatrix::zeros(m, 0), steps: DMatrix::zeros(0, 0), noise }));
+        }
+        let mut guess = match jacobian {
+            Some(jacobian) if jacobian.iter().all(|j| j.is_finite()) => jacobian,
+            _ => {
+                let length = |k: usize| match center.is_log(k) {
+                    true => FIRST,
+                    false => (FIRST * center.coordinate(k).abs()).max(FIRST * USUAL * center.sizes[k]),
+                };
+                match Self::measured(center, center.axes(length), simulations)? {
+                    Ok(found) => found.jacobian(&simulations.context)?,
+                    Err(reason) => return Ok(Err(reason)),
+                }
+            }
+        };
+        let mut round = 0;
+        loop {
+            round += 1;
+            let steps = principal_steps(center, &guess, deviation, noise, &simulations.context)?;
+            let columns: Vec<DVector<f64>> = steps.iter().map(|(s, _)| &s.direction * s.length).collect();
+            let predicted = product(&guess, &DMatrix::from_columns(&columns), &simulations.context)?;
+            let predicted: Vec<f64> = predicted.column_iter().map(|change| change.norm()).collect();
+            let is_narrow = steps.iter().any(|(step, _)| center.span(step).is_none());
+            let (mut steps, are_long): (Vec<Step>, Vec<bool>) = steps.into_iter().unzip();
+            if is_narrow {
+                // Along the axes of the parameters there is room: on one side at least half the width of the bounds.
+                let references = center.references(&guess, deviation);
+                steps = center.axes(|k| {
+                    let error = deviation / guess.column(k).norm();
+                    error.min(USUAL * references[k]).max(SHORTEST * USUAL * references[k])
+                });
+            }
+            let found = match Self::measured(center, steps, simulations)? {
+                Ok(found) => Self { noise: 3.0 * noise, ..found },
+                Err(reason) => return Ok(Err(reason)),
+            };
+            let is_as_predicted = (found.changes.column_iter().zip(&predicted))
+                .all(|(change, predicted)| is_within(change.norm().max(noise), predicted.max(noise)));
+            guess = found.jacobian(&simulations.context)?;
+            if is_narrow || is_as_predicted || round == ROUNDS {
+                return match are_long.contains(&true) && !is_narrow {
+                    true => found.without_cubic_terms(center, &are_long, simulations),
+                    false => Ok(Ok(found)),
+                };
+            }
+        }
+    }
+
+    /// The changes over these steps.
+    fn measured(
+        center: &Center<'_>,
+        mut steps: Vec<Step>,
+        simulations: &mut Simulations<'_>,
+    ) -> Result<Result<Self, String>, CalibrationError> {
+        let (m, p) = (center.residuals.len(), steps.len());
+        let mut changes = DMatrix::from_vec(m, p, vec![0.0; m * p]);
+        let mut open: Vec<usize> = (0..p).collect();
+        let mut reason = String::new();
+        // Where simulations fail on both sides, shorter steps are tried.
+        for _ in 0..3 {
+            let spans: Vec<(f64, f64)> =
+                open.iter().map(|&k| center.span(&steps[k]).unwrap_or((0.0, 0.0))).collect();
+            let ends: Vec<(usize, f64)> = (open.iter().zip(&spans))
+                .flat_map(|(&k, &(from, to))| [(k, from), (k, to)])
+                .filter(|(_, by)| *by != 0.0)
+                .collect();
+            let points: Vec<Point> =
+                ends.iter().map(|&(k, by)| Point::new(center.moved(&steps[k], by))).collect();
+            let found = simulations.residuals(&points)?;
+            let mut left = Vec::new();
+            for (&k, &span) in open.iter().zip(&spans) {
+                let at = |by: f64| match ends.iter().position(|end| *end == (k, by)) {
+                    Some(place) => found[place].as_ref().ok().map(Vec::as_slice),
+                    None => Some(center.residuals),
+                };
+                let (from, to) = match (at(span.0), at(span.1)) {
+                    (Some(from), Some(to)) => ((span.0, from), (span.1, to)),
+                    (Some(from), None) if span.0 != 0.0 => ((span.0, from), (0.0, center.residuals)),
+                    (None, Some(to)) if span.1 != 0.0 => ((0.0, center.residuals), (span.1, to)),
+                    _ => {
+                        reason = first_reason(&found).unwrap_or_default();
+                        steps[k].length /= 8.0;
+                        left.push(k);
+                        continue;
+                    }
+                };
+                let length = steps[k].length;
+                let per_length = if to.0 > from.0 { length / (to.0 - from.0) } else { 0.0 };
+                go_on(&simulations.context)?;
+                let differences = to.1.iter().zip(from.1).map(|(b, a)| (b - a) * per_length);
+                changes.column_mut(k).iter_mut().zip(differences).for_each(|(to, change)| *to = change);
+            }
+            open = left;
+            if open.is_empty() {
+                let columns: Vec<DVector<f64>> = steps.iter().map(|s| &s.direction * s.length).collect();
+                return Ok(Ok(Self { changes, steps: DMatrix::from_columns(&columns), noise: 0.0 }));
+            }
+        }
+        Ok(Err(reason))
+    }
+
+    /// Steps that were made long, so that changes stand out from the noise, are made half as long as well:
+    /// what grows with the third power of the step is taken away (Richardson's extrapolation).
+    fn without_cubic_terms(
+        mut self,
+        center: &Center<'_>,
+        are_long: &[bool],
+        simulations: &mut Simulations<'_>,
+    ) -> Result<Result<Self, String>, CalibrationError> {
+        let long: Vec<usize> = (0..are_long.len()).filter(|k| are_long[*k]).collect();
+        let steps = long.iter().map(|&k| Step { direction: self.steps.column(k).into_owned(), length: 0.5 });
+        let half = match Self::measured(center, steps.collect(), simulations)? {
+            Ok(half) => half,
+            Err(reason) => return Ok(Err(reason)),
+        };
+        for (place, &k) in long.iter().enumerate() {
+            let linear = half.changes.column(place) * (8.0 / 3.0) - self.changes.column(k) / 3.0;
+            self.changes.set_column(k, &linear);
+        }
+        Ok(Ok(self))
+    }
+
+    /// The same with the residuals multiplied by these factors.
+    pub(crate) fn weighted(mut self, factors: &[f64]) -> Self {
+        for mut column in self.changes.column_iter_mut() {
+            column.iter_mut().zip(factors).for_each(|(change, factor)| *change *= factor);
+        }
+        self.noise *= factors.iter().copied().fold(0.0, f64::max);
+        self
+    }
+
+    /// By the coordinates of the search, m x p.
+    pub(crate) fn jacobian(&self, context: &RunContext<'_>) -> Result<DMatrix<f64>, CalibrationError> {
+        if self.steps.is_empty() {
+            return Ok(self.changes.clone());
+        }
+        match self.steps.clone().try_inverse() {
+            Some(inverse) => product(&self.changes, &inverse, context),
+            None => Ok(DMatrix::zeros(self.changes.nrows(), self.steps.ncols())),
+        }
+    }
+}
+
+fn is_within(a: f64, b: f64) -> bool {
+    a <= AS_PREDICTED * b && b <= AS_PREDICTED * a
+}
+
+fn first_reason(found: &[PointResiduals]) -> Option<String> {
+    found.iter().find_map(|found| found.as_ref().err().cloned())
+}
+
+/// Steps along the principal axes of the covariance that this Jacobian stands for, each of about one standard
+/// error, and whether it was made longer than usual.
+fn principal_steps(
+    center: &Center<'_>,
+    jacobian: &DMatrix<f64>,
+    deviation: f64,
+    noise: f64,
+    context: &RunContext<'_>,
+) -> Result<Vec<(Step, bool)>, CalibrationError> {
+    let p = center.free.len();
+    let references = center.references(jacobian, deviation);
+    let mut triangle = triangle(jacobian, std::slice::from_ref(&(0..jacobian.nrows())), context)?;
+    triangle.column_iter_mut().zip(&references).for_each(|(mut column, size)| column *= *size);
+    let rows = triangle.nrows().max(p);
+    let svd = triangle.resize_vertically(rows, 0.0).try_svd(false, true, f64::EPSILON, 10_000);
+    let axes = svd.and_then(|svd| Some((svd.v_t?, svd.singular_values)));
+    let (v_t, values) = axes.unwrap_or_else(|| (DMatrix::identity(p, p), DVector::zeros(p)));
+    Ok((0..p)
+        .map(|i| {
+            let axis = v_t.row(i).transpose();
+            let largest = axis.amax().max(f64::MIN_POSITIVE);
+            let error = (deviation / values[i]).min(USUAL / largest).max(SHORTEST * USUAL / largest);
+            let length = error.max(ABOVE_NOISE * noise / values[i]).min(LONGEST / largest);
+            let is_long = length > 1.01 * USUAL / largest;
+            (Step { direction: axis.component_mul(&references), length }, is_long)
+        })
+        .collect())
+}

@@ -1,0 +1,543 @@
+//! Uncertainty of a fit: standard errors of its parameters, parameters that the data can determine, and
+//! checks of the residuals.
+
+use crate::cost::residual::sum_of_squares;
+use crate::error::CalibrationError;
+use crate::loaded_problem::calibration::Calibration;
+use crate::loaded_problem::simulations::{Effort, Point, Simulations};
+use crate::problem::parameter::{Parameter, Scale};
+use crate::problem::residual_layout::ResidualLayout;
+use crate::uncertainty::active_bounds::{AT, inner};
+use crate::uncertainty::chance::OfIndependent;
+use crate::uncertainty::covariance::autocorrelation::Dependence;
+use crate::uncertainty::covariance::gain::At;
+use crate::uncertainty::covariance::matrix::{Factors, Noise, groups};
+use crate::uncertainty::diagnostics::candidates::{AtPoint, MOST_SIMULATIONS};
+use crate::uncertainty::diagnostics::omitted::{Omitted, Score, of_outputs};
+use crate::uncertainty::diagnostics::parameter_constancy::{FreeParameters, PartConflict, WithNoise};
+use crate::uncertainty::diagnostics::prior_check::PriorConflict;
+use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
+use crate::uncertainty::diagnostics::unmodelled::Unmodelled;
+use crate::uncertainty::diagnostics::{by_weights, unmodelled};
+use crate::uncertainty::differences::{Center, Differences};
+use crate::uncertainty::result::{Estimator, Uncertainty, UncertaintyOptions, errors_and_correlation};
+use crate::uncertainty::row_blocks::{along, go_on};
+use crate::uncertainty::scores::{Criterion, Working};
+use base::RunContext;
+use dfo::{Kind, RobustLoss};
+use nalgebra::{DMatrix, DVector};
+use std::thread::available_parallelism;
+use std::time::Instant;
+
+/// Data at a point that are known before its uncertainty is estimated.
+#[derive(Default)]
+pub(crate) struct KnownPoint<'a> {
+    /// Plain residuals.
+    pub(crate) residuals: Option<&'a [f64]>,
+    /// Their derivatives in the user's units, m x n: where the differences begin. The derivatives of a search
+    /// come from points as it happened to try them, so they never replace differences.
+    pub(crate) jacobian: Option<&'a [f64]>,
+    /// Parameters that lie at a bound, or are held.
+    pub(crate) held: Vec<usize>,
+    /// Parameters that were seen to have no effect: not held, even at a bound, where they say nothing.
+    pub(crate) inert: &'a [usize],
+    /// Differences of the cost that count as none, relative to it.
+    pub(crate) f_tol: f64,
+    /// Form of the cost as a function of the residuals.
+    pub(crate) criterion: Criterion,
+    /// Simulations, at most, of numbers that are taken as known and varied to see whether the residuals ask
+    /// for others.
+    pub(crate) most_of_score_test: usize,
+}
+
+/// The residuals at a point.
+struct CenterResiduals {
+    residuals: Vec<f64>,
+    /// Those of more accurate simulations; `None`: they fail.
+    accurate: Option<Vec<f64>>,
+    /// Size of the difference.
+    simulation_error: f64,
+}
+
+/// The estimate of a covariance: of the free ones of `n` parameters.
+struct Estimate<'a> {
+    n: usize,
+    free: &'a [usize],
+    /// Derivative of each of them by its coordinate in the search.
+    per_unit: &'a [f64],
+    factors: &'a Factors,
+    noise: &'a Noise,
+    /// Changes of the working residuals by one standard deviation of each measured initial state.
+    by_starts: &'a [DVector<f64>],
+}
+
+/// What the residuals of a fit are looked at with.
+#[derive(Clone, Copy)]
+struct OfFit<'a> {
+    /// m x p, by the coordinates of the search.
+    jacobian: &'a DMatrix<f64>,
+    /// Those of the working problem: of these columns, where the cost is a plain sum of squares.
+    factors: &'a Factors,
+    is_linear: bool,
+    /// Changes by one standard deviation of each measured initial state.
+    by_starts: &'a [DVector<f64>],
+    /// Of the residuals, if they are independent.
+    variances: &'a [f64],
+    independent: &'a [OfIndependent],
+    free: &'a [usize],
+    working: &'a Working,
+    /// See [`KnownPoint`].
+    most_of_score_test: usize,
+}
+
+/// Covariances of all parameters, n x n, in the user's units.
+struct Covariances {
+    covariance: Vec<f64>,
+    /// That of uncorrelated residuals, where the other is corrected for autocorrelation.
+    uncorrected: Option<Vec<f64>>,
+    /// Diagonal of the inverse of half the cost's second derivatives.
+    curvature: Vec<f64>,
+    /// Of each parameter.
+    degrees_of_freedom: Vec<f64>,
+    /// Of each output.
+    autocorrelations: Vec<f64>,
+    /// The chance of autocorrelations as large where there are none.
+    chance: f64,
+}
+
+impl Estimate<'_> {
+    fn covariances(
+        &self,
+        working: &Working,
+        layout: &ResidualLayout,
+        outputs: &[Vec<usize>],
+        context: &RunContext<'_>,
+    ) -> Result<Covariances, CalibrationError> {
+        let Self { n, free, factors, noise, .. } = *self;
+        let dependence = match noise.degrees_of_freedom {
+            0 => None,
+            _ => {
+                let Noise { groups, variances, .. } = noise;
+                Dependence::find(&factors.base, &working.residuals, groups, variances, context)?
+            }
+        };
+        let most = noise.degrees_of_freedom as f64;
+        let mut degrees_of_freedom = vec![most; n];
+        let mut of_starts = DMatrix::zeros(free.len(), free.len());
+        for change in self.by_starts {
+            let step = &factors.inverse * along(&factors.base, change.as_slice(), context)?;
+            of_starts += &step * step.transpose();
+        }
+        let of_independent = factors.covariance(&noise.variances, context)? + &of_starts;
+        let independent = self.of_all(&of_independent);
+        let (covariance, uncorrected) = match &dependence {
+            None => (independent, None),
+            Some(dependence) => {
+                let (mut corrected, degrees) = dependence.covariance(&factors.inverse, most, context)?;
+                corrected += &of_starts;
+                not_below(&mut corrected, &of_independent);
+                free.iter().zip(&degrees).for_each(|(&i, degrees)| degrees_of_freedom[i] = *degrees);
+                (self.of_all(&corrected), Some(independent))
+            }
+        };
+        let mut autocorrelations = vec![0.0; layout.outputs.len()];
+        for (g, group) in outputs.iter().enumerate() {
+            let of_group = dependence.as_ref().map_or(0.0, |found| found.autocorrelation(g));
+            group.iter().for_each(|k| autocorrelations[*k] = of_group);
+        }
+        let curvature = self.of_all(&(&factors.inverse * factors.inverse.transpose()));
+        let curvature = curvature.into_iter().step_by(n + 1).collect();
+        let chance = dependence.map_or(1.0, |found| found.chance());
+        Ok(Covariances { covariance, uncorrected, curvature, degrees_of_freedom, autocorrelations, chance })
+    }
+
+    /// A covariance of the free parameters, in the coordinates of the search, as one of all in the user's
+    /// units: infinite variances, and no covariances, where the data do not determine a parameter.
+    fn of_all(&self, of_free: &DMatrix<f64>) -> Vec<f64> {
+        let Self { n, free, per_unit, factors, noise, .. } = *self;
+        let is_open = |k: usize| factors.is_undetermined[k] || noise.degrees_of_freedom == 0;
+        let mut matrix = vec![0.0; n * n];
+        for (a, &i) in free.iter().enumerate() {
+            for (b, &j) in free.iter().enumerate() {
+                matrix[i * n + j] = match (is_open(a) || is_open(b), a == b) {
+                    (false, _) => of_free[(a, b)] * per_unit[a] * per_unit[b],
+                    (true, true) => f64::INFINITY,
+                    (true, false) => f64::NAN,
+                };
+            }
+        }
+        matrix
+    }
+}
+
+impl Calibration {
+    /// Uncertainty of a point as the result of a fit: covariance and correlation of the parameters,
+    /// parameters that the data do not determine, checks of the residuals, and the cost with a hundredth of
+    /// the relative tolerance (of a fixed-step method: half the step). Takes one simulation for that, and two
+    /// for each parameter that is not held, at least twice (steps of about one standard error are found by a
+    /// first round). Simulations run in parallel. The context is looked at on the calling thread.
+    ///
+    /// # Errors
+    /// The wrong number of values; the simulation fails there, or on all sides around it;
+    /// [`CalibrationError::Cancelled`].
+    pub fn uncertainty(
+        &self,
+        x: &[f64],
+        options: &UncertaintyOptions,
+        context: &RunContext<'_>,
+    ) -> Result<Uncertainty, CalibrationError> {
+        self.check_length(x)?;
+        let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
+        let mut simulations = Simulations::new(self, RobustLoss::default(), workers, context)?;
+        if let Some(index) = options.held.iter().find(|i| **i >= x.len()) {
+            let n = x.len();
+            return Err(CalibrationError::Setup(format!(
+                "parameter {index} is held, but there are only {n}"
+            )));
+        }
+        let (held, criterion) = (options.held.clone(), options.criterion());
+        let known = KnownPoint {
+            f_tol: 1e-4,
+            held,
+            criterion,
+            most_of_score_test: MOST_SIMULATIONS,
+            ..KnownPoint::default()
+        };
+        self.uncertainty_of(x, options.estimator, &known, &mut simulations)
+    }
+
+    pub(crate) fn uncertainty_of(
+        &self,
+        x: &[f64],
+        estimator: Estimator,
+        known: &KnownPoint<'_>,
+        simulations: &mut Simulations<'_>,
+    ) -> Result<Uncertainty, CalibrationError> {
+        self.uncertainty_and_curvature(x, estimator, known, simulations).map(|(uncertainty, _)| uncertainty)
+    }
+
+    /// The same with the diagonal of the inverse of half the cost's second derivatives, in the user's units;
+    /// infinite where there is none.
+    pub(crate) fn uncertainty_and_curvature(
+        &self,
+        x: &[f64],
+        estimator: Estimator,
+        known: &KnownPoint<'_>,
+        simulations: &mut Simulations<'_>,
+    ) -> Result<(Uncertainty, Vec<f64>), CalibrationError> {
+        let (parameters, layout, before) = (self.parameters(), self.residual_layout(), simulations.n);
+        let (held, free) = self.held_and_free(x, known);
+        let at_center = self.residuals_at_center(x, known, simulations)?;
+        let (residuals, accurate) = (&at_center.residuals, &at_center.accurate);
+        let sizes: Vec<f64> = free.iter().map(|&i| self.size_of(&parameters[i], x[i])).collect();
+        let center = Center {
+            parameters,
+            x,
+            free: &free,
+            sizes: &sizes,
+            residuals,
+            measured: layout.size_of_measurements(),
+            simulation_error: at_center.simulation_error,
+        };
+        let per_unit: Vec<f64> = free.iter().map(|&i| slope(&parameters[i], x[i])).collect();
+        let context = &simulations.context.clone();
+        let first = |jacobian: &[f64]| of_free(jacobian, x.len(), &free, &per_unit, context);
+        let guess = known.jacobian.filter(|_| known.residuals.is_some()).map(first).transpose()?;
+        let differences = Differences::around(&center, guess, simulations)?
+            .map_err(|message| self.failed_at(x, format!("around this point: {message}"), None))?;
+        let jacobian = differences.jacobian(context)?;
+        let differences_noise = differences.noise;
+        let outputs = groups(layout, residuals, estimator, known.criterion);
+        let working = Working::new(known.criterion, layout, residuals, &outputs, free.len());
+        let differences = differences.weighted(&working.roots);
+        let factors = &Factors::new(&differences, context)?;
+        let noise =
+            &Noise::estimate(layout, residuals, &working, &outputs, &factors.base, free.len(), context)?;
+        let independent = noise.of_independent(layout, &factors.base, context)?;
+        let by_starts = self.changes_by_measured_starts(x, residuals, &noise.variances, simulations)?;
+        let by_starts: Vec<_> = by_starts.iter().map(|change| working.weighed(change)).collect();
+        let covariances =
+            Estimate { n: x.len(), free: &free, per_unit: &per_unit, factors, noise, by_starts: &by_starts }
+                .covariances(&working, layout, &outputs, context)?;
+        let (standard_errors, correlation) = errors_and_correlation(&covariances.covariance, x.len());
+        let is_exact = self.is_within_tolerance(sum_of_squares(residuals));
+        let is_linear = known.criterion.is_sum_of_squares();
+        let undetermined = || (0..free.len()).filter(|k| factors.is_undetermined[*k]);
+        let is_inert =
+            |k: &usize| jacobian.column(*k).norm() * differences.steps.row(*k).amax() <= differences_noise;
+        let prior_conflicts =
+            is_linear.then(|| PriorConflict::all(&center, layout, &per_unit, &jacobian, context));
+        let cost = |residuals: &[f64]| known.criterion.cost(layout, residuals);
+        let at = At { parameters, x, free: &free, sizes: &sizes, factors, residuals: &working.residuals };
+        let gain = (!is_exact).then(|| at.left_to_gain(&cost, cost(residuals), simulations));
+        let gain = gain.transpose()?.unwrap_or_default();
+        let mut uncertainty = Uncertainty {
+            correlation,
+            uncorrected_covariance: covariances.uncorrected,
+            autocorrelations: covariances.autocorrelations,
+            chance_of_autocorrelation: covariances.chance,
+            effective_degrees_of_freedom: covariances.degrees_of_freedom,
+            covariance: covariances.covariance,
+            standard_errors,
+            degrees_of_freedom: noise.degrees_of_freedom,
+            undetermined: undetermined().map(|k| free[k]).collect(),
+            without_effect: undetermined().filter(is_inert).map(|k| free[k]).collect(),
+            held,
+            cost: cost(residuals),
+            is_exact,
+            accurate_cost: accurate.as_deref().map(cost),
+            left_to_gain: gain.part,
+            is_at_failures: gain.is_at_failures,
+            prior_conflicts: prior_conflicts.transpose()?.unwrap_or_default(),
+            has_loss: !is_linear && known.criterion != Criterion::Likelihood,
+            jacobian: of_all(&jacobian, x.len(), &free, &per_unit, context)?,
+            residual_checks: self.residual_checks(residuals, &independent, &by_starts, context)?,
+            residuals: at_center.residuals.clone(),
+            ..self.nothing_known(x, estimator)
+        };
+        if let Some(accurate) = accurate {
+            let mut change = DVector::from_fn(residuals.len(), |i, _| accurate[i] - residuals[i]);
+            working.weigh(&mut change);
+            let steps = &factors.inverse * along(&factors.base, change.as_slice(), context)?;
+            uncertainty.note_shift(&free, &steps);
+        }
+        uncertainty.find_combinations(&jacobian, &differences, noise, &free, &sizes, context)?;
+        let of_fit = OfFit {
+            jacobian: &jacobian,
+            factors,
+            is_linear,
+            by_starts: &by_starts,
+            variances: &noise.variances,
+            independent: &independent,
+            free: &free,
+            working: &working,
+            most_of_score_test: known.most_of_score_test,
+        };
+        self.explain_residuals(&mut uncertainty, &of_fit, simulations)?;
+        let n_simulations = simulations.n - before;
+        let findings = uncertainty.all_findings(known.f_tol);
+        Ok((Uncertainty { n_simulations, findings, ..uncertainty }, covariances.curvature))
+    }
+
+    /// The uncertainty at a point before anything is estimated.
+    fn nothing_known(&self, x: &[f64], estimator: Estimator) -> Uncertainty {
+        let parameters = self.parameters();
+        Uncertainty {
+            estimator,
+            names: parameters.iter().map(|p| p.name().to_owned()).collect(),
+            x: x.to_vec(),
+            is_log: parameters.iter().map(|p| p.scale_kind() == Scale::Log).collect(),
+            sizes: parameters.iter().zip(x).map(|(p, x)| self.size_of_either_sign(p, *x)).collect(),
+            is_step_halved: self.has_fixed_step(),
+            ..Uncertainty::default()
+        }
+    }
+
+    /// The checks of the residuals of all outputs, which measured initial states change so.
+    fn residual_checks(
+        &self,
+        residuals: &[f64],
+        independent: &[OfIndependent],
+        by_starts: &[DVector<f64>],
+        context: &RunContext<'_>,
+    ) -> Result<Vec<ResidualCheck>, CalibrationError> {
+        let (layout, names) = (self.residual_layout(), self.problem().experiment_names());
+        let mut checks = ResidualCheck::all(layout, &names, residuals, Some(independent), context)?;
+        for (check, output) in checks.iter_mut().zip(&layout.outputs) {
+            let mean = |change: &DVector<f64>| change.rows_range(output.range.clone()).mean();
+            check.mean_by_starts = by_starts.iter().map(mean).fold(0.0, f64::hypot);
+        }
+        Ok(checks)
+    }
+
+    /// Parameters that are taken as known, and the others, by number.
+    fn held_and_free(&self, x: &[f64], known: &KnownPoint<'_>) -> (Vec<usize>, Vec<usize>) {
+        let is_held = |i: &usize| {
+            let p = &self.parameters()[*i];
+            let is_at_bound = self.is_at_bound(p, x[*i]) && !known.inert.contains(i);
+            let is_fixed = p.is_fixed() || p.lower() == p.upper() || p.value_kind() != Kind::Continuous;
+            known.held.contains(i) || is_fixed || is_at_bound
+        };
+        (0..x.len()).partition(is_held)
+    }
+
+    /// The residuals at a point, where they are not known, and those of more accurate simulations.
+    fn residuals_at_center(
+        &self,
+        x: &[f64],
+        known: &KnownPoint<'_>,
+        simulations: &mut Simulations<'_>,
+    ) -> Result<CenterResiduals, CalibrationError> {
+        let mut points = vec![Point { x: x.to_vec(), is_accurate: true }];
+        if known.residuals.is_none() {
+            points.push(Point::new(x.to_vec()));
+        }
+        let mut found = simulations.residuals(&points)?;
+        let residuals = match known.residuals {
+            Some(plain) => plain.to_vec(),
+            None => found.swap_remove(1).map_err(|message| self.failed_at(x, message, None))?,
+        };
+        let accurate = found.swap_remove(0).ok();
+        // That of a fixed step is the same on all sides.
+        let simulation_error = accurate.as_ref().filter(|_| !self.has_fixed_step()).map_or(0.0, |accurate| {
+            accurate.iter().zip(&residuals).map(|(a, r)| (a - r) * (a - r)).sum::<f64>().sqrt()
+        });
+        Ok(CenterResiduals { residuals, accurate, simulation_error })
+    }
+
+    /// Finds causes of residuals that are no noise: weights, and terms that the model lacks, numbers that it
+    /// has wrong, or parts of the measurements that ask for other values, the latter where the cost is a
+    /// plain sum of squares.
+    fn explain_residuals(
+        &self,
+        uncertainty: &mut Uncertainty,
+        of_fit: &OfFit<'_>,
+        simulations: &mut Simulations<'_>,
+    ) -> Result<(), CalibrationError> {
+        let (layout, context) = (self.residual_layout(), &simulations.context.clone());
+        let OfFit { jacobian, factors, by_starts, variances, independent, free, .. } = *of_fit;
+        let Factors { base, inverse, .. } = factors;
+        // What is no minimum has residuals that other values of the parameters leave none of, whatever the weights.
+        let is_minimum = uncertainty.left_to_gain == 0.0;
+        if is_minimum {
+            let (checks, n) = (&mut uncertainty.residual_checks, layout.n_measurements());
+            by_weights::mark(checks, &uncertainty.residuals, n, jacobian, independent, context)?;
+        }
+        if is_minimum && !uncertainty.is_exact && of_fit.most_of_score_test > 0 {
+            let mut stats = std::mem::take(&mut simulations.stats);
+            let began = Instant::now();
+            let omitted = self.omitted(uncertainty, of_fit, simulations);
+            uncertainty.score_test = Effort::of(&simulations.stats, began.elapsed());
+            stats += simulations.stats;
+            simulations.stats = stats;
+            uncertainty.omitted = omitted?;
+        }
+        if !of_fit.is_linear || uncertainty.is_exact {
+            return Ok(());
+        }
+        let (residuals, before) = (&uncertainty.residuals, unmodelled::left(&uncertainty.residuals, base));
+        for (check, output) in uncertainty.residual_checks.iter_mut().zip(&layout.outputs) {
+            if check.is_systematic() && !check.is_by_weights {
+                check.unmodelled = Unmodelled::find(output, residuals, &before, base, context)?;
+            }
+        }
+        if is_minimum && !uncertainty.residual_checks.iter().any(ResidualCheck::is_systematic) {
+            let Uncertainty { residuals, autocorrelations, x, is_log, .. } = &*uncertainty;
+            let with_noise = WithNoise { values: residuals, variances, autocorrelations };
+            let parameters = FreeParameters { free, x, is_log, inverse: inverse.clone() };
+            let checks = &uncertainty.residual_checks;
+            let found =
+                PartConflict::find(layout, checks, &with_noise, base, by_starts, parameters, context)?;
+            uncertainty.part_conflict = found;
+        }
+        Ok(())
+    }
+
+    /// The number that is taken as known and that the residuals ask most to be another one.
+    fn omitted(
+        &self,
+        uncertainty: &Uncertainty,
+        of_fit: &OfFit<'_>,
+        simulations: &mut Simulations<'_>,
+    ) -> Result<Option<Omitted>, CalibrationError> {
+        let (layout, context) = (self.residual_layout(), simulations.context);
+        let OfFit { factors, by_starts, variances, free, working, .. } = *of_fit;
+        let Uncertainty { residuals, autocorrelations, x, residual_checks, .. } = uncertainty;
+        let is_systematic = residual_checks.iter().any(ResidualCheck::is_systematic);
+        let plain: Vec<f64> =
+            variances.iter().zip(&working.roots).map(|(v, root)| v / (root * root)).collect();
+        let mut changes = self.changes_by_candidates(
+            &AtPoint { x, residuals, variances: &plain },
+            of_fit.most_of_score_test,
+            simulations,
+        )?;
+        let errors: Vec<f64> = uncertainty.errors_of_search().collect();
+        changes.extend(of_outputs(layout, residuals));
+        let none = vec![0.0; autocorrelations.len()];
+        let find = |autocorrelations: &[f64], is_noise: bool| {
+            let score = Score {
+                layout,
+                names: &self.problem().experiment_names(),
+                working,
+                noise: WithNoise { values: &working.residuals, variances, autocorrelations },
+                changes: (&factors.base, by_starts),
+                inverse: &factors.inverse,
+                free: (free, &errors),
+                is_noise,
+                checks: (residual_checks, of_fit.independent),
+            };
+            Omitted::find(&score, &changes, &context)
+        };
+        match find(autocorrelations, true)? {
+            // Of what lasts a supposed autocorrelation hides the most.
+            None if is_systematic => find(&none, false),
+            found => Ok(found),
+        }
+    }
+
+    /// The value of a parameter; of one whose bounds have zero between them, its size where that is larger.
+    fn size_of_either_sign(&self, p: &Parameter, x: f64) -> f64 {
+        let is_of_either = p.lower() < 0.0 && p.upper() > 0.0 && p.scale_kind() == Scale::Linear;
+        if is_of_either { self.size_of(p, x).max(x.abs()) } else { x.abs() }
+    }
+
+    /// True if a parameter lies at one of its bounds.
+    fn is_at_bound(&self, p: &Parameter, x: f64) -> bool {
+        let (lower, upper, at) = (inner(p, p.lower()), inner(p, p.upper()), inner(p, x));
+        (at - lower).min(upper - at) <= AT * self.size_of(p, x)
+    }
+}
+
+/// Derivatives by the coordinates of the free parameters, m x p, from those by all n parameters, row by row.
+fn of_free(
+    by_all: &[f64],
+    n: usize,
+    free: &[usize],
+    per_unit: &[f64],
+    context: &RunContext<'_>,
+) -> Result<DMatrix<f64>, CalibrationError> {
+    let mut jacobian = DMatrix::zeros(by_all.len() / n, free.len());
+    for (k, mut column) in jacobian.column_iter_mut().enumerate() {
+        go_on(context)?;
+        let own = by_all.iter().skip(free[k]).step_by(n);
+        column.iter_mut().zip(own).for_each(|(to, from)| *to = from * per_unit[k]);
+    }
+    Ok(jacobian)
+}
+
+/// The reverse: those of the others are zero.
+fn of_all(
+    jacobian: &DMatrix<f64>,
+    n: usize,
+    free: &[usize],
+    per_unit: &[f64],
+    context: &RunContext<'_>,
+) -> Result<Vec<f64>, CalibrationError> {
+    let mut by_all = vec![0.0; jacobian.nrows() * n];
+    for (k, &i) in free.iter().enumerate() {
+        go_on(context)?;
+        let own = by_all.iter_mut().skip(i).step_by(n);
+        own.zip(&jacobian.column(k)).for_each(|(to, from)| *to = from / per_unit[k]);
+    }
+    Ok(by_all)
+}
+
+/// Scales a covariance so that no variance is below that of the other: an autoregression that describes a
+/// misfit leaves hardly any variance to a parameter whose effect changes its sign from row to row.
+fn not_below(covariance: &mut DMatrix<f64>, least: &DMatrix<f64>) {
+    for k in 0..covariance.nrows() {
+        let factor = (least[(k, k)] / covariance[(k, k)]).sqrt();
+        if factor > 1.0 {
+            covariance.row_mut(k).scale_mut(factor);
+            covariance.column_mut(k).scale_mut(factor);
+        }
+    }
+}
+
+/// Derivative of a parameter by its coordinate in the search.
+fn slope(p: &Parameter, x: f64) -> f64 {
+    match p.scale_kind() {
+        Scale::Linear => 1.0,
+        Scale::Log => x,
+    }
+}

@@ -1,0 +1,63 @@
+//! Signals that end a run from outside while evaluations are under way.
+
+use super::evaluator::Wait;
+use crate::problem::objective::{CancelSignals, NEVER};
+use base::RunContext;
+use std::cell::Cell;
+use std::time::{Duration, Instant};
+
+/// The calling thread looks for interrupts at least this often while others compute.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
+
+/// Looks at the context of a run while a batch is computed.
+pub(crate) struct ContextPoller<'a> {
+    context: RunContext<'a>,
+    last_asked: Cell<Option<Instant>>,
+}
+
+/// Why no more evaluations may start.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum StopCause {
+    Interrupted,
+    OutOfTime,
+}
+
+impl<'a> ContextPoller<'a> {
+    pub(crate) fn new(context: RunContext<'a>) -> Self {
+        Self { context, last_asked: Cell::default() }
+    }
+
+    /// The part of the context that evaluations on other threads see.
+    pub(crate) fn signals(&self) -> CancelSignals<'a> {
+        CancelSignals::new(self.context.flag().unwrap_or(&NEVER), self.context.end())
+    }
+
+    /// Why the run is to end, if it is; the function of the context is called unless that was done a moment
+    /// ago.
+    pub(crate) fn check(&self) -> Option<StopCause> {
+        if self.signals().is_cancelled() {
+            return Some(StopCause::Interrupted);
+        }
+        if self.context.end().is_none() && self.context.function().is_none() {
+            return None;
+        }
+        let now = Instant::now();
+        if let Some(ask) = self.context.function()
+            && self.last_asked.get().is_none_or(|t| now - t >= POLL_INTERVAL)
+        {
+            self.last_asked.set(Some(now));
+            if ask() {
+                return Some(StopCause::Interrupted);
+            }
+        }
+        self.context.end().filter(|d| now >= *d).map(|_| StopCause::OutOfTime)
+    }
+
+    /// Time up to which the calling thread may wait for an answer before it checks the signals again.
+    /// `halted`: true if it has seen the deadline already.
+    pub(crate) fn wait(&self, halted: bool) -> Wait<'a> {
+        let soon = Instant::now() + POLL_INTERVAL;
+        let until = self.context.end().filter(|_| !halted).map_or(soon, |deadline| deadline.min(soon));
+        Wait { until, signals: self.signals() }
+    }
+}

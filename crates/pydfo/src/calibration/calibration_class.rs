@@ -1,0 +1,493 @@
+//! `Calibration`: a model, measurements and parameters; costs, residuals and fits without the interpreter
+//! lock.
+
+use crate::calibration::cost::{self, CostFields};
+use crate::calibration::experiment::{ExperimentFields, PyParameter, SignalFunctions};
+use crate::calibration::fit;
+use crate::calibration::live_page::PyLivePage;
+use crate::calibration::shared::Shared;
+use crate::calibration::uncertainty::{self, PyUncertainty};
+use crate::convert::error;
+use crate::convert::fmu_error;
+use crate::convert::object;
+use crate::convert::record::{PyRecord, read};
+use crate::convert::report::{self, LastProgress, Listener};
+use crate::interrupt::interrupt_guard::InterruptGuard;
+use crate::interrupt::logs;
+use crate::interrupt::threads::lock;
+use crate::model::description::Fmu;
+use crate::model::files;
+use crate::model::inputs::Callbacks;
+use crate::model::trajectory;
+use crate::optimize::futures::{PyEngine, state};
+use calibration::RunContext;
+use calibration::{
+    CalibrationError, ComparedSolver, Engine, Experiment, FitOptions, LivePage, PreflightOptions, Problem,
+    Severity, Solver, UncertaintyOptions, Verdict,
+};
+use dfo::{Progress, Query, RobustLoss, Termination, Want};
+use fmi::OpenOptions;
+use numpy::PyArray1;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::{IntoPyDict, PyBytes, PyDict};
+use std::cell::RefCell;
+use std::path::PathBuf;
+use std::rc::Rc;
+use std::sync::Arc;
+
+/// A calibration; `pydfo.Calibration` is its Python class.
+#[pyclass(frozen, module = "pydfo._core", name = "Calibration")]
+pub(crate) struct PyCalibration {
+    pub(crate) shared: Shared,
+}
+
+impl PyCalibration {
+    pub(crate) fn inner(&self) -> &calibration::Calibration {
+        &self.shared.inner
+    }
+}
+
+/// Gives the experiments of a stored problem the functions of time that drive their inputs.
+pub(crate) fn give_functions(problem: &mut Problem, functions: SignalFunctions) -> Callbacks {
+    let mut callbacks = Callbacks::default();
+    for (k, input, function) in functions {
+        let callback = callbacks.add(function);
+        if let Some(experiment) = problem.experiments.get_mut(k) {
+            *experiment = experiment.clone().function_input(input, move |t| callback.value(t, 0));
+        }
+    }
+    callbacks
+}
+
+/// Options of a fit beside those of its run.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct FitFields {
+    start: Option<Vec<f64>>,
+    observer: Option<Py<PyAny>>,
+    stages: Option<Vec<PyRecord>>,
+    objective: Option<CostFields>,
+    /// A `_engine.Simulations`.
+    engine: Option<Py<PyAny>>,
+    /// The page that shows it.
+    page: Option<Py<PyLivePage>>,
+}
+
+/// The model: as it was opened, or where it is.
+#[derive(FromPyObject)]
+enum Source<'py> {
+    #[pyo3(transparent)]
+    Open(Bound<'py, Fmu>),
+    #[pyo3(transparent)]
+    Path(PathBuf),
+}
+
+#[pymethods]
+impl PyCalibration {
+    #[new]
+    fn new(
+        py: Python<'_>,
+        model: Source<'_>,
+        experiments: Vec<ExperimentFields>,
+        settings: PyRecord,
+        parameters: Vec<PyParameter>,
+    ) -> PyResult<Self> {
+        let fmu = match model {
+            Source::Open(fmu) => fmu.get().fmu.clone(),
+            Source::Path(path) => files::open(py, path, &OpenOptions::default())?,
+        };
+        let settings = settings.settings(py)?;
+        let parameters = parameters.into_iter().map(|p| p.check(py)).collect::<PyResult<Vec<_>>>()?;
+        // The name of an experiment, where there are several.
+        let is_one = experiments.len() == 1;
+        let mut callbacks = Callbacks::default();
+        let mut named = |(k, mut experiment): (usize, ExperimentFields)| {
+            let name = || experiment.name.clone().unwrap_or_else(|| Experiment::default_name(k));
+            let name = (!is_one).then(name);
+            let resolved =
+                experiment.resolve(py, &fmu, &parameters, &mut callbacks).map_err(|e| match &name {
+                    Some(name) => {
+                        let message = format!("{name}: {}", e.value(py));
+                        error::reworded(py, e, message)
+                    }
+                    None => e,
+                })?;
+            Ok((name, resolved, experiment))
+        };
+        let experiments =
+            experiments.into_iter().enumerate().map(&mut named).collect::<PyResult<Vec<_>>>()?;
+        let built = files::watched(py, move |cancel| {
+            let ask = || cancel.is_asked();
+            let context = RunContext::new().asking(&ask);
+            let mut builder = calibration::Calibration::builder(fmu).settings(settings);
+            for (name, resolved, experiment) in experiments {
+                let made = experiment.experiment(resolved, &context).map_err(|e| match name {
+                    Some(name) => CalibrationError::Experiment { name, source: Box::new(e) },
+                    None => e,
+                });
+                builder = builder.experiment(made?);
+            }
+            parameters.into_iter().fold(builder, |builder, parameter| builder.parameter(parameter)).build()
+        })?;
+        Ok(Self { shared: Shared::finish(py, built, callbacks)? })
+    }
+
+    /// The problem and the solver, if it is known: what a pickle holds.
+    fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        Ok(PyBytes::new(py, &state(self.inner())?))
+    }
+
+    /// The answer of a simulation to a fit elsewhere, as bytes. `loss`: what residuals count, likewise.
+    fn answer<'py>(
+        &self,
+        py: Python<'py>,
+        x: Vec<f64>,
+        cutoff: f64,
+        loss: &[u8],
+    ) -> PyResult<Bound<'py, PyBytes>> {
+        let loss: RobustLoss =
+            ciborium::from_reader(loss).map_err(|e| PyValueError::new_err(e.to_string()))?;
+        let watch = InterruptGuard::new(py)?;
+        let stop = Arc::clone(watch.stop());
+        let inner = Arc::clone(&self.shared.inner);
+        let asked = watch.run(move |_| {
+            let mut stats = ode::Stats::default();
+            let flag = stop.flag();
+            let query = Query::new(0, 0, cutoff).want(Want::Residuals).cancellable(&flag, None);
+            let answer = inner.answer_counted(&x, &query, loss, &mut stats);
+            (answer, stats)
+        })?;
+        let Some(answered) = asked else { return Err(error::interrupted(py, None, None)) };
+        Ok(PyBytes::new(py, &object::to_bytes(&answered)?))
+    }
+
+    /// The path and the content hash of the model of a state.
+    #[staticmethod]
+    fn model_of(state: &[u8]) -> PyResult<(PathBuf, String)> {
+        let (problem, _) = stored(state)?;
+        Ok((problem.model.path, problem.model.content_hash))
+    }
+
+    /// A calibration from a state, its model, and the functions that a state does not hold.
+    #[staticmethod]
+    fn restore(
+        py: Python<'_>,
+        state: &[u8],
+        fmu: &Bound<'_, Fmu>,
+        functions: SignalFunctions,
+    ) -> PyResult<Self> {
+        let (mut problem, solver) = stored(state)?;
+        let fmu = fmu.get().fmu.clone();
+        let callbacks = give_functions(&mut problem, functions);
+        let built = py.detach(move || {
+            let calibration = calibration::Calibration::from_problem(fmu, problem)?;
+            solver.map_or(Ok(()), |solver| calibration.set_solver(solver))?;
+            Ok(calibration)
+        });
+        Ok(Self { shared: Shared::finish(py, built, callbacks)? })
+    }
+
+    /// Names of the entries of `x`.
+    fn names(&self) -> Vec<&str> {
+        self.inner().parameters().iter().map(|p| p.name()).collect()
+    }
+
+    /// Names of the parameters that are tied, and their values.
+    fn tied(&self, x: Vec<f64>) -> Vec<(String, f64)> {
+        self.inner().tied_values(&x)
+    }
+
+    /// Variables that are set in the model at `x` in the simulation of an experiment, and their values.
+    fn model_values(&self, experiment: usize, x: Vec<f64>) -> Vec<(String, f64)> {
+        self.inner().model_values(experiment, &x)
+    }
+
+    /// Their start values.
+    fn start(&self) -> Vec<f64> {
+        self.inner().start()
+    }
+
+    /// Names of the experiments.
+    fn experiments(&self) -> Vec<String> {
+        self.inner().problem().experiment_names()
+    }
+
+    /// Warnings about the setup, without notes.
+    fn warnings(&self) -> Vec<String> {
+        let warnings = self.inner().warnings().iter();
+        warnings
+            .filter(|w| w.severity() != Severity::Note)
+            .map(|w| calibration::visible(&w.to_string()).into_owned())
+            .collect()
+    }
+
+    #[getter]
+    fn n_residuals(&self) -> usize {
+        self.inner().n_residuals()
+    }
+
+    #[getter]
+    fn n_measurements(&self) -> usize {
+        self.inner().n_measurements()
+    }
+
+    /// The rms at `x`, from the cost without a loss.
+    fn rms(&self, x: Vec<f64>, cost: f64) -> f64 {
+        self.inner().rms(&x, cost, RobustLoss::default())
+    }
+
+    /// Name of the integration method that is in use; None: not chosen yet.
+    fn known_solver(&self) -> Option<&'static str> {
+        self.inner().known_solver().map(|solver| solver.method.name())
+    }
+
+    /// The same, chosen if it is not yet.
+    fn solver(&self, py: Python<'_>) -> PyResult<&'static str> {
+        self.shared.compute(py, |calibration, context| {
+            calibration.solver(context).map(|solver| solver.method.name())
+        })
+    }
+
+    /// The methods that were compared: name, work, how far from right, what became of it.
+    fn solver_comparison(&self) -> Option<Vec<Compared>> {
+        let comparison = self.inner().known_solver()?.comparison.as_ref()?;
+        let compared = |entry: &ComparedSolver| {
+            let (deviation, verdict) = match &entry.verdict {
+                Verdict::Agrees(distance) => (Some(*distance), "agrees".to_owned()),
+                Verdict::Differs(distance) => (Some(*distance), "differs".to_owned()),
+                Verdict::GivenUp => (None, "given up".to_owned()),
+                Verdict::Failed(why) => (None, format!("failed: {why}")),
+                _ => (None, "not compared".to_owned()),
+            };
+            (entry.method.name(), entry.work, deviation, verdict)
+        };
+        Some(comparison.entries.iter().map(compared).collect())
+    }
+
+    fn cost(&self, py: Python<'_>, x: Vec<f64>) -> PyResult<f64> {
+        self.shared.compute(py, move |calibration, context| calibration.cost(&x, context))
+    }
+
+    fn residuals<'py>(&self, py: Python<'py>, x: Vec<f64>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let residuals =
+            self.shared.compute(py, move |calibration, context| calibration.residuals(&x, context))?;
+        Ok(PyArray1::from_vec(py, residuals))
+    }
+
+    /// Per experiment, or of one of them, `time` and the compared outputs, at the measured times or at those
+    /// given.
+    #[pyo3(signature = (x, times=None, experiment=None))]
+    fn simulate<'py>(
+        &self,
+        py: Python<'py>,
+        x: Vec<f64>,
+        times: Option<Vec<f64>>,
+        experiment: Option<usize>,
+    ) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        let trajectories = self.shared.compute(py, move |calibration, context| match experiment {
+            Some(k) => calibration.simulate_experiment(k, &x, times.as_deref(), context).map(|t| vec![t]),
+            None => calibration.simulate(&x, times.as_deref(), context),
+        })?;
+        let columns = |trajectory: fmi::Trajectory| {
+            let time = std::iter::once(("time".to_owned(), trajectory.time));
+            let columns = time.chain(trajectory.names.into_iter().zip(trajectory.columns));
+            columns.map(|(name, values)| (name, PyArray1::from_vec(py, values))).into_py_dict(py)
+        };
+        trajectories.into_iter().map(columns).collect()
+    }
+
+    /// Per experiment: its times, and per output the variable and its values (NaN where missing).
+    fn measurements<'py>(&self, py: Python<'py>) -> PyResult<Vec<Recording<'py>>> {
+        let recording = |experiment: &Experiment| {
+            let data = experiment.data();
+            let measured = experiment.outputs().map(|(variable, column)| {
+                let values = data.column(column).map_err(|e| error::calibration(py, &e))?;
+                Ok((variable.to_owned(), PyArray1::from_slice(py, values)))
+            });
+            Ok((PyArray1::from_slice(py, data.time()), measured.collect::<PyResult<_>>()?))
+        };
+        self.inner().problem().experiments.iter().map(recording).collect()
+    }
+
+    /// The measurements that count, as a function of the user's sees them.
+    fn measured_series<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let outputs = &self.inner().residual_layout().outputs;
+        let measured = outputs.iter().map(|o| (o.experiment, o.variable.as_str(), &o.measured[..]));
+        cost::series(py, &self.inner().problem().experiment_names(), measured)
+    }
+
+    /// The place of the model, and the arguments of the `pydfo.Parameter` of each parameter.
+    fn arguments<'py>(&self, py: Python<'py>) -> PyResult<(PathBuf, Vec<Bound<'py, PyDict>>)> {
+        let problem = self.inner().problem();
+        let arguments = |parameter: &calibration::Parameter| {
+            let record = parameter.record().map_err(|e| error::calibration(py, &e))?;
+            object::fields(py, &record)
+        };
+        let all = problem.parameters.iter().map(arguments).collect::<PyResult<_>>()?;
+        Ok((problem.model.path.clone(), all))
+    }
+
+    /// The variables that the parameters set, and their values at `x`.
+    fn variable_values(
+        &self,
+        py: Python<'_>,
+        x: Vec<f64>,
+        experiment: Option<&str>,
+    ) -> PyResult<Vec<(String, f64)>> {
+        self.inner().variable_values(&x, experiment).map_err(|e| error::calibration(py, &e))
+    }
+
+    /// Per experiment what `pydfo.SimulationResult` is made of: these variables of the model at `x`.
+    fn simulate_variables<'py>(
+        &self,
+        py: Python<'py>,
+        x: Vec<f64>,
+        times: Option<Vec<f64>>,
+        variables: Vec<String>,
+    ) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        let trajectories = self.shared.compute(py, move |calibration, context| {
+            let simulate = |k| calibration.simulate_variables(k, &x, times.as_deref(), &variables, context);
+            (0..calibration.problem().experiments.len()).map(simulate).collect::<Result<Vec<_>, _>>()
+        })?;
+        let description = self.inner().fmu().description();
+        trajectories.into_iter().map(|trajectory| trajectory::record(py, description, trajectory)).collect()
+    }
+
+    /// Uncertainty of the parameters at a point; all but those of the numbers `held` are free.
+    fn uncertainty(
+        &self,
+        py: Python<'_>,
+        x: Vec<f64>,
+        covariance: &str,
+        held: Vec<usize>,
+        workers: Option<usize>,
+    ) -> PyResult<PyUncertainty> {
+        let estimator = read("covariance", covariance)?;
+        let options = UncertaintyOptions { workers, held, estimator, ..UncertaintyOptions::default() };
+        let found = self.shared.compute(py, move |c, context| c.uncertainty(&x, &options, context))?;
+        Ok(PyUncertainty::new(found))
+    }
+
+    /// The fields of `pydfo.Preflight`, found at `x`.
+    fn preflight<'py>(
+        &self,
+        py: Python<'py>,
+        x: Vec<f64>,
+        workers: Option<usize>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let options = PreflightOptions { start: Some(x), workers, ..PreflightOptions::default() };
+        let found = self.shared.compute(py, move |c, context| c.preflight(&options, context))?;
+        uncertainty::preflight(py, &found)
+    }
+
+    /// A page for the fit that is about to begin.
+    fn live_page(&self) -> PyResult<PyLivePage> {
+        Ok(PyLivePage { inner: Arc::new(LivePage::start(self.inner())?) })
+    }
+
+    fn fit<'py>(&self, py: Python<'py>, asked: PyRecord, objects: FitFields) -> PyResult<Bound<'py, PyAny>> {
+        let FitFields { start, observer, stages, objective, engine, page } = objects;
+        let n_parameters = self.inner().parameters().len();
+        let stage = |asked: PyRecord| {
+            calibration::Stage::from_record(asked.values.clone(), n_parameters)
+                .map_err(|e| asked.error(py, &e))
+        };
+        let stages: Option<Vec<calibration::Stage>> =
+            stages.map(|stages| stages.into_iter().map(stage).collect()).transpose()?;
+        let options = FitOptions::from_record(asked.values.clone(), n_parameters);
+        let FitOptions { run, loss, noise, preflight, uncertainty, .. } =
+            options.map_err(|e| asked.error(py, &e))?;
+        let watch = InterruptGuard::new(py)?;
+        let stop = Arc::clone(watch.stop());
+        let tick = observer.as_ref().and_then(|observer| observer.getattr(py, "tick").ok());
+        let of_objective = cost::Raised::default();
+        let kind = |given| cost::kind(given, self.inner(), Arc::clone(&stop), Arc::clone(&of_objective));
+        let objective = objective.map(kind).transpose()?.unwrap_or_default();
+        let engine = engine.map(|engine| PyEngine::new(engine.bind(py), Arc::clone(&stop))).transpose()?;
+        let listener = observer.map(|function| Arc::new(Listener::new(function, false)));
+        let last_progress = Arc::new(LastProgress::default());
+        let (inner, asked) = (Arc::clone(&self.shared.inner), Arc::clone(&stop));
+        let (seen, notified) = (Arc::clone(&last_progress), listener.clone());
+        let callbacks = self.shared.callbacks.clone();
+        let page = page.map(|page| Arc::clone(&page.get().inner));
+        let mut shown = FitOptions::default();
+        page.iter().for_each(|page| page.attach(&mut shown));
+        let FitOptions { phase, live, .. } = shown;
+        let told = Arc::clone(&phase);
+        let outcome = watch.run_with_ticks(
+            move |caller| {
+                let is_stop_asked = || page.as_ref().is_some_and(|page| page.is_stop_asked());
+                let (flag, ask) =
+                    (asked.flag(), || asked.is_asked() || callbacks.has_raised() || is_stop_asked());
+                let context = RunContext::new().flagged(&flag);
+                let is_asked = asked.has_parent() || !callbacks.is_empty() || page.is_some();
+                let context = if is_asked { context.asking(&ask) } else { context };
+                let options = FitOptions {
+                    run,
+                    start,
+                    objective,
+                    loss,
+                    noise,
+                    preflight,
+                    uncertainty,
+                    phase: told,
+                    live,
+                    engine: engine.map(|engine| Rc::new(RefCell::new(engine)) as Rc<RefCell<dyn Engine>>),
+                    observer: Some(Box::new(|progress: &Progress<'_>| {
+                        seen.pass_on(progress, caller, notified.as_ref())
+                    })),
+                    context,
+                    ..FitOptions::default()
+                };
+                let fit = match stages {
+                    Some(stages) => inner.fit_stages(&stages, options),
+                    None => inner.fit(options),
+                };
+                if let (Ok(fit), Some(page)) = (&fit, &page)
+                    && !asked.is_asked()
+                {
+                    // It is a way to look at a fit that there is.
+                    page.show_report(&inner, fit, &RunContext::new().flagged(&flag))
+                        .unwrap_or_else(|error| log::warn!("the page cannot show the report: {error}"));
+                }
+                fit
+            },
+            |py| match &tick {
+                Some(tick) => tick.call1(py, (phase.get().name(),)).map(|_| ()),
+                None => Ok(()),
+            },
+        )?;
+        logs::pass_on(py)?;
+        let Some(outcome) = outcome else {
+            return Err(error::interrupted(py, last_progress.result(py)?.as_ref(), None));
+        };
+        let mut raised = listener.and_then(|l| l.take_raised()).or_else(|| stop.take_raised());
+        raised =
+            raised.or_else(|| lock(&of_objective).take()).or_else(|| self.shared.callbacks.take_raised());
+        let result = match outcome {
+            Ok(mut fit) => {
+                // No simulation can be made any more.
+                if let (None, Termination::Aborted(reason)) = (&raised, &fit.report.termination) {
+                    raised = Some(fmu_error::unusable(reason));
+                }
+                report::set_raised(&mut fit.report, raised.as_ref());
+                Some(fit::result(py, &self.shared, fit)?)
+            }
+            Err(e) if raised.is_none() && !stop.is_asked() => return Err(error::calibration(py, &e)),
+            Err(_) => None,
+        };
+        error::ended(py, &stop, raised, result)
+    }
+}
+
+/// Solver, work, deviation in tolerances, verdict.
+type Compared = (&'static str, Option<f64>, Option<f64>, String);
+
+/// Times; variables and their values.
+type Recording<'py> = (Bound<'py, PyArray1<f64>>, Vec<(String, Bound<'py, PyArray1<f64>>)>);
+
+fn stored(state: &[u8]) -> PyResult<(Problem, Option<Solver>)> {
+    ciborium::from_reader(state)
+        .map_err(|e| PyValueError::new_err(format!("this is no pickled Calibration of this version: {e}")))
+}

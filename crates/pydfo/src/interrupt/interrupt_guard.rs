@@ -1,0 +1,457 @@
+//! Ctrl-C: the calling thread looks for Python's signals while work goes on elsewhere, between two steps of a
+//! short simulation, or inside of a Python function.
+//!
+//! While there is a [`InterruptGuard`], SIGINT is handled by us: the first one raises a flag, so that no
+//! further evaluation starts and simulations stop at their next step, while a Python function that is running
+//! is left to end; from the second one on KeyboardInterrupt is raised, as always. A handler of the user's is
+//! left in place. Work that runs inside of other work (a simulation inside of an objective) stops with it.
+
+use crate::interrupt::logs;
+use crate::interrupt::threads::{self, lock};
+use calibration::RunContext;
+use pyo3::exceptions::PyKeyboardInterrupt;
+use pyo3::intern;
+use pyo3::prelude::*;
+use pyo3::sync::PyOnceLock;
+use pyo3::types::PyTuple;
+use std::cell::{Cell, RefCell};
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, Sender, TryRecvError, channel};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+/// Longest time that the calling thread waits before it checks for signals.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
+
+/// Shortest time between two reports of progress on the calling thread.
+const TICK: Duration = Duration::from_millis(250);
+
+/// Work that took less than this the last time is done on the calling thread: handing it to another one takes
+/// up to 0.5 ms.
+const SHORT: Duration = Duration::from_millis(50);
+
+/// Stack that the calling thread must have left for that: what 8 MiB, the usual limit of a main thread, leave
+/// when an interpreter has used some.
+const LEAST_STACK: usize = 7 << 20;
+
+/// True if work that took this long the last time (`None`: it was never done) can be done on the calling
+/// thread.
+pub(crate) fn fits_here(last: Option<Duration>) -> bool {
+    last.is_some_and(|took| took < SHORT)
+        && stacker::remaining_stack().is_some_and(|left| left >= LEAST_STACK)
+}
+
+/// Polls between two readings of the clock, which takes as long as a step of a small model does...
+const POLLS_PER_READING: u32 = 16;
+
+/// ... unless so many take longer than this: then the clock is read at each.
+const SLOW: Duration = Duration::from_millis(1);
+
+/// Timer of [`POLL_INTERVAL`], checked before every step.
+struct PollClock {
+    start: Instant,
+    polls: Cell<u32>,
+    /// Times since the start: of the last reading, and of the next look.
+    read: Cell<Duration>,
+    due: Cell<Duration>,
+    polls_per_reading: Cell<u32>,
+}
+
+impl PollClock {
+    fn new() -> Self {
+        Self {
+            start: Instant::now(),
+            polls: Cell::new(0),
+            read: Cell::new(Duration::ZERO),
+            due: Cell::new(POLL_INTERVAL),
+            polls_per_reading: Cell::new(POLLS_PER_READING),
+        }
+    }
+
+    fn is_due(&self) -> bool {
+        self.polls.set(self.polls.get() + 1);
+        if self.polls.get() < self.polls_per_reading.get() {
+            return false;
+        }
+        let now = self.start.elapsed();
+        let is_slow = now - self.read.replace(now) > SLOW;
+        self.polls_per_reading.set(if is_slow { 1 } else { POLLS_PER_READING });
+        self.polls.set(0);
+        let is_due = now >= self.due.get();
+        if is_due {
+            self.due.set(now + POLL_INTERVAL);
+        }
+        is_due
+    }
+}
+
+/// A request to end one piece of work.
+#[derive(Default)]
+pub(crate) struct EndRequest {
+    flag: Arc<AtomicBool>,
+    asked: AtomicU32,
+    /// The work that this one is part of.
+    parent: Option<Arc<EndRequest>>,
+    /// Exception raised by a signal handler of the user.
+    raised: Mutex<Option<PyErr>>,
+}
+
+impl EndRequest {
+    /// The flag for optimisers and simulations to look at. Work may raise it to end itself (an input function
+    /// that raised an exception); it is never lowered.
+    pub(crate) fn flag(&self) -> Arc<AtomicBool> {
+        Arc::clone(&self.flag)
+    }
+
+    /// True if the user, or the work around this one, has requested its end.
+    pub(crate) fn is_asked(&self) -> bool {
+        if self.asked.load(Ordering::Relaxed) > 0 {
+            return true;
+        }
+        let by_parent = self.parent.as_ref().is_some_and(|p| p.is_asked());
+        if by_parent {
+            self.ask();
+        }
+        by_parent
+    }
+
+    /// True if this is part of other work, whose end must be checked for.
+    pub(crate) fn has_parent(&self) -> bool {
+        self.parent.is_some()
+    }
+
+    /// Ends the work with an exception.
+    pub(crate) fn end_with(&self, exception: PyErr) {
+        lock(&self.raised).get_or_insert(exception);
+        self.flag.store(true, Ordering::Relaxed);
+    }
+
+    /// Asks for the end; returns how often that was done before.
+    fn ask(&self) -> u32 {
+        self.flag.store(true, Ordering::Relaxed);
+        self.asked.fetch_add(1, Ordering::Relaxed)
+    }
+
+    /// Passes on what was logged meanwhile, and lets Python handle its signals. True: the user has
+    /// interrupted it twice.
+    fn look(&self, py: Python<'_>) -> bool {
+        let Err(e) = logs::pass_on(py).and_then(|()| py.check_signals()) else {
+            self.is_asked();
+            return false;
+        };
+        if !e.is_instance_of::<PyKeyboardInterrupt>(py) {
+            lock(&self.raised).get_or_insert(e);
+        }
+        self.ask() > 0
+    }
+
+    /// For loops on the calling thread: handles signals; true ends the loop.
+    pub(crate) fn poll(&self, py: Python<'_>) -> bool {
+        self.look(py);
+        self.is_asked()
+    }
+
+    /// The exception with which a signal handler of the user's, or a handler of log lines, ended the work.
+    pub(crate) fn take_raised(&self) -> Option<PyErr> {
+        lock(&self.raised).take()
+    }
+}
+
+thread_local! {
+    /// The work inside of which this thread is calling a Python function.
+    static AROUND: RefCell<Vec<Arc<EndRequest>>> = const { RefCell::new(Vec::new()) };
+}
+
+/// Until it is dropped, work that this thread starts counts as part of the work given.
+pub(crate) struct Inside;
+
+impl Inside {
+    pub(crate) fn new(work: &Arc<EndRequest>) -> Self {
+        AROUND.with_borrow_mut(|around| around.push(Arc::clone(work)));
+        Self
+    }
+}
+
+impl Drop for Inside {
+    fn drop(&mut self) {
+        AROUND.with_borrow_mut(|around| around.pop());
+    }
+}
+
+/// Python's handling of SIGINT: the C module under `signal`, whose wrappers in Python cost as much as a short
+/// simulation.
+struct Signals {
+    module: Py<PyModule>,
+    sigint: Py<PyAny>,
+    raising: Py<PyAny>,
+}
+
+impl Signals {
+    fn get(py: Python<'_>) -> PyResult<&'static Self> {
+        static FOUND: PyOnceLock<Signals> = PyOnceLock::new();
+        FOUND.get_or_try_init(py, || {
+            let module = py.import("_signal")?;
+            let sigint = module.getattr("SIGINT")?.unbind();
+            let raising = module.getattr("default_int_handler")?.unbind();
+            Ok(Self { module: module.unbind(), sigint, raising })
+        })
+    }
+
+    fn handler<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        self.module.bind(py).call_method1(intern!(py, "getsignal"), (&self.sigint,))
+    }
+
+    /// Refused on other threads than the main one, which get no signals anyway.
+    fn handle_by(&self, py: Python<'_>, handler: &Bound<'_, PyAny>) -> PyResult<()> {
+        self.module.bind(py).call_method1(intern!(py, "signal"), (&self.sigint, handler)).map(drop)
+    }
+
+    /// True if `handler` is Python's own, which raises KeyboardInterrupt.
+    fn is_raising(&self, handler: &Bound<'_, PyAny>) -> bool {
+        handler.is(&self.raising)
+    }
+}
+
+/// Signal handler that is installed for SIGINT.
+#[pyclass(frozen, module = "pydfo._core", name = "_SigintHandler")]
+pub(crate) struct SigintHandler {
+    active: Mutex<Vec<Arc<EndRequest>>>,
+}
+
+#[pymethods]
+impl SigintHandler {
+    #[pyo3(signature = (*_args))]
+    fn __call__(&self, _args: &Bound<'_, PyTuple>) -> PyResult<()> {
+        let active = lock(&self.active);
+        // No work is left to end: as Python's own handler.
+        let mut raise = active.is_empty();
+        for stop in active.iter() {
+            raise |= stop.ask() > 0;
+        }
+        if raise { Err(PyKeyboardInterrupt::new_err(())) } else { Ok(()) }
+    }
+}
+
+/// Handles SIGINT for one piece of work, until it is dropped.
+pub(crate) struct InterruptGuard<'py> {
+    py: Python<'py>,
+    stop: Arc<EndRequest>,
+    handler: Option<Bound<'py, SigintHandler>>,
+    /// The handler to put back, if ours was installed for this work.
+    previous: Option<Bound<'py, PyAny>>,
+}
+
+impl<'py> InterruptGuard<'py> {
+    /// Leaves SIGINT to the handler that is there: for work that calls no Python function, on the calling
+    /// thread, which looks for signals itself and otherwise leaves them to whatever comes next.
+    pub(crate) fn without_handler(py: Python<'py>) -> Self {
+        Self::with_flag(py, Arc::default())
+    }
+
+    /// The same; `flag`, used by nothing else meanwhile, is lowered and raised when the work is to end.
+    pub(crate) fn with_flag(py: Python<'py>, flag: Arc<AtomicBool>) -> Self {
+        flag.store(false, Ordering::Relaxed);
+        let parent = AROUND.with_borrow(|around| around.last().cloned());
+        let stop = Arc::new(EndRequest { flag, parent, ..EndRequest::default() });
+        Self { py, stop, handler: None, previous: None }
+    }
+
+    pub(crate) fn new(py: Python<'py>) -> PyResult<Self> {
+        let mut watch = Self::without_handler(py);
+        let signals = Signals::get(py)?;
+        let current = signals.handler(py)?;
+        if let Ok(ours) = current.cast::<SigintHandler>() {
+            // Inside of other work on the main thread, or on another thread while the main thread works: in the
+            // second case the work around this one, if any, is known as its parent.
+            let threading = py.import("threading")?;
+            let main = threading.call_method0("main_thread")?;
+            if threading.call_method0("current_thread")?.is(&main) {
+                lock(&ours.get().active).push(Arc::clone(&watch.stop));
+                watch.handler = Some(ours.clone());
+            }
+        } else if signals.is_raising(&current) {
+            let ours = Bound::new(py, SigintHandler { active: Mutex::new(vec![Arc::clone(&watch.stop)]) })?;
+            match signals.handle_by(py, ours.as_any()) {
+                Ok(()) => {
+                    watch.handler = Some(ours);
+                    watch.previous = Some(current);
+                }
+                // One that was pending has been handled before ours was in place.
+                Err(e) if e.is_instance_of::<PyKeyboardInterrupt>(py) => return Err(e),
+                Err(_) => {}
+            }
+        }
+        Ok(watch)
+    }
+
+    pub(crate) fn stop(&self) -> &Arc<EndRequest> {
+        &self.stop
+    }
+
+    /// Exception to raise where the work was ended: the one raised by a signal handler, else
+    /// KeyboardInterrupt.
+    pub(crate) fn interrupted(&self) -> PyErr {
+        self.stop.take_raised().unwrap_or_else(|| PyKeyboardInterrupt::new_err(()))
+    }
+
+    /// Runs `work` on a thread of its own without the interpreter lock, while this thread handles signals and
+    /// does what `work` asks for at the [`CallingThread`]. `None`: the user has interrupted it twice; `work`
+    /// will end on its own some time.
+    pub(crate) fn run<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&CallingThread) -> T + Send + 'static,
+    ) -> PyResult<Option<T>> {
+        self.serve(work, EndRequest::look, &mut |_| ())
+    }
+
+    /// The same; `tick` is called on this thread every quarter of a second.
+    pub(crate) fn run_with_ticks<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&CallingThread) -> T + Send + 'static,
+        mut tick: impl FnMut(Python<'_>) -> PyResult<()>,
+    ) -> PyResult<Option<T>> {
+        let mut last = Instant::now();
+        self.serve(work, EndRequest::look, &mut |py| {
+            if last.elapsed() >= TICK {
+                last = Instant::now();
+                if let Err(e) = tick(py) {
+                    self.stop.end_with(e);
+                }
+            }
+        })
+    }
+
+    /// Runs `work` on the calling thread without the interpreter lock. The context that `work` is given looks
+    /// for signals every 20 ms.
+    pub(crate) fn run_here<T: Send>(&self, work: impl FnOnce(&RunContext<'_>) -> T + Send) -> T {
+        let stop = &*self.stop;
+        self.py.detach(move || {
+            let clock = PollClock::new();
+            let ask = || {
+                if clock.is_due() {
+                    Python::attach(|py| stop.look(py));
+                }
+                stop.is_asked()
+            };
+            work(&RunContext::new().asking(&ask))
+        })
+    }
+
+    /// As [`run`](Self::run), but the first Ctrl-C does not wait for the work to notice.
+    pub(crate) fn run_briefly<T: Send + 'static>(
+        &self,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> PyResult<Option<T>> {
+        self.serve(move |_| work(), EndRequest::poll, &mut |_| ())
+    }
+
+    fn serve<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&CallingThread) -> T + Send + 'static,
+        leave: fn(&EndRequest, Python<'_>) -> bool,
+        tick: &mut dyn FnMut(Python<'_>),
+    ) -> PyResult<Option<T>> {
+        let (sender, mut jobs) = channel();
+        let (give, result) = channel();
+        let caller = CallingThread { sender };
+        threads::run(Box::new(move || {
+            let end = catch_unwind(AssertUnwindSafe(|| work(&caller)));
+            // Nobody takes it if the user has interrupted it twice. `caller` is dropped last: the calling thread sees the channel closed.
+            let _ = give.send(end);
+            Box::new(move || drop(caller))
+        }))?;
+        // Where nothing came for a while, it is not worth while to stay awake.
+        let mut is_long = false;
+        loop {
+            let job;
+            (job, jobs) = self.py.detach(move || {
+                let soon = if is_long { Err(TryRecvError::Empty) } else { threads::soon(&jobs) };
+                let job = match soon {
+                    Err(TryRecvError::Empty) => jobs.recv_timeout(POLL_INTERVAL),
+                    arrived => arrived.map_err(|_| RecvTimeoutError::Disconnected),
+                };
+                (job, jobs)
+            });
+            is_long = matches!(job, Err(RecvTimeoutError::Timeout));
+            match job {
+                Ok(job) => job(self.py),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => {
+                    // Short work has ended before anybody looked.
+                    self.stop.look(self.py);
+                    return match result.recv() {
+                        Ok(Ok(result)) => Ok(Some(result)),
+                        Ok(Err(panic)) => resume_unwind(panic),
+                        Err(_) => Ok(None),
+                    };
+                }
+            }
+            tick(self.py);
+            if leave(&self.stop, self.py) {
+                return Ok(None);
+            }
+        }
+    }
+}
+
+impl InterruptGuard<'_> {
+    /// Restores the handler from before, unless ours has been replaced.
+    fn restore(&self, ours: &Bound<'_, SigintHandler>, previous: &Bound<'_, PyAny>) -> PyResult<()> {
+        let signals = Signals::get(self.py)?;
+        match signals.handler(self.py)?.is(ours) {
+            true => signals.handle_by(self.py, previous),
+            false => Ok(()),
+        }
+    }
+}
+
+impl Drop for InterruptGuard<'_> {
+    fn drop(&mut self) {
+        let Some(handler) = &self.handler else { return };
+        let mut came_late = false;
+        if let Some(previous) = &self.previous {
+            // Python lets pending signals be handled before it changes a handler: one that came after the last look
+            // reaches this work, which has ended.
+            let asked = self.stop.asked.load(Ordering::Relaxed);
+            let restored = match self.restore(handler, previous) {
+                Err(e) if e.is_instance_of::<PyKeyboardInterrupt>(self.py) => self.restore(handler, previous),
+                outcome => outcome,
+            };
+            if let Err(e) = restored {
+                e.write_unraisable(self.py, None);
+            }
+            came_late = self.stop.asked.load(Ordering::Relaxed) > asked;
+        }
+        lock(&handler.get().active).retain(|s| !Arc::ptr_eq(s, &self.stop));
+        if came_late {
+            // So it is handed on to the handler from before.
+            let again = self.py.import("_thread").and_then(|thread| thread.call_method0("interrupt_main"));
+            if let Err(e) = again {
+                e.write_unraisable(self.py, None);
+            }
+        }
+    }
+}
+
+type Job = Box<dyn FnOnce(Python<'_>) + Send>;
+
+/// Where work on another thread asks for something to be done on the calling thread.
+pub(crate) struct CallingThread {
+    sender: Sender<Job>,
+}
+
+impl CallingThread {
+    /// Has `job` done on the calling thread, with the interpreter lock. `None`: the calling thread has gone.
+    pub(crate) fn call<R: Send + 'static>(
+        &self,
+        job: impl FnOnce(Python<'_>) -> R + Send + 'static,
+    ) -> Option<R> {
+        let (sender, answer) = channel();
+        let job: Job = Box::new(move |py| {
+            let _ = sender.send(job(py));
+        });
+        self.sender.send(job).ok()?;
+        answer.recv().ok()
+    }
+}

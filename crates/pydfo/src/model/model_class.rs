@@ -1,0 +1,336 @@
+//! A model as scripts use it: values set and read, simulations without the interpreter lock.
+
+use crate::convert::error;
+use crate::convert::fmu_error;
+use crate::convert::record::{PyRecord, read, time_limit};
+use crate::convert::values;
+use crate::interrupt::interrupt_guard::{CallingThread, EndRequest, InterruptGuard, fits_here};
+use crate::interrupt::logs;
+use crate::interrupt::threads::lock;
+use crate::model::description::Fmu;
+use crate::model::inputs::{self, Callbacks, Function, Table};
+use crate::model::trajectory;
+use calibration::ModelProcess;
+use calibration::RunContext;
+use fmi::description::Interval;
+use fmi::worker::{Isolation, WorkerLimits};
+use fmi::{FmiError, InterfaceKind, Session, SimulateOptions, Trajectory};
+use numpy::{PyArray1, PyArrayMethods};
+use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::ops::ControlFlow;
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex};
+
+pyo3::import_exception!(pydfo._errors, Interrupted);
+
+/// A model with the values set since it was opened or reset. Whatever waits for its session, or frees an
+/// instance, does so without the lock of the interpreter, which the functions of a simulation may need.
+#[pyclass(frozen, module = "pydfo._core")]
+pub(crate) struct Model {
+    fmu: fmi::Fmu,
+    kind: InterfaceKind,
+    slot: Arc<Mutex<Slot>>,
+    /// Ends a simulation on the calling thread; the same for all of them, so that the next one has the same
+    /// options.
+    flag: Arc<AtomicBool>,
+    /// Processes of their own, started when the first simulation asks for one.
+    apart: Arc<Mutex<Option<ModelProcess>>>,
+}
+
+/// The session, taken out during a simulation, so that no call waits for a lock that a simulation holds.
+enum Slot {
+    Here(Box<Session>),
+    Simulating,
+    Closed,
+}
+
+/// A session on loan; goes back when it is dropped.
+struct Loan {
+    session: Option<Box<Session>>,
+    slot: Arc<Mutex<Slot>>,
+}
+
+impl Drop for Loan {
+    fn drop(&mut self) {
+        let Some(session) = self.session.take() else { return };
+        let mut slot = lock(&self.slot);
+        if matches!(*slot, Slot::Simulating) {
+            *slot = Slot::Here(session);
+        }
+    }
+}
+
+/// The interval between the ticks of a clock: a number, or counter and resolution.
+#[derive(FromPyObject)]
+enum ClockInterval {
+    #[pyo3(transparent, annotation = "tuple[int, int]")]
+    Fraction((u64, u64)),
+    #[pyo3(transparent, annotation = "float")]
+    Decimal(f64),
+}
+
+impl From<ClockInterval> for Interval {
+    fn from(interval: ClockInterval) -> Self {
+        match interval {
+            ClockInterval::Fraction((counter, resolution)) => Interval::Fraction(counter, resolution),
+            ClockInterval::Decimal(value) => Interval::Decimal(value),
+        }
+    }
+}
+
+/// `pydfo._model.model.Request`, by places: names would take a lookup each.
+#[derive(FromPyObject)]
+pub(crate) struct Request<'py> {
+    #[pyo3(item(0))]
+    start_time: Option<f64>,
+    #[pyo3(item(1))]
+    final_time: Option<f64>,
+    #[pyo3(item(2))]
+    times: Option<Bound<'py, PyArray1<f64>>>,
+    #[pyo3(item(3))]
+    output_interval: Option<f64>,
+    #[pyo3(item(4))]
+    ncp: Option<usize>,
+    #[pyo3(item(5))]
+    start_values: Vec<(String, Bound<'py, PyAny>)>,
+    #[pyo3(item(6))]
+    clock_intervals: Vec<(String, ClockInterval)>,
+    /// None: those that the model shows by default.
+    #[pyo3(item(7))]
+    outputs: Option<Vec<String>>,
+    #[pyo3(item(8))]
+    tables: Vec<Table<'py>>,
+    #[pyo3(item(9))]
+    functions: Vec<Function>,
+    /// How the model is run, where that is not the default.
+    #[pyo3(item(10))]
+    settings: PyRecord,
+    #[pyo3(item(11))]
+    max_time: Option<f64>,
+    #[pyo3(item(12))]
+    record_events: bool,
+    #[pyo3(item(13))]
+    between_steps: String,
+    #[pyo3(item(14))]
+    isolation: String,
+}
+
+#[pymethods]
+impl Model {
+    #[new]
+    fn new(py: Python<'_>, fmu: &Bound<'_, Fmu>, kind: &str) -> PyResult<Self> {
+        let fmu = fmu.get().fmu.clone();
+        let kind = kind.parse().map_err(|e| fmu_error::raise(py, &e))?;
+        let session = Box::new(Session::of_kind(fmu.clone(), kind));
+        let kind = fmu.choose(kind).map_err(|e| fmu_error::raise(py, &e))?;
+        let slot = Arc::new(Mutex::new(Slot::Here(session)));
+        Ok(Self { fmu, kind, slot, flag: Arc::default(), apart: Arc::default() })
+    }
+
+    /// Values of variables.
+    fn get<'py>(&self, py: Python<'py>, names: Vec<String>) -> PyResult<Vec<Bound<'py, PyAny>>> {
+        // Initial values may need the model to be initialized, and for that to be built and loaded.
+        let found = py.detach(|| {
+            self.with_session(|session| {
+                let get = |name: &String| Ok((session.get(name)?, session.extents(name)?));
+                names.iter().map(get).collect::<Result<Vec<_>, fmi::FmiError>>()
+            })
+        });
+        logs::pass_on(py)?;
+        let found = found?.map_err(|e| fmu_error::raise(py, &e))?;
+        let values = names.iter().zip(found);
+        values
+            .map(|(name, (value, extents))| {
+                let kind = values::find(py, self.fmu.description(), name)?.0.kind;
+                values::to_python(py, value, kind, &extents)
+            })
+            .collect()
+    }
+
+    /// Sets variables: all of them, or none if one of them cannot be set.
+    fn set(&self, py: Python<'_>, names: Vec<String>, given: Vec<Bound<'_, PyAny>>) -> PyResult<()> {
+        let pairs = values::all_from_python(py, self.fmu.description(), names.into_iter().zip(given))?;
+        let pairs = pairs.iter().map(|(name, value)| (name.as_str(), value.clone()));
+        let pairs: Vec<_> = pairs.collect();
+        // Without the lock of the interpreter: initial values that are out of date go, and an instance with them.
+        let set = py.detach(|| self.with_session(|session| session.set_all(pairs)));
+        set?.map_err(|e| fmu_error::raise(py, &e))
+    }
+
+    fn reset(&self, py: Python<'_>) -> PyResult<()> {
+        py.detach(|| self.with_session(Session::reset))
+    }
+
+    /// Frees the instance; everything but the description is refused afterwards.
+    fn close(&self, py: Python<'_>) {
+        py.detach(|| {
+            let left = std::mem::replace(&mut *lock(&self.slot), Slot::Closed);
+            drop(left);
+            lock(&self.apart).take();
+        });
+    }
+
+    #[getter]
+    fn closed(&self, py: Python<'_>) -> bool {
+        py.detach(|| matches!(*lock(&self.slot), Slot::Closed))
+    }
+
+    /// Names of the variables that were set.
+    fn names_set(&self) -> PyResult<Vec<String>> {
+        self.with_session(|session| session.values().map(|(name, _)| name.to_owned()).collect())
+    }
+
+    /// Names and values of the variables that were set.
+    fn values_set<'py>(&self, py: Python<'py>) -> PyResult<Vec<(String, Bound<'py, PyAny>)>> {
+        let set: Vec<(String, fmi::Value)> = self.with_session(|session| {
+            session.values().map(|(name, value)| (name.to_owned(), value.clone())).collect()
+        })?;
+        let description = self.fmu.description();
+        let shown = set.into_iter().map(|(name, value)| {
+            let kind = values::find(py, description, &name)?.0.kind;
+            // Flat: sizes may be those of structural parameters that are set, too.
+            Ok((name, values::to_python(py, value, kind, &[])?))
+        });
+        shown.collect()
+    }
+
+    /// On the calling thread if the last simulation of this FMU was short.
+    fn simulate<'py>(&self, py: Python<'py>, request: Request<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let isolation: Isolation = request.isolation.parse().map_err(|e| fmu_error::raise(py, &e))?;
+        let is_apart = isolation == Isolation::Process;
+        let is_here = !is_apart && fits_here(self.fmu.last_run(self.kind));
+        let mut loan = self.lend()?;
+        // An input function is Python code: what a Ctrl-C does to it is up to our handler.
+        let watch = match is_here && request.functions.is_empty() {
+            true => InterruptGuard::with_flag(py, Arc::clone(&self.flag)),
+            false => InterruptGuard::new(py)?,
+        };
+        let stop = Arc::clone(watch.stop());
+        let (options, callbacks) = self.options(py, request, &stop)?;
+        let outcome = if is_here {
+            let run = |context: &RunContext<'_>| {
+                let mut poll = || match context.is_over() {
+                    true => ControlFlow::Break(()),
+                    false => ControlFlow::Continue(()),
+                };
+                loan.session.as_mut().map(|session| session.simulate_with(&options, &mut poll))
+            };
+            let outcome = watch.run_here(run);
+            callbacks.release();
+            drop(loan);
+            outcome
+        } else {
+            let (releasing, apart) = (callbacks.clone(), Arc::clone(&self.apart));
+            let run = move |_: &CallingThread| {
+                let outcome = loan.session.as_mut().map(|session| match is_apart {
+                    true => simulate_apart(session, &mut lock(&apart), &options),
+                    false => session.simulate(&options),
+                });
+                releasing.release();
+                drop(loan);
+                outcome
+            };
+            watch.run(run)?.flatten()
+        };
+        logs::pass_on(py)?;
+        if let Some(e) = callbacks.take_raised().or_else(|| stop.take_raised()) {
+            return Err(e);
+        }
+        match outcome {
+            Some(Ok(trajectory)) if !stop.is_asked() => {
+                trajectory::record(py, self.fmu.description(), trajectory)
+            }
+            Some(Err(e)) if !stop.is_asked() => Err(fmu_error::raise(py, &e)),
+            Some(Ok(trajectory)) => Err(interrupted(Some(trajectory.end_time))),
+            Some(Err(fmi::FmiError::Simulation(e))) => Err(interrupted(Some(e.time))),
+            _ => Err(interrupted(None)),
+        }
+    }
+}
+
+/// Simulates in a process of its own. The session does not hear of it.
+fn simulate_apart(
+    session: &Session,
+    apart: &mut Option<ModelProcess>,
+    options: &SimulateOptions,
+) -> Result<Trajectory, FmiError> {
+    let process = match apart {
+        Some(process) => process,
+        None => apart.insert(ModelProcess::new(session.fmu(), WorkerLimits::default())?),
+    };
+    let flag = options.cancel.clone();
+    let context = flag.as_deref().map_or_else(RunContext::new, |flag| RunContext::new().flagged(flag));
+    process.simulate(&session.with_values(options), &context)
+}
+
+impl Model {
+    fn with_session<T>(&self, work: impl FnOnce(&mut Session) -> T) -> PyResult<T> {
+        match &mut *lock(&self.slot) {
+            Slot::Here(session) => Ok(work(session)),
+            Slot::Simulating => Err(busy()),
+            Slot::Closed => Err(closed()),
+        }
+    }
+
+    fn lend(&self) -> PyResult<Loan> {
+        let mut slot = lock(&self.slot);
+        match std::mem::replace(&mut *slot, Slot::Simulating) {
+            Slot::Here(session) => Ok(Loan { session: Some(session), slot: Arc::clone(&self.slot) }),
+            Slot::Simulating => Err(busy()),
+            Slot::Closed => {
+                *slot = Slot::Closed;
+                Err(closed())
+            }
+        }
+    }
+
+    fn options(
+        &self,
+        py: Python<'_>,
+        request: Request<'_>,
+        stop: &Arc<EndRequest>,
+    ) -> PyResult<(SimulateOptions, Callbacks)> {
+        let flag = stop.flag();
+        let (inputs, callbacks) = inputs::inputs(request.tables, request.functions, &flag)?;
+        let mut options =
+            SimulateOptions::new().inputs(inputs).cancel(flag).record_events(request.record_events);
+        if !request.settings.values.is_empty() {
+            options.run = request.settings.settings(py)?.run;
+        }
+        options.start_time = request.start_time;
+        options.final_time = request.final_time;
+        options.times = request.times.map(|times| times.to_vec()).transpose()?;
+        options.output_interval = request.output_interval;
+        options.ncp = request.ncp;
+        options.start_values =
+            values::all_from_python(py, self.fmu.description(), request.start_values.into_iter())?;
+        options.clock_intervals =
+            request.clock_intervals.into_iter().map(|(name, interval)| (name, interval.into())).collect();
+        options.outputs = request.outputs;
+        options.between_steps = read("between_steps", &request.between_steps)?;
+        for ignored in options.without_effect(self.kind) {
+            error::warn(py, &ignored)?;
+        }
+        options.run.timeout = time_limit("max_time", request.max_time)?;
+        Ok((options, callbacks))
+    }
+}
+
+fn busy() -> PyErr {
+    PyRuntimeError::new_err(
+        "the model is being simulated, by another thread or around this call; \
+         open it once for each thread, that costs next to nothing",
+    )
+}
+
+fn closed() -> PyErr {
+    PyValueError::new_err("the model has been closed")
+}
+
+/// Ctrl-C, at this time of the simulation.
+fn interrupted(time: Option<f64>) -> PyErr {
+    let at = time.map_or_else(String::new, |time| format!(" at t = {}", ode::Number(time)));
+    Interrupted::new_err(format!("the simulation was interrupted{at}"))
+}
