@@ -59,7 +59,7 @@ LAYERS = {
         commands
     """,
     "ode": """
-        number sparsity stats stages stopwatch tableau
+        sparsity stats stages stopwatch tableau
         system options error
         error_norm event lu observer
         sampling step_size stepper

@@ -1,7 +1,10 @@
-//! Parts that all crates of this workspace share: the context of a run, files.
+//! Parts that all crates of this workspace share: the context of a run, numbers as messages show them, files.
 #![forbid(unsafe_code)]
 
 mod context;
+#[cfg(feature = "files")]
 pub mod files;
+mod number;
 
 pub use context::RunContext;
+pub use number::{Bytes, Number};

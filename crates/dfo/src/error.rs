@@ -3,8 +3,8 @@
 use crate::outcome::termination::Termination;
 use crate::outcome::trace::Trace;
 use crate::values::choices::Kind;
-use crate::values::number::{Bytes, Number};
 use crate::values::record::RecordError;
+use base::{Bytes, Number};
 use std::fmt;
 
 /// Why a minimisation could not start, or ended with nothing in hand.

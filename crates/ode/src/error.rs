@@ -1,7 +1,7 @@
 //! End of a run: normally ([`Termination`]) or with a [`SimulationError`].
 
-use crate::number::Number;
 use crate::stats::Stats;
+use base::Number;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::time::Duration;

@@ -23,7 +23,6 @@ mod explicit_rk;
 mod implicit;
 mod jacobian;
 mod lu;
-mod number;
 mod observer;
 mod options;
 mod sampling;
@@ -39,7 +38,6 @@ mod tableau;
 
 pub use driver::{Driver, EndConditions, Stopped};
 pub use error::{ErrorKind, Evaluated, NotFinite, Report, SimulationError, Termination, Undetermined};
-pub use number::Number;
 pub use observer::{EventRecord, Ignore, Observer, Sample, Side, StepView};
 pub use options::{AbsoluteTolerance, ChatteringPolicy, Limits, Method, Options, OptionsError};
 pub use solve::{DenseOutput, Event, Solution, Solve, SolveError, solve, solve_dae, solve_second_order};

@@ -1,6 +1,6 @@
 //! Options of a run: method, tolerances, limits. Checked once, when a driver is made.
 
-use crate::number::Number;
+use base::Number;
 use serde::{Deserialize, Serialize};
 use std::str::FromStr;
 use std::sync::Arc;

@@ -4,7 +4,7 @@
 use super::checked_experiment::Subject;
 use super::simulated_outputs::{range, rounded};
 use crate::findings::finding::Finding;
-use ode::Number;
+use base::Number;
 use std::ops::Range;
 
 /// Fewer different values than these make a column of states, steps or quantised values, for which a pulse,

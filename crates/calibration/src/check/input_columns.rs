@@ -8,8 +8,8 @@ use super::simulated_outputs::{range, rounded, rounded_time, size_of_difference}
 use crate::data::sampling_interval;
 use crate::findings::finding::{Finding, Severity};
 use crate::problem::column_units::declared;
+use base::Number;
 use fmi::description::{Variability, Variable};
-use ode::Number;
 
 /// A value that lies so many ranges of all others away from them, in one row of a signal whose rows follow
 /// each other, is none of the signal: an impulse on a signal at rest, or on noise, is meant.

@@ -1,7 +1,7 @@
 //! Options of a check.
 
 use crate::findings::finding::Finding;
-use ode::Number;
+use base::Number;
 use std::time::Duration;
 
 /// Options of a check.

@@ -9,9 +9,9 @@ use crate::problem::column_units::declared;
 use crate::problem::experiment::Experiment;
 use crate::problem::input::InputSource;
 use crate::problem::parameter::{Parameter, Scale};
+use base::Number;
 use fmi::description::Variable;
 use fmi::{ModelDescription, Value};
-use ode::Number;
 
 /// A value this many times as large or as small as the model's own is in another unit.
 const UNLIKE: f64 = 1e3;

@@ -6,8 +6,9 @@ use crate::data::sampling_interval;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
 use crate::loaded_problem::calibration::Calibration;
+use base::Number;
 use dfo::RobustLoss;
-use ode::{Number, Stats};
+use ode::Stats;
 
 /// Fewer pairs of steps show no oscillation.
 const FEWEST: usize = 8;

@@ -6,7 +6,7 @@ use crate::loaded_problem::calibration::Calibration;
 use crate::problem::column_units::declared;
 use crate::problem::experiment::Weight;
 use crate::problem::residual_layout::OutputResiduals;
-use ode::Number;
+use base::Number;
 
 /// Outputs that differ by this factor have 99 % and 1 % of the squares.
 const UNLIKE: f64 = 10.0;

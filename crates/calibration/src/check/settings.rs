@@ -6,8 +6,8 @@ use crate::cost::residual::PointResiduals;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
 use crate::loaded_problem::calibration::Calibration;
+use base::Number;
 use dfo::RobustLoss;
-use ode::Number;
 
 /// Simulations with a larger relative tolerance than this are rather a sketch.
 const LOOSE: f64 = 1e-3;

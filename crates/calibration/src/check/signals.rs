@@ -8,7 +8,7 @@ use super::simulated_outputs::{
 };
 use crate::findings::finding::Finding;
 use crate::problem::column_units::declared;
-use ode::Number;
+use base::Number;
 use std::f64::consts::TAU;
 use std::ops::Range;
 

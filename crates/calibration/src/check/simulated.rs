@@ -11,7 +11,7 @@ use crate::findings::finding::Finding;
 use crate::problem::column_units::declared;
 use crate::problem::experiment::InitialState;
 use crate::problem::parameter::Parameter;
-use ode::Number;
+use base::Number;
 use std::f64::consts::PI;
 
 /// Measured and simulated values that differ in size by less than this are left to the parameters.

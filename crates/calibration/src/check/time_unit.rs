@@ -7,8 +7,8 @@ use crate::cost::residual::CostRule;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
 use crate::loaded_problem::calibration::Calibration;
+use base::Number;
 use dfo::RobustLoss;
-use ode::Number;
 use std::time::{Duration, Instant};
 
 /// A simulation that leaves more of the variance of the measurements than this has not followed them.

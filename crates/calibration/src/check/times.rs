@@ -4,7 +4,7 @@ use super::checked_experiment::Subject;
 use super::simulated_outputs::{rounded, rounded_time};
 use crate::data::sampling_interval;
 use crate::findings::finding::{Finding, Severity};
-use ode::Number;
+use base::Number;
 
 /// A distance of times so many times the usual one is a gap.
 const GAP: f64 = 20.0;

@@ -11,10 +11,11 @@ use crate::problem::definition::{Element, Problem};
 use crate::problem::parameter::Parameter;
 use crate::problem::residual_layout::{PriorResidual, ResidualLayout};
 use crate::problem::warning::SetupWarning;
+use base::Number;
 use dfo::FailureKind;
 use fmi::error::ReportedError;
 use fmi::{FmiError, Fmu, Simulator};
-use ode::{Number, Report, Stats};
+use ode::{Report, Stats};
 use std::sync::OnceLock;
 use std::sync::atomic::AtomicU64;
 

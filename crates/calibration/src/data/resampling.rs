@@ -2,7 +2,7 @@
 
 use super::table::{Data, Resampling};
 use crate::error::CalibrationError;
-use ode::Number;
+use base::Number;
 use std::ops::Range;
 
 /// Of fewer values nothing is said.

@@ -5,7 +5,7 @@ use super::series::{Series, sampling_interval};
 use super::time_column::{TimeColumn, find_column, parts};
 use super::units::UnitConversion;
 use crate::error::CalibrationError;
-use ode::Number;
+use base::Number;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::ops::Range;

@@ -247,8 +247,8 @@ impl Unit {
 
 impl fmt::Display for UnitConversion {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "times {}", ode::Number(self.factor.0 / self.factor.1))?;
-        if self.offset == 0.0 { Ok(()) } else { write!(f, " plus {}", ode::Number(self.offset)) }
+        write!(f, "times {}", base::Number(self.factor.0 / self.factor.1))?;
+        if self.offset == 0.0 { Ok(()) } else { write!(f, " plus {}", base::Number(self.offset)) }
     }
 }
 

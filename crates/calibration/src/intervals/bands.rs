@@ -9,10 +9,9 @@ use crate::problem::residual_layout::OutputResiduals;
 use crate::uncertainty::active_bounds::{inner, outer};
 use crate::uncertainty::result::{Uncertainty, check_level};
 use crate::uncertainty::row_blocks::go_on;
-use base::RunContext;
+use base::{Number, RunContext};
 use fmi::Trajectory;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
-use ode::Number;
 use serde::{Deserialize, Serialize};
 use std::thread::available_parallelism;
 

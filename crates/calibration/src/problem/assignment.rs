@@ -7,8 +7,8 @@ use crate::problem::definition::{Element, Problem};
 use crate::problem::experiment::{Experiment, InitialState};
 use crate::problem::input::Shift;
 use crate::problem::parameter::{Parameter, Target};
+use base::Number;
 use fmi::{ModelDescription, Value};
-use ode::Number;
 
 /// A number that follows an entry of `x`, or stays: `factor * x[entry] + offset`, converted to another unit.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -7,8 +7,8 @@ use crate::problem::parameter::{Parameter, Tie};
 use crate::problem::resolution::{check_names, check_targets};
 use crate::problem::settings::SimulationSettings;
 use crate::problem::warning::{SetupWarning, clock_change, ignored_nominals, unused_columns};
+use base::Number;
 use fmi::{FmiError, Fmu, ModelDescription};
-use ode::Number;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 

@@ -2,8 +2,8 @@
 
 use crate::data::{Data, sampling_interval};
 use crate::error::CalibrationError;
+use base::Number;
 use fmi::{InputFunction, Inputs};
-use ode::Number;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::sync::Arc;

@@ -3,7 +3,7 @@
 use crate::data::Series;
 use crate::error::CalibrationError;
 use crate::problem::experiment::{Experiment, Measured, Weight};
-use ode::Number;
+use base::Number;
 
 /// Where no start time is given, a recording may begin so many of its sampling intervals after the model's.
 const MOST_BEFORE: f64 = 10.0;

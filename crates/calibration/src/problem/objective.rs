@@ -192,7 +192,7 @@ impl CostKind {
             (Self::Named(NamedCost::Nrmse), Some(output)) => setup(format!(
                 "the measurements of '{}' are all {}: there is no range for the objective 'nrmse'",
                 output.variable,
-                ode::Number(output.measured[0])
+                base::Number(output.measured[0])
             )),
             _ => Ok(()),
         }

@@ -2,10 +2,10 @@
 
 use crate::error::CalibrationError;
 use crate::problem::prior::Prior;
+use base::Number;
 use dfo::Kind;
 pub use dfo::Transform as Scale;
 use fmi::ModelDescription;
-use ode::Number;
 use serde::{Deserialize, Serialize};
 
 /// Target of a parameter.

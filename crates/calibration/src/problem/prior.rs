@@ -1,6 +1,6 @@
 //! Priors: knowledge of a parameter before the fit, as one more residual, beside those of the measurements.
 
-use ode::Number;
+use base::Number;
 use serde::{Deserialize, Serialize};
 
 /// Knowledge of a parameter before the fit.

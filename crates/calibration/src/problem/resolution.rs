@@ -5,8 +5,8 @@ use crate::data::find_column;
 use crate::error::CalibrationError;
 use crate::problem::experiment::{Experiment, InitialState, Measured};
 use crate::problem::parameter::{Parameter, Target};
+use base::Number;
 use fmi::ModelDescription;
-use ode::Number;
 
 /// True if two names refer to the same variable.
 pub(crate) fn is_same(description: &ModelDescription, one: &str, other: &str) -> bool {

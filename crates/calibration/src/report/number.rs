@@ -1,6 +1,6 @@
 //! Numbers as tables show them: with a few digits.
 
-use ode::Number;
+use base::Number;
 
 /// A number with so many significant digits, at least one, without zeros at their end.
 pub(super) fn rounded(value: f64, digits: usize) -> String {

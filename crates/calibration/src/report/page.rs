@@ -8,10 +8,9 @@ use super::template;
 use crate::error::CalibrationError;
 use crate::fit::one_stage::Fit;
 use crate::loaded_problem::calibration::Calibration;
-use base::RunContext;
+use base::{Number, RunContext};
 use dfo::{Record, Value};
 use fmi::RunSettings;
-use ode::Number;
 use serde::Serialize;
 
 /// Heights of the panels of a figure, in pixels.

@@ -6,8 +6,8 @@ use crate::fit::one_stage::Fit;
 use crate::fit::phase::PhaseCost;
 use crate::uncertainty::active_bounds::BoundSide;
 use crate::uncertainty::result::Uncertainty;
+use base::Number;
 use dfo::Termination;
-use ode::Number;
 use serde::Serialize;
 use std::borrow::Cow;
 

@@ -1,6 +1,6 @@
 //! Numbers as sentences show them.
 
-use ode::Number;
+use base::Number;
 
 /// A number with four digits.
 pub(crate) fn digits(value: f64) -> Number {

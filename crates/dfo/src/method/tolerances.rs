@@ -2,7 +2,7 @@
 
 use crate::error::Error;
 use crate::values::choices::{StopRule, ToleranceMeasure};
-use crate::values::number::Number;
+use base::Number;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::time::Duration;

@@ -1,8 +1,7 @@
-//! Plain values: choices by name, numbers as text, bytes, records.
+//! Plain values: choices by name, bytes as text, records.
 
 pub(crate) mod choices;
 pub(crate) mod encoding;
 pub(crate) mod fields;
 pub(crate) mod nearest;
-pub(crate) mod number;
 pub(crate) mod record;

@@ -2,7 +2,7 @@
 //! this workspace.
 
 use crate::values::nearest::nearest;
-use crate::values::number::Number;
+use base::Number;
 use serde::de::value::{MapAccessDeserializer, SeqDeserializer};
 use serde::de::{self, DeserializeOwned, DeserializeSeed, IntoDeserializer, MapAccess, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, forward_to_deserialize_any};

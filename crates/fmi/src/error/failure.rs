@@ -1,6 +1,6 @@
 //! A call into an FMU that failed: which call, for what, when, and what the FMU had to say about it.
 
-use ode::Number;
+use base::Number;
 use std::fmt;
 
 /// A call into an FMU that failed.

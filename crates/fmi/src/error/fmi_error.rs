@@ -4,7 +4,7 @@ use super::entry_problem::EntryProblem;
 use super::failure::CallFailure;
 use super::worker_failure::{ReportedError, ReportedErrorKind, WorkerEnd};
 use crate::value::{Value, VariableKind};
-use ode::Number;
+use base::Number;
 use std::io;
 use std::path::{Path, PathBuf};
 

@@ -1,6 +1,6 @@
 //! Failures of a worker process: an error that it reported, or its end.
 
-use ode::Number;
+use base::Number;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 

@@ -4,7 +4,7 @@ use super::options::{DEFAULT_INTERVALS, SimulateOptions};
 use crate::description::DefaultExperiment;
 use crate::error::{FmiError::BadSetting, Result};
 use crate::platform::memory;
-use ode::Number;
+use base::Number;
 use std::ops::Range;
 
 /// More rows than this are taken for a mistake.

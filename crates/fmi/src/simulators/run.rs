@@ -6,8 +6,9 @@ use crate::description::{Causality, QuirkKind};
 use crate::error::FmiError;
 use crate::libraries::Reuse;
 use crate::sys::{Inside, is_worker};
+use base::Number;
 use ode::{
-    Checks, ErrorKind, Ignore, Limits, Number, Observer, Report, Seconds, SimulationError, Stats, Termination,
+    Checks, ErrorKind, Ignore, Limits, Observer, Report, Seconds, SimulationError, Stats, Termination,
 };
 use std::sync::Arc;
 use std::time::Instant;

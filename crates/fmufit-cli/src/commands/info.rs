@@ -3,9 +3,9 @@
 use crate::arguments::Info;
 use crate::console::{Console, Table};
 use crate::error::{Error, Exit};
+use base::Number;
 use fmi::description::{Causality, Interface};
 use fmi::{Fmu, ModelDescription, Value, Variable};
-use ode::Number;
 use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::{Value as Json, json};

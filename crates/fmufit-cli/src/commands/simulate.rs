@@ -7,12 +7,13 @@ use crate::error::{Error, Exit};
 use crate::interrupt::Interrupt;
 use crate::output_paths::{check_written, is_stream};
 use crate::problem::short_form;
+use base::Number;
 use calibration::{CalibrationError, CsvRequest, Data, ModelProcess, RunContext, UnitConversion};
 use dfo::Value;
 use fmi::description::Causality;
 use fmi::worker::WorkerLimits;
 use fmi::{FmiError, Fmu, Inputs, SimulateOptions, SimulationPlan, Trajectory};
-use ode::{Number, Termination};
+use ode::Termination;
 use std::path::{Path, PathBuf};
 
 pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error> {

@@ -4,10 +4,11 @@ use super::simulate::simulated;
 use crate::arguments::Validate;
 use crate::console::Console;
 use crate::error::{Error, Exit};
+use base::Number;
 use calibration::CalibrationError;
 use dfo::Value;
 use fmi::{Fmu, SimulateOptions, Trajectory};
-use ode::{Number, Termination};
+use ode::Termination;
 use schemars::JsonSchema;
 use serde::Serialize;
 

@@ -83,7 +83,8 @@ fn values_that_are_not_finite_are_named() {
                         assert!((found.time - from).abs() < 0.01, "{name} {what:?} {from}: {error}");
                         assert!(error.to_string().contains(&found.to_string()), "{error}");
                         if from == 0.0 && what == Evaluated::Derivative {
-                            let text = format!("the derivative of state 2 is {} at t = 0", Number(value));
+                            let text =
+                                format!("the derivative of state 2 is {} at t = 0", base::Number(value));
                             assert_eq!(error.to_string(), text);
                             assert!(matches!(error.kind, ErrorKind::DiscardedAtRestart));
                         }

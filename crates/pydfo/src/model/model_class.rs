@@ -331,6 +331,6 @@ fn closed() -> PyErr {
 
 /// Ctrl-C, at this time of the simulation.
 fn interrupted(time: Option<f64>) -> PyErr {
-    let at = time.map_or_else(String::new, |time| format!(" at t = {}", ode::Number(time)));
+    let at = time.map_or_else(String::new, |time| format!(" at t = {}", base::Number(time)));
     Interrupted::new_err(format!("the simulation was interrupted{at}"))
 }

@@ -8,11 +8,11 @@ use crate::model::trajectory::Counts;
 use crate::ode::system::{
     Event, JacobianSource, PySystem, SparseJacobian, is_sparse, matrix, sparse_entries,
 };
+use base::Number;
 use numpy::{PyArray1, PyArrayMethods};
 use ode::{
     AbsoluteTolerance, DenseOutput, Direction, Driver, ErrorKind, Evaluated, HybridSystem, JacobianPattern,
-    Limits, Method, Number, Observer, Options, OptionsError, Report, Sample, SimulationError, StepView,
-    Termination,
+    Limits, Method, Observer, Options, OptionsError, Report, Sample, SimulationError, StepView, Termination,
 };
 use pyo3::exceptions::{PyMemoryError, PyValueError};
 use pyo3::prelude::*;

@@ -19,9 +19,9 @@ use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
 use crate::uncertainty::digits::digits;
 use crate::uncertainty::estimate::KnownPoint;
 use crate::uncertainty::result::{Uncertainty, UncertaintyOptions};
-use base::RunContext;
+use base::{Number, RunContext};
 use dfo::{Report, RobustLoss, Termination, ToleranceMeasure, Tolerances};
-use ode::{Number, Stats};
+use ode::Stats;
 use std::sync::atomic::Ordering;
 
 /// With a relative tolerance of this size or more a search ends anywhere.

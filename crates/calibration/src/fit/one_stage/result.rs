@@ -11,8 +11,9 @@ use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::active_bounds::BoundSide;
 use crate::uncertainty::preflight::Preflight;
 use crate::uncertainty::result::Uncertainty;
+use base::Number;
 use dfo::Report;
-use ode::{Number, Stats};
+use ode::Stats;
 use serde::{Deserialize, Serialize};
 
 /// The result of a fit. `Display` prints a summary.

@@ -17,13 +17,13 @@ use crate::uncertainty::active_bounds::{EndedRun, StuckParameters};
 use crate::uncertainty::digits::digits;
 use crate::uncertainty::preflight::{Preflight, PreflightOptions};
 use crate::uncertainty::result::UncertaintyOptions;
-use base::RunContext;
+use base::{Number, RunContext};
 use dfo::{
     Answer, AnyMethod, ByRef, CutoffUse, Evaluator, Kind, NothingFound, Objective, Outcome, Polled,
     ProblemClass, Progress, Query, Report, Resume, RobustLoss, RunOptions, Search, Termination,
     ToleranceMeasure, Tolerances, Trace, Wait, Want,
 };
-use ode::{Number, Stats};
+use ode::Stats;
 use std::cell::RefCell;
 use std::collections::{HashMap, VecDeque};
 use std::ops::ControlFlow;

@@ -9,9 +9,10 @@ use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
 use crate::loaded_problem::calibration::Calibration;
 use crate::problem::residual_layout::OutputResiduals;
+use base::Number;
 use dfo::{RobustLoss, ToleranceMeasure};
 use fmi::InterfaceKind;
-use ode::{Number, Stats};
+use ode::Stats;
 use serde::{Deserialize, Serialize};
 
 /// The relative tolerance that was chosen for the simulations of a fit, where it was not given.

@@ -2,7 +2,8 @@
 
 use crate::uncertainty::active_bounds::BoundSide;
 use crate::uncertainty::digits::digits;
-use ode::{Number, Stats};
+use base::Number;
+use ode::Stats;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 

@@ -8,7 +8,8 @@ use crate::simulation::plan::{Communication, SimulationPlan};
 use crate::simulation::running::Running;
 use crate::simulation::shared_observer::SharedObserver;
 use crate::sys::{Fault, RawInstance};
-use ode::{ErrorKind, EventCause, EventOutcome, EventRecord, Number, Observer, Stats, Stopped, Termination};
+use base::Number;
+use ode::{ErrorKind, EventCause, EventOutcome, EventRecord, Observer, Stats, Stopped, Termination};
 
 /// Steps of which nothing was computed, in a row, before a run gives up.
 const MAX_DISCARDS: u32 = 12;

@@ -12,7 +12,7 @@ use crate::description::{Capabilities, DefaultExperiment};
 use crate::error::{FmiError, Result};
 use crate::simulation::grid::Grid;
 use crate::simulation::options::{BetweenSteps, SimulateOptions};
-use ode::Number;
+use base::Number;
 
 /// More steps than this are taken for a mistake.
 const MAX_STEPS: f64 = 1e9;

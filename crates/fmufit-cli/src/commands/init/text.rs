@@ -2,10 +2,10 @@
 
 use super::matching::{Columns, Pair};
 use super::proposal::{Candidate, Proposed};
+use base::Number;
 use calibration::{CostKind, FitOptions, SimulationSettings};
 use dfo::AnyMethod;
 use fmi::Fmu;
-use ode::Number;
 
 /// The text; `paths` of model and recording as they stand in the file.
 pub(super) fn text(

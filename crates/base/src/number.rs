@@ -5,7 +5,7 @@ use std::fmt;
 /// Shows a number with as many digits as it has, and with an exponent where they would be a long row of
 /// zeros: below 1e-4 and from 1e7 on. A precision asks for so many digits at most.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Number(pub(crate) f64);
+pub struct Number(pub f64);
 
 impl fmt::Display for Number {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -23,7 +23,7 @@ impl fmt::Display for Number {
 
 /// Shows a number of bytes with a unit, powers of 1000.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Bytes(pub(crate) f64);
+pub struct Bytes(pub f64);
 
 impl fmt::Display for Bytes {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
