@@ -20,19 +20,19 @@ LAYERS = {
         data
         problem
         cost
-        loaded_problem
+        calibration
         check uncertainty
         fit
         intervals validation
         report export
-        watch
+        live_page
     """,
     "dfo": """
         values
         outcome
         error
         problem
-        method
+        method_interface
         evaluation methods
         run
     """,
@@ -40,7 +40,7 @@ LAYERS = {
         macros
         value
         error
-        cancel_request gate log platform
+        cancel_request fair_lock log platform
         archive
         description
         sys

@@ -14,6 +14,7 @@
 //! (files, tables, other programs); `watch` (the page of a running fit).
 #![forbid(unsafe_code)]
 
+mod calibration;
 mod check;
 mod cost;
 mod data;
@@ -22,14 +23,16 @@ mod export;
 mod findings;
 mod fit;
 mod intervals;
-mod loaded_problem;
+mod live_page;
 mod problem;
 mod report;
 mod uncertainty;
 mod validation;
-mod watch;
 
 pub use base::RunContext;
+pub use calibration::handle::{Calibration, CalibrationBuilder};
+pub use calibration::simulations::Effort;
+pub use calibration::worker::serve_if_worker;
 pub use check::{Check, CheckOptions};
 pub use cost::process::ModelProcess;
 pub use cost::residual::quad_err;
@@ -42,15 +45,15 @@ pub use data::{
     clock_change, date_seconds, find_column,
 };
 pub use dfo;
-pub use dfo::Kind;
+pub use dfo::ParameterKind;
 pub use error::CalibrationError;
 pub use export::{FitDocument, FmuExport, SavedFit, Table};
 pub use findings::finding::{Finding, Severity};
-pub use findings::hidden_characters::visible;
+pub use findings::shown_text::visible;
 pub use fit::live::LiveFit;
 pub use fit::one_stage::{
-    ChosenTolerance, Engine, EstimatedNoise, Fit, FitNoise, FitObserver, FitOptions, FitRecord, NoiseRule,
-    OutputNoise,
+    ChosenTolerance, EstimatedNoise, Fit, FitNoise, FitObserver, FitOptions, FitRecord, NoiseRule,
+    OutputNoise, SimulationExecutor,
 };
 pub use fit::output_fit::OutputFit;
 pub use fit::phase::{CurrentPhase, FitPhase, PhaseCost};
@@ -60,9 +63,7 @@ pub use fit::several_stages::{Stage, StageRecord};
 pub use fmi;
 pub use intervals::bands::{BandOptions, PredictionBand};
 pub use intervals::profile::{ParameterProfile, Profile, ProfileEnd, ProfileOptions, ProfilePoint};
-pub use loaded_problem::calibration::{Calibration, CalibrationBuilder};
-pub use loaded_problem::simulations::Effort;
-pub use loaded_problem::worker::serve_if_worker;
+pub use live_page::LivePage;
 pub use problem::column_units::{InputColumn, recorded_inputs};
 pub use problem::definition::{ModelFile, Problem};
 pub use problem::experiment::{Experiment, InitialState, OutputScale, Weight};
@@ -75,7 +76,6 @@ pub use problem::residual_layout::{OutputResiduals, PriorResidual, ResidualLayou
 pub use problem::settings::SimulationSettings;
 pub use problem::warning::{SETUP_LOG_TARGET, SetupWarning};
 pub use report::{ExperimentCurves, OutputCurves, Signal, plot};
-pub use uncertainty::active_bounds::BoundSide;
 pub use uncertainty::diagnostics::omitted::{Effect, Omitted};
 pub use uncertainty::diagnostics::parameter_constancy::{DataSplit, PartConflict};
 pub use uncertainty::diagnostics::prior_check::PriorConflict;
@@ -83,6 +83,6 @@ pub use uncertainty::diagnostics::residual_check::ResidualCheck;
 pub use uncertainty::diagnostics::unmodelled::{Unmodelled, UnmodelledKind};
 pub use uncertainty::preflight::{ParameterCheck, Preflight, PreflightOptions};
 pub use uncertainty::result::{Estimator, Uncertainty, UncertaintyOptions};
+pub use uncertainty::stuck_parameters::BoundSide;
 pub use validation::cross_validation::{CrossValidation, CrossValidationOptions, Fold};
 pub use validation::held_out::{ValidatedOutput, Validation, ValidationSet};
-pub use watch::LivePage;

@@ -2,7 +2,7 @@
 
 use crate::outcome::termination::Termination;
 use crate::outcome::trace::Trace;
-use crate::values::choices::Kind;
+use crate::values::choices::ParameterKind;
 use crate::values::record::RecordError;
 use base::{Bytes, Number};
 use std::fmt;
@@ -175,7 +175,7 @@ pub enum Error {
         /// Parameter, counted from 0.
         index: usize,
         /// Its kind.
-        kind: Kind,
+        kind: ParameterKind,
     },
     /// An initial simplex does not have one vertex more than there are free parameters.
     #[error("the initial simplex has {got} vertices; {expected} are needed (free parameters + 1)")]

@@ -51,7 +51,7 @@
 
 mod error;
 mod evaluation;
-mod method;
+mod method_interface;
 mod methods;
 mod outcome;
 mod problem;
@@ -61,19 +61,19 @@ mod values;
 pub use base::RunContext;
 pub use error::{Error, NothingFound};
 pub use evaluation::{BatchView, CutoffUse, Evaluator, Polled, Wait};
-pub use method::interface::{
+pub use method_interface::interface::{
     AnswersSoFar, BarrierStage, Batch, Lookahead, Method, MethodDetails, MethodOptions, Operation, Optimum,
     ProblemClass, Roughness, Setup, Simplex, SimplexView, Status,
 };
-pub use method::linear_model::{Covariance, LinearModel};
-pub use method::sampling::Sampling;
-pub use method::tolerances::{Limits, TestedSet, ToleranceTests, Tolerances};
+pub use method_interface::linear_model::{Covariance, LinearModel};
+pub use method_interface::sampling::Sampling;
+pub use method_interface::tolerances::{Limits, TestedSet, ToleranceTests, Tolerances};
 pub use methods::{
     Adaptive, AnyMethod, Auto, Barrier, BarrierState, BoxedMethod, CmaBounds, CmaEs, CmaEsState,
-    Coefficients, Crossover, DifferentialEvolution, DifferentialEvolutionState, Genetic, GeneticState,
-    InitialSimplex, LeastSquares, LeastSquaresState, Multistart, MultistartState, NelderMead,
+    Coefficients, Crossover, DifferentialEvolution, DifferentialEvolutionState, DifferentialWeight, Genetic,
+    GeneticState, InitialSimplex, LeastSquares, LeastSquaresState, Multistart, MultistartState, NelderMead,
     NelderMeadState, PatternSearch, PatternSearchState, Polish, QuadraticModel, QuadraticModelState, Repair,
-    Restarts, Scheme, Selection, StepPlan, Strategy, Weight,
+    Restarts, Scheme, Selection, StepPlan, Strategy,
 };
 pub use outcome::answer::{Answer, Answers, Failure, FailureKind, Outcome, Want};
 pub use outcome::termination::Termination;
@@ -93,6 +93,6 @@ pub use run::options::{KnownPoint, RunOptions};
 pub use run::progress::Progress;
 pub use run::report::{Report, Resumed};
 pub use run::requested::RequestedRun;
-pub use values::choices::{BoundsHandling, Kind, Search, StopRule, ToleranceMeasure, Transform};
+pub use values::choices::{BoundsHandling, ParameterKind, Search, StopRule, ToleranceMeasure, Transform};
 pub use values::fields::{field_names, read_known, read_part, read_record};
 pub use values::record::{Record, RecordError, Value};

@@ -6,8 +6,10 @@ use crate::description::{
     Interface, ModelDescription, Quirk, QuirkKind, TERMINALS, Terminal, Variable, VariableKind, terminals,
 };
 use crate::error::{FmiError, Result};
-use crate::gate::Gate;
-use crate::libraries::{Libraries, LibraryFile, LoadedLibrary, Maker, Reuse, Setting, Verdict, Wanted};
+use crate::fair_lock::FairLock;
+use crate::libraries::{
+    Libraries, LibraryFile, LoadedLibrary, Maker, ResetKnowledge, Reuse, Setting, Wanted,
+};
 use crate::macros::getters;
 use crate::open_options::{LogOptions, OpenOptions};
 use crate::sys::{InterfaceKind, Library, LoadFrom, is_worker};
@@ -46,7 +48,7 @@ struct Inner {
     /// none.
     last_runs: [AtomicU64; 2],
     /// Who makes one of the simulations that take turns has one.
-    turns: Arc<Gate>,
+    turns: Arc<FairLock>,
     /// Value references of the variables of type Real and their positions, sorted; made when first needed.
     real_references: OnceLock<Vec<(u32, usize)>>,
     /// Departures from the standard that showed in runs.
@@ -108,7 +110,7 @@ impl Fmu {
         /// Log settings.
         pub(crate) logging(self) -> &LogOptions = &self.inner.options.logging;
         /// The simulations that take turns.
-        pub(crate) turns(self) -> &Arc<Gate> = &self.inner.turns;
+        pub(crate) turns(self) -> &Arc<FairLock> = &self.inner.turns;
     }
 
     /// Opens a `.fmu` file or an unpacked folder and reads its description.
@@ -384,7 +386,7 @@ impl Fmu {
     }
 
     /// State of knowledge about the reset of instances of one interface.
-    pub(crate) fn verdict(&self, kind: InterfaceKind) -> MutexGuard<'_, Verdict> {
+    pub(crate) fn verdict(&self, kind: InterfaceKind) -> MutexGuard<'_, ResetKnowledge> {
         self.inner.libraries.verdict(kind)
     }
 

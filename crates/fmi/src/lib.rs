@@ -37,9 +37,9 @@ pub mod archive;
 mod cancel_request;
 pub mod description;
 pub mod error;
+mod fair_lock;
 mod fmu;
 mod fmu_cache;
-mod gate;
 mod instance;
 mod libraries;
 mod log;
@@ -75,7 +75,7 @@ pub use simulation::{
     BetweenSteps, DEFAULT_INTERVALS, DEFAULT_TOLERANCE, InputFunction, Inputs, Recorded, RunSettings,
     SimulateOptions, SimulationPlan, Tick, Trajectory, ValueColumn,
 };
-pub use simulators::{InstanceOptions, Pool, Simulator};
+pub use simulators::{InstanceOptions, SharedSimulator, Simulator};
 pub use source::{build_library, clear_caches, pack, pack_texts, pack_unless};
 #[cfg(target_os = "linux")]
 #[doc(hidden)]

@@ -12,7 +12,7 @@ pub(crate) const LINES: usize = 32;
 /// The rate limit, counted in what the FMU is asked to do and not in time, so that the same run leaves the
 /// same lines: an instance may log so many lines at once,
 const BURST: i32 = 64;
-/// gets leave for so many more with every point of time, completed step and event iteration,
+/// so many more with every point of time, completed step and event iteration,
 const PER_POINT: i32 = 4;
 /// and when it has used that up, may still log so many errors. The lines beyond are counted, and neither
 /// expanded nor kept.

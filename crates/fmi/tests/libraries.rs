@@ -6,8 +6,8 @@ mod support;
 
 use fmi::ode::{ErrorKind, Ignore};
 use fmi::{
-    FmiError, Fmu, Inputs, Kind, Pool, Session, SimulateOptions, SimulationPlan, Simulator, Status,
-    Trajectory,
+    FmiError, Fmu, Inputs, Kind, Session, SharedSimulator, SimulateOptions, SimulationPlan, Simulator,
+    Status, Trajectory,
 };
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::channel;
@@ -42,7 +42,7 @@ fn no_two_threads_are_in_one_library() {
     for folder in [evil(&["DIES_WITH_TWO"]), evil_with_sibling(&["DIES_WITH_TWO"], "alone")] {
         let fmu = folder.open();
         let plan = SimulationPlan::new(&fmu, &options().parameters(["k"])).unwrap();
-        let pool = Pool::new(Arc::new(plan));
+        let pool = SharedSimulator::new(Arc::new(plan));
         std::thread::scope(|scope| {
             for thread in 0..4 {
                 let (folder, fmu, pool) = (&folder, &fmu, &pool);

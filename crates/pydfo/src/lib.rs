@@ -21,7 +21,9 @@ mod core_module {
     #[pymodule_export]
     use super::calibration::calibration_class::PyCalibration;
     #[pymodule_export]
-    use super::calibration::data::{
+    use super::calibration::check::check;
+    #[pymodule_export]
+    use super::calibration::data_files::{
         PyTable, check_regular, clock_change, date_seconds, find_column, find_time,
     };
     #[pymodule_export]
@@ -33,7 +35,7 @@ mod core_module {
     #[pymodule_export]
     use super::calibration::profile::profile;
     #[pymodule_export]
-    use super::calibration::recordings::{check, recorded, recorded_inputs};
+    use super::calibration::recordings::{recorded, recorded_inputs};
     #[pymodule_export]
     use super::calibration::saved_fit::{functions_of_fit, load_fit};
     #[pymodule_export]

@@ -1,4 +1,4 @@
-//! Check before a fit: contradictions between model, recordings and parameters.
+//! Check of a setup before a fit: what model, recordings and parameters say against each other.
 
 mod checked_experiment;
 mod columns;
@@ -21,10 +21,10 @@ pub(crate) use model::unstated_noise;
 pub use options::CheckOptions;
 pub use result::Check;
 
+use crate::calibration::handle::Calibration;
 use crate::cost::residual::PointResiduals;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
-use crate::loaded_problem::calibration::Calibration;
 use base::RunContext;
 use checked_experiment::Subject;
 use ode::Stats;

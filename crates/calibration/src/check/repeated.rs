@@ -2,8 +2,8 @@
 
 use super::checked_experiment::Subject;
 use super::simulated_outputs::range;
+use crate::calibration::handle::Calibration;
 use crate::findings::finding::Finding;
-use crate::loaded_problem::calibration::Calibration;
 use crate::problem::residual_layout::OutputResiduals;
 
 /// Fewer equal measurements at equal times may be chance.

@@ -1,8 +1,8 @@
 //! The outputs of a calibration as they were measured and simulated at some values of the parameters.
 
 use super::checked_experiment::Subject;
+use crate::calibration::handle::Calibration;
 use crate::cost::residual::PointResiduals;
-use crate::loaded_problem::calibration::Calibration;
 use crate::problem::residual_layout::OutputResiduals;
 use base::RunContext;
 use ode::Stats;

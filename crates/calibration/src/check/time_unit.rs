@@ -2,11 +2,11 @@
 
 use super::checked_experiment::Subject;
 use super::simulated_outputs::{Evaluations, Outputs, all_series, rounded, rounded_time, unexplained};
+use crate::calibration::handle::Calibration;
 use crate::cost::failure::CostFailure;
 use crate::cost::residual::CostRule;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
-use crate::loaded_problem::calibration::Calibration;
 use base::Number;
 use dfo::RobustLoss;
 use std::time::{Duration, Instant};

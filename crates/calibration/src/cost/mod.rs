@@ -2,8 +2,8 @@
 //! and the choice of the solver.
 
 pub(crate) mod accuracy;
-pub(crate) mod evaluator;
 pub(crate) mod failure;
+pub(crate) mod loaded_problem;
 pub(crate) mod parallel;
 pub(crate) mod process;
 pub(crate) mod residual;

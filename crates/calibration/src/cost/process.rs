@@ -316,7 +316,7 @@ impl Remote {
     }
 
     /// The cost at a point, its residuals into `out`; see
-    /// [`Evaluator::evaluate`](crate::cost::evaluator::Evaluator::evaluate).
+    /// [`LoadedProblem::evaluate`](crate::cost::loaded_problem::LoadedProblem::evaluate).
     pub(crate) fn evaluate(
         &self,
         x: &[f64],

@@ -12,7 +12,9 @@ use crate::problem::measurements::Measurements;
 use crate::problem::parameter::Parameter;
 use crate::problem::warning::SetupWarning;
 use base::Number;
-use fmi::{FmiError, Fmu, Inputs, Pool, SimulateOptions, SimulationPlan, Simulator, Trajectory, Value};
+use fmi::{
+    FmiError, Fmu, Inputs, SharedSimulator, SimulateOptions, SimulationPlan, Simulator, Trajectory, Value,
+};
 use ode::{Method, Observer, Report};
 use std::borrow::Cow;
 use std::cmp::Ordering;
@@ -25,7 +27,7 @@ pub(crate) struct Simulation {
     /// The name of the experiment.
     pub(crate) name: String,
     /// Simulators with the method that the settings name.
-    pub(crate) pool: Pool,
+    pub(crate) pool: SharedSimulator,
     /// The same at the parameters' start values, without the times of the rows.
     pub(crate) options: SimulateOptions,
     pub(crate) comparison: Comparison,
@@ -104,7 +106,7 @@ impl Simulation {
             || assigned.inputs.iter().any(|(delay, offset)| !delay.is_constant() || !offset.is_constant());
         let simulation = Self {
             name,
-            pool: Pool::new(Arc::new(plan)),
+            pool: SharedSimulator::new(Arc::new(plan)),
             options,
             comparison,
             schedule,

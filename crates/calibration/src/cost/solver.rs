@@ -1,8 +1,8 @@
 //! Choice of the method that integrates the simulations of a calibration: the one that was named, or the best
 //! of a comparison.
 
-use crate::cost::evaluator::Evaluator;
 use crate::cost::failure::CostFailure;
+use crate::cost::loaded_problem::LoadedProblem;
 use crate::cost::residual::{Accumulator, CostRule};
 use crate::cost::solver_comparison::{
     ComparisonOutcome, ComparisonRun, ComparisonTask, SolverComparison, compare_solvers,
@@ -10,7 +10,7 @@ use crate::cost::solver_comparison::{
 use crate::error::CalibrationError;
 use base::RunContext;
 use dfo::RobustLoss;
-use fmi::{FmiError, InterfaceKind, Pool, SimulateOptions, SimulationPlan, Simulator};
+use fmi::{FmiError, InterfaceKind, SharedSimulator, SimulateOptions, SimulationPlan, Simulator};
 use ode::{ErrorKind, Method, Observer, Sample, Stats};
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
@@ -42,7 +42,7 @@ pub(crate) struct Choice {
 pub(crate) struct Chosen {
     pub(crate) solver: Solver,
     /// Simulators with this method, per experiment; none: those of the settings.
-    pools: Vec<Pool>,
+    pools: Vec<SharedSimulator>,
 }
 
 /// Evaluation at the start of a fit that was made before its search.
@@ -91,10 +91,10 @@ impl Choice {
     /// The simulators of an experiment with the method in use.
     pub(crate) fn pool<'a>(
         &'a self,
-        problem: &'a Evaluator,
+        problem: &'a LoadedProblem,
         experiment: usize,
         context: &RunContext<'_>,
-    ) -> Result<&'a Pool, CostFailure> {
+    ) -> Result<&'a SharedSimulator, CostFailure> {
         let chosen = self.chosen(problem, context, &mut Stats::default()).map_err(|error| match error {
             CalibrationError::Model(error) => error.into(),
             _ => CostFailure::Cancelled,
@@ -107,7 +107,7 @@ impl Choice {
     /// chosen. What its simulations take is added to `stats`.
     pub(crate) fn chosen(
         &self,
-        problem: &Evaluator,
+        problem: &LoadedProblem,
         context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Result<(&Chosen, Option<AtStart>), CalibrationError> {
@@ -130,13 +130,17 @@ impl Choice {
     }
 
     /// Fixes the choice, unless it is made.
-    pub(crate) fn choose(&self, problem: &Evaluator, solver: Solver) -> Result<&Chosen, CalibrationError> {
+    pub(crate) fn choose(
+        &self,
+        problem: &LoadedProblem,
+        solver: Solver,
+    ) -> Result<&Chosen, CalibrationError> {
         let mut pools = Vec::new();
         if solver.method != problem.problem.settings.run.method {
             for simulation in &problem.simulations {
                 let options = simulation.options_at_start().method(solver.method);
                 let plan = Arc::new(SimulationPlan::new(&problem.fmu, &options)?);
-                pools.push(Pool::new(plan));
+                pools.push(SharedSimulator::new(plan));
             }
         }
         Ok(self.made.get_or_init(|| Chosen { solver, pools }))
@@ -146,7 +150,7 @@ impl Choice {
 /// Compares the methods on the simulations of a problem, at the start values of its parameters; with the
 /// evaluation there by the winner.
 fn compare_on_problem(
-    problem: &Evaluator,
+    problem: &LoadedProblem,
     context: &RunContext<'_>,
     stats: &mut Stats,
 ) -> Result<(SolverComparison, Option<AtStart>), CalibrationError> {
@@ -180,7 +184,7 @@ fn compare_on_problem(
 /// A simulation of a comparison; with the residuals and the seconds that they took where they are those of an
 /// evaluation.
 pub(crate) fn simulate_compared(
-    problem: &Evaluator,
+    problem: &LoadedProblem,
     task: &ComparisonTask,
     context: &RunContext<'_>,
     stats: &mut Stats,

@@ -4,7 +4,7 @@
 //! measured, so that the comparison has the same winner on every machine. [`Method::Auto`] runs first. Where
 //! the system is not stiff that is Tsit5, and there is nothing to win: the comparison is over, and `Auto`
 //! stays, which also copes with parameters that make the system stiff. Where it is stiff, Radau5 with a tenth
-//! of the tolerance shows what is right, and BDF and Radau5 compete. Of those within 5 tolerances of it the
+//! of the tolerance shows what is right, and BDF and Radau5 are tried. Of those within 5 tolerances of it the
 //! winner is who takes the least work for the same error. A method takes part as long as it may still be that
 //! one.
 

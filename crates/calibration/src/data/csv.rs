@@ -2,11 +2,11 @@
 
 use super::csv_records::{MOST_COLUMNS, Records, decode};
 use super::dates::{DateError, date_seconds};
-use super::shortened_text::shortened;
-use super::table::{Column, Data, mixed_decimal_signs};
+use super::recording::{Column, Data, mixed_decimal_signs};
 use super::time_column::{PairUnit, TimeColumn, find_column, time_unit};
 use super::units::Unit;
 use crate::error::CalibrationError;
+use crate::findings::shown_text::shortened;
 use base::RunContext;
 use std::borrow::Cow;
 use std::io;

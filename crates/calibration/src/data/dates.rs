@@ -6,8 +6,8 @@ use jiff::civil::{Date, DateTime, Time};
 use jiff::fmt::strtime;
 
 use super::clock_change::{ClockChange, clock_change};
-use super::shortened_text::shortened;
 use super::time_column::PairUnit;
+use crate::findings::shown_text::shortened;
 
 /// After so many cells it is asked whether reading is to end.
 const CELLS_PER_LOOK: usize = 4096;

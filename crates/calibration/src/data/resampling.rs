@@ -1,6 +1,6 @@
 //! Means over intervals in place of the rows of a recording, and what of its signals they take away.
 
-use super::table::{Data, Resampling};
+use super::recording::{Data, Resampling};
 use crate::error::CalibrationError;
 use base::Number;
 use std::ops::Range;

@@ -1,7 +1,7 @@
 //! Selection of the column of a table that holds the times, and its unit.
 
-use super::shortened_text::shortened;
 use super::units::Unit;
+use crate::findings::shown_text::shortened;
 
 /// Names beyond these are counted only.
 const MOST_LISTED: usize = 20;

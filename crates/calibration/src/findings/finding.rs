@@ -1,6 +1,6 @@
 //! Findings about a setup or a fit: sentences with a subject, a severity, and a remedy.
 
-use crate::findings::hidden_characters::visible;
+use crate::findings::shown_text::visible;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 

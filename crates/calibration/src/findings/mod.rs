@@ -1,4 +1,4 @@
 //! Findings of checks and fits, and how names from elsewhere are shown.
 
 pub(crate) mod finding;
-pub(crate) mod hidden_characters;
+pub(crate) mod shown_text;

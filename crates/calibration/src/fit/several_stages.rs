@@ -1,6 +1,7 @@
 //! Fits in stages: each frees some of the parameters, holds the others, and starts from the result of the
 //! last.
 
+use crate::calibration::handle::Calibration;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
 use crate::fit::one_stage::{
@@ -8,8 +9,7 @@ use crate::fit::one_stage::{
 };
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::FitPhase;
-use crate::loaded_problem::calibration::Calibration;
-use crate::uncertainty::active_bounds::StuckParameters;
+use crate::uncertainty::stuck_parameters::StuckParameters;
 use base::RunContext;
 use dfo::{
     AnyMethod, Limits, Progress, Record, Report, RequestedRun, RunOptions, Termination, Tolerances,

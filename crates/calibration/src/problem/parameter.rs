@@ -3,7 +3,7 @@
 use crate::error::CalibrationError;
 use crate::problem::prior::Prior;
 use base::Number;
-use dfo::Kind;
+use dfo::ParameterKind;
 pub use dfo::Transform as Scale;
 use fmi::ModelDescription;
 use serde::{Deserialize, Serialize};
@@ -55,7 +55,7 @@ pub struct Parameter {
     upper: f64,
     scale: Scale,
     nominal: Option<f64>,
-    kind: Kind,
+    kind: ParameterKind,
     fixed: bool,
     local: bool,
     unit: Option<String>,
@@ -76,7 +76,7 @@ impl Parameter {
             upper: f64::INFINITY,
             scale: Scale::Linear,
             nominal: None,
-            kind: Kind::Continuous,
+            kind: ParameterKind::Continuous,
             fixed: false,
             local: false,
             unit: None,
@@ -178,7 +178,7 @@ impl Parameter {
     /// Not every method searches over the latter two: [`dfo::DifferentialEvolution`] takes integers,
     /// [`dfo::Genetic`] both.
     #[must_use]
-    pub fn kind(mut self, kind: Kind) -> Self {
+    pub fn kind(mut self, kind: ParameterKind) -> Self {
         self.kind = kind;
         self
     }
@@ -323,7 +323,7 @@ impl Parameter {
     }
 
     /// Kind of values.
-    pub fn value_kind(&self) -> Kind {
+    pub fn value_kind(&self) -> ParameterKind {
         self.kind
     }
 
@@ -363,7 +363,7 @@ impl Parameter {
         if !self.fixed && !(*lower..=*upper).contains(start) {
             return bad(format!("start {first} is outside of the bounds {low} and {high}"));
         }
-        if self.kind != Kind::Continuous && !self.fixed {
+        if self.kind != ParameterKind::Continuous && !self.fixed {
             if lower.ceil() > upper.floor() {
                 let kind = self.kind;
                 return bad(format!(
@@ -442,6 +442,22 @@ impl Parameter {
     }
 }
 
+/// The value that the optimiser sees as this one.
+pub(crate) fn outer(parameter: &Parameter, value: f64) -> f64 {
+    match parameter.scale_kind() {
+        Scale::Linear => value,
+        Scale::Log => value.exp().clamp(parameter.lower(), parameter.upper()),
+    }
+}
+
+/// A value as the optimiser sees it.
+pub(crate) fn inner(parameter: &Parameter, value: f64) -> f64 {
+    match parameter.scale_kind() {
+        Scale::Linear => value,
+        Scale::Log => value.max(0.0).ln(),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -458,8 +474,14 @@ mod tests {
             (p(0.5, 0.0, 1.0).scale(Scale::Log), "above 0; start 0.5, lower bound 0"),
             (p(0.5, 0.0, 1.0).nominal(0.0), "nominal 0"),
             (p(0.5, 0.0, 1.0).nominal(-3.0), "nominal -3 must be positive"),
-            (p(0.5, 0.0, 1.0).kind(Kind::Integer), "is integer, so start 0.5 must be a whole number"),
-            (p(0.5, 0.1, 0.9).kind(Kind::Categorical), "is categorical, but between its bounds 0.1 and 0.9"),
+            (
+                p(0.5, 0.0, 1.0).kind(ParameterKind::Integer),
+                "is integer, so start 0.5 must be a whole number",
+            ),
+            (
+                p(0.5, 0.1, 0.9).kind(ParameterKind::Categorical),
+                "is categorical, but between its bounds 0.1 and 0.9",
+            ),
         ] {
             let e = parameter.check().unwrap_err().to_string();
             assert!(e.contains("'k'") && e.contains(expected), "{e}");

@@ -3,7 +3,7 @@
 use crate::error::CalibrationError;
 use crate::problem::parameter::{Parameter, Scale, Target, Tie};
 use crate::problem::prior::Prior;
-use dfo::{Kind, Record, Value, read_record};
+use dfo::{ParameterKind, Record, Value, read_record};
 use serde::{Deserialize, Serialize};
 
 /// A parameter as it is described by name, see [`Parameter::from_record`].
@@ -24,7 +24,7 @@ pub struct ParameterRecord {
     /// A typical size.
     nominal: Option<f64>,
     /// Kind of its values.
-    kind: Kind,
+    kind: ParameterKind,
     /// Holds it at its start.
     fixed: bool,
     /// Gives it a value of its own in each experiment.
@@ -60,7 +60,7 @@ impl Default for ParameterRecord {
             upper: None,
             scale: Scale::Linear,
             nominal: None,
-            kind: Kind::Continuous,
+            kind: ParameterKind::Continuous,
             fixed: false,
             local: false,
             variables: None,

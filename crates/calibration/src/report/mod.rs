@@ -2,7 +2,7 @@
 
 mod curves;
 mod figure;
-pub(crate) mod live;
+pub(crate) mod live_content;
 mod number;
 mod page;
 mod summary;
@@ -11,9 +11,9 @@ mod text;
 
 pub use curves::{ExperimentCurves, OutputCurves, Signal, plot};
 
+use crate::calibration::handle::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::one_stage::Fit;
-use crate::loaded_problem::calibration::Calibration;
 use base::RunContext;
 use base::files::AtomicFile;
 use std::io::Write;

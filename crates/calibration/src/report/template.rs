@@ -2,7 +2,7 @@
 //! may hold any characters.
 
 use super::summary::Summary;
-use crate::findings::hidden_characters::visible;
+use crate::findings::shown_text::visible;
 use minijinja::value::Serde;
 use minijinja::{Environment, Value, context};
 use serde::Serialize;

@@ -2,7 +2,7 @@
 
 use super::summary::{OutputRow, ParameterRow, Summary};
 use crate::findings::finding::table;
-use crate::findings::hidden_characters::visible;
+use crate::findings::shown_text::visible;
 use crate::fit::one_stage::Fit;
 use std::fmt::{self, Write};
 

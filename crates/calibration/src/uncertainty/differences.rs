@@ -6,10 +6,9 @@
 //! principal axis the residuals change by the standard deviation of a residual, whichever the axis, so the
 //! ratio of signal to noise is the same for all.
 
+use crate::calibration::simulations::{Point, PointResiduals, Simulations};
 use crate::error::CalibrationError;
-use crate::loaded_problem::simulations::{Point, PointResiduals, Simulations};
-use crate::problem::parameter::Parameter;
-use crate::uncertainty::active_bounds::{inner, outer};
+use crate::problem::parameter::{Parameter, inner, outer};
 use crate::uncertainty::row_blocks::{go_on, product, triangle};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};

@@ -1,13 +1,12 @@
 //! Uncertainty of a fit: standard errors of its parameters, parameters that the data can determine, and
 //! checks of the residuals.
 
+use crate::calibration::handle::Calibration;
+use crate::calibration::simulations::{Effort, Point, Simulations};
 use crate::cost::residual::sum_of_squares;
 use crate::error::CalibrationError;
-use crate::loaded_problem::calibration::Calibration;
-use crate::loaded_problem::simulations::{Effort, Point, Simulations};
-use crate::problem::parameter::{Parameter, Scale};
+use crate::problem::parameter::{Parameter, Scale, inner};
 use crate::problem::residual_layout::ResidualLayout;
-use crate::uncertainty::active_bounds::{AT, inner};
 use crate::uncertainty::chance::OfIndependent;
 use crate::uncertainty::covariance::autocorrelation::Dependence;
 use crate::uncertainty::covariance::gain::At;
@@ -23,8 +22,9 @@ use crate::uncertainty::differences::{Center, Differences};
 use crate::uncertainty::result::{Estimator, Uncertainty, UncertaintyOptions, errors_and_correlation};
 use crate::uncertainty::row_blocks::{along, go_on};
 use crate::uncertainty::scores::{Criterion, Working};
+use crate::uncertainty::stuck_parameters::AT;
 use base::RunContext;
-use dfo::{Kind, RobustLoss};
+use dfo::{ParameterKind, RobustLoss};
 use nalgebra::{DMatrix, DVector};
 use std::thread::available_parallelism;
 use std::time::Instant;
@@ -355,7 +355,8 @@ impl Calibration {
         let is_held = |i: &usize| {
             let p = &self.parameters()[*i];
             let is_at_bound = self.is_at_bound(p, x[*i]) && !known.inert.contains(i);
-            let is_fixed = p.is_fixed() || p.lower() == p.upper() || p.value_kind() != Kind::Continuous;
+            let is_fixed =
+                p.is_fixed() || p.lower() == p.upper() || p.value_kind() != ParameterKind::Continuous;
             known.held.contains(i) || is_fixed || is_at_bound
         };
         (0..x.len()).partition(is_held)

@@ -1,6 +1,5 @@
 //! Uncertainty of the parameters: covariance, residual tests, active bounds, the same before a fit.
 
-pub(crate) mod active_bounds;
 pub(crate) mod chance;
 pub(crate) mod covariance;
 pub(crate) mod diagnostics;
@@ -11,3 +10,4 @@ pub(crate) mod preflight;
 pub(crate) mod result;
 pub(crate) mod row_blocks;
 pub(crate) mod scores;
+pub(crate) mod stuck_parameters;

@@ -1,17 +1,16 @@
-//! Checks before a fit: each parameter is moved once at the start, and the start is simulated more
-//! accurately.
+//! Sensitivity of the cost to each parameter at the start of a fit, and its accuracy there: each is moved
+//! once, and the start is simulated more accurately.
 
+use crate::calibration::handle::Calibration;
+use crate::calibration::simulations::{Point, Simulations};
 use crate::cost::accuracy::Accuracy;
 use crate::cost::residual::sum_of_squares;
 use crate::cost::solver::AtStart;
 use crate::error::CalibrationError;
-use crate::loaded_problem::calibration::Calibration;
-use crate::loaded_problem::simulations::{Point, Simulations};
-use crate::problem::parameter::Parameter;
-use crate::uncertainty::active_bounds::{inner, outer};
+use crate::problem::parameter::{Parameter, inner, outer};
 use crate::uncertainty::digits::digits;
 use base::RunContext;
-use dfo::{Kind, RobustLoss};
+use dfo::{ParameterKind, RobustLoss};
 use nalgebra::DMatrix;
 use ode::Stats;
 use serde::{Deserialize, Serialize};
@@ -219,7 +218,7 @@ impl Calibration {
     pub(crate) fn moved_a_little(&self, p: &Parameter, x: f64) -> f64 {
         let (lower, upper, from) = (inner(p, p.lower()), inner(p, p.upper()), inner(p, x));
         let by = match p.value_kind() {
-            Kind::Continuous => MOVE * self.size_of(p, x),
+            ParameterKind::Continuous => MOVE * self.size_of(p, x),
             _ => 1.0,
         };
         let to = if upper - from >= from - lower { (from + by).min(upper) } else { (from - by).max(lower) };

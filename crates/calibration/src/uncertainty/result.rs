@@ -1,8 +1,8 @@
 //! The numbers of the uncertainty of a fit, confidence intervals, and how they are printed.
 
+use crate::calibration::simulations::Effort;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, table};
-use crate::loaded_problem::simulations::Effort;
 use crate::uncertainty::diagnostics::omitted::Omitted;
 use crate::uncertainty::diagnostics::parameter_constancy::PartConflict;
 use crate::uncertainty::diagnostics::prior_check::PriorConflict;

@@ -1,7 +1,7 @@
 //! Record of a run: every count, the failures, the best point so far, the trace.
 
 use crate::error::{Error, NothingFound};
-use crate::method::interface::Batch;
+use crate::method_interface::interface::Batch;
 use crate::outcome::answer::{Answer, Best, Failure, Outcome, Want};
 use crate::outcome::trace::{Record, SpeculativeEntry, Trace};
 use serde::{Deserialize, Serialize};

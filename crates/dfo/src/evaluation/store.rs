@@ -21,7 +21,7 @@ type Key = Box<[u64]>;
 
 /// An evaluation that the run has not counted.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Early {
+pub(crate) struct EarlyOutcome {
     pub(crate) entry: SpeculativeEntry,
     /// True if the path was at this point before the run was resumed.
     pub(crate) is_of_path: bool,
@@ -38,7 +38,7 @@ pub(crate) struct Store {
     pinned: Vec<Key>,
     key: Vec<u64>,
     /// Early evaluations in the order in which they came, and their numbers by key.
-    early: BTreeMap<u64, Early>,
+    early: BTreeMap<u64, EarlyOutcome>,
     places: HashMap<Key, VecDeque<u64>>,
     next: u64,
     n_residuals: usize,
@@ -52,7 +52,7 @@ struct Stored {
     capacity: usize,
     pinned: Vec<(Vec<u64>, Answer)>,
     entries: Vec<(Vec<u64>, Answer)>,
-    early: Vec<Early>,
+    early: Vec<EarlyOutcome>,
 }
 
 impl From<Stored> for Store {
@@ -170,7 +170,7 @@ impl Store {
 
     /// Keeps an early evaluation. Returns what is of no use: the oldest where there is no room, or this one
     /// if it says nothing lasting about its point.
-    pub(crate) fn keep(&mut self, early: Early) -> Option<Early> {
+    pub(crate) fn keep(&mut self, early: EarlyOutcome) -> Option<EarlyOutcome> {
         let outcome = &early.entry.answer.outcome;
         if matches!(outcome, Outcome::Failed(_)) && !outcome.is_lasting() && !early.is_of_path {
             return Some(early);
@@ -185,7 +185,7 @@ impl Store {
         oldest.filter(|_| is_full).and_then(|number| self.remove(number))
     }
 
-    fn remove(&mut self, number: u64) -> Option<Early> {
+    fn remove(&mut self, number: u64) -> Option<EarlyOutcome> {
         let early = self.early.remove(&number)?;
         self.n_residuals -= early.entry.answer.residuals.len();
         self.n_replays -= usize::from(early.is_of_path);
@@ -206,7 +206,7 @@ impl Store {
         x: &[f64],
         query: &Query<'_>,
         cutoff_use: CutoffUse,
-    ) -> Option<Result<(Answer, bool), Early>> {
+    ) -> Option<Result<(Answer, bool), EarlyOutcome>> {
         if self.places.is_empty() {
             return None;
         }
@@ -231,7 +231,7 @@ impl Store {
     }
 
     /// Takes out all that are early.
-    pub(crate) fn drain(&mut self) -> impl Iterator<Item = Early> {
+    pub(crate) fn drain(&mut self) -> impl Iterator<Item = EarlyOutcome> {
         self.places.clear();
         (self.n_residuals, self.n_replays) = (0, 0);
         std::mem::take(&mut self.early).into_values()
@@ -252,7 +252,7 @@ impl Store {
 
     /// After a run was resumed: exceptions are gone with the process that raised them.
     pub(crate) fn forget_aborts(&mut self) {
-        let is_abort = |early: &Early| matches!(early.entry.answer.outcome, Outcome::Abort(_));
+        let is_abort = |early: &EarlyOutcome| matches!(early.entry.answer.outcome, Outcome::Abort(_));
         let aborts: Vec<u64> =
             self.early.iter().filter(|(_, early)| is_abort(early)).map(|(number, _)| *number).collect();
         aborts.into_iter().for_each(|number| drop(self.remove(number)));

@@ -10,11 +10,11 @@
 //! `mu B` is at most `f_tol` of the cost (of the first cost, if that is larger).
 
 use crate::error::Error;
-use crate::method::interface::{
+use crate::method_interface::interface::{
     AnswersSoFar, BarrierStage, Batch, Lookahead, Method, MethodDetails, MethodOptions, Operation, Setup,
     Status, restored, saved,
 };
-use crate::method::tolerances::Tolerances;
+use crate::method_interface::tolerances::Tolerances;
 use crate::methods::nelder_mead::{Coefficients, NelderMead, NelderMeadState};
 use crate::outcome::answer::{Answers, Best, Outcome};
 use crate::outcome::termination::Termination;

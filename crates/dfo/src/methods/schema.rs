@@ -1,6 +1,6 @@
 //! JSON schemas of the options of methods, by the names and in the shapes in which users write them.
 
-use crate::methods::by_name::shape;
+use crate::methods::option_names::shape;
 use schemars::{JsonSchema, SchemaGenerator};
 use serde_json::{Map, Value as Json, json};
 use std::collections::BTreeSet;

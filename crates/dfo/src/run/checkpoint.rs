@@ -14,10 +14,10 @@
 //! known are kept beside it and given again when the resumed run asks.
 
 use crate::error::Error;
+use crate::evaluation::counted_batch::CountedBatch;
 use crate::evaluation::ledger::Ledger;
-use crate::evaluation::round::Round;
-use crate::evaluation::store::{Early, Store};
-use crate::method::interface::{Method, Setup};
+use crate::evaluation::store::{EarlyOutcome, Store};
+use crate::method_interface::interface::{Method, Setup};
 use crate::outcome::trace::{LaterPart, Trace, TraceLength};
 use crate::problem::option_texts;
 use crate::values::encoding::{decode, encode};
@@ -162,7 +162,7 @@ pub(crate) struct Snapshot {
     pub(crate) store: Store,
     pub(crate) stale: usize,
     /// Evaluations so far of the batch that the method waits for.
-    pub(crate) known: Vec<Early>,
+    pub(crate) known: Vec<EarlyOutcome>,
     pub(crate) observed: Option<usize>,
     pub(crate) first_recent: usize,
     pub(crate) seconds: f64,
@@ -187,7 +187,7 @@ struct SnapshotRef<'a> {
     dropped: TraceLength,
     store: &'a Store,
     stale: usize,
-    known: &'a [Early],
+    known: &'a [EarlyOutcome],
     observed: Option<usize>,
     first_recent: usize,
     seconds: f64,
@@ -537,8 +537,8 @@ impl Writer {
     pub(crate) fn write<M: Method + ?Sized>(
         &mut self,
         method: &M,
-        round: &Round,
-        known: &[Early],
+        round: &CountedBatch,
+        known: &[EarlyOutcome],
         observed: Option<usize>,
         first_recent: usize,
         seconds: f64,

@@ -2,12 +2,14 @@
 //! those are there that the path needs.
 
 use crate::error::Error;
+use crate::evaluation::counted_batch::{CountedBatch, reset};
 use crate::evaluation::ledger::Ledger;
-use crate::evaluation::round::{Round, reset};
-use crate::evaluation::store::{Early, FIRST_ID};
-use crate::evaluation::{ContextPoller, CutoffUse, Evaluator, Guesses, Polled, Reached, StopCause};
-use crate::method::interface::{Batch, Method, MethodDetails, Status};
-use crate::method::tolerances::Limits;
+use crate::evaluation::store::{EarlyOutcome, FIRST_ID};
+use crate::evaluation::{
+    ContextPoller, CutoffUse, Evaluator, Polled, Reached, SpeculativeEvaluations, StopCause,
+};
+use crate::method_interface::interface::{Batch, Method, MethodDetails, Status};
+use crate::method_interface::tolerances::Limits;
 use crate::outcome::answer::{Answer, Outcome, Want};
 use crate::outcome::termination::{Termination, UNBOUNDED};
 use crate::run::checkpoint::Writer;
@@ -43,7 +45,7 @@ enum Stage {
 #[derive(Debug)]
 pub(crate) struct Drive<M> {
     pub(crate) method: M,
-    pub(crate) round: Round,
+    pub(crate) round: CountedBatch,
     pub(crate) limits: Limits,
     pub(crate) workers: usize,
     writer: Option<Writer>,
@@ -69,7 +71,7 @@ pub(crate) struct Drive<M> {
     end: usize,
     /// Answers that came since the checkpoint was written.
     n_unsaved: usize,
-    guesses: Guesses,
+    guesses: SpeculativeEvaluations,
     answer: Answer,
     cause: Option<StopCause>,
 }
@@ -102,7 +104,7 @@ impl<M: Method> Drive<M> {
             n_missing: 0,
             end: usize::MAX,
             n_unsaved: 0,
-            guesses: Guesses::default(),
+            guesses: SpeculativeEvaluations::default(),
             answer: Answer::default(),
             cause: None,
         }
@@ -513,7 +515,7 @@ impl<M: Method> Drive<M> {
 
     /// A file that cannot be written, on a full disk for example, is said once and tried again; where the
     /// last one fails, the run says so at its end.
-    fn save(&mut self, known: &[Early]) {
+    fn save(&mut self, known: &[EarlyOutcome]) {
         let seconds = self.elapsed();
         let Some(writer) = &mut self.writer else { return };
         let written =
@@ -539,13 +541,13 @@ impl<M: Method> Drive<M> {
 const FEWEST_EVALUATIONS: usize = 20;
 
 /// True if more evaluations have failed than are allowed.
-fn too_many_failed(round: &Round, limits: &Limits) -> bool {
+fn too_many_failed(round: &CountedBatch, limits: &Limits) -> bool {
     let (n, failed) = (round.ledger.n_evaluations, round.ledger.n_failed);
     n >= FEWEST_EVALUATIONS && limits.max_failed.is_some_and(|share| failed as f64 > share * n as f64)
 }
 
 /// Limits that hold between two batches, besides those of the gateway.
-fn reached<M: Method + ?Sized>(method: &M, round: &Round, limits: &Limits) -> Option<Termination> {
+fn reached<M: Method + ?Sized>(method: &M, round: &CountedBatch, limits: &Limits) -> Option<Termination> {
     if round.target_reached(limits) {
         return Some(Termination::Target);
     }
@@ -560,7 +562,11 @@ fn reached<M: Method + ?Sized>(method: &M, round: &Round, limits: &Limits) -> Op
 }
 
 /// Termination where a limit ends a run: the limit, unless the tests have passed for the best point already.
-pub(crate) fn limited<M: Method + ?Sized>(method: &M, round: &Round, limit: Termination) -> Termination {
+pub(crate) fn limited<M: Method + ?Sized>(
+    method: &M,
+    round: &CountedBatch,
+    limit: Termination,
+) -> Termination {
     let MethodDetails { settled, tests, .. } = method.details();
     let best = round.ledger.best.cost();
     let tested = matches!((tests, best), (Some(tests), Some(best)) if best >= tests.f_best);
@@ -568,7 +574,7 @@ pub(crate) fn limited<M: Method + ?Sized>(method: &M, round: &Round, limit: Term
 }
 
 /// Termination where a method has ended by itself: `Unbounded` or `ConstantCost` where the costs show it.
-fn meaning(termination: Termination, round: &Round) -> Termination {
+fn meaning(termination: Termination, round: &CountedBatch) -> Termination {
     let Ledger { trace, best, .. } = &round.ledger;
     let first = trace.iter().find_map(|entry| entry.outcome.value());
     match (best.cost(), first) {
@@ -582,7 +588,7 @@ fn meaning(termination: Termination, round: &Round) -> Termination {
 /// nothing to start from.
 pub(crate) fn end<M: Method + ?Sized>(
     method: &M,
-    round: &Round,
+    round: &CountedBatch,
     limits: &Limits,
     stopped: Option<&Termination>,
     broken: bool,

@@ -5,8 +5,8 @@ use crate::evaluation::{
     BatchFunction, BatchView, Batches, CallingThread, ContextPoller, CutoffUse, Evaluator, OnCallingThread,
     Shared, Threads,
 };
-use crate::method::interface::{Method, MethodOptions};
-use crate::method::tolerances::{Limits, Tolerances};
+use crate::method_interface::interface::{Method, MethodOptions};
+use crate::method_interface::tolerances::{Limits, Tolerances};
 use crate::methods::{AnyMethod, LeastSquares, NelderMead};
 use crate::outcome::answer::Outcome;
 use crate::outcome::trace::{Trace, TraceEntry};
@@ -21,7 +21,7 @@ use crate::run::progress::Progress;
 use crate::run::report::Report;
 use crate::run::requested::RequestedRun;
 use crate::run::start::Description;
-use crate::values::choices::{Kind, Search, StopRule, ToleranceMeasure, Transform};
+use crate::values::choices::{ParameterKind, Search, StopRule, ToleranceMeasure, Transform};
 use base::RunContext;
 use std::fmt;
 use std::marker::PhantomData;
@@ -388,7 +388,7 @@ impl<'a, M, D> Minimize<'a, M, D> {
 
     /// Continuous, integer or categorical, per parameter. Default all continuous; not every method takes the
     /// others.
-    pub fn kinds(mut self, kinds: &[Kind]) -> Self {
+    pub fn kinds(mut self, kinds: &[ParameterKind]) -> Self {
         self.description.kinds = kinds.to_vec();
         self
     }

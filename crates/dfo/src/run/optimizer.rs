@@ -3,7 +3,7 @@
 use crate::error::Error;
 use crate::evaluation::store::FIRST_ID;
 use crate::evaluation::{ByHand, ContextPoller};
-use crate::method::interface::Method;
+use crate::method_interface::interface::Method;
 use crate::methods::BoxedMethod;
 use crate::outcome::answer::{Answer, Outcome, Want};
 use crate::outcome::termination::Termination;

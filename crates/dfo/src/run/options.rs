@@ -2,8 +2,8 @@
 
 use crate::error::Error;
 use crate::evaluation::MOST_WORKERS;
-use crate::method::interface::{MethodOptions, ProblemClass};
-use crate::method::tolerances::{Limits, Tolerances};
+use crate::method_interface::interface::{MethodOptions, ProblemClass};
+use crate::method_interface::tolerances::{Limits, Tolerances};
 use crate::methods::NelderMead;
 use crate::run::checkpoint::Checkpoint;
 use serde::{Deserialize, Serialize};

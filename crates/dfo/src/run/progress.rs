@@ -1,7 +1,7 @@
 //! Progress of a run: one report per iteration, on the calling thread. The callback may stop the run.
 
-use crate::method::interface::{Operation, SimplexView};
-use crate::method::tolerances::ToleranceTests;
+use crate::method_interface::interface::{Operation, SimplexView};
+use crate::method_interface::tolerances::ToleranceTests;
 use crate::outcome::trace::{Trace, TraceEntry};
 
 /// The state of a run after an iteration (number 0: the starting points).

@@ -2,9 +2,9 @@
 
 use crate::error::{Error, NothingFound};
 use crate::evaluation::ledger::Ledger;
-use crate::method::interface::{BarrierStage, Lookahead, Method, Optimum, Simplex};
-use crate::method::linear_model::{Covariance, LinearModel};
-use crate::method::tolerances::{Limits, ToleranceTests};
+use crate::method_interface::interface::{BarrierStage, Lookahead, Method, Optimum, Simplex};
+use crate::method_interface::linear_model::{Covariance, LinearModel};
+use crate::method_interface::tolerances::{Limits, ToleranceTests};
 use crate::outcome::termination::{Termination, UNBOUNDED};
 use crate::outcome::trace::Trace;
 use crate::problem::loss::RobustLoss;

@@ -5,7 +5,7 @@ use crate::error::Error;
 use crate::methods::AnyMethod;
 use crate::run::checkpoint::{Checkpoint, Code, Resume};
 use crate::run::options::{KnownPoint, RunOptions};
-use crate::values::choices::{Kind, Search, StopRule, ToleranceMeasure, Transform};
+use crate::values::choices::{ParameterKind, Search, StopRule, ToleranceMeasure, Transform};
 use crate::values::fields::{field_names, read_part};
 use crate::values::record::{Record, RecordError, Value};
 use serde::de::DeserializeOwned;
@@ -84,7 +84,7 @@ pub(super) struct RunRecord {
     #[cfg_attr(feature = "schema", schemars(with = "Option<PerParameter<f64>>"))]
     nominal: Value,
     /// The kind of all parameters, or of each.
-    #[cfg_attr(feature = "schema", schemars(with = "Option<PerParameter<Kind>>"))]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<PerParameter<ParameterKind>>"))]
     kinds: Value,
 }
 
@@ -110,7 +110,7 @@ pub struct RequestedRun {
     /// The typical size of each parameter, where it is known.
     pub nominal: Vec<Option<f64>>,
     /// The kind of each parameter; empty: all are continuous.
-    pub kinds: Vec<Kind>,
+    pub kinds: Vec<ParameterKind>,
 }
 
 impl RequestedRun {
@@ -256,6 +256,6 @@ mod tests {
         let names = RequestedRun::option_names().unwrap();
         assert!(["max_time", "x_tol", "initial_simplex"].iter().all(|name| names.contains(*name)));
         let of_run = field_names::<RunRecord>().unwrap();
-        assert!(crate::methods::by_name::COMMON.iter().all(|name| of_run.contains(*name)));
+        assert!(crate::methods::option_names::COMMON.iter().all(|name| of_run.contains(*name)));
     }
 }

@@ -1,11 +1,11 @@
 //! The description of a run, and how it becomes a method, a round and a checkpoint.
 
 use crate::error::Error;
+use crate::evaluation::counted_batch::CountedBatch;
 use crate::evaluation::ledger::Ledger;
-use crate::evaluation::round::Round;
 use crate::evaluation::store::Store;
-use crate::method::interface::{Method, MethodOptions, ProblemClass, Setup};
-use crate::method::tolerances::Limits;
+use crate::method_interface::interface::{Method, MethodOptions, ProblemClass, Setup};
+use crate::method_interface::tolerances::Limits;
 use crate::methods::NelderMead;
 use crate::outcome::answer::{Answer, Outcome};
 use crate::problem::loss::RobustLoss;
@@ -15,7 +15,7 @@ use crate::problem::space::Space;
 use crate::run::checkpoint::{self, Writer};
 use crate::run::options::{KnownPoint, RunOptions};
 use crate::run::report::Resumed;
-use crate::values::choices::{Kind, Search, Transform};
+use crate::values::choices::{ParameterKind, Search, Transform};
 
 /// Everything that can be said about a run but who evaluates.
 #[derive(Debug, Default)]
@@ -25,14 +25,14 @@ pub(crate) struct Description<M = NelderMead> {
     pub(crate) bounds: Option<Bounds>,
     pub(crate) transforms: Vec<Transform>,
     pub(crate) sizes: Vec<Option<f64>>,
-    pub(crate) kinds: Vec<Kind>,
+    pub(crate) kinds: Vec<ParameterKind>,
 }
 
 /// A run that can be driven.
 #[derive(Debug)]
 pub(crate) struct StartedRun<T> {
     pub(crate) method: T,
-    pub(crate) round: Round,
+    pub(crate) round: CountedBatch,
     pub(crate) limits: Limits,
     pub(crate) workers: usize,
     pub(crate) writer: Option<Writer>,
@@ -88,7 +88,8 @@ impl<M: MethodOptions> Description<M> {
         let (lower, upper) = (bounds.lower(), bounds.upper());
         // What is fixed does not choose the method.
         let is_free = |i: &usize| lower.get(*i) != upper.get(*i);
-        let kinds: Vec<Kind> = (0..self.kinds.len()).filter(is_free).map(|i| self.kinds[i]).collect();
+        let kinds: Vec<ParameterKind> =
+            (0..self.kinds.len()).filter(is_free).map(|i| self.kinds[i]).collect();
         let class = ProblemClass { lower, upper, kinds: &kinds, residuals, search: Search::Local };
         self.options.choose(&class)
     }
@@ -130,7 +131,7 @@ impl<M: MethodOptions> Description<M> {
             space = space.starting_at(&best);
         }
         let n = space.n();
-        let discrete = (0..space.n_free()).any(|k| space.kind(k) != Kind::Continuous);
+        let discrete = (0..space.n_free()).any(|k| space.kind(k) != ParameterKind::Continuous);
         let default = method.default_cache().max(if discrete { 10_000 } else { 0 });
         let capacity = options.cache.unwrap_or(default);
         let setup = Setup {
@@ -150,7 +151,7 @@ impl<M: MethodOptions> Description<M> {
         }
         let mut started = StartedRun {
             method: method.begin(&setup)?,
-            round: Round::new(Ledger::new(n, options.trace_limit, options.trace_residuals), store),
+            round: CountedBatch::new(Ledger::new(n, options.trace_limit, options.trace_residuals), store),
             limits,
             workers: options.workers.unwrap_or(1),
             writer: None,
@@ -175,7 +176,7 @@ impl<M: MethodOptions> Description<M> {
         );
         if let Some(stored) = checkpoint::read(&place, &fingerprint, setup.seed, n)? {
             started.method = method.restore(&setup, &stored.method)?;
-            started.round = Round::new(stored.ledger, stored.store);
+            started.round = CountedBatch::new(stored.ledger, stored.store);
             started.round.store.forget_aborts();
             started.round.stale = stored.stale;
             let n_known = stored.known.len();
@@ -194,8 +195,10 @@ impl<M: MethodOptions> Description<M> {
 
 /// The points of earlier runs that lie in this space, each once, the best first of its problem.
 fn usable<'a>(known: &'a [KnownPoint], space: &Space) -> Vec<&'a KnownPoint> {
-    let discrete: Vec<usize> =
-        (0..space.n_free()).filter(|&k| space.kind(k) != Kind::Continuous).map(|k| space.free()[k]).collect();
+    let discrete: Vec<usize> = (0..space.n_free())
+        .filter(|&k| space.kind(k) != ParameterKind::Continuous)
+        .map(|k| space.free()[k])
+        .collect();
     let is_inside = |known: &&KnownPoint| {
         space.bounds().contains(&known.x) && discrete.iter().all(|&i| known.x[i] == known.x[i].round())
     };
@@ -207,7 +210,7 @@ fn usable<'a>(known: &'a [KnownPoint], space: &Space) -> Vec<&'a KnownPoint> {
 }
 
 /// The middle of a box, where no start was given; `None` if it has none.
-fn middle(bounds: &Bounds, transforms: &[Transform], kinds: &[Kind]) -> Option<Vec<f64>> {
+fn middle(bounds: &Bounds, transforms: &[Transform], kinds: &[ParameterKind]) -> Option<Vec<f64>> {
     (0..bounds.len())
         .map(|i| {
             let (lower, upper) = (bounds.lower()[i], bounds.upper()[i]);
@@ -215,7 +218,7 @@ fn middle(bounds: &Bounds, transforms: &[Transform], kinds: &[Kind]) -> Option<V
                 Some(Transform::Log) if lower > 0.0 => (0.5 * lower.ln() + 0.5 * upper.ln()).exp(),
                 _ => 0.5 * lower + 0.5 * upper,
             };
-            let whole = lower != upper && kinds.get(i).is_some_and(|k| *k != Kind::Continuous);
+            let whole = lower != upper && kinds.get(i).is_some_and(|k| *k != ParameterKind::Continuous);
             let middle = if whole { middle.floor().max(lower.ceil()) } else { middle };
             middle.is_finite().then(|| middle.clamp(lower, upper))
         })

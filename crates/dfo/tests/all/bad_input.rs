@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use dfo::{
-    Barrier, BatchView, Coefficients, DifferentialEvolution, Error, Genetic, Kind, Minimize, NelderMead,
-    Outcome, Report, Termination, Transform, fallible, minimize, minimize_batches,
+    Barrier, BatchView, Coefficients, DifferentialEvolution, Error, Genetic, Minimize, NelderMead, Outcome,
+    ParameterKind, Report, Termination, Transform, fallible, minimize, minimize_batches,
 };
 
 const INF: f64 = f64::INFINITY;
@@ -177,7 +177,7 @@ fn sizes_that_no_memory_holds_are_refused() {
             error(run().method(Genetic::default().selection(dfo::Selection::Tournament(size))).run());
         assert!(matches!(e, Error::Option { name: "selection", .. }), "{e}");
     }
-    let wide = minimize(sum).start(&[1.0]).bounds(&[0.0], &[1e20]).unwrap().kinds(&[Kind::Integer]);
+    let wide = minimize(sum).start(&[1.0]).bounds(&[0.0], &[1e20]).unwrap().kinds(&[ParameterKind::Integer]);
     let (_, text) = error(wide.method(Genetic::default()).run());
     assert!(text.contains("bound of x[0] = 1e20 must be at most 2^53"), "{text}");
 }
@@ -194,12 +194,12 @@ fn a_box_that_reaches_zero_has_no_logarithm_there() {
 fn discrete_parameters_without_a_value_blame_their_bounds() {
     for (lower, upper) in [(0.2, 0.8), (-0.9, -0.1)] {
         let run = minimize(sum).start(&[1.0, 0.5 * (lower + upper)]).bounds(&[0.0, lower], &[5.0, upper]);
-        let run = run.unwrap().kinds(&[Kind::Continuous, Kind::Integer]);
+        let run = run.unwrap().kinds(&[ParameterKind::Continuous, ParameterKind::Integer]);
         let (e, text) = error(run.method(Genetic::default()).run());
         assert!(matches!(e, Error::NoWholeNumber { index: 1, .. }), "{text}");
         assert!(text.contains("[1]") && text.contains(&format!("{lower} and {upper}")), "{text}");
         // Nor is a start asked for that cannot be given.
-        let run = dfo::by_hand().bounds(&[lower], &[upper]).unwrap().kinds(&[Kind::Categorical]);
+        let run = dfo::by_hand().bounds(&[lower], &[upper]).unwrap().kinds(&[ParameterKind::Categorical]);
         let e = run.method(Genetic::default()).optimizer().unwrap_err();
         assert!(matches!(e, Error::NoWholeNumber { index: 0, .. }), "{e}");
     }
@@ -222,6 +222,6 @@ fn options_beyond_their_range_are_named_with_it() {
     );
     let (_, text) = error(run().scales(&[1.0, 0.0]).run());
     assert!(text.contains("nominal size of x[1] = 0 must be positive and finite"), "{text}");
-    let (_, text) = error(run().kinds(&[Kind::Continuous, Kind::Categorical]).run());
+    let (_, text) = error(run().kinds(&[ParameterKind::Continuous, ParameterKind::Categorical]).run());
     assert_eq!(text, "nelder-mead cannot search over x[1], which is categorical");
 }

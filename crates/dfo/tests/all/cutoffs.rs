@@ -5,8 +5,8 @@ use crate::common;
 
 use common::{cutting, probe};
 use dfo::{
-    AnyMethod, Checkpoint, DifferentialEvolution, Kind, Minimize, NelderMead, Objective, Report, Resume,
-    Termination, minimize,
+    AnyMethod, Checkpoint, DifferentialEvolution, Minimize, NelderMead, Objective, ParameterKind, Report,
+    Resume, Termination, minimize,
 };
 
 fn steps(x: &[f64]) -> f64 {
@@ -28,7 +28,11 @@ fn counts(r: &Report) -> (Vec<u64>, [usize; 5], Termination, Vec<Vec<u64>>) {
 #[test]
 fn a_point_asked_again_with_a_larger_cutoff_does_not_count() {
     let set_up = |m: Minimize<'static, NelderMead>, method: &AnyMethod, budget: usize, seed: u64| {
-        let m = m.bounds(&[-9.0; 3], &[9.0; 3]).unwrap().kinds(&[Kind::Integer; 3]).method(method.clone());
+        let m = m
+            .bounds(&[-9.0; 3], &[9.0; 3])
+            .unwrap()
+            .kinds(&[ParameterKind::Integer; 3])
+            .method(method.clone());
         m.seed(seed)
             .max_evaluations(budget)
             .cache(if seed.is_multiple_of(2) { 10_000 } else { 50 })
@@ -70,7 +74,10 @@ fn a_run_that_was_cut_short_goes_on_as_if_not() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run");
     let run = |budget: usize, checkpoint: Option<Checkpoint>| {
-        let m = minimize(cutting(hills)).bounds(&[-9.0; 3], &[9.0; 3]).unwrap().kinds(&[Kind::Integer; 3]);
+        let m = minimize(cutting(hills))
+            .bounds(&[-9.0; 3], &[9.0; 3])
+            .unwrap()
+            .kinds(&[ParameterKind::Integer; 3]);
         let m = m.method(DifferentialEvolution::classic().population(12)).seed(3).max_evaluations(budget);
         checkpoint.into_iter().fold(m, |m, c| m.checkpoint(c)).run().unwrap()
     };

@@ -5,8 +5,8 @@ use crate::common;
 
 use common::{probe, rosenbrock, timeless};
 use dfo::{
-    Crossover, DifferentialEvolution, Error, Kind, Minimize, Repair, Report, Sampling, Strategy, Termination,
-    Transform, Weight, minimize,
+    Crossover, DifferentialEvolution, DifferentialWeight, Error, Minimize, ParameterKind, Repair, Report,
+    Sampling, Strategy, Termination, Transform, minimize,
 };
 use std::f64::consts::TAU;
 
@@ -115,7 +115,12 @@ fn all_variants_solve_the_probe() {
             .into_iter()
             .flat_map(|strategy| {
                 [Crossover::Binomial, Crossover::Exponential].map(|crossover| {
-                    DifferentialEvolution::classic().with(strategy, crossover, Weight::Dither(0.5, 1.0), 0.9)
+                    DifferentialEvolution::classic().with(
+                        strategy,
+                        crossover,
+                        DifferentialWeight::Dither(0.5, 1.0),
+                        0.9,
+                    )
                 })
             })
             .chain(
@@ -203,7 +208,12 @@ fn integers_logarithms_and_fixed_parameters_work() {
         let report = minimize(cost)
             .bounds(&[0.0, 1e-6, 1.0, 4.0], &[20.0, 1e3, 2.0, 4.0])
             .unwrap()
-            .kinds(&[Kind::Integer, Kind::Continuous, Kind::Continuous, Kind::Continuous])
+            .kinds(&[
+                ParameterKind::Integer,
+                ParameterKind::Continuous,
+                ParameterKind::Continuous,
+                ParameterKind::Continuous,
+            ])
             .transforms(&[Transform::Linear, Transform::Log, Transform::Linear, Transform::Linear])
             .method(options)
             .seed(2)
@@ -231,7 +241,7 @@ fn it_converges_and_says_so() {
         .method(DifferentialEvolution::classic().with(
             Strategy::Best1,
             Crossover::Binomial,
-            Weight::Fixed(0.6),
+            DifferentialWeight::Fixed(0.6),
             0.9,
         ))
         .seed(1)
@@ -257,11 +267,11 @@ fn what_cannot_be_is_a_typed_error() {
     let classic = DifferentialEvolution::classic;
     let weight = |w, p| classic().with(Strategy::Rand2, Crossover::Binomial, w, p);
     for bad in [
-        weight(Weight::Fixed(2.1), 0.5),
-        weight(Weight::Fixed(f64::NAN), 0.5),
-        weight(Weight::Dither(1.0, 0.5), 0.5),
-        weight(Weight::Fixed(0.5), 1.5),
-        weight(Weight::Fixed(0.5), 0.5).population(5),
+        weight(DifferentialWeight::Fixed(2.1), 0.5),
+        weight(DifferentialWeight::Fixed(f64::NAN), 0.5),
+        weight(DifferentialWeight::Dither(1.0, 0.5), 0.5),
+        weight(DifferentialWeight::Fixed(0.5), 1.5),
+        weight(DifferentialWeight::Fixed(0.5), 0.5).population(5),
         classic().population(3),
         DifferentialEvolution::default().population(3),
     ] {
@@ -270,7 +280,7 @@ fn what_cannot_be_is_a_typed_error() {
     let choice = minimize(rosenbrock)
         .bounds(&[0.0; 2], &[2.0; 2])
         .unwrap()
-        .kinds(&[Kind::Categorical, Kind::Continuous])
+        .kinds(&[ParameterKind::Categorical, ParameterKind::Continuous])
         .method(classic())
         .run();
     assert!(matches!(choice, Err(Error::NotContinuous { index: 0, .. })));

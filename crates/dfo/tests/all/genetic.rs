@@ -4,7 +4,7 @@
 use crate::common;
 
 use common::{probe, rosenbrock, timeless};
-use dfo::{Error, Genetic, Kind, Report, Selection, Termination, minimize};
+use dfo::{Error, Genetic, ParameterKind, Report, Selection, Termination, minimize};
 
 fn run(options: &Genetic, seed: u64, workers: usize) -> Report {
     minimize(probe)
@@ -75,7 +75,7 @@ fn integers_and_choices_are_searched() {
         let report = minimize(cost)
             .bounds(&[-10.0, 0.0, 0.0], &[9.0, 4.0, 1.0])
             .unwrap()
-            .kinds(&[Kind::Integer, Kind::Categorical, Kind::Continuous])
+            .kinds(&[ParameterKind::Integer, ParameterKind::Categorical, ParameterKind::Continuous])
             .method(Genetic::default().resolution(&[1.0, 1.0, 0.01]))
             .seed(seed)
             .max_evaluations(2000)
@@ -150,7 +150,7 @@ fn it_ends_when_nothing_new_comes() {
     let report = minimize(|x: &[f64]| x[0])
         .bounds(&[0.0], &[3.0])
         .unwrap()
-        .kinds(&[Kind::Integer])
+        .kinds(&[ParameterKind::Integer])
         .method(Genetic::default().stall(Some(10)))
         .seed(1)
         .max_evaluations(100_000)

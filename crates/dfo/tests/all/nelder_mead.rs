@@ -165,8 +165,8 @@ fn starts_at_every_corner_of_the_box() {
 
 #[test]
 fn failing_regions_do_not_stop_it() {
-    type Kind = fn(&[f64]) -> Outcome;
-    let kinds: [(&str, Kind); 4] = [
+    type ParameterKind = fn(&[f64]) -> Outcome;
+    let kinds: [(&str, ParameterKind); 4] = [
         ("nan", |x| Outcome::Value(probe(x))),
         ("inf", |x| Outcome::Value(if probe_fails(x) { f64::INFINITY } else { rosenbrock(x) })),
         ("error", |x| if probe_fails(x) { Outcome::failed("no") } else { Outcome::Value(rosenbrock(x)) }),

@@ -2,9 +2,9 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use dfo::{
-    AnyMethod, Coefficients, Error, Kind, Lookahead, MethodOptions, NelderMead, ProblemClass, QuadraticModel,
-    Record, RequestedRun, RunOptions, Search, Selection, StopRule, ToleranceMeasure, Transform, Value,
-    Weight,
+    AnyMethod, Coefficients, DifferentialWeight, Error, Lookahead, MethodOptions, NelderMead, ParameterKind,
+    ProblemClass, QuadraticModel, Record, RequestedRun, RunOptions, Search, Selection, StopRule,
+    ToleranceMeasure, Transform, Value,
 };
 use std::time::Duration;
 
@@ -49,7 +49,7 @@ fn names_find_their_places() {
     assert_eq!(options.limits.max_time, Some(Duration::from_secs(2)));
     assert_eq!(options.checkpoint.as_ref().unwrap().interval, Duration::from_secs(5));
     assert_eq!((run.scale, run.nominal), (vec![Transform::Log; 2], vec![None, Some(3.0)]));
-    assert_eq!(run.kinds, [Kind::Integer, Kind::Continuous]);
+    assert_eq!(run.kinds, [ParameterKind::Integer, ParameterKind::Continuous]);
     let coefficients =
         Coefficients::Custom { reflection: 1.0, expansion: 2.0, contraction: 0.5, shrink: 0.4 };
     let expected = NelderMead::default().batch(Lookahead::Workers).coefficients(coefficients);
@@ -62,7 +62,10 @@ fn options_of_variants_are_options_like_the_others() {
         asked(serde_json::json!({ "method": "de-classic", "weight": [0.5, 1], "population": 30 })).unwrap();
     let AnyMethod::DifferentialEvolution(options) = run.options.method else { panic!("another method") };
     assert_eq!(options.population, Some(30));
-    assert!(matches!(options.scheme, dfo::Scheme::Classic { weight: Weight::Dither(0.5, 1.0), .. }));
+    assert!(matches!(
+        options.scheme,
+        dfo::Scheme::Classic { weight: DifferentialWeight::Dither(0.5, 1.0), .. }
+    ));
     let run = asked(serde_json::json!({ "method": "ga", "selection": 3, "stall": null })).unwrap();
     let AnyMethod::Genetic(options) = run.options.method else { panic!("another method") };
     assert_eq!((options.selection, options.stall), (Selection::Tournament(3), None));

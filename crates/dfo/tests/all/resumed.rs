@@ -6,7 +6,7 @@ use crate::{checkpoint, common};
 use checkpoint::{Folder, methods, same};
 use common::rosenbrock;
 use dfo::{
-    Checkpoint, Error, Kind, LeastSquares, MethodOptions, Outcome, Query, Report, ResidualFunction,
+    Checkpoint, Error, LeastSquares, MethodOptions, Outcome, ParameterKind, Query, Report, ResidualFunction,
     Termination, minimize, residuals,
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -90,9 +90,11 @@ fn a_run_that_is_over_gives_its_stored_result_whenever_it_is_called() {
         for (most, target) in
             [(20, None), (100, Some(400.0)), (100, Some(12.0)), (3000, Some(1.5)), (3000, None)]
         {
-            for (kind, bounds) in
-                [(Kind::Continuous, None), (Kind::Continuous, Some(4.0)), (Kind::Integer, Some(4.0))]
-            {
+            for (kind, bounds) in [
+                (ParameterKind::Continuous, None),
+                (ParameterKind::Continuous, Some(4.0)),
+                (ParameterKind::Integer, Some(4.0)),
+            ] {
                 if needs_bounds && bounds.is_none() {
                     continue;
                 }

@@ -4,7 +4,7 @@
 use crate::common;
 
 use common::methods_for_costs;
-use dfo::{AnyMethod, DifferentialEvolution, Kind, Outcome, Termination, minimize};
+use dfo::{AnyMethod, DifferentialEvolution, Outcome, ParameterKind, Termination, minimize};
 
 #[test]
 fn a_cost_that_does_not_change_is_no_success() {
@@ -55,7 +55,7 @@ fn whole_numbers_that_are_found_are_a_success() {
         let report = minimize(cost)
             .bounds(&[-9.0; 2], &[9.0; 2])
             .unwrap()
-            .kinds(&[Kind::Integer; 2])
+            .kinds(&[ParameterKind::Integer; 2])
             .method(DifferentialEvolution::default())
             .seed(seed)
             .run()
@@ -76,7 +76,7 @@ fn whole_numbers_are_found_however_the_search_ends() {
             for seed in 0..10 {
                 for budget in [None, Some(150), Some(400), Some(1000)] {
                     let m = minimize(cost).bounds(&vec![-6.0; n], &vec![6.0; n]).unwrap();
-                    let m = m.kinds(&vec![Kind::Integer; n]).method(method.clone()).seed(seed);
+                    let m = m.kinds(&vec![ParameterKind::Integer; n]).method(method.clone()).seed(seed);
                     let report = budget.into_iter().fold(m, |m, b| m.max_evaluations(b)).run().unwrap();
                     let tests = report.tests.unwrap();
                     assert_eq!(report.is_success(), tests.passed, "{budget:?}: {report}");

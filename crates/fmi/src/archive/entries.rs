@@ -1,7 +1,8 @@
 //! The list of entries of an archive, checked: names, kinds, sizes, and that no byte serves two entries.
 
 use super::directory::{Directory, Fields, Record};
-use super::limits::{ArchiveLimits, MODEL_DESCRIPTION};
+use super::limits::{ArchiveLimits, check_limit};
+use super::names::MODEL_DESCRIPTION;
 use super::names::{self, Names};
 use crate::cancel_request::CancelRequest;
 use crate::error::{EntryProblem, FmiError, Result};
@@ -65,7 +66,8 @@ pub(super) fn list(
         check_limit(path, "folders", names.n_folders(), limits.folders)?;
     }
     check_root(path, &listed)?;
-    check_totals(path, &listed, limits)?;
+    let sizes = listed.iter().map(|entry| (entry.compressed_size, entry.size));
+    limits.check_totals(path, sizes)?;
     let mut archive = BufReader::with_capacity(HEADER_BUFFER, archive.into_inner());
     check_local_headers(path, &mut archive, directory, &records, &mut listed, cancel)?;
     Ok(listed)
@@ -152,21 +154,10 @@ fn check_storage(record: &Record, is_folder: bool, limits: &ArchiveLimits) -> Re
     if size > limits.file_bytes {
         return Err(EntryProblem::TooLarge { found: size, limit: limits.file_bytes });
     }
-    if inflates_too_much(compressed, size, limits) {
+    if limits.inflates_too_much(compressed, size) {
         return Err(EntryProblem::Ratio { compressed, size, limit: limits.ratio });
     }
     Ok(())
-}
-
-fn inflates_too_much(compressed: u64, size: u64, limits: &ArchiveLimits) -> bool {
-    size > limits.ratio_free_bytes && size / limits.ratio.max(1) > compressed
-}
-
-fn check_limit(path: &Path, what: &'static str, found: u64, limit: u64) -> Result<()> {
-    if found <= limit {
-        return Ok(());
-    }
-    Err(FmiError::ArchiveLimit { path: path.to_owned(), what, found, limit })
 }
 
 /// The model description is a file at the root; if it is one folder down, the message says so.
@@ -189,18 +180,6 @@ fn check_root(path: &Path, listed: &[Listed]) -> Result<()> {
         None => format!(", but \"{name}\": upper and lower case matter"),
     });
     Err(FmiError::NoModelDescription { path: path.to_owned(), hint })
-}
-
-/// Sums over all entries.
-fn check_totals(path: &Path, listed: &[Listed], limits: &ArchiveLimits) -> Result<()> {
-    let sum = |part: fn(&Listed) -> u64| listed.iter().map(part).fold(0_u64, u64::saturating_add);
-    let (compressed, size) = (sum(|entry| entry.compressed_size), sum(|entry| entry.size));
-    check_limit(path, "unpacked bytes", size, limits.total_bytes)?;
-    if inflates_too_much(compressed, size, limits) {
-        let ratio = size.div_ceil(compressed.max(1));
-        check_limit(path, "unpacked bytes per packed byte", ratio, limits.ratio)?;
-    }
-    Ok(())
 }
 
 /// Reads all local headers: they agree with the directory, and no byte serves two entries.

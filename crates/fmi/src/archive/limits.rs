@@ -1,9 +1,8 @@
-//! Limits on the contents of an archive, and the name of the file that it must hold.
+//! Limits on the contents of an archive.
 
+use crate::error::{FmiError, Result};
 use serde::{Deserialize, Serialize};
-
-/// Name of the file every FMU has at its root.
-pub(crate) const MODEL_DESCRIPTION: &str = "modelDescription.xml";
+use std::path::Path;
 
 /// Limits on the contents of an archive. The defaults are far above any real FMU, and stop archives made to
 /// fill a disk.
@@ -35,4 +34,31 @@ impl Default for ArchiveLimits {
             ratio_free_bytes: 256 << 20,
         }
     }
+}
+
+impl ArchiveLimits {
+    /// Refuses entries of these compressed and unpacked sizes, if they are too large together.
+    pub(super) fn check_totals(&self, path: &Path, sizes: impl Iterator<Item = (u64, u64)>) -> Result<()> {
+        let add = |sum: (u64, u64), entry: (u64, u64)| {
+            (sum.0.saturating_add(entry.0), sum.1.saturating_add(entry.1))
+        };
+        let (compressed, size) = sizes.fold((0, 0), add);
+        check_limit(path, "unpacked bytes", size, self.total_bytes)?;
+        if self.inflates_too_much(compressed, size) {
+            let ratio = size.div_ceil(compressed.max(1));
+            check_limit(path, "unpacked bytes per packed byte", ratio, self.ratio)?;
+        }
+        Ok(())
+    }
+
+    pub(super) fn inflates_too_much(&self, compressed: u64, size: u64) -> bool {
+        size > self.ratio_free_bytes && size / self.ratio.max(1) > compressed
+    }
+}
+
+pub(super) fn check_limit(path: &Path, what: &'static str, found: u64, limit: u64) -> Result<()> {
+    if found <= limit {
+        return Ok(());
+    }
+    Err(FmiError::ArchiveLimit { path: path.to_owned(), what, found, limit })
 }

@@ -14,7 +14,7 @@ mod unpack;
 
 pub(crate) use hash::{files_below, of_texts as hash_of_texts};
 pub use limits::ArchiveLimits;
-pub(crate) use limits::MODEL_DESCRIPTION;
+pub(crate) use names::MODEL_DESCRIPTION;
 pub(crate) use packed::Part;
 pub(crate) use private::PrivateFolder;
 

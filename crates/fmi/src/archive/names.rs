@@ -5,6 +5,9 @@ use crate::macros::getters;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 
+/// Name of the file every FMU has at its root.
+pub(crate) const MODEL_DESCRIPTION: &str = "modelDescription.xml";
+
 /// Bytes of a whole name, and of one component (what file systems take).
 const LONGEST_NAME: usize = 1024;
 const LONGEST_COMPONENT: usize = 255;

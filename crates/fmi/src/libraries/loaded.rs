@@ -3,7 +3,7 @@
 use super::files;
 use super::source::Source;
 use crate::error::FmiError;
-use crate::gate::Gate;
+use crate::fair_lock::FairLock;
 use crate::sys::{InterfaceKind, Library, LoadFrom};
 use crate::value::VariableKind;
 use std::any::Any;
@@ -22,7 +22,7 @@ pub(crate) struct LoadedLibrary {
     path: PathBuf,
     /// Every setting ever made in it, sorted; `None`: anything, by hand.
     set: Mutex<Option<Vec<Setting>>>,
-    gate: Arc<Gate>,
+    gate: Arc<FairLock>,
     /// One function table for each way of running the model, over the same static variables.
     tables: [Mutex<Option<Arc<Library>>>; 2],
     /// After the tables: a library that is unloaded takes its folder with it.
@@ -115,7 +115,7 @@ impl LoadedLibrary {
     }
 
     /// Who is inside of it has a turn of this.
-    pub(crate) fn gate(&self) -> &Arc<Gate> {
+    pub(crate) fn gate(&self) -> &Arc<FairLock> {
         &self.gate
     }
 

@@ -10,16 +10,16 @@
 
 mod files;
 mod loaded;
+mod reset_knowledge;
 mod source;
-mod verdict;
 
 pub(crate) use loaded::{LoadedLibrary, Setting};
-pub use verdict::Reuse;
-pub(crate) use verdict::Verdict;
+pub(crate) use reset_knowledge::ResetKnowledge;
+pub use reset_knowledge::Reuse;
 
 use crate::archive::Archive;
 use crate::error::FmiError;
-use crate::gate::Gate;
+use crate::fair_lock::FairLock;
 use crate::sys::{InterfaceKind, Library, LoadFrom, LoaderOptions};
 pub(crate) use source::LibraryFile;
 use source::Source;
@@ -34,9 +34,9 @@ pub(crate) struct Libraries {
     loaded: Mutex<Vec<Loaded>>,
     /// Files of the FMU's own private folder that are loaded as they are.
     originals: Mutex<Vec<PathBuf>>,
-    verdicts: [Mutex<Verdict>; 2],
+    verdicts: [Mutex<ResetKnowledge>; 2],
     /// Who builds, finds or loads a library has a turn.
-    making: Arc<Gate>,
+    making: Arc<FairLock>,
 }
 
 type Loaded = (Arc<Source>, Arc<LoadedLibrary>);
@@ -83,7 +83,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 impl Libraries {
     /// State of knowledge about the reset of instances of one interface.
-    pub(crate) fn verdict(&self, kind: InterfaceKind) -> MutexGuard<'_, Verdict> {
+    pub(crate) fn verdict(&self, kind: InterfaceKind) -> MutexGuard<'_, ResetKnowledge> {
         lock(&self.verdicts[kind as usize])
     }
 

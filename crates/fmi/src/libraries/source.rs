@@ -2,7 +2,7 @@
 
 use crate::archive::Archive;
 use crate::error::FmiError;
-use crate::gate::Gate;
+use crate::fair_lock::FairLock;
 use crate::platform::{self, FileIdentity, FilePlace};
 use crate::sys::LoaderOptions;
 use std::collections::HashMap;
@@ -24,7 +24,7 @@ struct Content {
     /// Copies can be unloaded, and share nothing with each other; read from the file when it is first needed.
     may_unload: OnceLock<bool>,
     /// The gate of all copies that may share variables with each other.
-    gate: Arc<Gate>,
+    gate: Arc<FairLock>,
 }
 
 /// The contents of this process, which loaded libraries do not leave either.
@@ -107,7 +107,7 @@ impl Source {
     }
 
     /// A gate for a new copy.
-    pub(super) fn gate(&self) -> Arc<Gate> {
+    pub(super) fn gate(&self) -> Arc<FairLock> {
         if self.may_unload() { Arc::default() } else { Arc::clone(&self.content.gate) }
     }
 }

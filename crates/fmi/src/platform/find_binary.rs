@@ -1,7 +1,7 @@
 //! The library of a model among the binaries of an FMU.
 
 use super::binary::{self, BinaryFormat, BinaryHeader, Machine};
-use super::system::{FolderNames, LIBRARY_EXTENSION, binary_folders};
+use super::binary_folders::{FolderNames, LIBRARY_EXTENSION, binary_folders};
 use crate::error::{FmiError, Result};
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,8 +1,8 @@
 //! Check that memory for a large object is available, before it is allocated: systems promise more than they
 //! have, and end the process that uses it.
 
-use super::system::available_memory;
 use crate::error::{FmiError, Result};
+use std::fs;
 
 /// Bytes that are allocated without a check.
 const SMALL: u64 = 64 << 20;
@@ -34,4 +34,11 @@ pub(crate) fn list_of<T>(what: &str, n: usize) -> Result<Vec<T>> {
     let mut list = Vec::new();
     list.try_reserve_exact(n).map_err(|_| FmiError::Memory { what: what.to_owned(), bytes })?;
     Ok(list)
+}
+
+/// Bytes of memory that can be had without pushing others out; `None` where the system does not say.
+fn available_memory() -> Option<u64> {
+    let text = fs::read_to_string("/proc/meminfo").ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?.checked_mul(1024)
 }

@@ -3,15 +3,22 @@
 
 mod atomic_file;
 mod binary;
+mod binary_folders;
+mod compiler_process;
+mod file_identity;
 mod find_binary;
 pub(crate) mod memory;
-mod system;
+mod private_folders;
 mod unloading;
 
 pub use atomic_file::fill_atomically;
 pub(crate) use binary::check_length;
 pub use binary::{BinaryFormat, BinaryHeader, Machine};
+pub use binary_folders::{FolderNames, LIBRARY_EXTENSION, binary_folders};
+pub(crate) use compiler_process::*;
+pub(crate) use file_identity::*;
 pub(crate) use find_binary::unusable_binary;
 pub use find_binary::{FoundBinary, find_binary};
-pub use system::*;
+pub use private_folders::without_private_folders;
+pub(crate) use private_folders::*;
 pub(crate) use unloading::may_be_unloaded;

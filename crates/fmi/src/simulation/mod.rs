@@ -3,10 +3,10 @@
 
 pub(crate) mod clocks;
 mod co_simulation;
-mod column;
 pub(crate) mod digest;
 pub(crate) mod engine;
 mod grid;
+mod input_table;
 mod inputs;
 mod model_exchange;
 mod options;

@@ -4,11 +4,11 @@
 mod check;
 mod first_run;
 mod instantiate;
-mod pool;
 mod reset;
 mod run;
+mod shared_simulator;
 mod simulator;
 
 pub use instantiate::InstanceOptions;
-pub use pool::Pool;
+pub use shared_simulator::SharedSimulator;
 pub use simulator::Simulator;

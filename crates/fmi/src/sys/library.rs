@@ -12,7 +12,7 @@ use super::version::{Values, Version};
 use super::{fmi1, fmi2, fmi3};
 use crate::description::FmiVersion;
 use crate::error::{FmiError, Result};
-use crate::gate::Gate;
+use crate::fair_lock::FairLock;
 use crate::log::LogFilter;
 use crate::macros::getters;
 use crate::platform::check_length;
@@ -42,7 +42,7 @@ pub(crate) struct Library {
 #[derive(Clone, Copy)]
 pub(crate) enum LoadFrom<'a> {
     /// In a file, which is loaded; who is inside of it has a turn of this gate.
-    File(&'a Path, &'a Arc<Gate>),
+    File(&'a Path, &'a Arc<FairLock>),
     /// In a library that is loaded already, whose file may have gone since.
     Loaded(&'a Library),
 }
@@ -59,7 +59,7 @@ impl Library {
         pub(crate) path(self) -> &Path = &self.path;
         /// Who is inside of it has a turn of this.
         #[inline]
-        pub(crate) gate(self) -> &Arc<Gate> = &self.handle.gate;
+        pub(crate) gate(self) -> &Arc<FairLock> = &self.handle.gate;
         /// True if a call has returned `Fatal`: then the state of the loaded file is not reliable any more.
         #[inline]
         pub(crate) is_fatal(self) -> bool = self.handle.is_fatal.load(Ordering::Relaxed);
@@ -117,7 +117,7 @@ impl Library {
         }
     }
 
-    fn load(path: &Path, gate: &Arc<Gate>, options: &LoaderOptions) -> Result<Arc<Handle>> {
+    fn load(path: &Path, gate: &Arc<FairLock>, options: &LoaderOptions) -> Result<Arc<Handle>> {
         platform::check(options).map_err(|option| {
             FmiError::BadSetting(format!("the loader of this system has no option {option}"))
         })?;

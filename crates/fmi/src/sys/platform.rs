@@ -1,7 +1,7 @@
 //! System-dependent part of this module: the loading of a library.
 
 use super::environment::Inside;
-use crate::gate::Gate;
+use crate::fair_lock::FairLock;
 use serde::{Deserialize, Serialize};
 use std::mem::ManuallyDrop;
 use std::ops::Deref;
@@ -38,7 +38,7 @@ pub(super) type Opened = libloading::Library;
 pub(super) struct Handle {
     library: ManuallyDrop<Opened>,
     /// Who may be inside.
-    pub(super) gate: Arc<Gate>,
+    pub(super) gate: Arc<FairLock>,
     /// A call returned `Fatal`.
     pub(super) is_fatal: AtomicBool,
     /// A component was made.
@@ -47,7 +47,7 @@ pub(super) struct Handle {
 }
 
 impl Handle {
-    pub(super) fn new(library: Opened, gate: Arc<Gate>) -> Self {
+    pub(super) fn new(library: Opened, gate: Arc<FairLock>) -> Self {
         let library = ManuallyDrop::new(library);
         Self {
             library,

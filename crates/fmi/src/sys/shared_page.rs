@@ -1,6 +1,6 @@
 //! A page of memory that a worker process shares with the process that has started it: the last call into the
-//! FMU, the simulated time, the wish to end, and the numbers of the last question and answer. It outlives the
-//! worker, so that its end can be explained.
+//! FMU, the simulated time, the request to end, and the numbers of the last question and answer. It outlives
+//! the worker, so that its end can be explained.
 
 use crate::error::FmiError;
 use std::fs::File;

@@ -7,7 +7,7 @@ use crate::support;
 use example_models::ExampleKind;
 use fmi::ode::{ErrorKind, Ignore, Side, Termination};
 use fmi::{
-    FmiError, Fmu, Inputs, InstanceOptions, InterfaceKind, Kind, Pool, Reuse, SimulateOptions,
+    FmiError, Fmu, Inputs, InstanceOptions, InterfaceKind, Kind, Reuse, SharedSimulator, SimulateOptions,
     SimulationPlan, Simulator, Status, Trajectory,
 };
 use std::sync::Arc;
@@ -209,7 +209,7 @@ fn a_second_run_has_the_same_bits_on_every_worker() {
         .output_interval(0.1)
         .parameters(["armFriction", "pendulumFriction"])
         .outputs(["armJoint.phi", "pendulumJoint.phi"]);
-    let pool = Pool::new(Arc::new(SimulationPlan::new(&fmu, &options).unwrap()));
+    let pool = SharedSimulator::new(Arc::new(SimulationPlan::new(&fmu, &options).unwrap()));
     let run = |values: [f64; 2]| {
         pool.with_simulator(&base::RunContext::new(), |simulator| simulator.trajectory(&values))
     };

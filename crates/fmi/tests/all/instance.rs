@@ -16,7 +16,7 @@ fn instances_move_between_threads() {
     is_send::<Session>();
     fn is_shared<T: Send + Sync>() {}
     is_shared::<Fmu>();
-    is_shared::<fmi::Pool>();
+    is_shared::<fmi::SharedSimulator>();
     is_shared::<fmi::SimulationPlan>();
     is_shared::<FmuCache>();
     is_shared::<FmiError>();

@@ -6,7 +6,9 @@ use crate::support;
 
 use example_models::ExampleKind;
 use fmi::ode::{self, Ignore, Method, Side, Termination};
-use fmi::{FmiError, Fmu, Inputs, Pool, Reuse, SimulateOptions, SimulationPlan, Simulator, Trajectory};
+use fmi::{
+    FmiError, Fmu, Inputs, Reuse, SharedSimulator, SimulateOptions, SimulationPlan, Simulator, Trajectory,
+};
 use std::sync::Arc;
 use support::{evil_with, model, model_as, settle};
 
@@ -211,7 +213,7 @@ fn a_second_run_has_the_same_bits() {
 #[test]
 fn workers_get_the_same_bits_side_by_side() {
     let folder = model("furuta");
-    let pool = Pool::new(furuta(&folder.open()));
+    let pool = SharedSimulator::new(furuta(&folder.open()));
     let run = |values: [f64; 2]| {
         pool.with_simulator(&base::RunContext::new(), |simulator| simulator.trajectory(&values))
     };

@@ -15,7 +15,7 @@ mod backward;
 mod event_handling;
 mod events_in_step;
 mod failure_reasons;
-mod returns;
+mod returns_after_event;
 mod run;
 mod samples;
 mod sliding;

@@ -1,7 +1,7 @@
 //! Indicators that have crossed up to the end of a step, and those that slide.
 
 use super::domains::{CLEAN_STEPS, Domains, any_flips, crosses, flipped, is_behind};
-use super::returns::SMALL;
+use super::returns_within_step::SMALL;
 use crate::system::Direction;
 
 impl Domains {

@@ -7,7 +7,7 @@
 mod crossings;
 mod domains;
 mod locate;
-mod returns;
+mod returns_within_step;
 
 pub(crate) use domains::Domains;
-pub(crate) use returns::SLOPE_STEP;
+pub(crate) use returns_within_step::SLOPE_STEP;

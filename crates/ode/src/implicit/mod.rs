@@ -2,7 +2,7 @@
 
 mod algebraic;
 mod bdf;
-mod jacobian_update;
+mod kept_jacobian;
 mod newton;
 mod radau5;
 

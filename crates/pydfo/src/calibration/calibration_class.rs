@@ -19,11 +19,11 @@ use crate::model::description::Fmu;
 use crate::model::files;
 use crate::model::inputs::Callbacks;
 use crate::model::trajectory;
-use crate::optimize::futures::{PyEngine, state};
+use crate::optimize::futures::{PySimulationExecutor, state};
 use calibration::RunContext;
 use calibration::{
-    CalibrationError, ComparedSolver, Engine, Experiment, FitOptions, LivePage, PreflightOptions, Problem,
-    Severity, Solver, UncertaintyOptions, Verdict,
+    CalibrationError, ComparedSolver, Experiment, FitOptions, LivePage, PreflightOptions, Problem, Severity,
+    SimulationExecutor, Solver, UncertaintyOptions, Verdict,
 };
 use dfo::{Progress, Query, RobustLoss, Termination, Want};
 use fmi::OpenOptions;
@@ -404,7 +404,8 @@ impl PyCalibration {
         let of_objective = cost::Raised::default();
         let kind = |given| cost::kind(given, self.inner(), Arc::clone(&stop), Arc::clone(&of_objective));
         let objective = objective.map(kind).transpose()?.unwrap_or_default();
-        let engine = engine.map(|engine| PyEngine::new(engine.bind(py), Arc::clone(&stop))).transpose()?;
+        let engine =
+            engine.map(|engine| PySimulationExecutor::new(engine.bind(py), Arc::clone(&stop))).transpose()?;
         let listener = observer.map(|function| Arc::new(Listener::new(function, false)));
         let last_progress = Arc::new(LastProgress::default());
         let (inner, asked) = (Arc::clone(&self.shared.inner), Arc::clone(&stop));
@@ -433,7 +434,8 @@ impl PyCalibration {
                     uncertainty,
                     phase: told,
                     live,
-                    engine: engine.map(|engine| Rc::new(RefCell::new(engine)) as Rc<RefCell<dyn Engine>>),
+                    engine: engine
+                        .map(|engine| Rc::new(RefCell::new(engine)) as Rc<RefCell<dyn SimulationExecutor>>),
                     observer: Some(Box::new(|progress: &Progress<'_>| {
                         seen.pass_on(progress, caller, notified.as_ref())
                     })),

@@ -1,6 +1,6 @@
 //! Parameters, experiments and settings of a calibration, from the fields of their Python classes.
 
-use crate::calibration::data::PyTable;
+use crate::calibration::data_files::PyTable;
 use crate::convert::error;
 use crate::convert::object;
 use crate::convert::record::PyRecord;

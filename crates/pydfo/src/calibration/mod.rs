@@ -1,8 +1,9 @@
 //! Calibrations, fits, and what follows from them.
 
 pub(crate) mod calibration_class;
+pub(crate) mod check;
 pub(crate) mod cost;
-pub(crate) mod data;
+pub(crate) mod data_files;
 pub(crate) mod experiment;
 pub(crate) mod fit;
 pub(crate) mod live_page;

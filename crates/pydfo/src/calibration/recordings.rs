@@ -1,30 +1,13 @@
-//! Recordings of a calibration, and the check of model, recordings and parameters.
+//! Recordings of a calibration, and the inputs that a model finds in them.
 
 use crate::calibration::calibration_class::PyCalibration;
-use crate::calibration::data::PyTable;
+use crate::calibration::data_files::PyTable;
 use crate::convert::error;
-use crate::convert::object;
-use crate::convert::record::time_limit;
 use crate::model::description::Fmu;
-use calibration::{CheckOptions, Data, Experiment};
+use calibration::{Data, Experiment};
 use numpy::PyArray1;
 use pyo3::prelude::*;
 use std::path::PathBuf;
-
-/// The findings of a check, the same as a table, how many evaluations were made, and whether there are notes
-/// only.
-#[pyfunction]
-pub(crate) fn check<'py>(
-    py: Python<'py>,
-    calibration: &PyCalibration,
-    simulate: bool,
-    max_time: Option<f64>,
-) -> PyResult<(Bound<'py, PyAny>, String, usize, bool)> {
-    let options = CheckOptions { simulate, max_time: time_limit("max_time", max_time)? };
-    let check = calibration.shared.compute(py, move |c, context| c.check_with(&options, context))?;
-    let (table, is_ok) = (check.to_string(), check.is_ok());
-    Ok((object::to_python(py, &check.findings)?, table, check.n_evaluations, is_ok))
-}
 
 /// Variable, column, unit, values, whether it is an input.
 type Series<'py> = (String, String, Option<String>, Bound<'py, PyArray1<f64>>, bool);

@@ -4,7 +4,7 @@
 use crate::convert::object::to_bytes;
 use crate::interrupt::interrupt_guard::{EndRequest, Inside};
 use crate::optimize::objective::PyObjective;
-use calibration::{Calibration, Engine};
+use calibration::{Calibration, SimulationExecutor};
 use dfo::{Answer, CutoffUse, Evaluator, Outcome, Polled, Query, RobustLoss, Wait};
 use numpy::PyArray1;
 use ode::Stats;
@@ -213,9 +213,9 @@ pub(crate) struct Simulated {
 }
 
 /// The simulations of a fit on an executor.
-pub(crate) type PyEngine = OnExecutor<Simulated>;
+pub(crate) type PySimulationExecutor = OnExecutor<Simulated>;
 
-impl PyEngine {
+impl PySimulationExecutor {
     /// `futures`: a `_engine.Simulations`.
     ///
     /// # Errors
@@ -250,7 +250,7 @@ impl Answers for Simulated {
     }
 }
 
-impl Engine for PyEngine {
+impl SimulationExecutor for PySimulationExecutor {
     fn begin(&mut self, calibration: &Calibration, loss: RobustLoss) {
         let begun = Python::attach(|py| {
             let state = PyBytes::new(py, &state(calibration)?);

@@ -1,24 +1,24 @@
 //! Judgement of the result of a search: findings, the quality of fit of each output, and the uncertainty.
 
 use super::noise::{self, FitNoise};
+use super::noise_iterations::{Made, is_at_end};
 use super::result::Fit;
-use super::rounds::{Made, is_at_end};
 use super::search::{Job, Searched};
+use crate::calibration::handle::Calibration;
+use crate::calibration::simulations::Simulations;
 use crate::cost::residual::{CostRule, sum_of_squares};
 use crate::findings::finding::{Finding, Severity};
 use crate::fit::output_fit::{EndResiduals, KeptResiduals};
 use crate::fit::phase::FitPhase;
-use crate::loaded_problem::calibration::Calibration;
-use crate::loaded_problem::simulations::Simulations;
 use crate::problem::objective::{CostKind, NamedCost};
 use crate::problem::parameter::Parameter;
 use crate::problem::residual_layout::ResidualLayout;
-use crate::uncertainty::active_bounds::is_over;
 use crate::uncertainty::covariance::identifiability::SEARCH;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
 use crate::uncertainty::digits::digits;
 use crate::uncertainty::estimate::KnownPoint;
 use crate::uncertainty::result::{Uncertainty, UncertaintyOptions};
+use crate::uncertainty::stuck_parameters::is_over;
 use base::{Number, RunContext};
 use dfo::{Report, RobustLoss, Termination, ToleranceMeasure, Tolerances};
 use ode::Stats;

@@ -1,32 +1,32 @@
 //! The fit: what is asked for, the search, and the uncertainty of its result; parameters with names come out.
 
 mod assessment;
-mod external_simulations;
 mod noise;
+mod noise_iterations;
 mod options;
 mod reproducibility;
 mod result;
-mod rounds;
 mod search;
+mod simulation_executor;
 mod tolerance;
 
-pub use external_simulations::Engine;
 pub use noise::{EstimatedNoise, FitNoise, NoiseRule, OutputNoise};
+pub(crate) use noise_iterations::{add_earlier, checkpoint_of, ended_by};
 pub use options::{FitObserver, FitOptions, FitRecord};
 pub use result::Fit;
-pub(crate) use rounds::{add_earlier, checkpoint_of, ended_by};
+pub use simulation_executor::SimulationExecutor;
 pub use tolerance::ChosenTolerance;
 
+use crate::calibration::handle::Calibration;
 use crate::cost::process::HIDDEN_STATE;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::FitPhase;
-use crate::loaded_problem::calibration::Calibration;
 use base::RunContext;
+pub(crate) use noise_iterations::Made;
 use ode::Stats;
 use reproducibility::Reproducibility;
-pub(crate) use rounds::Made;
 pub(crate) use search::{Job, Searched, Spent};
 
 /// Finding about an FMU whose results depend on more than what is set.

@@ -3,9 +3,9 @@
 //! A prior counts in units of its own standard deviation, so the measurements have to count in units of
 //! theirs. Where their weights do not say so, fits take turns with estimates of the noise.
 
+use crate::calibration::handle::Calibration;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
-use crate::loaded_problem::calibration::Calibration;
 use crate::problem::definition::Problem;
 use crate::problem::experiment::Weight;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};

@@ -1,7 +1,7 @@
 //! Options of a fit.
 
-use super::external_simulations::Engine;
 use super::noise::NoiseRule;
+use super::simulation_executor::SimulationExecutor;
 use crate::fit::live::LiveFit;
 use crate::fit::phase::CurrentPhase;
 use crate::problem::objective::CostKind;
@@ -65,7 +65,7 @@ pub struct FitOptions<'a> {
     pub context: RunContext<'a>,
     /// Who makes the simulations of the search; default: workers of this machine, as many as
     /// [`run`](Self::run) says. What comes before and after the search is simulated here.
-    pub engine: Option<Rc<RefCell<dyn Engine>>>,
+    pub engine: Option<Rc<RefCell<dyn SimulationExecutor>>>,
     /// Where the fit says what it does.
     pub phase: Arc<CurrentPhase>,
     /// Where the search keeps what others see of it while it runs; default: nowhere.

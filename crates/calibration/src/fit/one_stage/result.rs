@@ -2,15 +2,15 @@
 
 use super::noise::FitNoise;
 use super::tolerance::ChosenTolerance;
+use crate::calibration::handle::Calibration;
 use crate::cost::solver::Solver;
 use crate::findings::finding::Finding;
 use crate::fit::output_fit::OutputFit;
 use crate::fit::phase::PhaseCost;
-use crate::loaded_problem::calibration::Calibration;
 use crate::problem::residual_layout::ResidualLayout;
-use crate::uncertainty::active_bounds::BoundSide;
 use crate::uncertainty::preflight::Preflight;
 use crate::uncertainty::result::Uncertainty;
+use crate::uncertainty::stuck_parameters::BoundSide;
 use base::Number;
 use dfo::Report;
 use ode::Stats;

@@ -1,8 +1,9 @@
 //! The search for the best point, with what comes before it.
 
-use super::external_simulations::Engine;
 use super::noise::NoiseRule;
 use super::options::{FitObserver, FitOptions};
+use super::simulation_executor::SimulationExecutor;
+use crate::calibration::handle::Calibration;
 use crate::cost::residual::sum_of_squares;
 use crate::cost::solver::{AtStart, Solver};
 use crate::error::CalibrationError;
@@ -10,16 +11,15 @@ use crate::findings::finding::Finding;
 use crate::fit::live::{LiveFit, lock};
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::{FitPhase, Phases};
-use crate::loaded_problem::calibration::Calibration;
 use crate::problem::objective::CostKind;
 use crate::problem::parameter::{Parameter, Scale};
-use crate::uncertainty::active_bounds::{EndedRun, StuckParameters};
 use crate::uncertainty::digits::digits;
 use crate::uncertainty::preflight::{Preflight, PreflightOptions};
 use crate::uncertainty::result::UncertaintyOptions;
+use crate::uncertainty::stuck_parameters::{EndedRun, StuckParameters};
 use base::{Number, RunContext};
 use dfo::{
-    Answer, AnyMethod, ByRef, CutoffUse, Evaluator, Kind, NothingFound, Objective, Outcome, Polled,
+    Answer, AnyMethod, ByRef, CutoffUse, Evaluator, NothingFound, Objective, Outcome, ParameterKind, Polled,
     ProblemClass, Progress, Query, Report, Resume, RobustLoss, RunOptions, Search, Termination,
     ToleranceMeasure, Tolerances, Trace, Wait, Want,
 };
@@ -115,7 +115,7 @@ impl Objective for Counted<'_> {
 /// A fit's simulations on an engine.
 struct OnEngine<'a, 'e> {
     counted: &'a Counted<'a>,
-    engine: &'a mut (dyn Engine + 'e),
+    engine: &'a mut (dyn SimulationExecutor + 'e),
     under_way: HashMap<u64, (Vec<f64>, Want)>,
     /// Points whose answer is known.
     known: VecDeque<(u64, Answer)>,
@@ -204,7 +204,7 @@ pub(crate) struct Job<'a> {
     pub(crate) wants_preflight: bool,
     pub(crate) uncertainty: Option<UncertaintyOptions>,
     pub(crate) observer: RefCell<Option<Box<FitObserver<'a>>>>,
-    pub(crate) engine: Option<Rc<RefCell<dyn Engine>>>,
+    pub(crate) engine: Option<Rc<RefCell<dyn SimulationExecutor>>>,
     pub(crate) phases: RefCell<Phases>,
     pub(crate) live: Option<Arc<LiveFit>>,
     /// Who may end it, and its time.
@@ -408,9 +408,9 @@ impl Calibration {
             bounds
         };
         let transforms: Vec<Scale> = parameters.iter().map(Parameter::scale_kind).collect();
-        let mut kinds: Vec<Kind> = parameters.iter().map(Parameter::value_kind).collect();
+        let mut kinds: Vec<ParameterKind> = parameters.iter().map(Parameter::value_kind).collect();
         // What is held can have any value, and does not choose the method.
-        held.iter().for_each(|&i| kinds[i] = Kind::Continuous);
+        held.iter().for_each(|&i| kinds[i] = ParameterKind::Continuous);
         let sizes: Vec<Option<f64>> = parameters.iter().map(|p| self.given_size(p)).collect();
         let kept = Arc::new(Mutex::new(KeptResiduals::new(start, at_start.clone())));
         let live = job.live.as_deref();

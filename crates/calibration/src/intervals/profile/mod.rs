@@ -6,20 +6,20 @@ mod result;
 mod saved;
 mod walk;
 
+use crate::calibration::handle::Calibration;
+use crate::calibration::simulations::Simulations;
 use crate::cost::parallel;
 use crate::error::CalibrationError;
 use crate::fit::one_stage::Fit;
-use crate::loaded_problem::calibration::Calibration;
-use crate::loaded_problem::simulations::Simulations;
 use crate::problem::fingerprint::hash_of_bytes;
 use crate::problem::objective::CostKind;
-use crate::problem::parameter::Parameter;
-use crate::uncertainty::active_bounds::{AT, BoundSide, inner};
+use crate::problem::parameter::{Parameter, inner};
 use crate::uncertainty::estimate::KnownPoint;
 use crate::uncertainty::result::{Uncertainty, check_level};
 use crate::uncertainty::scores::Criterion;
+use crate::uncertainty::stuck_parameters::{AT, BoundSide};
 use base::RunContext;
-use dfo::{Kind, RobustLoss};
+use dfo::{ParameterKind, RobustLoss};
 use refit::Refits;
 pub use result::{ParameterProfile, Profile, ProfileEnd, ProfilePoint};
 use saved::{SavedSides, Side};
@@ -210,7 +210,8 @@ impl Calibration {
             |i: usize| fit.uncertainty.as_ref().is_some_and(|uncertainty| uncertainty.held.contains(&i));
         let is_held = |(i, p): &(usize, &Parameter)| {
             let is_found = fit.at_bound.iter().any(|(index, _)| index == i) || is_at_bound(*i, p);
-            let is_fixed = p.is_fixed() || p.lower() == p.upper() || p.value_kind() != Kind::Continuous;
+            let is_fixed =
+                p.is_fixed() || p.lower() == p.upper() || p.value_kind() != ParameterKind::Continuous;
             is_fixed || (is_known(*i) && !is_found)
         };
         self.parameters().iter().enumerate().filter(is_held).map(|(i, _)| i).collect()

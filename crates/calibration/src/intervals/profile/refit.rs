@@ -1,12 +1,12 @@
 //! Fits of the other parameters, one parameter held.
 
+use crate::calibration::handle::Calibration;
 use crate::error::CalibrationError;
-use crate::loaded_problem::calibration::Calibration;
 use crate::problem::parameter::{Parameter, Scale};
 use base::RunContext;
 use dfo::{
-    Answer, ByRef, Kind, LeastSquares, Limits, Objective, Query, RobustLoss, RunOptions, Termination,
-    Tolerances,
+    Answer, ByRef, LeastSquares, Limits, Objective, ParameterKind, Query, RobustLoss, RunOptions,
+    Termination, Tolerances,
 };
 use ode::Stats;
 use std::sync::Mutex;
@@ -117,7 +117,7 @@ impl Refits<'_> {
             .bounds(&bound(Parameter::lower), &bound(Parameter::upper))
             .map_err(failed)?
             .transforms(&transforms)
-            .kinds(&vec![Kind::Continuous; start.len()])
+            .kinds(&vec![ParameterKind::Continuous; start.len()])
             .known_scales(&sizes)
             .options(options)
             .context(*context)

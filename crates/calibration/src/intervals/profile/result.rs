@@ -1,7 +1,7 @@
 //! The numbers of a profile likelihood, and how they are printed.
 
-use crate::uncertainty::active_bounds::BoundSide;
 use crate::uncertainty::digits::digits;
+use crate::uncertainty::stuck_parameters::BoundSide;
 use base::Number;
 use ode::Stats;
 use serde::{Deserialize, Serialize};

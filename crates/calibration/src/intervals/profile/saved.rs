@@ -2,7 +2,7 @@
 
 use super::result::{ProfileEnd, ProfilePoint};
 use crate::error::CalibrationError;
-use crate::uncertainty::active_bounds::BoundSide;
+use crate::uncertainty::stuck_parameters::BoundSide;
 use fmi::FmiError;
 use fmi::platform::fill_atomically;
 use serde::{Deserialize, Serialize};

@@ -3,8 +3,8 @@
 use super::refit::{NoFit, Refits, Refitted};
 use super::result::{ProfileEnd, ProfilePoint};
 use super::saved::Side;
-use crate::problem::parameter::Parameter;
-use crate::uncertainty::active_bounds::{AT, BoundSide, inner, outer};
+use crate::problem::parameter::{Parameter, inner, outer};
+use crate::uncertainty::stuck_parameters::{AT, BoundSide};
 use base::RunContext;
 
 /// By how much a step may grow, and shrink.

@@ -1,10 +1,9 @@
 //! The part of the cost that one more step of least squares takes away, as simulations of that step tell.
 
+use crate::calibration::simulations::{Point, Simulations};
 use crate::cost::residual::sum_of_squares;
 use crate::error::CalibrationError;
-use crate::loaded_problem::simulations::{Point, Simulations};
-use crate::problem::parameter::Parameter;
-use crate::uncertainty::active_bounds::{inner, outer};
+use crate::problem::parameter::{Parameter, inner, outer};
 use crate::uncertainty::covariance::matrix::Factors;
 use crate::uncertainty::row_blocks::along;
 use nalgebra::DVector;

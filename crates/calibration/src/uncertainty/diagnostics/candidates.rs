@@ -1,9 +1,9 @@
 //! Numbers of a model that are taken as known, and by how much each changes the residuals: offsets of inputs,
 //! start values, parameters that are held.
 
+use crate::calibration::handle::Calibration;
+use crate::calibration::simulations::{Point, Simulations};
 use crate::error::CalibrationError;
-use crate::loaded_problem::calibration::Calibration;
-use crate::loaded_problem::simulations::{Point, Simulations};
 use crate::problem::definition::Problem;
 use crate::problem::experiment::{Experiment, InitialState};
 use crate::problem::input::InputSource;

@@ -2,9 +2,9 @@
 
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
+use crate::problem::parameter::{inner, outer};
 use crate::problem::prior::Prior;
 use crate::problem::residual_layout::ResidualLayout;
-use crate::uncertainty::active_bounds::{inner, outer};
 use crate::uncertainty::differences::Center;
 use crate::uncertainty::digits::digits;
 use crate::uncertainty::row_blocks::{ThinSvd, thin_svd};

@@ -1,7 +1,7 @@
 //! The normal distribution that points are drawn from, and how it follows the ranked steps of a generation.
 
 use super::weights::{Weights, effective};
-use crate::method::rng::Stream;
+use crate::method_interface::rng::Stream;
 use crate::methods::shared::dot::dot;
 use crate::values::encoding::numbers;
 use nalgebra::{DMatrix, SymmetricEigen};

@@ -43,8 +43,8 @@ mod weights;
 pub use options::{CmaBounds, CmaEs, Restarts};
 
 use crate::error::Error;
-use crate::method::interface::{MethodOptions, Setup};
-use crate::method::rng::draw_seed;
+use crate::method_interface::interface::{MethodOptions, Setup};
+use crate::method_interface::rng::draw_seed;
 use crate::methods::shared::generations::Generations;
 use crate::methods::shared::sized::{NeedsSizes, WithSizes};
 use crate::problem::memory;

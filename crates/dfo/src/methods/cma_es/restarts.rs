@@ -1,7 +1,7 @@
 //! With which population and step size the search begins anew, and where.
 
 use super::options::{CmaEs, Restarts};
-use crate::method::rng::Stream;
+use crate::method_interface::rng::Stream;
 use crate::methods::shared::population::MAX_MEMBERS;
 use crate::problem::space::Space;
 use serde::{Deserialize, Serialize};

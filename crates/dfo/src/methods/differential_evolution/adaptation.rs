@@ -2,7 +2,7 @@
 //! shrinking plan.
 
 use super::options::Adaptive;
-use crate::method::rng::Stream;
+use crate::method_interface::rng::Stream;
 use crate::methods::shared::ranked_points::RankedPoints;
 use serde::{Deserialize, Serialize};
 
@@ -176,7 +176,7 @@ impl Adaptation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::method::rng::Purpose;
+    use crate::method_interface::rng::Purpose;
 
     fn adaptation() -> Adaptation {
         Adaptation::new(Adaptive::default(), 36, 1000, 1)

@@ -26,16 +26,16 @@ mod operators;
 mod options;
 mod state;
 
-pub use options::{Adaptive, Crossover, DifferentialEvolution, Repair, Scheme, Strategy, Weight};
+pub use options::{Adaptive, Crossover, DifferentialEvolution, DifferentialWeight, Repair, Scheme, Strategy};
 pub use state::DifferentialEvolutionState;
 
 use crate::error::Error;
-use crate::method::interface::{MethodOptions, Setup};
-use crate::method::rng::draw_seed;
+use crate::method_interface::interface::{MethodOptions, Setup};
+use crate::method_interface::rng::draw_seed;
 use crate::methods::shared::generations::Generations;
 use crate::methods::shared::population::MAX_MEMBERS;
 use crate::problem::option_texts;
-use crate::values::choices::Kind;
+use crate::values::choices::ParameterKind;
 use options::planned;
 use state::DifferentialRules;
 
@@ -47,11 +47,11 @@ impl MethodOptions for DifferentialEvolution {
         self.check()?;
         let (space, name) = (&setup.space, self.name());
         space.require_box(name)?;
-        if let Some(k) = (0..space.n_free()).find(|&k| space.kind(k) == Kind::Categorical) {
+        if let Some(k) = (0..space.n_free()).find(|&k| space.kind(k) == ParameterKind::Categorical) {
             return Err(Error::NotContinuous {
                 method: name,
                 index: space.free()[k],
-                kind: Kind::Categorical,
+                kind: ParameterKind::Categorical,
             });
         }
         let n = space.n_free();

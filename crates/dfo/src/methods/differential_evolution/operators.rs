@@ -1,7 +1,7 @@
 //! Mutation, crossover and repair, one function each, from given indices and draws.
 
 use super::options::{Crossover, Repair, Strategy};
-use crate::method::rng::Stream;
+use crate::method_interface::rng::Stream;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::problem::space::Space;
 use crate::problem::space::fold;
@@ -97,7 +97,7 @@ pub(super) fn repair(repair: Repair, stream: &mut Stream, space: &Space, target:
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::method::rng::Purpose;
+    use crate::method_interface::rng::Purpose;
     use crate::problem::space::Bounds;
 
     fn space() -> Space {

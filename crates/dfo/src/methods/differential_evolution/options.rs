@@ -1,7 +1,7 @@
 //! Options of differential evolution.
 
 use crate::error::Error;
-use crate::method::sampling::Sampling;
+use crate::method_interface::sampling::Sampling;
 use serde::{Deserialize, Serialize};
 
 /// Strategy for donor vectors. `r1`, `r2`, ... are different members, drawn for each target `i`.
@@ -50,7 +50,7 @@ pub enum Crossover {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
-pub enum Weight {
+pub enum DifferentialWeight {
     /// The same always.
     Fixed(f64),
     /// Drawn uniformly from a range once per generation.
@@ -108,7 +108,7 @@ pub enum Scheme {
         /// Crossover of target and donor.
         crossover: Crossover,
         /// The differential weight, from 0 to 2.
-        weight: Weight,
+        weight: DifferentialWeight,
         /// The crossover probability, from 0 to 1.
         probability: f64,
     },
@@ -182,7 +182,7 @@ impl DifferentialEvolution {
             scheme: Scheme::Classic {
                 strategy: Strategy::Rand1,
                 crossover: Crossover::Binomial,
-                weight: Weight::Fixed(0.8),
+                weight: DifferentialWeight::Fixed(0.8),
                 probability: 0.9,
             },
             sampling: Sampling::Uniform,
@@ -197,7 +197,7 @@ impl DifferentialEvolution {
         mut self,
         strategy: Strategy,
         crossover: Crossover,
-        weight: Weight,
+        weight: DifferentialWeight,
         probability: f64,
     ) -> Self {
         self.scheme = Scheme::Classic { strategy, crossover, weight, probability };
@@ -286,8 +286,8 @@ impl DifferentialEvolution {
             Scheme::Classic { weight, probability, .. } => {
                 within("crossover probability", probability, 0.0, 1.0, "from 0 to 1")?;
                 match weight {
-                    Weight::Fixed(f) => within("differential weight", f, 0.0, 2.0, "from 0 to 2"),
-                    Weight::Dither(low, high) => {
+                    DifferentialWeight::Fixed(f) => within("differential weight", f, 0.0, 2.0, "from 0 to 2"),
+                    DifferentialWeight::Dither(low, high) => {
                         within("differential weight", low, 0.0, 2.0, "from 0 to 2")?;
                         within("differential weight", high, low, 2.0, "from the lower end to 2")
                     }

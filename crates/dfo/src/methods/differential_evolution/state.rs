@@ -2,16 +2,16 @@
 
 use super::adaptation::Adaptation;
 use super::operators::{cross, different, donor, repair};
-use super::options::{Crossover, DifferentialEvolution, Scheme, Weight};
+use super::options::{Crossover, DifferentialEvolution, DifferentialWeight, Scheme};
 use crate::error::Error;
-use crate::method::interface::{Lookahead, Setup};
-use crate::method::rng::{Purpose, Stream};
+use crate::method_interface::interface::{Lookahead, Setup};
+use crate::method_interface::rng::{Purpose, Stream};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::generations::{GenerationRules, Generations, Populations};
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::outcome::termination::Termination;
 use crate::problem::space::Space;
-use crate::values::choices::Kind;
+use crate::values::choices::ParameterKind;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
@@ -134,10 +134,10 @@ impl DifferentialRules {
         match (self.options.scheme, &self.adaptation) {
             (Scheme::Classic { strategy, crossover, weight, probability }, _) => {
                 let weight = match weight {
-                    Weight::Dither(low, high) => {
+                    DifferentialWeight::Dither(low, high) => {
                         Stream::new(seed, Purpose::Generation, generation, 0).between(low, high)
                     }
-                    Weight::Fixed(weight) => weight,
+                    DifferentialWeight::Fixed(weight) => weight,
                 };
                 let mut r = [0; 5];
                 let r = &mut r[..strategy.n_drawn()];
@@ -315,7 +315,7 @@ impl GenerationRules for DifferentialRules {
 
     /// Members that stand for one whole number differ in what they are made from, and so do their trials.
     fn tries_neighbours(&self, space: &Space) -> bool {
-        space.n_free() > 0 && (0..space.n_free()).all(|k| space.kind(k) != Kind::Continuous)
+        space.n_free() > 0 && (0..space.n_free()).all(|k| space.kind(k) != ParameterKind::Continuous)
     }
 
     fn is_sound(&self, pool: &Populations) -> bool {

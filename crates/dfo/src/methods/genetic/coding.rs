@@ -2,7 +2,7 @@
 
 use crate::error::Error;
 use crate::problem::space::Space;
-use crate::values::choices::Kind;
+use crate::values::choices::ParameterKind;
 use serde::{Deserialize, Serialize};
 
 /// Bits of a continuous parameter whose resolution was not given.
@@ -37,8 +37,8 @@ impl Coding {
         for (k, &index) in space.free().iter().enumerate() {
             let (lower, upper) = space.working_bounds(k);
             let (values, first) = match space.kind(k) {
-                Kind::Continuous => (None, 0.0),
-                Kind::Integer | Kind::Categorical => {
+                ParameterKind::Continuous => (None, 0.0),
+                ParameterKind::Integer | ParameterKind::Categorical => {
                     let first = space.bounds().lower()[index].ceil();
                     (Some((space.bounds().upper()[index].floor() - first) as u64 + 1), first)
                 }
@@ -137,7 +137,12 @@ mod tests {
     fn space() -> Space {
         let bounds = Bounds::new(&[-1.0, 2.0, 0.0, 1e-3], &[3.0, 8.0, 3.0, 1e3]).unwrap();
         let transforms = [Transform::Linear, Transform::Linear, Transform::Linear, Transform::Log];
-        let kinds = [Kind::Continuous, Kind::Integer, Kind::Categorical, Kind::Continuous];
+        let kinds = [
+            ParameterKind::Continuous,
+            ParameterKind::Integer,
+            ParameterKind::Categorical,
+            ParameterKind::Continuous,
+        ];
         Space::new(&[0.5, 4.0, 1.0, 1.0], bounds, &transforms, &[]).unwrap().with_kinds(&kinds).unwrap()
     }
 

@@ -18,8 +18,8 @@ pub use options::{Genetic, Selection};
 pub use state::GeneticState;
 
 use crate::error::Error;
-use crate::method::interface::{MethodOptions, Setup};
-use crate::method::rng::draw_seed;
+use crate::method_interface::interface::{MethodOptions, Setup};
+use crate::method_interface::rng::draw_seed;
 use crate::methods::shared::generations::Generations;
 use crate::problem::option_texts;
 use coding::Coding;

@@ -1,6 +1,6 @@
 //! Selection, crossover and mutation, one function each.
 
-use crate::method::rng::Stream;
+use crate::method_interface::rng::Stream;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 
@@ -77,7 +77,7 @@ pub(super) fn mutate(stream: &mut Stream, rate: f64, bits: &mut [bool]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::method::rng::Purpose;
+    use crate::method_interface::rng::Purpose;
     use crate::problem::space::Bounds;
     use crate::problem::space::Space;
 

@@ -1,7 +1,7 @@
 //! Options of the genetic algorithm.
 
 use crate::error::Error;
-use crate::method::sampling::Sampling;
+use crate::method_interface::sampling::Sampling;
 use crate::methods::shared::population::MAX_MEMBERS;
 use serde::{Deserialize, Serialize};
 
@@ -36,7 +36,7 @@ pub enum Selection {
 /// let cost = |x: &[f64]| (x[0] - 0.3).powi(2) + if x[1] == 2.0 { 0.0 } else { 1.0 };
 /// let report = minimize(cost)
 ///     .bounds(&[-1.0, 0.0], &[1.0, 4.0])?
-///     .kinds(&[Kind::Continuous, Kind::Categorical])
+///     .kinds(&[ParameterKind::Continuous, ParameterKind::Categorical])
 ///     .method(Genetic::default())
 ///     .seed(1)
 ///     .max_evaluations(3000)

@@ -4,13 +4,13 @@ use super::coding::Coding;
 use super::operators::{cross, fitness_sums, mutate, spin, tournament};
 use super::options::{Genetic, Selection};
 use crate::error::Error;
-use crate::method::interface::Setup;
-use crate::method::rng::{Purpose, Stream};
-use crate::method::tolerances::{TestedSet, ToleranceTests};
+use crate::method_interface::interface::Setup;
+use crate::method_interface::rng::{Purpose, Stream};
+use crate::method_interface::tolerances::{TestedSet, ToleranceTests};
 use crate::methods::shared::generations::{GenerationRules, Generations, Populations};
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::outcome::termination::Termination;
-use crate::values::choices::Kind;
+use crate::values::choices::ParameterKind;
 use serde::{Deserialize, Serialize};
 
 /// Number of the best points that are compared: an eighth of the population, at least as many as a simplex
@@ -180,7 +180,7 @@ impl GenerationRules for GeneticRules {
     /// too few to compare.
     fn judge_best_seen(&self, setup: &Setup, f_0: f64) -> Option<ToleranceTests> {
         let space = &setup.space;
-        let continuous = (0..space.n_free()).all(|k| space.kind(k) == Kind::Continuous);
+        let continuous = (0..space.n_free()).all(|k| space.kind(k) == ParameterKind::Continuous);
         continuous.then(|| self.best_seen.judge(TestedSet::BestSeen, space, &setup.tolerances, f_0))
     }
 

@@ -4,7 +4,7 @@
 use super::model::Regression;
 use super::points::{difference, distance, norm, sum};
 use super::state::{Averaging, Candidate, LeastSquaresState, Phase, PointStatus, Role};
-use crate::method::interface::Operation;
+use crate::method_interface::interface::Operation;
 use crate::outcome::termination::Termination;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 

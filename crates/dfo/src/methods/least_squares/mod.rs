@@ -24,7 +24,7 @@ pub use options::{LeastSquares, StepPlan};
 pub use state::LeastSquaresState;
 
 use crate::error::Error;
-use crate::method::interface::{MethodOptions, Setup, restored};
+use crate::method_interface::interface::{MethodOptions, Setup, restored};
 use crate::problem::memory;
 use crate::problem::option_texts;
 

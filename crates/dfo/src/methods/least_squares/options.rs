@@ -1,7 +1,7 @@
 //! Options of least squares.
 
 use crate::error::Error;
-use crate::method::interface::name_or_number;
+use crate::method_interface::interface::name_or_number;
 use serde::{Deserialize, Deserializer, Serialize};
 
 /// Number of points that least squares evaluates at once after the first n + 1. Each plan takes a path of its
@@ -17,7 +17,7 @@ pub enum StepPlan {
     /// n + 4 points: the model's best points within four radii, and the n neighbours of the first of them for
     /// its Jacobian. The fewest rounds, for as many workers or more; with fewer it takes longer than one
     /// point at a time.
-    Rounds,
+    GenerationInProgress,
     /// So many points: first trial points, then neighbours.
     #[serde(untagged)]
     Points(usize),
@@ -25,7 +25,8 @@ pub enum StepPlan {
 
 impl<'de> Deserialize<'de> for StepPlan {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        const NAMES: [(&str, StepPlan); 2] = [("serial", StepPlan::Serial), ("rounds", StepPlan::Rounds)];
+        const NAMES: [(&str, StepPlan); 2] =
+            [("serial", StepPlan::Serial), ("rounds", StepPlan::GenerationInProgress)];
         let expected = "a whole number, 'serial' or 'rounds'";
         name_or_number(deserializer, expected, &NAMES, StepPlan::Points)
     }
@@ -36,7 +37,7 @@ impl StepPlan {
     pub(super) fn width(self, n: usize) -> usize {
         match self {
             Self::Serial => 1,
-            Self::Rounds => n + 4,
+            Self::GenerationInProgress => n + 4,
             Self::Points(points) => points,
         }
     }
@@ -88,10 +89,10 @@ impl LeastSquares {
         self
     }
 
-    /// Evaluates n + 4 points at once ([`StepPlan::Rounds`]).
+    /// Evaluates n + 4 points at once ([`StepPlan::GenerationInProgress`]).
     #[must_use]
     pub fn rounds(mut self) -> Self {
-        self.batch = StepPlan::Rounds;
+        self.batch = StepPlan::GenerationInProgress;
         self
     }
 

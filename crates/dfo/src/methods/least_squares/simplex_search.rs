@@ -3,8 +3,8 @@
 use super::points::{Evaluated, distance};
 use super::state::{LeastSquaresState, Phase, simplex_method};
 use crate::error::Error;
-use crate::method::interface::{Method, Status};
-use crate::method::tolerances::{TestedSet, ToleranceTests};
+use crate::method_interface::interface::{Method, Status};
+use crate::method_interface::tolerances::{TestedSet, ToleranceTests};
 use crate::methods::nelder_mead::SimplexSearch;
 use crate::outcome::answer::Answers;
 use crate::outcome::termination::Termination;

@@ -6,9 +6,11 @@ use super::interpolation::Interpolation;
 use super::options::LeastSquares;
 use super::points::{Evaluated, distance};
 use crate::error::Error;
-use crate::method::interface::{Batch, Lookahead, Method, MethodDetails, Operation, Setup, Status, saved};
-use crate::method::linear_model::LinearModel;
-use crate::method::tolerances::{TestedSet, ToleranceTests};
+use crate::method_interface::interface::{
+    Batch, Lookahead, Method, MethodDetails, Operation, Setup, Status, saved,
+};
+use crate::method_interface::linear_model::LinearModel;
+use crate::method_interface::tolerances::{TestedSet, ToleranceTests};
 use crate::methods::nelder_mead::{NelderMead, SimplexSearch};
 use crate::outcome::answer::{Answers, Best, Want};
 use crate::outcome::termination::Termination;

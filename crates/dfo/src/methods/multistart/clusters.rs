@@ -1,7 +1,7 @@
 //! Selection of the points of a sample that start a search, and clustering of the ends of the searches into
 //! minima.
 
-use crate::method::interface::Optimum;
+use crate::method_interface::interface::Optimum;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::problem::space::Space;
 

@@ -28,16 +28,16 @@
 //! first local search has ended; the others wait from then on. So a problem with one minimum is solved where
 //! its local search needs less than the other half.
 
-mod ahead;
 mod clusters;
 mod options;
+mod speculative_searches;
 mod state;
 
 pub use options::{Multistart, Polish};
 pub use state::MultistartState;
 
 use crate::error::Error;
-use crate::method::interface::{MethodOptions, Setup};
+use crate::method_interface::interface::{MethodOptions, Setup};
 use crate::methods::shared::population::MAX_MEMBERS;
 use crate::problem::memory;
 use crate::problem::option_texts;

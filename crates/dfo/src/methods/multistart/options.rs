@@ -1,8 +1,8 @@
 //! Options of a search from several starts.
 
 use crate::error::Error;
-use crate::method::interface::{Method, MethodOptions, Setup};
-use crate::method::sampling::Sampling;
+use crate::method_interface::interface::{Method, MethodOptions, Setup};
+use crate::method_interface::sampling::Sampling;
 use crate::methods::cma_es::CmaEs;
 use crate::methods::differential_evolution::DifferentialEvolution;
 use crate::methods::least_squares::LeastSquares;

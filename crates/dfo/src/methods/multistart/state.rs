@@ -1,21 +1,21 @@
 //! The state machine: sampling, exploration, and several local searches side by side.
 
-use super::ahead::Ahead;
 use super::clusters;
 use super::options::Multistart;
+use super::speculative_searches::SpeculativeSearches;
 use crate::error::Error;
-use crate::method::interface::{
+use crate::method_interface::interface::{
     AnswersSoFar, Batch, Lookahead, Method, MethodDetails, MethodOptions, Operation, Optimum, Setup, Status,
     restored, saved,
 };
-use crate::method::linear_model::LinearModel;
-use crate::method::rng::draw_seed;
-use crate::method::sampling::Sampling;
-use crate::method::tolerances::ToleranceTests;
+use crate::method_interface::linear_model::LinearModel;
+use crate::method_interface::rng::draw_seed;
+use crate::method_interface::sampling::Sampling;
+use crate::method_interface::tolerances::ToleranceTests;
 use crate::methods::shared::cost::Cost;
+use crate::methods::shared::generation::GenerationInProgress;
 use crate::methods::shared::population::MAX_MEMBERS;
 use crate::methods::shared::ranked_points::RankedPoints;
-use crate::methods::shared::rounds::Rounds;
 use crate::outcome::answer::{Answers, Best, Want};
 use crate::outcome::termination::Termination;
 use crate::problem::objective::Query;
@@ -49,7 +49,7 @@ struct Core {
     sample: RankedPoints,
     /// The points of the sample that a search has started from.
     used: Vec<bool>,
-    rounds: Rounds,
+    rounds: GenerationInProgress,
     /// Points that searches are still to start from.
     queue: Vec<Vec<f64>>,
     /// Evaluations of the exploration: planned and made.
@@ -114,7 +114,7 @@ pub struct MultistartState {
     core: Core,
     exploration: Option<Box<dyn Method + Send>>,
     searches: Vec<Search>,
-    ahead: Vec<Ahead>,
+    ahead: Vec<SpeculativeSearches>,
     /// What was asked last, all searches together; empty while nothing is.
     asked: Batch,
     told: Answers,
@@ -139,7 +139,7 @@ impl MultistartState {
             phase: if explores { Phase::Exploring } else { Phase::Sampling },
             sample: RankedPoints::new(space, 0),
             used: Vec::new(),
-            rounds: Rounds::default(),
+            rounds: GenerationInProgress::default(),
             queue: Vec::new(),
             n_planned: if explores { planned } else { 0 },
             n_explored: 0,
@@ -498,7 +498,7 @@ impl MultistartState {
             let mut ahead = match before {
                 Some(place) => self.ahead.swap_remove(place),
                 None => match self.options.search(&self.setup_at(&start), None) {
-                    Ok(method) => Ahead::new(start, method),
+                    Ok(method) => SpeculativeSearches::new(start, method),
                     Err(_) => break,
                 },
             };
@@ -525,8 +525,10 @@ impl MultistartState {
     /// for these next.
     fn guess(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
         let Self { searches, ahead, .. } = self;
-        let is_under_way = |ahead: &Ahead| searches.iter().any(|search| search.start == ahead.start);
-        let mut last: Vec<&mut Ahead> = ahead.iter_mut().filter(|ahead| is_under_way(ahead)).collect();
+        let is_under_way =
+            |ahead: &SpeculativeSearches| searches.iter().any(|search| search.start == ahead.start);
+        let mut last: Vec<&mut SpeculativeSearches> =
+            ahead.iter_mut().filter(|ahead| is_under_way(ahead)).collect();
         let least = last.iter().map(|ahead| ahead.n_ahead()).min();
         last.retain(|ahead| Some(ahead.n_ahead()) == least);
         let share = wanted.div_ceil(last.len().max(1));
@@ -534,13 +536,13 @@ impl MultistartState {
     }
 
     /// The copy of a search that is under way, as it is, or a new one.
-    fn take_ahead(&mut self, j: usize) -> Option<Ahead> {
+    fn take_ahead(&mut self, j: usize) -> Option<SpeculativeSearches> {
         let Search { start, method, .. } = &self.searches[j];
         if let Some(place) = self.ahead.iter().position(|ahead| ahead.start == *start) {
             return Some(self.ahead.swap_remove(place));
         }
         let copy = self.options.search(&self.setup_at(start), Some(&method.save()?)).ok()?;
-        Some(Ahead::new(start.clone(), copy))
+        Some(SpeculativeSearches::new(start.clone(), copy))
     }
 
     /// Asks the searches; a method may find out that it has ended when it is asked.

@@ -53,7 +53,7 @@ pub(crate) use simplex_search::SimplexSearch;
 pub use state::NelderMeadState;
 
 use crate::error::Error;
-use crate::method::interface::{MethodOptions, Setup, restored};
+use crate::method_interface::interface::{MethodOptions, Setup, restored};
 use crate::problem::memory;
 use crate::problem::option_texts;
 

@@ -1,7 +1,7 @@
 //! Options of Nelder-Mead.
 
 use crate::error::Error;
-use crate::method::interface::{Lookahead, Setup};
+use crate::method_interface::interface::{Lookahead, Setup};
 use crate::values::choices::BoundsHandling;
 use serde::{Deserialize, Serialize};
 

@@ -1,7 +1,7 @@
 //! When a simplex says nothing of the cost around it, and the one that takes its place.
 
 use super::initial::stepped;
-use crate::method::tolerances::ToleranceTests;
+use crate::method_interface::tolerances::ToleranceTests;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::problem::space::Space;
 use serde::{Deserialize, Serialize};

@@ -2,7 +2,7 @@
 
 use super::{NelderMead, NelderMeadState};
 use crate::error::Error;
-use crate::method::interface::{Batch, Method, MethodDetails, MethodOptions, Setup};
+use crate::method_interface::interface::{Batch, Method, MethodDetails, MethodOptions, Setup};
 use serde::{Deserialize, Serialize};
 
 /// The simplex search that has taken over.

@@ -9,10 +9,10 @@ use super::restart::Spreads;
 use super::speculation::{KnownCost, Problem, Speculation};
 use super::trial::{Seen, Trial, TrialPoint};
 use crate::error::Error;
-use crate::method::interface::{
+use crate::method_interface::interface::{
     AnswersSoFar, Batch, Lookahead, Method, MethodDetails, Operation, Setup, Status, saved,
 };
-use crate::method::tolerances::ToleranceTests;
+use crate::method_interface::tolerances::ToleranceTests;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::methods::shared::sizes::SizeSearch;

@@ -1,7 +1,7 @@
 //! The four trial points of an iteration: where they lie, and what is known about them.
 
 use super::options::CoefficientValues;
-use crate::method::interface::Operation;
+use crate::method_interface::interface::Operation;
 use crate::problem::space::Space;
 use crate::values::choices::BoundsHandling;
 use serde::{Deserialize, Serialize};

@@ -3,7 +3,7 @@
 use super::discrete_gradients::{DIFFERENCE, Descent, DiscreteGradients, Partial, implied};
 use super::poll::Poll;
 use super::state::{Phase, Polling};
-use crate::method::interface::{AnswersSoFar, Batch, Operation};
+use crate::method_interface::interface::{AnswersSoFar, Batch, Operation};
 use crate::methods::shared::cost::Cost;
 
 /// The length of the steps is made so much smaller where none of this length leads down.

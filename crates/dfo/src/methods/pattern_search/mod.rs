@@ -48,7 +48,7 @@ mod state;
 pub use options::PatternSearch;
 
 use crate::error::Error;
-use crate::method::interface::{MethodOptions, Setup};
+use crate::method_interface::interface::{MethodOptions, Setup};
 use crate::methods::shared::sized::{NeedsSizes, WithSizes};
 use crate::problem::memory;
 use crate::problem::option_texts;

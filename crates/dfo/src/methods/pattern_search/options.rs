@@ -1,7 +1,7 @@
 //! Options of pattern search.
 
 use crate::error::Error;
-use crate::method::interface::Lookahead;
+use crate::method_interface::interface::Lookahead;
 use serde::{Deserialize, Serialize};
 
 /// Options of pattern search, for costs with kinks, steps or failures and few parameters; for smooth ones

@@ -4,10 +4,10 @@ use super::discrete_gradients::Descent;
 use super::options::PatternSearch;
 use super::poll::Poll;
 use crate::error::Error;
-use crate::method::interface::{
+use crate::method_interface::interface::{
     AnswersSoFar, Batch, Lookahead, Method, MethodDetails, Operation, Setup, Status, saved,
 };
-use crate::method::tolerances::{TestedSet, ToleranceTests};
+use crate::method_interface::tolerances::{TestedSet, ToleranceTests};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::outcome::answer::Answers;

@@ -3,7 +3,7 @@
 use super::inverse::median;
 use super::iteration::{FAR, MOST_REFUSED, norm};
 use super::state::{ModelSearch, Phase};
-use crate::method::interface::Roughness;
+use crate::method_interface::interface::Roughness;
 use crate::methods::nelder_mead::{NelderMead, SimplexSearch};
 use crate::methods::shared::cost::Cost;
 

@@ -4,7 +4,7 @@ use super::model::{Interpolation, Quadratic};
 use super::state::{ModelSearch, Phase};
 use super::subproblem::{Region, minimize};
 use super::truncated_cg;
-use crate::method::tolerances::{TestedSet, ToleranceTests};
+use crate::method_interface::tolerances::{TestedSet, ToleranceTests};
 use crate::methods::shared::failures::{Plane, plane};
 use crate::outcome::termination::Termination;
 use crate::values::choices::ToleranceMeasure;

@@ -51,7 +51,7 @@ mod truncated_cg;
 pub use options::QuadraticModel;
 
 use crate::error::Error;
-use crate::method::interface::{MethodOptions, Setup};
+use crate::method_interface::interface::{MethodOptions, Setup};
 use crate::methods::shared::sized::{NeedsSizes, WithSizes};
 use crate::problem::memory;
 use crate::problem::option_texts;

@@ -2,14 +2,14 @@
 //! selection, and the end of the run.
 
 use crate::error::Error;
-use crate::method::interface::{
+use crate::method_interface::interface::{
     AnswersSoFar, Batch, Lookahead, Method, MethodDetails, Operation, Setup, Status, restored, saved,
 };
-use crate::method::sampling::Sampling;
-use crate::method::tolerances::{TestedSet, ToleranceTests};
+use crate::method_interface::sampling::Sampling;
+use crate::method_interface::tolerances::{TestedSet, ToleranceTests};
 use crate::methods::shared::cost::Cost;
+use crate::methods::shared::generation::GenerationInProgress;
 use crate::methods::shared::ranked_points::RankedPoints;
-use crate::methods::shared::rounds::Rounds;
 use crate::outcome::answer::Answers;
 use crate::outcome::termination::Termination;
 use crate::problem::memory;
@@ -113,7 +113,7 @@ pub struct Generations<B> {
     rules: B,
     pool: Populations,
     phase: Phase,
-    rounds: Rounds,
+    rounds: GenerationInProgress,
     n_iterations: usize,
     tests: Option<ToleranceTests>,
     f_0: f64,
@@ -124,7 +124,7 @@ pub struct Generations<B> {
 
 impl<B: GenerationRules> Generations<B> {
     pub(crate) fn new(rules: B, pool: Populations) -> Self {
-        let rounds = Rounds::with_capacity(pool.population.len());
+        let rounds = GenerationInProgress::with_capacity(pool.population.len());
         Self {
             rules,
             pool,

@@ -4,9 +4,9 @@
 pub(crate) mod cost;
 pub(crate) mod dot;
 pub(crate) mod failures;
+pub(crate) mod generation;
 pub(crate) mod generations;
 pub(crate) mod population;
 pub(crate) mod ranked_points;
-pub(crate) mod rounds;
 pub(crate) mod sized;
 pub(crate) mod sizes;

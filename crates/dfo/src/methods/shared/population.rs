@@ -1,12 +1,12 @@
 //! Ranked points as the population of an evolutionary method: how members are placed, ranked, judged and
 //! replaced.
 
-use crate::method::interface::Setup;
-use crate::method::tolerances::{TestedSet, ToleranceTests, Tolerances, typical};
+use crate::method_interface::interface::Setup;
+use crate::method_interface::tolerances::{TestedSet, ToleranceTests, Tolerances, typical};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::problem::space::Space;
-use crate::values::choices::Kind;
+use crate::values::choices::ParameterKind;
 use crate::values::choices::ToleranceMeasure;
 use std::cmp::Ordering;
 
@@ -126,7 +126,7 @@ impl RankedPoints {
             for (k, &i) in space.free().iter().enumerate() {
                 size = size.max(match tolerances.measure {
                     ToleranceMeasure::Absolute => (self.x(slot)[i] - self.x(best)[i]).abs(),
-                    ToleranceMeasure::Relative if space.kind(k) == Kind::Continuous => {
+                    ToleranceMeasure::Relative if space.kind(k) == ParameterKind::Continuous => {
                         (self.u(slot)[k] - self.u(best)[k]).abs() / space.size(k)
                     }
                     // What members that stand for one whole number differ by means nothing.

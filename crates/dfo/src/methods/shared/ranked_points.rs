@@ -1,7 +1,7 @@
 //! Points in slots, with costs and ranks: the vertices of a simplex, the members of a population. What only
 //! one of the two needs stands with it (`nelder_mead/simplex.rs`, `population.rs`).
 
-use crate::method::interface::SimplexView;
+use crate::method_interface::interface::SimplexView;
 use crate::methods::shared::cost::Cost;
 use crate::problem::space::Space;
 use serde::{Deserialize, Serialize};

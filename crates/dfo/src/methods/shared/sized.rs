@@ -3,7 +3,9 @@
 
 use super::sizes::{SizeFound, SizeSearch};
 use crate::error::Error;
-use crate::method::interface::{AnswersSoFar, Batch, Method, MethodDetails, Setup, Status, restored, saved};
+use crate::method_interface::interface::{
+    AnswersSoFar, Batch, Method, MethodDetails, Setup, Status, restored, saved,
+};
 use crate::outcome::answer::{Answers, Best};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};

@@ -7,7 +7,7 @@
 //! What such a search has found is looked at once more from the point where the tests pass: a parameter that
 //! did not matter at the start may matter there.
 
-use crate::method::interface::Batch;
+use crate::method_interface::interface::Batch;
 use crate::problem::space::Space;
 use serde::{Deserialize, Serialize};
 

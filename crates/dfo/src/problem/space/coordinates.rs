@@ -3,7 +3,7 @@
 use super::bounds::{Bounds, clamp, fold};
 use crate::error::Error;
 use crate::problem::option_texts;
-use crate::values::choices::{BoundsHandling, Kind, ToleranceMeasure, Transform};
+use crate::values::choices::{BoundsHandling, ParameterKind, ToleranceMeasure, Transform};
 use serde::{Deserialize, Serialize};
 
 /// A checked start point with its box, scales and sizes.
@@ -13,7 +13,7 @@ pub struct Space {
     pub(super) bounds: Bounds,
     pub(super) free: Vec<usize>,
     pub(super) transforms: Vec<Transform>,
-    pub(super) kinds: Vec<Kind>,
+    pub(super) kinds: Vec<ParameterKind>,
     pub(super) lower: Vec<f64>,
     pub(super) upper: Vec<f64>,
     pub(super) sizes: Vec<f64>,
@@ -175,7 +175,7 @@ impl Space {
         };
         self.free.push(index);
         self.transforms.push(transform);
-        self.kinds.push(Kind::Continuous);
+        self.kinds.push(ParameterKind::Continuous);
         self.lower.push(lo);
         self.upper.push(hi);
         // Of a start at zero a wide box says little, but to a search of the box itself.
@@ -230,14 +230,14 @@ impl Space {
     /// Another number of kinds than parameters; a discrete parameter whose start value is not whole, between
     /// whose bounds there is no whole number, or whose bounds lie beyond the numbers that are told apart from
     /// their neighbours (2^53).
-    pub fn with_kinds(mut self, kinds: &[Kind]) -> Result<Self, Error> {
+    pub fn with_kinds(mut self, kinds: &[ParameterKind]) -> Result<Self, Error> {
         if kinds.len() != self.n() {
             return Err(Error::Length { what: "kinds", expected: self.n(), got: kinds.len() });
         }
         for (k, &index) in self.free.iter().enumerate() {
             self.kinds[k] = kinds[index];
             let value = self.x0[index];
-            if kinds[index] == Kind::Continuous {
+            if kinds[index] == ParameterKind::Continuous {
                 continue;
             }
             let ends = [self.bounds.lower()[index], self.bounds.upper()[index]];
@@ -273,7 +273,7 @@ impl Space {
     }
 
     /// Kind of free parameter `k`.
-    pub fn kind(&self, k: usize) -> Kind {
+    pub fn kind(&self, k: usize) -> ParameterKind {
         self.kinds[k]
     }
 
@@ -282,7 +282,7 @@ impl Space {
     /// # Errors
     /// The first parameter that is not.
     pub fn require_continuous(&self, method: &'static str) -> Result<(), Error> {
-        match self.kinds.iter().position(|k| *k != Kind::Continuous) {
+        match self.kinds.iter().position(|k| *k != ParameterKind::Continuous) {
             Some(k) => Err(Error::NotContinuous { method, index: self.free[k], kind: self.kinds[k] }),
             None => Ok(()),
         }
@@ -436,7 +436,7 @@ impl Space {
                 Transform::Linear => u,
                 Transform::Log => u.exp().clamp(self.bounds.lower()[i], self.bounds.upper()[i]),
             };
-            if self.kinds[k] != Kind::Continuous {
+            if self.kinds[k] != ParameterKind::Continuous {
                 let whole = x[i].round().clamp(self.bounds.lower()[i].ceil(), self.bounds.upper()[i].floor());
                 // There is but one zero: -0 would be another point for the cache, and look odd.
                 x[i] = whole + 0.0;
@@ -548,7 +548,7 @@ mod tests {
             let bounds = Bounds::new(&[-0.2], &[3.7])?;
             Space::new(&[x0], bounds, &[], &[])?.with_kinds(&[kind])
         };
-        let integer = space(2.0, Kind::Integer)?;
+        let integer = space(2.0, ParameterKind::Integer)?;
         assert_eq!(integer.working_bounds(0), (-0.5, 3.5));
         let mut counts = [0; 4];
         for k in 0..=4000 {
@@ -560,13 +560,13 @@ mod tests {
         let mut x = [1.0];
         integer.to_user(&[-0.3], &mut x);
         assert_eq!(x[0].to_bits(), 0.0f64.to_bits());
-        assert!(matches!(space(2.5, Kind::Categorical), Err(Error::ParameterOption { .. })));
+        assert!(matches!(space(2.5, ParameterKind::Categorical), Err(Error::ParameterOption { .. })));
         for end in [1e20, f64::MAX] {
-            let wide =
-                Space::new(&[0.0], Bounds::new(&[0.0], &[end])?, &[], &[])?.with_kinds(&[Kind::Integer]);
+            let wide = Space::new(&[0.0], Bounds::new(&[0.0], &[end])?, &[], &[])?
+                .with_kinds(&[ParameterKind::Integer]);
             assert!(matches!(wide, Err(Error::ParameterOption { name: "bound", .. })), "{end}");
         }
-        assert!(space(2.5, Kind::Continuous)?.require_continuous("m").is_ok());
+        assert!(space(2.5, ParameterKind::Continuous)?.require_continuous("m").is_ok());
         assert!(matches!(integer.require_continuous("m"), Err(Error::NotContinuous { index: 0, .. })));
         let endless = Space::new(&[1.0, 1.0], Bounds::new(&[0.0; 2], &[2.0, INF])?, &[], &[])?;
         assert!(matches!(endless.require_box("m"), Err(Error::NeedsBox { index: 1, .. })));

@@ -1,5 +1,4 @@
-//! XML as a walk over elements, hardened: no document types, bounded depth and attributes, lines in all
-//! errors.
+//! Reading of XML element by element: no document types, bounded depth and attributes, lines in all errors.
 
 use crate::description::limits::Reading;
 use crate::error::{FmiError, Result};

@@ -7,7 +7,7 @@ use crate::description::{
 use crate::error::{FmiError, Result};
 use crate::instance::assignments::resolve;
 use crate::instance::{Core, check_interval};
-use crate::simulation::column::{Column, HeldColumn};
+use crate::simulation::input_table::{HeldTable, InputTable};
 use crate::sys::{IntervalAnswer, Qualifier, RawInstance};
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -21,7 +21,7 @@ pub(super) struct Timed {
     /// The interval that the importer gives it in initialization mode.
     given: Option<Interval>,
     /// 0 where its ticks are left out.
-    pub(super) enabled: Option<Column>,
+    pub(super) enabled: Option<InputTable>,
 }
 
 /// A clock that the inputs trigger.
@@ -38,11 +38,11 @@ pub(crate) struct Clocked {
     variable: usize,
     kind: VariableKind,
     pub(super) reference: u32,
-    column: HeldColumn,
+    column: HeldTable,
 }
 
 impl Clocked {
-    pub(crate) fn new(position: usize, variable: &Variable, column: HeldColumn) -> Self {
+    pub(crate) fn new(position: usize, variable: &Variable, column: HeldTable) -> Self {
         let (kind, reference) = (variable.kind, variable.value_reference);
         let column = if variable.negated { column.negated(kind) } else { column };
         Self { variable: position, kind, reference, column }
@@ -64,7 +64,7 @@ pub(crate) struct ClockInputs {
     /// Position of the clock and its ticks.
     pub(crate) ticks: Vec<(usize, Arc<[f64]>)>,
     /// Position of the clock and where it is enabled.
-    pub(crate) enabled: Vec<(usize, Column)>,
+    pub(crate) enabled: Vec<(usize, InputTable)>,
     pub(crate) clocked: Vec<Clocked>,
 }
 

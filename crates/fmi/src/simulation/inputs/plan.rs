@@ -7,7 +7,7 @@ use crate::error::{FmiError, Result};
 use crate::instance::assignments::convert_one;
 use crate::instance::integer_codec;
 use crate::simulation::clocks::{ClockInputs, Clocked};
-use crate::simulation::column::{Column, HeldColumn};
+use crate::simulation::input_table::{HeldTable, InputTable};
 use crate::simulation::variable_elements::{FloatSlots, Slots, Starts, VariableElement};
 use ode::InputStop;
 use serde::{Deserialize, Serialize};
@@ -160,7 +160,7 @@ impl Inputs {
 /// A held column and where its value goes.
 #[derive(Debug, Clone)]
 pub(super) struct Held {
-    pub(super) column: HeldColumn,
+    pub(super) column: HeldTable,
     pub(super) target: Target,
 }
 
@@ -176,7 +176,7 @@ pub(super) enum Target {
 #[derive(Clone, Default)]
 pub(crate) struct InputPlan {
     /// Columns of continuous inputs, and where their values go.
-    pub(super) linear: Vec<(Column, usize)>,
+    pub(super) linear: Vec<(InputTable, usize)>,
     /// The same of functions.
     pub(super) functions: Vec<(InputFunction, usize)>,
     pub(crate) continuous: FloatSlots,
@@ -261,7 +261,7 @@ impl InputPlan {
                     }
                     let (text, numbers) = TextInput::new(variable, values)?;
                     check_rows(variable, times, &numbers)?;
-                    let column = Column { times: Arc::clone(times), values: numbers.into() };
+                    let column = InputTable { times: Arc::clone(times), values: numbers.into() };
                     column.held_stops(&mut stops);
                     plan.held.push(Held { column: column.into(), target: Target::Text(plan.texts.len()) });
                     plan.texts.push(text);
@@ -274,17 +274,17 @@ impl InputPlan {
                             .iter()
                             .filter_map(|value| integer_codec::word(variable.kind, value))
                             .collect();
-                        let column = HeldColumn::of_words(times, &words);
+                        let column = HeldTable::of_words(times, &words);
                         check_rows(variable, times, &column.column.values)?;
                         plan.add_held(starts, place, column, &mut stops)?;
                     } else {
                         let numbers: Vec<f64> = converted.iter().filter_map(Value::as_number).collect();
-                        let column = Column { times: Arc::clone(times), values: numbers.into() };
+                        let column = InputTable { times: Arc::clone(times), values: numbers.into() };
                         plan.add_numbers(starts, place, column, &mut stops)?;
                     }
                 }
                 SourceValues::Numbers(times, values) => {
-                    let column = Column { times: Arc::clone(times), values: Arc::clone(values) };
+                    let column = InputTable { times: Arc::clone(times), values: Arc::clone(values) };
                     plan.add_numbers(starts, place, column, &mut stops)?;
                 }
             }
@@ -298,7 +298,7 @@ impl InputPlan {
         &mut self,
         starts: &Starts<'_>,
         place: VariableElement,
-        column: Column,
+        column: InputTable,
         stops: &mut Vec<InputStop>,
     ) -> Result<()> {
         let variable = &starts.description.variables[place.variable];
@@ -322,7 +322,7 @@ impl InputPlan {
         &mut self,
         starts: &Starts<'_>,
         place: VariableElement,
-        column: HeldColumn,
+        column: HeldTable,
         stops: &mut Vec<InputStop>,
     ) -> Result<()> {
         let variable = &starts.description.variables[place.variable];
@@ -339,7 +339,7 @@ impl InputPlan {
         self.hold(starts, place, column)
     }
 
-    fn hold(&mut self, starts: &Starts<'_>, place: VariableElement, column: HeldColumn) -> Result<()> {
+    fn hold(&mut self, starts: &Starts<'_>, place: VariableElement, column: HeldTable) -> Result<()> {
         let variable = &starts.description.variables[place.variable];
         let (kind, reference) = (variable.kind, variable.value_reference);
         let target = if kind == VariableKind::Real {
@@ -366,7 +366,7 @@ impl InputPlan {
         &mut self,
         variable: &Variable,
         index: usize,
-        column: Column,
+        column: InputTable,
         stops: &mut Vec<InputStop>,
     ) -> Result<()> {
         match variable.clock.as_deref() {
@@ -468,7 +468,7 @@ fn bad(variable: &Variable, problem: String) -> FmiError {
 }
 
 /// Refuses what cannot be held, and values that are none of the type.
-fn check_held(variable: &Variable, column: Column) -> Result<Column> {
+fn check_held(variable: &Variable, column: InputTable) -> Result<InputTable> {
     let kind = variable.kind;
     if !kind.is_number() {
         return Err(bad(variable, "text and binary inputs cannot vary with time".to_owned()));

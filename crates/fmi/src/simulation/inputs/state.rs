@@ -119,16 +119,16 @@ impl InputState {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulation::column::Column;
+    use crate::simulation::input_table::InputTable;
     use crate::simulation::inputs::plan::Held;
     use crate::simulation::variable_elements::FloatSlots;
     use std::sync::Arc;
 
-    fn column(times: &[f64], values: &[f64]) -> Column {
-        Column { times: times.into(), values: values.into() }
+    fn column(times: &[f64], values: &[f64]) -> InputTable {
+        InputTable { times: times.into(), values: values.into() }
     }
 
-    fn plan_of(linear: Vec<Column>, held: Vec<Column>) -> InputPlan {
+    fn plan_of(linear: Vec<InputTable>, held: Vec<InputTable>) -> InputPlan {
         let mut plan = InputPlan { time_tolerance: 1e-14, ..InputPlan::default() };
         let mut stops = Vec::new();
         linear.iter().for_each(|c| c.linear_stops(plan.time_tolerance, &mut stops));

@@ -115,7 +115,7 @@ mod control {
 mod tests {
     use super::super::{CallEnvironment, OneCall, restore_default};
     use super::*;
-    use crate::gate::Gate;
+    use crate::fair_lock::FairLock;
     use std::sync::Arc;
 
     fn is_same(a: FloatMode, b: FloatMode) -> bool {
@@ -124,7 +124,7 @@ mod tests {
 
     #[test]
     fn what_was_there_comes_back_and_calls_start_in_the_default_mode() {
-        let gate = Arc::new(Gate::default());
+        let gate = Arc::new(FairLock::default());
         let before = FloatMode::present();
         // Flush to zero, denormals are zero; x87 rounds up in double precision.
         let theirs = FloatMode((0x9fc0, 0x0a7f));

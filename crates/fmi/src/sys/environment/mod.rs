@@ -10,7 +10,7 @@
 mod float;
 mod locale;
 
-use crate::gate::{Gate, Turn};
+use crate::fair_lock::{FairLock, Turn};
 use float::FloatMode;
 use std::cell::Cell;
 use std::marker::PhantomData;
@@ -22,7 +22,7 @@ thread_local! {
     static IS_SET_UP: Cell<bool> = const { Cell::new(false) };
     /// The gate of the library that this thread has entered last and is inside of; it is set up for calls
     /// then.
-    static ENTERED: Cell<*const Gate> = const { Cell::new(ptr::null()) };
+    static ENTERED: Cell<*const FairLock> = const { Cell::new(ptr::null()) };
 }
 
 /// The thread is set up for calls into FMUs (default floating-point mode, C locale); what was there before is
@@ -41,7 +41,7 @@ impl CallEnvironment {
 /// The thread is set up for calls, and no other one is inside of a loaded library while this lives. May be
 /// nested; the last one is dropped first.
 pub(crate) struct Inside {
-    before: *const Gate,
+    before: *const FairLock,
     // Put back before others are let in.
     _environment: CallEnvironment,
     _turn: Turn,
@@ -49,16 +49,16 @@ pub(crate) struct Inside {
 
 impl Inside {
     /// Waits until nobody else is inside.
-    pub(crate) fn enter(gate: &Arc<Gate>) -> Self {
+    pub(crate) fn enter(gate: &Arc<FairLock>) -> Self {
         Self::with(gate.enter(), gate)
     }
 
     /// The same, as long as `wait` (asked every 20 ms) says so.
-    pub(crate) fn enter_while(gate: &Arc<Gate>, wait: &mut dyn FnMut() -> bool) -> Option<Self> {
+    pub(crate) fn enter_while(gate: &Arc<FairLock>, wait: &mut dyn FnMut() -> bool) -> Option<Self> {
         gate.enter_while(wait).map(|turn| Self::with(turn, gate))
     }
 
-    fn with(turn: Turn, gate: &Arc<Gate>) -> Self {
+    fn with(turn: Turn, gate: &Arc<FairLock>) -> Self {
         let _environment = CallEnvironment::enter();
         Self { before: ENTERED.replace(Arc::as_ptr(gate)), _environment, _turn: turn }
     }
@@ -77,7 +77,7 @@ pub(super) struct OneCall(Option<Inside>);
 
 impl OneCall {
     #[inline]
-    pub(super) fn enter(gate: &Arc<Gate>) -> Self {
+    pub(super) fn enter(gate: &Arc<FairLock>) -> Self {
         Self(if ptr::eq(ENTERED.get(), Arc::as_ptr(gate)) { None } else { Some(Inside::enter(gate)) })
     }
 

@@ -4,11 +4,11 @@
 //! differential-algebraic systems, SIAM Journal on Scientific Computing 19 (1998) 1495-1512. What they let
 //! the user mark, the algebraic variables, is what `M` has no part in here, be it a state or a sum of states.
 
-use super::fixed::{AtSlopes, Kind};
+use super::given_slopes::{AtSlopes, Kind};
 use super::left_side::{LeftSide, NOISE};
 use crate::error_norm::ErrorWeights;
 use crate::implicit::algebraic::{Algebraic, sizes};
-use crate::implicit::jacobian_update::Freshness;
+use crate::implicit::kept_jacobian::KeptJacobian;
 use crate::lu::make_room;
 use crate::stepper::{Consistency, Equations, Point, PointMut};
 use crate::system::{CallError, CallResult, HybridSystem};
@@ -32,7 +32,7 @@ impl LeftSide {
         equations: &mut Equations<'_, S>,
         PointMut { t, x, slopes }: PointMut<'_>,
         defect: &mut [f64],
-        freshness: &mut Freshness,
+        freshness: &mut KeptJacobian,
     ) -> CallResult<Consistency> {
         if self.kind == Kind::Identity {
             return Ok(Consistency::Holds);
@@ -146,7 +146,7 @@ impl LeftSide {
         equations: &mut Equations<'_, S>,
         PointMut { t, x, slopes }: PointMut<'_>,
         defect: &mut [f64],
-        freshness: &mut Freshness,
+        freshness: &mut KeptJacobian,
     ) -> CallResult<Consistency> {
         let n = x.len();
         let is_sparse = self.kind == Kind::Residual && self.slopes.is_sparse();
@@ -240,7 +240,7 @@ impl LeftSide {
         equations: &mut Equations<'_, S>,
         PointMut { t, x, slopes }: PointMut<'_>,
         defect: &mut [f64],
-        freshness: &mut Freshness,
+        freshness: &mut KeptJacobian,
     ) -> CallResult<Option<Consistency>> {
         let (mut outcome, mut is_singular) = (Consistency::Holds, false);
         for _ in 0..MAX_ROUNDS {
@@ -310,7 +310,7 @@ impl LeftSide {
         weights: &ErrorWeights,
         x: &[f64],
         defect: &[f64],
-        freshness: &mut Freshness,
+        freshness: &mut KeptJacobian,
     ) -> Consistency {
         let Self { point: allowed, value: inverse, slopes, .. } = self;
         weights.inverse_at(x, 1.0, inverse);
@@ -330,7 +330,7 @@ impl LeftSide {
         equations: &mut Equations<'_, S>,
         PointMut { t, x, slopes }: PointMut<'_>,
         defect: &mut [f64],
-        freshness: &mut Freshness,
+        freshness: &mut KeptJacobian,
     ) -> CallResult<()> {
         self.defect(equations, Point { t, x, slopes }, defect)?;
         self.make_consistent(equations, PointMut { t, x, slopes }, defect, freshness)?;

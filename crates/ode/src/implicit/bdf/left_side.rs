@@ -4,11 +4,11 @@
 //! side. The two are kept apart, so that a change of the step size takes no evaluation: a new `M` is made
 //! where one evaluation along a vector shows that it has changed.
 
-use super::fixed::{AtSlopes, AtState, Kind};
+use super::given_slopes::{AtSlopes, AtState, Kind};
 use crate::error::Undetermined;
 use crate::error_norm::ErrorWeights;
 use crate::implicit::algebraic::Algebraic;
-use crate::implicit::jacobian_update::Freshness;
+use crate::implicit::kept_jacobian::KeptJacobian;
 use crate::jacobian::Jacobian;
 use crate::lu::{Lu, make_room};
 use crate::options::Options;
@@ -265,7 +265,7 @@ impl LeftSide {
         &mut self,
         equations: &mut Equations<'_, S>,
         Point { t, x, slopes }: Point<'_>,
-        freshness: &mut Freshness,
+        freshness: &mut KeptJacobian,
     ) -> Option<Undetermined> {
         if self.kind == Kind::Identity || !self.is_split {
             return None;

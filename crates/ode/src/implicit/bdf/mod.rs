@@ -14,7 +14,7 @@
 //! S. L. Campbell, L. R. Petzold, Numerical Solution of Initial-Value Problems in Differential-Algebraic
 //! Equations, 1996, chapter 5).
 
-use super::jacobian_update::{Freshness, Matrix, Rules};
+use super::kept_jacobian::{KeptJacobian, Matrix, Rules};
 use super::newton::{Convergence, Newton};
 use crate::error::Undetermined;
 use crate::error_norm::scaled_norm;
@@ -24,17 +24,17 @@ use crate::stats::Stats;
 use crate::stepper::{Attempt, Consistency, Equations, Point, PointMut, Properties, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 
-mod array;
 mod coefficients;
 mod consistent;
 mod corrector;
-mod fixed;
+mod given_slopes;
 mod left_side;
+mod nordsieck;
 
-use array::add_multiple;
 use coefficients::{Coefficients, MAX_ORDER};
 use corrector::{Corrector, Iterate};
 use left_side::LeftSide;
+use nordsieck::add_multiple;
 
 /// Three iterations, as in VODE.
 const MAX_NEWTON: u32 = 4;
@@ -60,7 +60,7 @@ const GROWTH: f64 = 10.0;
 
 #[derive(Debug)]
 pub(crate) struct Bdf {
-    freshness: Freshness,
+    freshness: KeptJacobian,
     convergence: Convergence,
     lu: Lu<f64>,
     left: LeftSide,
@@ -99,7 +99,7 @@ impl Bdf {
     /// `exclude`: the error test is to leave out states that have no derivative in the equations.
     pub(crate) fn new(exclude: bool) -> Self {
         Self {
-            freshness: Freshness::new(RULES),
+            freshness: KeptJacobian::new(RULES),
             convergence: Convergence::new(MAX_NEWTON),
             lu: Lu::default(),
             left: LeftSide::new(exclude),
@@ -135,7 +135,7 @@ impl Bdf {
     }
 
     /// The Jacobian, to be taken over.
-    pub(crate) fn freshness_mut(&mut self) -> &mut Freshness {
+    pub(crate) fn freshness_mut(&mut self) -> &mut KeptJacobian {
         &mut self.freshness
     }
 
@@ -143,9 +143,9 @@ impl Bdf {
     fn change_order(&mut self) {
         let q = self.order;
         if self.next_order < q {
-            array::lower(&mut self.z[..=q], self.h, &self.past);
+            nordsieck::lower(&mut self.z[..=q], self.h, &self.past);
         } else if self.next_order > q {
-            array::raise(&mut self.z[..=q + 1], self.h, &self.past, &self.last_correction);
+            nordsieck::raise(&mut self.z[..=q + 1], self.h, &self.past, &self.last_correction);
         }
         self.order = self.next_order;
         self.wait = self.order as u32 + 1;
@@ -189,7 +189,7 @@ impl Bdf {
             self.change_order();
         }
         if h != self.h {
-            array::rescale(&mut self.z[..=self.order], h / self.h);
+            nordsieck::rescale(&mut self.z[..=self.order], h / self.h);
             self.h = h;
         }
         Ok(())
@@ -204,7 +204,7 @@ impl Bdf {
         for (new, old) in self.z_new.iter_mut().zip(&self.z).take(self.order + 1) {
             new.copy_from_slice(old);
         }
-        array::advance(&mut self.z_new[..=self.order]);
+        nordsieck::advance(&mut self.z_new[..=self.order]);
         self.coefficients = Coefficients::new(self.order, self.h, &self.past);
         let gamma = self.h / self.coefficients.l[1];
         loop {
@@ -473,7 +473,7 @@ impl Stepper for Bdf {
     }
 
     fn interpolate(&self, _: Trial<'_>, theta: f64, x: &mut [f64]) {
-        array::value(&self.z_new[..=self.order], theta - 1.0, x);
+        nordsieck::value(&self.z_new[..=self.order], theta - 1.0, x);
     }
 
     fn accept(&mut self, _: f64, theta: f64) -> f64 {
@@ -488,7 +488,7 @@ impl Stepper for Bdf {
         std::mem::swap(&mut self.z, &mut self.z_new);
         let h = self.h;
         let proposed = if theta < 1.0 {
-            array::retreat(&mut self.z[..=self.order], theta);
+            nordsieck::retreat(&mut self.z[..=self.order], theta);
             self.h *= theta;
             self.past[0] = self.h;
             self.wait = self.wait.max(2);

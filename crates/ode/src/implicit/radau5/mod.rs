@@ -7,7 +7,7 @@
 //! Newton matrix falls apart into a real and a complex block of the size of the system.
 
 use super::algebraic::Algebraic;
-use super::jacobian_update::{Freshness, Matrix, Rules};
+use super::kept_jacobian::{KeptJacobian, Matrix, Rules};
 use super::newton::{Convergence, Newton};
 use crate::error::Undetermined;
 use crate::error_norm::scaled_norm;
@@ -44,7 +44,7 @@ const TRANSFORM: f64 = 0.08;
 
 #[derive(Debug)]
 pub(crate) struct Radau5 {
-    freshness: Freshness,
+    freshness: KeptJacobian,
     convergence: Convergence,
     algebraic: Algebraic,
     stages: Stages,
@@ -76,7 +76,7 @@ pub(crate) struct Radau5 {
 impl Default for Radau5 {
     fn default() -> Self {
         Self {
-            freshness: Freshness::new(RULES),
+            freshness: KeptJacobian::new(RULES),
             convergence: Convergence::new(MAX_NEWTON),
             algebraic: Algebraic::default(),
             stages: Stages::default(),
@@ -141,7 +141,7 @@ impl Radau5 {
     }
 
     /// The Jacobian, to be taken over.
-    pub(crate) fn freshness_mut(&mut self) -> &mut Freshness {
+    pub(crate) fn freshness_mut(&mut self) -> &mut KeptJacobian {
         &mut self.freshness
     }
 

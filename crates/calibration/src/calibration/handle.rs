@@ -1,0 +1,567 @@
+//! A problem and its model, ready to be evaluated: cost, residuals, trajectories, cutoff.
+
+use crate::cost::failure::{CostFailure, PointFailure};
+use crate::cost::loaded_problem::LoadedProblem;
+use crate::cost::process::{Evaluation, Job, ProcessChoice, Remote};
+use crate::cost::residual::CostRule;
+use crate::cost::solver::{AtStart, Choice, Solver};
+use crate::error::CalibrationError;
+use crate::findings::finding::Severity;
+use crate::problem::definition::{ModelFile, Problem};
+use crate::problem::experiment::Experiment;
+use crate::problem::fingerprint::{hash, identity};
+use crate::problem::parameter::Parameter;
+use crate::problem::residual_layout::ResidualLayout;
+use crate::problem::settings::SimulationSettings;
+use crate::problem::warning::{SETUP_LOG_TARGET, SetupWarning};
+use base::{Number, RunContext};
+use dfo::{Answer, Checkpoint, Failure, Objective, Outcome, Query, RobustLoss, Want};
+use fmi::worker::Isolation;
+use fmi::{CancelRequest, FmiError, Fmu, SharedSimulator, Trajectory};
+use log::Level;
+use ode::{Method, Stats, Termination};
+use std::ops::ControlFlow;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+/// Name of the solver among what identifies a fit.
+const SOLVER: &str = "solver";
+
+/// A model, recordings and parameters, checked and ready to be evaluated from any number of threads.
+///
+/// The cost is the sum of the squared (weighted) residuals, simulated minus measured, over all experiments,
+/// outputs and measured times, added up in the order of the residual vector: no 1/N, no 1/2. The same
+/// parameters give the same bits on every worker, with residuals or without, with a cutoff or without. Where
+/// no integration method is named, the [`solver`](Self::solver) is found once, by a comparison at the
+/// parameters' start values, and used for everything: a cost is the same function in a fit and outside.
+#[derive(Debug)]
+pub struct Calibration {
+    evaluator: LoadedProblem,
+    choice: Choice,
+    /// Everything that a fit is made from, by name and in words or as a hash.
+    identity: Vec<(String, String)>,
+}
+
+/// Collects what a [`Calibration`] is made of.
+///
+/// ```
+/// use calibration::{Calibration, Data, Experiment, FitOptions, Parameter};
+/// // x' = -k x, recorded at four instants of a decay with k = 2
+/// let t = vec![0.0, 0.5, 1.0, 1.5];
+/// let x = t.iter().map(|t: &f64| (-2.0 * t).exp()).collect();
+/// let fmu = fmi::Fmu::open(example_models::example_fmu("dahlquist")?)?;
+/// let calibration = Calibration::builder(fmu)
+///     .experiment(Experiment::new(Data::from_columns(t, [("x".to_owned(), x)])?).output("x", "x"))
+///     .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
+///     .build()?;
+/// let fit = calibration.fit(FitOptions::default())?;
+/// assert!((fit.x[0] - 2.0).abs() < 1e-3);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct CalibrationBuilder {
+    fmu: Fmu,
+    experiments: Vec<Experiment>,
+    parameters: Vec<Parameter>,
+    settings: SimulationSettings,
+}
+
+impl CalibrationBuilder {
+    /// Adds a recording. The cost is the sum over all of them, in the order of these calls.
+    #[must_use]
+    pub fn experiment(mut self, experiment: Experiment) -> Self {
+        self.experiments.push(experiment);
+        self
+    }
+
+    /// Adds a parameter. Vectors of parameter values follow the order of these calls.
+    #[must_use]
+    pub fn parameter(mut self, parameter: Parameter) -> Self {
+        self.parameters.push(parameter);
+        self
+    }
+
+    /// Settings of the simulations.
+    #[must_use]
+    pub fn settings(mut self, settings: impl Into<SimulationSettings>) -> Self {
+        self.settings = settings.into();
+        self
+    }
+
+    /// Looks everything up and checks it; loads the model, but simulates nothing yet.
+    ///
+    /// # Errors
+    /// Anything that does not fit: unknown names (the nearest are offered), parameters that cannot be set,
+    /// bounds, data.
+    pub fn build(self) -> Result<Calibration, CalibrationError> {
+        let Self { fmu, experiments, parameters, settings } = self;
+        let model = ModelFile::of(&fmu)?;
+        Calibration::from_problem(fmu, Problem { model, parameters, experiments, settings })
+    }
+}
+
+impl Calibration {
+    /// Starts to describe a calibration of this model.
+    pub fn builder(fmu: Fmu) -> CalibrationBuilder {
+        CalibrationBuilder {
+            fmu,
+            experiments: Vec::new(),
+            parameters: Vec::new(),
+            settings: SimulationSettings::default(),
+        }
+    }
+
+    /// A calibration of a problem that was stored, or comes from another process, with its model. Looks
+    /// everything up and checks it; simulates nothing yet.
+    ///
+    /// # Errors
+    /// As [`CalibrationBuilder::build`]; [`CalibrationError::OtherModel`]: the model has another content.
+    pub fn from_problem(fmu: Fmu, problem: Problem) -> Result<Self, CalibrationError> {
+        problem.model.check(&fmu)?;
+        let evaluator = LoadedProblem::new(fmu, problem, None)?;
+        for warning in &evaluator.warnings {
+            let level = if warning.severity() == Severity::Note { Level::Info } else { Level::Warn };
+            log::log!(target: SETUP_LOG_TARGET, level, "{warning}");
+        }
+        let identity = identity(&evaluator.problem, &evaluator.parameters)?;
+        Ok(Self { evaluator, choice: Choice::default(), identity })
+    }
+
+    /// A calibration of another problem with the same model, with the solver of this one if it is known.
+    /// Warnings of the problem are not logged again.
+    pub(crate) fn derived(&self, problem: Problem) -> Result<Self, CalibrationError> {
+        self.derived_in(problem, None)
+    }
+
+    /// The same for a few simulations while this one makes none: in its processes.
+    pub(crate) fn derived_beside(&self, problem: Problem) -> Result<Self, CalibrationError> {
+        self.derived_in(problem, self.evaluator.remote.as_ref().ok())
+    }
+
+    fn derived_in(&self, problem: Problem, lender: Option<&Remote>) -> Result<Self, CalibrationError> {
+        let evaluator = LoadedProblem::new(self.fmu().clone(), problem, lender)?;
+        let identity = identity(&evaluator.problem, &evaluator.parameters)?;
+        let derived = Self { evaluator, choice: Choice::default(), identity };
+        self.known_solver().map_or(Ok(()), |solver| derived.set_solver(solver.clone()))?;
+        Ok(derived)
+    }
+
+    /// Takes over what is in doubt about another one that it was derived from.
+    pub(crate) fn keep_warnings(&mut self, from: &Self) {
+        self.evaluator.warnings.clone_from(&from.evaluator.warnings);
+    }
+
+    /// The same with other windows in all experiments. Simulations start as they do in this one, at the same
+    /// time in the same state, whatever that follows from.
+    pub(crate) fn windowed(&self, windows: &[(f64, f64)]) -> Result<Self, CalibrationError> {
+        if windows.is_empty() {
+            return Err(CalibrationError::Setup("windows: there are none".to_owned()));
+        }
+        let mut problem = self.problem().clone();
+        for (experiment, simulation) in problem.experiments.iter_mut().zip(&self.evaluator.simulations) {
+            experiment.windows = windows.to_vec();
+            simulation.keep_start(experiment);
+        }
+        self.derived(problem)
+    }
+
+    pub(crate) fn evaluator(&self) -> &LoadedProblem {
+        &self.evaluator
+    }
+
+    /// Everything that a fit is made from, by name and in words or as a hash.
+    pub(crate) fn identity(&self) -> &[(String, String)] {
+        &self.identity
+    }
+
+    /// Problem of the calibration, as plain data.
+    pub fn problem(&self) -> &Problem {
+        &self.evaluator.problem
+    }
+
+    /// The model.
+    pub fn fmu(&self) -> &Fmu {
+        &self.evaluator.fmu
+    }
+
+    /// Warnings about the setup: columns without use, units that were read from names. Each was logged once,
+    /// when the calibration was built.
+    pub fn warnings(&self) -> &[SetupWarning] {
+        &self.evaluator.warnings
+    }
+
+    /// The parameters, one per entry of every vector of values: in the order given, a
+    /// [local](Parameter::local) one once per experiment in its place.
+    pub fn parameters(&self) -> &[Parameter] {
+        &self.evaluator.parameters
+    }
+
+    /// Length of the residual vector.
+    pub fn n_residuals(&self) -> usize {
+        self.evaluator.n_residuals
+    }
+
+    /// Meaning of each entry of the residual vector, with the measurement, its time, and its weight.
+    pub fn residual_layout(&self) -> &ResidualLayout {
+        &self.evaluator.layout
+    }
+
+    /// Number of measurements that count: the length of the residual vector without the priors at its end.
+    pub fn n_measurements(&self) -> usize {
+        self.evaluator.layout.n_measurements()
+    }
+
+    /// The root of the mean squared weighted residual of the measurements, from the cost at `x` (with the
+    /// loss of a fit, of what they count): the priors have their part of the cost, and are no measurements.
+    ///
+    /// # Panics
+    /// `x` has another length than there are parameters.
+    pub fn rms(&self, x: &[f64], cost: f64, loss: RobustLoss) -> f64 {
+        let priors = if self.residual_layout().priors.is_empty() { 0.0 } else { self.prior_cost(x, loss) };
+        let squares = cost - priors;
+        // The rounding of a difference.
+        (if squares < 0.0 { 0.0 } else { squares } / self.n_measurements() as f64).sqrt()
+    }
+
+    /// The part of the cost at `x` that is that of the priors, with the loss of a fit; NaN where one is not
+    /// defined.
+    ///
+    /// # Panics
+    /// `x` has another length than there are parameters.
+    pub fn prior_cost(&self, x: &[f64], loss: RobustLoss) -> f64 {
+        let mut residuals = vec![0.0; self.residual_layout().priors.len()];
+        let rule = CostRule::whole(loss, &RunContext::new());
+        self.evaluator.prior_residuals(x, rule, &mut residuals).unwrap_or(f64::NAN)
+    }
+
+    /// The parameters that are [tied](Parameter::tied), with their values at `x`: of such that follow a local
+    /// one, one per experiment.
+    ///
+    /// # Panics
+    /// `x` has another length than there are parameters.
+    pub fn tied_values(&self, x: &[f64]) -> Vec<(String, f64)> {
+        self.evaluator.tied.iter().map(|(name, of)| (name.clone(), of.value(x))).collect()
+    }
+
+    /// Variables that are set in the model at `x` in the simulation of an experiment, counted from 0, and
+    /// their values in the units of the model; values that are tied are included, delays and offsets are not.
+    ///
+    /// # Panics
+    /// There is no such experiment, or `x` has another length than there are parameters.
+    pub fn model_values(&self, experiment: usize, x: &[f64]) -> Vec<(String, f64)> {
+        let simulation = &self.evaluator.simulations[experiment];
+        simulation.named_values(x).map(|(name, value)| (name.to_owned(), value)).collect()
+    }
+
+    /// Start values of all parameters.
+    pub fn start(&self) -> Vec<f64> {
+        self.evaluator.start()
+    }
+
+    /// The same, if it is known already.
+    pub fn known_solver(&self) -> Option<&Solver> {
+        self.choice.known()
+    }
+
+    /// The method that integrates the simulations of this calibration, in fits and outside of them. Where the
+    /// settings name none, it is found at the first use, by a comparison at the parameters' start values (see
+    /// [`compare_solvers`](crate::compare_solvers())): up to four simulations of every experiment, one if the
+    /// model is not stiff there. It stays the same from then on.
+    ///
+    /// # Errors
+    /// The model cannot be loaded or instantiated. Simulations that fail are no error: they lose.
+    pub fn solver(&self, context: &RunContext<'_>) -> Result<&Solver, CalibrationError> {
+        self.solver_counted(context, &mut Stats::default()).map(|(solver, _)| solver)
+    }
+
+    /// The same; what a comparison takes is added to `stats`, and the evaluation at the start values that was
+    /// part of it is handed on.
+    pub(crate) fn solver_counted(
+        &self,
+        context: &RunContext<'_>,
+        stats: &mut Stats,
+    ) -> Result<(&Solver, Option<AtStart>), CalibrationError> {
+        let (chosen, at_start) = self.choice.chosen(&self.evaluator, context, stats)?;
+        Ok((&chosen.solver, at_start))
+    }
+
+    /// Takes a solver that was found for the same problem elsewhere, unless there is one already.
+    ///
+    /// # Errors
+    /// The model cannot be simulated with it.
+    pub fn set_solver(&self, solver: Solver) -> Result<(), CalibrationError> {
+        self.choice.choose(&self.evaluator, solver).map(|_| ())
+    }
+
+    /// The simulators of an experiment with the method in use.
+    pub(crate) fn pool(
+        &self,
+        experiment: usize,
+        context: &RunContext<'_>,
+    ) -> Result<&SharedSimulator, CostFailure> {
+        self.choice.pool(&self.evaluator, experiment, context)
+    }
+
+    /// The cost at `x` (one value per parameter, user's units).
+    ///
+    /// # Errors
+    /// The wrong number of values, or a simulation that failed: then the error says where and why.
+    pub fn cost(&self, x: &[f64], context: &RunContext<'_>) -> Result<f64, CalibrationError> {
+        self.evaluate_fully(x, context, &mut Stats::default()).map(|(cost, _)| cost)
+    }
+
+    /// The residuals at `x`, simulated minus measured times weight: experiment by experiment, output by
+    /// output, in the order of time, without the missing ones. The length is the same for every `x`.
+    ///
+    /// # Errors
+    /// As [`cost`](Self::cost).
+    pub fn residuals(&self, x: &[f64], context: &RunContext<'_>) -> Result<Vec<f64>, CalibrationError> {
+        self.residuals_counted(x, context, &mut Stats::default())
+    }
+
+    /// The same; what the simulations take is added to `stats`.
+    pub(crate) fn residuals_counted(
+        &self,
+        x: &[f64],
+        context: &RunContext<'_>,
+        stats: &mut Stats,
+    ) -> Result<Vec<f64>, CalibrationError> {
+        self.evaluate_fully(x, context, stats).map(|(_, residuals)| residuals)
+    }
+
+    /// Simulates every experiment at `x` and keeps the trajectories of the compared outputs, at the measured
+    /// times or, if `times` are given, at those.
+    ///
+    /// # Errors
+    /// As [`cost`](Self::cost).
+    pub fn simulate(
+        &self,
+        x: &[f64],
+        times: Option<&[f64]>,
+        context: &RunContext<'_>,
+    ) -> Result<Vec<Trajectory>, CalibrationError> {
+        (0..self.problem().experiments.len())
+            .map(|k| self.simulate_experiment(k, x, times, context))
+            .collect()
+    }
+
+    /// As [`simulate`](Self::simulate), one experiment, counted from 0.
+    ///
+    /// # Errors
+    /// As [`cost`](Self::cost), and [`CalibrationError::Cancelled`].
+    ///
+    /// # Panics
+    /// There is no such experiment.
+    pub fn simulate_experiment(
+        &self,
+        experiment: usize,
+        x: &[f64],
+        times: Option<&[f64]>,
+        context: &RunContext<'_>,
+    ) -> Result<Trajectory, CalibrationError> {
+        self.check_length(x)?;
+        let method = self.solver(context)?.method;
+        if let Ok(remote) = &self.evaluator.remote {
+            let times = times.map(<[f64]>::to_vec);
+            let job = Job::Experiment { experiment, x: x.to_vec(), method, times };
+            return remote.trajectory(&job, context);
+        }
+        let mut poll = || if context.is_over() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+        let simulation = &self.evaluator.simulations[experiment];
+        let trajectory = simulation.trajectory(self.fmu(), x, method, times, &mut poll)?;
+        match trajectory.termination {
+            Termination::StoppedByObserver => Err(CalibrationError::Cancelled),
+            _ => Ok(trajectory),
+        }
+    }
+
+    /// Has the model compiled and loaded before its first use, here or in a further process for it.
+    pub(crate) fn prepare(&self) -> Result<(), CalibrationError> {
+        if let Ok(remote) = &self.evaluator.remote {
+            remote.prepare_second();
+            return Ok(());
+        }
+        Ok(self.fmu().prepare(self.problem().settings.run.kind, &CancelRequest::default())?)
+    }
+
+    pub(crate) fn check_length(&self, x: &[f64]) -> Result<(), CalibrationError> {
+        if x.len() == self.parameters().len() {
+            return Ok(());
+        }
+        let names = self.parameters().iter().map(Parameter::name).collect::<Vec<_>>().join(", ");
+        Err(CalibrationError::Length { got: x.len(), expected: self.parameters().len(), names })
+    }
+
+    fn evaluate_fully(
+        &self,
+        x: &[f64],
+        context: &RunContext<'_>,
+        stats: &mut Stats,
+    ) -> Result<(f64, Vec<f64>), CalibrationError> {
+        self.check_length(x)?;
+        let mut residuals = vec![0.0; self.n_residuals()];
+        let rule = CostRule::whole(RobustLoss::default(), context);
+        let cost = self.evaluate_in(ProcessChoice::Checked, x, rule, &mut residuals, stats);
+        cost.map(|cost| (cost, residuals)).map_err(|no_cost| match no_cost.of_point() {
+            Ok(PointFailure { message, source, .. }) => self.failed_at(x, message, source),
+            Err(error) => error,
+        })
+    }
+
+    /// The error of a simulation with these values of the parameters.
+    pub(crate) fn failed_at(
+        &self,
+        x: &[f64],
+        message: String,
+        source: Option<Box<FmiError>>,
+    ) -> CalibrationError {
+        let pairs = self.parameters().iter().zip(x);
+        let at = pairs.map(|(p, v)| format!("{} = {}", p.name(), Number(*v))).collect::<Vec<_>>().join(", ");
+        CalibrationError::Simulation { at, message, source }
+    }
+
+    /// The answer to a query, what it took added to `stats`. Its work is counted in right-hand sides.
+    pub(crate) fn evaluate_counted(
+        &self,
+        x: &[f64],
+        query: &Query<'_>,
+        loss: RobustLoss,
+        answer: &mut Answer,
+        stats: &mut Stats,
+    ) {
+        let (before, began) = (stats.right_hand_sides, Instant::now());
+        let ended = || query.cancelled();
+        answer.residuals.resize(self.n_residuals(), 0.0);
+        let rule = CostRule { loss, cutoff: query.cutoff, context: RunContext::new().asking(&ended) };
+        answer.outcome = match self.evaluate_into(x, rule, &mut answer.residuals, stats) {
+            Ok(cost) => Outcome::Value(cost),
+            Err(CostFailure::Above) => Outcome::Above(query.cutoff),
+            Err(CostFailure::Cancelled) => {
+                let taken = began.elapsed().as_micros().try_into().unwrap_or(u64::MAX);
+                self.evaluator.longest_ended.fetch_max(taken, Ordering::Relaxed);
+                Outcome::cancelled()
+            }
+            Err(CostFailure::Over(error)) => {
+                let told = self.evaluator.over.get_or_init(|| error.told());
+                Outcome::Abort(told.message.clone())
+            }
+            Err(CostFailure::Failed { kind, reason, .. }) => {
+                Outcome::Failed(Failure { kind, message: reason })
+            }
+        };
+        if query.want == Want::Cost {
+            answer.residuals.clear();
+        }
+        answer.work = stats.right_hand_sides - before;
+    }
+
+    /// The error after which no simulation could be made any more, in place of that of the search which it
+    /// has ended.
+    pub(crate) fn over_or(&self, error: CalibrationError) -> CalibrationError {
+        match (error, self.evaluator.over.get()) {
+            (CalibrationError::Optimiser(search), Some(told))
+                if search.to_string().contains(&told.message) =>
+            {
+                FmiError::ReportedError(Box::new(told.clone())).into()
+            }
+            (error, _) => error,
+        }
+    }
+
+    /// The cost, and the residuals into `out`; see [`LoadedProblem::evaluate`].
+    pub(crate) fn evaluate_into(
+        &self,
+        x: &[f64],
+        rule: CostRule<'_>,
+        out: &mut [f64],
+        stats: &mut Stats,
+    ) -> Result<f64, CostFailure> {
+        self.evaluate_in(ProcessChoice::Any, x, rule, out, stats)
+    }
+
+    /// The same, by a process of this kind, where processes are asked.
+    fn evaluate_in(
+        &self,
+        process: ProcessChoice,
+        x: &[f64],
+        rule: CostRule<'_>,
+        out: &mut [f64],
+        stats: &mut Stats,
+    ) -> Result<f64, CostFailure> {
+        if let Ok(remote) = &self.evaluator.remote {
+            let method = self.method(&rule.context)?;
+            return remote.evaluate(x, Evaluation { method, accuracy: None, process }, rule, out, stats);
+        }
+        self.evaluator.evaluate(x, rule, out, stats, |k, run| {
+            Ok(self.pool(k, &rule.context)?.with_simulator(&rule.context, run))
+        })
+    }
+
+    /// The method in use, for an evaluation.
+    pub(crate) fn method(&self, context: &RunContext<'_>) -> Result<Method, CostFailure> {
+        let solver = self.solver(context).map_err(|error| match error {
+            CalibrationError::Model(error) => CostFailure::Over(Box::new(error)),
+            _ => CostFailure::Cancelled,
+        });
+        solver.map(|solver| solver.method)
+    }
+
+    /// Why the model runs in this process, if that follows from the problem.
+    pub(crate) fn runs_here_by_its_inputs(&self) -> Option<&str> {
+        let is_by_inputs =
+            self.problem().experiments.iter().any(|experiment| experiment.driven_by_function().is_some());
+        self.isolation().1.filter(|_| is_by_inputs)
+    }
+
+    /// Where the model runs; and why it runs in this process where another was asked for.
+    pub fn isolation(&self) -> (Isolation, Option<&str>) {
+        match &self.evaluator.remote {
+            Ok(_) => (Isolation::Process, None),
+            Err(reason) => (Isolation::None, reason.as_deref()),
+        }
+    }
+
+    /// Names and values that identify a fit with this solver.
+    fn tags<'a>(&'a self, solver: &Solver) -> impl Iterator<Item = (&'a str, &'a str)> {
+        let own = self.identity.iter().map(|(name, value)| (name.as_str(), value.as_str()));
+        own.chain([(SOLVER, solver.method.name())])
+    }
+
+    /// Hash of everything that a cost depends on except the parameters' values: model, data, settings,
+    /// solver, and the targets of the parameters; neither bounds nor starts.
+    pub(crate) fn problem_hash(&self, solver: &Solver) -> String {
+        hash(self.tags(solver))
+    }
+
+    /// A checkpoint that knows what it belongs to.
+    pub(crate) fn tag(&self, checkpoint: Checkpoint, solver: &Solver) -> Checkpoint {
+        self.tags(solver).fold(checkpoint, |checkpoint, (name, value)| checkpoint.tag(name, value))
+    }
+
+    /// Takes the solver of a checkpoint that will be continued, if it is of this calibration and there is no
+    /// comparison yet.
+    pub(crate) fn adopt_solver(&self, checkpoint: &Checkpoint) -> Result<(), CalibrationError> {
+        if self.problem().settings.run.method != Method::Auto || self.known_solver().is_some() {
+            return Ok(());
+        }
+        let Some(stored) = checkpoint.stored_identity()? else { return Ok(()) };
+        let value = |name: &str| stored.iter().find(|(n, _)| n == name).map(|(_, value)| value.as_str());
+        if self.identity.iter().any(|(name, given)| value(name) != Some(given)) {
+            return Ok(());
+        }
+        match value(SOLVER).and_then(|name| name.parse().ok()) {
+            Some(method) => self.set_solver(Solver { method, comparison: None }),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Objective for Calibration {
+    fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
+        self.evaluate_counted(x, query, RobustLoss::default(), answer, &mut Stats::default());
+    }
+
+    fn has_residuals(&self) -> bool {
+        true
+    }
+}

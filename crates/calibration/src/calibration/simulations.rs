@@ -1,0 +1,230 @@
+//! Simulations around a point, in parallel: the uncertainty of a fit is found from them, and they are counted
+//! apart from its evaluations.
+
+use crate::calibration::handle::Calibration;
+use crate::cost::accuracy::Accuracy;
+use crate::cost::failure::CostFailure;
+use crate::cost::parallel;
+use crate::cost::process::{Evaluation, ProcessChoice};
+use crate::cost::residual::CostRule;
+use crate::error::CalibrationError;
+use base::RunContext;
+use dfo::RobustLoss;
+use fmi::{InterfaceKind, SimulationPlan, Simulator};
+use ode::{Seconds, Stats};
+use serde::{Deserialize, Serialize};
+use std::ops::AddAssign;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// By what the relative tolerance is divided in accurate simulations.
+pub(crate) const ACCURATE: f64 = 100.0;
+
+/// Integration is not more accurate than this.
+const SMALLEST_TOLERANCE: f64 = 1e-13;
+
+/// With a looser relative tolerance residuals may be noise, and their size says nothing of the error of the
+/// simulations.
+const LOOSEST_OF_EXACT: f64 = 1e-5;
+
+/// What a part of a fit took. All are equal, as the [checks](ode::Checks) among its simulations are.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Effort {
+    /// Simulations, with those made to test the model.
+    pub simulations: u64,
+    /// Right-hand sides in them, but for those of tests.
+    pub right_hand_sides: u64,
+    /// Wall-clock time.
+    #[cfg_attr(feature = "schema", schemars(with = "f64"))]
+    pub seconds: Seconds,
+}
+
+impl Effort {
+    pub(crate) fn of(stats: &Stats, elapsed: Duration) -> Self {
+        Self {
+            simulations: stats.runs + stats.checks.runs,
+            right_hand_sides: stats.right_hand_sides,
+            seconds: Seconds::new(elapsed.as_secs_f64()),
+        }
+    }
+}
+
+impl PartialEq for Effort {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl AddAssign for Effort {
+    fn add_assign(&mut self, other: Self) {
+        self.simulations += other.simulations;
+        self.right_hand_sides += other.right_hand_sides;
+        self.seconds += other.seconds;
+    }
+}
+
+/// A point to be simulated.
+#[derive(Debug, Clone)]
+pub(crate) struct Point {
+    /// In the user's units.
+    pub(crate) x: Vec<f64>,
+    /// With a hundredth of the relative tolerance; with a fixed-step method, with half the step.
+    pub(crate) is_accurate: bool,
+}
+
+impl Point {
+    /// As the evaluations of a fit are made.
+    pub(crate) fn new(x: Vec<f64>) -> Self {
+        Self { x, is_accurate: false }
+    }
+}
+
+/// The residuals as they count in the cost, or why there are none.
+pub(crate) type PointResiduals = Result<Vec<f64>, String>;
+
+/// Makes simulations, and adds up what they take.
+pub(crate) struct Simulations<'a> {
+    pub(crate) calibration: &'a Calibration,
+    pub(crate) loss: RobustLoss,
+    /// Number of simulations that run at once.
+    pub(crate) workers: usize,
+    /// Asked on the calling thread.
+    pub(crate) context: RunContext<'a>,
+    /// Points that were simulated.
+    pub(crate) n: usize,
+    pub(crate) stats: Stats,
+}
+
+impl<'a> Simulations<'a> {
+    /// Chooses the solver and has the model tested, where that is not done yet.
+    pub(crate) fn new(
+        calibration: &'a Calibration,
+        loss: RobustLoss,
+        workers: usize,
+        context: &RunContext<'a>,
+    ) -> Result<Self, CalibrationError> {
+        calibration.solver(context)?;
+        calibration.prepare()?;
+        Ok(Self { calibration, loss, workers, context: *context, n: 0, stats: Stats::default() })
+    }
+
+    /// The residuals at these points, in their order.
+    ///
+    /// # Errors
+    /// [`CalibrationError::Cancelled`]; no simulation can be made any more.
+    pub(crate) fn residuals(&mut self, points: &[Point]) -> Result<Vec<PointResiduals>, CalibrationError> {
+        if self.context.is_over() {
+            return Err(CalibrationError::Cancelled);
+        }
+        let (calibration, loss) = (self.calibration, self.loss);
+        let task = |k: usize, context: &RunContext<'_>| {
+            let mut residuals = vec![0.0; calibration.n_residuals()];
+            let (mut stats, rule) = (Stats::default(), CostRule::whole(loss, context));
+            let Point { x, is_accurate } = &points[k];
+            let accuracy = is_accurate.then(|| calibration.accurate());
+            let cost = calibration.evaluate_with(accuracy, x, rule, &mut residuals, &mut stats);
+            (cost.map(|_| residuals), stats)
+        };
+        let answers = parallel::map(points.len(), self.workers, &self.context, &task);
+        let mut found = Vec::with_capacity(points.len());
+        for answer in answers {
+            let Some((residuals, stats)) = answer else { return Err(CalibrationError::Cancelled) };
+            self.n += 1;
+            self.stats += stats;
+            found.push(match residuals {
+                Ok(residuals) => Ok(residuals),
+                Err(no_cost) => Err(no_cost.of_point()?.message),
+            });
+        }
+        Ok(found)
+    }
+}
+
+impl Calibration {
+    /// True if a cost is that of residuals within ten relative tolerances of the measurements: all error of
+    /// the simulations, or nearly so.
+    pub(crate) fn is_within_tolerance(&self, cost: f64) -> bool {
+        let tolerance = self.relative_tolerance().min(LOOSEST_OF_EXACT);
+        cost <= (10.0 * tolerance * self.residual_layout().size_of_measurements()).powi(2)
+    }
+
+    /// The relative tolerance of its simulations.
+    pub(crate) fn relative_tolerance(&self) -> f64 {
+        self.evaluator().simulations[0].pool.plan().relative_tolerance()
+    }
+
+    /// True if the simulations of the calibration have a fixed step.
+    pub(crate) fn has_fixed_step(&self) -> bool {
+        let plan = self.evaluator().simulations[0].pool.plan();
+        plan.kind() == InterfaceKind::ModelExchange && self.problem().settings.run.method.is_fixed_step()
+    }
+
+    /// True if the model integrates itself.
+    pub(crate) fn is_co_simulation(&self) -> bool {
+        self.evaluator().simulations[0].pool.plan().kind() == InterfaceKind::CoSimulation
+    }
+
+    /// With a hundredth of the relative tolerance or half the step.
+    fn accurate(&self) -> Accuracy {
+        let tolerance = self.relative_tolerance();
+        match self.has_fixed_step() {
+            true => Accuracy::HalfStep,
+            false => Accuracy::Tolerance((tolerance / ACCURATE).max(SMALLEST_TOLERANCE).min(tolerance)),
+        }
+    }
+
+    /// The residuals at `x` as they count; `None` where the simulation fails there.
+    ///
+    /// # Errors
+    /// [`CalibrationError::Cancelled`].
+    pub(crate) fn residuals_with(
+        &self,
+        accuracy: Option<Accuracy>,
+        x: &[f64],
+        loss: RobustLoss,
+        context: &RunContext<'_>,
+        stats: &mut Stats,
+    ) -> Result<Option<Vec<f64>>, CalibrationError> {
+        let mut residuals = vec![0.0; self.n_residuals()];
+        match self.evaluate_with(accuracy, x, CostRule::whole(loss, context), &mut residuals, stats) {
+            Ok(_) => Ok(Some(residuals)),
+            Err(CostFailure::Cancelled) => Err(CalibrationError::Cancelled),
+            Err(_) => Ok(None),
+        }
+    }
+
+    /// As [`evaluate_into`](Self::evaluate_into), with another accuracy where one is given.
+    pub(crate) fn evaluate_with(
+        &self,
+        accuracy: Option<Accuracy>,
+        x: &[f64],
+        rule: CostRule<'_>,
+        out: &mut [f64],
+        stats: &mut Stats,
+    ) -> Result<f64, CostFailure> {
+        let Some(accuracy) = accuracy else { return self.evaluate_into(x, rule, out, stats) };
+        if let Ok(remote) = &self.evaluator().remote {
+            let method = self.method(&rule.context)?;
+            let evaluation = Evaluation { method, accuracy: Some(accuracy), process: ProcessChoice::Any };
+            return remote.evaluate(x, evaluation, rule, out, stats);
+        }
+        self.evaluator().evaluate(x, rule, out, stats, |k, run| {
+            let mut options = self.evaluator().simulations[k].options_at_start();
+            let run_settings = &mut options.run;
+            if let Some(solver) = self.known_solver() {
+                run_settings.method = solver.method;
+            }
+            match accuracy {
+                Accuracy::Tolerance(tolerance) => run_settings.relative_tolerance = Some(tolerance),
+                Accuracy::HalfStep => {
+                    let communication = self.evaluator().simulations[k].pool.plan().communication_step();
+                    run_settings.step_size = communication.map(|step| 0.5 * step).or(run_settings.step_size);
+                    options.halve_steps = true;
+                }
+            }
+            Ok(SimulationPlan::new(self.fmu(), &options)
+                .and_then(|plan| run(&mut Simulator::new(Arc::new(plan))?)))
+        })
+    }
+}

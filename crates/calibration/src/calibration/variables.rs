@@ -1,0 +1,124 @@
+//! Variables that the parameters set in the model, typical sizes of the parameters, and simulations of all
+//! variables of the model, not only of those that are compared.
+
+use crate::calibration::handle::Calibration;
+use crate::cost::process::Job;
+use crate::error::CalibrationError;
+use crate::problem::parameter::{Parameter, Scale};
+use base::RunContext;
+use dfo::typical_size;
+use fmi::Trajectory;
+use ode::Termination;
+use std::ops::ControlFlow;
+
+impl Calibration {
+    /// The variables of the model that the parameters set, with their values at `x` in the units of the
+    /// model: what a model is given to behave as in the fit. With [local](crate::Parameter::local) parameters
+    /// it must be said in which experiment.
+    ///
+    /// # Errors
+    /// [`CalibrationError::Length`]; [`CalibrationError::Setup`]: there is no such experiment, or none is
+    /// named and the values differ between them.
+    pub fn variable_values(
+        &self,
+        x: &[f64],
+        experiment: Option<&str>,
+    ) -> Result<Vec<(String, f64)>, CalibrationError> {
+        self.check_length(x)?;
+        let k = match experiment {
+            Some(name) => self.experiment_index(name)?,
+            None => self.index_of_all(x)?,
+        };
+        Ok(self.values_in(k, x))
+    }
+
+    /// Simulates an experiment, counted from 0, at `x` and records variables of the model as they are: by
+    /// their names, elements of arrays, patterns with `*` and `?`, or `all`; at the measured times or, if
+    /// `times` are given, at those. Outputs are not delayed, and have no offset. The context ends it as in
+    /// [`simulate`](Self::simulate).
+    ///
+    /// # Errors
+    /// As [`simulate`](Self::simulate); [`fmi::FmiError::UnknownVariable`] with the nearest names.
+    ///
+    /// # Panics
+    /// There is no such experiment.
+    pub fn simulate_variables(
+        &self,
+        experiment: usize,
+        x: &[f64],
+        times: Option<&[f64]>,
+        variables: &[String],
+        context: &RunContext<'_>,
+    ) -> Result<Trajectory, CalibrationError> {
+        self.check_length(x)?;
+        let method = self.solver(context)?.method;
+        if let Ok(remote) = &self.evaluator().remote {
+            let (times, variables) = (times.map(<[f64]>::to_vec), variables.to_vec());
+            let job = Job::Variables { experiment, x: x.to_vec(), method, times, variables };
+            return remote.trajectory(&job, context);
+        }
+        let mut options = self.evaluator().simulations[experiment].recording(x, method, times, variables);
+        let values = self.values_in(experiment, x);
+        options.start_values.extend(values.into_iter().map(|(name, value)| (name, value.into())));
+        let mut poll = || if context.is_over() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+        let trajectory = self.fmu().simulate_with(&options, &mut poll)?;
+        match trajectory.termination {
+            Termination::StoppedByObserver => Err(CalibrationError::Cancelled),
+            _ => Ok(trajectory),
+        }
+    }
+
+    pub(super) fn values_in(&self, experiment: usize, x: &[f64]) -> Vec<(String, f64)> {
+        let named = self.evaluator().simulations[experiment].named_values(x);
+        named.map(|(name, value)| (name.to_owned(), value)).collect()
+    }
+
+    /// The experiment of a name.
+    pub(crate) fn experiment_index(&self, name: &str) -> Result<usize, CalibrationError> {
+        let names = self.problem().experiment_names();
+        names.iter().position(|known| known == name).ok_or_else(|| {
+            let known = names.join(", ");
+            CalibrationError::Setup(format!("there is no experiment '{name}'; there are: {known}"))
+        })
+    }
+
+    /// The first experiment, where the values are the same in all.
+    fn index_of_all(&self, x: &[f64]) -> Result<usize, CalibrationError> {
+        let first = self.values_in(0, x);
+        let names = self.problem().experiment_names();
+        match (1..names.len()).find(|&k| self.values_in(k, x) != first) {
+            None => Ok(0),
+            Some(_) => {
+                let local: Vec<&str> =
+                    self.problem().parameters.iter().filter(|p| p.is_local()).map(|p| p.name()).collect();
+                let (local, names) = (local.join(", "), names.join("', '"));
+                Err(CalibrationError::Setup(format!(
+                    "each experiment has its own value of {local}: say of which experiment, experiment = '{names}'"
+                )))
+            }
+        }
+    }
+
+    /// The size that was given for a parameter on a linear scale: what the user said, else the model's
+    /// nominal value, but no more than the width of the bounds.
+    pub(crate) fn given_size(&self, parameter: &Parameter) -> Option<f64> {
+        if parameter.scale_kind() == Scale::Log {
+            return None;
+        }
+        let variable = parameter.variable().and_then(|name| self.fmu().description().variable(name));
+        // That of the model is in the unit of the model.
+        let nominal = variable.filter(|_| parameter.given_unit().is_none()).and_then(|v| v.nominal);
+        let width = parameter.upper() - parameter.lower();
+        let of_model = nominal.map(|n| if width > 0.0 { n.abs().min(width) } else { n.abs() });
+        parameter.nominal_size().or(of_model).map(f64::abs).filter(|size| size.is_finite() && *size > 0.0)
+    }
+
+    /// Typical size of a parameter near a value, by the rule of the search ([`dfo::typical_size`]); of its
+    /// logarithm on a logarithmic scale; 1 where nothing is known. A value that has come near zero has the
+    /// size that it had at the start.
+    pub(crate) fn size_of(&self, parameter: &Parameter, at: f64) -> f64 {
+        let (bounds, given) = ((parameter.lower(), parameter.upper()), self.given_size(parameter));
+        let largest = at.abs().max(parameter.start().abs());
+        typical_size(parameter.scale_kind(), largest, bounds, given).unwrap_or(1.0)
+    }
+}

@@ -1,0 +1,188 @@
+//! The worker process of a calibration: it holds the model, and simulates what it is asked for.
+
+use crate::calibration::handle::Calibration;
+use crate::cost::failure::ReportedCostFailure;
+use crate::cost::process::{Compared, Evaluated, Job, Loaded, put_trajectory};
+use crate::cost::residual::CostRule;
+use crate::cost::solver::{Solver, simulate_compared};
+use crate::cost::solver_comparison::ComparisonOutcome;
+use crate::error::CalibrationError;
+use crate::problem::definition::ModelFile;
+use base::RunContext;
+use fmi::description::Quirk;
+use fmi::worker::{Frame, Service};
+use fmi::{FmiError, Fmu, OpenOptions, Reuse};
+use log::LevelFilter;
+use ode::{Method, Stats};
+use std::io;
+use std::ops::ControlFlow;
+
+/// Serves as the template of worker processes, if this process was started as one: then it ends here when
+/// nobody needs it any more. Otherwise returns at once, and from then on this program starts itself for the
+/// processes in which FMUs run.
+///
+/// Belongs at the begin of `main`, before any other thread is started. A program that does not call it, and
+/// does not name another one that does (see [`Launcher`](fmi::worker::Launcher)), runs FMUs in its own
+/// process.
+pub fn serve_if_worker() {
+    fmi::worker::serve_if_worker(|| Box::new(Server::default()));
+}
+
+#[derive(Default)]
+struct Server {
+    /// The model that was opened last.
+    model: Option<(ModelFile, Fmu)>,
+    calibration: Option<Calibration>,
+    n_quirks: usize,
+}
+
+impl Server {
+    /// The model of a file, with the content that it had.
+    fn open(&mut self, model: ModelFile, options: &OpenOptions) -> Result<Fmu, CalibrationError> {
+        if let Some((known, fmu)) = &self.model
+            && *known == model
+            && fmu.options() == options
+        {
+            return Ok(fmu.clone());
+        }
+        (self.model, self.n_quirks) = (None, 0);
+        let fmu = Fmu::open_with(&model.path, options)?;
+        model.check(&fmu)?;
+        // Who simulates meets the error.
+        let _ = fmu.unpack_for_copies();
+        self.model = Some((model, fmu.clone()));
+        Ok(fmu)
+    }
+
+    fn load(&mut self, Loaded { problem, options }: Loaded) -> Result<(), CalibrationError> {
+        self.calibration = None;
+        let fmu = self.open(problem.model.clone(), &options)?;
+        // What is in doubt about the problem was said where it was made.
+        let level = log::max_level();
+        log::set_max_level(LevelFilter::Off);
+        let calibration = Calibration::from_problem(fmu, problem);
+        log::set_max_level(level);
+        self.calibration = Some(calibration?);
+        Ok(())
+    }
+}
+
+impl Service for Server {
+    fn answer(
+        &mut self,
+        asked: &Frame,
+        context: &RunContext<'_>,
+        answer: &mut Frame,
+    ) -> Result<(), FmiError> {
+        let unsaid = |error: io::Error| FmiError::BadSetting(error.to_string());
+        match asked.head::<Job>().map_err(unsaid)? {
+            Job::Load(loaded) => self.load(*loaded).map_err(model_error)?,
+            Job::Open(model, options) => drop(self.open(model, &options).map_err(model_error)?),
+            Job::Simulate(options) => {
+                let (_, fmu) = self.model.as_ref().ok_or_else(not_loaded)?;
+                let mut poll =
+                    || if context.is_over() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+                let trajectory = fmu.simulate_with(&options, &mut poll)?;
+                put_trajectory(trajectory, answer).map_err(unsaid)?;
+            }
+            job => {
+                let calibration = self.calibration.as_ref().ok_or_else(not_loaded)?;
+                done(calibration, job, context, answer)?.map_err(unsaid)?;
+            }
+        }
+        let is_last = |(_, fmu): &(ModelFile, Fmu)| fmu.reuse() == Some(Reuse::NewProcess);
+        answer.is_last |= self.model.as_ref().is_some_and(is_last);
+        Ok(())
+    }
+
+    fn provide_files(&mut self) {
+        if let Some((_, fmu)) = &self.model {
+            // Who simulates meets the error.
+            let _ = fmu.provide_libraries();
+        }
+    }
+
+    fn prepare(&mut self) {
+        if let Some(calibration) = &self.calibration {
+            // Who simulates meets the error.
+            let _ = calibration.prepare();
+        }
+    }
+
+    fn new_quirks(&mut self) -> Vec<Quirk> {
+        let Some((_, fmu)) = &self.model else { return Vec::new() };
+        let mut seen = fmu.quirks_seen();
+        let new = seen.split_off(self.n_quirks.min(seen.len()));
+        self.n_quirks += new.len();
+        new
+    }
+}
+
+fn not_loaded() -> FmiError {
+    let problem = "a worker process was asked before it had loaded anything".to_owned();
+    FmiError::BadSetting(problem)
+}
+
+/// Result of a job.
+fn done(
+    calibration: &Calibration,
+    job: Job,
+    context: &RunContext<'_>,
+    answer: &mut Frame,
+) -> Result<io::Result<()>, FmiError> {
+    let use_method = |method: Method| {
+        let solver = Solver { method, comparison: None };
+        calibration.set_solver(solver).map_err(model_error)
+    };
+    Ok(match job {
+        Job::Load(_) | Job::Open(..) | Job::Simulate(_) => Ok(()),
+        Job::Evaluate { x, method, loss, cutoff, accuracy } => {
+            use_method(method)?;
+            calibration.check_length(&x).map_err(model_error)?;
+            let (rule, mut stats) = (CostRule { loss, cutoff, context: *context }, Stats::default());
+            answer.numbers.resize(calibration.n_residuals(), 0.0);
+            let cost = calibration.evaluate_with(accuracy, &x, rule, &mut answer.numbers, &mut stats);
+            if cost.is_err() {
+                answer.numbers.clear();
+            }
+            let cost = cost.map_err(ReportedCostFailure::from);
+            answer.is_last |= cost.as_ref().is_err_and(ReportedCostFailure::is_of_process);
+            answer.set_head(&Evaluated { cost, stats })
+        }
+        Job::SolverComparison(task) => {
+            let mut stats = Stats::default();
+            let (mut outcome, at_start) =
+                simulate_compared(calibration.evaluator(), &task, context, &mut stats)
+                    .map_err(model_error)?;
+            if let ComparisonOutcome::Finished { samples, .. } = &mut outcome {
+                answer.numbers.append(samples);
+            }
+            let at_start = at_start.map(|(mut residuals, seconds)| {
+                let n = residuals.len();
+                answer.numbers.append(&mut residuals);
+                (n, seconds)
+            });
+            answer.set_head(&Compared { outcome, stats, at_start })
+        }
+        Job::Experiment { experiment, x, method, times } => {
+            use_method(method)?;
+            let trajectory = calibration.simulate_experiment(experiment, &x, times.as_deref(), context);
+            put_trajectory(trajectory.map_err(model_error)?, answer)
+        }
+        Job::Variables { experiment, x, method, times, variables } => {
+            use_method(method)?;
+            let trajectory =
+                calibration.simulate_variables(experiment, &x, times.as_deref(), &variables, context);
+            put_trajectory(trajectory.map_err(model_error)?, answer)
+        }
+    })
+}
+
+/// As it is told to who has asked.
+fn model_error(error: CalibrationError) -> FmiError {
+    match error {
+        CalibrationError::Model(error) => error,
+        CalibrationError::Cancelled => FmiError::Cancelled,
+        other => FmiError::BadSetting(other.to_string()),
+    }
+}

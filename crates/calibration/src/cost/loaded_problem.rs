@@ -1,0 +1,240 @@
+//! A problem with its model loaded: residuals and cost at any point.
+
+use crate::cost::failure::CostFailure;
+use crate::cost::process::Remote;
+use crate::cost::residual::{Accumulator, CostRule, StopReason, sum_of_squares};
+use crate::cost::simulation::Simulation;
+use crate::error::CalibrationError;
+use crate::problem::assignment::{Affine, Assignments, tied_values};
+use crate::problem::column_units::convert_columns;
+use crate::problem::definition::{Element, Problem};
+use crate::problem::parameter::Parameter;
+use crate::problem::residual_layout::{PriorResidual, ResidualLayout};
+use crate::problem::warning::SetupWarning;
+use base::Number;
+use dfo::FailureKind;
+use fmi::error::ReportedError;
+use fmi::{FmiError, Fmu, Simulator};
+use ode::{Report, Stats};
+use std::sync::OnceLock;
+use std::sync::atomic::AtomicU64;
+
+/// Makes a simulation with a simulator that is lent to it.
+pub(crate) type RunOn<'a> = dyn FnMut(&mut Simulator) -> Result<Report, FmiError> + 'a;
+
+/// A checked problem and its model.
+#[derive(Debug)]
+pub(crate) struct LoadedProblem {
+    pub(crate) fmu: Fmu,
+    pub(crate) problem: Problem,
+    /// One per entry of `x`.
+    pub(crate) parameters: Vec<Parameter>,
+    pub(crate) simulations: Vec<Simulation>,
+    pub(crate) n_residuals: usize,
+    pub(crate) layout: ResidualLayout,
+    pub(crate) warnings: Vec<SetupWarning>,
+    /// The values that are tied, by name.
+    pub(crate) tied: Vec<(String, Affine)>,
+    /// Processes in which the model runs, or why it runs in this one (`None`: that was asked for).
+    pub(crate) remote: Result<Remote, Option<String>>,
+    /// The error after which no simulation can be made any more.
+    pub(crate) over: OnceLock<ReportedError>,
+    /// Time that the longest of the evaluations that were ended had taken, in us.
+    pub(crate) longest_ended: AtomicU64,
+}
+
+impl LoadedProblem {
+    /// Looks everything up and checks it; loads the model, but simulates nothing yet. `lender`: of the
+    /// processes.
+    pub(crate) fn new(
+        fmu: Fmu,
+        mut problem: Problem,
+        lender: Option<&Remote>,
+    ) -> Result<Self, CalibrationError> {
+        let mut warnings = problem.check(fmu.description())?;
+        warnings.extend(convert_columns(&mut problem, fmu.description())?);
+        let elements = problem.elements()?;
+        let simulations = (problem.experiments.iter().zip(problem.experiment_names()).enumerate())
+            .map(|(k, (experiment, name))| {
+                let assigned = Assignments::new(&problem, k, &elements, fmu.description());
+                let (simulation, in_doubt) = assigned
+                    .and_then(|assigned| {
+                        Simulation::new(&fmu, name, experiment, &problem, &elements, assigned)
+                    })
+                    .map_err(|error| problem.error_in(k, error))?;
+                for warning in in_doubt.into_iter().map(|warning| problem.warning_in(k, warning)) {
+                    // A setting that is ignored is the same in all experiments.
+                    if !warnings.contains(&warning) {
+                        warnings.push(warning);
+                    }
+                }
+                Ok(simulation)
+            })
+            .collect::<Result<Vec<_>, CalibrationError>>()?;
+        let layout = layout(&problem, &simulations, &elements);
+        let n_residuals = layout.n_residuals();
+        let tied = tied_values(&problem, &elements)?;
+        let parameters = elements.into_iter().map(|element| element.parameter).collect();
+        let remote = Remote::of(&fmu, &problem, lender);
+        Ok(Self {
+            remote,
+            fmu,
+            problem,
+            parameters,
+            simulations,
+            n_residuals,
+            layout,
+            warnings,
+            tied,
+            over: OnceLock::new(),
+            longest_ended: AtomicU64::default(),
+        })
+    }
+
+    /// Start values of all entries of `x`.
+    pub(crate) fn start(&self) -> Vec<f64> {
+        self.parameters.iter().map(Parameter::start).collect()
+    }
+
+    /// The cost at `x`: the sum of the squares of the residuals, which go to `out`, from its first to its
+    /// last. What the simulations take is added to `stats` (of those that could not be started nothing).
+    /// `lend` hands a simulator of an experiment to what runs it. Ends where the cost is above the cutoff,
+    /// and when it is cancelled.
+    ///
+    /// # Panics
+    /// `x` or `out` have another length than there are parameters and residuals.
+    pub(crate) fn evaluate(
+        &self,
+        x: &[f64],
+        rule: CostRule<'_>,
+        out: &mut [f64],
+        stats: &mut Stats,
+        mut lend: impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, CostFailure>,
+    ) -> Result<f64, CostFailure> {
+        let has_run = self.fmu.has_run();
+        let outcome = self.fmu.repeat_if_read_early(|| self.evaluate_once(x, rule, out, stats, &mut lend));
+        if has_run || self.fmu.has_run() || !matches!(outcome, Err(CostFailure::Above)) {
+            return outcome;
+        }
+        // The first run in this process was cut off: a model whose variables are computed late shows that at the end of a
+        // step only.
+        let whole = CostRule { cutoff: f64::INFINITY, ..rule };
+        let reread = self.fmu.repeat_if_read_early(|| self.evaluate_once(x, whole, out, stats, &mut lend));
+        match reread {
+            Ok(cost) if cost <= rule.cutoff => Ok(cost),
+            Err(CostFailure::Cancelled) => Err(CostFailure::Cancelled),
+            _ => outcome,
+        }
+    }
+
+    fn evaluate_once(
+        &self,
+        x: &[f64],
+        rule: CostRule<'_>,
+        out: &mut [f64],
+        stats: &mut Stats,
+        lend: &mut impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, CostFailure>,
+    ) -> Result<f64, CostFailure> {
+        // The running sum is in the order of time, the cost in that of the residuals. The sums of n numbers above 0 in two orders
+        // differ by less than 2 n units of rounding (Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 4.2).
+        let running =
+            CostRule { cutoff: rule.cutoff * (1.0 + 2.0 * self.n_residuals as f64 * f64::EPSILON), ..rule };
+        let (mut rest, priors) = out.split_at_mut(self.layout.n_measurements());
+        let mut sum = self.prior_residuals(x, rule, priors)?;
+        if sum > running.cutoff {
+            return Err(CostFailure::Above);
+        }
+        for (k, simulation) in self.simulations.iter().enumerate() {
+            let (part, others) = rest.split_at_mut(simulation.comparison.n_residuals());
+            rest = others;
+            let (schedule, offsets) = (simulation.schedule(x), simulation.output_offsets(x));
+            let mut accumulator =
+                Accumulator::new(&simulation.comparison, &schedule, &offsets, running, sum, part);
+            let ran = lend(k, &mut |simulator| simulation.run(simulator, x, &schedule, &mut accumulator))?;
+            match &ran {
+                Ok(report) => *stats += report.stats,
+                Err(FmiError::Simulation(error)) => *stats += error.stats,
+                Err(_) => {}
+            }
+            sum = self.running_sum(k, &accumulator, ran).map_err(|no_cost| match self.simulations.len() {
+                1 => no_cost,
+                _ => no_cost.in_experiment(&simulation.name),
+            })?;
+        }
+        let cost = sum_of_squares(out);
+        if cost > rule.cutoff { Err(CostFailure::Above) } else { Ok(cost) }
+    }
+
+    /// The residuals of the priors, and the sum of their squares.
+    pub(crate) fn prior_residuals(
+        &self,
+        x: &[f64],
+        rule: CostRule<'_>,
+        out: &mut [f64],
+    ) -> Result<f64, CostFailure> {
+        for (PriorResidual { parameter, prior, .. }, out) in self.layout.priors.iter().zip(&mut *out) {
+            *out = rule.loss.transform(prior.residual(x[*parameter]));
+            if !out.is_finite() {
+                let (name, value) = (self.parameters[*parameter].name(), Number(x[*parameter]));
+                let reason = format!("the prior of '{name}' is not defined at {value}");
+                return Err(CostFailure::failed(FailureKind::NotFinite, reason));
+            }
+        }
+        Ok(sum_of_squares(out))
+    }
+
+    /// The running sum after the simulation of an experiment.
+    fn running_sum(
+        &self,
+        k: usize,
+        accumulator: &Accumulator<'_>,
+        ran: Result<Report, FmiError>,
+    ) -> Result<f64, CostFailure> {
+        match accumulator.stop {
+            Some(StopReason::AboveCutoff) => return Err(CostFailure::Above),
+            Some(StopReason::Cancelled) => return Err(CostFailure::Cancelled),
+            Some(StopReason::NotFinite(output)) => {
+                let name = &self.problem.experiments[k].outputs[output].variable;
+                let reason = format!("the residual of '{name}' is not finite");
+                let time = accumulator.last_time(output).unwrap_or(f64::NAN);
+                let message = format!("{reason} at t = {}", Number(time));
+                return Err(CostFailure::Failed {
+                    kind: FailureKind::NotFinite,
+                    reason,
+                    message,
+                    source: None,
+                });
+            }
+            None => {}
+        }
+        let end = Number(ran?.time);
+        if accumulator.is_complete() {
+            return Ok(accumulator.sum);
+        }
+        let reason = format!("the model ended the simulation before the last measurement, at t = {end}");
+        Err(CostFailure::failed(FailureKind::Error, reason))
+    }
+}
+
+/// Layout of the residual vector.
+fn layout(problem: &Problem, simulations: &[Simulation], elements: &[Element]) -> ResidualLayout {
+    let mut layout = ResidualLayout::default();
+    for (k, (experiment, simulation)) in problem.experiments.iter().zip(simulations).enumerate() {
+        let of_experiment = simulation.comparison.layout(layout.n_measurements());
+        for (mut residuals, measured) in of_experiment.into_iter().zip(&experiment.outputs) {
+            residuals.experiment = k;
+            residuals.variable = measured.variable.clone();
+            residuals.column = measured.column.clone();
+            layout.outputs.push(residuals);
+        }
+    }
+    // That of a parameter that is fixed says nothing.
+    let free = elements.iter().map(|e| &e.parameter).enumerate().filter(|(_, p)| p.lower() < p.upper());
+    let priors = free.filter_map(|(i, p)| p.known_prior().map(|prior| (i, *prior)));
+    let n = layout.n_measurements();
+    layout.priors = priors
+        .zip(n..)
+        .map(|((parameter, prior), index)| PriorResidual { parameter, prior, index })
+        .collect();
+    layout
+}

@@ -1,0 +1,427 @@
+//! The searches of a fit: one, or several that take turns with estimates of the noise.
+
+use super::noise::{EstimatedNoise, FitNoise, MOST_ROUNDS, NoiseRule, leverages};
+use super::reproducibility::BestPoint;
+use super::search::{Job, Searched, Spent, start_cost_in};
+use super::tolerance::ChosenTolerance;
+use crate::calibration::handle::Calibration;
+use crate::calibration::simulations::{Point, Simulations};
+use crate::cost::residual::sum_of_squares;
+use crate::cost::solver::AtStart;
+use crate::error::CalibrationError;
+use crate::findings::finding::{Finding, Severity};
+use crate::fit::output_fit::KeptResiduals;
+use crate::fit::phase::FitPhase;
+use crate::problem::definition::Problem;
+use crate::problem::parameter::Parameter;
+use crate::problem::residual_layout::OutputResiduals;
+use dfo::{Checkpoint, Report, Resume, Termination};
+use ode::Stats;
+
+/// The last search of a fit, and what it was made with.
+pub(crate) struct Made {
+    /// The calibration with the fit's own weights and tolerance; `None`: it is the one that was asked.
+    pub(crate) own: Option<Calibration>,
+    pub(crate) searched: Searched,
+    pub(crate) noise: Option<FitNoise>,
+    pub(crate) tolerance: Option<ChosenTolerance>,
+}
+
+impl Made {
+    /// A search with the weights and the tolerance of the calibration that was asked.
+    pub(crate) fn of(searched: Searched) -> Self {
+        Self { own: None, searched, noise: None, tolerance: None }
+    }
+
+    /// The result of the search, and the residuals there, if they are known.
+    pub(super) fn best(&self) -> BestPoint {
+        let Searched { report, residuals, .. } = &self.searched;
+        BestPoint { x: report.x.clone(), residuals: residuals.at(&report.x).map(<[f64]>::to_vec) }
+    }
+}
+
+/// The checkpoint of a part of a fit that has several: the file of the fit with `.stage2`, `.round2` and so
+/// on appended. Later parts of a file that is required may not have begun.
+pub(crate) fn checkpoint_of(fit: &Checkpoint, part: &str, is_first: bool) -> Checkpoint {
+    let mut path = fit.path.clone().into_os_string();
+    path.push(part);
+    let resume = if !is_first && fit.resume == Resume::Require { Resume::Auto } else { fit.resume };
+    let mut own = fit.clone().resume(resume);
+    own.path = path.into();
+    own
+}
+
+/// Termination of a fit whose last part has found nothing; `None`: it is an error.
+pub(crate) fn ended_by(error: &CalibrationError) -> Option<Termination> {
+    match error {
+        CalibrationError::Cancelled => Some(Termination::Interrupted),
+        CalibrationError::Optimiser(dfo::Error::EndedWithoutPoint { termination, .. }) => {
+            Some(termination.clone())
+        }
+        CalibrationError::Optimiser(dfo::Error::AllStartsFailed(_)) => Some(Termination::AllFailed),
+        _ => None,
+    }
+}
+
+/// Adds what an earlier part of a fit took to the report of a later one.
+pub(crate) fn add_earlier(report: &mut Report, before: &Report) {
+    report.n_evaluations += before.n_evaluations;
+    report.n_iterations += before.n_iterations;
+    report.n_batches += before.n_batches;
+    report.n_failed += before.n_failed;
+    report.n_cached += before.n_cached;
+    report.n_speculative += before.n_speculative;
+    report.seconds += before.seconds;
+    for (reason, count) in &before.failures {
+        match report.failures.iter_mut().find(|(known, _)| known == reason) {
+            Some((_, known)) => *known += count,
+            None => report.failures.push((reason.clone(), *count)),
+        }
+    }
+    report.failures.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
+}
+
+/// Searches that take turns with estimates of the noise.
+struct Turns {
+    noise: EstimatedNoise,
+    /// The search before, and what it was made with.
+    last: Option<(Calibration, Searched)>,
+    raised: Vec<Finding>,
+    /// The residuals at the start of the fit, by the weights of the calibration that was asked.
+    at_start: Option<Vec<f64>>,
+}
+
+impl Turns {
+    /// The search before one that has found nothing, ended by that: what it has found is not lost. `None`:
+    /// there is none, or it is an error.
+    fn before(&mut self, error: &CalibrationError, job: &Job<'_>) -> Option<(Calibration, Searched)> {
+        let termination = ended_by(error)?;
+        let (own, mut before) = self.last.take()?;
+        let is_late = job.context.is_late() && !job.context.is_cancelled();
+        end_early(&mut before.report, if is_late { Termination::MaxTime } else { termination });
+        self.noise.n_rounds -= 1;
+        Some((own, before))
+    }
+
+    /// Adds what the search before took and found to a search.
+    fn add_to(&mut self, searched: &mut Searched) {
+        if let Some((_, before)) = self.last.take() {
+            add_earlier(&mut searched.report, &before.report);
+            searched.stuck.n_checks += before.stuck.n_checks;
+            searched.preflight = before.preflight;
+        }
+        self.raised.append(&mut searched.raised);
+    }
+
+    /// True if the next estimate is the same, so that no search has to follow.
+    fn is_settled_by(&mut self, next: &EstimatedNoise) -> bool {
+        self.noise.is_settled = next.is_close(&self.noise);
+        for (own, next) in self.noise.outputs.iter_mut().zip(&next.outputs) {
+            own.is_of_residuals |= self.noise.is_settled && next.is_of_residuals;
+        }
+        self.noise.is_settled
+    }
+}
+
+impl Job<'_> {
+    /// The limit that the searches so far have used up.
+    fn exhausted(&self) -> Option<Termination> {
+        let is_spent = |most: Option<usize>, n: usize| most.is_some_and(|most| n >= most);
+        match () {
+            () if is_spent(self.run.limits.max_evaluations, self.spent.n_evaluations) => {
+                Some(Termination::MaxEvaluations)
+            }
+            () if is_spent(self.run.limits.max_iterations, self.spent.n_iterations) => {
+                Some(Termination::MaxIterations)
+            }
+            () if self.context.is_late() => Some(Termination::MaxTime),
+            () => None,
+        }
+    }
+
+    /// Makes this the job of the round that follows a search.
+    fn go_on_from(&mut self, searched: &Searched, checkpoint: Option<&Checkpoint>, round: usize) {
+        self.start.clone_from(&searched.report.x);
+        self.wants_preflight = false;
+        self.run.tolerances = searched.tolerances;
+        self.run.seed = self.run.seed.or(searched.report.seed);
+        // Points of other weights would only say where to start.
+        self.run.known.clear();
+        self.run.checkpoint = checkpoint.map(|checkpoint| {
+            let own = checkpoint_of(checkpoint, &format!(".round{round}"), false);
+            if searched.report.resumed.is_none() { own.resume(Resume::Never) } else { own }
+        });
+    }
+}
+
+/// Notes that a fit was ended before its noise was known.
+fn end_early(report: &mut Report, termination: Termination) {
+    report.message += &format!("; the fit ended before its noise was known to 1 %: {termination}");
+    report.termination = termination;
+}
+
+impl Calibration {
+    /// The same measurements with other weights or another tolerance: what it warned of is said once.
+    fn derived_for_fit(&self, problem: Problem) -> Result<Self, CalibrationError> {
+        let mut own = self.derived(problem)?;
+        own.keep_warnings(self);
+        Ok(own)
+    }
+
+    /// With another relative tolerance; `None`: it has that one.
+    pub(crate) fn with_tolerance(
+        &self,
+        chosen: Option<&ChosenTolerance>,
+    ) -> Result<Option<Self>, CalibrationError> {
+        let other = chosen.map(|chosen| chosen.used).filter(|used| *used != self.relative_tolerance());
+        let derived = other.map(|used| {
+            let mut problem = self.problem().clone();
+            problem.settings.run.relative_tolerance = Some(used);
+            self.derived_for_fit(problem)
+        });
+        derived.transpose()
+    }
+
+    /// With the weights of a fit of which the noise was estimated; `None`: its weights are those of the fit.
+    pub(crate) fn with_noise(&self, noise: Option<&FitNoise>) -> Result<Option<Self>, CalibrationError> {
+        let derived = noise.and_then(FitNoise::estimated).map(|noise| {
+            let mut problem = self.problem().clone();
+            noise.weigh(&mut problem)?;
+            self.derived_for_fit(problem)
+        });
+        derived.transpose()
+    }
+
+    /// With the weights and the tolerance of a fit; `None`: it has both.
+    pub(crate) fn of_fit(&self, fit: &super::Fit) -> Result<Option<Self>, CalibrationError> {
+        let tolerant = self.with_tolerance(fit.tolerance.as_ref())?;
+        let weighed = tolerant.as_ref().unwrap_or(self).with_noise(fit.noise.as_ref())?;
+        Ok(weighed.or(tolerant))
+    }
+
+    /// Chooses the solver; with the residuals at the start, as they count, where that has made them known.
+    fn start_by_solver(&self, job: &Job<'_>, stats: &mut Stats) -> Result<Option<AtStart>, CalibrationError> {
+        if let Some(checkpoint) = &job.run.checkpoint {
+            self.adopt_solver(checkpoint)?;
+        }
+        job.enter(FitPhase::Solver, stats);
+        let (_, compared) = self.solver_counted(&job.context, stats)?;
+        Ok(compared.filter(|_| job.start == self.start()).map(|AtStart { residuals, seconds }| AtStart {
+            residuals: residuals.into_iter().map(|r| job.loss.transform(r)).collect(),
+            seconds,
+        }))
+    }
+
+    /// All searches of a fit, with what comes before them.
+    pub(super) fn made(&self, job: &mut Job<'_>, stats: &mut Stats) -> Result<Made, CalibrationError> {
+        let mut at_start = self.start_by_solver(job, stats)?;
+        *job.at_start.borrow_mut() = at_start.as_ref().map(|known| known.residuals.clone());
+        let chosen = match job.is_part {
+            true => None,
+            false => {
+                job.enter(FitPhase::Tolerance, stats);
+                self.choose_tolerance(job, at_start.take(), stats)?
+            }
+        };
+        let (tolerance, known) = chosen.unzip();
+        let tolerant = self.with_tolerance(tolerance.as_ref())?;
+        let at_start = at_start.or(known.flatten());
+        let this = tolerant.as_ref().unwrap_or(self);
+        let rule = job.noise;
+        let estimates = rule == NoiseRule::Estimated
+            || (rule == NoiseRule::Auto
+                && this.has_priors()
+                && job.objective.is_sum_of_squares()
+                && job.loss.is_linear());
+        let first = if estimates { EstimatedNoise::first(this, rule) } else { None };
+        let mut made = match first {
+            Some(first) => this.take_turns(first, job, at_start, stats)?,
+            None => {
+                let searched = this.search(job, at_start, stats)?;
+                let is_weighed = job.objective.is_sum_of_squares() && this.has_priors();
+                Made { noise: is_weighed.then_some(FitNoise::Stated), ..Made::of(searched) }
+            }
+        };
+        made.tolerance = tolerance;
+        made.own = made.own.or(tolerant);
+        made.searched.raised.splice(0..0, tolerance.and_then(|chosen| chosen.finding()));
+        Ok(made)
+    }
+
+    fn has_priors(&self) -> bool {
+        !self.residual_layout().priors.is_empty()
+    }
+
+    /// Searches that take turns with estimates of the noise.
+    fn take_turns(
+        &self,
+        noise: EstimatedNoise,
+        job: &mut Job<'_>,
+        at_start: Option<AtStart>,
+        stats: &mut Stats,
+    ) -> Result<Made, CalibrationError> {
+        let (begun, checkpoint) = (job.start.clone(), job.run.checkpoint.clone());
+        let mut turns = Turns { noise, last: None, raised: Vec::new(), at_start: None };
+        let (own, mut searched) = loop {
+            turns.noise.n_rounds += 1;
+            let mut problem = self.problem().clone();
+            turns.noise.weigh(&mut problem)?;
+            let own = self.derived_for_fit(problem)?;
+            let here = if turns.noise.n_rounds == 1 { at_start.as_ref() } else { None };
+            let here = here.and_then(|known| self.exactly_reweighed(known, &own));
+            let mut searched = match own.search(job, here, stats) {
+                Ok(searched) => searched,
+                Err(error) => match turns.before(&error, job) {
+                    Some(before) => break before,
+                    None => {
+                        let known = job.at_start.take();
+                        *job.at_start.borrow_mut() =
+                            known.map(|r| self.residual_layout().reweighed(&r, own.residual_layout()));
+                        return Err(error);
+                    }
+                },
+            };
+            turns.add_to(&mut searched);
+            let (x, known) = (&searched.report.x, &searched.residuals);
+            let ends = own.end_residuals(x, known, job.loss, &job.context, stats);
+            if turns.noise.n_rounds == 1 {
+                turns.at_start = (ends.start)
+                    .map(|start| self.residual_layout().reweighed(&start.residuals, own.residual_layout()));
+            }
+            let next = match ends.end.filter(|_| is_at_end(&searched.report.termination)) {
+                Some(end) => own
+                    .leverages_at(&searched, &end.residuals, job, stats)?
+                    .map(|leverages| turns.noise.next(self, &end.residuals, &leverages)),
+                None => None,
+            };
+            let Some(next) = next else { break (own, searched) };
+            if turns.is_settled_by(&next) || turns.noise.n_rounds == MOST_ROUNDS {
+                break (own, searched);
+            }
+            job.spent = Spent::of(&searched.report);
+            if let Some(termination) = job.exhausted() {
+                end_early(&mut searched.report, termination);
+                break (own, searched);
+            }
+            job.go_on_from(&searched, checkpoint.as_ref(), turns.noise.n_rounds + 1);
+            turns.noise = EstimatedNoise { n_rounds: turns.noise.n_rounds, ..next };
+            turns.last = Some((own, searched));
+        };
+        let Turns { noise, raised, at_start, .. } = turns;
+        searched.raised = raised;
+        searched.raised.extend(noise.findings());
+        if noise.n_rounds > 1 {
+            let at_start = at_start.map(|r| own.residual_layout().reweighed(&r, self.residual_layout()));
+            let x = &searched.report.x;
+            let kept = KeptResiduals::new(&begun, at_start);
+            searched.residuals = kept.with(x, searched.residuals.at(x));
+        }
+        job.start = begun;
+        // The last of several searches began elsewhere.
+        let in_trace = start_cost_in(&searched.report, &job.start);
+        searched.start_cost = in_trace.or_else(|| searched.residuals.at_start().map(sum_of_squares));
+        Ok(Made { own: Some(own), searched, noise: Some(FitNoise::Estimated(noise)), tolerance: None })
+    }
+
+    /// Residuals that are known by the weights of this calibration, by those of another one, where that has
+    /// the bits of a simulation with them: a product with one is exact.
+    fn exactly_reweighed(&self, known: &AtStart, own: &Calibration) -> Option<AtStart> {
+        let is_one = |o: &OutputResiduals| o.weights.iter().all(|weight| *weight == 1.0);
+        let (from, to) = (self.residual_layout(), own.residual_layout());
+        from.outputs
+            .iter()
+            .all(is_one)
+            .then(|| AtStart { residuals: to.reweighed(&known.residuals, from), seconds: known.seconds })
+    }
+
+    /// Leverages of the residuals at the end of a search; `None`: it was interrupted meanwhile, or
+    /// simulations fail.
+    fn leverages_at(
+        &self,
+        searched: &Searched,
+        residuals: &[f64],
+        job: &Job<'_>,
+        stats: &mut Stats,
+    ) -> Result<Option<Vec<f64>>, CalibrationError> {
+        let Some(jacobian) = self.jacobian_at(searched, residuals, job, stats)? else { return Ok(None) };
+        match leverages(&jacobian, searched.report.x.len(), &job.context) {
+            Err(CalibrationError::Cancelled) => Ok(None),
+            found => found.map(Some),
+        }
+    }
+
+    /// Derivatives of the residuals at the end of a search, m x n: those that it had, else of one step of
+    /// each parameter. They say how many of the residuals are fitted, for which the length of a step does not
+    /// matter. `None`: the search was interrupted meanwhile, or simulations fail.
+    fn jacobian_at(
+        &self,
+        searched: &Searched,
+        residuals: &[f64],
+        job: &Job<'_>,
+        stats: &mut Stats,
+    ) -> Result<Option<Vec<f64>>, CalibrationError> {
+        let (report, n) = (&searched.report, searched.report.x.len());
+        let is_free = |i: usize, p: &Parameter| {
+            let is_held = job.held.contains(&i) || p.is_fixed() || p.lower() == p.upper();
+            let is_at_bound = searched.stuck.at_bound.iter().any(|(k, _)| *k == i);
+            !is_held && !is_at_bound
+        };
+        let free: Vec<usize> =
+            (self.parameters().iter().enumerate()).filter(|(i, p)| is_free(*i, p)).map(|(i, _)| i).collect();
+        let mut jacobian = vec![0.0; residuals.len() * n];
+        if let Some(known) = report.jacobian.as_ref().filter(|known| known.len() == jacobian.len()) {
+            for (row, known) in jacobian.chunks_exact_mut(n).zip(known.chunks_exact(n)) {
+                free.iter().for_each(|&i| row[i] = known[i]);
+            }
+            return Ok(Some(jacobian));
+        }
+        let points = free.iter().map(|&i| {
+            let mut x = report.x.clone();
+            x[i] = self.moved_a_little(&self.parameters()[i], x[i]);
+            Point::new(x)
+        });
+        let points: Vec<Point> = points.collect();
+        let (context, workers) = (job.context, job.run.workers.unwrap_or(1));
+        let found = Simulations::new(self, job.loss, workers, &context).and_then(|mut simulations| {
+            let found = simulations.residuals(&points);
+            *stats += simulations.stats;
+            found
+        });
+        let found = match found {
+            Err(CalibrationError::Cancelled) => return Ok(None),
+            found => found?,
+        };
+        for (&i, (moved, point)) in free.iter().zip(found.iter().zip(&points)) {
+            let Ok(moved) = moved else { return Ok(None) };
+            let step = point.x[i] - report.x[i];
+            let changes = moved.iter().zip(residuals).map(|(moved, r)| (moved - r) / step);
+            jacobian.iter_mut().skip(i).step_by(n).zip(changes).for_each(|(entry, change)| *entry = change);
+        }
+        Ok(Some(jacobian))
+    }
+
+    /// Finding for priors that count beside measurements whose noise nothing states, and which the fit does
+    /// not estimate.
+    pub(super) fn unstated_noise(&self, job: &Job<'_>, noise: Option<&FitNoise>) -> Option<Finding> {
+        let is_unknown = job.noise == NoiseRule::Auto && noise == Some(&FitNoise::Stated);
+        let unstated = crate::check::unstated_noise(self.problem()).filter(|_| is_unknown)?;
+        Some(Finding {
+            severity: Severity::Warning,
+            remedy: "give weights of 1/sigma, or leave out the robust loss: then the noise is estimated with the parameters".to_owned(),
+            ..unstated
+        })
+    }
+}
+
+/// True if the search has come to its end: nothing from outside ended it.
+pub(super) fn is_at_end(termination: &Termination) -> bool {
+    matches!(
+        termination,
+        Termination::Converged
+            | Termination::Noise
+            | Termination::ConstantCost
+            | Termination::Collapsed
+            | Termination::Stalled
+            | Termination::AllFixed
+    )
+}

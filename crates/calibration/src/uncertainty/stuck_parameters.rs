@@ -1,0 +1,264 @@
+//! Parameters that a search could not move: that ended at a bound, or did not change the cost.
+
+use crate::calibration::handle::Calibration;
+use crate::cost::failure::CostFailure;
+use crate::cost::residual::CostRule;
+use crate::problem::objective::CostKind;
+use crate::problem::parameter::{Parameter, inner, outer};
+use base::RunContext;
+use dfo::{FailureKind, Outcome, ParameterKind, Report, Termination, ToleranceMeasure, Tolerances};
+use ode::Stats;
+use serde::{Deserialize, Serialize};
+
+/// One of the two bounds of a parameter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum BoundSide {
+    /// The smallest value.
+    Lower,
+    /// The largest value.
+    Upper,
+}
+
+impl BoundSide {
+    /// "lower" or "upper".
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Lower => "lower",
+            Self::Upper => "upper",
+        }
+    }
+
+    fn of(self, parameter: &Parameter) -> f64 {
+        match self {
+            Self::Lower => parameter.lower(),
+            Self::Upper => parameter.upper(),
+        }
+    }
+}
+
+/// Parameters of a fit that ended at a bound or did not change the cost.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct StuckParameters {
+    /// Parameters that ended at a bound, by number.
+    pub(crate) at_bound: Vec<(usize, BoundSide)>,
+    /// Parameters that did not change the cost, by number.
+    pub(crate) without_effect: Vec<usize>,
+    /// Those at a bound that the data hardly determine: a move by half their size changes the cost by less
+    /// than the noise.
+    pub(crate) loose: Vec<usize>,
+    /// Simulations that were made to find out.
+    pub(crate) n_checks: usize,
+}
+
+/// Nearer to its bound than this share of its size a parameter is at it: the optimiser's scaling rounds.
+pub(crate) const AT: f64 = 1e-9;
+
+/// Farther than this share of its size it is not, however wide the search still is.
+const NEAR: f64 = 1e-3;
+
+/// A parameter is moved by this share of its size to see whether it changes the cost.
+const MOVE: f64 = 0.1;
+
+/// One at its bound that may move by this share of its size, and cost no more than the noise, is hardly
+/// determined.
+const HALF: f64 = 0.5;
+
+/// A parameter that may be at its bound, by number.
+struct Candidate {
+    index: usize,
+    side: BoundSide,
+    /// The final simplex or population is no narrower than the bound is near.
+    is_likely: bool,
+    is_sure: bool,
+}
+
+/// A parameter that may be without effect, by number; whether an evaluation of the fit has shown it.
+struct Suspect {
+    index: usize,
+    is_seen: bool,
+}
+
+/// A run that has ended, and what was asked of it.
+pub(crate) struct EndedRun<'a> {
+    pub(crate) start: &'a [f64],
+    /// Parameters that stayed at the start, by number.
+    pub(crate) held: &'a [usize],
+    pub(crate) report: &'a Report,
+    pub(crate) kind: &'a CostKind,
+    pub(crate) tolerances: &'a Tolerances,
+}
+
+impl Calibration {
+    /// Parameters at their bounds and without effect. What the evaluations of the run leave open is
+    /// simulated, unless time or an interrupt ended the run: one simulation at the bound for each parameter
+    /// that ended as near to it as the tolerance of the run, one with the parameter moved for each that no
+    /// evaluation has shown to change the cost. No budget of the search counts them.
+    pub(crate) fn stuck_parameters(
+        &self,
+        run: &EndedRun<'_>,
+        context: &RunContext<'_>,
+        stats: &mut Stats,
+    ) -> StuckParameters {
+        let EndedRun { start, held, report, kind, tolerances } = *run;
+        let mut candidates = self.near_bound(report, tolerances);
+        candidates.retain(|c| !held.contains(&c.index));
+        let mut suspects = self.suspects(start, report, kind);
+        suspects.retain(|s| !held.contains(&s.index));
+        let mut found = StuckParameters {
+            at_bound: candidates.iter().filter(|c| c.is_likely).map(|c| (c.index, c.side)).collect(),
+            without_effect: suspects.iter().filter(|s| s.is_seen).map(|s| s.index).collect(),
+            loose: Vec::new(),
+            n_checks: 0,
+        };
+        if !is_over(&report.termination) {
+            return found;
+        }
+        let (mut checked, mut loose) = (StuckParameters::default(), Vec::new());
+        let mut residuals = vec![0.0; self.n_residuals()];
+        let mut cost_with = |index: usize, value: f64| {
+            checked.n_checks += 1;
+            let mut x = report.x.clone();
+            x[index] = value;
+            let rule = CostRule::whole(report.loss, context);
+            let sum = self.evaluate_into(&x, rule, &mut residuals, stats)?;
+            let outcome = kind.outcome(self.residual_layout(), sum, &residuals, &mut Vec::new());
+            outcome
+                .value()
+                .ok_or_else(|| CostFailure::failed(FailureKind::Error, "there is no cost".to_owned()))
+        };
+        // The budget of the search is no budget for these, but what an evaluation has shown need not cost another one.
+        let is_spent = report.termination == Termination::MaxEvaluations;
+        for Candidate { index, side, is_likely, is_sure } in candidates {
+            let is_at = is_sure || (is_spent && is_likely) || {
+                let parameter = &self.parameters()[index];
+                match cost_with(index, side.of(parameter)) {
+                    Ok(cost) => cost <= report.fun || self.is_equal_cost(kind, report.fun, cost),
+                    Err(CostFailure::Cancelled) => break,
+                    Err(_) => false,
+                }
+            };
+            if is_at {
+                checked.at_bound.push((index, side));
+            }
+        }
+        // Of a sum of squares a standard error takes the mean square of the residuals.
+        let n_free = self.parameters().iter().filter(|p| p.lower() < p.upper()).count();
+        let degrees = self.n_residuals().saturating_sub(n_free);
+        let is_told = kind.is_sum_of_squares() && degrees > 0 && !is_spent;
+        for (index, _) in checked.at_bound.iter().filter(|_| is_told).copied().collect::<Vec<_>>() {
+            match cost_with(index, self.moved(&self.parameters()[index], report.x[index], HALF)) {
+                Ok(cost) if cost - report.fun < report.fun / degrees as f64 => loose.push(index),
+                Err(CostFailure::Cancelled) => break,
+                _ => {}
+            }
+        }
+        for Suspect { index, is_seen } in suspects {
+            if is_seen && is_spent {
+                checked.without_effect.push(index);
+                continue;
+            }
+            match cost_with(index, self.moved(&self.parameters()[index], report.x[index], MOVE)) {
+                Ok(cost) if self.is_equal_cost(kind, report.fun, cost) => checked.without_effect.push(index),
+                Err(CostFailure::Cancelled) => break,
+                _ => {}
+            }
+        }
+        if context.is_over() {
+            found.n_checks = checked.n_checks;
+            return found;
+        }
+        loose.retain(|index| !checked.without_effect.contains(index));
+        StuckParameters { loose, ..checked }
+    }
+
+    /// Parameters that ended near a bound.
+    fn near_bound(&self, report: &Report, tolerances: &Tolerances) -> Vec<Candidate> {
+        let vertices =
+            report.final_simplex.as_ref().or(report.final_population.as_ref()).map(|s| &s.vertices);
+        let candidate = |(index, p): (usize, &Parameter)| {
+            let x = inner(p, report.x[index]);
+            let (lower, upper) = (inner(p, p.lower()), inner(p, p.upper()));
+            if p.is_fixed() || lower == upper {
+                return None;
+            }
+            let (side, distance) = match x - lower <= upper - x {
+                true => (BoundSide::Lower, x - lower),
+                false => (BoundSide::Upper, upper - x),
+            };
+            let of = vertices.into_iter().flatten().map(|v| inner(p, v[index]));
+            let (low, high) = of.fold((x, x), |(low, high), v| (low.min(v), high.max(v)));
+            let size = self.size_of(p, report.x[index]);
+            let resolved = match tolerances.measure {
+                ToleranceMeasure::Relative => tolerances.x_tol * size,
+                ToleranceMeasure::Absolute => tolerances.x_tol,
+            };
+            let is_sure = distance <= AT * size;
+            let is_likely = is_sure || distance <= (high - low).min(NEAR * size);
+            let is_near = is_likely || distance <= resolved.min(NEAR * size);
+            is_near.then_some(Candidate { index, side, is_likely, is_sure })
+        };
+        self.parameters().iter().enumerate().filter_map(candidate).collect()
+    }
+
+    /// Parameters of which no evaluation shows that they change the cost, as far as two evaluations differ
+    /// from each other in one parameter alone: most methods begin with such.
+    fn suspects(&self, start: &[f64], report: &Report, kind: &CostKind) -> Vec<Suspect> {
+        let free = |(i, p): (usize, &Parameter)| (p.lower() < p.upper() && !p.is_fixed()).then_some(i);
+        let mut suspects: Vec<Suspect> = (self.parameters().iter().enumerate().filter_map(free))
+            .map(|index| Suspect { index, is_seen: false })
+            .collect();
+        let at_start = report.trace.iter().find(|e| e.x == start);
+        let Some(cost) = at_start.and_then(|e| e.outcome.value()) else { return suspects };
+        for entry in report.trace.iter() {
+            let mut moved = (0..start.len()).filter(|&i| entry.x[i] != start[i]);
+            let (Some(index), None) = (moved.next(), moved.next()) else { continue };
+            let Some(place) = suspects.iter().position(|s| s.index == index) else { continue };
+            match entry.outcome {
+                Outcome::Value(other) if self.is_equal_cost(kind, cost, *other) => {
+                    suspects[place].is_seen = true;
+                }
+                Outcome::Above(cutoff) if *cutoff < cost => {}
+                Outcome::Abort(_) | Outcome::Skipped => {}
+                _ => drop(suspects.remove(place)),
+            }
+        }
+        suspects
+    }
+
+    /// True if two costs differ by no more than the uncertainty of the integration.
+    fn is_equal_cost(&self, kind: &CostKind, a: f64, b: f64) -> bool {
+        let tolerance = self.relative_tolerance();
+        (a - b).abs() <= tolerance * kind.size(a, self.n_measurements())
+    }
+
+    /// A value of a parameter a part of its size from `x`, towards the bound that is farther.
+    fn moved(&self, parameter: &Parameter, x: f64, part: f64) -> f64 {
+        let (lower, upper) = (inner(parameter, parameter.lower()), inner(parameter, parameter.upper()));
+        let from = inner(parameter, x);
+        let mut by = part * self.size_of(parameter, x);
+        if parameter.value_kind() != ParameterKind::Continuous {
+            by = by.round().max(1.0);
+        }
+        let to = if upper - from >= from - lower { (from + by).min(upper) } else { (from - by).max(lower) };
+        outer(parameter, to)
+    }
+}
+
+/// True if simulations may follow a run with this termination: neither time nor an interrupt ended it, and
+/// the model still works.
+pub(crate) fn is_over(termination: &Termination) -> bool {
+    matches!(
+        termination,
+        Termination::Converged
+            | Termination::Noise
+            | Termination::ConstantCost
+            | Termination::Target
+            | Termination::Collapsed
+            | Termination::Stalled
+            | Termination::MaxEvaluations
+            | Termination::MaxIterations
+            | Termination::StoppedByObserver
+    )
+}

@@ -1,0 +1,573 @@
+//! Methods by name or number, for callers that choose at run time, and the choice of one for a problem.
+
+use super::barrier::Barrier;
+use super::boxed::BoxedMethod;
+use super::cma_es::CmaEs;
+use super::differential_evolution::DifferentialEvolution;
+use super::genetic::Genetic;
+use super::least_squares::LeastSquares;
+use super::multistart::{Multistart, Polish};
+use super::nelder_mead::NelderMead;
+use super::option_names::{COMMON, collect, described, place, tagged, unknown};
+use super::pattern_search::PatternSearch;
+use super::quadratic_model::QuadraticModel;
+use crate::error::Error;
+use crate::method_interface::interface::{MethodOptions, ProblemClass, Setup};
+use crate::problem::option_texts;
+use crate::values::choices::{ParameterKind, Search};
+use crate::values::nearest::{edits, folded};
+use crate::values::record::{Record, Value};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::str::FromStr;
+
+/// Any of the methods, with its options.
+///
+/// ```
+/// use dfo::{AnyMethod, MethodOptions, minimize};
+///
+/// for name in AnyMethod::NAMES {
+///     if name.parse::<AnyMethod>()?.needs_residuals() {
+///         continue;
+///     }
+///     let report = minimize(|x: &[f64]| (x[0] - 0.3).powi(2))
+///         .start(&[0.9])
+///         .bounds(&[0.0], &[1.0])?
+///         .method(name.parse::<AnyMethod>()?)
+///         .seed(1)
+///         .max_evaluations(500)
+///         .run()?;
+///     assert!(report.method == name && report.fun < 1e-4, "{report}");
+/// }
+/// # Ok::<(), dfo::Error>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum AnyMethod {
+    /// `nelder-mead`, number 1.
+    NelderMead(NelderMead),
+    /// `barrier`, number 2: for problems with at least one bound.
+    Barrier(Barrier),
+    /// `de` or `differential-evolution` (L-SHADE), and `de-classic` (rand/1/bin), which is number 3.
+    DifferentialEvolution(DifferentialEvolution),
+    /// `ga` or `genetic`, number 4.
+    Genetic(Genetic),
+    /// `least-squares`, for objectives with residuals.
+    LeastSquares(LeastSquares),
+    /// `cma-es`.
+    CmaEs(CmaEs),
+    /// `multistart`.
+    Multistart(Multistart),
+    /// `auto`: no method in particular.
+    Auto(Auto),
+    /// `quadratic-model`, for smooth costs.
+    QuadraticModel(QuadraticModel),
+    /// `pattern-search`, for costs with kinks; not for smooth ones.
+    PatternSearch(PatternSearch),
+}
+
+/// A method of the list.
+struct Listed {
+    name: &'static str,
+    /// Its number in `fmin`.
+    number: Option<usize>,
+    /// Its other names.
+    also: &'static [&'static str],
+    /// Methods of other tools that solve the same problems otherwise: named in the error where they are asked
+    /// for.
+    similar: &'static [&'static str],
+    options: fn() -> AnyMethod,
+}
+
+/// The methods: a new one is added here.
+const LIST: [Listed; 10] = [
+    Listed {
+        name: "nelder-mead",
+        number: Some(1),
+        also: &["nm"],
+        similar: &["simplex", "fmin", "sbplx", "subplex"],
+        options: || NelderMead::default().into(),
+    },
+    Listed {
+        name: "barrier",
+        number: Some(2),
+        also: &["sequential-barrier"],
+        similar: &["interior-point"],
+        options: || Barrier::default().into(),
+    },
+    Listed {
+        name: "de",
+        number: None,
+        also: &["differential-evolution", "l-shade"],
+        similar: &["jade", "shade", "sade", "jso"],
+        options: || DifferentialEvolution::default().into(),
+    },
+    Listed {
+        name: "de-classic",
+        number: Some(3),
+        also: &["differential-evolution-classic", "rand1bin"],
+        similar: &[],
+        options: || DifferentialEvolution::classic().into(),
+    },
+    Listed {
+        name: "ga",
+        number: Some(4),
+        also: &["genetic", "genetic-algorithm"],
+        similar: &["evolution", "evolutionary"],
+        options: || Genetic::default().into(),
+    },
+    Listed {
+        name: "least-squares",
+        number: None,
+        also: &[],
+        similar: &[
+            "lsq",
+            "leastsq",
+            "levenberg-marquardt",
+            "lm",
+            "trf",
+            "dogbox",
+            "dfo-ls",
+            "pounders",
+            "gauss-newton",
+        ],
+        options: || LeastSquares::default().into(),
+    },
+    Listed {
+        name: "cma-es",
+        number: None,
+        also: &["cma"],
+        similar: &["ipop-cma-es", "bipop-cma-es", "evolution-strategy"],
+        options: || CmaEs::default().into(),
+    },
+    Listed {
+        name: "multistart",
+        number: None,
+        also: &[],
+        similar: &["basinhopping", "dual-annealing", "shgo", "mlsl", "brute"],
+        options: || Multistart::default().into(),
+    },
+    Listed {
+        name: "quadratic-model",
+        number: None,
+        also: &[],
+        similar: &[
+            "cobyqa",
+            "bobyqa",
+            "newuoa",
+            "uobyqa",
+            "cobyla",
+            "powell",
+            "cg",
+            "bfgs",
+            "l-bfgs-b",
+            "tnc",
+            "slsqp",
+            "newton-cg",
+            "trust-constr",
+            "dogleg",
+            "trust-ncg",
+            "trust-exact",
+            "trust-krylov",
+        ],
+        options: || QuadraticModel::default().into(),
+    },
+    Listed {
+        name: "pattern-search",
+        number: None,
+        also: &[],
+        similar: &["mads", "orthomads", "nomad", "compass-search", "direct-search", "direct", "hooke-jeeves"],
+        options: || PatternSearch::default().into(),
+    },
+];
+
+/// Up to so many parameters `auto` takes quadratic models. With more they take about a millisecond per
+/// evaluation and solve what is smooth (`benches/overhead.rs -- solved`); beside Nelder-Mead they were not
+/// measured there.
+const MOST_FOR_MODELS: usize = 60;
+
+/// The same call on whichever method it is.
+macro_rules! each {
+    ($any:expr, $options:ident => $call:expr) => {
+        match $any {
+            AnyMethod::NelderMead($options) => $call,
+            AnyMethod::Barrier($options) => $call,
+            AnyMethod::DifferentialEvolution($options) => $call,
+            AnyMethod::Genetic($options) => $call,
+            AnyMethod::LeastSquares($options) => $call,
+            AnyMethod::CmaEs($options) => $call,
+            AnyMethod::Multistart($options) => $call,
+            AnyMethod::Auto($options) => $call,
+            AnyMethod::QuadraticModel($options) => $call,
+            AnyMethod::PatternSearch($options) => $call,
+        }
+    };
+}
+
+impl AnyMethod {
+    /// All names.
+    pub const NAMES: [&'static str; LIST.len()] = {
+        let mut names = [""; LIST.len()];
+        let mut k = 0;
+        while k < names.len() {
+            names[k] = LIST[k].name;
+            k += 1;
+        }
+        names
+    };
+
+    /// The name that it is chosen by.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::NelderMead(_) => "nelder-mead",
+            Self::Barrier(_) => "barrier",
+            Self::DifferentialEvolution(options) => options.name(),
+            Self::Genetic(_) => "ga",
+            Self::LeastSquares(_) => "least-squares",
+            Self::CmaEs(_) => "cma-es",
+            Self::Multistart(_) => "multistart",
+            Self::Auto(_) => "auto",
+            Self::QuadraticModel(_) => "quadratic-model",
+            Self::PatternSearch(_) => "pattern-search",
+        }
+    }
+
+    /// The names of the methods that can be asked for, `auto` not among them.
+    pub fn names() -> impl ExactSizeIterator<Item = &'static str> {
+        LIST.iter().map(|method| method.name)
+    }
+
+    /// All methods, with all names that they are asked for by.
+    #[cfg(feature = "schema")]
+    pub(crate) fn listed() -> impl Iterator<Item = (Vec<&'static str>, Self)> {
+        LIST.iter()
+            .map(|method| (method.also.iter().chain([&method.name]).copied().collect(), (method.options)()))
+    }
+
+    /// The JSON schema of each option.
+    #[cfg(feature = "schema")]
+    pub(crate) fn option_schemas(
+        &self,
+        generator: &mut schemars::SchemaGenerator,
+    ) -> serde_json::Map<String, serde_json::Value> {
+        let names = self.option_names().unwrap_or_default();
+        each!(self, options => super::schema::option_schemas(options, &names, generator))
+    }
+
+    /// The method that `fmin` of Gedda et al. (2012) has under this number: 1 Nelder-Mead, 2 sequential
+    /// barrier, 3 differential evolution as the paper writes it, 4 genetic algorithm.
+    ///
+    /// # Errors
+    /// Another number.
+    pub fn by_number(number: usize) -> Result<Self, Error> {
+        listed(&number.to_string(), |method| method.number == Some(number))
+    }
+}
+
+/// The method of the list for which this holds.
+fn listed(asked: &str, is_it: impl Fn(&Listed) -> bool) -> Result<AnyMethod, Error> {
+    if let Some(method) = LIST.iter().find(|method| is_it(method)) {
+        return Ok((method.options)());
+    }
+    let known = LIST.iter().map(|Listed { name, number, .. }| match number {
+        Some(number) => format!("{name} ({number})"),
+        None => (*name).to_owned(),
+    });
+    let known: Vec<String> = known.chain(["auto".to_owned()]).collect();
+    let hint = meant(asked).map_or_else(String::new, |name| format!("; did you mean '{name}'?"));
+    Err(Error::UnknownMethod { name: asked.to_owned(), hint, known: known.join(", ") })
+}
+
+/// The method that somebody means who writes this: the one that solves the same problems, or the one whose
+/// name differs by few letters.
+fn meant(asked: &str) -> Option<&'static str> {
+    let asked = folded(asked);
+    if let Some(method) = LIST.iter().find(|m| m.similar.iter().any(|name| folded(name) == asked)) {
+        return Some(method.name);
+    }
+    let names = LIST.iter().flat_map(|m| {
+        m.also.iter().chain(m.similar).chain([&m.name]).map(move |name| (m.name, folded(name)))
+    });
+    let near = names.map(|(name, known)| (edits(&asked, &known), known.len(), name)).min()?;
+    // A third of the letters may differ.
+    (3 * near.0 <= near.1.max(asked.chars().count())).then_some(near.2)
+}
+
+impl Default for AnyMethod {
+    /// Nelder-Mead.
+    fn default() -> Self {
+        Self::NelderMead(NelderMead::default())
+    }
+}
+
+impl FromStr for AnyMethod {
+    type Err = Error;
+
+    /// The method of a name: the short one, the full one, or that of SciPy, in any case and with any sign
+    /// between words.
+    fn from_str(name: &str) -> Result<Self, Error> {
+        let asked = folded(name);
+        if asked == "auto" {
+            return Ok(Self::Auto(Auto::default()));
+        }
+        listed(name, |method| method.also.iter().chain([&method.name]).any(|known| folded(known) == asked))
+    }
+}
+
+macro_rules! from_options {
+    ($($options:ident),*) => {
+        $(impl From<$options> for AnyMethod {
+            fn from(options: $options) -> Self {
+                Self::$options(options)
+            }
+        })*
+    };
+}
+
+from_options!(
+    NelderMead,
+    Barrier,
+    DifferentialEvolution,
+    Genetic,
+    LeastSquares,
+    CmaEs,
+    Multistart,
+    QuadraticModel,
+    PatternSearch,
+    Auto
+);
+
+/// No method in particular: the run chooses one ([`AnyMethod::chosen_for`]), and its report says which and
+/// why.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(default)]
+#[non_exhaustive]
+pub struct Auto {
+    /// Goal of the search: the minimum next to the start (default), or the best in the box.
+    pub search: Search,
+    /// Options for the method that will be chosen, by name; those of Nelder-Mead alone choose Nelder-Mead.
+    #[cfg_attr(feature = "schema", schemars(with = "std::collections::BTreeMap<String, serde_json::Value>"))]
+    pub options: Record,
+}
+
+impl AnyMethod {
+    /// No method in particular: the run chooses one for such a search.
+    ///
+    /// ```
+    /// use dfo::{AnyMethod, Search, minimize, residuals};
+    ///
+    /// let rosenbrock = |x: &[f64], out: &mut Vec<f64>| out.extend([10.0 * (x[1] - x[0] * x[0]), 1.0 - x[0]]);
+    /// let report = minimize(residuals(rosenbrock)).start(&[-1.2, 1.0]).method(AnyMethod::auto(Search::Local)).run()?;
+    /// assert_eq!((&*report.method, report.method_reason.as_deref()), ("least-squares", Some("the objective gives residuals")));
+    /// # Ok::<(), dfo::Error>(())
+    /// ```
+    pub fn auto(search: Search) -> Self {
+        Self::Auto(Auto { search, ..Auto::default() })
+    }
+
+    /// The method for a problem of this class:
+    ///
+    /// - with residuals [`LeastSquares`], which needs a tenth of the evaluations of methods that see the cost
+    ///   alone;
+    /// - with costs of at most 60 parameters [`QuadraticModel`], which hands over to [`NelderMead`] where its
+    ///   model shows noise or kinks ([`QuadraticModel::hand_over`](field@QuadraticModel::hand_over)): with
+    ///   smooth costs it takes half of the evaluations of Nelder-Mead or less, with others as many
+    ///   (`benches/choice.rs`);
+    /// - [`Multistart`] where the best minimum of a box is asked for;
+    /// - [`DifferentialEvolution`] with integer parameters, [`Genetic`] with categorical ones.
+    ///
+    /// # Errors
+    /// A global search asked for without two finite bounds for every free parameter: the first without.
+    pub fn chosen_for(class: &ProblemClass<'_>) -> Result<(Self, &'static str), Error> {
+        let chosen = |method: AnyMethod, reason: &'static str| Ok((method, reason));
+        if class.kinds.contains(&ParameterKind::Categorical) {
+            return chosen(Genetic::default().into(), "some parameters are categorical");
+        }
+        if class.kinds.contains(&ParameterKind::Integer) {
+            return chosen(DifferentialEvolution::default().into(), "some parameters are integers");
+        }
+        match (class.search, class.open(), class.residuals) {
+            (Search::Global, Some(index), _) => Err(Error::NeedsBox {
+                method: "a global search",
+                index,
+                lower: class.lower[index],
+                upper: class.upper[index],
+            }),
+            (Search::Global, None, true) => chosen(
+                Multistart::default().polish(Polish::LeastSquares).into(),
+                "a global search was asked for, and the objective gives residuals: least squares from several starts",
+            ),
+            (Search::Global, None, false) => chosen(
+                Multistart::default().into(),
+                "a global search was asked for: differential evolution, then local searches from several starts",
+            ),
+            (Search::Local, _, true) => {
+                chosen(LeastSquares::default().into(), "the objective gives residuals")
+            }
+            (Search::Local, _, false) if class.lower.len() > MOST_FOR_MODELS => chosen(
+                NelderMead::default().into(),
+                "the objective gives a cost and no residuals, of more parameters than a quadratic model is fast for",
+            ),
+            (Search::Local, _, false) => chosen(
+                QuadraticModel::default().hand_over(true).into(),
+                "the objective gives a cost and no residuals: a quadratic model as long as the cost is smooth, Nelder-Mead where noise or kinks show",
+            ),
+        }
+    }
+
+    /// The method that a setup alone chooses, which does not say whether there are residuals.
+    fn of_setup(auto: &Auto, setup: &Setup) -> Result<Self, Error> {
+        let space = &setup.space;
+        let mut kinds = vec![ParameterKind::Continuous; space.n()];
+        for (k, &index) in space.free().iter().enumerate() {
+            kinds[index] = space.kind(k);
+        }
+        let (lower, upper) = (space.bounds().lower(), space.bounds().upper());
+        let class = ProblemClass { lower, upper, kinds: &kinds, residuals: false, search: auto.search };
+        Ok(auto.choose(&class)?.0)
+    }
+}
+
+impl AnyMethod {
+    /// The names of the options of this method.
+    pub fn option_names(&self) -> Result<BTreeSet<String>, Error> {
+        let mut names = BTreeSet::new();
+        collect(&Value::of(self)?, &mut names);
+        // Only L-SHADE plans with it.
+        if self.name() == "de-classic" {
+            names.remove("budget");
+        }
+        Ok(names)
+    }
+
+    /// The same method with these options, and as it is in all others.
+    ///
+    /// # Errors
+    /// An option that the method does not have, or a value that it cannot have.
+    pub fn with_options(self, options: &Record) -> Result<Self, Error> {
+        if let Self::Auto(Auto { search, .. }) = self {
+            // None leaves an option to the method.
+            let given = options.iter().filter(|(_, value)| **value != Value::Nothing);
+            let options = given.map(|(option, value)| (option.clone(), value.clone())).collect();
+            return Ok(Self::Auto(Auto { search, options }));
+        }
+        let (name, known) = (self.name(), self.option_names()?);
+        let (mut method, mut form) = (self.clone(), Value::of(&self)?);
+        for (option, given) in options {
+            let place = if known.contains(option) { place(&mut form, option) } else { None };
+            let Some(place) = place else { return Err(unknown(name, option, &known).into()) };
+            let is_optional = *place == Value::Nothing;
+            *place = tagged(option, given.clone());
+            method = form.read("method").map_err(|mut error| {
+                if let Some(what) = described(option) {
+                    error.must_be(what);
+                }
+                if is_optional {
+                    error.or_none();
+                }
+                error.of_method(name, option, given)
+            })?;
+        }
+        Ok(method)
+    }
+
+    /// The names of the options that there are, of any method or of every run.
+    pub fn all_option_names() -> Result<BTreeSet<String>, Error> {
+        let mut names: BTreeSet<String> = COMMON.into_iter().map(str::to_owned).collect();
+        for method in &LIST {
+            names.extend((method.options)().option_names()?);
+        }
+        Ok(names)
+    }
+}
+
+impl Auto {
+    /// The method for a problem, with the options that were given, and the reason. Options of Nelder-Mead
+    /// alone choose Nelder-Mead, where it can search.
+    fn choose(&self, class: &ProblemClass<'_>) -> Result<(AnyMethod, String), Error> {
+        let simplex = AnyMethod::from(NelderMead::default());
+        let can_take_simplex =
+            self.search == Search::Local && class.kinds.iter().all(|kind| *kind == ParameterKind::Continuous);
+        let (mut method, reason) = AnyMethod::chosen_for(&ProblemClass { search: self.search, ..*class })?;
+        let mut reason = reason.to_owned();
+        let own = method.option_names()?;
+        let plan = match self.options.get("batch") {
+            Some(Value::Text(plan)) if plan != "workers" && plan != "rounds" => Some(plan),
+            _ => None,
+        };
+        if can_take_simplex && let Some(plan) = plan {
+            (method, reason) = (simplex, format!("the batch plan '{plan}' is one of nelder-mead"));
+        } else if can_take_simplex && let Some(option) = self.options.keys().find(|o| !own.contains(*o)) {
+            let of_simplex = simplex.option_names()?;
+            if self.options.keys().all(|option| of_simplex.contains(option)) {
+                (method, reason) = (simplex, format!("the option '{option}' is one of nelder-mead"));
+            }
+        }
+        Ok((method.with_options(&self.options)?, reason))
+    }
+}
+
+impl MethodOptions for Auto {
+    type Method = BoxedMethod;
+
+    fn begin(&self, setup: &Setup) -> Result<BoxedMethod, Error> {
+        AnyMethod::of_setup(self, setup)?.begin(setup)
+    }
+
+    fn restore(&self, setup: &Setup, state: &[u8]) -> Result<BoxedMethod, Error> {
+        AnyMethod::of_setup(self, setup)?.restore(setup, state)
+    }
+
+    fn describe(&self) -> Vec<(String, String)> {
+        option_texts::fields(self)
+    }
+}
+
+impl MethodOptions for AnyMethod {
+    type Method = BoxedMethod;
+
+    fn begin(&self, setup: &Setup) -> Result<BoxedMethod, Error> {
+        each!(self, o => o.begin(setup).map(BoxedMethod::new))
+    }
+
+    fn restore(&self, setup: &Setup, state: &[u8]) -> Result<BoxedMethod, Error> {
+        each!(self, o => o.restore(setup, state).map(BoxedMethod::new))
+    }
+
+    fn chosen(&self, class: &ProblemClass<'_>) -> Result<Option<(Self, String)>, Error> {
+        match self {
+            Self::Auto(auto) => auto.choose(class).map(Some),
+            _ => Ok(None),
+        }
+    }
+
+    fn needs_start(&self) -> bool {
+        each!(self, o => o.needs_start())
+    }
+
+    fn needs_residuals(&self) -> bool {
+        each!(self, o => o.needs_residuals())
+    }
+
+    fn describe(&self) -> Vec<(String, String)> {
+        each!(self, o => o.describe())
+    }
+
+    fn plans_with_budget(&self) -> bool {
+        each!(self, o => o.plans_with_budget())
+    }
+
+    fn starts_inside(&self) -> bool {
+        each!(self, o => o.starts_inside())
+    }
+
+    fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {
+        each!(self, o => o.default_limits(n))
+    }
+
+    fn default_cache(&self) -> usize {
+        each!(self, o => o.default_cache())
+    }
+}

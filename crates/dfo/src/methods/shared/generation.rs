@@ -1,0 +1,91 @@
+//! Asking and telling whole generations: which candidates still wait for an answer, what was best.
+
+use crate::error::Error;
+use crate::method_interface::interface::Batch;
+use crate::methods::shared::cost::Cost;
+use crate::methods::shared::ranked_points::RankedPoints;
+use crate::outcome::answer::{Answers, Best};
+use serde::{Deserialize, Serialize};
+
+/// The bookkeeping of a method whose batches are the candidates that have no cost yet.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub(crate) struct GenerationInProgress {
+    n_batches: u64,
+    n_points: u64,
+    /// The candidate behind each point of the last batch.
+    roles: Vec<usize>,
+    waiting: bool,
+    best: Best,
+}
+
+impl GenerationInProgress {
+    pub(crate) fn with_capacity(candidates: usize) -> Self {
+        Self { roles: Vec::with_capacity(candidates), ..Self::default() }
+    }
+
+    /// A batch without points: the method has ended.
+    pub(crate) fn ask_nothing(&mut self, batch: &mut Batch, n_user: usize) {
+        batch.start(n_user, self.n_batches, self.n_points);
+        self.roles.clear();
+        self.waiting = false;
+    }
+
+    /// Asks for all candidates without a cost.
+    pub(crate) fn ask(
+        &mut self,
+        batch: &mut Batch,
+        n_user: usize,
+        candidates: &RankedPoints,
+        cutoff: impl Fn(usize) -> f64,
+    ) {
+        self.ask_nothing(batch, n_user);
+        for slot in 0..candidates.len() {
+            if candidates.cost(slot) == Cost::Pending {
+                batch.push(candidates.x(slot), cutoff(slot));
+                self.roles.push(slot);
+            }
+        }
+        self.waiting = !self.roles.is_empty();
+    }
+
+    /// Takes outcomes; says whether all candidates have a cost now.
+    pub(crate) fn tell(&mut self, answers: &Answers, candidates: &mut RankedPoints) -> Result<bool, Error> {
+        let (asked, outcomes) = (self.roles.len(), answers.outcomes());
+        if !self.waiting {
+            return Err(Error::TellWithoutAsk);
+        }
+        if outcomes.len() > asked {
+            return Err(Error::TooManyOutcomes { asked, told: outcomes.len() });
+        }
+        self.waiting = false;
+        self.n_batches += 1;
+        self.n_points += asked as u64;
+        for (k, outcome) in outcomes.iter().enumerate().filter(|(_, o)| o.is_known()) {
+            let slot = self.roles[k];
+            // What was given up above the target's cost is no candidate, like what failed.
+            candidates.set_cost(slot, Cost::of(outcome));
+            let Some(value) = outcome.value() else { continue };
+            self.best.offer(candidates.x(slot), value);
+        }
+        Ok(!candidates.is_pending())
+    }
+
+    /// The place of a candidate in the last batch.
+    pub(crate) fn place_of(&self, slot: usize) -> Option<usize> {
+        self.roles.binary_search(&slot).ok()
+    }
+
+    /// Batches and points told so far.
+    pub(crate) fn counts(&self) -> (u64, u64) {
+        (self.n_batches, self.n_points)
+    }
+
+    pub(crate) fn best(&self) -> Option<(&[f64], f64)> {
+        self.best.get()
+    }
+
+    /// True if this fits to these candidates: what comes from a file may not.
+    pub(crate) fn is_sound(&self, n_user: usize) -> bool {
+        self.best.is_sound(n_user)
+    }
+}

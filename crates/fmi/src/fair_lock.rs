@@ -1,0 +1,207 @@
+//! The lock of a loaded library: one thread at a time, first come, first served.
+
+use std::collections::VecDeque;
+use std::fmt;
+use std::marker::PhantomData;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::{self, ThreadId};
+use std::time::Duration;
+
+/// Time between two checks of a waiting thread for whether it is to go on waiting.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
+
+type Task = Box<dyn FnOnce() + Send>;
+
+/// Lets one thread in at a time. A thread that is in may enter again: its turns end in any order, the last
+/// one lets others in.
+#[derive(Default)]
+pub(crate) struct FairLock {
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+#[derive(Default)]
+struct State {
+    /// Who is in, and how many turns it has.
+    owner: Option<ThreadId>,
+    turns: usize,
+    /// Those who wait, by the numbers of their coming.
+    waiting: VecDeque<u64>,
+    last_number: u64,
+    /// Tasks left by other threads for the thread that is in.
+    left: Vec<Task>,
+}
+
+impl fmt::Debug for FairLock {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Gate")
+    }
+}
+
+impl FairLock {
+    /// Enters as soon as nobody else is in.
+    pub(crate) fn enter(self: &Arc<Self>) -> Turn {
+        match self.enter_while(&mut || true) {
+            Some(turn) => turn,
+            None => unreachable!("it waits for as long as it takes"),
+        }
+    }
+
+    /// The same, as long as `wait` (asked every 20 ms while others are in) says so.
+    pub(crate) fn enter_while(self: &Arc<Self>, wait: &mut dyn FnMut() -> bool) -> Option<Turn> {
+        let me = thread::current().id();
+        let mut state = self.state();
+        if state.owner != Some(me) && (state.owner.is_some() || !state.waiting.is_empty()) {
+            state.last_number += 1;
+            let number = state.last_number;
+            state.waiting.push_back(number);
+            // Also where `wait` panics.
+            let _waiting = Waiting { gate: self, number };
+            loop {
+                let is_next = |state: &State| state.owner.is_none() && state.waiting.front() == Some(&number);
+                state = match self.changed.wait_timeout_while(state, POLL_INTERVAL, |state| !is_next(state)) {
+                    Ok((state, _)) => state,
+                    Err(poisoned) => poisoned.into_inner().0,
+                };
+                if is_next(&state) {
+                    break;
+                }
+                drop(state);
+                if !wait() {
+                    return None;
+                }
+                state = self.state();
+            }
+            state.owner = Some(me);
+            state.turns = 1;
+            drop(state);
+        } else {
+            state.owner = Some(me);
+            state.turns += 1;
+        }
+        Some(Turn { gate: Arc::clone(self), _of_thread: PhantomData })
+    }
+
+    /// Does something inside: now if nobody else is in, else it is done by the thread that is, at its end.
+    /// Waits for nobody.
+    pub(crate) fn when_free(self: &Arc<Self>, task: impl FnOnce() + Send + 'static) {
+        let mut state = self.state();
+        let me = thread::current().id();
+        if state.owner.is_some_and(|owner| owner != me) {
+            state.left.push(Box::new(task));
+            return;
+        }
+        state.owner = Some(me);
+        state.turns += 1;
+        drop(state);
+        let _turn = Turn { gate: Arc::clone(self), _of_thread: PhantomData };
+        task();
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// A place among those who wait.
+struct Waiting<'a> {
+    gate: &'a FairLock,
+    number: u64,
+}
+
+impl Drop for Waiting<'_> {
+    fn drop(&mut self) {
+        self.gate.state().waiting.retain(|number| *number != self.number);
+        self.gate.changed.notify_all();
+    }
+}
+
+/// A turn of this thread.
+pub(crate) struct Turn {
+    gate: Arc<FairLock>,
+    _of_thread: PhantomData<*const ()>,
+}
+
+impl Drop for Turn {
+    fn drop(&mut self) {
+        loop {
+            let mut state = self.gate.state();
+            if state.turns > 1 || state.left.is_empty() {
+                state.turns -= 1;
+                if state.turns == 0 {
+                    state.owner = None;
+                    if !state.waiting.is_empty() {
+                        self.gate.changed.notify_all();
+                    }
+                }
+                return;
+            }
+            let left = std::mem::take(&mut state.left);
+            drop(state);
+            left.into_iter().for_each(|task| task());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use std::sync::atomic::{AtomicU64, Ordering};
+    use std::sync::mpsc;
+
+    #[test]
+    fn one_thread_is_in_and_may_enter_again() {
+        let (gate, inside) = (Arc::new(FairLock::default()), AtomicU64::new(0));
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                scope.spawn(|| {
+                    for _ in 0..1000 {
+                        let _turn = gate.enter();
+                        let _again = gate.enter();
+                        assert_eq!(inside.fetch_add(1, Ordering::SeqCst), 0);
+                        inside.fetch_sub(1, Ordering::SeqCst);
+                    }
+                });
+            }
+        });
+    }
+
+    #[test]
+    fn a_thread_that_waits_may_give_up_and_what_it_leaves_is_done() {
+        let gate = Arc::new(FairLock::default());
+        let turn = gate.enter();
+        let (done, seen) = mpsc::channel();
+        std::thread::scope(|scope| {
+            let other = scope.spawn(|| {
+                assert!(gate.enter_while(&mut || false).is_none());
+                gate.when_free(move || done.send(()).unwrap());
+            });
+            other.join().unwrap();
+            assert!(seen.try_recv().is_err());
+            drop(turn);
+            seen.try_recv().unwrap();
+            scope.spawn(|| drop(gate.enter()));
+        });
+        gate.when_free(|| ());
+        assert!(gate.state().owner.is_none() && gate.state().waiting.is_empty());
+    }
+
+    /// Who leaves and comes again at once does so behind those who wait.
+    #[test]
+    fn nobody_is_kept_out_by_a_thread_that_comes_again_and_again() {
+        let gate = Arc::new(FairLock::default());
+        let turn = gate.enter();
+        std::thread::scope(|scope| {
+            let other = scope.spawn(|| drop(gate.enter()));
+            while gate.state().waiting.is_empty() {
+                std::thread::yield_now();
+            }
+            drop(turn);
+            // Behind the other one, which has been in when this returns.
+            drop(gate.enter());
+            assert!(gate.state().last_number >= 1);
+            other.join().unwrap();
+        });
+    }
+}

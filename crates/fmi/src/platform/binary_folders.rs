@@ -1,0 +1,64 @@
+//! Names of shared libraries, and of the folders of an FMU that hold them, on this platform.
+
+use super::binary::Machine;
+use std::env;
+
+/// Extension of shared libraries on this platform, without the dot: `so`, `dll`, `dylib`.
+pub const LIBRARY_EXTENSION: &str = env::consts::DLL_EXTENSION;
+
+/// Naming scheme of the folders of `binaries/`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FolderNames {
+    /// `linux64` (FMI 1.0 and 2.0).
+    SystemAndBits,
+    /// `x86_64-linux` (FMI 3.0).
+    ProcessorAndSystem,
+}
+
+/// Folders of `binaries/` that may hold a library for this platform, the best first.
+///
+/// FMI 1.0 and 2.0 name them `linux64`, `win64`, `darwin64` and know no processor but x86; FMUs for ARM use
+/// FMI 3.0's names, or put an ARM library into the x86 folder, so both are looked at and
+/// [`BinaryHeader::runs_here`](super::BinaryHeader::runs_here) decides.
+pub fn binary_folders(names: FolderNames) -> Vec<String> {
+    let modern = format!("{}-{}", modern_processor(), modern_system());
+    let classic = format!("{}{}", classic_system(), usize::BITS);
+    let is_x86 = matches!(Machine::host(), Machine::X86 | Machine::X86_64);
+    let classic_first = names == FolderNames::SystemAndBits && is_x86;
+    if classic_first { vec![classic, modern] } else { vec![modern, classic] }
+}
+
+fn modern_processor() -> &'static str {
+    env::consts::ARCH
+}
+
+fn modern_system() -> &'static str {
+    match env::consts::OS {
+        "macos" => "darwin",
+        other => other,
+    }
+}
+
+fn classic_system() -> &'static str {
+    match env::consts::OS {
+        "windows" => "win",
+        "macos" => "darwin",
+        other => other,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_classic_folder_comes_first_on_x86_only() {
+        let two = binary_folders(FolderNames::SystemAndBits);
+        let three = binary_folders(FolderNames::ProcessorAndSystem);
+        assert_eq!(two.len(), 2);
+        if Machine::host() == Machine::X86_64 && cfg!(target_os = "linux") {
+            assert_eq!(two, ["linux64", "x86_64-linux"]);
+            assert_eq!(three, ["x86_64-linux", "linux64"]);
+        }
+    }
+}

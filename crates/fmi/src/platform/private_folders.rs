@@ -1,0 +1,145 @@
+//! Folders of this library: caches, and private ones that nobody else may write into.
+
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::{env, io};
+
+/// Folder under which private unpack folders are made.
+///
+/// Some FMUs cannot live in a path with spaces, braces or letters beyond ASCII, because they paste it into
+/// a URI or a format string; then another folder for temporary files is preferred, if there is one.
+pub(crate) fn unpack_base() -> PathBuf {
+    let usual = env::temp_dir();
+    let others = if cfg!(unix) { &["/tmp", "/var/tmp"][..] } else { &[] };
+    if is_plain(&usual) {
+        return usual;
+    }
+    others.iter().map(PathBuf::from).find(|path| path.is_dir()).unwrap_or(usual)
+}
+
+fn is_plain(path: &Path) -> bool {
+    path.to_str()
+        .is_some_and(|text| text.chars().all(|c| c.is_ascii_alphanumeric() || "/\\:._-~+,=@".contains(c)))
+}
+
+/// Folder for files worth keeping between runs: `FMUFIT_CACHE` if set, else where the system keeps caches
+/// of a user. `None` where nothing says who the user is.
+pub(crate) fn cache_folder() -> Option<PathBuf> {
+    if let Some(folder) = absolute_from("FMUFIT_CACHE") {
+        return Some(folder);
+    }
+    let users = if cfg!(windows) {
+        absolute_from("LOCALAPPDATA")
+    } else if cfg!(target_vendor = "apple") {
+        absolute_from("HOME").map(|home| home.join("Library").join("Caches"))
+    } else {
+        absolute_from("XDG_CACHE_HOME").or_else(|| absolute_from("HOME").map(|home| home.join(".cache")))
+    };
+    users.map(|folder| folder.join("fmufit"))
+}
+
+/// A folder named by an environment variable; relative ones are ignored, as the XDG specification asks.
+fn absolute_from(variable: &str) -> Option<PathBuf> {
+    env::var_os(variable).map(PathBuf::from).filter(|path| path.is_absolute())
+}
+
+/// Where caches go if they cannot go into [`cache_folder`].
+pub(crate) fn fallback_cache_folder() -> PathBuf {
+    unpack_base().join("fmufit-cache")
+}
+
+/// Creates a folder that only its owner may write into, and refuses one that is there and is not such.
+/// Libraries are loaded from it, and folders for temporary files are open to everybody.
+pub(crate) fn create_private_folder(path: &Path) -> io::Result<()> {
+    let mut builder = fs::DirBuilder::new();
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+    match builder.create(path) {
+        Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(error),
+        _ => {}
+    }
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        let found = fs::symlink_metadata(path)?;
+        let own = own_file()?.metadata()?.uid();
+        if !found.is_dir() || found.uid() != own || found.mode() & 0o022 != 0 {
+            return Err(io::Error::new(io::ErrorKind::PermissionDenied, "others may write into it"));
+        }
+    }
+    Ok(())
+}
+
+/// A file of this user, without a name.
+pub(crate) fn own_file() -> io::Result<File> {
+    tempfile::tempfile()
+}
+
+/// Takes the right to write into a folder from the user's group, and refuses a folder that everybody may
+/// write into or that belongs to somebody else than `own`, a file of this user: others may have put something
+/// there.
+pub(crate) fn keep_others_out(folder: &Path, own: &File) -> io::Result<()> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::{MetadataExt, PermissionsExt};
+        let found = folder.metadata()?;
+        if found.uid() != own.metadata()?.uid() || found.mode() & 0o002 != 0 {
+            return Err(io::Error::new(io::ErrorKind::PermissionDenied, "others may write into it"));
+        }
+        if found.mode() & 0o020 != 0 {
+            fs::set_permissions(folder, fs::Permissions::from_mode(found.mode() & 0o7755))?;
+        }
+    }
+    #[cfg(not(unix))]
+    let _ = (folder, own);
+    Ok(())
+}
+
+/// A text without the places of private folders of this library, which differ from process to process: paths
+/// of files in them begin inside of the FMU.
+pub fn without_private_folders(text: &str) -> String {
+    let base = unpack_base().join(PRIVATE_PREFIX).display().to_string();
+    let mut out = String::with_capacity(text.len());
+    let mut rest = text;
+    while let Some(at) = rest.find(&base) {
+        let after = &rest[at + base.len()..];
+        let name = after.find(|c: char| !c.is_ascii_alphanumeric()).unwrap_or(after.len());
+        let Some(inside) = after[name..].strip_prefix(PRIVATE_INSIDE) else {
+            out.push_str(&rest[..at + base.len()]);
+            rest = after;
+            continue;
+        };
+        out.push_str(&rest[..at]);
+        rest = inside;
+    }
+    out + rest
+}
+
+/// Prefix of the names of private folders.
+pub(crate) const PRIVATE_PREFIX: &str = "fmufit-unpacked-";
+/// Path between the name of a private folder and its content.
+const PRIVATE_INSIDE: &str = "/fmu/";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn private_folders_are_no_part_of_a_reason() {
+        let base = unpack_base();
+        let base = base.display();
+        let text = format!(
+            "cannot open {base}/fmufit-unpacked-Ab12Cd/fmu/resources/a.txt or {base}/fmufit-unpacked-9/x, {base}/fmufit-"
+        );
+        let wanted = format!("cannot open resources/a.txt or {base}/fmufit-unpacked-9/x, {base}/fmufit-");
+        assert_eq!(without_private_folders(&text), wanted);
+    }
+
+    #[test]
+    fn paths_that_upset_fmus_are_recognised() {
+        assert!(is_plain(Path::new("/tmp/a-b_c.d")));
+        for bad in ["/tmp/a b", "/tmp/{a}", "/tmp/\u{e4}", "/tmp/a%20b"] {
+            assert!(!is_plain(Path::new(bad)), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,211 @@
+//! One input as a table: linear between its rows or held from one to the next, and the instants where it is
+//! not smooth.
+
+use crate::description::VariableKind;
+use crate::instance::integer_codec;
+use ode::InputStop;
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// A column with its rows.
+#[derive(Debug, Clone)]
+pub(crate) struct InputTable {
+    pub(crate) times: Arc<[f64]>,
+    pub(crate) values: Arc<[f64]>,
+}
+
+impl InputTable {
+    /// The column with all values multiplied.
+    pub(crate) fn times(self, factor: f64) -> Self {
+        if factor == 1.0 {
+            return self;
+        }
+        Self { values: self.values.iter().map(|value| factor * value).collect(), ..self }
+    }
+
+    /// The column with 0 and 1 exchanged.
+    pub(crate) fn flipped(self) -> Self {
+        Self { values: self.values.iter().map(|value| 1.0 - value).collect(), ..self }
+    }
+
+    /// Where the piecewise linear function jumps or changes its slope.
+    pub(crate) fn linear_stops(&self, time_tolerance: f64, stops: &mut Vec<InputStop>) {
+        let (times, values) = (&self.times, &self.values);
+        // Slope and rounding error of the slope left of the present row; before the first row the value is held.
+        let mut slope = (0.0, 0.0);
+        let mut row = 0;
+        while row < times.len() {
+            let time = times[row];
+            let mut last = row;
+            while last + 1 < times.len() && times[last + 1] - time <= time_tolerance {
+                last += 1;
+            }
+            let next = if last + 1 < times.len() {
+                let dt = times[last + 1] - times[last];
+                let (a, b) = (values[last], values[last + 1]);
+                ((b - a) / dt, f64::EPSILON * (a.abs() + b.abs() + (b - a).abs() * (time.abs() / dt)) / dt)
+            } else {
+                (0.0, 0.0)
+            };
+            let jump = values[row..=last].iter().any(|v| *v != values[row]);
+            let kink = (next.0 - slope.0).abs() > 4.0 * (next.1 + slope.1);
+            if jump || kink {
+                stops.push(InputStop { time: times[last], jump });
+            }
+            slope = next;
+            row = last + 1;
+        }
+    }
+
+    /// Where the held value changes.
+    pub(crate) fn held_stops(&self, stops: &mut Vec<InputStop>) {
+        for row in 1..self.times.len() {
+            if self.values[row] != self.values[row - 1] {
+                stops.push(InputStop { time: self.times[row], jump: true });
+            }
+        }
+    }
+
+    /// Moves rows that are within `time_tolerance` of one of the instants onto it.
+    pub(crate) fn snap(&mut self, instants: &[f64], time_tolerance: f64) {
+        let target = |time: f64| {
+            let at = instants.partition_point(|instant| *instant < time - time_tolerance);
+            instants
+                .get(at)
+                .copied()
+                .filter(|instant| (instant - time).abs() <= time_tolerance)
+                .unwrap_or(time)
+        };
+        if self.times.iter().any(|time| target(*time) != *time) {
+            self.times = self.times.iter().map(|time| target(*time)).collect();
+        }
+    }
+
+    /// Value of the linear interpolant at `t`; `left`: the limit from the left. `cursor` remembers the place.
+    pub(crate) fn linear(&self, t: f64, left: bool, cursor: &mut usize) -> f64 {
+        let (times, values) = (&*self.times, &*self.values);
+        let passed = |row: f64| if left { row < t } else { row <= t };
+        let fits = |k: usize| (k == 0 || passed(times[k - 1])) && (k == times.len() || !passed(times[k]));
+        let mut k = *cursor;
+        if !fits(k) {
+            k = if k < times.len() && fits(k + 1) {
+                k + 1
+            } else {
+                times.partition_point(|row| passed(*row))
+            };
+            *cursor = k;
+        }
+        if k == 0 {
+            return values[0];
+        }
+        let (t0, v0) = (times[k - 1], values[k - 1]);
+        match (times.get(k), values.get(k)) {
+            (Some(&t1), Some(&v1)) if t < t1 => v0 + (v1 - v0) * ((t - t0) / (t1 - t0)),
+            (Some(_), Some(&v1)) => v1,
+            _ => v0,
+        }
+    }
+
+    /// Value held from `t` on.
+    pub(crate) fn held(&self, t: f64) -> f64 {
+        let rows = self.times.partition_point(|row| *row <= t);
+        self.values[rows.max(1) - 1]
+    }
+}
+
+/// A column that is held from row to row, as what inputs of any type take.
+#[derive(Debug, Clone)]
+pub(crate) struct HeldTable {
+    /// The values, or where these may be more than a double can hold, numbers that stand for them.
+    pub(crate) column: InputTable,
+    words: Option<Arc<[i64]>>,
+}
+
+impl From<InputTable> for HeldTable {
+    fn from(column: InputTable) -> Self {
+        Self { column, words: None }
+    }
+}
+
+impl HeldTable {
+    /// The column of words, one for each time.
+    pub(crate) fn of_words(times: &Arc<[f64]>, words: &[i64]) -> Self {
+        let mut numbers: HashMap<i64, f64> = HashMap::new();
+        let mut known: Vec<i64> = Vec::new();
+        let values = words.iter().map(|word| {
+            *numbers.entry(*word).or_insert_with(|| {
+                known.push(*word);
+                (known.len() - 1) as f64
+            })
+        });
+        let column = InputTable { values: values.collect(), times: Arc::clone(times) };
+        Self { column, words: Some(known.into()) }
+    }
+
+    /// The column of a variable of this kind that has the opposite values.
+    pub(crate) fn negated(self, kind: VariableKind) -> Self {
+        let Self { column, words } = self;
+        match (words, kind) {
+            (Some(words), _) => {
+                Self { column, words: Some(words.iter().map(|word| word.wrapping_neg()).collect()) }
+            }
+            (None, VariableKind::Boolean) => column.flipped().into(),
+            (None, _) => column.times(-1.0).into(),
+        }
+    }
+
+    /// The word from `t` on, of a variable of this kind.
+    pub(crate) fn word(&self, kind: VariableKind, t: f64) -> i64 {
+        let value = self.column.held(t);
+        let word = match &self.words {
+            Some(words) => words.get(value as usize).copied(),
+            None => integer_codec::word_of_number(kind, value),
+        };
+        word.unwrap_or_default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn column(times: &[f64], values: &[f64]) -> InputTable {
+        InputTable { times: times.into(), values: values.into() }
+    }
+
+    fn stops_of(column: &InputTable) -> Vec<(f64, bool)> {
+        let mut stops = Vec::new();
+        column.linear_stops(1e-14, &mut stops);
+        stops.into_iter().map(|stop| (stop.time, stop.jump)).collect()
+    }
+
+    #[test]
+    fn linear_between_rows_and_held_outside() {
+        let c = column(&[1.0, 2.0, 4.0], &[10.0, 20.0, 0.0]);
+        let mut cursor = 0;
+        for (t, value) in
+            [(0.0, 10.0), (1.0, 10.0), (1.5, 15.0), (3.0, 10.0), (4.0, 0.0), (9.0, 0.0), (1.25, 12.5)]
+        {
+            assert_eq!(c.linear(t, false, &mut cursor), value, "t = {t}");
+            assert_eq!(c.linear(t, true, &mut cursor), value, "t = {t}");
+        }
+    }
+
+    #[test]
+    fn a_time_listed_twice_has_two_limits() {
+        let c = column(&[0.0, 1.0, 1.0, 2.0], &[0.0, 1.0, 5.0, 5.0]);
+        let mut cursor = 0;
+        assert_eq!(c.linear(1.0, true, &mut cursor), 1.0);
+        assert_eq!(c.linear(1.0, false, &mut cursor), 5.0);
+        assert_eq!(stops_of(&c), [(0.0, false), (1.0, true)]);
+    }
+
+    #[test]
+    fn only_changes_of_slope_are_kinks() {
+        let times: Vec<f64> = (0..100).map(|k| 0.1 * f64::from(k)).collect();
+        let ramp: Vec<f64> = times.iter().map(|t| 3.0 - 0.7 * t).collect();
+        assert_eq!(stops_of(&column(&times, &ramp)), [(0.0, false), (times[99], false)]);
+        let bent: Vec<f64> = times.iter().map(|t| (t - 5.0).max(0.0)).collect();
+        assert_eq!(stops_of(&column(&times, &bent)), [(times[50], false), (times[99], false)]);
+    }
+}

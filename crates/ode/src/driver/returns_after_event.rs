@@ -1,0 +1,213 @@
+//! Indicators that come back to zero within the first step after their event, as those of a body that bounces
+//! less and less do, or of one that its event leaves outside of the domain.
+
+use super::run::{Run, Space, Step, no_retreat, read_indicators};
+use super::trial::{Inside, Return, Shrink};
+use crate::error::ErrorKind;
+use crate::event::SLOPE_STEP;
+use crate::observer::Observer;
+use crate::options::ChatteringPolicy;
+use crate::stepper::{Equations, Stepper, Trial};
+use crate::system::{CallError, CallResult, HybridSystem};
+
+/// Slopes of indicators are told from rounding within this share of the span.
+const SLOPE_REACH: f64 = 1e-3;
+
+/// Steps of so many times what tells two instants apart are long enough to show whether an indicator goes on.
+const RESOLVED: f64 = 100.0;
+
+impl<S, M, O> Run<'_, S, M, O>
+where
+    S: HybridSystem + ?Sized,
+    M: Stepper,
+    O: Observer + ?Sized,
+{
+    /// Looks for such an indicator in the trial of size `h`. The slopes at its start decide; most often one
+    /// evaluation of the indicators shows that those next to zero just go on. Those that slide are left to
+    /// the end of the step.
+    pub(super) fn look_for_return(&mut self, end: f64, h: f64, ready: &mut bool) -> CallResult<Return> {
+        if self.space.x.is_empty() || !self.space.domains.any_may_return() {
+            return Ok(Return::Nothing);
+        }
+        self.find_slopes(end, h, ready)?;
+        let mut first = f64::INFINITY;
+        for i in 0..self.space.domains.len() {
+            match self.follow(i, end, h, ready)? {
+                Return::Nothing => {}
+                _ if self.space.domains.slides(i) => {}
+                Return::Found(at) => first = first.min(at),
+                unseen @ Return::Unseen { .. } => return Ok(unseen),
+            }
+        }
+        Ok(if first.is_finite() { Return::Found(first) } else { Return::Nothing })
+    }
+
+    /// The slopes of the indicators that may have come back in the trial.
+    fn find_slopes(&mut self, end: f64, h: f64, ready: &mut bool) -> CallResult<()> {
+        // With a mass matrix the right-hand side is not the slope of the states.
+        let follows_trial = self.system.mass_matrix().is_some();
+        if follows_trial {
+            self.make_ready(end, h, ready)?;
+        }
+        let far = if follows_trial { h } else { self.end - self.t };
+        let reach = far.min(h.max(SLOPE_REACH * (self.end - self.start)));
+        let Space { x, x_mid, domains, .. } = &mut *self.space;
+        let trial = Trial { t: self.t, end, h, x };
+        let (stepper, system) = (&*self.stepper, &mut *self.system);
+        let count = &mut self.stats.event_indicators;
+        domains.find_slopes(h, reach, |s, z| {
+            *count += 1;
+            let (at, s) = later(trial.t, s);
+            if follows_trial {
+                stepper.interpolate(trial, s / h, x_mid);
+            } else {
+                move_along(x_mid, s, trial.x, stepper.derivative());
+            }
+            read_indicators(system, at, x_mid, z)
+        })
+    }
+
+    /// An indicator that bounces, and whose crossing, as located, the right-hand side there contradicts:
+    /// positions and speeds have come to differ by more than bounces so small can stand, by rounding or
+    /// within the tolerance.
+    pub(super) fn contradiction(&mut self, at: f64) -> CallResult<Option<usize>> {
+        let h = at - self.t;
+        let reach = h.max(SLOPE_REACH * (self.end - self.start));
+        for i in 0..self.space.domains.len() {
+            // With a mass matrix the right-hand side is not the slope of the states.
+            if !self.space.domains.crosses_in_bounces(i) || self.system.mass_matrix().is_some() {
+                continue;
+            }
+            let Space { x_new, x_mid, slope, weights, domains, .. } = &mut *self.space;
+            let mut equations = Equations { system: &mut *self.system, weights, stats: &mut self.stats };
+            equations.derivatives(at, x_new, slope)?;
+            let (system, count) = (&mut *self.system, &mut self.stats.event_indicators);
+            let z = domains.end[i];
+            let found = domains.slope_along(i, z, SLOPE_STEP * h, reach, &mut |s, z: &mut [f64]| {
+                *count += 1;
+                let (at, s) = later(at, s);
+                move_along(x_mid, s, x_new, slope);
+                read_indicators(system, at, x_mid, z)
+            })?;
+            if domains.contradicts(i, found) {
+                return Ok(Some(i));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Follows such an indicator to where parabolas through its value and slope at the start turn, nearer and
+    /// nearer to the start, until it is in the other domain.
+    fn follow(&mut self, i: usize, end: f64, h: f64, ready: &mut bool) -> CallResult<Return> {
+        let Some(slope) = self.space.domains.slope(i) else { return Ok(Return::Nothing) };
+        if let Some(step) = self.space.domains.step_of_slope(i, h) {
+            let shorter =
+                Some(step).filter(|step| self.fixed_step.is_none() && *step > RESOLVED * self.time_tolerance);
+            let lost = self.space.domains.is_lost(i);
+            return Ok(if lost { Return::Unseen { indicator: i, shorter } } else { Return::Nothing });
+        }
+        let is_inside = |turn: f64, s: f64| turn > 0.0 && turn < 0.99 * s;
+        let mut shorter = None;
+        if slope != 0.0 {
+            let (mut s, z_end) = (h, self.space.domains.end[i]);
+            let (mut turn, top) = self.space.domains.turn(i, s, z_end);
+            let helps =
+                self.fixed_step.is_none() && turn > self.time_tolerance && self.space.domains.leaves(i, top);
+            shorter = helps.then_some(turn).filter(|turn| is_inside(*turn, h));
+            while is_inside(turn, s) && self.t + turn > self.t {
+                self.make_ready(end, h, ready)?;
+                let Space { x, x_mid, domains, .. } = &mut *self.space;
+                let at = self.t + turn;
+                // The very point that is looked at again.
+                self.stepper.interpolate(Trial { t: self.t, end, h, x }, (at - self.t) / h, x_mid);
+                self.stats.event_indicators += 1;
+                let z = domains.value_at(i, |z| read_indicators(self.system, at, x_mid, z))?;
+                if domains.leaves(i, z) {
+                    return Ok(Return::Found(at));
+                }
+                s = turn;
+                (turn, _) = domains.turn(i, s, z);
+            }
+        }
+        let lost = self.space.domains.is_lost(i);
+        Ok(if lost { Return::Unseen { indicator: i, shorter } } else { Return::Nothing })
+    }
+
+    /// A trial of size `h` in which an indicator came back unseen: a shorter one, or the answer to
+    /// chattering.
+    pub(super) fn unseen(&mut self, indicator: usize, shorter: Option<f64>, h: f64) -> Step<Inside> {
+        self.stepper.refused(h);
+        let h = match shorter {
+            Some(h) => h,
+            None if self.options.chattering == ChatteringPolicy::Slide && self.fixed_step.is_none() => {
+                self.space.domains.slide(indicator);
+                self.stats.chattering += 1;
+                self.sliding.begin()
+            }
+            None => return Err(ErrorKind::EventsAccumulate { indicator }.into()),
+        };
+        Ok(Inside::Again { h, why: Shrink::Returned })
+    }
+
+    /// After an event while indicators slide: where it has left one beyond zero, and has not let it pass, the
+    /// states are moved to where it is zero, by as little as possible beside their sizes. `true`: some were.
+    pub(super) fn hold_at_zero(&mut self) -> Step<bool> {
+        let mut moved = false;
+        for i in 0..self.space.domains.len() {
+            if self.space.domains.is_behind(i) {
+                match self.move_to_zero(i) {
+                    Ok(has_moved) => moved |= has_moved,
+                    Err(CallError::Discard) => {}
+                    Err(failed) => return Err(no_retreat(failed)),
+                }
+            }
+        }
+        Ok(moved)
+    }
+
+    /// One step of Newton's method. `false`: the event has let the indicator pass, which slides no more.
+    fn move_to_zero(&mut self, i: usize) -> CallResult<bool> {
+        let Space { x, x_mid, x_new: gradient, slope: before, weights, domains, .. } = &mut *self.space;
+        let (z0, t, step) = (domains.base[i], self.t, self.sliding.usual());
+        self.stats.event_indicators += 4 + x.len() as u64;
+        let mut slope_along = |dx: &[f64]| {
+            let mut change = |s: f64| {
+                let (at, s) = later(t, s);
+                move_along(x_mid, s, x, dx);
+                domains.value_at(i, |z| read_indicators(self.system, at, x_mid, z)).map(|z| z - z0)
+            };
+            Ok((4.0 * change(0.5 * step)? - change(step)?) / step)
+        };
+        let (after, before) = (slope_along(self.stepper.derivative())?, slope_along(before)?);
+        if domains.passes(i, after, before) {
+            domains.release(i);
+            return Ok(false);
+        }
+        let mut sum = 0.0;
+        for k in 0..x.len() {
+            x_mid.copy_from_slice(x);
+            x_mid[k] += f64::EPSILON.sqrt() * x[k].abs().max(weights.scale(k));
+            let z = domains.value_at(i, |z| read_indicators(self.system, t, x_mid, z))?;
+            let derivative = (z - z0) / (x_mid[k] - x[k]);
+            gradient[k] = derivative * weights.scale(k) * weights.scale(k);
+            sum += derivative * gradient[k];
+        }
+        if sum > 0.0 {
+            let back = z0 - domains.next_to_zero(i, z0);
+            x.iter_mut().zip(&*gradient).for_each(|(x, g)| *x -= back * g / sum);
+        }
+        Ok(true)
+    }
+}
+
+/// The time `s` after `t`, and how much later that is: far from zero times are coarse.
+fn later(t: f64, s: f64) -> (f64, f64) {
+    (t + s, t + s - t)
+}
+
+/// Where `x` is after the time `s` if it moves on as it does now.
+fn move_along(to: &mut [f64], s: f64, x: &[f64], dx: &[f64]) {
+    for ((to, x), d) in to.iter_mut().zip(x).zip(dx) {
+        *to = x + s * d;
+    }
+}

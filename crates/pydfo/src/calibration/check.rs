@@ -1,0 +1,22 @@
+//! The check of model, recordings and parameters.
+
+use crate::calibration::calibration_class::PyCalibration;
+use crate::convert::object;
+use crate::convert::record::time_limit;
+use calibration::CheckOptions;
+use pyo3::prelude::*;
+
+/// The findings of a check, the same as a table, how many evaluations were made, and whether there are notes
+/// only.
+#[pyfunction]
+pub(crate) fn check<'py>(
+    py: Python<'py>,
+    calibration: &PyCalibration,
+    simulate: bool,
+    max_time: Option<f64>,
+) -> PyResult<(Bound<'py, PyAny>, String, usize, bool)> {
+    let options = CheckOptions { simulate, max_time: time_limit("max_time", max_time)? };
+    let check = calibration.shared.compute(py, move |c, context| c.check_with(&options, context))?;
+    let (table, is_ok) = (check.to_string(), check.is_ok());
+    Ok((object::to_python(py, &check.findings)?, table, check.n_evaluations, is_ok))
+}
