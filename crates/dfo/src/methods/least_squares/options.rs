@@ -17,7 +17,7 @@ pub enum StepPlan {
     /// n + 4 points: the model's best points within four radii, and the n neighbours of the first of them for
     /// its Jacobian. The fewest rounds, for as many workers or more; with fewer it takes longer than one
     /// point at a time.
-    GenerationInProgress,
+    PendingGeneration,
     /// So many points: first trial points, then neighbours.
     #[serde(untagged)]
     Points(usize),
@@ -26,7 +26,7 @@ pub enum StepPlan {
 impl<'de> Deserialize<'de> for StepPlan {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         const NAMES: [(&str, StepPlan); 2] =
-            [("serial", StepPlan::Serial), ("rounds", StepPlan::GenerationInProgress)];
+            [("serial", StepPlan::Serial), ("rounds", StepPlan::PendingGeneration)];
         let expected = "a whole number, 'serial' or 'rounds'";
         name_or_number(deserializer, expected, &NAMES, StepPlan::Points)
     }
@@ -37,7 +37,7 @@ impl StepPlan {
     pub(super) fn width(self, n: usize) -> usize {
         match self {
             Self::Serial => 1,
-            Self::GenerationInProgress => n + 4,
+            Self::PendingGeneration => n + 4,
             Self::Points(points) => points,
         }
     }
@@ -89,10 +89,10 @@ impl LeastSquares {
         self
     }
 
-    /// Evaluates n + 4 points at once ([`StepPlan::GenerationInProgress`]).
+    /// Evaluates n + 4 points at once ([`StepPlan::PendingGeneration`]).
     #[must_use]
     pub fn rounds(mut self) -> Self {
-        self.batch = StepPlan::GenerationInProgress;
+        self.batch = StepPlan::PendingGeneration;
         self
     }
 

@@ -13,7 +13,7 @@ use crate::method_interface::rng::draw_seed;
 use crate::method_interface::sampling::Sampling;
 use crate::method_interface::tolerances::ToleranceTests;
 use crate::methods::shared::cost::Cost;
-use crate::methods::shared::generation::GenerationInProgress;
+use crate::methods::shared::pending_generation::PendingGeneration;
 use crate::methods::shared::population::MAX_MEMBERS;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::outcome::answer::{Answers, Best, Want};
@@ -49,7 +49,7 @@ struct Core {
     sample: RankedPoints,
     /// The points of the sample that a search has started from.
     used: Vec<bool>,
-    rounds: GenerationInProgress,
+    rounds: PendingGeneration,
     /// Points that searches are still to start from.
     queue: Vec<Vec<f64>>,
     /// Evaluations of the exploration: planned and made.
@@ -139,7 +139,7 @@ impl MultistartState {
             phase: if explores { Phase::Exploring } else { Phase::Sampling },
             sample: RankedPoints::new(space, 0),
             used: Vec::new(),
-            rounds: GenerationInProgress::default(),
+            rounds: PendingGeneration::default(),
             queue: Vec::new(),
             n_planned: if explores { planned } else { 0 },
             n_explored: 0,

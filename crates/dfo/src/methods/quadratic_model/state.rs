@@ -11,7 +11,7 @@ use crate::method_interface::interface::{
 use crate::method_interface::tolerances::ToleranceTests;
 use crate::methods::nelder_mead::{NelderMead, SimplexSearch};
 use crate::methods::shared::cost::Cost;
-use crate::methods::shared::generation::GenerationInProgress;
+use crate::methods::shared::pending_generation::PendingGeneration;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::outcome::answer::Answers;
 use crate::outcome::termination::Termination;
@@ -51,7 +51,7 @@ pub struct ModelSearch {
     pub(super) points: RankedPoints,
     /// The point that is being tried.
     pub(super) trial: RankedPoints,
-    pub(super) rounds: GenerationInProgress,
+    pub(super) rounds: PendingGeneration,
     /// The model around the best point, displacements in units of the sizes.
     pub(super) model: Quadratic,
     /// Where it interpolates; made from the points when needed.
@@ -107,7 +107,7 @@ impl ModelSearch {
         let mut state = Self {
             points: RankedPoints::new(space, n_points),
             trial: RankedPoints::new(space, 1),
-            rounds: GenerationInProgress::with_capacity(n_points),
+            rounds: PendingGeneration::with_capacity(n_points),
             model: Quadratic::zero(n),
             interpolation: None,
             inverse: None,

@@ -8,7 +8,7 @@ use crate::method_interface::interface::{
 use crate::method_interface::sampling::Sampling;
 use crate::method_interface::tolerances::{TestedSet, ToleranceTests};
 use crate::methods::shared::cost::Cost;
-use crate::methods::shared::generation::GenerationInProgress;
+use crate::methods::shared::pending_generation::PendingGeneration;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::outcome::answer::Answers;
 use crate::outcome::termination::Termination;
@@ -113,7 +113,7 @@ pub struct Generations<B> {
     rules: B,
     pool: Populations,
     phase: Phase,
-    rounds: GenerationInProgress,
+    rounds: PendingGeneration,
     n_iterations: usize,
     tests: Option<ToleranceTests>,
     f_0: f64,
@@ -124,7 +124,7 @@ pub struct Generations<B> {
 
 impl<B: GenerationRules> Generations<B> {
     pub(crate) fn new(rules: B, pool: Populations) -> Self {
-        let rounds = GenerationInProgress::with_capacity(pool.population.len());
+        let rounds = PendingGeneration::with_capacity(pool.population.len());
         Self {
             rules,
             pool,

@@ -4,7 +4,7 @@
 pub(crate) mod cost;
 pub(crate) mod dot;
 pub(crate) mod failures;
-pub(crate) mod generation;
+pub(crate) mod pending_generation;
 pub(crate) mod generations;
 pub(crate) mod population;
 pub(crate) mod ranked_points;

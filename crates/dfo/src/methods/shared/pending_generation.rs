@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 /// The bookkeeping of a method whose batches are the candidates that have no cost yet.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
-pub(crate) struct GenerationInProgress {
+pub(crate) struct PendingGeneration {
     n_batches: u64,
     n_points: u64,
     /// The candidate behind each point of the last batch.
@@ -18,7 +18,7 @@ pub(crate) struct GenerationInProgress {
     best: Best,
 }
 
-impl GenerationInProgress {
+impl PendingGeneration {
     pub(crate) fn with_capacity(candidates: usize) -> Self {
         Self { roles: Vec::with_capacity(candidates), ..Self::default() }
     }
