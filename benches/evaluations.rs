@@ -6,7 +6,7 @@
 use fmufit::calibration::{Calibration, Data, Experiment, Parameter, RunContext, SimulationSettings};
 use fmufit::example_models::{ExampleKind, example_fmu_as};
 use fmufit::fmi::worker::Isolation;
-use fmufit::fmi::{Fmu, Kind, RunSettings};
+use fmufit::fmi::{Fmu, InterfaceChoice, RunSettings};
 use fmufit::ode::Method;
 
 /// A parameter and its start value.
@@ -16,7 +16,7 @@ type Fitted = (&'static str, f64);
 struct Case {
     model: &'static str,
     kind: ExampleKind,
-    run_as: Kind,
+    run_as: InterfaceChoice,
     rows: usize,
     interval: f64,
     /// Variables and the columns of the data they are compared with.
@@ -29,7 +29,7 @@ const FMI2: ExampleKind = ExampleKind::Fmi2ModelExchange;
 const OSCILLATOR: Case = Case {
     model: "van_der_pol",
     kind: FMI2,
-    run_as: Kind::ModelExchange,
+    run_as: InterfaceChoice::ModelExchange,
     rows: 401,
     interval: 0.05,
     outputs: &[("x0", "x0"), ("x1", "x1")],
@@ -50,7 +50,7 @@ fn case(name: &str) -> Case {
         "van_der_pol_fmi3" => Case { kind: ExampleKind::Fmi3, ..OSCILLATOR },
         "van_der_pol_co_simulation" => Case {
             kind: ExampleKind::Fmi2CoSimulation,
-            run_as: Kind::CoSimulation,
+            run_as: InterfaceChoice::CoSimulation,
             rows: 1001,
             interval: 0.02,
             ..OSCILLATOR

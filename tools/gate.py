@@ -1,5 +1,5 @@
 """Refuses what must not stand in library code: unfinished work, unchecked unwraps, unsafe outside `sys`, imports from
-higher layers, doc comments wider than the line, and tests that are never compiled.
+higher layers, doc comments wider than the line, tests that are never compiled, and names of files that are gone.
 
 Looks at every Rust source below crates/*/src and src. Test modules (from `#[cfg(test)]` to the end of the file) may
 unwrap; `unsafe` may stand only in crates/fmi/src/sys. A file in a folder tests/all is compiled only if its main.rs names it.
@@ -78,12 +78,33 @@ def questions(crate: Path) -> list[str]:
     return asked if len(asked) > MOST_QUESTIONS * n else []
 
 
+NAMED_FILE = re.compile(r"`((?:[\w.-]+/)*[\w-]+\.(?:rs|py))(?: [^`]*)?`")
+
+
+def files_that_are_gone() -> list[str]:
+    """Sources that comments and pages name, and that are not there."""
+    there = [path for path in ROOT.rglob("*") if path.suffix in (".rs", ".py") and "target" not in path.parts]
+    known = {end for path in there for end in endings(path.relative_to(ROOT).parts)}
+    found = []
+    for path in [*ROOT.glob("crates/*/*/**/*.rs"), *ROOT.glob("docs/*.md"), ROOT / "CONTRIBUTING.md", ROOT / "README.md"]:
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+            if path.suffix == ".md" or line.lstrip().startswith("//"):
+                gone = [name for name in NAMED_FILE.findall(line) if name not in known]
+                found += [f"{path.relative_to(ROOT)}:{number}: there is no {name}" for name in gone]
+    return found
+
+
+def endings(parts: tuple[str, ...]) -> list[str]:
+    """A path from each of its folders on."""
+    return ["/".join(parts[k:]) for k in range(len(parts))]
+
+
 def main() -> int:
     """Prints every finding; the exit status says whether there was one."""
     sources = sorted([*ROOT.glob("src/**/*.rs"), *ROOT.glob("crates/*/src/**/*.rs")])
     found = [line for path in sources for line in findings(path)] + layers.findings()
     found += [line for crate in sorted(ROOT.glob("crates/*")) for line in questions(crate)]
-    found += tests_left_out() + rewrap.findings()
+    found += tests_left_out() + rewrap.findings() + files_that_are_gone()
     print("\n".join(found) if found else f"gate: {len(sources)} files are clean")
     return 1 if found else 0
 

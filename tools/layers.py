@@ -20,7 +20,7 @@ LAYERS = {
         data
         problem
         cost
-        calibration
+        loaded
         check uncertainty
         fit
         intervals validation

@@ -8,13 +8,12 @@
 //!
 //! Folders, from the lowest: `data` (recordings, units, dates); `problem` (parameters, experiments, priors,
 //! settings, the fingerprint); `cost` (residuals and cost of simulations, worker processes, the choice of the
-//! solver); `loaded_problem` ([`Calibration`], simulations around a point); `check` (mistakes in a set-up),
+//! solver); `loaded` ([`Calibration`], simulations around a point); `check` (mistakes in a set-up),
 //! `uncertainty` (covariance, residual tests, active bounds, the same before a fit); `fit` (one stage,
 //! several stages); `intervals` (profiles, bands), `validation`; `report` (pages and figures), `export`
-//! (files, tables, other programs); `watch` (the page of a running fit).
+//! (files, tables, other programs); `live_page` (the page of a running fit).
 #![forbid(unsafe_code)]
 
-mod calibration;
 mod check;
 mod cost;
 mod data;
@@ -24,19 +23,17 @@ mod findings;
 mod fit;
 mod intervals;
 mod live_page;
+mod loaded;
 mod problem;
 mod report;
 mod uncertainty;
 mod validation;
 
 pub use base::RunContext;
-pub use calibration::handle::{Calibration, CalibrationBuilder};
-pub use calibration::simulations::Effort;
-pub use calibration::worker::serve_if_worker;
 pub use check::{Check, CheckOptions};
 pub use cost::process::ModelProcess;
 pub use cost::residual::quad_err;
-pub use cost::solver::Solver;
+pub use cost::solver::ChosenSolver;
 pub use cost::solver_comparison::{
     ComparedSolver, ComparisonOutcome, ComparisonTask, SolverComparison, Verdict, compare_solvers,
 };
@@ -64,6 +61,9 @@ pub use fmi;
 pub use intervals::bands::{BandOptions, PredictionBand};
 pub use intervals::profile::{ParameterProfile, Profile, ProfileEnd, ProfileOptions, ProfilePoint};
 pub use live_page::LivePage;
+pub use loaded::calibration::{Calibration, CalibrationBuilder};
+pub use loaded::simulations_around::Effort;
+pub use loaded::worker::serve_if_worker;
 pub use problem::column_units::{InputColumn, recorded_inputs};
 pub use problem::definition::{ModelFile, Problem};
 pub use problem::experiment::{Experiment, InitialState, OutputScale, Weight};
@@ -76,11 +76,11 @@ pub use problem::residual_layout::{OutputResiduals, PriorResidual, ResidualLayou
 pub use problem::settings::SimulationSettings;
 pub use problem::warning::{SETUP_LOG_TARGET, SetupWarning};
 pub use report::{ExperimentCurves, OutputCurves, Signal, plot};
-pub use uncertainty::diagnostics::omitted::{Effect, Omitted};
+pub use uncertainty::diagnostics::output_effect::{OutputEffect, OutputEffectKind};
 pub use uncertainty::diagnostics::parameter_constancy::{DataSplit, PartConflict};
 pub use uncertainty::diagnostics::prior_check::PriorConflict;
 pub use uncertainty::diagnostics::residual_check::ResidualCheck;
-pub use uncertainty::diagnostics::unmodelled::{Unmodelled, UnmodelledKind};
+pub use uncertainty::diagnostics::score_test::{Omitted, OmittedKind};
 pub use uncertainty::preflight::{ParameterCheck, Preflight, PreflightOptions};
 pub use uncertainty::result::{Estimator, Uncertainty, UncertaintyOptions};
 pub use uncertainty::stuck_parameters::BoundSide;

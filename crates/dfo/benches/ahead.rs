@@ -1,7 +1,7 @@
 //! What Nelder-Mead gains by looking ahead, by a clock of its own: several functions and starts, one
 //! evaluation in ten ten times as long. Prints the time with one worker over that with more (the median of
 //! the starts), and in brackets the most calls per evaluation of the path. Rosenbrock's function and `decay`
-//! have chosen how many guesses are under way at once (`evaluation/guesses.rs`); the others judge it.
+//! have chosen how many guesses are under way at once (`evaluation/speculative_evaluations.rs`); the others judge it.
 #![allow(clippy::print_stdout, clippy::unwrap_used, unreachable_pub)]
 
 #[path = "../tests/common/clocked.rs"]

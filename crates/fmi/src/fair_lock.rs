@@ -56,7 +56,7 @@ impl FairLock {
             let number = state.last_number;
             state.waiting.push_back(number);
             // Also where `wait` panics.
-            let _waiting = Waiting { gate: self, number };
+            let _waiting = Waiting { lock: self, number };
             loop {
                 let is_next = |state: &State| state.owner.is_none() && state.waiting.front() == Some(&number);
                 state = match self.changed.wait_timeout_while(state, POLL_INTERVAL, |state| !is_next(state)) {
@@ -79,7 +79,7 @@ impl FairLock {
             state.owner = Some(me);
             state.turns += 1;
         }
-        Some(Turn { gate: Arc::clone(self), _of_thread: PhantomData })
+        Some(Turn { lock: Arc::clone(self), _of_thread: PhantomData })
     }
 
     /// Does something inside: now if nobody else is in, else it is done by the thread that is, at its end.
@@ -94,7 +94,7 @@ impl FairLock {
         state.owner = Some(me);
         state.turns += 1;
         drop(state);
-        let _turn = Turn { gate: Arc::clone(self), _of_thread: PhantomData };
+        let _turn = Turn { lock: Arc::clone(self), _of_thread: PhantomData };
         task();
     }
 
@@ -105,33 +105,33 @@ impl FairLock {
 
 /// A place among those who wait.
 struct Waiting<'a> {
-    gate: &'a FairLock,
+    lock: &'a FairLock,
     number: u64,
 }
 
 impl Drop for Waiting<'_> {
     fn drop(&mut self) {
-        self.gate.state().waiting.retain(|number| *number != self.number);
-        self.gate.changed.notify_all();
+        self.lock.state().waiting.retain(|number| *number != self.number);
+        self.lock.changed.notify_all();
     }
 }
 
 /// A turn of this thread.
 pub(crate) struct Turn {
-    gate: Arc<FairLock>,
+    lock: Arc<FairLock>,
     _of_thread: PhantomData<*const ()>,
 }
 
 impl Drop for Turn {
     fn drop(&mut self) {
         loop {
-            let mut state = self.gate.state();
+            let mut state = self.lock.state();
             if state.turns > 1 || state.left.is_empty() {
                 state.turns -= 1;
                 if state.turns == 0 {
                     state.owner = None;
                     if !state.waiting.is_empty() {
-                        self.gate.changed.notify_all();
+                        self.lock.changed.notify_all();
                     }
                 }
                 return;
@@ -152,13 +152,13 @@ mod tests {
 
     #[test]
     fn one_thread_is_in_and_may_enter_again() {
-        let (gate, inside) = (Arc::new(FairLock::default()), AtomicU64::new(0));
+        let (lock, inside) = (Arc::new(FairLock::default()), AtomicU64::new(0));
         std::thread::scope(|scope| {
             for _ in 0..4 {
                 scope.spawn(|| {
                     for _ in 0..1000 {
-                        let _turn = gate.enter();
-                        let _again = gate.enter();
+                        let _turn = lock.enter();
+                        let _again = lock.enter();
                         assert_eq!(inside.fetch_add(1, Ordering::SeqCst), 0);
                         inside.fetch_sub(1, Ordering::SeqCst);
                     }
@@ -169,38 +169,38 @@ mod tests {
 
     #[test]
     fn a_thread_that_waits_may_give_up_and_what_it_leaves_is_done() {
-        let gate = Arc::new(FairLock::default());
-        let turn = gate.enter();
+        let lock = Arc::new(FairLock::default());
+        let turn = lock.enter();
         let (done, seen) = mpsc::channel();
         std::thread::scope(|scope| {
             let other = scope.spawn(|| {
-                assert!(gate.enter_while(&mut || false).is_none());
-                gate.when_free(move || done.send(()).unwrap());
+                assert!(lock.enter_while(&mut || false).is_none());
+                lock.when_free(move || done.send(()).unwrap());
             });
             other.join().unwrap();
             assert!(seen.try_recv().is_err());
             drop(turn);
             seen.try_recv().unwrap();
-            scope.spawn(|| drop(gate.enter()));
+            scope.spawn(|| drop(lock.enter()));
         });
-        gate.when_free(|| ());
-        assert!(gate.state().owner.is_none() && gate.state().waiting.is_empty());
+        lock.when_free(|| ());
+        assert!(lock.state().owner.is_none() && lock.state().waiting.is_empty());
     }
 
     /// Who leaves and comes again at once does so behind those who wait.
     #[test]
     fn nobody_is_kept_out_by_a_thread_that_comes_again_and_again() {
-        let gate = Arc::new(FairLock::default());
-        let turn = gate.enter();
+        let lock = Arc::new(FairLock::default());
+        let turn = lock.enter();
         std::thread::scope(|scope| {
-            let other = scope.spawn(|| drop(gate.enter()));
-            while gate.state().waiting.is_empty() {
+            let other = scope.spawn(|| drop(lock.enter()));
+            while lock.state().waiting.is_empty() {
                 std::thread::yield_now();
             }
             drop(turn);
             // Behind the other one, which has been in when this returns.
-            drop(gate.enter());
-            assert!(gate.state().last_number >= 1);
+            drop(lock.enter());
+            assert!(lock.state().last_number >= 1);
             other.join().unwrap();
         });
     }

@@ -67,7 +67,7 @@ struct Inner {
 
 /// Choice of the interface that runs a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
-pub enum Kind {
+pub enum InterfaceChoice {
     /// By model exchange where the FMU offers it, else by co-simulation.
     #[default]
     Auto,
@@ -77,7 +77,7 @@ pub enum Kind {
     CoSimulation,
 }
 
-impl std::str::FromStr for Kind {
+impl std::str::FromStr for InterfaceChoice {
     type Err = FmiError;
 
     /// `auto`, `me` or `cs`, or the names in full (`ModelExchange`, `co-simulation`), whatever the case of
@@ -86,9 +86,9 @@ impl std::str::FromStr for Kind {
         let letters =
             text.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_ascii_lowercase();
         match letters.as_str() {
-            "auto" => Ok(Kind::Auto),
-            "me" | "modelexchange" => Ok(Kind::ModelExchange),
-            "cs" | "cosimulation" => Ok(Kind::CoSimulation),
+            "auto" => Ok(InterfaceChoice::Auto),
+            "me" | "modelexchange" => Ok(InterfaceChoice::ModelExchange),
+            "cs" | "cosimulation" => Ok(InterfaceChoice::CoSimulation),
             _ => Err(FmiError::BadSetting(format!(
                 "kind = '{text}' is none of 'auto', 'ME' (ModelExchange), 'CS' (CoSimulation)"
             ))),
@@ -284,7 +284,7 @@ impl Fmu {
     /// Notes that results depend on earlier simulations in the same process, also on new instances
     /// ([`Reuse::NewProcess`]).
     pub fn note_hidden_state(&self) {
-        KINDS.iter().for_each(|kind| self.verdict(*kind).note(Reuse::NewProcess));
+        KINDS.iter().for_each(|kind| self.reset_knowledge(*kind).note(Reuse::NewProcess));
     }
 
     /// True if that was noted: each simulation is to have a process of its own.
@@ -377,17 +377,17 @@ impl Fmu {
 
     /// Way in which instances are reset, for the default interface; `None` before it was tried.
     pub fn reuse(&self) -> Option<Reuse> {
-        self.choose(Kind::Auto).ok().and_then(|kind| self.reuse_of(kind))
+        self.choose(InterfaceChoice::Auto).ok().and_then(|kind| self.reuse_of(kind))
     }
 
     /// Way in which instances are reset; `None` before it was tried.
     pub fn reuse_of(&self, kind: InterfaceKind) -> Option<Reuse> {
-        self.verdict(kind).reuse
+        self.reset_knowledge(kind).reuse
     }
 
     /// State of knowledge about the reset of instances of one interface.
-    pub(crate) fn verdict(&self, kind: InterfaceKind) -> MutexGuard<'_, ResetKnowledge> {
-        self.inner.libraries.verdict(kind)
+    pub(crate) fn reset_knowledge(&self, kind: InterfaceKind) -> MutexGuard<'_, ResetKnowledge> {
+        self.inner.libraries.reset_knowledge(kind)
     }
 
     /// Unpacks what simulations need, for this process and copies of it (see `fork` of POSIX), which share
@@ -426,7 +426,7 @@ impl Fmu {
     ///
     /// # Errors
     /// The FMU cannot be run here (see [`FmiError`]); [`FmiError::Cancelled`].
-    pub fn prepare(&self, kind: Kind, cancel: &CancelRequest) -> Result<()> {
+    pub fn prepare(&self, kind: InterfaceChoice, cancel: &CancelRequest) -> Result<()> {
         self.library(self.choose(kind)?, Some(&[]), cancel, &mut || !cancel.is_asked()).map(|_| ())
     }
 
@@ -480,7 +480,7 @@ impl Fmu {
     ///
     /// # Errors
     /// [`FmiError::NotOffered`], [`FmiError::NeedsExecutionTool`].
-    pub fn check_runnable_as(&self, kind: Kind) -> Result<InterfaceKind> {
+    pub fn check_runnable_as(&self, kind: InterfaceChoice) -> Result<InterfaceKind> {
         let kind = self.choose(kind)?;
         self.check_interface(kind).map(|_| kind)
     }
@@ -489,20 +489,20 @@ impl Fmu {
     ///
     /// # Errors
     /// [`FmiError::NotOffered`].
-    pub fn choose(&self, kind: Kind) -> Result<InterfaceKind> {
+    pub fn choose(&self, kind: InterfaceChoice) -> Result<InterfaceKind> {
         let wanted = match kind {
-            Kind::ModelExchange => InterfaceKind::ModelExchange,
-            Kind::CoSimulation => InterfaceKind::CoSimulation,
-            Kind::Auto if self.interface(InterfaceKind::ModelExchange).is_some() => {
+            InterfaceChoice::ModelExchange => InterfaceKind::ModelExchange,
+            InterfaceChoice::CoSimulation => InterfaceKind::CoSimulation,
+            InterfaceChoice::Auto if self.interface(InterfaceKind::ModelExchange).is_some() => {
                 InterfaceKind::ModelExchange
             }
-            Kind::Auto => InterfaceKind::CoSimulation,
+            InterfaceChoice::Auto => InterfaceKind::CoSimulation,
         };
         if self.interface(wanted).is_some() {
             return Ok(wanted);
         }
         Err(self.not_offered(match kind {
-            Kind::Auto => "model exchange nor co-simulation".to_owned(),
+            InterfaceChoice::Auto => "model exchange nor co-simulation".to_owned(),
             _ => wanted.to_string(),
         }))
     }

@@ -9,17 +9,17 @@
 //! - `simulators/`: a plan that is run many times: its instance, brought back to its start, and the check of
 //!   that
 //! - `simulation/`: options, the plan that resolves them, the start of an instance, the run, what is recorded
-//! - `worker/`: processes in which FMUs run: start, protocol, limits, folder, supervision
 //! - `instance/`: the phases of an instance as types, its values
 //! - `fmu`, `fmu_cache`, `open_options`: an opened FMU: its file, its description, its library
 //! - `libraries/`: the loaded copy of a library that an opened FMU has for itself
 //! - `source/`: source-code FMUs: build, compiler, cache, pack
+//! - `worker/`: processes in which FMUs run: start, protocol, limits, folder, supervision
 //! - `sys/`: what touches foreign code and raw pointers; versions of FMI stop here
 //! - `description/`: what `modelDescription.xml` says, whatever the version
 //! - `archive/`: the files of an FMU
-//! - `platform/`, `gate`, `log`, `cancel`, `error/`, `value`, `macros`: operating systems and files, who may
-//!   be inside of a library, the log of an instance, ending early, errors, types of variables, repeated
-//!   declarations
+//! - `platform/`, `fair_lock`, `log`, `cancel_request`, `error/`, `value`, `macros`: operating systems and
+//!   files, who may be inside of a library, the log of an instance, ending early, errors, types of variables,
+//!   repeated declarations
 //!
 //! A right-hand side passes four functions on its way from the stepper to the FMU: `derivatives` of the
 //! system (`simulation/model_exchange.rs`), `Current::call` (`simulation/running.rs`: what a refused call
@@ -60,7 +60,7 @@ pub use archive::{Archive, ArchiveLimits};
 pub use cancel_request::CancelRequest;
 pub use description::{DescriptionLimits, ModelDescription, Variable};
 pub use error::{CallFailure, EntryProblem, FmiError, LogLine, Result, Status};
-pub use fmu::{Fmu, Kind};
+pub use fmu::{Fmu, InterfaceChoice};
 pub use fmu_cache::FmuCache;
 pub use instance::{
     CoSimulation, ContinuousTime, EventMode, Initialization, Instance, Instantiated, Integrated,

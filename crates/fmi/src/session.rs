@@ -2,7 +2,7 @@
 
 use crate::description::{Causality, Structure, Value, VariableKind};
 use crate::error::Result;
-use crate::fmu::{Fmu, Kind};
+use crate::fmu::{Fmu, InterfaceChoice};
 use crate::instance::assignments::{check_settable_at_start, convert};
 use crate::simulation::SimulateOptions;
 use crate::simulation::plan::SimulationPlan;
@@ -21,7 +21,7 @@ use std::time::Instant;
 #[derive(Debug)]
 pub struct Session {
     fmu: Fmu,
-    kind: Kind,
+    kind: InterfaceChoice,
     /// Position of the variable and its value, in the order of setting; each position once.
     values: Vec<(usize, Value)>,
     /// Positions set since the last simulation.
@@ -42,11 +42,11 @@ struct Last {
 impl Session {
     /// A session with nothing set.
     pub fn new(fmu: Fmu) -> Self {
-        Self::of_kind(fmu, Kind::Auto)
+        Self::of_kind(fmu, InterfaceChoice::Auto)
     }
 
     /// The same, for one way of running the model: that of every simulation whose options leave it open.
-    pub fn of_kind(fmu: Fmu, kind: Kind) -> Self {
+    pub fn of_kind(fmu: Fmu, kind: InterfaceChoice) -> Self {
         Self { fmu, kind, values: Vec::new(), pending: Vec::new(), last: None, initial: None }
     }
 
@@ -271,7 +271,7 @@ impl Session {
     /// The options of a simulation with all values set.
     pub fn with_values(&self, options: &SimulateOptions) -> SimulateOptions {
         let mut options = options.clone();
-        if options.run.kind == Kind::Auto {
+        if options.run.kind == InterfaceChoice::Auto {
             options.run.kind = self.kind;
         }
         let variables = &self.fmu.description().variables;

@@ -6,7 +6,7 @@ mod support;
 
 use example_models::ExampleKind;
 use fmi::ode::{Ignore, Observer, Sample};
-use fmi::{Fmu, Inputs, Kind, SimulateOptions, SimulationPlan, Simulator, Value};
+use fmi::{Fmu, Inputs, InterfaceChoice, SimulateOptions, SimulationPlan, Simulator, Value};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use support::{arrays, fixture, fixture_with, model, model_as, settle};
@@ -83,7 +83,7 @@ fn allocates_nothing_per_step(fmu: &Fmu, options: &SimulateOptions, ends: [f64; 
 
 #[test]
 fn co_simulation() {
-    let options = SimulateOptions::new().kind(Kind::CoSimulation).step_size(0.01);
+    let options = SimulateOptions::new().kind(InterfaceChoice::CoSimulation).step_size(0.01);
     for kind in [ExampleKind::Fmi1CoSimulation, ExampleKind::Fmi2CoSimulation, ExampleKind::Fmi3] {
         let folder = model_as("van_der_pol", kind, &[], |xml| xml);
         allocates_nothing_per_step(&folder.open(), &options, [1.0, 20.0]);
@@ -104,7 +104,7 @@ fn clocks_of_all_kinds() {
         |of: i32| times.iter().enumerate().map(|(k, _)| f64::from(k as i32 % of)).collect::<Vec<f64>>();
     let inputs = Inputs::new()
         .table(times.clone(), [("setpoint", levels(7)), ("button", levels(2)), ("optional", levels(2))]);
-    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+    for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
         let options = SimulateOptions::new()
             .kind(kind)
             .inputs(inputs.clone())
@@ -117,7 +117,7 @@ fn clocks_of_all_kinds() {
 fn a_long_text_is_kept_once_in_however_many_rows_it_stands() {
     const SIZE: usize = 1 << 20;
     let folder = fixture_with("arrays", &[&format!("LONG_TEXT={SIZE}")], |xml| xml);
-    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+    for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
         let options = SimulateOptions::new().kind(kind).final_time(1.0).ncp(200).outputs(["label"]);
         let plan = SimulationPlan::new(&folder.open(), &options).unwrap();
         let mut simulator = Simulator::new(Arc::new(plan)).unwrap();
@@ -145,7 +145,7 @@ fn texts_and_bytes() {
         times.clone(),
         (0..400).map(packet),
     );
-    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+    for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
         let options = SimulateOptions::new()
             .kind(kind)
             .inputs(inputs.clone())

@@ -5,7 +5,7 @@
 
 mod support;
 
-use fmi::{Kind, SimulateOptions, SimulationPlan, Simulator, Trajectory};
+use fmi::{InterfaceChoice, SimulateOptions, SimulationPlan, Simulator, Trajectory};
 use std::sync::Arc;
 use std::time::Duration;
 use support::{Folder, evil, evil_with};
@@ -27,7 +27,7 @@ fn bits(t: &Trajectory) -> Vec<u64> {
 #[test]
 fn the_floating_point_mode_of_a_model_acts_in_its_own_calls_only() {
     let options = SimulateOptions::new().ncp(50).outputs(["y", "der(x)"]).parameters(["k"]);
-    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+    for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
         let options = options.clone().kind(kind);
         let plain = both_kinds(&[]);
         let runs = |folder: &Folder| {
@@ -111,7 +111,7 @@ fn a_binary_value_larger_than_memory_is_an_error() {
         assert_eq!(instance.get("bytes").unwrap_err().to_string(), message);
         drop(instance);
         // In a simulation as well.
-        for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+        for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
             let options = SimulateOptions::new().kind(kind).final_time(1.0).outputs(["bytes"]);
             let error = fmu.simulate(&options).unwrap_err().to_string();
             assert!(error.contains(&message), "{kind:?}: {error}");

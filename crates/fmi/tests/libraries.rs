@@ -6,8 +6,8 @@ mod support;
 
 use fmi::ode::{ErrorKind, Ignore};
 use fmi::{
-    FmiError, Fmu, Inputs, Kind, Session, SharedSimulator, SimulateOptions, SimulationPlan, Simulator,
-    Status, Trajectory,
+    FmiError, Fmu, Inputs, InterfaceChoice, Session, SharedSimulator, SimulateOptions, SimulationPlan,
+    Simulator, Status, Trajectory,
 };
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::channel;
@@ -118,11 +118,11 @@ fn of_a_model_that_can_be_instantiated_once_there_may_be_many() {
     }
     simulators.iter_mut().for_each(|(k, simulator)| assert_eq!(simulator.get("twice_k").unwrap(), 2.0 * *k));
     for (version, kind) in [
-        (Fmi1CoSimulation, Kind::Auto),
-        (Fmi2CoSimulation, Kind::Auto),
-        (Fmi2ModelExchange, Kind::Auto),
-        (Fmi3, Kind::ModelExchange),
-        (Fmi3, Kind::CoSimulation),
+        (Fmi1CoSimulation, InterfaceChoice::Auto),
+        (Fmi2CoSimulation, InterfaceChoice::Auto),
+        (Fmi2ModelExchange, InterfaceChoice::Auto),
+        (Fmi3, InterfaceChoice::ModelExchange),
+        (Fmi3, InterfaceChoice::CoSimulation),
     ] {
         // FMI 1.0 has the flag for co-simulation only, in another element.
         let place =
@@ -193,7 +193,7 @@ fn dropping_waits_for_nobody() {
 fn waiting_ends_when_the_simulation_is_cancelled_or_its_time_is_up() {
     let folder = evil_with(&["ONE_SET"], driven);
     let fmu = folder.open();
-    fmu.prepare(Kind::Auto, &fmi::CancelRequest::default()).unwrap();
+    fmu.prepare(InterfaceChoice::Auto, &fmi::CancelRequest::default()).unwrap();
     with_a_simulation_inside(&fmu, || {
         // What sets the same variables is in the same library.
         let inputs = Inputs::new().table(vec![0.0, 1.0], [("u", vec![0.0, 0.0])]);

@@ -279,7 +279,7 @@ fn ends_the_compiler() {
         let compile_time = Duration::from_secs(seconds);
         let options = fmi::OpenOptions { compile_time, ..fmi::OpenOptions::default() };
         let fmu = fmi::Fmu::open_with(root.path(), &options).unwrap();
-        let error = fmu.prepare(fmi::Kind::Auto, cancel).unwrap_err();
+        let error = fmu.prepare(fmi::InterfaceChoice::Auto, cancel).unwrap_err();
         let ended = Instant::now();
         let child = fs::read_to_string(&started).unwrap();
         let process = PathBuf::from("/proc").join(child.trim()).join("exe");

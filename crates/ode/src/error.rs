@@ -13,7 +13,7 @@ pub enum Termination {
     Finished,
     /// The model asked to end the simulation.
     StoppedByModel,
-    /// The observer said stop.
+    /// The observer asked to stop.
     StoppedByObserver,
 }
 

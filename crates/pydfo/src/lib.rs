@@ -43,7 +43,7 @@ mod core_module {
     #[pymodule_export]
     use super::calibration::validation::{cross_validate, prediction_bands, validate};
     #[pymodule_export]
-    use super::calibration::worker::{StartedAhead, serve_worker, set_launcher, start_worker_ahead};
+    use super::calibration::worker::{ForkServer, serve_worker, set_launcher, start_worker_ahead};
     #[pymodule_export]
     use super::command_line::command_line;
     #[pymodule_export]

@@ -7,7 +7,7 @@ use crate::problem::parameter::Parameter;
 use fmi::ModelDescription;
 
 /// An experiment that is looked at.
-pub(super) struct Subject<'a> {
+pub(super) struct ExperimentSubject<'a> {
     /// Prefix of its findings: its name and a colon, where there are several.
     pub(super) prefix: String,
     pub(super) experiment: &'a Experiment,
@@ -22,7 +22,7 @@ pub(super) struct Subject<'a> {
 const EXAMPLES: [&str; 16] =
     ["mm", "degC", "K", "deg", "rpm", "bar", "km/h", "ms", "g", "cm2", "l", "l/min", "kg/h", "kW", "%", "Hz"];
 
-impl Subject<'_> {
+impl ExperimentSubject<'_> {
     /// Durations of the recording and of the experiment that the model suggests, in s.
     pub(super) fn durations(&self) -> Option<(f64, f64)> {
         let suggested = &self.description.default_experiment;

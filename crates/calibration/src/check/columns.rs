@@ -1,7 +1,7 @@
 //! Checks of the values of a recording: columns that are constant, clipped, frozen, missing, or hold
 //! placeholders.
 
-use super::checked_experiment::Subject;
+use super::checked_experiment::ExperimentSubject;
 use super::simulated_outputs::{range, rounded};
 use crate::findings::finding::Finding;
 use base::Number;
@@ -46,8 +46,8 @@ const LOST: f64 = 0.1;
 
 /// Measured columns that are constant, clipped, frozen or mostly missing, and those in use that hold
 /// placeholders.
-pub(super) fn findings(subject: &Subject<'_>) -> Vec<Finding> {
-    let Subject { prefix, experiment, .. } = subject;
+pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
+    let ExperimentSubject { prefix, experiment, .. } = subject;
     let mut findings = Vec::new();
     for (variable, column) in experiment.outputs() {
         let Ok(values) = experiment.data.column(column) else { continue };
@@ -121,8 +121,8 @@ pub(super) fn findings(subject: &Subject<'_>) -> Vec<Finding> {
 }
 
 /// Columns in use of which means over intervals have taken a part of the signal away.
-fn too_coarse(subject: &Subject<'_>) -> Option<Finding> {
-    let Subject { prefix, experiment, .. } = subject;
+fn too_coarse(subject: &ExperimentSubject<'_>) -> Option<Finding> {
+    let ExperimentSubject { prefix, experiment, .. } = subject;
     let resampling = experiment.data.resampling()?;
     let lost_of = |column: &str| {
         let full = experiment.data.full_name(column)?;

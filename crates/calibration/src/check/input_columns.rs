@@ -1,7 +1,7 @@
 //! Checks of the columns that drive inputs: all zero, frozen, with a value far off, missing for long, beyond
 //! the range of the model or in degC for K.
 
-use super::checked_experiment::Subject;
+use super::checked_experiment::ExperimentSubject;
 use super::columns::{FEW_VALUES, frozen, longest_run, n_distinct, placeholder};
 use super::parameters::{GivenRange, beside_the_model};
 use super::simulated_outputs::{range, rounded, rounded_time, size_of_difference};
@@ -41,8 +41,8 @@ struct Rows {
 
 /// The findings about all columns that drive inputs. Constants, steps, ramps, pulses, and inputs at a limit,
 /// which actuators have, are as good as others.
-pub(super) fn findings(subject: &Subject<'_>) -> Vec<Finding> {
-    let Subject { prefix, experiment, description, .. } = subject;
+pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
+    let ExperimentSubject { prefix, experiment, description, .. } = subject;
     let mut findings = Vec::new();
     for (input, column) in experiment.driving_columns() {
         let Ok(values) = experiment.data.column(column) else { continue };

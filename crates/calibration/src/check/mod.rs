@@ -21,12 +21,12 @@ pub(crate) use model::unstated_noise;
 pub use options::CheckOptions;
 pub use result::Check;
 
-use crate::calibration::handle::Calibration;
 use crate::cost::residual::PointResiduals;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
+use crate::loaded::calibration::Calibration;
 use base::RunContext;
-use checked_experiment::Subject;
+use checked_experiment::ExperimentSubject;
 use ode::Stats;
 use simulated_outputs::{Evaluations, Outputs, Place};
 
@@ -85,7 +85,7 @@ impl Calibration {
     /// Adds the findings from simulations at the start values, as far as the time goes.
     fn findings_of_simulations(
         &self,
-        subjects: &[Subject<'_>],
+        subjects: &[ExperimentSubject<'_>],
         at_start: &mut Option<PointResiduals>,
         findings: &mut Vec<Finding>,
         evaluations: &mut Evaluations<'_>,
@@ -161,7 +161,7 @@ impl Calibration {
     /// may oscillate between rows.
     fn findings_of_sampling_times(
         &self,
-        subjects: &[Subject<'_>],
+        subjects: &[ExperimentSubject<'_>],
         outputs: &Outputs<'_>,
         start: &PointResiduals,
         end: &PointResiduals,
@@ -199,11 +199,11 @@ impl Calibration {
         found.ok().flatten()
     }
 
-    fn subjects(&self) -> Vec<Subject<'_>> {
+    fn subjects(&self) -> Vec<ExperimentSubject<'_>> {
         let (problem, description) = (self.problem(), self.fmu().description());
         let names = problem.experiment_names();
         let is_one = names.len() == 1;
-        let subject = |(k, name): (usize, String)| Subject {
+        let subject = |(k, name): (usize, String)| ExperimentSubject {
             prefix: if is_one { String::new() } else { format!("{name}: ") },
             experiment: &problem.experiments[k],
             description,
@@ -214,7 +214,11 @@ impl Calibration {
     }
 
     /// Findings that need no simulation.
-    fn findings_of_description_and_data(&self, subjects: &[Subject<'_>], x: &[f64]) -> Vec<Finding> {
+    fn findings_of_description_and_data(
+        &self,
+        subjects: &[ExperimentSubject<'_>],
+        x: &[f64],
+    ) -> Vec<Finding> {
         let (parameters, description) = (self.parameters(), self.fmu().description());
         let mut findings = parameters::ranges(parameters, description);
         findings.extend(parameters::nominals(parameters));

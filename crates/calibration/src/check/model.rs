@@ -1,6 +1,6 @@
 //! Checks of the inputs and units in the description of the model, and the warnings of the setup.
 
-use super::checked_experiment::Subject;
+use super::checked_experiment::ExperimentSubject;
 use crate::findings::finding::{Finding, Severity};
 use crate::problem::column_units::declared;
 use crate::problem::definition::Problem;
@@ -43,8 +43,8 @@ pub(crate) fn unstated_noise(problem: &Problem) -> Option<Finding> {
 }
 
 /// Inputs that nothing drives.
-pub(super) fn inputs(subject: &Subject<'_>) -> Vec<Finding> {
-    let Subject { prefix, experiment, description, .. } = subject;
+pub(super) fn inputs(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
+    let ExperimentSubject { prefix, experiment, description, .. } = subject;
     let reference = |v: &Variable| (v.kind, v.value_reference);
     let given: Vec<_> = (experiment.inputs.iter().map(|(name, _)| name))
         .chain(experiment.start_values.iter().map(|(name, _)| name))
@@ -74,8 +74,8 @@ pub(super) fn inputs(subject: &Subject<'_>) -> Vec<Finding> {
 }
 
 /// Columns that state no unit where the model states one: they are taken as they are.
-pub(super) fn units(subject: &Subject<'_>) -> Vec<Finding> {
-    let Subject { prefix, experiment, description, .. } = subject;
+pub(super) fn units(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
+    let ExperimentSubject { prefix, experiment, description, .. } = subject;
     let mut columns: Vec<String> = Vec::new();
     let mut example = None;
     for (variable, column) in experiment.columns_in_use() {

@@ -1,7 +1,7 @@
 //! Parameters and values that are given, beside what the model states for them: ranges and its own start
 //! values.
 
-use super::checked_experiment::Subject;
+use super::checked_experiment::ExperimentSubject;
 use super::simulated_outputs::rounded;
 use crate::data::UnitConversion;
 use crate::findings::finding::{Finding, Severity};
@@ -162,8 +162,8 @@ pub(super) fn beside_the_model(variable: &Variable, given: GivenRange) -> Option
 
 /// Start values and constant inputs of an experiment that lie outside of the model's range, or far from its
 /// own start value.
-pub(super) fn given_values(subject: &Subject<'_>, parameters: &[Parameter]) -> Vec<Finding> {
-    let Subject { prefix, experiment, description, .. } = subject;
+pub(super) fn given_values(subject: &ExperimentSubject<'_>, parameters: &[Parameter]) -> Vec<Finding> {
+    let ExperimentSubject { prefix, experiment, description, .. } = subject;
     // Those of local parameters are in the unit of the parameter.
     let is_constant = |(name, _): &&(String, Value)| !Experiment::is_start_of_local(name, parameters);
     let starts = experiment.start_values.iter().filter(is_constant).filter_map(|(name, value)| match value {

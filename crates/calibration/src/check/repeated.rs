@@ -1,9 +1,9 @@
 //! Measurements that are there more than once: a recording given twice, a column for two outputs.
 
-use super::checked_experiment::Subject;
+use super::checked_experiment::ExperimentSubject;
 use super::simulated_outputs::range;
-use crate::calibration::handle::Calibration;
 use crate::findings::finding::Finding;
+use crate::loaded::calibration::Calibration;
 use crate::problem::residual_layout::OutputResiduals;
 
 /// Fewer equal measurements at equal times may be chance.
@@ -105,7 +105,7 @@ fn shared(a: Rounded<'_>, b: Rounded<'_>) -> usize {
 
 /// Outputs of several experiments with the same measurements, or of one with the same times and the same
 /// measurements. Windows that do not overlap are others.
-pub(super) fn findings(calibration: &Calibration, subjects: &[Subject<'_>]) -> Vec<Finding> {
+pub(super) fn findings(calibration: &Calibration, subjects: &[ExperimentSubject<'_>]) -> Vec<Finding> {
     let outputs = &calibration.residual_layout().outputs;
     let rounded: Vec<(Rounded<'_>, Rounded<'_>)> =
         outputs.iter().map(|o| (Rounded::new(&o.times), Rounded::new(&o.measured))).collect();

@@ -1,11 +1,11 @@
 //! Rows that are too far apart to show what the simulation does between them.
 
 use super::simulated_outputs::{Evaluations, Place, Series, all_series, rounded, size};
-use crate::calibration::handle::Calibration;
 use crate::cost::residual::PointResiduals;
 use crate::data::sampling_interval;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
+use crate::loaded::calibration::Calibration;
 use base::Number;
 use dfo::RobustLoss;
 use ode::Stats;

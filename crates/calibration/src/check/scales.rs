@@ -1,8 +1,8 @@
 //! Outputs that are measured on unlike scales and have the same weight: the largest decides the fit.
 
 use super::simulated_outputs::{Place, rounded};
-use crate::calibration::handle::Calibration;
 use crate::findings::finding::{Finding, Severity};
+use crate::loaded::calibration::Calibration;
 use crate::problem::column_units::declared;
 use crate::problem::experiment::Weight;
 use crate::problem::residual_layout::OutputResiduals;

@@ -1,11 +1,11 @@
 //! Checks of the accuracy of the simulation settings: a loose tolerance, a step that is too large.
 
 use super::simulated_outputs::{Evaluations, Place, all_series, rounded, size, size_of_difference};
-use crate::calibration::handle::Calibration;
 use crate::cost::accuracy::Accuracy;
 use crate::cost::residual::PointResiduals;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
+use crate::loaded::calibration::Calibration;
 use base::Number;
 use dfo::RobustLoss;
 

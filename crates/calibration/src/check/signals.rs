@@ -1,7 +1,7 @@
 //! Checks of the simulated course of an output against the measured one: wrong sign, worse than a constant,
 //! frozen, wrapped at a full turn.
 
-use super::checked_experiment::Subject;
+use super::checked_experiment::ExperimentSubject;
 use super::columns::{FEW_VALUES, SHORTEST_CLIPPED, longest_run, n_distinct};
 use super::simulated_outputs::{
     Outputs, Place, Series, range, rounded, rounded_time, size, size_of_difference,
@@ -40,7 +40,7 @@ pub(super) const CLIPPED_AT: &str = "it is clipped at";
 const WRAPPED: (f64, f64) = (1.02, 0.1);
 
 /// The findings of all outputs, at the result of a fit where there is one.
-pub(super) fn findings(subjects: &[Subject<'_>], outputs: &Outputs<'_>) -> Vec<Finding> {
+pub(super) fn findings(subjects: &[ExperimentSubject<'_>], outputs: &Outputs<'_>) -> Vec<Finding> {
     let mut findings = Vec::new();
     for series in outputs.last() {
         let subject = &subjects[series.of.experiment];
@@ -183,7 +183,10 @@ fn frozen(series: &Series<'_>) -> Option<(String, &'static str)> {
 }
 
 /// Angles of which the measured or the simulated ones, but not both, jump by a turn.
-pub(super) fn wrapped(series: &Series<'_>, subject: &Subject<'_>) -> Option<(String, &'static str)> {
+pub(super) fn wrapped(
+    series: &Series<'_>,
+    subject: &ExperimentSubject<'_>,
+) -> Option<(String, &'static str)> {
     let unit = declared(subject.description, &series.of.variable).and_then(|v| v.unit.as_deref());
     let may_be_angle = unit.is_none_or(|unit| {
         matches!(unit, "" | "1" | "-") || matches!(unit, "rad" | "deg" | "degree" | "degrees" | "°")

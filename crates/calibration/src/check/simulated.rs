@@ -1,7 +1,7 @@
 //! Checks of an evaluation at the start values: measurements in another unit, swapped, or far from the
 //! simulation from the start.
 
-use super::checked_experiment::Subject;
+use super::checked_experiment::ExperimentSubject;
 use super::signals;
 use super::simulated_outputs::{
     Outputs, Place, Series, range, rounded, size, size_of_difference, unexplained,
@@ -48,7 +48,7 @@ const ZERO_CELSIUS: f64 = 273.15;
 /// output or its initial value off may have been fitted. Another unit, or swapped columns, parameters make up
 /// for by values that mean nothing: such doubts stay if the parameters have moved as far as that takes, or
 /// the result has them, too, or leaves much of the measurements unexplained.
-pub(super) fn findings(subjects: &[Subject<'_>], outputs: &Outputs<'_>) -> Vec<Finding> {
+pub(super) fn findings(subjects: &[ExperimentSubject<'_>], outputs: &Outputs<'_>) -> Vec<Finding> {
     let mut findings = Vec::new();
     for (one, last) in outputs.at_start.iter().zip(outputs.last()) {
         let subject = &subjects[one.of.experiment];
@@ -73,7 +73,7 @@ pub(super) fn findings(subjects: &[Subject<'_>], outputs: &Outputs<'_>) -> Vec<F
 
 /// Measurements whose range and size are both some other multiple of those of the simulation, with the
 /// factor; or that are 273.15 away, which a parameter may make up for at any size.
-fn unit(series: &Series<'_>, subject: &Subject<'_>) -> Option<(Finding, f64)> {
+fn unit(series: &Series<'_>, subject: &ExperimentSubject<'_>) -> Option<(Finding, f64)> {
     let (measured, simulated) = (&series.of.measured, &series.simulated);
     let unit = declared(subject.description, &series.of.variable).and_then(|v| v.unit.as_deref());
     let (m, s) = (size(measured.iter().copied()), size(simulated.iter().copied()));
@@ -159,7 +159,7 @@ fn unit(series: &Series<'_>, subject: &Subject<'_>) -> Option<(Finding, f64)> {
 }
 
 /// Outputs that stay where they start in the simulation, but not in the recording.
-fn held(series: &Series<'_>, subject: &Subject<'_>, place: Place) -> Option<Finding> {
+fn held(series: &Series<'_>, subject: &ExperimentSubject<'_>, place: Place) -> Option<Finding> {
     let (measured, simulated) = (&series.of.measured, &series.simulated);
     let is_held = simulated.len() > 2 && range(simulated) <= 1e-12 * size(simulated.iter().copied());
     (is_held && range(measured) > 0.0).then(|| {
@@ -177,7 +177,7 @@ fn held(series: &Series<'_>, subject: &Subject<'_>, place: Place) -> Option<Find
 
 /// Outputs that start far from their first measurement: by a quarter of the range, and by ten times the
 /// noise. Of a state whose initial value is fitted the start value says nothing.
-fn initial(series: &Series<'_>, subject: &Subject<'_>, place: Place) -> Option<Finding> {
+fn initial(series: &Series<'_>, subject: &ExperimentSubject<'_>, place: Place) -> Option<Finding> {
     let is_fitted = |(state, initial): &(String, InitialState)| {
         *state == series.of.variable && matches!(initial, InitialState::Fitted(_))
     };
@@ -208,7 +208,7 @@ fn initial(series: &Series<'_>, subject: &Subject<'_>, place: Place) -> Option<F
 }
 
 /// Two outputs of one experiment that are much closer to each other's simulation than to their own.
-fn swapped(series: &[Series<'_>], subjects: &[Subject<'_>]) -> Vec<Finding> {
+fn swapped(series: &[Series<'_>], subjects: &[ExperimentSubject<'_>]) -> Vec<Finding> {
     let mut findings = Vec::new();
     for (i, a) in series.iter().enumerate() {
         for b in &series[i + 1..] {

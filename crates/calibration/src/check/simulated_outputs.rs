@@ -1,8 +1,8 @@
 //! The outputs of a calibration as they were measured and simulated at some values of the parameters.
 
-use super::checked_experiment::Subject;
-use crate::calibration::handle::Calibration;
+use super::checked_experiment::ExperimentSubject;
 use crate::cost::residual::PointResiduals;
+use crate::loaded::calibration::Calibration;
 use crate::problem::residual_layout::OutputResiduals;
 use base::RunContext;
 use ode::Stats;
@@ -89,7 +89,7 @@ pub(super) fn all_series<'a>(calibration: &'a Calibration, residuals: &[f64]) ->
 }
 
 impl Series<'_> {
-    pub(super) fn name(&self, subject: &Subject<'_>) -> String {
+    pub(super) fn name(&self, subject: &ExperimentSubject<'_>) -> String {
         format!("{}output '{}' (column '{}')", subject.prefix, self.of.variable, self.of.column)
     }
 }

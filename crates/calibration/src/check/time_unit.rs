@@ -1,12 +1,12 @@
 //! Times in another unit than s, as the response of the model tells.
 
-use super::checked_experiment::Subject;
+use super::checked_experiment::ExperimentSubject;
 use super::simulated_outputs::{Evaluations, Outputs, all_series, rounded, rounded_time, unexplained};
-use crate::calibration::handle::Calibration;
 use crate::cost::failure::CostFailure;
 use crate::cost::residual::CostRule;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
+use crate::loaded::calibration::Calibration;
 use base::Number;
 use dfo::RobustLoss;
 use std::time::{Duration, Instant};
@@ -66,8 +66,9 @@ enum ReadAs {
 
 impl Reading {
     /// The readings that the times allow: of ms and us a row is at least a half.
-    fn all(subjects: &[Subject<'_>]) -> Vec<Self> {
-        let is_coarse = |s: &Subject<'_>| s.experiment.data.sampling_interval().is_some_and(|dt| dt >= 0.5);
+    fn all(subjects: &[ExperimentSubject<'_>]) -> Vec<Self> {
+        let is_coarse =
+            |s: &ExperimentSubject<'_>| s.experiment.data.sampling_interval().is_some_and(|dt| dt >= 0.5);
         let is_coarse = subjects.iter().all(is_coarse);
         let units = UNITS
             .into_iter()
@@ -76,7 +77,7 @@ impl Reading {
         units.chain(Self::rows(subjects)).collect()
     }
 
-    fn rows(subjects: &[Subject<'_>]) -> Option<Self> {
+    fn rows(subjects: &[ExperimentSubject<'_>]) -> Option<Self> {
         let [subject] = subjects else { return None };
         let (duration, asked) = subject.durations()?;
         let time = subject.experiment.data.time();
@@ -89,7 +90,7 @@ impl Reading {
 
     /// What is said of recordings that the simulation at the start values follows so many times closer by
     /// this reading.
-    fn finding(self, subject: &Subject<'_>, closer: f64) -> Finding {
+    fn finding(self, subject: &ExperimentSubject<'_>, closer: f64) -> Finding {
         let time = subject.experiment.data.time();
         let closer = Number(rounded(closer));
         let (sentence, remedy) = match self.of {
@@ -124,7 +125,7 @@ impl Reading {
 /// [`CalibrationError::Cancelled`].
 pub(super) fn findings(
     calibration: &Calibration,
-    subjects: &[Subject<'_>],
+    subjects: &[ExperimentSubject<'_>],
     outputs: &Outputs<'_>,
     evaluations: &mut Evaluations<'_>,
 ) -> Result<Vec<Finding>, CalibrationError> {
@@ -165,7 +166,7 @@ pub(super) fn findings(
 
 /// A recording that lasts much longer or shorter than the experiment that the model suggests, and the ratio;
 /// not the one that is [exactly](super::times::findings) so many units long.
-fn far_from_default_experiment(subject: &Subject<'_>) -> Option<(Finding, f64)> {
+fn far_from_default_experiment(subject: &ExperimentSubject<'_>) -> Option<(Finding, f64)> {
     let (duration, asked) = subject.durations()?;
     let ratio = duration / asked;
     if super::times::unit_by_duration(subject).is_some() || (ratio <= FAR.0 && ratio >= FAR.1) || ratio == 0.0

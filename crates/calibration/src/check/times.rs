@@ -1,6 +1,6 @@
 //! Checks of the times of a recording: gaps, duplicate rows, another unit, months taken for days.
 
-use super::checked_experiment::Subject;
+use super::checked_experiment::ExperimentSubject;
 use super::simulated_outputs::{rounded, rounded_time};
 use crate::data::sampling_interval;
 use crate::findings::finding::{Finding, Severity};
@@ -13,7 +13,7 @@ const GAP: f64 = 20.0;
 const DAY: f64 = 24.0 * 3600.0;
 
 /// The unit in which a recording is exactly as long as the experiment that the model suggests in s.
-pub(super) fn unit_by_duration(subject: &Subject<'_>) -> Option<&'static str> {
+pub(super) fn unit_by_duration(subject: &ExperimentSubject<'_>) -> Option<&'static str> {
     let (duration, asked) = subject.durations()?;
     let interval = sampling_interval(subject.experiment.data.time())?;
     let units = [(1e3, "ms"), (1e6, "us"), (1.0 / 60.0, "min"), (1.0 / 3600.0, "h")];
@@ -46,8 +46,8 @@ fn months(time: &[f64], interval: f64) -> Option<(String, &'static str)> {
 }
 
 /// Times with a gap, twice, far from the start of the simulation, or in another unit than s.
-pub(super) fn findings(subject: &Subject<'_>) -> Vec<Finding> {
-    let Subject { prefix, experiment, start_time, .. } = subject;
+pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
+    let ExperimentSubject { prefix, experiment, start_time, .. } = subject;
     let (data, mut findings) = (&experiment.data, Vec::new());
     let time = data.time();
     let name = format!("{prefix}{}", data.source());

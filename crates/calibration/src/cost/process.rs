@@ -10,7 +10,7 @@ use crate::problem::definition::{ModelFile, Problem};
 use crate::problem::settings::SimulationSettings;
 use base::RunContext;
 use dfo::RobustLoss;
-use fmi::worker::{Ask, Frame, Isolation, Load, WorkerLimits, Workers};
+use fmi::worker::{AskedProcess, Frame, Isolation, Load, WorkerLimits, Workers};
 use fmi::{FmiError, Fmu, OpenOptions, SimulateOptions, Trajectory};
 use ode::{Method, Stats};
 use serde::{Deserialize, Serialize};
@@ -153,11 +153,11 @@ impl Processes {
         let (mut asked, mut answer) = frames().pop().unwrap_or_default();
         asked.set_head(job).map_err(unsaid)?;
         let whom = match process {
-            _ if self.fmu.has_hidden_state() => Some(Ask::FreshOnce),
-            ProcessChoice::LongestIdle => Some(Ask::LongestIdle),
-            ProcessChoice::Fresh => Some(Ask::Fresh),
+            _ if self.fmu.has_hidden_state() => Some(AskedProcess::FreshOnce),
+            ProcessChoice::LongestIdle => Some(AskedProcess::LongestIdle),
+            ProcessChoice::Fresh => Some(AskedProcess::Fresh),
             ProcessChoice::Checked if !self.is_checked.load(Ordering::Relaxed) => None,
-            ProcessChoice::Any | ProcessChoice::Checked => Some(Ask::Any),
+            ProcessChoice::Any | ProcessChoice::Checked => Some(AskedProcess::Any),
         };
         match whom {
             Some(whom) => self.call(&asked, &mut answer, whom, limit, context)?,
@@ -172,7 +172,7 @@ impl Processes {
         &self,
         asked: &Frame,
         answer: &mut Frame,
-        whom: Ask,
+        whom: AskedProcess,
         limit: Option<Duration>,
         context: &RunContext<'_>,
     ) -> Result<(), FmiError> {
@@ -195,24 +195,24 @@ impl Processes {
         let known = || self.first.lock().unwrap_or_else(PoisonError::into_inner);
         let first = known().clone();
         let Some((first, numbers)) = first else {
-            self.call(asked, answer, Ask::Any, limit, context)?;
+            self.call(asked, answer, AskedProcess::Any, limit, context)?;
             known().get_or_insert_with(|| (asked.clone(), answer.numbers.clone()));
             return Ok(());
         };
         let is_first = first == *asked;
         let n = if is_first { 1 } else { self.n_checked.fetch_add(1, Ordering::Relaxed) + 2 };
         if !n.is_power_of_two() {
-            return self.call(asked, answer, Ask::Any, limit, context);
+            return self.call(asked, answer, AskedProcess::Any, limit, context);
         }
         let (began, mut again) = (Instant::now(), Frame::default());
         let in_fresh = |context: &RunContext<'_>| {
             let mut answer = Frame::default();
-            self.call(asked, &mut answer, Ask::Fresh, limit, context).map(|()| answer)
+            self.call(asked, &mut answer, AskedProcess::Fresh, limit, context).map(|()| answer)
         };
         let mut in_used = || {
-            self.call(asked, answer, Ask::Any, limit, context)?;
+            self.call(asked, answer, AskedProcess::Any, limit, context)?;
             match !is_first && (n > 2 || began.elapsed() < START) {
-                true => self.call(&first, &mut again, Ask::Any, limit, context),
+                true => self.call(&first, &mut again, AskedProcess::Any, limit, context),
                 false => Ok(()),
             }
         };
@@ -231,7 +231,7 @@ impl Processes {
             None if !is_first_same => in_fresh(context)?,
             _ => return Ok(()),
         };
-        self.call(asked, answer, Ask::Fresh, limit, context)?;
+        self.call(asked, answer, AskedProcess::Fresh, limit, context)?;
         let model = &self.fmu.description().model_name;
         if has_same_bits(&fresh.numbers, &answer.numbers) {
             log::warn!("{model}: {HIDDEN_STATE}");

@@ -23,7 +23,7 @@ const ABSOLUTE_SHARE: f64 = 0.01;
 /// The method in use, and how it was found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
-pub struct Solver {
+pub struct ChosenSolver {
     /// The method.
     pub method: Method,
     /// The comparison that it won; `None`: it was named, or taken from a checkpoint, or the model integrates
@@ -40,7 +40,7 @@ pub(crate) struct Choice {
 
 #[derive(Debug)]
 pub(crate) struct Chosen {
-    pub(crate) solver: Solver,
+    pub(crate) solver: ChosenSolver,
     /// Simulators with this method, per experiment; none: those of the settings.
     pools: Vec<SharedSimulator>,
 }
@@ -84,7 +84,7 @@ impl Observer for Samples<'_> {
 
 impl Choice {
     /// The method in use, if it is known already.
-    pub(crate) fn known(&self) -> Option<&Solver> {
+    pub(crate) fn known(&self) -> Option<&ChosenSolver> {
         self.made.get().map(|chosen| &chosen.solver)
     }
 
@@ -122,9 +122,9 @@ impl Choice {
         let integrates = problem.simulations[0].pool.plan().kind() == InterfaceKind::ModelExchange;
         let (solver, at_start) = if method == Method::Auto && integrates {
             let (comparison, at_start) = compare_on_problem(problem, context, stats)?;
-            (Solver { method: comparison.method, comparison: Some(comparison) }, at_start)
+            (ChosenSolver { method: comparison.method, comparison: Some(comparison) }, at_start)
         } else {
-            (Solver { method, comparison: None }, None)
+            (ChosenSolver { method, comparison: None }, None)
         };
         Ok((self.choose(problem, solver)?, at_start))
     }
@@ -133,7 +133,7 @@ impl Choice {
     pub(crate) fn choose(
         &self,
         problem: &LoadedProblem,
-        solver: Solver,
+        solver: ChosenSolver,
     ) -> Result<&Chosen, CalibrationError> {
         let mut pools = Vec::new();
         if solver.method != problem.problem.settings.run.method {

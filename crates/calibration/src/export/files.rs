@@ -1,9 +1,9 @@
 //! Functions of all files that a fit is exported to: the check that it belongs to the calibration, and the
 //! writing.
 
-use crate::calibration::handle::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::one_stage::Fit;
+use crate::loaded::calibration::Calibration;
 use fmi::FmiError;
 use fmi::platform::fill_atomically;
 use std::io::Write;

@@ -1,10 +1,10 @@
 //! A copy of the FMU that starts with the fitted values.
 
 use super::files::{check_belongs, check_path, check_suffix};
-use crate::calibration::handle::Calibration;
 use crate::cost::process::ModelProcess;
 use crate::error::CalibrationError;
 use crate::fit::one_stage::Fit;
+use crate::loaded::calibration::Calibration;
 use base::{Number, RunContext};
 use fmi::platform::fill_atomically;
 use fmi::{FmiError, Fmu, Trajectory};

@@ -3,11 +3,11 @@
 
 use super::files::check_belongs;
 use super::tables::unit_of;
-use crate::calibration::handle::Calibration;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
 use crate::fit::one_stage::{ChosenTolerance, Fit, FitNoise};
 use crate::fit::output_fit::OutputFit;
+use crate::loaded::calibration::Calibration;
 use crate::uncertainty::result::Uncertainty;
 use serde::Serialize;
 use serde_json::Value as Json;

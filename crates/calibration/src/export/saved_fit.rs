@@ -6,9 +6,9 @@
 
 use super::files::{check_belongs, write};
 use super::lengths::check_lengths;
-use crate::calibration::handle::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::one_stage::Fit;
+use crate::loaded::calibration::Calibration;
 use crate::problem::definition::{ModelFile, Problem};
 use crate::problem::fingerprint::hash_of_bytes;
 use ciborium::Value;

@@ -1,9 +1,9 @@
 //! Parameter values for other tools: System Structure Parameter Values 1.0 (SSP standard 1.0, section 6).
 
 use super::files::{check_belongs, check_suffix, write};
-use crate::calibration::handle::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::one_stage::Fit;
+use crate::loaded::calibration::Calibration;
 use fmi::description::{BaseUnit, Unit, VariableKind};
 use quick_xml::escape;
 use std::collections::BTreeMap;

@@ -1,9 +1,9 @@
 //! A fit as tables: comma-separated values (RFC 4180) for spreadsheets and other programs.
 
 use super::files::{check_belongs, write};
-use crate::calibration::handle::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::one_stage::Fit;
+use crate::loaded::calibration::Calibration;
 use crate::problem::assignment::Affine;
 use crate::problem::parameter::Parameter;
 use base::RunContext;

@@ -1,6 +1,7 @@
-//! Texts of files as messages show them: nothing in them moves a cursor, or changes the direction of what is
-//! read, and they are not long.
+//! Texts of files, and numbers, as messages show them: nothing in them moves a cursor, or changes the
+//! direction of what is read, and they are not long.
 
+use base::Number;
 use std::borrow::Cow;
 
 /// True for a character that is not shown, but changes those that are: control characters but the line break
@@ -32,6 +33,11 @@ pub(crate) fn shortened(text: &str) -> Cow<'_, str> {
         Some((end, _)) => Cow::Owned(format!("{}... ({} bytes)", &text[..end], text.len())),
         None => Cow::Borrowed(text),
     }
+}
+
+/// A number with four digits.
+pub(crate) fn digits(value: f64) -> Number {
+    Number(format!("{value:.3e}").parse().unwrap_or(value))
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Quality of fit of each output.
 
-use crate::calibration::handle::Calibration;
 use crate::cost::residual::{CostRule, PointResiduals};
+use crate::loaded::calibration::Calibration;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
 use base::RunContext;
 use dfo::RobustLoss;

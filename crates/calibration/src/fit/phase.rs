@@ -1,6 +1,6 @@
 //! The phases of a fit, and what each takes.
 
-use crate::calibration::simulations::Effort;
+use crate::loaded::simulations_around::Effort;
 use ode::{Seconds, Stats};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;

@@ -1,14 +1,15 @@
 //! Fits in stages: each frees some of the parameters, holds the others, and starts from the result of the
 //! last.
 
-use crate::calibration::handle::Calibration;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
 use crate::fit::one_stage::{
-    Fit, FitObserver, FitOptions, Job, Made, Searched, Spent, add_earlier, checkpoint_of, ended_by,
+    FinalSearch, Fit, FitObserver, FitOptions, Job, SearchResult, UsedLimits, add_earlier, checkpoint_of,
+    ended_by,
 };
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::FitPhase;
+use crate::loaded::calibration::Calibration;
 use crate::uncertainty::stuck_parameters::StuckParameters;
 use base::RunContext;
 use dfo::{
@@ -128,13 +129,13 @@ fn least<T: PartialOrd>(a: Option<T>, b: Option<T>) -> Option<T> {
 /// Part of the limits of a fit that its first stages have left.
 #[derive(Debug, Clone, Copy)]
 struct Left {
-    spent: Spent,
+    spent: UsedLimits,
     limits: Limits,
 }
 
 impl Left {
     fn after(fits: &[Fit], limits: &Limits, context: &RunContext<'_>) -> Self {
-        let spent = Spent {
+        let spent = UsedLimits {
             n_evaluations: fits.iter().map(|fit| fit.report.n_evaluations).sum(),
             n_iterations: fits.iter().map(|fit| fit.report.n_iterations).sum(),
             seconds: context.elapsed().as_secs_f64(),
@@ -399,7 +400,7 @@ impl Calibration {
         done: &Done,
         job: &Job<'_>,
         stats: &mut Stats,
-    ) -> Result<Made, CalibrationError> {
+    ) -> Result<FinalSearch, CalibrationError> {
         let Done { fits, ended, .. } = done;
         let (first, last) = (&fits[0], &fits[fits.len() - 1]);
         let weighed = self.with_noise(last.noise.as_ref())?;
@@ -434,7 +435,7 @@ impl Calibration {
             let sentence = format!("no stage frees {names}: at the start");
             raised.push(Finding::note(names, sentence, ""));
         }
-        let searched = Searched {
+        let searched = SearchResult {
             residuals: KeptResiduals::new(&job.start, at_start).with(&report.x, at_end.as_deref()),
             report,
             stuck,
@@ -444,7 +445,7 @@ impl Calibration {
             tolerances: job.run.tolerances,
             raised,
         };
-        Ok(Made { own: weighed, searched, noise: last.noise.clone(), tolerance: None })
+        Ok(FinalSearch { own: weighed, searched, noise: last.noise.clone(), tolerance: None })
     }
 
     /// The entries of `x` that a stage frees, once it is sure that its method can fit them.

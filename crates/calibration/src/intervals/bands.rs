@@ -1,9 +1,9 @@
 //! Prediction bands: how uncertain the parameters of a fit leave what the model predicts.
 
-use crate::calibration::handle::Calibration;
 use crate::cost::parallel;
 use crate::error::CalibrationError;
 use crate::fit::one_stage::{Fit, FitNoise};
+use crate::loaded::calibration::Calibration;
 use crate::problem::parameter::{Parameter, inner, outer};
 use crate::problem::residual_layout::OutputResiduals;
 use crate::uncertainty::result::{Uncertainty, check_level};

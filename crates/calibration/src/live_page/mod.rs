@@ -8,9 +8,9 @@ mod request;
 mod response;
 mod server;
 
-use crate::calibration::handle::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::one_stage::{Fit, FitOptions};
+use crate::loaded::calibration::Calibration;
 use base::RunContext;
 use page::{Page, token};
 use server::Server;

@@ -2,9 +2,9 @@
 
 use super::request::Request;
 use super::response::{Response, Status};
-use crate::calibration::handle::Calibration;
 use crate::fit::live::{LiveFit, lock};
 use crate::fit::phase::CurrentPhase;
+use crate::loaded::calibration::Calibration;
 use crate::report::live_content::LiveSubject;
 use std::io;
 use std::net::SocketAddr;

@@ -46,7 +46,7 @@ impl SimulationSettings {
         for (name, value) in &mut record {
             // Names are those that the choices have for users, times are in s.
             *value = match name.as_str() {
-                "kind" => Value::of(&value.parse::<fmi::Kind>(name)?)?,
+                "kind" => Value::of(&value.parse::<fmi::InterfaceChoice>(name)?)?,
                 "solver" => Value::of(&value.parse::<ode::Method>(name)?)?,
                 "chattering" => Value::of(&value.parse::<ode::ChatteringPolicy>(name)?)?,
                 "timeout" => Value::of(&value.read_time(name)?)?,

@@ -2,10 +2,10 @@
 //! inputs, sensitivities.
 
 use super::figure::{self, Panel, Series};
-use crate::calibration::handle::Calibration;
 use crate::cost::parallel;
 use crate::error::CalibrationError;
 use crate::fit::one_stage::Fit;
+use crate::loaded::calibration::Calibration;
 use crate::problem::input::InputSource;
 use crate::problem::residual_layout::OutputResiduals;
 use base::RunContext;

@@ -11,9 +11,9 @@ mod text;
 
 pub use curves::{ExperimentCurves, OutputCurves, Signal, plot};
 
-use crate::calibration::handle::Calibration;
 use crate::error::CalibrationError;
 use crate::fit::one_stage::Fit;
+use crate::loaded::calibration::Calibration;
 use base::RunContext;
 use base::files::AtomicFile;
 use std::io::Write;

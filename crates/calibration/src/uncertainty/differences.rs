@@ -6,8 +6,8 @@
 //! principal axis the residuals change by the standard deviation of a residual, whichever the axis, so the
 //! ratio of signal to noise is the same for all.
 
-use crate::calibration::simulations::{Point, PointResiduals, Simulations};
 use crate::error::CalibrationError;
+use crate::loaded::simulations_around::{Point, PointResiduals, Simulations};
 use crate::problem::parameter::{Parameter, inner, outer};
 use crate::uncertainty::row_blocks::{go_on, product, triangle};
 use base::RunContext;

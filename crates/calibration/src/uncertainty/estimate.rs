@@ -1,24 +1,24 @@
 //! Uncertainty of a fit: standard errors of its parameters, parameters that the data can determine, and
 //! checks of the residuals.
 
-use crate::calibration::handle::Calibration;
-use crate::calibration::simulations::{Effort, Point, Simulations};
 use crate::cost::residual::sum_of_squares;
 use crate::error::CalibrationError;
+use crate::loaded::calibration::Calibration;
+use crate::loaded::simulations_around::{Effort, Point, Simulations};
 use crate::problem::parameter::{Parameter, Scale, inner};
 use crate::problem::residual_layout::ResidualLayout;
-use crate::uncertainty::chance::OfIndependent;
 use crate::uncertainty::covariance::autocorrelation::Dependence;
-use crate::uncertainty::covariance::gain::At;
 use crate::uncertainty::covariance::matrix::{Factors, Noise, groups};
+use crate::uncertainty::covariance::remaining_decrease::At;
 use crate::uncertainty::diagnostics::candidates::{AtPoint, MOST_SIMULATIONS};
-use crate::uncertainty::diagnostics::omitted::{Omitted, Score, of_outputs};
+use crate::uncertainty::diagnostics::output_effect::OutputEffect;
 use crate::uncertainty::diagnostics::parameter_constancy::{FreeParameters, PartConflict, WithNoise};
 use crate::uncertainty::diagnostics::prior_check::PriorConflict;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
-use crate::uncertainty::diagnostics::unmodelled::Unmodelled;
-use crate::uncertainty::diagnostics::{by_weights, unmodelled};
+use crate::uncertainty::diagnostics::score_test::{Omitted, Score, of_outputs};
+use crate::uncertainty::diagnostics::{by_weights, output_effect};
 use crate::uncertainty::differences::{Center, Differences};
+use crate::uncertainty::p_values::OfIndependent;
 use crate::uncertainty::result::{Estimator, Uncertainty, UncertaintyOptions, errors_and_correlation};
 use crate::uncertainty::row_blocks::{along, go_on};
 use crate::uncertainty::scores::{Criterion, Working};
@@ -416,10 +416,10 @@ impl Calibration {
         if !of_fit.is_linear || uncertainty.is_exact {
             return Ok(());
         }
-        let (residuals, before) = (&uncertainty.residuals, unmodelled::left(&uncertainty.residuals, base));
+        let (residuals, before) = (&uncertainty.residuals, output_effect::left(&uncertainty.residuals, base));
         for (check, output) in uncertainty.residual_checks.iter_mut().zip(&layout.outputs) {
             if check.is_systematic() && !check.is_by_weights {
-                check.unmodelled = Unmodelled::find(output, residuals, &before, base, context)?;
+                check.unmodelled = OutputEffect::find(output, residuals, &before, base, context)?;
             }
         }
         if is_minimum && !uncertainty.residual_checks.iter().any(ResidualCheck::is_systematic) {

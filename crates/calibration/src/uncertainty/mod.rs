@@ -1,11 +1,10 @@
 //! Uncertainty of the parameters: covariance, residual tests, active bounds, the same before a fit.
 
-pub(crate) mod chance;
 pub(crate) mod covariance;
 pub(crate) mod diagnostics;
 pub(crate) mod differences;
-pub(crate) mod digits;
 pub(crate) mod estimate;
+pub(crate) mod p_values;
 pub(crate) mod preflight;
 pub(crate) mod result;
 pub(crate) mod row_blocks;

@@ -1,14 +1,14 @@
 //! Sensitivity of the cost to each parameter at the start of a fit, and its accuracy there: each is moved
 //! once, and the start is simulated more accurately.
 
-use crate::calibration::handle::Calibration;
-use crate::calibration::simulations::{Point, Simulations};
 use crate::cost::accuracy::Accuracy;
 use crate::cost::residual::sum_of_squares;
 use crate::cost::solver::AtStart;
 use crate::error::CalibrationError;
+use crate::findings::shown_text::digits;
+use crate::loaded::calibration::Calibration;
+use crate::loaded::simulations_around::{Point, Simulations};
 use crate::problem::parameter::{Parameter, inner, outer};
-use crate::uncertainty::digits::digits;
 use base::RunContext;
 use dfo::{ParameterKind, RobustLoss};
 use nalgebra::DMatrix;

@@ -1,13 +1,13 @@
 //! The numbers of the uncertainty of a fit, confidence intervals, and how they are printed.
 
-use crate::calibration::simulations::Effort;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, table};
-use crate::uncertainty::diagnostics::omitted::Omitted;
+use crate::findings::shown_text::digits;
+use crate::loaded::simulations_around::Effort;
 use crate::uncertainty::diagnostics::parameter_constancy::PartConflict;
 use crate::uncertainty::diagnostics::prior_check::PriorConflict;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
-use crate::uncertainty::digits::digits;
+use crate::uncertainty::diagnostics::score_test::Omitted;
 use crate::uncertainty::scores::Criterion;
 use base::Number;
 use dfo::RobustLoss;

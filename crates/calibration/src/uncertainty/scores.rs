@@ -3,7 +3,7 @@
 
 use crate::problem::objective::NamedCost;
 use crate::problem::residual_layout::ResidualLayout;
-use crate::uncertainty::chance::{MEDIAN_DEVIATION, median};
+use crate::uncertainty::p_values::{MEDIAN_DEVIATION, median};
 use dfo::RobustLoss;
 use nalgebra::DVector;
 

@@ -1,8 +1,8 @@
 //! Parameters that a search could not move: that ended at a bound, or did not change the cost.
 
-use crate::calibration::handle::Calibration;
 use crate::cost::failure::CostFailure;
 use crate::cost::residual::CostRule;
+use crate::loaded::calibration::Calibration;
 use crate::problem::objective::CostKind;
 use crate::problem::parameter::{Parameter, inner, outer};
 use base::RunContext;

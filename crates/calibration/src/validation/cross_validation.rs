@@ -1,12 +1,12 @@
 //! Cross-validation by recording: fits without some of the recordings, each validated on those that it was
 //! not given.
 
-use crate::calibration::handle::Calibration;
 use crate::cost::parallel;
 use crate::error::CalibrationError;
+use crate::findings::shown_text::digits;
 use crate::fit::one_stage::{Fit, FitOptions, NoiseRule};
+use crate::loaded::calibration::Calibration;
 use crate::problem::objective::CostKind;
-use crate::uncertainty::digits::digits;
 use crate::validation::held_out::{Validation, ValidationSet};
 use base::{Number, RunContext};
 use dfo::{AnyMethod, Record, RobustLoss, RunOptions};

@@ -1,16 +1,16 @@
 //! Validation of fitted parameters on data that they were not fitted to: other parts of the recordings, or
 //! other recordings.
 
-use crate::calibration::handle::Calibration;
 use crate::cost::residual::PointResiduals;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, table};
+use crate::findings::shown_text::digits;
 use crate::fit::one_stage::{Fit, FitOptions, NoiseRule};
 use crate::fit::output_fit::OutputFit;
+use crate::loaded::calibration::Calibration;
 use crate::problem::experiment::Experiment;
 use crate::problem::objective::CostKind;
 use crate::problem::residual_layout::OutputResiduals;
-use crate::uncertainty::digits::digits;
 use base::RunContext;
 use dfo::RobustLoss;
 use ode::Stats;

@@ -8,7 +8,7 @@ use std::fmt;
 /// Outcome of one evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Outcome {
-    /// The cost. NaN and infinities become [`Failed`](Self::Failed) in the gateway.
+    /// The cost. NaN and infinities become [`Failed`](Self::Failed) when it is counted.
     Value(f64),
     /// The evaluation was given up because the cost is strictly greater than this cutoff. Never a cost, never
     /// best.
@@ -65,7 +65,7 @@ impl Outcome {
         }
     }
 
-    /// The one form that everything behind the gateway relies on: finite values, honest cutoffs.
+    /// The one form that everything relies on that counts it: finite values, honest cutoffs.
     pub(crate) fn checked(self, cutoff: f64) -> Self {
         match self {
             Self::Value(v) if !v.is_finite() => Self::not_finite(format!("cost is {v}")),

@@ -546,7 +546,7 @@ fn too_many_failed(round: &CountedBatch, limits: &Limits) -> bool {
     n >= FEWEST_EVALUATIONS && limits.max_failed.is_some_and(|share| failed as f64 > share * n as f64)
 }
 
-/// Limits that hold between two batches, besides those of the gateway.
+/// Limits that hold between two batches, besides those that a batch keeps.
 fn reached<M: Method + ?Sized>(method: &M, round: &CountedBatch, limits: &Limits) -> Option<Termination> {
     if round.target_reached(limits) {
         return Some(Termination::Target);

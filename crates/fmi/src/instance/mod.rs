@@ -1,4 +1,4 @@
-//! Instances of a model and the phases of their lives; each phase is a type, and has the calls that FMI
+//! Instances of a model and the phases; each phase is a type, and has the calls that FMI
 //! allows in it.
 
 pub(crate) mod assignments;

@@ -1,7 +1,7 @@
 //! A loaded copy of a library: one file with static variables of its own, for both ways of running the model.
 
-use super::files;
-use super::source::Source;
+use super::original::OriginalLibrary;
+use super::private_copy;
 use crate::error::FmiError;
 use crate::fair_lock::FairLock;
 use crate::sys::{InterfaceKind, Library, LoadFrom};
@@ -22,7 +22,7 @@ pub(crate) struct LoadedLibrary {
     path: PathBuf,
     /// Every setting ever made in it, sorted; `None`: anything, by hand.
     set: Mutex<Option<Vec<Setting>>>,
-    gate: Arc<FairLock>,
+    lock: Arc<FairLock>,
     /// One function table for each way of running the model, over the same static variables.
     tables: [Mutex<Option<Arc<Library>>>; 2],
     /// After the tables: a library that is unloaded takes its folder with it.
@@ -41,16 +41,16 @@ impl LoadedLibrary {
     ///
     /// # Errors
     /// The file cannot be copied.
-    pub(super) fn of(source: &Source, owner: Option<FolderOwner>) -> Result<Self, FmiError> {
+    pub(super) fn of(source: &OriginalLibrary, owner: Option<FolderOwner>) -> Result<Self, FmiError> {
         let (path, folder) = match owner {
             Some(owner) => (source.library.clone(), owner),
             None => {
-                let (path, folder) = files::copy(source)?;
+                let (path, folder) = private_copy::copy(source)?;
                 (path, Arc::new(folder) as FolderOwner)
             }
         };
-        let (gate, tables) = (source.gate(), Default::default());
-        Ok(Self { path, set: Mutex::new(Some(Vec::new())), gate, tables, folder: Mutex::new(Some(folder)) })
+        let (lock, tables) = (source.lock(), Default::default());
+        Ok(Self { path, set: Mutex::new(Some(Vec::new())), lock, tables, folder: Mutex::new(Some(folder)) })
     }
 
     /// Number of a user's settings that were made in it before (`None`: users set anything, by hand); no
@@ -96,7 +96,7 @@ impl LoadedLibrary {
         let other = known.into_iter().find_map(|kind| self.table(kind).clone());
         let library = match &other {
             Some(other) => open(LoadFrom::Loaded(other))?,
-            None => open(LoadFrom::File(&self.path, &self.gate))?,
+            None => open(LoadFrom::File(&self.path, &self.lock))?,
         };
         *self.table(kind) = Some(Arc::new(library));
         Ok(())
@@ -115,8 +115,8 @@ impl LoadedLibrary {
     }
 
     /// Who is inside of it has a turn of this.
-    pub(crate) fn gate(&self) -> &Arc<FairLock> {
-        &self.gate
+    pub(crate) fn lock(&self) -> &Arc<FairLock> {
+        &self.lock
     }
 
     fn any(&self, holds: impl Fn(&Library) -> bool) -> bool {
@@ -150,12 +150,12 @@ impl LoadedLibrary {
     }
 
     /// Makes the folder again, as far as the library could miss it.
-    pub(super) fn ensure_folder(&self, source: &Source) {
+    pub(super) fn ensure_folder(&self, source: &OriginalLibrary) {
         let mut folder = self.folder.lock().unwrap_or_else(PoisonError::into_inner);
-        if folder.is_some() || !files::has_company(source) {
+        if folder.is_some() || !private_copy::has_other_files(source) {
             return;
         }
-        match files::restore(&self.path, source) {
+        match private_copy::restore(&self.path, source) {
             Ok(again) => *folder = Some(Arc::new(again)),
             Err(error) => {
                 log::warn!("the folder of a loaded library has gone and cannot be made again: {error}")

@@ -8,10 +8,10 @@
 //! With the FMU a copy is unloaded, where its file shows that nothing of it can be called later; others are
 //! kept for as long as the process lives, and whoever opens an FMU of the same content next has them.
 
-mod files;
 mod loaded;
+mod original;
+mod private_copy;
 mod reset_knowledge;
-mod source;
 
 pub(crate) use loaded::{LoadedLibrary, Setting};
 pub(crate) use reset_knowledge::ResetKnowledge;
@@ -21,8 +21,8 @@ use crate::archive::Archive;
 use crate::error::FmiError;
 use crate::fair_lock::FairLock;
 use crate::sys::{InterfaceKind, Library, LoadFrom, LoaderOptions};
-pub(crate) use source::LibraryFile;
-use source::Source;
+pub(crate) use original::LibraryFile;
+use original::OriginalLibrary;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -30,16 +30,16 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 #[derive(Debug, Default)]
 pub(crate) struct Libraries {
     /// The file for each way of running the model; found when it is first needed.
-    sources: [Mutex<Option<Arc<Source>>>; 2],
+    sources: [Mutex<Option<Arc<OriginalLibrary>>>; 2],
     loaded: Mutex<Vec<Loaded>>,
     /// Files of the FMU's own private folder that are loaded as they are.
     originals: Mutex<Vec<PathBuf>>,
-    verdicts: [Mutex<ResetKnowledge>; 2],
+    reset_knowledge: [Mutex<ResetKnowledge>; 2],
     /// Who builds, finds or loads a library has a turn.
     making: Arc<FairLock>,
 }
 
-type Loaded = (Arc<Source>, Arc<LoadedLibrary>);
+type Loaded = (Arc<OriginalLibrary>, Arc<LoadedLibrary>);
 
 /// Copies that cannot be unloaded and that nobody has.
 static KEPT: Mutex<Vec<Loaded>> = Mutex::new(Vec::new());
@@ -48,7 +48,7 @@ static KEPT: Mutex<Vec<Loaded>> = Mutex::new(Vec::new());
 const MOST: usize = 16;
 
 /// A copy in which nothing was set before that is none of these settings.
-fn take_kept(source: &Source, settings: Option<&[Setting]>) -> Option<Arc<LoadedLibrary>> {
+fn take_kept(source: &OriginalLibrary, settings: Option<&[Setting]>) -> Option<Arc<LoadedLibrary>> {
     let mut kept = lock(&KEPT);
     let serves = |(of, library): &Loaded| of.is_same(source) && library.n_set_of(settings).is_some();
     let place = kept.iter().position(serves)?;
@@ -83,8 +83,8 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 impl Libraries {
     /// State of knowledge about the reset of instances of one interface.
-    pub(crate) fn verdict(&self, kind: InterfaceKind) -> MutexGuard<'_, ResetKnowledge> {
-        lock(&self.verdicts[kind as usize])
+    pub(crate) fn reset_knowledge(&self, kind: InterfaceKind) -> MutexGuard<'_, ResetKnowledge> {
+        lock(&self.reset_knowledge[kind as usize])
     }
 
     /// A loaded copy of the library. Where another thread is making one, waits as long as `wait` (asked every
@@ -130,12 +130,12 @@ impl Libraries {
         archive: &Archive,
         loader: LoaderOptions,
         find: &dyn Fn() -> Result<LibraryFile, FmiError>,
-    ) -> Result<Arc<Source>, FmiError> {
+    ) -> Result<Arc<OriginalLibrary>, FmiError> {
         let known = lock(&self.sources[kind as usize]).clone();
         if let Some(source) = known {
             return Ok(source);
         }
-        let source = Arc::new(Source::new(find()?, archive, loader)?);
+        let source = Arc::new(OriginalLibrary::new(find()?, archive, loader)?);
         Ok(Arc::clone(lock(&self.sources[kind as usize]).insert(source)))
     }
 
@@ -143,7 +143,7 @@ impl Libraries {
     /// and that does not serve goes, if it can be unloaded.
     fn find(
         &self,
-        source: &Arc<Source>,
+        source: &Arc<OriginalLibrary>,
         settings: Option<&[Setting]>,
         only_one: bool,
     ) -> Option<Arc<LoadedLibrary>> {
@@ -170,7 +170,7 @@ impl Libraries {
     }
 
     /// True if the file itself is to be loaded: it is in a private folder, and is not loaded yet.
-    fn takes_original(&self, source: &Source, archive: &Archive) -> bool {
+    fn takes_original(&self, source: &OriginalLibrary, archive: &Archive) -> bool {
         if !(archive.is_private() && source.is_inside()) {
             return false;
         }
@@ -194,7 +194,7 @@ impl Libraries {
 impl Drop for Libraries {
     fn drop(&mut self) {
         let mut has_state = |kind: usize| {
-            let verdict = self.verdicts[kind].get_mut().unwrap_or_else(PoisonError::into_inner);
+            let verdict = self.reset_knowledge[kind].get_mut().unwrap_or_else(PoisonError::into_inner);
             verdict.reuse == Some(Reuse::NewProcess)
         };
         let is_kept = !has_state(0) && !has_state(1);

@@ -2,7 +2,7 @@
 
 use crate::description::{Value, Variable};
 use crate::error::{FmiError, Result};
-use crate::simulation::co_simulation::Stepping;
+use crate::simulation::co_simulation::CoSimulationState;
 use crate::simulation::model_exchange::{Integration, System};
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::Running;
@@ -16,7 +16,7 @@ use std::sync::Arc;
 #[derive(Debug)]
 pub(crate) enum Engine {
     Integrated { driver: Box<Driver>, system: Box<System> },
-    Stepping(Box<Stepping>),
+    CoSimulationState(Box<CoSimulationState>),
 }
 
 impl Engine {
@@ -26,7 +26,9 @@ impl Engine {
                 driver: Box::new(Driver::new(plan.options.clone())?),
                 system: Box::new(System::new(Arc::clone(plan))),
             },
-            InterfaceKind::CoSimulation => Engine::Stepping(Box::new(Stepping::new(Arc::clone(plan)))),
+            InterfaceKind::CoSimulation => {
+                Engine::CoSimulationState(Box::new(CoSimulationState::new(Arc::clone(plan))))
+            }
         })
     }
 
@@ -34,7 +36,7 @@ impl Engine {
     pub(crate) fn running(&mut self) -> &mut Running {
         match self {
             Engine::Integrated { system, .. } => &mut system.running,
-            Engine::Stepping(stepping) => &mut stepping.running,
+            Engine::CoSimulationState(stepping) => &mut stepping.running,
         }
     }
 
@@ -44,7 +46,7 @@ impl Engine {
         note_run();
         match self {
             Engine::Integrated { system, .. } => system.initialize(raw, input),
-            Engine::Stepping(stepping) => stepping.initialize(raw, input),
+            Engine::CoSimulationState(stepping) => stepping.initialize(raw, input),
         }
     }
 
@@ -55,7 +57,7 @@ impl Engine {
         let outside = SharedObserver::new(&plan.options, &mut nobody);
         match self {
             Engine::Integrated { system, .. } => Integration { system, outside: &outside }.initial_events(),
-            Engine::Stepping(stepping) => stepping.run_initial_events(&outside).map(drop),
+            Engine::CoSimulationState(stepping) => stepping.run_initial_events(&outside).map(drop),
         }
     }
 
@@ -63,7 +65,7 @@ impl Engine {
     pub(crate) fn value(&mut self, variable: &Variable) -> Result<Value> {
         match self {
             Engine::Integrated { system, .. } => system.value(variable),
-            Engine::Stepping(stepping) => stepping.value(variable),
+            Engine::CoSimulationState(stepping) => stepping.value(variable),
         }
     }
 
@@ -100,7 +102,7 @@ impl Engine {
                     FmiError::Simulation(error)
                 })
             }
-            Engine::Stepping(stepping) => stepping.run(limits_of_run.max_steps, &outside),
+            Engine::CoSimulationState(stepping) => stepping.run(limits_of_run.max_steps, &outside),
         }
     }
 }

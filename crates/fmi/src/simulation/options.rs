@@ -1,7 +1,7 @@
 //! Options of a simulation.
 
 use crate::description::{DefaultExperiment, Interval, Value};
-use crate::fmu::Kind;
+use crate::fmu::InterfaceChoice;
 use crate::simulation::inputs::Inputs;
 use crate::sys::InterfaceKind;
 use base::Number;
@@ -58,7 +58,7 @@ macro_rules! setters {
 pub struct RunSettings {
     /// Interface that runs the model; default: model exchange where it offers that, else co-simulation.
     #[cfg_attr(feature = "schema", schemars(schema_with = "kinds"))]
-    pub kind: Kind,
+    pub kind: InterfaceChoice,
     /// Integration method (model exchange).
     #[serde(rename = "solver")]
     #[cfg_attr(feature = "schema", schemars(schema_with = "solvers"))]
@@ -183,7 +183,7 @@ impl SimulateOptions {
     setters! { "RunSettings", run. {
         input_derivatives(bool) = |told| Some(told);
         relative_tolerance(f64) = |tolerance| Some(tolerance);
-        kind(Kind) = |kind| kind;
+        kind(InterfaceChoice) = |kind| kind;
         method(Method) = |method| method;
         step_size(f64) = |step| Some(step);
         max_step(f64) = |step| Some(step);

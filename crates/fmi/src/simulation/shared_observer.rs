@@ -33,7 +33,7 @@ impl<'a> SharedObserver<'a> {
 
 impl fmt::Debug for SharedObserver<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Outside").field("watch", &self.watch).finish_non_exhaustive()
+        f.debug_struct("SharedObserver").field("watch", &self.watch).finish_non_exhaustive()
     }
 }
 

@@ -101,7 +101,7 @@ impl Simulator {
         fmu.say_once(Level::Info, "checks", &text);
         match found {
             // At the other values, perhaps; another check could end so, too.
-            _ if self.is_fatal() => fmu.verdict(plan.kind).note(Reuse::Reinstantiate),
+            _ if self.is_fatal() => fmu.reset_knowledge(plan.kind).note(Reuse::Reinstantiate),
             Ok(Finding::State) => {
                 fmu.note_hidden_state();
                 let advice = "; results in this process may be wrong, isolation = \"process\" starts a process for every simulation";
@@ -110,7 +110,7 @@ impl Simulator {
             }
             Ok(Finding::Way(reuse, None)) => {
                 self.proven = Some(reuse);
-                fmu.verdict(plan.kind).note(reuse);
+                fmu.reset_knowledge(plan.kind).note(reuse);
             }
             Ok(Finding::Way(reuse, Some(reason))) => {
                 self.give_up_reuse(reuse, reason);

@@ -10,6 +10,10 @@ use std::sync::Arc;
 /// Largest cost of a check, as a fraction of the time of the runs before it.
 const SHARE: f64 = 0.1;
 
+/// A check that takes fewer seconds than this follows the first run: it is not felt, and says before the
+/// second result whether runs depend on earlier ones.
+const SHORT: f64 = 5e-3;
+
 /// Runs of a check, as a rule.
 const RUNS: u64 = 4;
 
@@ -65,6 +69,6 @@ impl FirstRun {
     pub(super) fn is_due(&self) -> bool {
         let per_step = (self.took - self.starting) / self.n_steps.max(1) as f64;
         let estimate = RUNS as f64 * (self.starting + per_step * self.n_check_steps() as f64);
-        self.n_steps > 0 && estimate <= SHARE * self.spent
+        self.n_steps > 0 && estimate <= SHORT.max(SHARE * self.spent)
     }
 }

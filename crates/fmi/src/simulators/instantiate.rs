@@ -137,7 +137,7 @@ impl Fmu {
             guid: &guid,
             resources: &resources,
             kind,
-            event_mode: interface.capabilities.uses_event_mode() && !self.verdict(kind).no_event_mode,
+            event_mode: interface.capabilities.uses_event_mode() && !self.reset_knowledge(kind).no_event_mode,
             early_return: interface.capabilities.may_return_early(),
             visible: options.visible,
             logging: options.logging,
@@ -151,7 +151,7 @@ impl Fmu {
         // Some models promise an event mode that they do not have.
         request.event_mode = false;
         let raw = RawInstance::new(library, &request, sizes).map_err(|_| refusal)?;
-        self.verdict(kind).no_event_mode = true;
+        self.reset_knowledge(kind).no_event_mode = true;
         self.note_quirk(QuirkKind::Promise, NO_EVENT_MODE);
         self.with_log_categories(raw, options)
     }

@@ -49,7 +49,7 @@ impl Simulator {
         drop(self.engine.running().retire());
         let mut raw = self.instantiate()?;
         if reuse == Some(Reuse::Restore) && raw.save_origin().is_err() {
-            self.plan.fmu().verdict(self.plan.kind).no_restore = true;
+            self.plan.fmu().reset_knowledge(self.plan.kind).no_restore = true;
             drop(raw);
             raw = self.instantiate()?;
         }
@@ -68,7 +68,7 @@ impl Simulator {
         let (fmu, kind) = (self.plan.fmu(), self.plan.kind);
         kind == InterfaceKind::ModelExchange
             && fmu.interface(kind).is_some_and(|interface| interface.capabilities.can_get_and_set_state)
-            && !fmu.verdict(kind).no_restore
+            && !fmu.reset_knowledge(kind).no_restore
     }
 
     /// A way of bringing instances back was found not to work: the next one is taken from now on, and the
@@ -77,11 +77,11 @@ impl Simulator {
         let (fmu, kind) = (self.plan.fmu(), self.plan.kind);
         let what = match reuse {
             Reuse::Restore => {
-                fmu.verdict(kind).no_restore = true;
+                fmu.reset_knowledge(kind).no_restore = true;
                 "setting a saved state"
             }
             _ => {
-                fmu.verdict(kind).note(Reuse::Reinstantiate);
+                fmu.reset_knowledge(kind).note(Reuse::Reinstantiate);
                 if fmu.description().fmi_version.major < 2 && kind == InterfaceKind::ModelExchange {
                     // FMI 1.0 has a reset function for co-simulation only.
                     return;

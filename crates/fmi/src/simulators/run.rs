@@ -17,7 +17,7 @@ impl Simulator {
     /// Way in which instances are reset, as far as it is known; `None`: a new instance is made until it was
     /// tried.
     pub(super) fn reuse(&self) -> Option<Reuse> {
-        let verdict = *self.plan.fmu().verdict(self.plan.kind);
+        let verdict = *self.plan.fmu().reset_knowledge(self.plan.kind);
         match verdict.is_final() {
             true => verdict.reuse,
             false => self.proven.filter(|reuse| *reuse != Reuse::Restore || !verdict.no_restore),
@@ -61,7 +61,7 @@ impl Simulator {
                 is_late = limit.is_some_and(|limit| began.elapsed() >= limit);
                 !is_late && goes_on()
             };
-            match (Inside::enter_while(library.gate(), &mut wait), limit) {
+            match (Inside::enter_while(library.lock(), &mut wait), limit) {
                 (Some(inside), _) if !library.is_fatal() => return Ok(inside),
                 (Some(_), _) => {}
                 (None, Some(limit)) if is_late => return Err(self.ended(ErrorKind::TimedOut(limit))),
@@ -245,7 +245,7 @@ impl Drop for Simulator {
         let (brought_back, current) =
             (self.brought_back.take(), std::mem::take(&mut self.engine.running().current));
         // Without waiting: who drops a simulator may hold locks that the one who is inside waits for.
-        Arc::clone(library.gate()).when_free(move || {
+        Arc::clone(library.lock()).when_free(move || {
             drop((brought_back, current.retire()));
             drop(library);
         });

@@ -3,7 +3,7 @@
 use crate::cancel_request::CancelRequest;
 use crate::error::{FmiError, Result};
 use crate::platform;
-use crate::sys::limit_child;
+use crate::sys::limit_compiler;
 use std::ffi::OsStr;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -94,7 +94,7 @@ impl Compiler {
         let (out, mut said) = answer.map_err(FmiError::io("run", &program))?;
         question.stdout(out).stderr(Stdio::null());
         platform::in_own_group(&mut question);
-        limit_child(&mut question, patience.limit.min(ANSWER_TIME));
+        limit_compiler(&mut question, patience.limit.min(ANSWER_TIME));
         let short = Patience { limit: patience.limit.min(ANSWER_TIME), ..*patience };
         let Ok(mut child) = question.spawn() else { return Ok(None) };
         match short.wait(&mut child) {
@@ -134,7 +134,7 @@ impl Compiler {
         };
         command.stdout(out).stderr(err);
         platform::in_own_group(&mut command);
-        limit_child(&mut command, patience.limit);
+        limit_compiler(&mut command, patience.limit);
         let ended = command.spawn().and_then(|mut child| patience.wait(&mut child));
         let status = match ended.map_err(run)? {
             Ok(status) if status.success() => return Ok(()),

@@ -1,4 +1,4 @@
-//! Copies of this process.
+//! Copies of this process, and what they inherit.
 
 use rustix::process::Pid;
 use std::ffi::CStr;
@@ -32,5 +32,26 @@ pub(crate) fn overwrite_variable(name: &CStr, value: &[u8]) -> io::Result<()> {
     // SAFETY: so many bytes are there, in memory of this process (System V ABI: strings of the initial
     // environment, or allocated by `setenv`); no other thread reads them, as in `fork`.
     unsafe { std::ptr::copy_nonoverlapping(value.as_ptr(), place.cast(), value.len()) };
+    Ok(())
+}
+
+/// Closes all descriptors of this process but the three standard ones.
+#[cfg(any(target_os = "linux", target_os = "android"))]
+pub(crate) fn close_inherited() -> io::Result<()> {
+    // SAFETY: the caller is a program that has just been started and has opened nothing yet, so no owner of a descriptor loses it; the
+    // first argument is below the second, the flags are none.
+    match unsafe { libc::syscall(libc::SYS_close_range, 3, libc::c_uint::MAX, 0) } {
+        0 => Ok(()),
+        _ => match io::Error::last_os_error() {
+            // A kernel before 5.9: what was inherited stays open.
+            error if error.raw_os_error() == Some(libc::ENOSYS) => Ok(()),
+            error => Err(error),
+        },
+    }
+}
+
+/// Inherited file descriptors stay open where there is no such call.
+#[cfg(all(unix, not(any(target_os = "linux", target_os = "android"))))]
+pub(crate) fn close_inherited() -> io::Result<()> {
     Ok(())
 }

@@ -41,7 +41,7 @@ pub(crate) struct Library {
 /// Where the functions of a library are found.
 #[derive(Clone, Copy)]
 pub(crate) enum LoadFrom<'a> {
-    /// In a file, which is loaded; who is inside of it has a turn of this gate.
+    /// In a file, which is loaded; who is inside of it has a turn of this lock.
     File(&'a Path, &'a Arc<FairLock>),
     /// In a library that is loaded already, whose file may have gone since.
     Loaded(&'a Library),
@@ -59,7 +59,7 @@ impl Library {
         pub(crate) path(self) -> &Path = &self.path;
         /// Who is inside of it has a turn of this.
         #[inline]
-        pub(crate) gate(self) -> &Arc<FairLock> = &self.handle.gate;
+        pub(crate) lock(self) -> &Arc<FairLock> = &self.handle.lock;
         /// True if a call has returned `Fatal`: then the state of the loaded file is not reliable any more.
         #[inline]
         pub(crate) is_fatal(self) -> bool = self.handle.is_fatal.load(Ordering::Relaxed);
@@ -82,10 +82,10 @@ impl Library {
     ) -> Result<Self> {
         let (handle, path) = match from {
             LoadFrom::Loaded(library) => (Arc::clone(&library.handle), &*library.path),
-            LoadFrom::File(path, gate) => (Self::load(path, gate, options)?, path),
+            LoadFrom::File(path, lock) => (Self::load(path, lock, options)?, path),
         };
         // It is asked for its types.
-        let _inside = Inside::enter(&handle.gate);
+        let _inside = Inside::enter(&handle.lock);
         let dialect = match (version.major, kind) {
             (1, InterfaceKind::ModelExchange) => Dialect::Fmi1,
             (1, InterfaceKind::CoSimulation) => Dialect::Fmi1Slave,
@@ -117,16 +117,16 @@ impl Library {
         }
     }
 
-    fn load(path: &Path, gate: &Arc<FairLock>, options: &LoaderOptions) -> Result<Arc<Handle>> {
+    fn load(path: &Path, lock: &Arc<FairLock>, options: &LoaderOptions) -> Result<Arc<Handle>> {
         platform::check(options).map_err(|option| {
             FmiError::BadSetting(format!("the loader of this system has no option {option}"))
         })?;
         check_length(path)?;
-        let _inside = Inside::enter(gate);
+        let _inside = Inside::enter(lock);
         // SAFETY: the user asked to run this FMU, and running its constructors is part of that.
         let opened = unsafe { platform::open(path, options) }
             .map_err(|error| FmiError::LoadFailed { library: path.to_owned(), message: message(&error) })?;
-        Ok(Arc::new(Handle::new(opened, Arc::clone(gate))))
+        Ok(Arc::new(Handle::new(opened, Arc::clone(lock))))
     }
 
     /// The version of FMI that it says it follows, where it has the function for that.

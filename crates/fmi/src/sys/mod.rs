@@ -41,7 +41,7 @@
 
 mod before_main;
 mod callbacks;
-mod child_limits;
+mod compiler_limits;
 mod environment;
 #[cfg(unix)]
 mod faults;
@@ -80,14 +80,12 @@ mod version;
 pub use before_main::is_loaded_to_serve;
 #[cfg(unix)]
 pub(crate) use before_main::{PRELOAD, PRELOADED_BEFORE};
-#[cfg(unix)]
-pub(crate) use child_limits::close_inherited;
-pub(crate) use child_limits::limit as limit_child;
+pub(crate) use compiler_limits::limit as limit_compiler;
 pub(crate) use environment::Inside;
 #[cfg(unix)]
 pub(crate) use faults::tell_faults;
 #[cfg(unix)]
-pub(crate) use fork::{fork, overwrite_variable};
+pub(crate) use fork::{close_inherited, fork, overwrite_variable};
 pub(crate) use library::{Library, LoadFrom};
 pub use platform::LoaderOptions;
 pub(crate) use raw_instance::{Fault, RawInstance, SavedSlot, Sizes};

@@ -38,7 +38,7 @@ pub(super) type Opened = libloading::Library;
 pub(super) struct Handle {
     library: ManuallyDrop<Opened>,
     /// Who may be inside.
-    pub(super) gate: Arc<FairLock>,
+    pub(super) lock: Arc<FairLock>,
     /// A call returned `Fatal`.
     pub(super) is_fatal: AtomicBool,
     /// A component was made.
@@ -47,11 +47,11 @@ pub(super) struct Handle {
 }
 
 impl Handle {
-    pub(super) fn new(library: Opened, gate: Arc<FairLock>) -> Self {
+    pub(super) fn new(library: Opened, lock: Arc<FairLock>) -> Self {
         let library = ManuallyDrop::new(library);
         Self {
             library,
-            gate,
+            lock,
             is_fatal: AtomicBool::new(false),
             is_used: AtomicBool::new(false),
             closes: AtomicBool::new(false),
@@ -79,7 +79,7 @@ impl Drop for Handle {
     fn drop(&mut self) {
         if *self.closes.get_mut() {
             // Its destructors are code of the FMU.
-            let _inside = Inside::enter(&self.gate);
+            let _inside = Inside::enter(&self.lock);
             // SAFETY: dropped once, here; whoever called `close_on_drop` has promised that nobody is in it or comes back.
             unsafe { ManuallyDrop::drop(&mut self.library) };
         }

@@ -1,7 +1,8 @@
 //! Where processes cannot be started as workers: there are none.
 
 use super::frame::Frame;
-use super::limits::{Ask, WorkerLimits};
+use super::isolation::AskedProcess;
+use super::limits::WorkerLimits;
 use super::load::Load;
 use super::requests::Service;
 use crate::description::Quirk;
@@ -56,7 +57,7 @@ impl Workers {
         _: &mut Frame,
         _: &RunContext<'_>,
         _: Option<Duration>,
-        _: Ask,
+        _: AskedProcess,
     ) -> Result<Vec<Quirk>, FmiError> {
         match **self {}
     }
@@ -67,9 +68,9 @@ pub fn serve_if_worker(_: impl FnOnce() -> Box<dyn Service + Send>) {}
 
 /// Nothing can be started.
 #[derive(Debug)]
-pub enum StartedAhead {}
+pub enum ForkServer {}
 
 /// `None`: nothing can be started.
-pub fn start_ahead() -> Option<Arc<StartedAhead>> {
+pub fn start_fork_server() -> Option<Arc<ForkServer>> {
     None
 }

@@ -100,11 +100,11 @@ struct Orders {
 
 /// A template that was started before there is a problem to load. It ends with this, unless it was taken.
 #[derive(Debug)]
-pub struct StartedAhead(Mutex<Option<Template>>);
+pub struct ForkServer(Mutex<Option<Template>>);
 
-static AHEAD: Mutex<Weak<StartedAhead>> = Mutex::new(Weak::new());
+static AHEAD: Mutex<Weak<ForkServer>> = Mutex::new(Weak::new());
 
-impl StartedAhead {
+impl ForkServer {
     fn template(&self) -> MutexGuard<'_, Option<Template>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -120,13 +120,13 @@ impl StartedAhead {
 
 /// Starts the program of worker processes, which will be needed soon; does not wait for it. It ends when the
 /// last answer is dropped before it is needed. `None`: it cannot be started; who needs it meets the error.
-pub fn start_ahead() -> Option<Arc<StartedAhead>> {
+pub fn start_fork_server() -> Option<Arc<ForkServer>> {
     let mut known = AHEAD.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(ahead) = known.upgrade().filter(|ahead| ahead.template().is_some()) {
         return Some(ahead);
     }
     let template = Template::start(&Launcher::known()?).ok()?;
-    let ahead = Arc::new(StartedAhead(Mutex::new(Some(template))));
+    let ahead = Arc::new(ForkServer(Mutex::new(Some(template))));
     *known = Arc::downgrade(&ahead);
     Some(ahead)
 }
@@ -134,7 +134,7 @@ pub fn start_ahead() -> Option<Arc<StartedAhead>> {
 impl Template {
     /// One that was started before, or is started now, and is to load this.
     pub(super) fn loading(launcher: &Launcher, load: &Load) -> Result<Self, FmiError> {
-        let template = StartedAhead::take(launcher).map_or_else(|| Self::start(launcher), Ok)?;
+        let template = ForkServer::take(launcher).map_or_else(|| Self::start(launcher), Ok)?;
         let mut orders = template.orders();
         load.frame().and_then(|frame| orders.send(Order::Load, &frame, &[])).map_err(no_worker)?;
         orders.load = Some(load.id);

@@ -1,57 +1,6 @@
-//! Limits of a worker process, and the choice of running an FMU in one.
+//! Limits of a worker process, and how it sets them for itself.
 
 use serde::{Deserialize, Serialize};
-use std::str::FromStr;
-
-/// Where an FMU runs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Isolation {
-    /// In processes of its own, one per thread that evaluates: this process outlives whatever the FMU does.
-    #[default]
-    Process,
-    /// In this process, one simulation at a time.
-    None,
-}
-
-impl Isolation {
-    /// All of them, by their names.
-    pub const NAMES: [(&'static str, Self); 2] = [("process", Self::Process), ("none", Self::None)];
-
-    /// The name by which it is asked for.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Process => "process",
-            Self::None => "none",
-        }
-    }
-}
-
-impl FromStr for Isolation {
-    type Err = crate::error::FmiError;
-
-    fn from_str(name: &str) -> Result<Self, Self::Err> {
-        let found = Self::NAMES.iter().find(|(known, _)| known.eq_ignore_ascii_case(name));
-        found.map(|(_, isolation)| *isolation).ok_or_else(|| {
-            crate::error::FmiError::BadSetting(format!(
-                "isolation = \"{name}\"; there are: \"process\", \"none\""
-            ))
-        })
-    }
-}
-
-/// Process that is asked.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Ask {
-    /// Any that is idle and has loaded the same; a new one if there is none.
-    Any,
-    /// Of these, the one that was asked longest ago.
-    LongestIdle,
-    /// One that was never asked before.
-    Fresh,
-    /// One that was never asked before, and is not asked again.
-    FreshOnce,
-}
 
 /// Memory that a worker may gain before it is replaced, in bytes.
 const GROWTH: u64 = 512 << 20;
@@ -84,4 +33,19 @@ fn memory_of_machine() -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
     let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kilobytes << 10)
+}
+
+/// Limits the memory of this process, and lets it write no core files.
+#[cfg(unix)]
+pub(super) fn limit_self(limits: &WorkerLimits) -> std::io::Result<()> {
+    let lower = |resource: rustix::process::Resource, most: u64| {
+        let maximum = rustix::process::getrlimit(resource).maximum;
+        let most = Some(maximum.map_or(most, |maximum| maximum.min(most)));
+        rustix::process::setrlimit(resource, rustix::process::Rlimit { current: most, maximum: most })
+    };
+    lower(rustix::process::Resource::Core, 0)?;
+    if let Some(memory) = limits.memory {
+        lower(rustix::process::Resource::Data, memory)?;
+    }
+    Ok(())
 }

@@ -19,6 +19,7 @@ mod fork_server;
 mod fork_server_main;
 mod frame;
 mod handshake;
+mod isolation;
 mod launcher;
 mod limits;
 mod load;
@@ -35,15 +36,16 @@ mod worker_process;
 mod workers;
 
 #[cfg(not(unix))]
-pub use absent::{StartedAhead, Workers, serve_if_worker, start_ahead};
+pub use absent::{ForkServer, Workers, serve_if_worker, start_fork_server};
 #[cfg(unix)]
-pub use fork_server::{StartedAhead, start_ahead};
+pub use fork_server::{ForkServer, start_fork_server};
 #[cfg(unix)]
 pub use fork_server_main::serve_if_worker;
 pub use frame::Frame;
 pub use handshake::is_asked;
+pub use isolation::{AskedProcess, Isolation};
 pub use launcher::Launcher;
-pub use limits::{Ask, Isolation, WorkerLimits};
+pub use limits::WorkerLimits;
 pub use load::Load;
 pub use requests::Service;
 #[cfg(unix)]

@@ -3,7 +3,7 @@
 use super::folder::{leave_for, remove};
 use super::fork_server::{DESCRIPTORS, Hello, Start};
 use super::frame::Frame;
-use super::limits::WorkerLimits;
+use super::limits::limit_self;
 use super::notes::{Notes, take_lines};
 use super::requests::Service;
 use crate::error::{ReportedError, ReportedErrorKind};
@@ -11,7 +11,6 @@ use crate::sys::{Page, tell_calls, tell_faults};
 use base::RunContext;
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::fs::{Mode, OFlags};
-use rustix::process::{Resource, Rlimit, setrlimit};
 use std::fs::File;
 use std::io::{self, BufReader, Write};
 use std::os::fd::OwnedFd;
@@ -165,19 +164,6 @@ fn end_with(socket: &UnixStream, folder: &Path) {
 pub(super) fn close_stdin() -> io::Result<()> {
     let nothing: OwnedFd = rustix::fs::open("/dev/null", OFlags::RDONLY | OFlags::CLOEXEC, Mode::empty())?;
     rustix::stdio::dup2_stdin(&nothing)?;
-    Ok(())
-}
-
-fn limit_self(limits: &WorkerLimits) -> io::Result<()> {
-    let lower = |resource: Resource, most: u64| {
-        let maximum = rustix::process::getrlimit(resource).maximum;
-        let most = Some(maximum.map_or(most, |maximum| maximum.min(most)));
-        setrlimit(resource, Rlimit { current: most, maximum: most })
-    };
-    lower(Resource::Core, 0)?;
-    if let Some(memory) = limits.memory {
-        lower(Resource::Data, memory)?;
-    }
     Ok(())
 }
 

@@ -3,8 +3,9 @@
 
 use super::fork_server::Template;
 use super::frame::Frame;
+use super::isolation::AskedProcess;
 use super::launcher::Launcher;
-use super::limits::{Ask, WorkerLimits};
+use super::limits::WorkerLimits;
 use super::load::{Load, LoadId};
 use super::worker_process::{NoAnswer, Process};
 use crate::description::Quirk;
@@ -140,9 +141,9 @@ impl Workers {
         answer: &mut Frame,
         context: &RunContext<'_>,
         run_limit: Option<Duration>,
-        whom: Ask,
+        whom: AskedProcess,
     ) -> Result<Vec<Quirk>, FmiError> {
-        let is_fresh = matches!(whom, Ask::Fresh | Ask::FreshOnce);
+        let is_fresh = matches!(whom, AskedProcess::Fresh | AskedProcess::FreshOnce);
         let mut call = |process: Option<Process>| {
             let mut process = match process {
                 Some(process) => process,
@@ -150,7 +151,7 @@ impl Workers {
             };
             let (quirks, can_go_on) = self.call_in(&mut process, load, asked, answer, context, run_limit);
             // Otherwise it ends here.
-            if can_go_on && whom != Ask::FreshOnce {
+            if can_go_on && whom != AskedProcess::FreshOnce {
                 self.give_back(process);
             }
             quirks
@@ -239,19 +240,19 @@ impl Workers {
 
     /// One of those that have loaded this, else one that is [lent](Load::in_processes_of), and no other: what
     /// ran before in a process may show in its answers.
-    fn idle_process(&self, load: &Load, whom: Ask) -> Option<Process> {
+    fn idle_process(&self, load: &Load, whom: AskedProcess) -> Option<Process> {
         let mut idle = self.idle();
         let is_of_load = |(process, _): &(Process, Instant)| process.loaded == Some(load.id);
         let place = match whom {
-            Ask::Any => {
+            AskedProcess::Any => {
                 let is_lent = |(process, _): &(Process, Instant)| {
                     process.loaded.is_some_and(|loaded| loaded.owner == load.id.owner)
                 };
                 let own = idle.processes.iter().rposition(is_of_load);
                 own.or_else(|| idle.processes.iter().rposition(is_lent))
             }
-            Ask::LongestIdle => idle.processes.iter().position(is_of_load),
-            Ask::Fresh | Ask::FreshOnce => None,
+            AskedProcess::LongestIdle => idle.processes.iter().position(is_of_load),
+            AskedProcess::Fresh | AskedProcess::FreshOnce => None,
         };
         Some(idle.processes.remove(place?).0)
     }

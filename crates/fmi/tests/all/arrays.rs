@@ -4,7 +4,9 @@
 
 use crate::support;
 
-use fmi::{FmiError, Fmu, Inputs, Kind, Session, SimulateOptions, SimulationPlan, Simulator, Value};
+use fmi::{
+    FmiError, Fmu, Inputs, InterfaceChoice, Session, SimulateOptions, SimulationPlan, Simulator, Value,
+};
 use std::sync::Arc;
 use support::{arrays, fixture};
 
@@ -18,7 +20,7 @@ fn arrays_are_columns_and_structural_parameters_change_their_number() {
     let fmu = folder.open();
     assert!(fmu.description().quirks.is_empty(), "{:?}", fmu.description().quirks);
     assert_eq!(fmu.description().n_states(), 3);
-    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+    for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
         let options = SimulateOptions::new().kind(kind).relative_tolerance(1e-10).ncp(10);
         let result = fmu.simulate(&options).unwrap();
         assert_eq!(result.names, ["x[1]", "x[2]", "x[3]", "sum"]);
@@ -65,7 +67,7 @@ fn elements_are_start_values_parameters_and_inputs() {
         .series("u[2]", vec![0.0, 1.0], vec![3.0, 3.0])
         .series("steps[2]", vec![0.0, 0.5], vec![4.0, 5.0])
         .table(vec![0.0, 1.0], [("u[1]", vec![2.0, 2.0])]);
-    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+    for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
         let options = SimulateOptions::new()
             .kind(kind)
             .relative_tolerance(1e-10)
@@ -164,7 +166,7 @@ fn values_of_all_types_are_set_and_read() {
 fn outputs_of_every_type_are_sampled_at_the_same_rows() {
     let folder = arrays();
     let fmu = folder.open();
-    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+    for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
         let options = SimulateOptions::new().kind(kind).ncp(10);
         let wanted = ["label", "sum", "count", "text", "matrix", "blob", "u64", "text[2]", "time", "f32"];
         let result = fmu.simulate(&options.clone().outputs(wanted)).unwrap();
@@ -412,7 +414,7 @@ fn texts_and_bytes_are_inputs() {
             [vec![], vec![0, 255]].map(Value::Binary),
         )
     };
-    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+    for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
         let options = SimulateOptions::new()
             .kind(kind)
             .final_time(1.0)
@@ -420,7 +422,7 @@ fn texts_and_bytes_are_inputs() {
             .outputs(["word", "packet"]);
         let found = fmu.simulate(&options.clone().inputs(inputs())).unwrap();
         // Without event mode a row is read before the inputs of the next step are set.
-        let late = kind == Kind::CoSimulation;
+        let late = kind == InterfaceChoice::CoSimulation;
         let words = if late { [1, 1, 2, 1, 1] } else { [1, 2, 1, 1, 1] };
         let words = words.map(|word| Value::String(["none", "first", "second"][word].into()));
         assert_eq!(*found.values_of("word").unwrap(), words[..]);
@@ -460,7 +462,7 @@ fn integers_of_64_bits_are_inputs_without_loss() {
     });
     let fmu = folder.open();
     let big = (1i64 << 53) + 1;
-    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+    for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
         let inputs = Inputs::new()
             .values("i64", [0.0, 0.25, 0.5, 0.75], [big, -big, i64::MAX, i64::MAX])
             .values(
@@ -484,7 +486,7 @@ fn integers_of_64_bits_are_inputs_without_loss() {
         );
         assert_eq!(result.get("i16").unwrap(), [-300.0, -300.0, 300.0, 300.0]);
         // Changes of held values are events; a row that changes nothing is none.
-        assert_eq!(result.stats.input_events, if kind == Kind::ModelExchange { 2 } else { 0 });
+        assert_eq!(result.stats.input_events, if kind == InterfaceChoice::ModelExchange { 2 } else { 0 });
     }
     let refused = |inputs: Inputs| {
         SimulationPlan::new(&fmu, &SimulateOptions::new().inputs(inputs)).unwrap_err().to_string()
@@ -537,7 +539,7 @@ fn inputs_of_single_precision_are_interpolated() {
     for inputs in [ramp, function] {
         let both = inputs.series("u[2]", vec![0.0, 1.0], vec![0.0, 1.0]);
         let options = SimulateOptions::new()
-            .kind(Kind::ModelExchange)
+            .kind(InterfaceChoice::ModelExchange)
             .relative_tolerance(1e-9)
             .times([0.0, 0.25, 1.0])
             .inputs(both)
@@ -558,7 +560,7 @@ fn inputs_of_single_precision_are_interpolated() {
 fn parameters_of_single_precision_are_those_of_runs() {
     let folder = driven_by_single("valueReference=\"10\" causality=\"parameter\" variability=\"fixed\"");
     let fmu = folder.open();
-    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+    for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
         let options = SimulateOptions::new()
             .kind(kind)
             .relative_tolerance(1e-10)
@@ -572,7 +574,7 @@ fn parameters_of_single_precision_are_those_of_runs() {
             let result = simulator.trajectory(&[single, k]).unwrap();
             let single = f64::from(single as f32);
             assert_eq!(result.get("f32").unwrap(), [single, single]);
-            if kind == Kind::ModelExchange {
+            if kind == InterfaceChoice::ModelExchange {
                 close(result.final_value("x[1]").unwrap().unwrap(), grown(1.0, 1.0, single, 1.0));
                 close(result.final_value("x[2]").unwrap().unwrap(), grown(2.0, k, single, 1.0));
             }

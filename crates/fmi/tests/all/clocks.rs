@@ -5,11 +5,11 @@
 use crate::support;
 
 use fmi::description::{ClockKind, Interval};
-use fmi::{FmiError, Inputs, Kind, SimulateOptions, SimulationPlan, Simulator, Trajectory};
+use fmi::{FmiError, Inputs, InterfaceChoice, SimulateOptions, SimulationPlan, Simulator, Trajectory};
 use std::sync::Arc;
 use support::{fixture, fixture_with};
 
-const KINDS: [Kind; 2] = [Kind::ModelExchange, Kind::CoSimulation];
+const KINDS: [InterfaceChoice; 2] = [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation];
 
 fn inputs() -> Inputs {
     Inputs::new()
@@ -201,7 +201,7 @@ fn what_cannot_be_done_is_said() {
 
     // Steps of one length that lead over a tick.
     let fixed = fixture("clocks", |xml| xml.replace("canHandleVariableCommunicationStepSize=\"true\"", ""));
-    let options = SimulateOptions::new().kind(Kind::CoSimulation).step_size(0.25).ncp(8);
+    let options = SimulateOptions::new().kind(InterfaceChoice::CoSimulation).step_size(0.25).ncp(8);
     let error = fixed.open().simulate(&options).unwrap_err().to_string();
     assert!(error.contains("the clock growing ticks at 0.0625, within the step from 0 to 0.25"), "{error}");
 
@@ -216,7 +216,8 @@ fn what_cannot_be_done_is_said() {
         })
     };
     let refused = |folder: support::Folder, options: SimulateOptions| {
-        let error = SimulationPlan::new(&folder.open(), &options.kind(Kind::CoSimulation)).unwrap_err();
+        let error =
+            SimulationPlan::new(&folder.open(), &options.kind(InterfaceChoice::CoSimulation)).unwrap_err();
         assert!(matches!(error, FmiError::BadSetting(_)), "{error}");
         error.to_string()
     };
@@ -229,7 +230,7 @@ fn what_cannot_be_done_is_said() {
     let message =
         refused(plain(true), SimulateOptions::new().clock_interval("counted", Interval::Decimal(1.0)));
     assert!(message.contains("the clock counted is given an interval"), "{message}");
-    let quiet = SimulateOptions::new().kind(Kind::CoSimulation).outputs(["x"]);
+    let quiet = SimulateOptions::new().kind(InterfaceChoice::CoSimulation).outputs(["x"]);
     SimulationPlan::new(&plain(true).open(), &quiet).unwrap();
 }
 
@@ -279,7 +280,8 @@ fn intervals_can_be_given() {
 #[test]
 fn clocks_need_an_event_mode_that_is_there() {
     let folder = fixture_with("clocks", &["NO_EVENT_MODE"], |xml| xml);
-    let error = folder.open().simulate(&SimulateOptions::new().kind(Kind::CoSimulation)).unwrap_err();
+    let error =
+        folder.open().simulate(&SimulateOptions::new().kind(InterfaceChoice::CoSimulation)).unwrap_err();
     assert!(error.to_string().contains("the model has clocks, which tick in event mode"), "{error}");
 }
 

@@ -7,8 +7,8 @@ use crate::support;
 use example_models::ExampleKind;
 use fmi::ode::{ErrorKind, Ignore, Side, Termination};
 use fmi::{
-    FmiError, Fmu, Inputs, InstanceOptions, InterfaceKind, Kind, Reuse, SharedSimulator, SimulateOptions,
-    SimulationPlan, Simulator, Status, Trajectory,
+    FmiError, Fmu, Inputs, InstanceOptions, InterfaceChoice, InterfaceKind, Reuse, SharedSimulator,
+    SimulateOptions, SimulationPlan, Simulator, Status, Trajectory,
 };
 use std::sync::Arc;
 use std::time::Duration;
@@ -282,15 +282,18 @@ fn the_kind_is_chosen_or_asked_for() {
     });
     let fmu = both.open();
     for (kind, expected) in [
-        (Kind::Auto, InterfaceKind::ModelExchange),
-        (Kind::ModelExchange, InterfaceKind::ModelExchange),
-        (Kind::CoSimulation, InterfaceKind::CoSimulation),
+        (InterfaceChoice::Auto, InterfaceKind::ModelExchange),
+        (InterfaceChoice::ModelExchange, InterfaceKind::ModelExchange),
+        (InterfaceChoice::CoSimulation, InterfaceKind::CoSimulation),
     ] {
         let options = SimulateOptions::new().kind(kind).relative_tolerance(1e-9);
         assert_eq!(SimulationPlan::new(&fmu, &options).unwrap().kind(), expected);
         close(fmu.simulate(&options).unwrap().final_value("y").unwrap().unwrap(), (-1f64).exp(), 1e-8);
     }
-    let error = SimulationPlan::new(&slave("dahlquist"), &SimulateOptions::new().kind(Kind::ModelExchange));
+    let error = SimulationPlan::new(
+        &slave("dahlquist"),
+        &SimulateOptions::new().kind(InterfaceChoice::ModelExchange),
+    );
     assert!(matches!(error.unwrap_err(), FmiError::NotOffered { .. }));
     assert_eq!(fmi::Session::new(slave("dahlquist")).get("der(x)").unwrap(), fmi::Value::Real(-1.0));
 }

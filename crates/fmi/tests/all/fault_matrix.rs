@@ -9,20 +9,20 @@ use example_models::ExampleKind::{
     self, Fmi1CoSimulation, Fmi1ModelExchange, Fmi2CoSimulation, Fmi2ModelExchange, Fmi3,
 };
 use fmi::ode::{ErrorKind, Ignore, Report, Termination};
-use fmi::{FmiError, Fmu, Kind, SimulateOptions, SimulationPlan, Simulator, Status};
+use fmi::{FmiError, Fmu, InterfaceChoice, SimulateOptions, SimulationPlan, Simulator, Status};
 use std::sync::Arc;
 use support::faulty;
 
-const ALL: [(ExampleKind, Kind); 6] = [
-    (Fmi1ModelExchange, Kind::ModelExchange),
-    (Fmi1CoSimulation, Kind::CoSimulation),
-    (Fmi2ModelExchange, Kind::ModelExchange),
-    (Fmi2CoSimulation, Kind::CoSimulation),
-    (Fmi3, Kind::ModelExchange),
-    (Fmi3, Kind::CoSimulation),
+const ALL: [(ExampleKind, InterfaceChoice); 6] = [
+    (Fmi1ModelExchange, InterfaceChoice::ModelExchange),
+    (Fmi1CoSimulation, InterfaceChoice::CoSimulation),
+    (Fmi2ModelExchange, InterfaceChoice::ModelExchange),
+    (Fmi2CoSimulation, InterfaceChoice::CoSimulation),
+    (Fmi3, InterfaceChoice::ModelExchange),
+    (Fmi3, InterfaceChoice::CoSimulation),
 ];
 
-fn plan(fmu: &Fmu, kind: Kind) -> Arc<SimulationPlan> {
+fn plan(fmu: &Fmu, kind: InterfaceChoice) -> Arc<SimulationPlan> {
     let options = SimulateOptions::new().kind(kind).final_time(1.0).parameters(["k"]);
     Arc::new(SimulationPlan::new(fmu, &options).unwrap())
 }
@@ -137,7 +137,7 @@ fn every_fault_ends_in_a_typed_error_and_leaves_the_library_as_it_was() {
             for (k, name, exchange, stepping) in FAULTS {
                 let what = format!("{name} of {version:?} {kind:?}");
                 let ends = match (version, kind) {
-                    (_, Kind::ModelExchange) => exchange,
+                    (_, InterfaceChoice::ModelExchange) => exchange,
                     // In FMI 1.0 a step that is not made is also how a model says that it is at its end.
                     (Fmi1CoSimulation, _) if name == "DISCARD_LATE" => Well(Termination::StoppedByModel),
                     _ => stepping,
@@ -174,6 +174,6 @@ fn what_kills_a_process_can_be_looked_at() {
         let folder = faulty(version, &["CRASHES_WHEN_LOADED"]);
         let fmu = folder.open();
         assert!(fmu.description().variable("x").is_some());
-        plan(&fmu, Kind::Auto);
+        plan(&fmu, InterfaceChoice::Auto);
     }
 }

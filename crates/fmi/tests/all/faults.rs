@@ -6,8 +6,8 @@ use crate::support;
 
 use fmi::ode::{ErrorKind, Ignore, Termination};
 use fmi::{
-    FmiError, Fmu, Inputs, InstanceOptions, Kind, LogFilter, LogOptions, OpenOptions, Reuse, SimulateOptions,
-    SimulationPlan, Simulator, Status, Value,
+    FmiError, Fmu, Inputs, InstanceOptions, InterfaceChoice, LogFilter, LogOptions, OpenOptions, Reuse,
+    SimulateOptions, SimulationPlan, Simulator, Status, Value,
 };
 use std::sync::Arc;
 use support::{Folder, evil, evil_with, settle};
@@ -367,7 +367,7 @@ fn fmus_that_cannot_be_run_say_why() {
     let tool = refused("modelIdentifier=\"evil\"", "modelIdentifier=\"evil\" needsExecutionTool=\"true\"");
     assert!(matches!(tool, FmiError::NeedsExecutionTool { .. }), "{tool}");
     let folder = evil(&[]);
-    let options = SimulateOptions::new().kind(Kind::CoSimulation);
+    let options = SimulateOptions::new().kind(InterfaceChoice::CoSimulation);
     let cs = SimulationPlan::new(&folder.open(), &options).unwrap_err();
     assert!(matches!(cs, FmiError::NotOffered { .. }), "{cs}");
     assert_eq!(cs.to_string(), "Evil offers no co-simulation; it offers model exchange");

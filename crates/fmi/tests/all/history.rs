@@ -7,7 +7,7 @@ use crate::support;
 
 use fmi::description::QuirkKind;
 use fmi::ode::Ignore;
-use fmi::{Fmu, InterfaceKind, Kind, Reuse, Session, SimulateOptions, SimulationPlan, Simulator};
+use fmi::{Fmu, InterfaceChoice, InterfaceKind, Reuse, Session, SimulateOptions, SimulationPlan, Simulator};
 use std::sync::Arc;
 use support::{evil, evil_with, settle};
 
@@ -107,7 +107,7 @@ fn a_second_co_simulation_makes_at_most_a_tenth_more_steps() {
     let folder =
         evil_with(&[&fault], |xml| xml.replace(r#"<ModelExchange modelIdentifier="evil"/>"#, co_simulation));
     let mut session = Session::new(folder.open());
-    let options = SimulateOptions::new().kind(Kind::CoSimulation).final_time(1.0).step_size(2e-3);
+    let options = SimulateOptions::new().kind(InterfaceChoice::CoSimulation).final_time(1.0).step_size(2e-3);
     let mut n_before = 0;
     let steps = [(); 4].map(|()| {
         session.simulate(&options).unwrap();
@@ -158,10 +158,10 @@ fn honest_failures_are_left_alone() {
 #[test]
 fn runs_that_an_input_function_ends_say_nothing() {
     use example_models::ExampleKind;
-    use fmi::{Inputs, Kind};
+    use fmi::{Inputs, InterfaceChoice};
     for (kind, example) in [
-        (Kind::CoSimulation, ExampleKind::Fmi2CoSimulation),
-        (Kind::ModelExchange, ExampleKind::Fmi2ModelExchange),
+        (InterfaceChoice::CoSimulation, ExampleKind::Fmi2CoSimulation),
+        (InterfaceChoice::ModelExchange, ExampleKind::Fmi2ModelExchange),
     ] {
         let fmu = Fmu::open(example_models::example_fmu_as("quad_tank", example).unwrap()).unwrap();
         for before in 0..4 {

@@ -9,7 +9,7 @@ use example_models::ExampleKind::{Fmi1ModelExchange, Fmi2CoSimulation, Fmi2Model
 use fmi::ode::Ignore;
 use fmi::{
     ArchiveLimits, ContinuousTime, EventMode, FmiError, Fmu, FmuCache, Inputs, Instance, InstanceOptions,
-    Kind, SavedState, Session, SimulateOptions, SimulationPlan, Simulator, StepMode, Value,
+    InterfaceChoice, SavedState, Session, SimulateOptions, SimulationPlan, Simulator, StepMode, Value,
 };
 use std::sync::Arc;
 use support::{arrays, model, model_as};
@@ -258,8 +258,8 @@ fn the_other_way_of_running_is_refused_by_name() {
     for outcome in [
         exchange.instantiate_co_simulation(&InstanceOptions::default()).map(|_| ()),
         stepping.instantiate().map(|_| ()),
-        exchange.choose(Kind::CoSimulation).map(|_| ()),
-        stepping.choose(Kind::ModelExchange).map(|_| ()),
+        exchange.choose(InterfaceChoice::CoSimulation).map(|_| ()),
+        stepping.choose(InterfaceChoice::ModelExchange).map(|_| ()),
     ] {
         assert!(matches!(outcome, Err(FmiError::NotOffered { .. })), "{outcome:?}");
     }

@@ -18,7 +18,10 @@ fn models(ours: &str, theirs: &str) -> Vec<Fmu> {
 
 /// With Euler's method and steps of `step`, up to the last of these times.
 fn run(fmu: &Fmu, step: f64, times: &[f64]) -> Trajectory {
-    let options = SimulateOptions::new().kind(fmi::Kind::ModelExchange).method(Method::Euler).step_size(step);
+    let options = SimulateOptions::new()
+        .kind(fmi::InterfaceChoice::ModelExchange)
+        .method(Method::Euler)
+        .step_size(step);
     fmu.simulate(&options.times(times.to_vec())).unwrap()
 }
 

@@ -6,7 +6,7 @@ use crate::support;
 
 use example_models::{ExampleKind, example_fmu_as};
 use fmi::ode::Ignore;
-use fmi::{Fmu, InterfaceKind, Kind, Reuse, Session, SimulateOptions, SimulationPlan, Simulator};
+use fmi::{Fmu, InterfaceChoice, InterfaceKind, Reuse, Session, SimulateOptions, SimulationPlan, Simulator};
 use std::sync::Arc;
 use support::{Folder, evil, evil_with, model, settle};
 
@@ -22,22 +22,26 @@ fn with_states(faults: &[&str]) -> Folder {
     })
 }
 
-fn options(kind: Kind) -> SimulateOptions {
+fn options(kind: InterfaceChoice) -> SimulateOptions {
     SimulateOptions::new().parameters(["k"]).kind(kind)
 }
 
-fn plan(fmu: &Fmu, kind: Kind) -> Arc<SimulationPlan> {
+fn plan(fmu: &Fmu, kind: InterfaceChoice) -> Arc<SimulationPlan> {
     Arc::new(SimulationPlan::new(fmu, &options(kind)).unwrap())
 }
 
-const KINDS: [Kind; 2] = [Kind::ModelExchange, Kind::CoSimulation];
+const KINDS: [InterfaceChoice; 2] = [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation];
 
-fn interface(kind: Kind) -> InterfaceKind {
-    if kind == Kind::CoSimulation { InterfaceKind::CoSimulation } else { InterfaceKind::ModelExchange }
+fn interface(kind: InterfaceChoice) -> InterfaceKind {
+    if kind == InterfaceChoice::CoSimulation {
+        InterfaceKind::CoSimulation
+    } else {
+        InterfaceKind::ModelExchange
+    }
 }
 
 /// What new instances give.
-fn truths(folder: &Folder, kind: Kind) -> Vec<(f64, Vec<f64>)> {
+fn truths(folder: &Folder, kind: InterfaceChoice) -> Vec<(f64, Vec<f64>)> {
     let run = |k: f64| {
         let options = SimulateOptions::new().start_value("k", k).kind(kind);
         (k, folder.open().simulate(&options).unwrap().get("y").unwrap().to_vec())
@@ -46,7 +50,7 @@ fn truths(folder: &Folder, kind: Kind) -> Vec<(f64, Vec<f64>)> {
 }
 
 /// Runs with many values have the bits of new instances, before the check and after it; how it is done.
-fn check(faults: &[&str], kind: Kind) -> Reuse {
+fn check(faults: &[&str], kind: InterfaceChoice) -> Reuse {
     let folder = with_states(faults);
     let truths = truths(&folder, kind);
     let fmu = folder.open();
@@ -68,7 +72,7 @@ fn check(faults: &[&str], kind: Kind) -> Reuse {
 
 #[test]
 fn a_saved_state_comes_first_where_it_is_right() {
-    let kind = Kind::ModelExchange;
+    let kind = InterfaceChoice::ModelExchange;
     assert_eq!(check(&[], kind), Reuse::Restore);
     // It does not matter what the reset function does.
     assert_eq!(check(&["LYING_RESET"], kind), Reuse::Restore);
@@ -78,7 +82,7 @@ fn a_saved_state_comes_first_where_it_is_right() {
 /// The solver of a co-simulation need not be part of its saved states: some models abort when they start again from one.
 #[test]
 fn a_co_simulation_is_not_brought_back_by_a_saved_state() {
-    let kind = Kind::CoSimulation;
+    let kind = InterfaceChoice::CoSimulation;
     assert_eq!(check(&[], kind), Reuse::Reset);
     assert_eq!(check(&["FAILING_RESET"], kind), Reuse::Reinstantiate);
 }
@@ -99,13 +103,16 @@ fn states_without_the_functions_are_not_used() {
     let folder = evil_with(&[], |xml| {
         xml.replace("modelIdentifier=\"evil\"", "modelIdentifier=\"evil\" canGetAndSetFMUstate=\"true\"")
     });
-    assert_eq!(settle(&mut Simulator::new(plan(&folder.open(), Kind::Auto)).unwrap(), &[1.0]), Reuse::Reset);
+    assert_eq!(
+        settle(&mut Simulator::new(plan(&folder.open(), InterfaceChoice::Auto)).unwrap(), &[1.0]),
+        Reuse::Reset
+    );
 }
 
 /// The model restores the old parameter at the end of the initialization, which the check sees in its runs with other values.
 #[test]
 fn parameters_that_a_restored_state_brings_back_are_seen() {
-    let kind = Kind::ModelExchange;
+    let kind = InterfaceChoice::ModelExchange;
     let folder = with_states(&["RESTORE_STICKS"]);
     let fmu = folder.open();
     let mut simulator = Simulator::new(plan(&fmu, kind)).unwrap();
@@ -123,7 +130,7 @@ fn parameters_that_a_restored_state_brings_back_are_seen() {
 /// New instances do not have the value given either: nothing is wrong with the restored ones, but a fit of it would be in vain.
 #[test]
 fn a_parameter_that_the_model_overrides_is_an_error() {
-    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+    for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
         let folder = with_states(&["OVERRIDES_K"]);
         let fmu = folder.open();
         let mut simulator = Simulator::new(plan(&fmu, kind)).unwrap();
@@ -143,7 +150,7 @@ fn a_parameter_that_the_model_overrides_is_an_error() {
 #[test]
 fn values_are_set_after_the_model_made_its_data() {
     let truth = |k: f64, x: f64| x * (-k).exp();
-    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+    for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
         let folder = with_states(&["BEGINS_IN_SETUP"]);
         let fmu = folder.open();
         let options =
@@ -153,7 +160,7 @@ fn values_are_set_after_the_model_made_its_data() {
             let x = simulator.trajectory(&[k]).unwrap().get("x").unwrap().to_vec();
             let (last, expected) = (x[x.len() - 1], truth(k, 3.0));
             assert!(
-                x[0] == 3.0 && (kind == Kind::CoSimulation || (last - expected).abs() < 1e-7),
+                x[0] == 3.0 && (kind == InterfaceChoice::CoSimulation || (last - expected).abs() < 1e-7),
                 "{kind:?} {k}: {last}"
             );
             assert!((last - expected).abs() < 0.05, "{kind:?} {k}: {last} {expected}");
@@ -175,7 +182,7 @@ fn a_tolerance_is_told_where_somebody_states_one() {
         let options = options.final_time(1.0).outputs(["k"]);
         folder.open().simulate(&options).unwrap().get("k").unwrap()[0]
     };
-    for kind in [Kind::ModelExchange, Kind::CoSimulation] {
+    for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
         let options = || SimulateOptions::new().kind(kind);
         assert_eq!((told(options()), told(options().relative_tolerance(1e-4))), (-1.0, 1e-4));
     }
@@ -197,7 +204,7 @@ fn the_bundled_models_come_back_by_their_states() {
 #[test]
 fn a_reset_function_that_the_standard_does_not_have_is_no_quirk() {
     let fmu = Fmu::open(example_fmu_as("dahlquist", ExampleKind::Fmi1ModelExchange).unwrap()).unwrap();
-    let mut simulator = Simulator::new(plan(&fmu, Kind::ModelExchange)).unwrap();
+    let mut simulator = Simulator::new(plan(&fmu, InterfaceChoice::ModelExchange)).unwrap();
     assert_eq!(settle(&mut simulator, &[1.0]), Reuse::Reinstantiate);
     assert_eq!(fmu.quirks_seen(), []);
 }
@@ -207,7 +214,7 @@ fn a_way_that_passed_while_more_was_set_says_nothing_of_other_plans() {
     // Reset leaves the state at 0, which runs that set it do not see.
     let folder = evil(&["RESET_TO_ZERO"]);
     let fmu = folder.open();
-    let plain = SimulateOptions::new().kind(Kind::ModelExchange);
+    let plain = SimulateOptions::new().kind(InterfaceChoice::ModelExchange);
     let truth = folder.open().simulate(&plain).unwrap();
     let setting = plain.clone().start_value("x", 1.0);
     for (options, reuse) in [(&setting, Reuse::Reset), (&plain, Reuse::Reinstantiate)] {

@@ -35,7 +35,7 @@ fn step_events_happen_in_all_versions() {
     for (which, kind) in kinds.into_iter().enumerate() {
         // x' = 1, and x is 1 less after every completed step beyond 1.5.
         let folder = faulty(kind, &[]);
-        let run = if which < 3 { fmi::Kind::Auto } else { fmi::Kind::CoSimulation };
+        let run = if which < 3 { fmi::InterfaceChoice::Auto } else { fmi::InterfaceChoice::CoSimulation };
         let options = SimulateOptions::new()
             .kind(run)
             .final_time(6.0)

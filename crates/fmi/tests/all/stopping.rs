@@ -7,14 +7,14 @@ use crate::support;
 
 use example_models::ExampleKind::{self, Fmi2ModelExchange, Fmi3};
 use fmi::ode::{ErrorKind, Ignore, Observer, Sample, Termination};
-use fmi::{FmiError, Fmu, Kind, SimulateOptions, SimulationPlan, Simulator};
+use fmi::{FmiError, Fmu, InterfaceChoice, SimulateOptions, SimulationPlan, Simulator};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use support::{faulty, fixture_with, model_as};
 
-const KINDS: [Kind; 2] = [Kind::ModelExchange, Kind::CoSimulation];
+const KINDS: [InterfaceChoice; 2] = [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation];
 
 /// Values of k for which the event iteration of `tests/evil/model.c` never ends: from the start on, and from t = 0.25 on.
 const ENDLESS: [(f64, f64); 2] = [(18.0, 0.0), (23.0, 0.25)];
@@ -111,8 +111,11 @@ fn ended(fmu: &Fmu, way: Way, options: impl Fn(SimulateOptions) -> SimulateOptio
 
 #[test]
 fn an_endless_event_iteration_ends_from_outside() {
-    let models: [(ExampleKind, Kind); 3] =
-        [(Fmi2ModelExchange, Kind::ModelExchange), (Fmi3, Kind::ModelExchange), (Fmi3, Kind::CoSimulation)];
+    let models: [(ExampleKind, InterfaceChoice); 3] = [
+        (Fmi2ModelExchange, InterfaceChoice::ModelExchange),
+        (Fmi3, InterfaceChoice::ModelExchange),
+        (Fmi3, InterfaceChoice::CoSimulation),
+    ];
     for (version, kind) in models {
         for (k, time) in ENDLESS {
             for way in WAYS {

@@ -7,8 +7,8 @@ use crate::support;
 use example_models::ExampleKind;
 use fmi::ode::{Method, Termination};
 use fmi::{
-    FmiError, Fmu, Inputs, Kind, Reuse, Session, SimulateOptions, SimulationPlan, Simulator, Trajectory,
-    Value,
+    FmiError, Fmu, Inputs, InterfaceChoice, Reuse, Session, SimulateOptions, SimulationPlan, Simulator,
+    Trajectory, Value,
 };
 use std::sync::Arc;
 use support::{MODELS, settle};
@@ -62,7 +62,7 @@ fn co_simulation_agrees_in_all_versions() {
     for (name, end) in MODELS {
         let options = SimulateOptions::new().final_time(end).ncp(97).relative_tolerance(1e-8);
         let truth = truth(name, &options);
-        let options = options.outputs(truth.names.clone()).kind(Kind::CoSimulation);
+        let options = options.outputs(truth.names.clone()).kind(InterfaceChoice::CoSimulation);
         let two = open(name, ExampleKind::Fmi2CoSimulation).simulate(&options).unwrap();
         agree(name, &truth, &two, 1e-6);
         let one = open(name, ExampleKind::Fmi1CoSimulation).simulate(&options).unwrap();
@@ -79,7 +79,7 @@ fn a_model_may_end_the_simulation_in_all_versions() {
         let options = SimulateOptions::new().final_time(20.0).output_interval(interval);
         for kind in ExampleKind::ALL {
             let fmu = open("stair", kind);
-            for way in [Kind::ModelExchange, Kind::CoSimulation] {
+            for way in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
                 let Ok(_) = fmu.choose(way) else { continue };
                 let result = fmu.simulate(&options.clone().kind(way)).unwrap();
                 assert_eq!(
@@ -122,7 +122,7 @@ fn inputs_of_all_types_reach_the_model_in_all_versions() {
     }
     // FMI 3.0 knows no input derivatives: held over steps of 1 ms they are good enough for this.
     let fmu = open("switched_input", ExampleKind::Fmi3);
-    let options = options.kind(Kind::CoSimulation).step_size(1e-3);
+    let options = options.kind(InterfaceChoice::CoSimulation).step_size(1e-3);
     let result = fmu.simulate(&options).unwrap();
     agree("3.0 CS", &truth, &result, 2e-3);
     let at = |kind: fn(&fmi::ode::EventCause) -> bool| -> Vec<f64> {
@@ -134,7 +134,7 @@ fn inputs_of_all_types_reach_the_model_in_all_versions() {
 
 #[test]
 fn events_end_steps_of_co_simulation_early() {
-    let options = SimulateOptions::new().final_time(2.0).ncp(4).kind(Kind::CoSimulation);
+    let options = SimulateOptions::new().final_time(2.0).ncp(4).kind(InterfaceChoice::CoSimulation);
     let result = open("bouncing_ball", ExampleKind::Fmi3).simulate(&options).unwrap();
     let times: Vec<f64> = result.events.iter().map(|event| event.time).collect();
     for (found, expected) in

@@ -1,7 +1,7 @@
 //! Events at the point where the run stands: one visit for all causes, then on as before or anew.
 
+use super::chattering::ChatteringGuard;
 use super::run::{Run, Space, Step, finish, no_retreat, read_indicators};
-use super::sliding::ChatteringGuard;
 use crate::error::{ErrorKind, Termination};
 use crate::observer::{EventRecord, Observer};
 use crate::options::ChatteringPolicy;

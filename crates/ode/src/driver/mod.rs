@@ -12,6 +12,8 @@ use crate::system::{CallError, CallResult, EventCause, EventOutcome, HybridSyste
 use crate::tableau::{Euler, Rk4, Tsit5};
 
 mod backward;
+mod chattering;
+mod end_conditions;
 mod event_handling;
 mod events_in_step;
 mod failure_reasons;
@@ -20,14 +22,14 @@ mod run;
 mod samples;
 mod sliding;
 mod step;
+mod timed_system;
 mod trial;
-mod watched;
 
 use backward::{Backward, BackwardObserver, turned, turned_end};
+pub use end_conditions::{EndConditions, Stopped};
 use run::{Exit, Run, Space, Step, Task, finish, no_retreat};
+use timed_system::{CallWatch, TimedSystem};
 use trial::{Found, Inside, Shrink, Tried};
-use watched::{CallWatch, Watched};
-pub use watched::{EndConditions, Stopped};
 
 /// An indicator is next to zero where its value says no more of the time of its event than this, in units of
 /// times that are one.
@@ -176,7 +178,7 @@ impl Driver {
     {
         let Self { options, method, space, stopwatch, .. } = self;
         let watch = EndConditions::new(options);
-        let system = &mut Watched::new(system, watch, stopwatch);
+        let system = &mut TimedSystem::new(system, watch, stopwatch);
         let task = Task { start, end, times, observer, watch };
         macro_rules! run {
             ($stepper:expr) => {

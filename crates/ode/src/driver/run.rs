@@ -1,7 +1,7 @@
 //! A run: everything that changes between its start and its end, and how it is left.
 
+use super::end_conditions::{EndConditions, Stopped};
 use super::sliding::Sliding;
-use super::watched::{EndConditions, Stopped};
 use crate::error::{ErrorKind, NotFinite, Termination, TooLargeForDense, Undetermined};
 use crate::error_norm::ErrorWeights;
 use crate::event::Domains;

@@ -13,14 +13,22 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from ._core import __version__
 from ._calibration.worker import know_interpreter as _know_interpreter
+from ._core import __version__
 
 if TYPE_CHECKING:
     from . import compat, dfo, fmi, ode
     from ._calibration.calibration import Calibration
     from ._calibration.check import Check, Finding
-    from ._model.description import Description, Variable, read_description
+    from ._calibration.evaluation import ComparedSolver
+    from ._calibration.experiment import Experiment
+    from ._calibration.export import load_fit
+    from ._calibration.fit import ChosenTolerance, Fit, FitNoise, OutputFit
+    from ._calibration.parameter import LogNormal, Normal, Parameter
+    from ._calibration.profile import Profile
+    from ._calibration.stages import Stage
+    from ._calibration.uncertainty import ParameterCheck, Preflight, ResidualCheck, Uncertainty
+    from ._calibration.validation import CrossValidation, Fold, PredictionBand, ValidatedOutput, Validation
     from ._errors import (
         AllStartsFailed,
         BadCalibrationError,
@@ -36,25 +44,17 @@ if TYPE_CHECKING:
         SimulationError,
         UnknownVariableError,
     )
-    from ._calibration.experiment import Experiment
+    from ._model.description import Description, Variable, read_description
     from ._model.files import build_fmu, clear_caches, example_fmu
-    from ._calibration.fit import ChosenTolerance, Fit, FitNoise, OutputFit
+    from ._model.model import FMUModel, load_fmu
+    from ._model.trajectory import SimulationResult
     from ._optimize.fmin import fmin
     from ._optimize.least_squares import least_squares
     from ._optimize.minimize import minimize
-    from ._model.model import FMUModel, load_fmu
     from ._optimize.optimizer import Above, Asked, Optimizer
-    from ._calibration.parameter import LogNormal, Normal, Parameter
-    from ._calibration.evaluation import ComparedSolver
-    from ._calibration.profile import Profile
     from ._optimize.progress import Progress
     from ._optimize.result import BarrierStage, LeastSquaresResult, OptimizeResult, Trace
     from ._optimize.scipy import scipy_method
-    from ._calibration.export import load_fit
-    from ._calibration.stages import Stage
-    from ._model.trajectory import SimulationResult
-    from ._calibration.validation import CrossValidation, Fold, PredictionBand, ValidatedOutput, Validation
-    from ._calibration.uncertainty import ParameterCheck, Preflight, ResidualCheck, Uncertainty
 
 _know_interpreter()
 

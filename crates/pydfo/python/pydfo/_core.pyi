@@ -8,13 +8,12 @@ from typing import Any, final
 import numpy as np
 import numpy.typing as npt
 
-from ._optimize.evaluate import Futures
+from ._args.options import Record
 from ._calibration.experiment import Experiment
+from ._calibration.parameter import Parameter
 from ._model.files import OpenOptions
 from ._model.model import Request
-from ._optimize.objective import CostFields
-from ._args.options import Record
-from ._calibration.parameter import Parameter
+from ._optimize.evaluate import Futures
 from ._optimize.progress import Progress
 from ._optimize.result import OptimizeResult
 from .ode import OdeResult

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from . import _core
 from ._args import options as _options
+from ._args import values as _values
 from ._args.keywords import also_called
 from ._model.trajectory import SimulationStats
 
@@ -392,8 +393,8 @@ def solve_dae(
     >>> res.y[:, 0].round(9), res.y[:, -1].round(6)
     (array([1., 0., 0.]), array([7.15827e-01, 9.00000e-06, 2.84164e-01]))
     """
-    states = _options.vector("x0", x0)
-    slopes = np.zeros(len(states)) if dx0 is None else _options.vector("dx0", dx0)
+    states = _values.vector("x0", x0)
+    slopes = np.zeros(len(states)) if dx0 is None else _values.vector("dx0", dx0)
     if len(slopes) != len(states) or not np.isfinite(slopes).all():
         raise ValueError(f"dx0 must be {len(states)} finite values, as x0, not {slopes}")
     if jac is not None and not callable(jac):
@@ -422,7 +423,7 @@ def solve_dae(
         max_events=max_events,
         max_time=max_time,
         slopes=slopes.tolist(),
-        exclude_algebraic=_options.flag("exclude_algebraic", exclude_algebraic),
+        exclude_algebraic=_values.flag("exclude_algebraic", exclude_algebraic),
     )
 
 
@@ -460,7 +461,7 @@ def solve_second_order(
     >>> res.y[:, -1].round(6) + 0.0
     array([-1.,  0.])
     """
-    x, v = _options.vector("x0", x0), _options.vector("v0", v0)
+    x, v = _values.vector("x0", x0), _values.vector("v0", v0)
     n = len(x)
     if len(v) != n:
         raise ValueError(f"v0 has {len(v)} values, x0 has {n}")
@@ -468,7 +469,7 @@ def solve_second_order(
         raise TypeError(f"acceleration must be callable, not {acceleration!r}")
 
     def rhs(t: float, y: FloatArray, *more: Any) -> FloatArray:
-        a = _options.vector("what acceleration returns", acceleration(t, y[:n], y[n:], *more))
+        a = _values.vector("what acceleration returns", acceleration(t, y[:n], y[n:], *more))
         if len(a) != n:
             raise ValueError(f"acceleration must return an array of shape ({n},), not one of shape {a.shape}")
         return np.concatenate((y[n:], a))
@@ -492,7 +493,7 @@ def _run(
         if not callable(function) and (name != "on_event" or function is not None):
             raise TypeError(f"{name} must be callable, not {function!r}")
     start, end = _span(t_span)
-    x = _options.vector("x0", x0)
+    x = _values.vector("x0", x0)
     if not np.isfinite(x).all():
         raise ValueError(f"x0 must be finite, not {x}")
     n = len(x)
@@ -510,26 +511,26 @@ def _run(
         "end": end,
         "x0": x.tolist(),
         "method": asked["method"],
-        "times": None if asked["t_eval"] is None else _options.vector("t_eval", asked["t_eval"]).tolist(),
-        "dense_output": _options.flag("dense_output", asked["dense_output"]),
+        "times": None if asked["t_eval"] is None else _values.vector("t_eval", asked["t_eval"]).tolist(),
+        "dense_output": _values.flag("dense_output", asked["dense_output"]),
         "events": [(bind(function), *_marks(i, function)) for i, function in enumerate(_listed(asked["events"]))],
         "on_event": None if on_event is None else bind(on_event),
         "jacobian": bind(jac) if callable(jac) else jac,
         "sparsity": None if sparsity is None else _pattern(sparsity, n),
         "mass": asked.get("mass"),
-        "rtol": _options.number("rtol", rtol),
+        "rtol": _values.number("rtol", rtol),
         "atol": _tolerances(asked["atol"], float(rtol), n),
         "interior_samples": _count("interior_samples", asked["interior_samples"]),
-        "chattering": _options.choice("chattering", chattering),
+        "chattering": _values.choice("chattering", chattering),
         "slopes": asked.get("slopes"),
         "exclude_algebraic": asked.get("exclude_algebraic", False),
     }
     for name in ("first_step", "max_step", "step", "max_time"):
-        problem[name] = _options.optional_number(name, asked.get(name))
+        problem[name] = _values.optional_number(name, asked.get(name))
     if problem["max_step"] == np.inf:
         problem["max_step"] = None
     for name in ("max_steps", "max_events"):
-        problem[name] = _options.limit(name, asked[name], 0)
+        problem[name] = _values.limit(name, asked[name], 0)
     result = _core.solve(problem)
     if result.stats.chattering and chattering == "warn":
         _log.warning("solve: %d times a hundred events hardly advanced time", result.stats.chattering)
@@ -557,12 +558,12 @@ def _listed(events: Any) -> list[Callable[..., Any]]:
 
 def _marks(i: int, function: Callable[..., Any]) -> tuple[float, int]:
     """Direction and terminal count (0: never) of an event function."""
-    direction = _options.number(f"direction of event {i}", getattr(function, "direction", None) or 0.0)
+    direction = _values.number(f"direction of event {i}", getattr(function, "direction", None) or 0.0)
     if np.isnan(direction):
         raise ValueError(f"direction of event {i} is NaN")
     terminal = getattr(function, "terminal", None)
     # Whatever SciPy takes: True, NumPy's True, a count as int or float.
-    return float(np.sign(direction)), _options.limit(f"terminal of event {i}", terminal, 0) or 0
+    return float(np.sign(direction)), _values.limit(f"terminal of event {i}", terminal, 0) or 0
 
 
 def _count(name: str, value: SupportsIndex | None) -> int | None:
@@ -583,7 +584,7 @@ def _tolerances(atol: npt.ArrayLike | None, rtol: float, n: int) -> list[float]:
         if rtol == 0.0:
             raise ValueError("rtol = 0 needs a positive atol")
         return [0.01 * rtol]
-    tolerances = _options.vector("atol", atol)
+    tolerances = _values.vector("atol", atol)
     if np.ndim(atol) > 0 and len(tolerances) != n:
         raise ValueError(f"atol has {len(tolerances)} values for {n} states")
     return [float(v) for v in tolerances]

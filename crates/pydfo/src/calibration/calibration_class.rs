@@ -22,8 +22,8 @@ use crate::model::trajectory;
 use crate::optimize::futures::{PySimulationExecutor, state};
 use calibration::RunContext;
 use calibration::{
-    CalibrationError, ComparedSolver, Experiment, FitOptions, LivePage, PreflightOptions, Problem, Severity,
-    SimulationExecutor, Solver, UncertaintyOptions, Verdict,
+    CalibrationError, ChosenSolver, ComparedSolver, Experiment, FitOptions, LivePage, PreflightOptions,
+    Problem, Severity, SimulationExecutor, UncertaintyOptions, Verdict,
 };
 use dfo::{Progress, Query, RobustLoss, Termination, Want};
 use fmi::OpenOptions;
@@ -483,13 +483,13 @@ impl PyCalibration {
     }
 }
 
-/// Solver, work, deviation in tolerances, verdict.
+/// ChosenSolver, work, deviation in tolerances, verdict.
 type Compared = (&'static str, Option<f64>, Option<f64>, String);
 
 /// Times; variables and their values.
 type Recording<'py> = (Bound<'py, PyArray1<f64>>, Vec<(String, Bound<'py, PyArray1<f64>>)>);
 
-fn stored(state: &[u8]) -> PyResult<(Problem, Option<Solver>)> {
+fn stored(state: &[u8]) -> PyResult<(Problem, Option<ChosenSolver>)> {
     ciborium::from_reader(state)
         .map_err(|e| PyValueError::new_err(format!("this is no pickled Calibration of this version: {e}")))
 }

@@ -18,14 +18,14 @@ pub(crate) fn set_launcher(program: PathBuf, arguments: Vec<OsString>, library: 
 
 /// The program of the worker processes, started before it is needed; it ends with this, unless it is in use.
 #[pyclass(frozen)]
-pub(crate) struct StartedAhead(
-    #[expect(dead_code, reason = "kept alive")] Option<Arc<fmi::worker::StartedAhead>>,
+pub(crate) struct ForkServer(
+    #[expect(dead_code, reason = "kept alive")] Option<Arc<fmi::worker::ForkServer>>,
 );
 
 /// Starts the program of the worker processes, which will be needed soon.
 #[pyfunction]
-pub(crate) fn start_worker_ahead(py: Python<'_>) -> StartedAhead {
-    StartedAhead(py.detach(fmi::worker::start_ahead))
+pub(crate) fn start_worker_ahead(py: Python<'_>) -> ForkServer {
+    ForkServer(py.detach(fmi::worker::start_fork_server))
 }
 
 /// Serves as a template of worker processes until nobody needs it any more.

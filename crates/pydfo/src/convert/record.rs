@@ -62,12 +62,7 @@ impl PyRecord {
     fn refused(&self, py: Python<'_>, error: &RecordError) -> PyErr {
         let given = error.name().and_then(|name| self.given.bind(py).get_item(name).ok().flatten());
         let shown = given.and_then(|given| {
-            py.import("pydfo._args.options")
-                .ok()?
-                .call_method1("show", (given,))
-                .ok()?
-                .extract::<String>()
-                .ok()
+            py.import("pydfo._args.text").ok()?.call_method1("show", (given,)).ok()?.extract::<String>().ok()
         });
         error::refused(error, &shown.map_or_else(|| error.to_string(), |given| error.with_given(&given)))
     }

@@ -1,21 +1,21 @@
 //! Judgement of the result of a search: findings, the quality of fit of each output, and the uncertainty.
 
 use super::noise::{self, FitNoise};
-use super::noise_iterations::{Made, is_at_end};
+use super::noise_iterations::{FinalSearch, is_at_end};
 use super::result::Fit;
-use super::search::{Job, Searched};
-use crate::calibration::handle::Calibration;
-use crate::calibration::simulations::Simulations;
+use super::search::{Job, SearchResult};
 use crate::cost::residual::{CostRule, sum_of_squares};
 use crate::findings::finding::{Finding, Severity};
+use crate::findings::shown_text::digits;
 use crate::fit::output_fit::{EndResiduals, KeptResiduals};
 use crate::fit::phase::FitPhase;
+use crate::loaded::calibration::Calibration;
+use crate::loaded::simulations_around::Simulations;
 use crate::problem::objective::{CostKind, NamedCost};
 use crate::problem::parameter::Parameter;
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::covariance::identifiability::SEARCH;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
-use crate::uncertainty::digits::digits;
 use crate::uncertainty::estimate::KnownPoint;
 use crate::uncertainty::result::{Uncertainty, UncertaintyOptions};
 use crate::uncertainty::stuck_parameters::is_over;
@@ -43,10 +43,10 @@ impl Calibration {
         &self,
         own: &Self,
         job: &Job<'_>,
-        made: Made,
+        made: FinalSearch,
         mut stats: Stats,
     ) -> (Fit, KeptResiduals) {
-        let Searched { report, residuals, start_cost, .. } = &made.searched;
+        let SearchResult { report, residuals, start_cost, .. } = &made.searched;
         let Job { start, objective, loss, context, .. } = job;
         job.enter(FitPhase::Checks, &stats);
         let ends = own.end_residuals(&report.x, residuals, *loss, context, &mut stats);
@@ -75,7 +75,7 @@ impl Calibration {
         let description = self.fmu().description();
         let unit = |p: &Parameter| p.unit(description).map(str::to_owned);
         let kept_by = own.residual_layout().clone();
-        let Searched { report, stuck, residuals, start_cost, preflight, solver, .. } = made.searched;
+        let SearchResult { report, stuck, residuals, start_cost, preflight, solver, .. } = made.searched;
         job.enter(FitPhase::FreshProcess, &stats);
         if let Some(uncertainty) = &uncertainty {
             let (from, to) = (FitPhase::Uncertainty, FitPhase::ScoreTest);
@@ -119,11 +119,11 @@ impl Calibration {
     fn findings_of_search(
         &self,
         job: &Job<'_>,
-        made: &Made,
+        made: &FinalSearch,
         ends: &EndResiduals,
         stats: &mut Stats,
     ) -> Vec<Finding> {
-        let Searched { report, tolerances, raised, stuck, .. } = &made.searched;
+        let SearchResult { report, tolerances, raised, stuck, .. } = &made.searched;
         let mut found = raised.clone();
         found.extend(stuck.loose.iter().map(|index| {
             let name = self.parameters()[*index].name();
@@ -194,7 +194,12 @@ impl Calibration {
 
     /// Residuals that contradict the noise that the weights state: that priors are weighed with, and that a
     /// sum of squares is compared with where it has come to its end.
-    fn contradictions_of_stated_noise(&self, job: &Job<'_>, made: &Made, residuals: &[f64]) -> Vec<Finding> {
+    fn contradictions_of_stated_noise(
+        &self,
+        job: &Job<'_>,
+        made: &FinalSearch,
+        residuals: &[f64],
+    ) -> Vec<Finding> {
         if made.noise == Some(FitNoise::Stated) {
             return noise::contradictions_of_stated(self, residuals);
         }
@@ -213,7 +218,7 @@ impl Calibration {
     fn findings_without_uncertainty(
         &self,
         job: &Job<'_>,
-        searched: &Searched,
+        searched: &SearchResult,
         ends: &EndResiduals,
         stats: &mut Stats,
     ) -> Vec<Finding> {
@@ -296,11 +301,11 @@ impl Calibration {
     fn uncertainty_of_fit(
         &self,
         job: &Job<'_>,
-        searched: &Searched,
+        searched: &SearchResult,
         ends: &EndResiduals,
         stats: &mut Stats,
     ) -> Option<Uncertainty> {
-        let Searched { report, stuck, tolerances, .. } = searched;
+        let SearchResult { report, stuck, tolerances, .. } = searched;
         let options = job.uncertainty.as_ref().filter(|_| job.objective.has_uncertainty())?;
         if !is_over(&report.termination) || job.context.is_over() {
             return None;

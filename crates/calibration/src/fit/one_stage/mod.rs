@@ -17,17 +17,17 @@ pub use result::Fit;
 pub use simulation_executor::SimulationExecutor;
 pub use tolerance::ChosenTolerance;
 
-use crate::calibration::handle::Calibration;
 use crate::cost::process::HIDDEN_STATE;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::FitPhase;
+use crate::loaded::calibration::Calibration;
 use base::RunContext;
-pub(crate) use noise_iterations::Made;
+pub(crate) use noise_iterations::FinalSearch;
 use ode::Stats;
 use reproducibility::Reproducibility;
-pub(crate) use search::{Job, Searched, Spent};
+pub(crate) use search::{Job, SearchResult, UsedLimits};
 
 /// Finding about an FMU whose results depend on more than what is set.
 const NOT_REPRODUCED: &str =
@@ -69,7 +69,7 @@ impl Calibration {
         loop {
             let is_apart = self.is_apart();
             let mut made = match self.made(&mut job, &mut stats) {
-                Err(error) if !job.context.is_cancelled() => Made::of(self.start_alone(&job, error)?),
+                Err(error) if !job.context.is_cancelled() => FinalSearch::of(self.start_alone(&job, error)?),
                 made => made?,
             };
             made.searched.raised.extend(is_apart.then(|| finding_about_fmu(HIDDEN_STATE)));

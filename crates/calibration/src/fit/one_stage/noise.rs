@@ -3,15 +3,15 @@
 //! A prior counts in units of its own standard deviation, so the measurements have to count in units of
 //! theirs. Where their weights do not say so, fits take turns with estimates of the noise.
 
-use crate::calibration::handle::Calibration;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
+use crate::findings::shown_text::digits;
+use crate::loaded::calibration::Calibration;
 use crate::problem::definition::Problem;
 use crate::problem::experiment::Weight;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
-use crate::uncertainty::chance::{MEDIAN_DEVIATION, median};
 use crate::uncertainty::diagnostics::residual_check::autocorrelation;
-use crate::uncertainty::digits::digits;
+use crate::uncertainty::p_values::{MEDIAN_DEVIATION, median};
 use crate::uncertainty::row_blocks::{ThinSvd, thin_svd};
 use base::RunContext;
 use nalgebra::DMatrix;

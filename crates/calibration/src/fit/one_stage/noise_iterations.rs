@@ -2,16 +2,16 @@
 
 use super::noise::{EstimatedNoise, FitNoise, MOST_ROUNDS, NoiseRule, leverages};
 use super::reproducibility::BestPoint;
-use super::search::{Job, Searched, Spent, start_cost_in};
+use super::search::{Job, SearchResult, UsedLimits, start_cost_in};
 use super::tolerance::ChosenTolerance;
-use crate::calibration::handle::Calibration;
-use crate::calibration::simulations::{Point, Simulations};
 use crate::cost::residual::sum_of_squares;
 use crate::cost::solver::AtStart;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::FitPhase;
+use crate::loaded::calibration::Calibration;
+use crate::loaded::simulations_around::{Point, Simulations};
 use crate::problem::definition::Problem;
 use crate::problem::parameter::Parameter;
 use crate::problem::residual_layout::OutputResiduals;
@@ -19,23 +19,23 @@ use dfo::{Checkpoint, Report, Resume, Termination};
 use ode::Stats;
 
 /// The last search of a fit, and what it was made with.
-pub(crate) struct Made {
+pub(crate) struct FinalSearch {
     /// The calibration with the fit's own weights and tolerance; `None`: it is the one that was asked.
     pub(crate) own: Option<Calibration>,
-    pub(crate) searched: Searched,
+    pub(crate) searched: SearchResult,
     pub(crate) noise: Option<FitNoise>,
     pub(crate) tolerance: Option<ChosenTolerance>,
 }
 
-impl Made {
+impl FinalSearch {
     /// A search with the weights and the tolerance of the calibration that was asked.
-    pub(crate) fn of(searched: Searched) -> Self {
+    pub(crate) fn of(searched: SearchResult) -> Self {
         Self { own: None, searched, noise: None, tolerance: None }
     }
 
     /// The result of the search, and the residuals there, if they are known.
     pub(super) fn best(&self) -> BestPoint {
-        let Searched { report, residuals, .. } = &self.searched;
+        let SearchResult { report, residuals, .. } = &self.searched;
         BestPoint { x: report.x.clone(), residuals: residuals.at(&report.x).map(<[f64]>::to_vec) }
     }
 }
@@ -85,7 +85,7 @@ pub(crate) fn add_earlier(report: &mut Report, before: &Report) {
 struct Turns {
     noise: EstimatedNoise,
     /// The search before, and what it was made with.
-    last: Option<(Calibration, Searched)>,
+    last: Option<(Calibration, SearchResult)>,
     raised: Vec<Finding>,
     /// The residuals at the start of the fit, by the weights of the calibration that was asked.
     at_start: Option<Vec<f64>>,
@@ -94,7 +94,7 @@ struct Turns {
 impl Turns {
     /// The search before one that has found nothing, ended by that: what it has found is not lost. `None`:
     /// there is none, or it is an error.
-    fn before(&mut self, error: &CalibrationError, job: &Job<'_>) -> Option<(Calibration, Searched)> {
+    fn before(&mut self, error: &CalibrationError, job: &Job<'_>) -> Option<(Calibration, SearchResult)> {
         let termination = ended_by(error)?;
         let (own, mut before) = self.last.take()?;
         let is_late = job.context.is_late() && !job.context.is_cancelled();
@@ -104,7 +104,7 @@ impl Turns {
     }
 
     /// Adds what the search before took and found to a search.
-    fn add_to(&mut self, searched: &mut Searched) {
+    fn add_to(&mut self, searched: &mut SearchResult) {
         if let Some((_, before)) = self.last.take() {
             add_earlier(&mut searched.report, &before.report);
             searched.stuck.n_checks += before.stuck.n_checks;
@@ -140,7 +140,7 @@ impl Job<'_> {
     }
 
     /// Makes this the job of the round that follows a search.
-    fn go_on_from(&mut self, searched: &Searched, checkpoint: Option<&Checkpoint>, round: usize) {
+    fn go_on_from(&mut self, searched: &SearchResult, checkpoint: Option<&Checkpoint>, round: usize) {
         self.start.clone_from(&searched.report.x);
         self.wants_preflight = false;
         self.run.tolerances = searched.tolerances;
@@ -213,7 +213,7 @@ impl Calibration {
     }
 
     /// All searches of a fit, with what comes before them.
-    pub(super) fn made(&self, job: &mut Job<'_>, stats: &mut Stats) -> Result<Made, CalibrationError> {
+    pub(super) fn made(&self, job: &mut Job<'_>, stats: &mut Stats) -> Result<FinalSearch, CalibrationError> {
         let mut at_start = self.start_by_solver(job, stats)?;
         *job.at_start.borrow_mut() = at_start.as_ref().map(|known| known.residuals.clone());
         let chosen = match job.is_part {
@@ -239,7 +239,7 @@ impl Calibration {
             None => {
                 let searched = this.search(job, at_start, stats)?;
                 let is_weighed = job.objective.is_sum_of_squares() && this.has_priors();
-                Made { noise: is_weighed.then_some(FitNoise::Stated), ..Made::of(searched) }
+                FinalSearch { noise: is_weighed.then_some(FitNoise::Stated), ..FinalSearch::of(searched) }
             }
         };
         made.tolerance = tolerance;
@@ -259,7 +259,7 @@ impl Calibration {
         job: &mut Job<'_>,
         at_start: Option<AtStart>,
         stats: &mut Stats,
-    ) -> Result<Made, CalibrationError> {
+    ) -> Result<FinalSearch, CalibrationError> {
         let (begun, checkpoint) = (job.start.clone(), job.run.checkpoint.clone());
         let mut turns = Turns { noise, last: None, raised: Vec::new(), at_start: None };
         let (own, mut searched) = loop {
@@ -298,7 +298,7 @@ impl Calibration {
             if turns.is_settled_by(&next) || turns.noise.n_rounds == MOST_ROUNDS {
                 break (own, searched);
             }
-            job.spent = Spent::of(&searched.report);
+            job.spent = UsedLimits::of(&searched.report);
             if let Some(termination) = job.exhausted() {
                 end_early(&mut searched.report, termination);
                 break (own, searched);
@@ -320,7 +320,7 @@ impl Calibration {
         // The last of several searches began elsewhere.
         let in_trace = start_cost_in(&searched.report, &job.start);
         searched.start_cost = in_trace.or_else(|| searched.residuals.at_start().map(sum_of_squares));
-        Ok(Made { own: Some(own), searched, noise: Some(FitNoise::Estimated(noise)), tolerance: None })
+        Ok(FinalSearch { own: Some(own), searched, noise: Some(FitNoise::Estimated(noise)), tolerance: None })
     }
 
     /// Residuals that are known by the weights of this calibration, by those of another one, where that has
@@ -338,7 +338,7 @@ impl Calibration {
     /// simulations fail.
     fn leverages_at(
         &self,
-        searched: &Searched,
+        searched: &SearchResult,
         residuals: &[f64],
         job: &Job<'_>,
         stats: &mut Stats,
@@ -355,7 +355,7 @@ impl Calibration {
     /// matter. `None`: the search was interrupted meanwhile, or simulations fail.
     fn jacobian_at(
         &self,
-        searched: &Searched,
+        searched: &SearchResult,
         residuals: &[f64],
         job: &Job<'_>,
         stats: &mut Stats,

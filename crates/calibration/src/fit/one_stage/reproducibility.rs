@@ -1,11 +1,11 @@
 //! The best point of a fit, evaluated again in a process that was never asked before, and in those that the
 //! fit has used: whether a cost depends on what ran before it.
 
-use crate::calibration::handle::Calibration;
 use crate::cost::failure::CostFailure;
 use crate::cost::parallel::{beside, map};
 use crate::cost::process::{Evaluation, ProcessChoice, Remote};
 use crate::cost::residual::CostRule;
+use crate::loaded::calibration::Calibration;
 use base::RunContext;
 use dfo::RobustLoss;
 use ode::{Checks, Stats};

@@ -2,11 +2,11 @@
 
 use super::noise::FitNoise;
 use super::tolerance::ChosenTolerance;
-use crate::calibration::handle::Calibration;
-use crate::cost::solver::Solver;
+use crate::cost::solver::ChosenSolver;
 use crate::findings::finding::Finding;
 use crate::fit::output_fit::OutputFit;
 use crate::fit::phase::PhaseCost;
+use crate::loaded::calibration::Calibration;
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::preflight::Preflight;
 use crate::uncertainty::result::Uncertainty;
@@ -98,7 +98,7 @@ pub struct Fit {
     #[serde(default)]
     pub phases: Vec<PhaseCost>,
     /// The integration method of all simulations, and how it was found.
-    pub solver: Solver,
+    pub solver: ChosenSolver,
     /// Report of the optimiser: counts, reason to end, trace.
     pub report: Report,
 }

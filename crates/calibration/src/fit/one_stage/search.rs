@@ -3,17 +3,17 @@
 use super::noise::NoiseRule;
 use super::options::{FitObserver, FitOptions};
 use super::simulation_executor::SimulationExecutor;
-use crate::calibration::handle::Calibration;
 use crate::cost::residual::sum_of_squares;
-use crate::cost::solver::{AtStart, Solver};
+use crate::cost::solver::{AtStart, ChosenSolver};
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
+use crate::findings::shown_text::digits;
 use crate::fit::live::{LiveFit, lock};
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::{FitPhase, Phases};
+use crate::loaded::calibration::Calibration;
 use crate::problem::objective::CostKind;
 use crate::problem::parameter::{Parameter, Scale};
-use crate::uncertainty::digits::digits;
 use crate::uncertainty::preflight::{Preflight, PreflightOptions};
 use crate::uncertainty::result::UncertaintyOptions;
 use crate::uncertainty::stuck_parameters::{EndedRun, StuckParameters};
@@ -170,13 +170,13 @@ impl Evaluator for OnEngine<'_, '_> {
 
 /// Part of the limits that earlier searches have used.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Spent {
+pub(crate) struct UsedLimits {
     pub(crate) n_evaluations: usize,
     pub(crate) n_iterations: usize,
     pub(crate) seconds: f64,
 }
 
-impl Spent {
+impl UsedLimits {
     pub(crate) fn of(report: &Report) -> Self {
         let Report { n_evaluations, n_iterations, seconds, .. } = *report;
         Self { n_evaluations, n_iterations, seconds }
@@ -214,7 +214,7 @@ pub(crate) struct Job<'a> {
     /// True if nothing is held but what no stage frees, so that the problem can be judged by its result.
     pub(crate) is_whole: bool,
     /// Of the limits, by searches before.
-    pub(crate) spent: Spent,
+    pub(crate) spent: UsedLimits,
     /// The residuals at the start, as they count, where they were known before the search.
     pub(crate) at_start: RefCell<Option<Vec<f64>>>,
 }
@@ -263,7 +263,7 @@ impl<'a> Job<'a> {
             live: options.live,
             context,
             is_part,
-            spent: Spent::default(),
+            spent: UsedLimits::default(),
             at_start: RefCell::default(),
         })
     }
@@ -276,7 +276,7 @@ impl Job<'_> {
         (self.run, self.wants_preflight) = (run, wants_preflight);
         self.run.checkpoint = self.run.checkpoint.take().map(|checkpoint| checkpoint.resume(Resume::Never));
         self.run.known.iter_mut().for_each(|known| known.problem = None);
-        self.spent = Spent::default();
+        self.spent = UsedLimits::default();
     }
 
     /// Begins a phase. `stats`: of all simulations of the fit so far.
@@ -291,14 +291,14 @@ impl Job<'_> {
 }
 
 /// Result of the search of a fit.
-pub(crate) struct Searched {
+pub(crate) struct SearchResult {
     pub(crate) report: Report,
     pub(crate) stuck: StuckParameters,
     pub(crate) residuals: KeptResiduals,
     /// The cost at the start, if an evaluation of the fit has found it.
     pub(crate) start_cost: Option<f64>,
     pub(crate) preflight: Option<Preflight>,
-    pub(crate) solver: Solver,
+    pub(crate) solver: ChosenSolver,
     /// Those that held.
     pub(crate) tolerances: Tolerances,
     /// Findings of the search, about its tolerances and the noise.
@@ -330,7 +330,7 @@ impl Calibration {
         job: &Job<'_>,
         mut at_start: Option<AtStart>,
         stats: &mut Stats,
-    ) -> Result<Searched, CalibrationError> {
+    ) -> Result<SearchResult, CalibrationError> {
         let Job { start, context, .. } = job;
         let solver = self.solver(context)?;
         job.enter(FitPhase::ModelTest, stats);
@@ -361,7 +361,7 @@ impl Calibration {
             tolerances: &run.tolerances,
         };
         let stuck = self.stuck_parameters(&ended, context, stats);
-        Ok(Searched {
+        Ok(SearchResult {
             start_cost: start_cost_in(&report, start),
             report,
             stuck,
@@ -375,7 +375,7 @@ impl Calibration {
 
     /// The options of the optimiser for a search: with the identity of its problem, and what earlier searches
     /// have left of the limits.
-    fn run_of_search(&self, job: &Job<'_>, solver: &Solver) -> RunOptions<AnyMethod> {
+    fn run_of_search(&self, job: &Job<'_>, solver: &ChosenSolver) -> RunOptions<AnyMethod> {
         let mut run = job.run.clone();
         let mut problem = self.problem_hash(solver);
         if !job.loss.is_linear() {
@@ -479,7 +479,7 @@ impl Calibration {
         &self,
         job: &Job<'_>,
         error: CalibrationError,
-    ) -> Result<Searched, CalibrationError> {
+    ) -> Result<SearchResult, CalibrationError> {
         let found = match error {
             CalibrationError::Cancelled if job.context.is_late() => {
                 let trace = Trace::new(job.start.len());
@@ -491,7 +491,7 @@ impl Calibration {
             }) => *found,
             error => return Err(self.over_or(error)),
         };
-        let named = Solver { method: self.problem().settings.run.method, comparison: None };
+        let named = ChosenSolver { method: self.problem().settings.run.method, comparison: None };
         let mut report = Report::without_cost(
             &job.start,
             job.run.method.name(),
@@ -510,7 +510,7 @@ impl Calibration {
         );
         report.workers = job.run.workers.unwrap_or(1);
         report.loss = job.loss;
-        Ok(Searched {
+        Ok(SearchResult {
             start_cost: start_cost_in(&report, &job.start),
             report,
             stuck: StuckParameters::default(),

@@ -1,6 +1,6 @@
 //! A fit whose simulations are made elsewhere: by an executor, on other machines.
 
-use crate::calibration::handle::Calibration;
+use crate::loaded::calibration::Calibration;
 use dfo::{Answer, Evaluator, Query, RobustLoss};
 use ode::Stats;
 

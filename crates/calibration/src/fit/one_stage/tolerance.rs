@@ -2,12 +2,12 @@
 
 use super::noise::{EstimatedNoise, NoiseRule};
 use super::search::Job;
-use crate::calibration::handle::Calibration;
 use crate::cost::accuracy::Accuracy;
 use crate::cost::residual::sum_of_squares;
 use crate::cost::solver::AtStart;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
+use crate::loaded::calibration::Calibration;
 use crate::problem::residual_layout::OutputResiduals;
 use base::Number;
 use dfo::{RobustLoss, ToleranceMeasure};

@@ -6,11 +6,11 @@ mod result;
 mod saved;
 mod walk;
 
-use crate::calibration::handle::Calibration;
-use crate::calibration::simulations::Simulations;
 use crate::cost::parallel;
 use crate::error::CalibrationError;
 use crate::fit::one_stage::Fit;
+use crate::loaded::calibration::Calibration;
+use crate::loaded::simulations_around::Simulations;
 use crate::problem::fingerprint::hash_of_bytes;
 use crate::problem::objective::CostKind;
 use crate::problem::parameter::{Parameter, inner};

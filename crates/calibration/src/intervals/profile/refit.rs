@@ -1,7 +1,7 @@
 //! Fits of the other parameters, one parameter held.
 
-use crate::calibration::handle::Calibration;
 use crate::error::CalibrationError;
+use crate::loaded::calibration::Calibration;
 use crate::problem::parameter::{Parameter, Scale};
 use base::RunContext;
 use dfo::{

@@ -1,6 +1,6 @@
 //! The numbers of a profile likelihood, and how they are printed.
 
-use crate::uncertainty::digits::digits;
+use crate::findings::shown_text::digits;
 use crate::uncertainty::stuck_parameters::BoundSide;
 use base::Number;
 use ode::Stats;

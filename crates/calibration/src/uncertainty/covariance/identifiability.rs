@@ -4,11 +4,11 @@
 use crate::cost::accuracy::Accuracy;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
-use crate::uncertainty::chance::BY_CHANCE;
+use crate::findings::shown_text::digits;
 use crate::uncertainty::covariance::matrix::{Factors, Noise, compressed};
 use crate::uncertainty::diagnostics::residual_check::{CORRELATED, ResidualCheck};
 use crate::uncertainty::differences::Differences;
-use crate::uncertainty::digits::digits;
+use crate::uncertainty::p_values::BY_CHANCE;
 use crate::uncertainty::result::{Uncertainty, errors_and_correlation};
 use crate::uncertainty::row_blocks::triangle;
 use base::RunContext;

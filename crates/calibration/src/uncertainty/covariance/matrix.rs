@@ -3,10 +3,10 @@
 
 use crate::error::CalibrationError;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
-use crate::uncertainty::chance::OfIndependent;
 use crate::uncertainty::covariance::autocorrelation::Group;
 use crate::uncertainty::diagnostics::residual_check::{is_rounding, square_of_rounding};
 use crate::uncertainty::differences::Differences;
+use crate::uncertainty::p_values::OfIndependent;
 use crate::uncertainty::result::Estimator;
 use crate::uncertainty::row_blocks::{ThinSvd, inner_products, thin_svd, triangle, weighted_products};
 use crate::uncertainty::scores::{Criterion, Working};

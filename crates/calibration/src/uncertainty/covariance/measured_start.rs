@@ -1,8 +1,8 @@
 //! Initial states that are taken from a measurement: its noise moves the whole simulation.
 
-use crate::calibration::handle::Calibration;
-use crate::calibration::simulations::{Point, Simulations};
 use crate::error::CalibrationError;
+use crate::loaded::calibration::Calibration;
+use crate::loaded::simulations_around::{Point, Simulations};
 use crate::problem::experiment::InitialState;
 use dfo::RobustLoss;
 use fmi::Value;

@@ -2,7 +2,7 @@
 //! initial states; and the parameters that the data do not determine.
 
 pub(crate) mod autocorrelation;
-pub(crate) mod gain;
 pub(crate) mod identifiability;
 pub(crate) mod matrix;
 pub(crate) mod measured_start;
+pub(crate) mod remaining_decrease;

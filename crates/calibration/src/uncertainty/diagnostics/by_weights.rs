@@ -2,8 +2,8 @@
 //! parameters off.
 
 use crate::error::CalibrationError;
-use crate::uncertainty::chance::OfIndependent;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
+use crate::uncertainty::p_values::OfIndependent;
 use crate::uncertainty::row_blocks::{ThinSvd, scaled, thin_svd};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};

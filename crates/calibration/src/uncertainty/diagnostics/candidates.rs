@@ -1,15 +1,15 @@
 //! Numbers of a model that are taken as known, and by how much each changes the residuals: offsets of inputs,
 //! start values, parameters that are held.
 
-use crate::calibration::handle::Calibration;
-use crate::calibration::simulations::{Point, Simulations};
 use crate::error::CalibrationError;
+use crate::loaded::calibration::Calibration;
+use crate::loaded::simulations_around::{Point, Simulations};
 use crate::problem::definition::Problem;
 use crate::problem::experiment::{Experiment, InitialState};
 use crate::problem::input::InputSource;
 use crate::problem::parameter::Parameter;
 use crate::problem::resolution::{is_same, states};
-use crate::uncertainty::diagnostics::omitted::{Change, Effect};
+use crate::uncertainty::diagnostics::score_test::{Change, OmittedKind};
 use dfo::RobustLoss;
 use fmi::Value;
 use fmi::description::{Causality, Initial, Variability, Variable};
@@ -38,7 +38,7 @@ const SAME: f64 = 1e-3;
 
 /// A number that is taken as known.
 struct Candidate {
-    effect: Effect,
+    effect: OmittedKind,
     variable: String,
     /// Its value in each experiment, or that of an offset.
     starts: Vec<f64>,
@@ -90,7 +90,7 @@ impl Calibration {
             let of_parameter = |p: &Parameter| p.variable_names().iter().any(|name| is_it(name));
             fitted.any(is_it) || problem.parameters.iter().any(of_parameter)
         };
-        let number = |effect: Effect, variable: &Variable| {
+        let number = |effect: OmittedKind, variable: &Variable| {
             let start =
                 variable.start.as_ref().and_then(Value::as_number).filter(|start| start.is_finite())?;
             let is_one = variable.kind.is_float() && variable.dimensions.is_empty() && !is_fitted(variable);
@@ -110,7 +110,7 @@ impl Calibration {
             if !is_fitted(variable) && !inputs.iter().any(|known| known.variable == *name) {
                 let size = [size_of(experiment, source), variable.nominal.unwrap_or(1.0).abs()];
                 let size = size.into_iter().find(|size| *size > 0.0 && size.is_finite()).unwrap_or(1.0);
-                let (effect, variable) = (Effect::InputOffset, name.clone());
+                let (effect, variable) = (OmittedKind::InputOffset, name.clone());
                 let starts = vec![0.0; problem.experiments.len()];
                 inputs.push(Candidate { effect, variable, starts, size, fixed: None });
             }
@@ -118,16 +118,17 @@ impl Calibration {
         let starts = states(description).into_iter().filter_map(|name| description.variable(name));
         let starts = starts
             .filter(|v| v.initial != Some(Initial::Calculated))
-            .filter_map(|v| number(Effect::StartValue, v));
+            .filter_map(|v| number(OmittedKind::StartValue, v));
         let is_held = |v: &&Variable| {
             v.causality == Causality::Parameter
                 && matches!(v.variability, Variability::Fixed | Variability::Tunable)
                 && v.initial != Some(Initial::Calculated)
         };
-        let held = description.variables.iter().filter(is_held).filter_map(|v| number(Effect::HeldValue, v));
+        let held =
+            description.variables.iter().filter(is_held).filter_map(|v| number(OmittedKind::HeldValue, v));
         let fixed =
             self.parameters().iter().enumerate().filter(|(_, p)| p.lower() == p.upper()).map(|(i, p)| {
-                let (x, effect, variable) = (p.lower(), Effect::HeldValue, p.name().to_owned());
+                let (x, effect, variable) = (p.lower(), OmittedKind::HeldValue, p.name().to_owned());
                 let size = if x == 0.0 { 1.0 } else { x.abs() };
                 Candidate {
                     effect,
@@ -144,7 +145,7 @@ impl Calibration {
                 let states = e.initial_states.iter().map(|(name, _)| name);
                 states.chain(e.start_values.iter().map(|(name, _)| name))
             });
-            c.effect == Effect::InputOffset || c.fixed.is_some() || given.any(|name| is_it(name))
+            c.effect == OmittedKind::InputOffset || c.fixed.is_some() || given.any(|name| is_it(name))
         };
         all.sort_by_cached_key(|c| !is_named(c));
         all.truncate(most);
@@ -273,8 +274,8 @@ impl Calibration {
             }
             change(Some(k), own)
         };
-        let is_one = starts.iter().all(|start| *start == starts[0]) && *effect != Effect::StartValue;
-        let each = (0..starts.len()).filter(|_| *effect != Effect::HeldValue || !is_one).map(of);
+        let is_one = starts.iter().all(|start| *start == starts[0]) && *effect != OmittedKind::StartValue;
+        let each = (0..starts.len()).filter(|_| *effect != OmittedKind::HeldValue || !is_one).map(of);
         let mut all: Vec<Change> = each.collect();
         all.extend(is_one.then(|| change(None, column)));
         all
@@ -287,12 +288,12 @@ impl Calibration {
         for Candidate { effect, variable, starts, .. } in candidates.iter().filter(|c| c.fixed.is_none()) {
             let parameter = Parameter::new(variable.clone(), starts[0]);
             problem.parameters.push(match effect {
-                Effect::InputOffset => {
+                OmittedKind::InputOffset => {
                     Parameter::new(format!("offset of {variable}"), 0.0).offset_of(variable.clone())
                 }
                 _ => parameter.local(true),
             });
-            if *effect == Effect::InputOffset {
+            if *effect == OmittedKind::InputOffset {
                 continue;
             }
             for (experiment, start) in problem.experiments.iter_mut().zip(starts) {

@@ -2,8 +2,8 @@
 
 pub(crate) mod by_weights;
 pub(crate) mod candidates;
-pub(crate) mod omitted;
+pub(crate) mod output_effect;
 pub(crate) mod parameter_constancy;
 pub(crate) mod prior_check;
 pub(crate) mod residual_check;
-pub(crate) mod unmodelled;
+pub(crate) mod score_test;

@@ -2,10 +2,10 @@
 
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
+use crate::findings::shown_text::digits;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
-use crate::uncertainty::chance::BY_CHANCE;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
-use crate::uncertainty::digits::digits;
+use crate::uncertainty::p_values::BY_CHANCE;
 use crate::uncertainty::row_blocks::{go_on, triangle};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector, Dyn, StorageMut, Vector};
@@ -302,7 +302,7 @@ impl FreeParameters<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::uncertainty::chance::normal_numbers;
+    use crate::uncertainty::p_values::normal_numbers;
 
     fn layout(n: usize) -> ResidualLayout {
         let output = |k: usize| OutputResiduals {

@@ -2,11 +2,11 @@
 
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
+use crate::findings::shown_text::digits;
 use crate::problem::parameter::{inner, outer};
 use crate::problem::prior::Prior;
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::differences::Center;
-use crate::uncertainty::digits::digits;
 use crate::uncertainty::row_blocks::{ThinSvd, thin_svd};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};

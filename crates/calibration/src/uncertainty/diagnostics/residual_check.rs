@@ -2,10 +2,10 @@
 
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
+use crate::findings::shown_text::digits;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
-use crate::uncertainty::chance::{BY_CHANCE, OfIndependent, chance_of_outliers, distances};
-use crate::uncertainty::diagnostics::unmodelled::Unmodelled;
-use crate::uncertainty::digits::digits;
+use crate::uncertainty::diagnostics::output_effect::OutputEffect;
+use crate::uncertainty::p_values::{BY_CHANCE, OfIndependent, chance_of_outliers, distances};
 use crate::uncertainty::row_blocks::go_on;
 use base::RunContext;
 use serde::{Deserialize, Serialize};
@@ -81,7 +81,7 @@ pub struct ResidualCheck {
     pub is_by_weights: bool,
     /// One number of the measurements that would explain most of them, where they show something that lasts.
     #[serde(default)]
-    pub unmodelled: Option<Unmodelled>,
+    pub unmodelled: Option<OutputEffect>,
 }
 
 impl ResidualCheck {

@@ -3,8 +3,8 @@
 use super::{calibration, decay, fitted, k, noise, open, recording, sound, times, warnings, warns};
 use calibration::dfo::{Limits, Loss, RobustLoss, RunOptions};
 use calibration::{
-    Calibration, Compared, CostKind, CustomCost, Data, DataSplit, Effect, Experiment, Fit, FitOptions,
-    Parameter, SimulationSettings, UncertaintyOptions, UnmodelledKind, Weight,
+    Calibration, Compared, CostKind, CustomCost, Data, DataSplit, Experiment, Fit, FitOptions, OmittedKind,
+    OutputEffectKind, Parameter, SimulationSettings, UncertaintyOptions, Weight,
 };
 
 fn fitted_as(experiment: Experiment, options: FitOptions<'_>) -> Fit {
@@ -231,7 +231,10 @@ fn a_start_value_that_is_wrong_is_asked_for() {
     for fit in [fitted(given, k()), fixed.fit(FitOptions::default()).unwrap()] {
         let asked = fit.uncertainty.as_ref().unwrap().omitted.clone().unwrap();
         assert!((asked.value / asked.held_at - 1.23 / 1.2).abs() < 0.01, "{asked:?}");
-        assert!(asked.held_at == 1.2 || asked.effect == Effect::Output(UnmodelledKind::Factor), "{asked:?}");
+        assert!(
+            asked.held_at == 1.2 || asked.effect == OmittedKind::Output(OutputEffectKind::Factor),
+            "{asked:?}"
+        );
     }
     // The start is fitted, too.
     let experiment =

@@ -34,8 +34,8 @@
 //! **Cutoffs**: none, since a model needs the value of every point. **Time**: O((4n)^3) operations per point
 //! up to 20 parameters: 11 microseconds for 2, 0.2 ms for 10, 0.6 ms for 20. For more parameters the inverse
 //! of the interpolation conditions is updated as points are exchanged, the steps are those of truncated
-//! conjugate gradients, and the model keeps 2n + 1 points (`many.rs`, `inverse.rs`, `truncated.rs`), as in
-//! NEWUOA: O(n^2) operations per point (`benches/overhead.rs`).
+//! conjugate gradients, and the model keeps 2n + 1 points (`many_parameters.rs`, `inverse.rs`,
+//! `truncated_cg.rs`), as in NEWUOA: O(n^2) operations per point (`benches/overhead.rs`).
 
 mod hand_over;
 mod initial;

@@ -8,9 +8,9 @@
 
 mod run;
 mod samples;
-mod stepping;
+mod state;
 
-pub(crate) use stepping::Stepping;
+pub(crate) use state::CoSimulationState;
 
 use crate::error::{FmiError, Result};
 use crate::simulation::running::no_instance;
@@ -20,7 +20,7 @@ use run::{Exit, Run};
 use std::sync::Arc;
 use std::time::Instant;
 
-impl Stepping {
+impl CoSimulationState {
     /// Runs from the start to the end.
     ///
     /// # Errors

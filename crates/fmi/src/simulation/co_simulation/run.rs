@@ -1,6 +1,6 @@
 //! The loop over communication points: from one to the next, with inputs and events between two steps.
 
-use super::stepping::{Call, Stepping};
+use super::state::{Call, CoSimulationState};
 use crate::description::QuirkKind;
 use crate::error::FmiError;
 use crate::instance::StepOutcome;
@@ -52,7 +52,7 @@ pub(super) type Step<T> = Result<T, Exit>;
 
 /// One run: everything that changes between the start and the end.
 pub(super) struct Run<'a, 'o> {
-    pub(super) stepping: &'a mut Stepping,
+    pub(super) stepping: &'a mut CoSimulationState,
     pub(super) plan: &'a SimulationPlan,
     pub(super) communication: &'a Communication,
     pub(super) max_steps: Option<u64>,
@@ -349,7 +349,8 @@ impl Run<'_, '_> {
 
     fn set_input_derivatives(&mut self, target: &Target) -> Step<()> {
         let inputs = &self.plan.inputs;
-        let Stepping { running: Running { inputs: state, current, .. }, slopes, .. } = &mut *self.stepping;
+        let CoSimulationState { running: Running { inputs: state, current, .. }, slopes, .. } =
+            &mut *self.stepping;
         slopes.copy_from_slice(&state.continuous);
         if !state.continuous_at(inputs, target.time) {
             return Err(state.bad_function_value(target.time).into());

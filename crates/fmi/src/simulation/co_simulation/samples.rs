@@ -2,7 +2,7 @@
 //! interpolated.
 
 use super::run::{Exit, Run, Step, StepSide};
-use super::stepping::{Call, Stepping};
+use super::state::{Call, CoSimulationState};
 use crate::simulation::running::Running;
 use crate::sys::Fault;
 use ode::{Observer, Sample, Side, Termination};
@@ -16,7 +16,8 @@ impl Run<'_, '_> {
 
     fn read_into(&mut self, place: StepSide) -> Step<()> {
         let time = self.t;
-        let Stepping { running: Running { current, buffers, .. }, before, after, .. } = &mut *self.stepping;
+        let CoSimulationState { running: Running { current, buffers, .. }, before, after, .. } =
+            &mut *self.stepping;
         let outputs = self.plan.outputs();
         current.core()?.call(|raw| buffers.read(outputs, raw))?;
         let row = match place {
@@ -40,7 +41,7 @@ impl Run<'_, '_> {
     /// Reads the derivatives of outputs at the end of a step, if the FMU offers them.
     pub(super) fn read_slopes(&mut self) -> Step<()> {
         let references = &self.plan.outputs().smooth.1;
-        let Stepping { running, ends, .. } = &mut *self.stepping;
+        let CoSimulationState { running, ends, .. } = &mut *self.stepping;
         ends.clear();
         if !self.communication.output_derivatives || references.is_empty() {
             return Ok(());
@@ -66,7 +67,7 @@ impl Run<'_, '_> {
         while let Some(time) = self.row_before(end) {
             self.outside.check()?;
             let theta = (time - self.t) / (end - self.t);
-            let Stepping { before, after, between, .. } = &mut *self.stepping;
+            let CoSimulationState { before, after, between, .. } = &mut *self.stepping;
             for (i, value) in between.iter_mut().enumerate() {
                 let outputs = self.plan.outputs();
                 if outputs.is_tick(i) {
@@ -79,7 +80,7 @@ impl Run<'_, '_> {
                     (_, false) => before[i],
                 };
             }
-            let Stepping { before, after, between, ends, .. } = &mut *self.stepping;
+            let CoSimulationState { before, after, between, ends, .. } = &mut *self.stepping;
             for (column, slope) in self.plan.outputs().smooth.0.iter().zip(ends.iter()) {
                 let (rise, back) = (slope * (end - self.t), theta - 1.0);
                 let bend = before[*column] - after[*column] + rise;

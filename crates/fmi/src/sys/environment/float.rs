@@ -124,7 +124,7 @@ mod tests {
 
     #[test]
     fn what_was_there_comes_back_and_calls_start_in_the_default_mode() {
-        let gate = Arc::new(FairLock::default());
+        let lock = Arc::new(FairLock::default());
         let before = FloatMode::present();
         // Flush to zero, denormals are zero; x87 rounds up in double precision.
         let theirs = FloatMode((0x9fc0, 0x0a7f));
@@ -137,7 +137,7 @@ mod tests {
             assert!(FloatMode::present().is_default());
             assert!(std::hint::black_box(f64::MIN_POSITIVE) / std::hint::black_box(4.0) > 0.0);
             for mode in [theirs, unmasked] {
-                let call = OneCall::enter(&gate);
+                let call = OneCall::enter(&lock);
                 mode.set();
                 drop(call);
                 assert!(FloatMode::present().is_default());
@@ -152,7 +152,7 @@ mod tests {
         assert!(is_same(FloatMode::present(), theirs));
         {
             // Without anything around it.
-            let call = OneCall::enter(&gate);
+            let call = OneCall::enter(&lock);
             assert!(FloatMode::present().is_default());
             unmasked.set();
             drop(call);

@@ -20,7 +20,7 @@ use std::sync::Arc;
 thread_local! {
     /// The thread is set up for calls.
     static IS_SET_UP: Cell<bool> = const { Cell::new(false) };
-    /// The gate of the library that this thread has entered last and is inside of; it is set up for calls
+    /// The lock of the library that this thread has entered last and is inside of; it is set up for calls
     /// then.
     static ENTERED: Cell<*const FairLock> = const { Cell::new(ptr::null()) };
 }
@@ -49,18 +49,18 @@ pub(crate) struct Inside {
 
 impl Inside {
     /// Waits until nobody else is inside.
-    pub(crate) fn enter(gate: &Arc<FairLock>) -> Self {
-        Self::with(gate.enter(), gate)
+    pub(crate) fn enter(lock: &Arc<FairLock>) -> Self {
+        Self::with(lock.enter(), lock)
     }
 
     /// The same, as long as `wait` (asked every 20 ms) says so.
-    pub(crate) fn enter_while(gate: &Arc<FairLock>, wait: &mut dyn FnMut() -> bool) -> Option<Self> {
-        gate.enter_while(wait).map(|turn| Self::with(turn, gate))
+    pub(crate) fn enter_while(lock: &Arc<FairLock>, wait: &mut dyn FnMut() -> bool) -> Option<Self> {
+        lock.enter_while(wait).map(|turn| Self::with(turn, lock))
     }
 
-    fn with(turn: Turn, gate: &Arc<FairLock>) -> Self {
+    fn with(turn: Turn, lock: &Arc<FairLock>) -> Self {
         let _environment = CallEnvironment::enter();
-        Self { before: ENTERED.replace(Arc::as_ptr(gate)), _environment, _turn: turn }
+        Self { before: ENTERED.replace(Arc::as_ptr(lock)), _environment, _turn: turn }
     }
 }
 
@@ -77,8 +77,8 @@ pub(super) struct OneCall(Option<Inside>);
 
 impl OneCall {
     #[inline]
-    pub(super) fn enter(gate: &Arc<FairLock>) -> Self {
-        Self(if ptr::eq(ENTERED.get(), Arc::as_ptr(gate)) { None } else { Some(Inside::enter(gate)) })
+    pub(super) fn enter(lock: &Arc<FairLock>) -> Self {
+        Self(if ptr::eq(ENTERED.get(), Arc::as_ptr(lock)) { None } else { Some(Inside::enter(lock)) })
     }
 
     /// Ends it after somebody else has looked at the mode.

@@ -113,7 +113,7 @@ impl RawInstance {
 
     /// Makes a component.
     pub(crate) fn new(library: &Arc<Library>, request: &Request<'_>, sizes: Sizes) -> Result<Self> {
-        let _inside = Inside::enter(library.gate());
+        let _inside = Inside::enter(library.lock());
         if library.is_fatal() {
             return Err(FmiError::LibraryUnusable(library.path().to_owned()));
         }
@@ -456,7 +456,7 @@ impl RawInstance {
             return self.vector_one_by_one(at, get, values);
         }
         let point = &self.library.functions;
-        let one = OneCall::enter(self.library.gate());
+        let one = OneCall::enter(self.library.lock());
         let c = self.component;
         // SAFETY (of the three calls): the component is alive and ours alone (`&mut self`), both slices have as many places as
         // the function reads or fills.
@@ -487,7 +487,7 @@ impl RawInstance {
         values: &mut [f64],
     ) -> Outcome {
         let point = &self.library.functions;
-        let one = OneCall::enter(self.library.gate());
+        let one = OneCall::enter(self.library.lock());
         let _current = self.callbacks.enter();
         let c = self.component;
         // SAFETY: as for `vector_at`.
@@ -551,7 +551,7 @@ impl Left {
             std::mem::forget(self);
             return;
         }
-        let _inside = Inside::enter(self.library.gate());
+        let _inside = Inside::enter(self.library.lock());
         let (functions, current) = (&self.library.functions, self.callbacks.enter());
         // SAFETY: the component is alive and made these states.
         unsafe { self.saved.free(&functions.free_state, self.component) };
@@ -576,8 +576,8 @@ impl Drop for RawInstance {
             unsafe { (ManuallyDrop::take(&mut self.callbacks), ManuallyDrop::take(&mut self.library)) };
         let saved = std::mem::take(&mut self.saved);
         let left = Left { component: self.component, saved, callbacks, library };
-        let gate = Arc::clone(left.library.gate());
+        let lock = Arc::clone(left.library.lock());
         // Without waiting: who drops an instance may hold locks that the one who is inside waits for.
-        gate.when_free(move || left.free());
+        lock.when_free(move || left.free());
     }
 }

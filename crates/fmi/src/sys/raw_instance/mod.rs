@@ -9,7 +9,7 @@ macro_rules! run {
             Ok(()) => {
                 let answer = {
                     let ($library, $component) = (&**$self.library, $self.component);
-                    let _call = crate::sys::environment::OneCall::enter($library.gate());
+                    let _call = crate::sys::environment::OneCall::enter($library.lock());
                     let _current = $self.callbacks.enter();
                     // SAFETY: the component is alive and ours alone (`&mut self`); lengths were checked by the caller of
                     // this macro or are those of the slices passed.

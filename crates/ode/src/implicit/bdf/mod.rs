@@ -159,7 +159,7 @@ impl Bdf {
     ) -> CallResult<()> {
         if !self.fresh && self.error_failures >= 3 {
             // The derivatives in the array are not those of the solution: a new start at order 1, as in DASSL; where equations
-            // without derivatives stand among the others one order less, which takes fewer steps (`tests/dae.rs`, amplifier).
+            // without derivatives stand among the others one order less, which takes fewer steps (`tests/all/dae.rs`, amplifier).
             let order = if self.left.is_identity() { 1 } else { self.order - 1 };
             if order > 1 {
                 (self.next_order, self.error_failures) = (order, 0);

@@ -2,51 +2,24 @@
 
 from __future__ import annotations
 
-import importlib
 import logging
 import operator
 import os
-import reprlib
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, SupportsFloat, SupportsIndex
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
 from .. import _core
 from . import keywords as _keywords
+from . import values as _values
+from .text import show
 
 FloatArray = npt.NDArray[np.float64]
 
 _log = logging.getLogger("pydfo")
-
-
-_shortened = reprlib.Repr()
-_shortened.maxstring = _shortened.maxother = 80
-
-
-def show(value: object) -> str:
-    """A value for a message: of long ones the beginning."""
-    return " ".join(_shortened.repr(value).split())
-
-
-def library(name: str, user: str) -> Any:
-    """A module that `user` needs and that need not be there."""
-    try:
-        return importlib.import_module(name)
-    except ImportError as e:
-        raise ImportError(f"{user} needs {name}: pip install {name}") from e
-
-
-def pandas() -> Any:
-    """The module, where a table of it is asked for."""
-    return library("pandas", "to_dataframe()")
-
-
-def beginning(text: str) -> str:
-    """A text for a message: of a long one the beginning."""
-    return text if len(text) <= 500 else f"{text[:500]}..."
 
 
 #: The methods that need no start: they sample a box, or begin in its middle.
@@ -77,9 +50,9 @@ def record(
         asked["warm_start"] = [{"x": x, "cost": cost, "residuals": [], "problem": problem} for x, cost in points]
     if asked.get("initial_simplex") is not None:
         check_simplex(asked["initial_simplex"], n)
-    asked.update(arguments, method=choice("method", method), seed=seed(rng))
+    asked.update(arguments, method=_values.choice("method", method), seed=seed(rng))
     if checkpoint is not None:
-        asked["checkpoint"] = path("checkpoint", checkpoint)
+        asked["checkpoint"] = _values.path("checkpoint", checkpoint)
         # A problem with a name is the user's word for what is minimised.
         if function and asked.get("problem") is None:
             from . import identity
@@ -93,7 +66,7 @@ def tell_of_checkpoint(checkpoint: str | os.PathLike[str] | None, resume: str, o
     """Logs that a run goes on from a file that nothing binds to what is minimised, for the costs are told by hand."""
     if checkpoint is None or resume != "auto" or (options or {}).get("problem") is not None:
         return
-    place = path("checkpoint", checkpoint)
+    place = _values.path("checkpoint", checkpoint)
     if not os.path.isfile(place):
         return
     _log.warning(
@@ -107,12 +80,12 @@ def dictionary(options: Mapping[str, Any] | None) -> dict[str, Any]:
     """The argument ``options``, which must have strings for names."""
     if options is not None and not isinstance(options, Mapping):
         raise TypeError(f"options must be a dict, not {show(options)}")
-    return {choice("the name of an option", name): value for name, value in (options or {}).items()}
+    return {_values.choice("the name of an option", name): value for name, value in (options or {}).items()}
 
 
 def method_name(method: str) -> str:
     """The name of the method that is called so, or "auto"."""
-    return _core.method_name(choice("method", method))
+    return _core.method_name(_values.choice("method", method))
 
 
 def seed(rng: int | np.random.Generator | None) -> int | None:
@@ -144,7 +117,7 @@ def warm_start(value: Any, n: int) -> tuple[list[tuple[list[float], float]], str
             points, costs, *rest = trace
             if len(rest) > 1:
                 raise TypeError
-            problem = choice("the problem of a warm start", rest[0]) if rest and rest[0] is not None else None
+            problem = _values.choice("the problem of a warm start", rest[0]) if rest and rest[0] is not None else None
         points = np.ma.filled(np.ma.asarray(points, dtype=np.float64), np.nan)
         costs = np.ma.filled(np.ma.asarray(costs, dtype=np.float64), np.nan)
     except (TypeError, ValueError):
@@ -152,131 +125,6 @@ def warm_start(value: Any, n: int) -> tuple[list[tuple[list[float], float]], str
     if points.ndim != 2 or points.shape[1] != n or costs.shape != points.shape[:1]:
         raise ValueError(f"warm_start: points of shape {points.shape}, costs of shape {costs.shape}; (m, {n}) and (m,) fit")
     return list(zip(points.tolist(), costs.tolist())), problem
-
-
-def pairs_of_bounds(bounds: Any, n: int | None) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper bounds from what SciPy takes: a sequence of pairs (None: no bound), or an object with ``lb`` and
-    ``ub``. Without a start point their number is that of the parameters."""
-    if bounds is None:
-        if n is None:
-            raise ValueError("x0 is needed: the point to start from (methods that sample a box need at least bounds)")
-        return np.full(n, -np.inf), np.full(n, np.inf)
-    if hasattr(bounds, "lb") and hasattr(bounds, "ub"):
-        if n is None:
-            n = np.broadcast(np.asarray(bounds.lb), np.asarray(bounds.ub)).size
-        # SciPy makes arrays of length one of scalars, which hold for all parameters.
-        lower, upper = (side[0] if np.shape(side) == (1,) else side for side in (bounds.lb, bounds.ub))
-        return bound("bounds.lb", lower, n, -np.inf), bound("bounds.ub", upper, n, np.inf)
-    if isinstance(bounds, str):
-        raise TypeError(f"bounds must be pairs of numbers or None, not {bounds!r}; did you mean method={bounds!r}?")
-    try:
-        pairs = [tuple(pair) for pair in bounds]
-    except TypeError:
-        raise TypeError(f"bounds must be pairs of numbers or None, or an object with lb and ub, not {show(bounds)}") from None
-    for index, pair in enumerate(pairs):
-        if len(pair) != 2:
-            raise ValueError(f"bounds[{index}] has {len(pair)} values, not two: {pair!r}")
-    if n is not None and len(pairs) != n:
-        raise ValueError(f"bounds has {len(pairs)} pairs for {n} parameters")
-    return (
-        bound("lower bounds", [pair[0] for pair in pairs], len(pairs), -np.inf),
-        bound("upper bounds", [pair[1] for pair in pairs], len(pairs), np.inf),
-    )
-
-
-def bounds_of_least_squares(bounds: Any, x0: FloatArray) -> Any:
-    """Bounds for `pairs_of_bounds` from what SciPy's ``least_squares`` takes: also two arrays, or numbers that hold for all
-    parameters, lower and upper bounds. Where a tuple of two pairs could be either for two parameters, that is meant in which
-    x0 lies; ValueError if it lies in both, and they differ."""
-    if hasattr(bounds, "lb") or isinstance(bounds, str):
-        return bounds
-    try:
-        first, second = bounds
-        sides = [np.broadcast_to(np.asarray(side, dtype=np.float64), x0.shape) for side in (first, second)]
-    except (TypeError, ValueError):
-        # Not two, or with None among them, or not of the length of x0.
-        return bounds
-    as_sides = [[lower, upper] for lower, upper in zip(*(side.tolist() for side in sides))]
-    if np.shape(first) == np.shape(second) == (2,) and len(x0) == 2:
-        if not isinstance(bounds, tuple):
-            return bounds
-        as_pairs = [list(first), list(second)]
-        fits = [all(low <= x <= high for (low, high), x in zip(pairs, x0)) for pairs in (as_pairs, as_sides)]
-        if as_pairs == as_sides or not fits[1]:
-            return bounds
-        if fits[0]:
-            raise ValueError(
-                f"bounds = {show(bounds)} may mean (lower, upper) for each of two parameters, or all lower and all upper bounds: "
-                "give a list of pairs, [(lower, upper), ...], or scipy.optimize.Bounds(lb, ub)"
-            )
-    return as_sides
-
-
-def number(name: str, value: SupportsFloat | SupportsIndex) -> float:
-    """The argument `name` as a float."""
-    if isinstance(value, (str, bytes)):
-        raise TypeError(f"{name} must be a number, not {show(value)}")
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        raise TypeError(f"{name} must be a number, not {show(value)}") from None
-    except OverflowError:
-        raise ValueError(f"{name} must be a number up to {sys.float_info.max:.2g}, not {show(value)}") from None
-
-
-def optional_number(name: str, value: SupportsFloat | SupportsIndex | None) -> float | None:
-    """The argument `name` as a float, or None."""
-    return None if value is None else number(name, value)
-
-
-def flag(name: str, value: object) -> bool:
-    """The argument `name`, which must be True or False (or 1 or 0)."""
-    if isinstance(value, bool):
-        return value
-    if isinstance(value, (np.bool_, int, np.integer)) and value in (0, 1):
-        return bool(value)
-    raise TypeError(f"{name} must be True or False, not {show(value)}")
-
-
-def path(name: str, value: str | os.PathLike[str]) -> str:
-    """The argument `name`, which must be a path."""
-    try:
-        found = os.fspath(value)
-    except TypeError:
-        found = None
-    if not isinstance(found, str):
-        raise TypeError(f"{name} must be a path, not {show(value)}")
-    if not found:
-        raise ValueError(f"{name} must be a path, not an empty text")
-    return found
-
-
-def choice(name: str, value: str) -> str:
-    """The argument `name`, which must be a string."""
-    if not isinstance(value, str):
-        raise TypeError(f"{name} must be a string, not {show(value)}")
-    return value
-
-
-def limit(name: str, value: SupportsFloat | None, least: int) -> int | None:
-    """A count; None and infinity are no limit. Floats like 1e4 are counts, too."""
-    if value is None:
-        return None
-    count = number(name, value)
-    if count == np.inf:
-        return None
-    if not (count >= least and count == int(count)):
-        raise ValueError(f"{name} = {value} must be a whole number, at least {least}")
-    # More than the machine can count is no limit.
-    return int(count) if count <= sys.maxsize else None
-
-
-def index(name: str, value: SupportsIndex) -> int:
-    """A whole number."""
-    try:
-        return operator.index(value)
-    except TypeError:
-        raise TypeError(f"{name} must be whole numbers, not {show(value)}") from None
 
 
 def with_plan(options: Mapping[str, Any] | None, workers: int | None) -> dict[str, Any]:
@@ -312,33 +160,6 @@ def all_cores() -> int:
     return os.cpu_count() or 1
 
 
-def vector(name: str, value: npt.ArrayLike) -> FloatArray:
-    """The argument `name` as a one-dimensional, contiguous array of floats, itself if it is one; a number becomes one."""
-    try:
-        array = np.asarray(value)
-        if array.dtype.kind in "cUSM":
-            raise TypeError
-        array = np.ascontiguousarray(array, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(f"{name} must be numbers, not {show(value)}") from None
-    if array.ndim > 1:
-        raise ValueError(f"{name} must be one-dimensional, not of shape {array.shape}")
-    return array
-
-
-def bound(name: str, value: npt.ArrayLike | Sequence[float | None] | None, n: int, default: float) -> FloatArray:
-    """A bound per parameter; None, for all or for one of them, stands for `default`; a number holds for all."""
-    if value is None:
-        return np.full(n, default)
-    given: Any = [default if v is None else v for v in value] if isinstance(value, (list, tuple)) else value
-    array = vector(name, given)
-    if np.ndim(given) == 0:
-        return np.full(n, array[0])
-    if len(array) != n:
-        raise ValueError(f"{name} has {len(array)} values for {n} parameters")
-    return array.copy()
-
-
 def check_simplex(value: npt.ArrayLike, n: int) -> None:
     """Refuses what is neither vertices nor steps of a simplex."""
     try:
@@ -355,38 +176,6 @@ def check_simplex(value: npt.ArrayLike, n: int) -> None:
         )
 
 
-def names(argument: str, given: Iterable[str]) -> list[str]:
-    """The argument `argument`, which must be names."""
-    if not isinstance(given, list) and (isinstance(given, (bytes, Mapping)) or not isinstance(given, Iterable)):
-        raise TypeError(f"{argument} must be a name or a list of names, not {show(given)}")
-    listed = list(given)
-    for name in listed:
-        if not isinstance(name, str):
-            raise TypeError(f"{argument} must be a name or a list of names; {show(name)} is not a name")
-    return listed
-
-
-def pairs(argument: str, given: Mapping[str, object] | None) -> list[tuple[str, object]]:
-    """The argument `argument`, which must be names with values."""
-    if given is None:
-        return []
-    if not isinstance(given, Mapping):
-        raise TypeError(f"{argument} must be a dict of names and values, not {show(given)}")
-    names(argument, list(given))
-    return list(given.items())
-
-
-#: Names beyond these are counted only.
-MOST_LISTED = 20
-
-
-def listed(words: Sequence[str]) -> str:
-    """Words in quotes, not too many of them."""
-    shown = ", ".join(f"'{word}'" for word in words[:MOST_LISTED])
-    more = len(words) - MOST_LISTED
-    return f"{shown} and {more} more" if more > 0 else shown
-
-
 #: Solvers of other tools, and those that stand for them here.
 SOLVERS: Mapping[str, str] = {
     "rk45": "tsit5",
@@ -399,7 +188,7 @@ SOLVERS: Mapping[str, str] = {
 
 def solver(name: str, argument: str = "solver") -> str:
     """The name of an integration method; those of SciPy and ``CVode``, which other tools have, stand for one of ours."""
-    ours = SOLVERS.get(choice(argument, name).lower())
+    ours = SOLVERS.get(_values.choice(argument, name).lower())
     if ours is None:
         return name
     _log.info("there is no %s here: %s=%r is used instead", name, argument, ours)

@@ -7,31 +7,37 @@ import logging
 import os
 import sys
 import warnings
-from contextlib import closing, nullcontext
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import closing, nullcontext
 from typing import TYPE_CHECKING, Any, Literal, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
 from .. import _core
-from . import check as _check, stages as _stages, worker as _worker, uncertainty as _uncertainty
 from .._args import options as _options
-from .._optimize import evaluate as _evaluate, objective as _objective
-from .._errors import CalibrationWarning
-from .experiment import Inputs, Names, Weights, collected, path_of
-from .._model.files import OpenOptions
-from .fit import Fit
-from .._optimize.fmin import Callback, check_callback, combine, listen
+from .._args import text as _text
+from .._args import values as _values
 from .._args.keywords import also_called, argument_names, explained, given_once
-from .._optimize.live import DELAY, LiveLine, is_watched
-from .parameter import Parameter
-from .evaluation import Evaluation
+from .._errors import CalibrationWarning
+from .._model.files import OpenOptions
+from .._optimize import evaluate as _evaluate
+from .._optimize.fmin import Callback, check_callback, combine, listen
+from .._optimize.live_line import DELAY, LiveLine, is_watched
 from .._optimize.progress import Printer
 from .._optimize.result import OptimizeResult
+from . import check as _check
+from . import cost as _cost
+from . import stages as _stages
+from . import uncertainty as _uncertainty
+from . import worker as _worker
+from .evaluation import Evaluation
+from .experiment import Inputs, Names, Weights, collected, path_of
+from .fit import Fit
+from .parameter import Parameter
 from .stages import Stage
-from .validation import CrossValidation
 from .uncertainty import Preflight, Uncertainty
+from .validation import CrossValidation
 
 if TYPE_CHECKING:
     import concurrent.futures
@@ -208,11 +214,11 @@ class Calibration(Evaluation):
         experiments, parameters = collected(data, outputs, parameters, inputs, **own)
         needed = "parameters must be a list of pydfo.Parameter(name, start, lower, upper)"
         if not isinstance(parameters, (Parameter, Iterable)):
-            raise TypeError(f"{needed}, not {_options.show(parameters)}")
+            raise TypeError(f"{needed}, not {_text.show(parameters)}")
         self._parameters = (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
         for parameter in self._parameters:
             if not isinstance(parameter, Parameter):
-                raise TypeError(f"{needed}, not of {_options.show(parameter)}")
+                raise TypeError(f"{needed}, not of {_text.show(parameter)}")
         settings: dict[str, Any] = {
             "kind": getattr(model, "kind", "auto") if kind is None else kind,
             "timeout": timeout,
@@ -247,7 +253,7 @@ class Calibration(Evaluation):
         given.update(name for experiment in experiments for name, _ in experiment.start_values + experiment.initial_states)
         if forgotten := [name for name in getattr(model, "_names_set", list)() if name not in given]:
             warnings.warn(
-                f"values set in an FMUModel do not count in a calibration: {_options.listed(forgotten)}; give them as "
+                f"values set in an FMUModel do not count in a calibration: {_text.listed(forgotten)}; give them as "
                 "start_values, if they shall",
                 CalibrationWarning,
                 stacklevel=3,
@@ -279,7 +285,7 @@ class Calibration(Evaluation):
         resume: Literal["auto", "never", "require"] = "auto",
         search: Literal["local", "global"] = "local",
         stages: Sequence[Stage | Sequence[str]] | None = None,
-        objective: str | _objective.Objective = "sum-of-squares",
+        objective: str | _cost.Objective = "sum-of-squares",
         covariance: Literal["sandwich", "pooled"] | None = "sandwich",
         preflight: bool = False,
         noise: Literal["auto", "stated", "estimated"] = "auto",
@@ -409,12 +415,12 @@ class Calibration(Evaluation):
         executor = _evaluate.executor_of(given)
         engine = None
         if executor is not None:
-            from .engine import Simulations
+            from .simulation_executor import Simulations
 
             engine = Simulations(self, executor)
         count = engine.width if engine else _options.worker_count("workers", given, None)
         own = _options.with_plan(own, count)
-        cost = _objective.built(objective, self)
+        cost = _cost.built(objective, self)
 
         def record(method: str, own: Mapping[str, Any], **more: Any) -> _options.Record:
             return _options.record(
@@ -447,10 +453,10 @@ class Calibration(Evaluation):
         of_stages = None if stages is None else _stages.records(_stages.collected(stages), method, own, record)
         begin = self._values(start, "start")
         printer = Printer(self.names)
-        shown = disp if disp is None else _options.flag("disp", disp)
+        shown = disp if disp is None else _values.flag("disp", disp)
         live: LiveLine | None = None
         page: _core.LivePage | None = None
-        if _options.flag("watch", watch):
+        if _values.flag("watch", watch):
             page = self._native.live_page()
             print(f"watch the fit at {page.url}", file=sys.stderr, flush=True)
         listeners: list[Callback] = []
@@ -464,7 +470,7 @@ class Calibration(Evaluation):
         observer = combine(listeners)
         if live:
             # Called between iterations, too.
-            setattr(observer, "tick", live.tick)
+            observer.tick = live.tick
         try:
             with closing(live) if live else nullcontext():
                 objects = {"start": begin, "observer": observer, "stages": of_stages, "objective": cost, "engine": engine, "page": page}
@@ -521,7 +527,7 @@ class Calibration(Evaluation):
         >>> calibration.check()[0].severity
         'warning'
         """
-        return _check.of(self._native, _options.flag("simulate", simulate), _options.optional_number("max_time", max_time))
+        return _check.of(self._native, _values.flag("simulate", simulate), _values.optional_number("max_time", max_time))
 
     def plot_data(self) -> Figure:
         """Draws the recordings before anything is simulated: measurements and inputs in the units of the model, the rows outside of the
@@ -598,7 +604,7 @@ class Calibration(Evaluation):
         ValueError, TypeError
             Arguments that cannot be used.
         """
-        return _uncertainty.at(self, self._values(x), _options.choice("covariance", covariance), parameters, workers)
+        return _uncertainty.at(self, self._values(x), _values.choice("covariance", covariance), parameters, workers)
 
     @explained
     def cross_validate(

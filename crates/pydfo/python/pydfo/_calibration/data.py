@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core
-from . import data_files as _data_files
-from .._args import options as _options
+from .._args import text as _text
 from .._errors import BadCalibrationError
+from . import data_files as _data_files
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -216,7 +216,7 @@ def mask(given: Any) -> tuple[list[bool] | None, str | None]:
         return None, given
     array = np.asarray(given)
     if array.ndim != 1 or array.dtype.kind != "b":
-        raise TypeError(f"mask must be one True or False per row, or the name of a column, not {_options.show(given)}")
+        raise TypeError(f"mask must be one True or False per row, or the name of a column, not {_text.show(given)}")
     return array.tolist(), None
 
 
@@ -256,4 +256,4 @@ def _number(name: str, row: int, value: Any) -> float:
             ) from None
         except (TypeError, ValueError):
             pass
-    raise BadCalibrationError(f"data: {_options.show(value)} in column '{name}', row {row}, is not a number")
+    raise BadCalibrationError(f"data: {_text.show(value)} in column '{name}', row {row}, is not a number")

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core
-from .._args import options as _options
+from .._args import text as _text
 from .._errors import BadCalibrationError
 
 Array = npt.NDArray[Any]
@@ -85,7 +85,7 @@ def _reading(path: str, what: str) -> Iterator[None]:
     except BadCalibrationError:
         raise
     except Exception as e:
-        raise BadCalibrationError(f"{path}: this is not {what}, or it is damaged: {_options.beginning(str(e))}") from e
+        raise BadCalibrationError(f"{path}: this is not {what}, or it is damaged: {_text.beginning(str(e))}") from e
 
 
 def parquet(path: str) -> Columns:

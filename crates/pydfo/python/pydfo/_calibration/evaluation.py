@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core
-from .._args import options as _options
+from .._args import values as _values
 from .._args.keywords import explained
 from .._errors import BadCalibrationError
-from .parameter import Parameter
 from .._model.trajectory import SimulationResult
+from .parameter import Parameter
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -121,12 +121,12 @@ class Evaluation:
             for name, value in given.items():
                 if name not in values:
                     raise BadCalibrationError(f"there is no parameter '{name}'; there are: {', '.join(values)}")
-                values[name] = _options.number(name, value)
+                values[name] = _values.number(name, value)
             for name, expected in self._native.tied(list(values.values())):
-                if name in tied and not np.isclose(_options.number(name, tied[name]), expected, rtol=1e-9, atol=0.0):
+                if name in tied and not np.isclose(_values.number(name, tied[name]), expected, rtol=1e-9, atol=0.0):
                     raise BadCalibrationError(f"{name} = {tied[name]!r}: it is tied to another parameter, by which it is {expected!r}")
             return list(values.values())
-        return [float(value) for value in _options.vector(argument, x)]
+        return [float(value) for value in _values.vector(argument, x)]
 
     def cost(self, x: npt.ArrayLike | Mapping[str, float] | None = None) -> float:
         """The sum of the squared weighted residuals.
@@ -201,9 +201,9 @@ class Evaluation:
         SimulationError, ValueError
             As `cost`.
         """
-        rows = None if times is None else _options.vector("times", times).tolist()
+        rows = None if times is None else _values.vector("times", times).tolist()
         if outputs is not None:
-            names = [outputs] if isinstance(outputs, str) else _options.names("outputs", outputs)
+            names = [outputs] if isinstance(outputs, str) else _values.names("outputs", outputs)
             found = self._native.simulate_variables(self._values(x), rows, names)
             return self._by_experiment([SimulationResult(**fields) for fields in found])
         return self._by_experiment(self._native.simulate(self._values(x), rows))

@@ -11,10 +11,11 @@ from typing import Any, SupportsFloat
 import numpy as np
 
 from .. import _core
-from . import data as _data
-from .._args import options as _options
-from .._errors import BadCalibrationError
+from .._args import text as _text
+from .._args import values as _values
 from .._args.keywords import explained
+from .._errors import BadCalibrationError
+from . import data as _data
 from .parameter import Parameter
 
 Names = Mapping[str, str] | Sequence[str] | str
@@ -134,11 +135,11 @@ class Experiment:
         resample: SupportsFloat | None = None,
     ) -> None:
         put = object.__setattr__
-        put(self, "name", None if name is None else _options.choice("name", name))
+        put(self, "name", None if name is None else _values.choice("name", name))
         with _errors_name(self.name):
             pairs = pairs_of_columns("outputs", outputs)
             driven = sources(inputs)
-            named = None if time is None else _options.choice("time", time)
+            named = None if time is None else _values.choice("time", time)
             weighed = weighted(pairs, weights)
             columns = [column for _, column in pairs]
             columns += [source for _, source in driven if isinstance(source, str)]
@@ -156,20 +157,20 @@ class Experiment:
                 ) from None
             put(self, "mask", rows)
             put(self, "mask_column", by)
-            put(self, "resample", _options.optional_number("resample", resample))
+            put(self, "resample", _values.optional_number("resample", resample))
             put(self, "path", table.path)
             put(self, "table", table.table)
             put(self, "time", table.time)
             put(self, "outputs", weighed)
             put(self, "inputs", driven)
-            put(self, "start_values", _options.pairs("start_values", start_values))
+            put(self, "start_values", _values.pairs("start_values", start_values))
             put(self, "initial_states", states(initial_states))
             put(self, "windows", intervals(window, windows))
-            put(self, "warm_up", _options.optional_number("warm_up", warm_up))
-            put(self, "start_time", _options.optional_number("start_time", start_time))
-            given = _options.pairs("delays", delays)
-            put(self, "delays", [(variable, _options.number("delays", delay)) for variable, delay in given])  # type: ignore[arg-type]
-            put(self, "hold_inputs", _options.flag("hold_inputs", hold_inputs))
+            put(self, "warm_up", _values.optional_number("warm_up", warm_up))
+            put(self, "start_time", _values.optional_number("start_time", start_time))
+            given = _values.pairs("delays", delays)
+            put(self, "delays", [(variable, _values.number("delays", delay)) for variable, delay in given])  # type: ignore[arg-type]
+            put(self, "hold_inputs", _values.flag("hold_inputs", hold_inputs))
 
     def __repr__(self) -> str:
         source = self.path if self.table is None else f"{len(self.table)} rows"
@@ -233,10 +234,10 @@ def pairs_of_columns(name: str, value: Mapping[str, str] | Sequence[str] | str |
     if isinstance(value, str):
         value = [value]
     if isinstance(value, Mapping):
-        return [(_options.choice(name, variable), _options.choice(name, column)) for variable, column in value.items()]
+        return [(_values.choice(name, variable), _values.choice(name, column)) for variable, column in value.items()]
     if isinstance(value, Iterable) and not isinstance(value, (set, frozenset)):
-        return [(_options.choice(name, variable), variable) for variable in value]
-    raise TypeError(f"{name} must be a dict of variable and column, or a list of variables, not {_options.show(value)}")
+        return [(_values.choice(name, variable), variable) for variable in value]
+    raise TypeError(f"{name} must be a dict of variable and column, or a list of variables, not {_text.show(value)}")
 
 
 def sources(given: Inputs | None) -> list[tuple[str, Source]]:
@@ -244,7 +245,7 @@ def sources(given: Inputs | None) -> list[tuple[str, Source]]:
     if not isinstance(given, Mapping):
         return list(pairs_of_columns("inputs", given))
     driven: list[tuple[str, Source]] = []
-    for variable, value in _options.pairs("inputs", given):
+    for variable, value in _values.pairs("inputs", given):
         source: Any = value
         if not isinstance(source, str) and not callable(source):
             if np.ndim(source) > 0:
@@ -252,7 +253,7 @@ def sources(given: Inputs | None) -> list[tuple[str, Source]]:
                     f"inputs: '{variable}' must be driven by a column, a number or a function of time, not by an array: put it among the "
                     "columns of the data"
                 )
-            source = _options.number("inputs", source)
+            source = _values.number("inputs", source)
         driven.append((variable, source))
     return driven
 
@@ -261,9 +262,9 @@ def states(given: Mapping[str, SupportsFloat | str | Parameter] | None) -> list[
     """Initial states with their numbers, words or parameters."""
 
     def of(state: object) -> float | str | Parameter:
-        return state if isinstance(state, (str, Parameter)) else _options.number("initial_states", state)  # type: ignore[arg-type]
+        return state if isinstance(state, (str, Parameter)) else _values.number("initial_states", state)  # type: ignore[arg-type]
 
-    return [(name, of(state)) for name, state in _options.pairs("initial_states", given)]
+    return [(name, of(state)) for name, state in _values.pairs("initial_states", given)]
 
 
 def intervals(
@@ -273,15 +274,15 @@ def intervals(
     if window is not None and windows is not None:
         raise ValueError("window and windows are given: put the one among the others")
     if windows is not None and (isinstance(windows, (str, Mapping)) or not isinstance(windows, Iterable)):
-        raise TypeError(f"windows must be a list of pairs of times, not {_options.show(windows)}")
+        raise TypeError(f"windows must be a list of pairs of times, not {_text.show(windows)}")
     listed = [window] if window is not None else list(windows or [])
     if windows is not None and not listed:
         raise ValueError("windows is empty: leave it out, if all measurements count")
     for pair in listed:
         if isinstance(pair, str) or np.shape(pair) != (2,):
             name = "window" if windows is None else "each of windows"
-            raise ValueError(f"{name} must be two times, not {_options.show(pair)}")
-    return [(_options.number("window", start), _options.number("window", end)) for start, end in listed]
+            raise ValueError(f"{name} must be two times, not {_text.show(pair)}")
+    return [(_values.number("window", start), _values.number("window", end)) for start, end in listed]
 
 
 def weighted(outputs: list[tuple[str, str]], weights: Weights | None) -> list[tuple[str, str, Weight]]:
@@ -297,7 +298,7 @@ def weighted(outputs: list[tuple[str, str]], weights: Weights | None) -> list[tu
     if isinstance(weights, str):
         return [(variable, column, (weights,)) for variable, column in outputs]
     if not isinstance(weights, Iterable):
-        raise TypeError(f"weights must be a dict of outputs and numbers, or a number per output, not {_options.show(weights)}")
+        raise TypeError(f"weights must be a dict of outputs and numbers, or a number per output, not {_text.show(weights)}")
     listed = list(weights)
     if len(listed) != len(outputs):
         per_row = "; for one weight per measurement give a dict: weights={output: array}"
@@ -310,7 +311,7 @@ def _weight(variable: str, weight: Any) -> Weight:
     if isinstance(weight, str):
         return weight
     if np.ndim(weight) == 0:
-        return _options.number("weights", weight)
+        return _values.number("weights", weight)
     if np.ndim(weight) != 1:
         raise BadCalibrationError(f"weights of '{variable}' must be one-dimensional, not of shape {np.shape(weight)}")
     return np.asarray(weight, dtype=np.float64).tobytes()
@@ -323,4 +324,4 @@ def path_of(model: Any) -> str:
     path = getattr(model, "path", None)
     if isinstance(path, (str, os.PathLike)):
         return os.fspath(path)
-    raise TypeError(f"model must be the path of an FMU or an FMUModel, not {_options.show(model)}")
+    raise TypeError(f"model must be the path of an FMU or an FMUModel, not {_text.show(model)}")

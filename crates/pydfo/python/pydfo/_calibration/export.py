@@ -10,16 +10,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .. import _core
-from .._args import options as _options
+from .._args import optional_libraries as _optional_libraries
+from .._args import values as _values
+from .._args.keywords import also_called
+from .._args.text import show
 from .._errors import BadCalibrationError, CalibrationWarning
 from .experiment import path_of
-from .._args.keywords import also_called
-from .._args.options import show
 from .parameter import Parameter
 
 if TYPE_CHECKING:
-    from .fit import Fit
     from .._model.files import OpenOptions
+    from .fit import Fit
 
 PathLike = str | os.PathLike[str]
 
@@ -62,7 +63,7 @@ def load_fit(path: PathLike, fmu: Any = None, inputs: Inputs | Mapping[str, Inpu
     >>> pydfo.load_fit("furuta.fit").parameters  # doctest: +SKIP
     {'armFriction': 0.010001, 'pendulumFriction': 0.001}
     """
-    place = _options.path("path", path)
+    place = _values.path("path", path)
     functions = _functions(place, {} if inputs is None else inputs)
     return _loaded(place, None, fmu, getattr(fmu, "_opened", None), functions)
 
@@ -147,13 +148,13 @@ def native_of(fit: Fit) -> _core.Fit:
 
 def dataframe(fit: Fit, what: str) -> Any:
     """A table of a fit as a pandas.DataFrame."""
-    text = native_of(fit).to_csv(_options.choice("what", what))
-    return _options.pandas().read_csv(io.StringIO(text), float_precision="round_trip")
+    text = native_of(fit).to_csv(_values.choice("what", what))
+    return _optional_libraries.pandas().read_csv(io.StringIO(text), float_precision="round_trip")
 
 
 def export_fmu(fit: Fit, path: PathLike, experiment: str | None, keep: bool) -> Path:
     """Writes a copy of the FMU, or what takes its place."""
-    fmu, ssv, warning = native_of(fit).export_fmu(_options.path("path", path), experiment, keep)
+    fmu, ssv, warning = native_of(fit).export_fmu(_values.path("path", path), experiment, keep)
     if warning is not None:
         warnings.warn(warning, CalibrationWarning, stacklevel=3)
     written = fmu or ssv

@@ -12,16 +12,18 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core
-from . import profile as _profile, export as _export, validation as _validation
+from .._args import values as _values
+from .._args.keywords import also_called, explained
+from .._model.trajectory import SimulationStats
+from .._optimize.result import OptimizeResult
+from . import export as _export
+from . import profile as _profile
+from . import validation as _validation
 from .check import Finding
 from .experiment import Experiment
-from .._args import options as _options
-from .._args.keywords import also_called, explained
-from .profile import Profile
-from .._optimize.result import OptimizeResult
 from .export import PathLike
+from .profile import Profile
 from .stages import Windows
-from .._model.trajectory import SimulationStats
 from .uncertainty import Preflight, Uncertainty
 from .validation import Validation
 
@@ -472,7 +474,7 @@ class Fit(OptimizeResult):
         OSError
             The file cannot be written.
         """
-        _export.native_of(self).save(_options.path("path", path))
+        _export.native_of(self).save(_values.path("path", path))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _export.pickled(self)
@@ -531,7 +533,7 @@ class Fit(OptimizeResult):
         OSError
             The file cannot be written.
         """
-        _export.native_of(self).to_csv(_options.choice("what", what), _options.path("path", path))
+        _export.native_of(self).to_csv(_values.choice("what", what), _values.path("path", path))
 
     def to_dataframe(self, what: Literal["parameters", "trajectories", "trace"] = "parameters") -> Any:
         """The same table as a pandas.DataFrame. Needs pandas."""
@@ -560,7 +562,7 @@ class Fit(OptimizeResult):
         ValueError
             As `parameters_of`; `path` has another suffix.
         """
-        _export.native_of(self).export_ssv(_options.path("path", path), experiment)
+        _export.native_of(self).export_ssv(_values.path("path", path), experiment)
         return Path(path)
 
     def export_fmu(self, path: PathLike, experiment: str | None = None, *, keep: bool = False) -> Path:
@@ -621,7 +623,7 @@ class Fit(OptimizeResult):
         SimulationError
             A simulation fails that did not in the fit.
         """
-        _export.native_of(self).report(_options.path("path", path))
+        _export.native_of(self).report(_values.path("path", path))
 
     def _shown_names(self) -> list[str]:
         """What figures call the parameters."""

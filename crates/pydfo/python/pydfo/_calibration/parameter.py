@@ -10,7 +10,9 @@ import numpy as np
 
 from .. import _core
 from .._args.keywords import explained
-from .._args.options import Record, names, number, show
+from .._args.options import Record
+from .._args.text import show
+from .._args.values import names, number
 
 
 @dataclass(frozen=True)

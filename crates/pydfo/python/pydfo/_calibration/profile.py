@@ -10,10 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core
-from . import export as _export
 from .._args import options as _options
+from .._args import values as _values
 from .._errors import BadCalibrationError, Interrupted
 from .._model.trajectory import SimulationStats
+from . import export as _export
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -117,7 +118,7 @@ def of_fit(
     names = fit._calibration.names
     chosen = None
     if parameters is not None:
-        given = _options.names("parameters", [parameters] if isinstance(parameters, str) else parameters)
+        given = _values.names("parameters", [parameters] if isinstance(parameters, str) else parameters)
         if unknown := [name for name in given if name not in names]:
             raise BadCalibrationError(f"there is no parameter '{unknown[0]}'; there are: {', '.join(names)}")
         chosen = [names.index(name) for name in given]
@@ -125,9 +126,9 @@ def of_fit(
         fields = _core.profile(
             _export.native_of(fit),
             chosen,
-            (_options.number("level", level), _options.flag("corrected", corrected), _options.limit("max_points", max_points, 1)),
+            (_values.number("level", level), _values.flag("corrected", corrected), _values.limit("max_points", max_points, 1)),
             _options.worker_count("workers", workers, None),
-            None if checkpoint is None else _options.path("checkpoint", checkpoint),
+            None if checkpoint is None else _values.path("checkpoint", checkpoint),
         )
     except Interrupted as e:
         # What there is so far, as the class that holds it.

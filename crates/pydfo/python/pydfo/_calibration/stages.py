@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, SupportsFloat
 
 from .._args import options as _options
+from .._args import text as _text
+from .._args import values as _values
 from .._args.keywords import explained
 
 #: One window or several, each (from, to) in s.
@@ -61,11 +63,11 @@ class Stage:
 def names(value: Any, what: str) -> list[str]:
     """A list of names of parameters."""
     if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
-        raise TypeError(f"{what} needs a list of names of parameters, as in [['C2', 'G2'], ['C1', 'G1']], not {_options.show(value)}")
+        raise TypeError(f"{what} needs a list of names of parameters, as in [['C2', 'G2'], ['C1', 'G1']], not {_text.show(value)}")
     found = []
     for name in value:
         if not isinstance(name, str):
-            raise TypeError(f"{what} needs names of parameters, not {_options.show(name)}")
+            raise TypeError(f"{what} needs names of parameters, not {_text.show(name)}")
         found.append(name)
     return found
 
@@ -74,7 +76,7 @@ def intervals(name: str, value: Any) -> list[tuple[float, float]]:
     """One window, or several."""
     if value is None:
         return []
-    wrong = f"{name} must be a pair (from, to) in s, or a list of pairs, not {_options.show(value)}"
+    wrong = f"{name} must be a pair (from, to) in s, or a list of pairs, not {_text.show(value)}"
     if isinstance(value, (str, bytes, Mapping)) or not isinstance(value, Iterable):
         raise TypeError(wrong)
     pairs = list(value)
@@ -84,7 +86,7 @@ def intervals(name: str, value: Any) -> list[tuple[float, float]]:
     for pair in pairs:
         if isinstance(pair, (str, bytes)) or not isinstance(pair, Iterable):
             raise TypeError(wrong)
-        limits = [_options.number(name, limit) for limit in pair]
+        limits = [_values.number(name, limit) for limit in pair]
         if len(limits) != 2:
             raise ValueError(wrong)
         found.append((limits[0], limits[1]))
@@ -96,7 +98,7 @@ def intervals(name: str, value: Any) -> list[tuple[float, float]]:
 def collected(stages: Any) -> list[Stage]:
     """The argument ``stages``: stages, or lists of names."""
     if isinstance(stages, (str, bytes, Stage, Mapping)) or not isinstance(stages, Iterable):
-        raise TypeError(f"stages must be a list of stages, as in [['C2', 'G2'], ['C1', 'G1']], not {_options.show(stages)}")
+        raise TypeError(f"stages must be a list of stages, as in [['C2', 'G2'], ['C1', 'G1']], not {_text.show(stages)}")
     return [stage if isinstance(stage, Stage) else Stage(names(stage, f"stage {k}")) for k, stage in enumerate(stages, 1)]
 
 

@@ -10,9 +10,10 @@ import numpy.typing as npt
 
 from .. import _core
 from .._args import options as _options
+from .._args import values as _values
 from .._args.keywords import explained
-from .check import Finding
 from .._errors import BadCalibrationError
+from .check import Finding
 
 if TYPE_CHECKING:
     from .calibration import Calibration
@@ -141,7 +142,7 @@ class Uncertainty:
         ndarray, shape (n, 2)
             Lower and upper ends. Points for parameters that are held, without ends for those that are not determined.
         """
-        return self._native.intervals(_options.number("level", level), _options.flag("corrected", corrected))
+        return self._native.intervals(_values.number("level", level), _values.flag("corrected", corrected))
 
     @property
     def message(self) -> str:
@@ -232,7 +233,7 @@ def at(
     """Uncertainty of a point."""
     held: list[int] = []
     if parameters is not None:
-        free = _options.names("parameters", [parameters] if isinstance(parameters, str) else parameters)
+        free = _values.names("parameters", [parameters] if isinstance(parameters, str) else parameters)
         if unknown := [name for name in free if name not in calibration.names]:
             raise BadCalibrationError(f"there is no parameter '{unknown[0]}'; there are: {', '.join(calibration.names)}")
         held = [i for i, name in enumerate(calibration.names) if name not in free]

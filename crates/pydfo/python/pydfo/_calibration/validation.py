@@ -9,13 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core
-from . import export as _export
-from .._args import options as _options
-from .check import Finding
+from .._args import text as _text
+from .._args import values as _values
 from .._errors import BadCalibrationError
+from .._model.trajectory import SimulationStats
+from . import export as _export
+from .check import Finding
 from .experiment import Experiment, listed
 from .stages import Windows, intervals
-from .._model.trajectory import SimulationStats
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -243,11 +244,11 @@ def prediction_band(
     fit: Fit, times: npt.ArrayLike | None, level: float, outputs: Sequence[str] | str | None, corrected: bool
 ) -> dict[str, Any]:
     """`Fit.prediction_band`."""
-    rows = None if times is None else _options.vector("times", times).tolist()
+    rows = None if times is None else _values.vector("times", times).tolist()
     chosen = [outputs] if isinstance(outputs, str) else outputs
-    names = None if chosen is None else [_options.choice("outputs", name) for name in chosen]
+    names = None if chosen is None else [_values.choice("outputs", name) for name in chosen]
     calibration = fit._calibration
-    extent = (_options.number("level", level), _options.flag("corrected", corrected))
+    extent = (_values.number("level", level), _values.flag("corrected", corrected))
     found = _core.prediction_bands(_export.native_of(fit), rows, extent, names)
     bands = [PredictionBand(**fields) for fields in found]
     by_experiment = [{b.variable: b for b in bands if b.experiment == name} for name in calibration.experiments]
@@ -262,5 +263,5 @@ def validate(fit: Fit, experiment: Experiment | Sequence[Experiment] | None, win
     if experiment is not None:
         experiments = listed(experiment)
         if experiments is None:
-            raise TypeError(f"experiment must be an Experiment or a list of such, not {_options.show(experiment)}")
+            raise TypeError(f"experiment must be an Experiment or a list of such, not {_text.show(experiment)}")
     return Validation(_core.validate(_export.native_of(fit), intervals("windows", windows), experiments))

@@ -10,7 +10,8 @@ from functools import cached_property
 from typing import Any
 
 from .. import _core
-from .._args import options as _options
+from .._args import optional_libraries as _optional_libraries
+from .._args import text as _text
 from .._errors import UnknownVariableError
 from .files import OpenOptions, PathLike, size_limit
 
@@ -233,7 +234,7 @@ _MOST_SHOWN = 100
 
 
 def _cell(value: object) -> str:
-    return "" if value is None else value if isinstance(value, str) else _options.show(value)
+    return "" if value is None else value if isinstance(value, str) else _text.show(value)
 
 
 class Variables(Mapping[str, Variable]):
@@ -277,7 +278,7 @@ class Variables(Mapping[str, Variable]):
         """A pandas.DataFrame with a row per variable and the attributes of `Variable` as columns; the names are its index.
         Needs pandas."""
         rows = [vars(variable) for variable in self.values()]
-        return _options.pandas().DataFrame(rows, columns=list(Variable.__dataclass_fields__)).set_index("name")
+        return _optional_libraries.pandas().DataFrame(rows, columns=list(Variable.__dataclass_fields__)).set_index("name")
 
 
 @dataclass(frozen=True)

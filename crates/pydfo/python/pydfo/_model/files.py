@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .. import _core
-from .._args import options as _options
+from .._args import values as _values
 
 PathLike = str | os.PathLike[str]
 
@@ -69,7 +69,7 @@ def build_fmu(folder: PathLike, out: PathLike) -> Path:
     KeyboardInterrupt
         Ctrl-C: the compiler is ended, and nothing is written.
     """
-    _core.build_fmu(_options.path("folder", folder), _options.path("out", out))
+    _core.build_fmu(_values.path("folder", folder), _values.path("out", out))
     return Path(out)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core
-from .._args import options as _options
+from .._args import text as _text
 from .._calibration import data as _data
 
 FloatArray = npt.NDArray[np.float64]
@@ -96,7 +96,7 @@ def held_beyond(tables: list[Table], first: float, last: float) -> str:
 def _mapping(given: Mapping[Any, Any]) -> tuple[list[Table], list[Function]]:
     for name in given:
         if not isinstance(name, str):
-            raise TypeError(f"names of inputs must be strings, not {_options.show(name)}")
+            raise TypeError(f"names of inputs must be strings, not {_text.show(name)}")
     functions = [Function([name], value) for name, value in given.items() if callable(value)]
     constants = {name: [value] for name, value in given.items() if not callable(value) and np.ndim(value) == 0}
     names = [name for name, value in given.items() if not callable(value) and np.ndim(value) > 0]
@@ -176,7 +176,7 @@ def _pair(names: Any, data: Any) -> tuple[list[Table], list[Function]]:
     try:
         matrix = np.asarray(data, dtype=np.float64)
     except (TypeError, ValueError):
-        raise TypeError(f"the matrix of inputs must be numbers, not {_options.show(data)}") from None
+        raise TypeError(f"the matrix of inputs must be numbers, not {_text.show(data)}") from None
     if matrix.ndim != 2 or matrix.shape[1] != len(names) + 1:
         raise ValueError(
             f"the matrix of inputs has the shape {matrix.shape}: time and {len(names)} inputs need {len(names) + 1} columns"

@@ -13,6 +13,8 @@ import numpy.typing as npt
 
 from .. import _core
 from .._args import options as _options
+from .._args import text as _text
+from .._args import values as _values
 from .._args.keywords import explained
 from .description import Description
 from .files import OpenOptions, PathLike
@@ -153,9 +155,9 @@ class Instance:
             values = dict(path._model.values_set())
             fmu, kind = path._fmu, path.kind if kind == "auto" else kind
         else:
-            fmu = _core.Fmu(_options.path("path", path), OpenOptions())
+            fmu = _core.Fmu(_values.path("path", path), OpenOptions())
         self._fmu = fmu
-        self._native = _core.Instance(fmu, kind, name, is_asked, list(categories), _options.flag("visible", visible))
+        self._native = _core.Instance(fmu, kind, name, is_asked, list(categories), _values.flag("visible", visible))
         self._time: float | None = None
         if values:
             self.set(values)
@@ -199,7 +201,7 @@ class Instance:
         """
         if isinstance(name, str):
             return self._native.get([name])[0]
-        return self._native.get(_options.names("name", name))
+        return self._native.get(_values.names("name", name))
 
     def set(self, name: str | Iterable[str] | Mapping[str, object], *value: object) -> None:
         """Sets variables, given as for `FMUModel.set`; those that FMI allows to be set in this phase.
@@ -224,9 +226,9 @@ class Instance:
         if they are given.
         """
         default = self.description.default_experiment.start_time
-        start = _options.optional_number("start_time", start_time)
+        start = _values.optional_number("start_time", start_time)
         start = start if start is not None else default if default is not None else 0.0
-        stop, rtol = _options.optional_number("stop_time", stop_time), _options.optional_number("tolerance", tolerance)
+        stop, rtol = _values.optional_number("stop_time", stop_time), _values.optional_number("tolerance", tolerance)
         self._native.enter_initialization(start, stop, rtol)
         self._time = start
 
@@ -277,7 +279,7 @@ class Instance:
 
     @time.setter
     def time(self, time: SupportsFloat) -> None:
-        number = _options.number("time", time)
+        number = _values.number("time", time)
         self._native.set_time(number)
         self._time = number
 
@@ -288,7 +290,7 @@ class Instance:
 
     @states.setter
     def states(self, states: npt.ArrayLike) -> None:
-        self._native.set_states(_options.vector("states", states).tolist())
+        self._native.set_states(_values.vector("states", states).tolist())
 
     @property
     def state_names(self) -> list[str | None]:
@@ -336,12 +338,12 @@ class Instance:
 
     def _along(self, unknowns: str | Iterable[str], knowns: str | Iterable[str], seed: npt.ArrayLike | None, adjoint: bool) -> FloatArray:
         of, by = (
-            [names] if isinstance(names, str) else _options.names(what, names)
+            [names] if isinstance(names, str) else _values.names(what, names)
             for what, names in (("unknowns", unknowns), ("knowns", knowns))
         )
         variables = self.description.variables
         size = sum(int(np.prod(variables[name].shape)) for name in (of if adjoint else by))
-        along = np.ones(size) if seed is None else _options.vector("seed", np.atleast_1d(np.asarray(seed)))
+        along = np.ones(size) if seed is None else _values.vector("seed", np.atleast_1d(np.asarray(seed)))
         return self._native.directional_derivative(of, by, along.tolist(), adjoint)
 
     def linearize(self, *, differences: bool = False) -> LinearSystem:
@@ -358,7 +360,7 @@ class Instance:
         ValueError
             The phase is another one (co-simulation has none that can be linearised), or a derivative is not finite here.
         """
-        found = self._native.linearize(_options.flag("differences", differences))
+        found = self._native.linearize(_values.flag("differences", differences))
         n, m, p = (len(found[vector]) for vector in ("states", "inputs", "outputs"))
         shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
         return LinearSystem(**{name: value.reshape(shapes[name]) if name in shapes else value for name, value in found.items()})
@@ -393,7 +395,7 @@ class Instance:
         SimulationError
             The integration fails, or the FMU refuses.
         """
-        length = _options.number("step", step)
+        length = _values.number("step", step)
         if not (0.0 < length < float("inf")):
             raise ValueError(f"step must be positive, not {length!r}")
         start = self._time if self._time is not None else 0.0
@@ -408,8 +410,8 @@ class Instance:
             start,
             start + length,
             _options.solver(solver),
-            _options.number("relative_tolerance", relative_tolerance),
-            _options.optional_number("step_size", step_size),
+            _values.number("relative_tolerance", relative_tolerance),
+            _values.optional_number("step_size", step_size),
         )
         return StepInfo(time=self._time, complete=not is_over, terminate=is_over)
 
@@ -419,8 +421,8 @@ class Instance:
 
     def set_input_derivatives(self, names: str | Iterable[str], values: npt.ArrayLike) -> None:
         """Sets the derivatives of continuous inputs with respect to time, per s, for the next step (co-simulation, FMI 1.0 and 2.0)."""
-        inputs = [names] if isinstance(names, str) else _options.names("names", names)
-        self._native.set_input_derivatives(inputs, _options.vector("values", np.atleast_1d(np.asarray(values))).tolist())
+        inputs = [names] if isinstance(names, str) else _values.names("names", names)
+        self._native.set_input_derivatives(inputs, _values.vector("values", np.atleast_1d(np.asarray(values))).tolist())
 
     # --- states, log, end ---------------------------------------------------------------------------------------------
 
@@ -437,7 +439,7 @@ class Instance:
     def restore_state(self, state: SavedState) -> None:
         """Brings back a state that this instance saved in the phase that it is in now."""
         if not isinstance(state, SavedState):
-            raise TypeError(f"state must be one that save_state() gave, not {_options.show(state)}")
+            raise TypeError(f"state must be one that save_state() gave, not {_text.show(state)}")
         self._native.restore_state(state._native)
         self._time = state.time
 

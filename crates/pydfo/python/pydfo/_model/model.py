@@ -15,11 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core
-from . import inputs as _inputs
 from .._args import options as _options
+from .._args import text as _text
+from .._args import values as _values
+from .._args.keywords import also_called, explained
+from . import inputs as _inputs
 from .description import Description
 from .files import OpenOptions, PathLike, size_limit
-from .._args.keywords import also_called, explained
 from .trajectory import SimulationResult
 
 _log = _logging.getLogger("pydfo")
@@ -77,10 +79,10 @@ def _log_request(logging: bool | str | Sequence[str]) -> tuple[bool, tuple[str, 
     if names and all(isinstance(name, str) for name in names):
         return True, names
     try:
-        return _options.flag("logging", logging), ()
+        return _values.flag("logging", logging), ()
     except TypeError:
         what = "True, False or a list of log categories (['logEvents'])"
-        raise TypeError(f"logging must be {what}, not {_options.show(logging)}") from None
+        raise TypeError(f"logging must be {what}, not {_text.show(logging)}") from None
 
 
 class FMUModel:
@@ -167,20 +169,20 @@ class FMUModel:
             logging=is_asked,
             log_categories=categories,
             show_log=log_level is not None,
-            deepbind=_options.flag("deepbind", deepbind),
-            lazy=_options.flag("lazy", lazy),
-            tool_is_present=_options.flag("tool_is_present", tool_is_present),
+            deepbind=_values.flag("deepbind", deepbind),
+            lazy=_values.flag("lazy", lazy),
+            tool_is_present=_values.flag("tool_is_present", tool_is_present),
             max_description_bytes=size_limit("max_description_bytes", max_description_bytes),
             max_elements=size_limit("max_elements", max_elements),
         )
-        self._fmu = _core.Fmu(_options.path("path", path), self._opened)
+        self._fmu = _core.Fmu(_values.path("path", path), self._opened)
         self._kind = self._fmu.check_runnable(kind)
         self._model = _core.Model(self._fmu, self._kind)
 
     def __setattr__(self, name: str, value: object) -> None:
         # An attribute of that name would have no effect on the model.
         if not name.startswith("_") and name in self.description.variables:
-            raise AttributeError(f"variables of the model are no attributes: set('{name}', {_options.show(value)}) sets this one")
+            raise AttributeError(f"variables of the model are no attributes: set('{name}', {_text.show(value)}) sets this one")
         super().__setattr__(name, value)
 
     def __reduce__(self) -> NoReturn:
@@ -231,7 +233,7 @@ class FMUModel:
         """
         if isinstance(name, str):
             return self._model.get([name])[0]
-        return self._model.get(_options.names("name", name))
+        return self._model.get(_values.names("name", name))
 
     def set(self, name: str | Iterable[str] | Mapping[str, object], value: object = _NOT_GIVEN) -> None:
         """Sets parameters, start values, or constant values of inputs, for all simulations from now on.
@@ -407,12 +409,12 @@ class FMUModel:
         """
         tables, functions = _inputs.normalize(inputs, self._fmu) if inputs is not None else ([], [])
         request = Request(
-            start_time=_options.optional_number("start_time", start_time),
-            final_time=_options.optional_number("final_time", final_time),
-            times=None if times is None else _options.vector("times", times),
-            output_interval=_options.optional_number("output_interval", output_interval),
-            ncp=_options.limit("ncp", ncp, 1),
-            start_values=_options.pairs("start_values", start_values),
+            start_time=_values.optional_number("start_time", start_time),
+            final_time=_values.optional_number("final_time", final_time),
+            times=None if times is None else _values.vector("times", times),
+            output_interval=_values.optional_number("output_interval", output_interval),
+            ncp=_values.limit("ncp", ncp, 1),
+            start_values=_values.pairs("start_values", start_values),
             clock_intervals=_intervals(clock_intervals),
             outputs=self._outputs(outputs),
             tables=tables,
@@ -426,10 +428,10 @@ class FMUModel:
                 chattering=chattering,
                 input_derivatives=input_derivatives,
             ),
-            max_time=_options.optional_number("max_time", max_time),
-            record_events=_options.flag("record_events", record_events),
-            between_steps=_options.choice("between_steps", between_steps),
-            isolation=_options.choice("isolation", isolation),
+            max_time=_values.optional_number("max_time", max_time),
+            record_events=_values.flag("record_events", record_events),
+            between_steps=_values.choice("between_steps", between_steps),
+            isolation=_values.choice("isolation", isolation),
         )
         result = SimulationResult(**self._model.simulate(request))
         if len(result.time) and (said := _inputs.held_beyond(tables, float(result.time[0]), float(result.time[-1]))):
@@ -441,7 +443,7 @@ class FMUModel:
     def _outputs(self, outputs: str | Iterable[str] | None) -> list[str] | None:
         if outputs is None:
             return None
-        return [outputs] if isinstance(outputs, str) else _options.names("outputs", outputs)
+        return [outputs] if isinstance(outputs, str) else _values.names("outputs", outputs)
 
     def _names_set(self) -> list[str]:
         """Names of the variables that were set; none while it simulates and after it was closed."""
@@ -473,12 +475,12 @@ def names_and_values(name: str | Iterable[str] | Mapping[str, object], value: ob
     if isinstance(name, Mapping):
         if value is not _NOT_GIVEN:
             raise TypeError("set() takes a dict of names and values, or names and values, not both")
-        return _options.names("name", list(name)), list(name.values())
+        return _values.names("name", list(name)), list(name.values())
     if value is _NOT_GIVEN:
-        raise TypeError(f"set() needs a value for {_options.show(name)}, or a dict of names and values")
+        raise TypeError(f"set() needs a value for {_text.show(name)}, or a dict of names and values")
     if isinstance(name, str):
         return [name], [value]
-    names = _options.names("name", name)
+    names = _values.names("name", name)
     if isinstance(value, np.ndarray):
         values = list(np.atleast_1d(value))
     elif isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
@@ -500,14 +502,14 @@ def _intervals(
     if intervals is None:
         return []
     if not isinstance(intervals, Mapping):
-        raise TypeError(f"clock_intervals must be a dict of names and intervals, not {_options.show(intervals)}")
-    _options.names("clock_intervals", list(intervals))
+        raise TypeError(f"clock_intervals must be a dict of names and intervals, not {_text.show(intervals)}")
+    _values.names("clock_intervals", list(intervals))
     return [(name, _interval(name, interval)) for name, interval in intervals.items()]
 
 
 def _interval(name: str, interval: SupportsFloat | tuple[int, int]) -> float | tuple[int, int]:
     if not isinstance(interval, tuple):
-        return _options.number(f"the interval of {name}", interval)
+        return _values.number(f"the interval of {name}", interval)
     if len(interval) != 2 or not all(isinstance(part, int) and 0 <= part < 2**64 for part in interval):
-        raise TypeError(f"the interval of {name} must be a number or (counter, resolution), not {_options.show(interval)}")
+        raise TypeError(f"the interval of {name} must be a number or (counter, resolution), not {_text.show(interval)}")
     return interval

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core
-from .._args import options as _options
+from .._args import optional_libraries as _optional_libraries
 from .._errors import UnknownVariableError
 
 if TYPE_CHECKING:
@@ -259,7 +259,7 @@ class SimulationResult(Mapping[str, Column]):
         """A pandas.DataFrame with a column per variable, or per element of an array, ``time`` first; Integers and Booleans
         have their types. Needs pandas."""
         columns = self._flat(self)
-        return _options.pandas().DataFrame({name: column.astype(_DTYPES[self._types[variable]]) for name, variable, column in columns})
+        return _optional_libraries.pandas().DataFrame({name: column.astype(_DTYPES[self._types[variable]]) for name, variable, column in columns})
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Writes the columns to a CSV file, arrays element by element, numbers with all their digits; a file that exists is replaced.
@@ -278,7 +278,7 @@ class SimulationResult(Mapping[str, Column]):
     def to_polars(self) -> Any:
         """A polars.DataFrame with a column per variable, or per element of an array, ``time`` first. Needs polars."""
         columns = self._flat(self)
-        frame = _options.library("polars", "to_polars()").DataFrame
+        frame = _optional_libraries.library("polars", "to_polars()").DataFrame
         return frame({name: column.astype(_DTYPES[self._types[variable]]) for name, variable, column in columns})
 
     def to_xarray(self) -> Any:
@@ -289,7 +289,7 @@ class SimulationResult(Mapping[str, Column]):
             for name, column in self.items()
             if name != "time"
         }
-        return _options.library("xarray", "to_xarray()").Dataset(data, coords={"time": ("time", self.time, {"units": "s"})})
+        return _optional_libraries.library("xarray", "to_xarray()").Dataset(data, coords={"time": ("time", self.time, {"units": "s"})})
 
     def plot(self, names: str | Sequence[str] | None = None) -> Figure:
         """Draws columns over time, those of one unit in one plot. Needs matplotlib.

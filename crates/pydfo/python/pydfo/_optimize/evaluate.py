@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .._args import options as _options
+from .._args import text as _text
 
 FloatArray = npt.NDArray[np.float64]
 Batches = Callable[[FloatArray, FloatArray, Callable[[], bool]], list[Any]]
@@ -114,9 +115,9 @@ def residual_vector(value: Any) -> FloatArray:
             raise TypeError
         array = np.ma.asarray(array, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
-        raise TypeError(f"{needed}, not {_options.show(value)}") from None
+        raise TypeError(f"{needed}, not {_text.show(value)}") from None
     if array.ndim == 0:
-        raise TypeError(f"{needed}, not one number ({_options.show(value)}): a cost is for minimize, a single residual r is [r]")
+        raise TypeError(f"{needed}, not one number ({_text.show(value)}): a cost is for minimize, a single residual r is [r]")
     if array.ndim != 1:
         raise TypeError(f"{needed}, not one of shape {array.shape}")
     return np.ascontiguousarray(np.ma.filled(array, np.nan))
@@ -152,7 +153,7 @@ def mapped(fun: Callable[..., Any], apply: Callable[..., Iterable[Any]], takes_c
     def evaluate(points: FloatArray, cutoffs: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
         results = apply(returning, pieces(points, cutoffs))
         if not isinstance(results, Iterable):
-            raise TypeError(f"workers must return the results of a batch as map does, not {_options.show(results)}")
+            raise TypeError(f"workers must return the results of a batch as map does, not {_text.show(results)}")
         return list(results)
 
     return evaluate

@@ -13,10 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core
-from . import evaluate as _evaluate
+from .._args import bounds as _bounds
 from .._args import options as _options
-from .._errors import Interrupted
+from .._args import values as _values
 from .._args.keywords import explained, given_once
+from .._errors import Interrupted
+from . import evaluate as _evaluate
 from .progress import Printer, Progress
 from .result import OptimizeResult
 
@@ -201,17 +203,17 @@ def fmin(
         hint = "; give the function itself, not the name of its file" if isinstance(func, str) else ""
         raise TypeError(f"func must be callable, not {func!r}{hint}")
     for name, value in (("plot", plot), ("plot_conv", plot_conv), ("disp", disp), ("debug", debug)):
-        _options.flag(name, value)
+        _values.flag(name, value)
     method = _algorithm(alg)
     if on_error not in ("raise", "fail"):
         raise ValueError(f"on_error = {on_error!r} is none of 'raise', 'fail'")
     check_callback(callback)
     if xstart is None and method not in _options.SAMPLERS:
         raise ValueError(f"xstart is needed: the point where {method} starts")
-    start = None if xstart is None else _options.vector("xstart", xstart)
+    start = None if xstart is None else _values.vector("xstart", xstart)
     n = _size(start, lb, ub)
-    lower = _options.bound("lb", lb, n, -np.inf)
-    upper = _options.bound("ub", ub, n, np.inf)
+    lower = _bounds.bound("lb", lb, n, -np.inf)
+    upper = _bounds.bound("ub", ub, n, np.inf)
     own = given_once(
         _options.dictionary(options), fmin, x_tol=x_tol, f_tol=f_tol, stop=stop, initial_simplex=initial_simplex, batch=batch
     )

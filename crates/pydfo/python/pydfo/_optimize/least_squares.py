@@ -9,9 +9,11 @@ from typing import Any, Literal, SupportsFloat, SupportsIndex
 import numpy as np
 import numpy.typing as npt
 
+from .._args import bounds as _bounds
 from .._args import options as _options
-from .fmin import Callback
+from .._args import values as _values
 from .._args.keywords import explained, given_once
+from .fmin import Callback
 from .minimize import run
 from .result import LeastSquaresResult
 
@@ -118,13 +120,13 @@ def least_squares(
     """
     if x0 is None:
         raise ValueError("x0 is needed: the point to start from")
-    start = _options.vector("x0", x0)
+    start = _values.vector("x0", x0)
     result = run(
         least_squares,
         fun,
         "least-squares" if search == "local" else "auto",
         start,
-        _options.bounds_of_least_squares(bounds, start),
+        _bounds.bounds_of_least_squares(bounds, start),
         given_once(_options.dictionary(options), least_squares, x_tol=x_tol, f_tol=f_tol, batch=batch),
         args=args,
         workers=workers,

@@ -11,10 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core
-from . import evaluate as _evaluate
+from .._args import bounds as _bounds
 from .._args import options as _options
-from .fmin import Callback, check_callback, listen
+from .._args import values as _values
 from .._args.keywords import explained, positional_until
+from . import evaluate as _evaluate
+from .fmin import Callback, check_callback, listen
 from .result import OptimizeResult
 
 _log = logging.getLogger("pydfo")
@@ -224,7 +226,7 @@ def run(
     called = _evaluate.WithArguments(fun, extra) if extra else fun
     cutoffs = not of_residuals and _evaluate.takes_cutoff(fun)
     batches, count = _evaluate.shared_out(called, "workers", workers, 1, cutoffs)
-    if _options.flag("vectorized", vectorized):
+    if _values.flag("vectorized", vectorized):
         if cutoffs:
             raise ValueError("fun has a parameter cutoff, but vectorized=True evaluates many points at once")
         if batches is not None:
@@ -256,6 +258,6 @@ def describe(
     **arguments: Any,
 ) -> tuple[list[float] | None, list[float], list[float], _options.Record]:
     """Start, bounds and options of a run, as the native code takes them; `of` is the function that the user called."""
-    start = None if x0 is None else _options.vector("x0", x0).tolist()
-    lower, upper = _options.pairs_of_bounds(bounds, None if start is None else len(start))
+    start = None if x0 is None else _values.vector("x0", x0).tolist()
+    lower, upper = _bounds.pairs_of_bounds(bounds, None if start is None else len(start))
     return start, lower.tolist(), upper.tolist(), _options.record(of, method, options, len(lower), **arguments)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from .. import _core
 from .._args import options as _options
+from .._args import values as _values
 from .._args.keywords import explained
 from .minimize import describe
 from .result import OptimizeResult
@@ -116,7 +117,7 @@ class Optimizer:
 
     def ask(self, k: SupportsIndex | None = None) -> Asked:
         """Points to evaluate, at most `k` (None: all of the round); none while answers are awaited, and after the end."""
-        at_most = None if k is None else _options.limit("k", _options.index("k", k), 0)
+        at_most = None if k is None else _values.limit("k", _values.index("k", k), 0)
         return Asked(*self._native.ask(at_most))
 
     def tell(self, ids: SupportsIndex | Iterable[SupportsIndex], values: Any) -> None:
@@ -142,9 +143,9 @@ class Optimizer:
         if type(ids) is np.ndarray and ids.ndim == 1:
             numbers = ids.tolist()
         elif isinstance(ids, Iterable):
-            numbers = [_options.index("ids", i) for i in ids]
+            numbers = [_values.index("ids", i) for i in ids]
         else:
-            numbers, values = [_options.index("ids", ids)], [values]
+            numbers, values = [_values.index("ids", ids)], [values]
         costs = list(values)
         tell = self._native.tell
         if len(numbers) != len(costs):

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from .. import _core
 from .._args.keywords import explained
-from .._args.options import vector
+from .._args.values import vector
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, overload
 import numpy as np
 import numpy.typing as npt
 
-from .._args import options as _options
+from .._args import optional_libraries as _optional_libraries
 from . import progress as _progress
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ class Trace:
         columns: dict[str, Any] = {f"x{i}": self.x[:, i] for i in range(self.x.shape[1])}
         columns |= {"fun": self.fun, "above": self.above, "used": self.used, "failed": self.failed}
         columns |= {"batch": self.batch, "seconds": self.seconds}
-        return _options.pandas().DataFrame(columns)
+        return _optional_libraries.pandas().DataFrame(columns)
 
     def __len__(self) -> int:
         return len(self.fun)

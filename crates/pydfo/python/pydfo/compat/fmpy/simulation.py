@@ -13,7 +13,7 @@ from ..._model.description import Description, Variable
 from ..._model.model import FMUModel
 from ..._model.trajectory import SimulationResult as NativeResult
 from .._refused import hand_out, refuse
-from .instances import Slave, Model
+from .instances import Model, Slave
 from .model_description import ModelDescription, PathLike, of_description, path_of
 
 

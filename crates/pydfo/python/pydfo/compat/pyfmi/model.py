@@ -14,7 +14,8 @@ import numpy as np
 from ..._model.instance import EventInfo, Instance, LinearSystem, SavedState
 from ..._model.model import FMUModel
 from .._refused import refuse, refused
-from . import constants, options as _options
+from . import constants
+from . import options as _options
 from .described import DescribedModel
 from .exceptions import FMUException
 from .results import Result

@@ -4,7 +4,7 @@ use crate::cost::failure::{CostFailure, PointFailure};
 use crate::cost::loaded_problem::LoadedProblem;
 use crate::cost::process::{Evaluation, Job, ProcessChoice, Remote};
 use crate::cost::residual::CostRule;
-use crate::cost::solver::{AtStart, Choice, Solver};
+use crate::cost::solver::{AtStart, Choice, ChosenSolver};
 use crate::error::CalibrationError;
 use crate::findings::finding::Severity;
 use crate::problem::definition::{ModelFile, Problem};
@@ -259,7 +259,7 @@ impl Calibration {
     }
 
     /// The same, if it is known already.
-    pub fn known_solver(&self) -> Option<&Solver> {
+    pub fn known_solver(&self) -> Option<&ChosenSolver> {
         self.choice.known()
     }
 
@@ -270,7 +270,7 @@ impl Calibration {
     ///
     /// # Errors
     /// The model cannot be loaded or instantiated. Simulations that fail are no error: they lose.
-    pub fn solver(&self, context: &RunContext<'_>) -> Result<&Solver, CalibrationError> {
+    pub fn solver(&self, context: &RunContext<'_>) -> Result<&ChosenSolver, CalibrationError> {
         self.solver_counted(context, &mut Stats::default()).map(|(solver, _)| solver)
     }
 
@@ -280,7 +280,7 @@ impl Calibration {
         &self,
         context: &RunContext<'_>,
         stats: &mut Stats,
-    ) -> Result<(&Solver, Option<AtStart>), CalibrationError> {
+    ) -> Result<(&ChosenSolver, Option<AtStart>), CalibrationError> {
         let (chosen, at_start) = self.choice.chosen(&self.evaluator, context, stats)?;
         Ok((&chosen.solver, at_start))
     }
@@ -289,7 +289,7 @@ impl Calibration {
     ///
     /// # Errors
     /// The model cannot be simulated with it.
-    pub fn set_solver(&self, solver: Solver) -> Result<(), CalibrationError> {
+    pub fn set_solver(&self, solver: ChosenSolver) -> Result<(), CalibrationError> {
         self.choice.choose(&self.evaluator, solver).map(|_| ())
     }
 
@@ -522,19 +522,19 @@ impl Calibration {
     }
 
     /// Names and values that identify a fit with this solver.
-    fn tags<'a>(&'a self, solver: &Solver) -> impl Iterator<Item = (&'a str, &'a str)> {
+    fn tags<'a>(&'a self, solver: &ChosenSolver) -> impl Iterator<Item = (&'a str, &'a str)> {
         let own = self.identity.iter().map(|(name, value)| (name.as_str(), value.as_str()));
         own.chain([(SOLVER, solver.method.name())])
     }
 
     /// Hash of everything that a cost depends on except the parameters' values: model, data, settings,
     /// solver, and the targets of the parameters; neither bounds nor starts.
-    pub(crate) fn problem_hash(&self, solver: &Solver) -> String {
+    pub(crate) fn problem_hash(&self, solver: &ChosenSolver) -> String {
         hash(self.tags(solver))
     }
 
     /// A checkpoint that knows what it belongs to.
-    pub(crate) fn tag(&self, checkpoint: Checkpoint, solver: &Solver) -> Checkpoint {
+    pub(crate) fn tag(&self, checkpoint: Checkpoint, solver: &ChosenSolver) -> Checkpoint {
         self.tags(solver).fold(checkpoint, |checkpoint, (name, value)| checkpoint.tag(name, value))
     }
 
@@ -550,7 +550,7 @@ impl Calibration {
             return Ok(());
         }
         match value(SOLVER).and_then(|name| name.parse().ok()) {
-            Some(method) => self.set_solver(Solver { method, comparison: None }),
+            Some(method) => self.set_solver(ChosenSolver { method, comparison: None }),
             None => Ok(()),
         }
     }

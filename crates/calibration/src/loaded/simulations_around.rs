@@ -1,13 +1,13 @@
 //! Simulations around a point, in parallel: the uncertainty of a fit is found from them, and they are counted
 //! apart from its evaluations.
 
-use crate::calibration::handle::Calibration;
 use crate::cost::accuracy::Accuracy;
 use crate::cost::failure::CostFailure;
 use crate::cost::parallel;
 use crate::cost::process::{Evaluation, ProcessChoice};
 use crate::cost::residual::CostRule;
 use crate::error::CalibrationError;
+use crate::loaded::calibration::Calibration;
 use base::RunContext;
 use dfo::RobustLoss;
 use fmi::{InterfaceKind, SimulationPlan, Simulator};

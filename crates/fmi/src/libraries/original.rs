@@ -23,8 +23,8 @@ enum Key {
 struct Content {
     /// Copies can be unloaded, and share nothing with each other; read from the file when it is first needed.
     may_unload: OnceLock<bool>,
-    /// The gate of all copies that may share variables with each other.
-    gate: Arc<FairLock>,
+    /// The lock of all copies that may share variables with each other.
+    lock: Arc<FairLock>,
 }
 
 /// The contents of this process, which loaded libraries do not leave either.
@@ -41,7 +41,7 @@ pub(crate) struct LibraryFile {
 
 /// The file of a library.
 #[derive(Debug)]
-pub(crate) struct Source {
+pub(crate) struct OriginalLibrary {
     /// The original file.
     pub(super) library: PathBuf,
     /// The folder of the FMU.
@@ -51,7 +51,7 @@ pub(crate) struct Source {
     content: Arc<Content>,
 }
 
-impl Source {
+impl OriginalLibrary {
     /// # Errors
     /// The file cannot be looked at.
     pub(super) fn new(
@@ -106,8 +106,8 @@ impl Source {
         *self.content.may_unload.get_or_init(|| platform::may_be_unloaded(&self.library))
     }
 
-    /// A gate for a new copy.
-    pub(super) fn gate(&self) -> Arc<FairLock> {
-        if self.may_unload() { Arc::default() } else { Arc::clone(&self.content.gate) }
+    /// A lock for a new copy.
+    pub(super) fn lock(&self) -> Arc<FairLock> {
+        if self.may_unload() { Arc::default() } else { Arc::clone(&self.content.lock) }
     }
 }

@@ -2,8 +2,8 @@
 //! delay, a drift of the measurements.
 
 use crate::error::CalibrationError;
+use crate::findings::shown_text::digits;
 use crate::problem::residual_layout::OutputResiduals;
-use crate::uncertainty::digits::digits;
 use crate::uncertainty::row_blocks::go_on;
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};
@@ -29,7 +29,7 @@ pub(crate) fn left(residuals: &[f64], base: &DMatrix<f64>) -> DVector<f64> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
-pub enum UnmodelledKind {
+pub enum OutputEffectKind {
     /// A number is added to them.
     Offset,
     /// They are multiplied with one.
@@ -40,7 +40,7 @@ pub enum UnmodelledKind {
     Drift,
 }
 
-impl UnmodelledKind {
+impl OutputEffectKind {
     pub(crate) const ALL: [Self; 4] = [Self::Offset, Self::Factor, Self::Delay, Self::Drift];
 
     /// What to do about it.
@@ -74,7 +74,7 @@ impl<'a> Changes<'a> {
     }
 
     /// By how much each residual, simulated less measured, falls for a size of one.
-    pub(crate) fn by(&self, kind: UnmodelledKind) -> DVector<f64> {
+    pub(crate) fn by(&self, kind: OutputEffectKind) -> DVector<f64> {
         let Self { output: OutputResiduals { times, weights, .. }, simulated, middle } = self;
         let slope = |k: usize| {
             let (a, b) = (k.saturating_sub(1), (k + 1).min(simulated.len() - 1));
@@ -83,10 +83,10 @@ impl<'a> Changes<'a> {
         DVector::from_fn(simulated.len(), |k, _| {
             weights[k]
                 * match kind {
-                    UnmodelledKind::Offset => -1.0,
-                    UnmodelledKind::Factor => -simulated[k],
-                    UnmodelledKind::Delay => slope(k),
-                    UnmodelledKind::Drift => middle - times[k],
+                    OutputEffectKind::Offset => -1.0,
+                    OutputEffectKind::Factor => -simulated[k],
+                    OutputEffectKind::Delay => slope(k),
+                    OutputEffectKind::Drift => middle - times[k],
                 }
         })
     }
@@ -96,16 +96,16 @@ impl<'a> Changes<'a> {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
-pub struct Unmodelled {
+pub struct OutputEffect {
     /// Kind of the effect.
-    pub kind: UnmodelledKind,
+    pub kind: OutputEffectKind,
     /// The offset in the unit of the variable, the factor, the delay in s, the drift per s.
     pub size: f64,
     /// The part of the squares of the output that it would leave.
     pub left: f64,
 }
 
-impl Unmodelled {
+impl OutputEffect {
     /// The best explanation of the residuals (m) of an output, beside an orthonormal base U (m x q) of the
     /// changes that the parameters make. `before`: what these leave of the residuals, to which U is
     /// orthogonal: so of a change v of this output the rows of the others are not needed, `v'(I - U U') v` is
@@ -127,7 +127,7 @@ impl Unmodelled {
         let changes = Changes::of(output, &residuals[range.clone()]);
         let (base, all_before) = (base.rows(range.start, range.len()), before.norm_squared());
         let before = before.rows(range.start, range.len());
-        let of = |kind: UnmodelledKind| {
+        let of = |kind: OutputEffectKind| {
             let change = changes.by(kind);
             let (along, all) = (base.tr_mul(&change), change.norm_squared());
             let beside = all - along.norm_squared();
@@ -136,13 +136,13 @@ impl Unmodelled {
             let left = after.norm_squared() / before.norm_squared();
             let explains = left < LEFT.0 && all_before - size * size * beside < LEFT.1 * all_before;
             let is_other = all.is_finite() && beside > OWN * all;
-            let size = if kind == UnmodelledKind::Factor { 1.0 + size } else { size };
+            let size = if kind == OutputEffectKind::Factor { 1.0 + size } else { size };
             // A sign is no gain.
-            let is_possible = size.is_finite() && (kind != UnmodelledKind::Factor || size > 0.0);
+            let is_possible = size.is_finite() && (kind != OutputEffectKind::Factor || size > 0.0);
             (explains && is_other && is_possible).then_some(Self { kind, size, left })
         };
         let mut best: Option<Self> = None;
-        for kind in UnmodelledKind::ALL {
+        for kind in OutputEffectKind::ALL {
             go_on(context)?;
             let found = of(kind).filter(|found| best.is_none_or(|best| found.left < best.left));
             best = found.or(best);
@@ -154,10 +154,10 @@ impl Unmodelled {
     pub(crate) fn words(&self) -> String {
         let size = digits(self.size);
         match self.kind {
-            UnmodelledKind::Offset => format!("an offset of the measurements of {size}"),
-            UnmodelledKind::Factor => format!("measurements that are {size} times as large"),
-            UnmodelledKind::Delay => format!("measurements that are {size} s late"),
-            UnmodelledKind::Drift => format!("a drift of the measurements of {size} per s"),
+            OutputEffectKind::Offset => format!("an offset of the measurements of {size}"),
+            OutputEffectKind::Factor => format!("measurements that are {size} times as large"),
+            OutputEffectKind::Delay => format!("measurements that are {size} s late"),
+            OutputEffectKind::Drift => format!("a drift of the measurements of {size} per s"),
         }
     }
 }
@@ -176,19 +176,19 @@ mod tests {
         let column = DVector::from_iterator(t.len(), t.iter().map(|t| t * t));
         let base = DMatrix::from_columns(&[&column / column.norm()]);
         let cases = [
-            (UnmodelledKind::Offset, 0.3),
-            (UnmodelledKind::Factor, 1.2),
-            (UnmodelledKind::Delay, 0.05),
-            (UnmodelledKind::Drift, 0.1),
+            (OutputEffectKind::Offset, 0.3),
+            (OutputEffectKind::Factor, 1.2),
+            (OutputEffectKind::Delay, 0.05),
+            (OutputEffectKind::Drift, 0.1),
         ];
         for (kind, size) in cases {
             let measured = (0..t.len()).map(|k| {
                 noise(k)
                     + match kind {
-                        UnmodelledKind::Offset => simulated[k] + size,
-                        UnmodelledKind::Factor => simulated[k] * size,
-                        UnmodelledKind::Delay => 2.0 + (t[k] - size).sin(),
-                        UnmodelledKind::Drift => simulated[k] + size * (t[k] - 5.0),
+                        OutputEffectKind::Offset => simulated[k] + size,
+                        OutputEffectKind::Factor => simulated[k] * size,
+                        OutputEffectKind::Delay => 2.0 + (t[k] - size).sin(),
+                        OutputEffectKind::Drift => simulated[k] + size * (t[k] - 5.0),
                     }
             });
             let measured: Vec<f64> = measured.collect();
@@ -207,7 +207,7 @@ mod tests {
                 weights: vec![2.0; t.len()].into(),
             };
             let found =
-                Unmodelled::find(&output, &residuals, &left(&residuals, &base), &base, &RunContext::new())
+                OutputEffect::find(&output, &residuals, &left(&residuals, &base), &base, &RunContext::new())
                     .unwrap()
                     .unwrap();
             assert!(found.kind == kind && (found.size - size).abs() < 0.1 * size, "{found:?}");

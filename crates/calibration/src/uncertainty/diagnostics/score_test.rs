@@ -3,12 +3,12 @@
 
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
+use crate::findings::shown_text::digits;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
-use crate::uncertainty::chance::{BY_CHANCE, OfIndependent};
+use crate::uncertainty::diagnostics::output_effect::{Changes, OutputEffectKind};
 use crate::uncertainty::diagnostics::parameter_constancy::WithNoise;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
-use crate::uncertainty::diagnostics::unmodelled::{Changes, UnmodelledKind};
-use crate::uncertainty::digits::digits;
+use crate::uncertainty::p_values::{BY_CHANCE, OfIndependent};
 use crate::uncertainty::row_blocks::{along, beside, go_on, thin_svd};
 use crate::uncertainty::scores::Working;
 use base::RunContext;
@@ -41,9 +41,9 @@ const NAMED: usize = 3;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
-pub enum Effect {
+pub enum OmittedKind {
     /// What measurements of an output may have.
-    Output(UnmodelledKind),
+    Output(OutputEffectKind),
     /// An offset of an input.
     InputOffset,
     /// The start value of a state.
@@ -54,7 +54,7 @@ pub enum Effect {
 
 /// The changes of the residuals by such a number, for a size of one.
 pub(crate) struct Change {
-    pub(crate) effect: Effect,
+    pub(crate) effect: OmittedKind,
     pub(crate) variable: String,
     /// The value that it has.
     pub(crate) start: f64,
@@ -72,7 +72,7 @@ pub(crate) struct Change {
 #[non_exhaustive]
 pub struct Omitted {
     /// Kind of the number.
-    pub effect: Effect,
+    pub effect: OmittedKind,
     /// The variable of the model.
     pub variable: String,
     /// The experiment that it is of; `None`: all of them.
@@ -134,11 +134,11 @@ pub(crate) fn of_outputs(layout: &ResidualLayout, plain: &[f64]) -> Vec<Change> 
     let n_experiments = layout.outputs.iter().map(|output| output.experiment + 1).max().unwrap_or(0);
     for output in layout.outputs.iter().filter(|output| output.range.len() > 1) {
         let changes = Changes::of(output, &plain[output.range.clone()]);
-        for kind in UnmodelledKind::ALL {
+        for kind in OutputEffectKind::ALL {
             let mut column = DVector::zeros(plain.len());
             column.rows_mut(output.range.start, output.range.len()).copy_from(&-changes.by(kind));
-            let start = if kind == UnmodelledKind::Factor { 1.0 } else { 0.0 };
-            let effect = Effect::Output(kind);
+            let start = if kind == OutputEffectKind::Factor { 1.0 } else { 0.0 };
+            let effect = OmittedKind::Output(kind);
             let of_all = all
                 .iter_mut()
                 .find(|c| c.experiment.is_none() && c.effect == effect && c.variable == output.variable);
@@ -211,7 +211,7 @@ impl Omitted {
             let step = -column.dot(&residuals) / own;
             // A sign is no gain.
             let is_possible =
-                change.effect != Effect::Output(UnmodelledKind::Factor) || change.start + step > 0.0;
+                change.effect != OmittedKind::Output(OutputEffectKind::Factor) || change.start + step > 0.0;
             if all.is_finite() && own > OWN * all && step.is_finite() && is_possible {
                 tested.push(Tested {
                     change: k,
@@ -264,7 +264,9 @@ impl Omitted {
         let what = what(*effect, variable, experiment.as_deref());
         let number = format!("{} +- {}", digits(*value), digits(*standard_error));
         let number = match effect {
-            Effect::StartValue | Effect::HeldValue => format!("{number} instead of {}", digits(*held_at)),
+            OmittedKind::StartValue | OmittedKind::HeldValue => {
+                format!("{number} instead of {}", digits(*held_at))
+            }
             _ => number,
         };
         let asks = match self.chance {
@@ -302,10 +304,12 @@ impl Omitted {
             _ => Severity::Warning,
         };
         let remedy = match effect {
-            Effect::Output(kind) => kind.remedy(),
-            Effect::InputOffset => "is the zero of that sensor right? A parameter with offset_of fits it",
-            Effect::StartValue => "is it known? initial_states takes it from the recording or fits it",
-            Effect::HeldValue => "is its value known? Fit it, too",
+            OmittedKind::Output(kind) => kind.remedy(),
+            OmittedKind::InputOffset => {
+                "is the zero of that sensor right? A parameter with offset_of fits it"
+            }
+            OmittedKind::StartValue => "is it known? initial_states takes it from the recording or fits it",
+            OmittedKind::HeldValue => "is its value known? Fit it, too",
         };
         Finding::new(severity, variable.clone(), format!("{asks}{others}{moves}"), remedy)
     }
@@ -347,26 +351,28 @@ impl Score<'_> {
 }
 
 /// "an offset of the measurements of T2 of run1"
-fn what(effect: Effect, variable: &str, experiment: Option<&str>) -> String {
+fn what(effect: OmittedKind, variable: &str, experiment: Option<&str>) -> String {
     let name = match experiment {
         Some(experiment) => format!("{variable} of {experiment}"),
         None => variable.to_owned(),
     };
     match effect {
-        Effect::Output(UnmodelledKind::Offset) => format!("an offset of the measurements of {name}"),
-        Effect::Output(UnmodelledKind::Factor) => format!("a factor of the measurements of {name}"),
-        Effect::Output(UnmodelledKind::Delay) => format!("a delay of the measurements of {name} in s"),
-        Effect::Output(UnmodelledKind::Drift) => format!("a drift of the measurements of {name} per s"),
-        Effect::InputOffset => format!("an offset of the input {name}"),
-        Effect::StartValue => format!("another start value of {name}"),
-        Effect::HeldValue => format!("another value of {name}"),
+        OmittedKind::Output(OutputEffectKind::Offset) => format!("an offset of the measurements of {name}"),
+        OmittedKind::Output(OutputEffectKind::Factor) => format!("a factor of the measurements of {name}"),
+        OmittedKind::Output(OutputEffectKind::Delay) => format!("a delay of the measurements of {name} in s"),
+        OmittedKind::Output(OutputEffectKind::Drift) => {
+            format!("a drift of the measurements of {name} per s")
+        }
+        OmittedKind::InputOffset => format!("an offset of the input {name}"),
+        OmittedKind::StartValue => format!("another start value of {name}"),
+        OmittedKind::HeldValue => format!("another value of {name}"),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::uncertainty::chance::normal_numbers;
+    use crate::uncertainty::p_values::normal_numbers;
     use crate::uncertainty::scores::Criterion;
 
     /// Two outputs of n rows, the second three times as noisy, a fit of two parameters to both, and an input
@@ -401,7 +407,7 @@ mod tests {
                 Working::new(Criterion::default(), &layout, left.as_slice(), &[vec![0], vec![1]], 2);
             let mut changes = of_outputs(&layout, left.as_slice());
             changes.push(Change {
-                effect: Effect::InputOffset,
+                effect: OmittedKind::InputOffset,
                 variable: "u".to_owned(),
                 start: 0.0,
                 experiment: None,
@@ -429,8 +435,8 @@ mod tests {
         assert!(false_alarms <= 12, "{false_alarms} of 4000, where 4 at most are expected");
         // The simulation lacks 4 times the effect of a unit of the input, and an offset of two deviations.
         for (effect, by) in [
-            (Effect::InputOffset, &(|i: usize| -4.0 * by_input[i]) as &dyn Fn(usize) -> f64),
-            (Effect::Output(UnmodelledKind::Offset), &|i| if i < n { 2.0 } else { 0.0 }),
+            (OmittedKind::InputOffset, &(|i: usize| -4.0 * by_input[i]) as &dyn Fn(usize) -> f64),
+            (OmittedKind::Output(OutputEffectKind::Offset), &|i| if i < n { 2.0 } else { 0.0 }),
         ] {
             let all = (0..100).map(|_| {
                 let mut errors = noise(&mut state);
@@ -441,7 +447,7 @@ mod tests {
             let own: Vec<&Omitted> = all.iter().filter(|o| o.effect == effect).collect();
             assert!(all.len() >= 95 && own.len() >= 50, "{effect:?}: {} and {}", all.len(), own.len());
             let mean = own.iter().map(|o| o.value).sum::<f64>() / own.len() as f64;
-            let expected = if effect == Effect::InputOffset { 4.0 } else { -2.0 };
+            let expected = if effect == OmittedKind::InputOffset { 4.0 } else { -2.0 };
             assert!((mean - expected).abs() < 0.4, "{effect:?}: {mean}");
         }
     }

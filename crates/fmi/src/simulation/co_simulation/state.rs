@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 /// One worker's co-simulation: the instance and everything that is written during a run.
 #[derive(Debug)]
-pub(crate) struct Stepping {
+pub(crate) struct CoSimulationState {
     pub(crate) running: Running,
     /// Rows of outputs at the beginning and the end of a step, and one in between.
     pub(super) before: Vec<f64>,
@@ -26,7 +26,7 @@ pub(crate) struct Stepping {
     pub(super) stopwatch: Stopwatch<{ Call::KINDS }>,
 }
 
-impl Stepping {
+impl CoSimulationState {
     pub(crate) fn new(plan: Arc<SimulationPlan>) -> Self {
         let row = || vec![0.0; plan.outputs().len()];
         Self {

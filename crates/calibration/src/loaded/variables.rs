@@ -1,9 +1,9 @@
 //! Variables that the parameters set in the model, typical sizes of the parameters, and simulations of all
 //! variables of the model, not only of those that are compared.
 
-use crate::calibration::handle::Calibration;
 use crate::cost::process::Job;
 use crate::error::CalibrationError;
+use crate::loaded::calibration::Calibration;
 use crate::problem::parameter::{Parameter, Scale};
 use base::RunContext;
 use dfo::typical_size;

@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from typing import Any, SupportsFloat
 
-from .._args.options import number
+from .._args.values import number
 from .progress import Progress
 
 #: A fit that nobody asked to be shown is shown from then on, in s.

@@ -1,7 +1,7 @@
 //! A system that answers no more once the run was cancelled or its time is up, so that a long step ends as
 //! well, and whose calls are timed.
 
-use crate::options::Options;
+use super::end_conditions::EndConditions;
 use crate::sparsity::JacobianPattern;
 use crate::stats::{Seconds, Stats};
 use crate::stopwatch::Stopwatch;
@@ -9,54 +9,7 @@ use crate::system::{
     Argument, CallError, CallResult, Direction, EventOutcome, EventVisit, HybridSystem, InputStop,
     StepAction, hand_on,
 };
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
-
-/// Why a run was ended from outside of it. A system whose call takes long may look at a [`EndConditions`]
-/// meanwhile, and at whatever else, and end the run: `Err(CallError::failed(stopped))`.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum Stopped {
-    /// The flag of [`Options::cancel`] was set: the run ends with [`ErrorKind::Cancelled`](crate::ErrorKind).
-    #[error("cancelled")]
-    Cancelled,
-    /// This limit of wall-clock time was reached: [`ErrorKind::TimedOut`](crate::ErrorKind).
-    #[error("the time limit of {} s was reached", .0.as_secs_f64())]
-    TimedOut(Duration),
-    /// The observer wishes it: a normal end, [`Termination::StoppedByObserver`](crate::Termination).
-    #[error("stopped by the observer")]
-    ByObserver,
-}
-
-/// Limit of wall-clock time and flag that end a run from outside of it.
-#[derive(Debug, Clone, Copy)]
-pub struct EndConditions<'a> {
-    cancel: Option<&'a AtomicBool>,
-    /// The limit, and when the run began.
-    timeout: Option<(Duration, Instant)>,
-}
-
-impl<'a> EndConditions<'a> {
-    /// For a run with these options that begins now.
-    pub fn new(options: &'a Options) -> Self {
-        Self {
-            cancel: options.cancel.as_deref(),
-            timeout: options.limits.timeout.map(|limit| (limit, Instant::now())),
-        }
-    }
-
-    /// # Errors
-    /// The run is to end, and why.
-    #[inline]
-    pub fn check(&self) -> Result<(), Stopped> {
-        if self.cancel.is_some_and(|cancel| cancel.load(Ordering::Relaxed)) {
-            return Err(Stopped::Cancelled);
-        }
-        match self.timeout {
-            Some((limit, began)) if began.elapsed() >= limit => Err(Stopped::TimedOut(limit)),
-            _ => Ok(()),
-        }
-    }
-}
+use std::time::Instant;
 
 /// The calls that run the model; each is a kind of its own for the stopwatch.
 #[derive(Debug, Clone, Copy)]
@@ -90,7 +43,7 @@ impl Call {
 }
 
 /// A system under watch.
-pub(crate) struct Watched<'a, S: ?Sized> {
+pub(crate) struct TimedSystem<'a, S: ?Sized> {
     system: &'a mut S,
     watch: EndConditions<'a>,
     began: Instant,
@@ -100,7 +53,7 @@ pub(crate) struct Watched<'a, S: ?Sized> {
 /// The stopwatch for the calls of a system; outlives a run.
 pub(crate) type CallWatch = Stopwatch<{ Call::KINDS }>;
 
-impl<'a, S: ?Sized> Watched<'a, S> {
+impl<'a, S: ?Sized> TimedSystem<'a, S> {
     /// For a run that begins now.
     pub(crate) fn new(system: &'a mut S, watch: EndConditions<'a>, stopwatch: &'a mut CallWatch) -> Self {
         stopwatch.reset();
@@ -131,6 +84,6 @@ macro_rules! watched {
     }};
 }
 
-impl<S: HybridSystem + ?Sized> HybridSystem for Watched<'_, S> {
+impl<S: HybridSystem + ?Sized> HybridSystem for TimedSystem<'_, S> {
     hand_on!(self, self.system, watched);
 }

@@ -1,5 +1,5 @@
-//! Limits of a program that is started: memory, files, time of the processor, and an end with the thread that
-//! waits for it.
+//! Limits of a compiler that is started: memory, files, time of the processor, and an end with the thread
+//! that waits for it.
 
 use std::io;
 use std::process::Command;
@@ -74,27 +74,6 @@ fn end_with(parent: u32) -> io::Result<()> {
 
 #[cfg(all(unix, not(any(target_os = "linux", target_os = "android"))))]
 fn end_with(_: u32) -> io::Result<()> {
-    Ok(())
-}
-
-/// Closes all descriptors of this process but the three standard ones.
-#[cfg(any(target_os = "linux", target_os = "android"))]
-pub(crate) fn close_inherited() -> io::Result<()> {
-    // SAFETY: the caller is a program that has just been started and has opened nothing yet, so no owner of a descriptor loses it; the
-    // first argument is below the second, the flags are none.
-    match unsafe { libc::syscall(libc::SYS_close_range, 3, libc::c_uint::MAX, 0) } {
-        0 => Ok(()),
-        _ => match io::Error::last_os_error() {
-            // A kernel before 5.9: what was inherited stays open.
-            error if error.raw_os_error() == Some(libc::ENOSYS) => Ok(()),
-            error => Err(error),
-        },
-    }
-}
-
-/// Inherited file descriptors stay open where there is no such call.
-#[cfg(all(unix, not(any(target_os = "linux", target_os = "android"))))]
-pub(crate) fn close_inherited() -> io::Result<()> {
     Ok(())
 }
 

@@ -1,7 +1,7 @@
 //! The files of a private copy of a library: a file of its own, for which the loader makes static variables
 //! of its own, and around it what the library may look for from where it lies.
 
-use super::source::Source;
+use super::original::OriginalLibrary;
 use crate::archive::PrivateFolder;
 use crate::error::FmiError;
 use crate::platform::{self, BinaryHeader, check_length};
@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 ///
 /// # Errors
 /// The system refuses; the library was written over since it was loaded first.
-pub(super) fn copy(source: &Source) -> Result<(PathBuf, PrivateFolder), FmiError> {
+pub(super) fn copy(source: &OriginalLibrary) -> Result<(PathBuf, PrivateFolder), FmiError> {
     let folder = PrivateFolder::create()?;
     let path = fill(source, folder.path())?;
     Ok((path, folder))
@@ -23,25 +23,25 @@ pub(super) fn copy(source: &Source) -> Result<(PathBuf, PrivateFolder), FmiError
 ///
 /// # Errors
 /// As [`copy`]; something else has its place.
-pub(super) fn restore(path: &Path, source: &Source) -> Result<PrivateFolder, FmiError> {
+pub(super) fn restore(path: &Path, source: &OriginalLibrary) -> Result<PrivateFolder, FmiError> {
     let folder = PrivateFolder::create_again(root_of(path, source))?;
     fill(source, folder.path())?;
     Ok(folder)
 }
 
 /// The folder of the copy at `path`.
-fn root_of<'a>(path: &'a Path, source: &Source) -> &'a Path {
+fn root_of<'a>(path: &'a Path, source: &OriginalLibrary) -> &'a Path {
     source.place().components().fold(path, |path, _| path.parent().unwrap_or(path))
 }
 
 /// True if a copy's folder would hold anything besides the library itself.
-pub(super) fn has_company(source: &Source) -> bool {
+pub(super) fn has_other_files(source: &OriginalLibrary) -> bool {
     let beside = source.library.parent().and_then(|folder| fs::read_dir(folder).ok());
     source.is_inside()
         && (source.root.join("resources").is_dir() || beside.is_some_and(|entries| entries.count() > 1))
 }
 
-fn fill(source: &Source, root: &Path) -> Result<PathBuf, FmiError> {
+fn fill(source: &OriginalLibrary, root: &Path) -> Result<PathBuf, FmiError> {
     source.check_unchanged()?;
     let path = root.join(source.place());
     let target = path.parent().unwrap_or(root);

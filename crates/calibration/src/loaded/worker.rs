@@ -1,12 +1,12 @@
 //! The worker process of a calibration: it holds the model, and simulates what it is asked for.
 
-use crate::calibration::handle::Calibration;
 use crate::cost::failure::ReportedCostFailure;
 use crate::cost::process::{Compared, Evaluated, Job, Loaded, put_trajectory};
 use crate::cost::residual::CostRule;
-use crate::cost::solver::{Solver, simulate_compared};
+use crate::cost::solver::{ChosenSolver, simulate_compared};
 use crate::cost::solver_comparison::ComparisonOutcome;
 use crate::error::CalibrationError;
+use crate::loaded::calibration::Calibration;
 use crate::problem::definition::ModelFile;
 use base::RunContext;
 use fmi::description::Quirk;
@@ -131,7 +131,7 @@ fn done(
     answer: &mut Frame,
 ) -> Result<io::Result<()>, FmiError> {
     let use_method = |method: Method| {
-        let solver = Solver { method, comparison: None };
+        let solver = ChosenSolver { method, comparison: None };
         calibration.set_solver(solver).map_err(model_error)
     };
     Ok(match job {

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._args import options as _options
+from .._args import values as _values
 
 if TYPE_CHECKING:
     from .._calibration.calibration import Calibration
@@ -36,7 +36,7 @@ def built(objective: Any, calibration: Calibration) -> CostFields:
     """The argument ``objective``. A function is called once, to learn whether it returns residuals: with measurements, and the same
     changed a little."""
     if not callable(objective):
-        return CostFields(_options.choice("objective", objective).strip().lower().replace("_", "-"), None, False)
+        return CostFields(_values.choice("objective", objective).strip().lower().replace("_", "-"), None, False)
     measured = calibration._native.measured_series()
     returned = objective(measured, _changed(calibration._native.measured_series()))
     name = f"{getattr(objective, '__module__', '')}.{getattr(objective, '__qualname__', type(objective).__qualname__)}"

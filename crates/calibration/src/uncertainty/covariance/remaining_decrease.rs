@@ -1,8 +1,8 @@
 //! The part of the cost that one more step of least squares takes away, as simulations of that step tell.
 
-use crate::calibration::simulations::{Point, Simulations};
 use crate::cost::residual::sum_of_squares;
 use crate::error::CalibrationError;
+use crate::loaded::simulations_around::{Point, Simulations};
 use crate::problem::parameter::{Parameter, inner, outer};
 use crate::uncertainty::covariance::matrix::Factors;
 use crate::uncertainty::row_blocks::along;
