@@ -83,7 +83,7 @@ NAMED_FILE = re.compile(r"`((?:[\w.-]+/)*[\w-]+\.(?:rs|py))(?: [^`]*)?`")
 
 def files_that_are_gone() -> list[str]:
     """Sources that comments and pages name, and that are not there."""
-    there = [path for path in ROOT.rglob("*") if path.suffix in (".rs", ".py") and "target" not in path.parts]
+    there = [path for path in ROOT.rglob("*") if path.suffix in (".rs", ".py") and not {"target", ".venv"} & set(path.parts)]
     known = {end for path in there for end in endings(path.relative_to(ROOT).parts)}
     found = []
     for path in [*ROOT.glob("crates/*/*/**/*.rs"), *ROOT.glob("docs/*.md"), ROOT / "CONTRIBUTING.md", ROOT / "README.md"]:

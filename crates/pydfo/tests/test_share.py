@@ -45,7 +45,8 @@ def assert_same(one, two):
     """All numbers of both."""
     assert one.parameters == two.parameters
     assert (one.cost, one.rms, one.start_cost, one.start_rms) == (two.cost, two.rms, two.start_cost, two.start_rms)
-    assert (one.message, one.nfev, one.method, one.solver, one.solver_comparison) == (two.message, two.nfev, two.method, two.solver, two.solver_comparison)
+    for name in ("message", "nfev", "method", "solver", "solver_comparison"):
+        assert getattr(one, name) == getattr(two, name), name
     assert (one.stats.seconds, one.stats) == (two.stats.seconds, two.stats)
     for name in ("x", "start", "jac", "cov"):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))

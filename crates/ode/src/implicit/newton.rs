@@ -3,8 +3,8 @@
 //!
 //! BDF takes the same test as Radau5. With the test of VODE and CVODE (the larger of the last quotient and
 //! 0.3 times the rate before, times the increment, against the same share 0.1 of the error test) it takes 10
-//! % more right-hand sides and 29 % more decompositions over the 52 stiff rows of `tests/all/vectors.rs` (rtol
-//! 1e-4 to 1e-10), and reaches 0.2 digits less on average.
+//! % more right-hand sides and 29 % more decompositions over the 52 stiff rows of `tests/all/vectors.rs`
+//! (rtol 1e-4 to 1e-10), and reaches 0.2 digits less on average.
 
 use crate::stepper::Equations;
 use crate::system::{CallError, CallResult, HybridSystem};

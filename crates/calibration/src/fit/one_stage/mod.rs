@@ -33,6 +33,10 @@ pub(crate) use search::{Job, SearchResult, UsedLimits};
 const NOT_REPRODUCED: &str =
     "two evaluations of the best point in fresh processes differ: no cost can be reproduced";
 
+/// An FMU that runs in this process keeps a state.
+const STATE_HERE: &str = "a simulation depends on those before it in this process (a state that the model keeps and no variable shows): the result \
+                          may be wrong; isolation = \"process\" gives each evaluation a process of its own";
+
 /// The same, where there was no time for a fit without that.
 const NOT_ANEW: &str = "a cost depends on what ran before it in the same process (a state that the model keeps and no variable shows): the costs \
                         of this fit may be wrong, and its time was over before it could begin anew";
@@ -90,6 +94,8 @@ impl Calibration {
                 _ => None,
             };
             if doubt.is_some() || !is_found_out {
+                let is_here = self.evaluator().remote.is_err() && self.fmu().has_hidden_state();
+                let doubt = doubt.or(is_here.then_some(STATE_HERE));
                 fit.setup_findings.extend(doubt.map(finding_about_fmu));
                 return Ok((fit, kept));
             }

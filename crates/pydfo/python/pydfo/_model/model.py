@@ -94,9 +94,10 @@ class FMUModel:
     Values are `set` for all simulations that follow, until `reset`; each simulation starts from a fresh model with these
     values, so that the same values give the same bits.
 
-    Whether an FMU keeps to that is looked at: its second, third, fifth, ninth, 17th, ... simulation is made again in a newly
-    loaded copy of its library, of long ones the first 2 s at most. Where the two differ, the FMU keeps a state that no variable
-    shows: from then on each simulation gets a new instance or a new copy (`reuse`), and ``description.quirks`` says so.
+    Whether an FMU keeps to that is looked at, by short simulations on new instances, as soon as these take less than 5 ms or a
+    tenth of the time of the simulations before (`reuse` says what was found). An FMU that keeps a state which no variable shows
+    and no new instance renews is named in ``description.quirks``, and a warning is logged: its results in this process may be
+    wrong from then on. A `Calibration` runs such an FMU in a new process for each evaluation.
 
     Parameters
     ----------
